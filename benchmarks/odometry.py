@@ -35,7 +35,10 @@ LOGS = {
     "Victoria Park": ("victoria-park", ""),
     "DLR circles": ("dlr-circles", ""),
     "I-SLSJF simulation": ("slsjf-sim-8240", "slsjf-sim-8240"),
-    **{f"MRCLAM 6, robot {k}": (f"{MRCLAM}/Robot{k}_Measurement.dat.gz", MRCLAM) for k in range(1, 6)},
+    **{
+        f"MRCLAM 6, robot {k}": (f"{MRCLAM}/Robot{k}_Measurement.dat.gz", MRCLAM)
+        for k in range(1, 6)
+    },
     "MRCLAM 6, all five": (MRCLAM, MRCLAM),
 }
 """The log, and the folder of its truth."""
@@ -47,7 +50,9 @@ def main() -> None:
     parser.add_argument("data", type=Path)
     parser.add_argument("--log", default="*", help="a log, or several as by '*'; else all")
     given = parser.parse_args()
-    print("| log | landmarks | relmap: error [m] | batch | GTSAM | relmap: apart [m] | GTSAM | residuals |")
+    print(
+        "| log | landmarks | relmap: error [m] | batch | GTSAM | relmap: apart [m] | GTSAM | residuals |"
+    )
     print("|---|---|---|---|---|---|---|---|")
     for name in filter(partial(fnmatch, pat=given.log), LOGS):
         path, truth = LOGS[name]

@@ -116,7 +116,13 @@ def start(problem: Problem) -> State:
     return whole
 
 
-def solved(problem: Problem, state: State, given: Floats | None = None, fine: float = FINE, loss: Loss = ROBUST) -> State:
+def solved(
+    problem: Problem,
+    state: State,
+    given: Floats | None = None,
+    fine: float = FINE,
+    loss: Loss = ROBUST,
+) -> State:
     """Return the state of least cost, found from another one.
 
     Parameters
@@ -155,7 +161,9 @@ def _stretch(problem: Problem, m: int) -> State:
             state.poses[i] = _moved(state.poses[i - 1], problem.motion[i], state.constant)
         part = problem.between(0, end)
         landmarks = _placed(part, state)
-        found = solved(part, State(state.poses[:end], landmarks, state.constant), None, ROUGH, CONVEX)
+        found = solved(
+            part, State(state.poses[:end], landmarks, state.constant), None, ROUGH, CONVEX
+        )
         state = replace(state, landmarks=found.landmarks, constant=found.constant)
         state.poses[:end] = found.poses
     return state
@@ -193,7 +201,9 @@ def _joined(whole: State, part: State) -> State:
 def laid_on(source: Floats, target: Floats) -> tuple[Floats, Floats]:
     """Return the rotation and the shift that lay points (n, 2) best on others."""
     here, there = source - source.mean(axis=0), target - target.mean(axis=0)
-    turn = np.arctan2(np.sum(here[:, 0] * there[:, 1] - here[:, 1] * there[:, 0]), np.sum(here * there))
+    turn = np.arctan2(
+        np.sum(here[:, 0] * there[:, 1] - here[:, 1] * there[:, 0]), np.sum(here * there)
+    )
     R = _rotations(np.array([turn]))[0]
     return R, target.mean(axis=0) - R @ source.mean(axis=0)
 
@@ -220,7 +230,9 @@ def _rows(problem: Problem, state: State) -> Iterator[_Rows]:
     by_yaw = np.einsum("nij,nj->ni", back, across)
     jacobian = np.concatenate([-back, by_yaw[:, :, None], back], axis=2)
     residual = np.einsum("nij,nj->ni", back, away) - problem.points
-    unknown = np.column_stack([3 * pose[:, None] + np.arange(3), 3 * k + 2 * landmark[:, None] + np.arange(2)])
+    unknown = np.column_stack(
+        [3 * pose[:, None] + np.arange(3), 3 * k + 2 * landmark[:, None] + np.arange(2)]
+    )
     yield _Rows(np.einsum("nij,nj->ni", problem.roots, residual), problem.roots @ jacobian, unknown)
     b = np.flatnonzero(np.isfinite(problem.motion[:, 0]))
     a, motion = b - 1, problem.motion[b]
@@ -255,7 +267,9 @@ def _cost(problem: Problem, state: State, loss: Loss) -> float:
     return cost
 
 
-def _stepped(problem: Problem, state: State, damping: float, given: Floats | None, loss: Loss) -> State:
+def _stepped(
+    problem: Problem, state: State, damping: float, given: Floats | None, loss: Loss
+) -> State:
     """Return the state after a damped step of iteratively reweighted least squares."""
     k, m = len(state.poses), len(state.landmarks)
     size = 3 * k + 2 * m + 3
@@ -266,7 +280,9 @@ def _stepped(problem: Problem, state: State, damping: float, given: Floats | Non
         jacobian, residual = rows.jacobian * weight[:, None, None], rows.residual * weight[:, None]
         n, r, c = jacobian.shape
         columns = np.broadcast_to(rows.unknown[:, None], (n, r, c)).ravel()
-        J = sparse.csr_array((jacobian.ravel(), columns, np.arange(0, n * r * c + 1, c)), shape=(n * r, size))
+        J = sparse.csr_array(
+            (jacobian.ravel(), columns, np.arange(0, n * r * c + 1, c)), shape=(n * r, size)
+        )
         matrix = matrix + J.T @ J
         right -= J.T @ residual.ravel()
     held = np.zeros(size)
@@ -278,7 +294,9 @@ def _stepped(problem: Problem, state: State, damping: float, given: Floats | Non
         held[3 * k : -3] = np.where(np.isfinite(given), HELD, 0.0).ravel()
     held += damping * matrix.diagonal() + 1e-9
     options = {"SymmetricMode": True}
-    solver = splu((matrix + sparse.diags_array(held)).tocsc(), "MMD_AT_PLUS_A", 0.0, options=options)
+    solver = splu(
+        (matrix + sparse.diags_array(held)).tocsc(), "MMD_AT_PLUS_A", 0.0, options=options
+    )
     step = solver.solve(right)
     landmarks = state.landmarks + step[3 * k : -3].reshape(m, 2)
     if given is not None:
@@ -310,13 +328,17 @@ def peer_solved(problem: Problem, state: State, constant: Floats) -> Floats | No
         values.insert(landmark_key(label), state.landmarks[label])
     first = gtsam.noiseModel.Isotropic.Sigma(3, HELD**-0.5)
     graph.add(gtsam.PriorFactorPose2(pose_key(0), gtsam.Pose2(*state.poses[0]), first))
-    for point, k, label, root in zip(problem.points, problem.pose.tolist(), problem.landmark.tolist(), problem.roots, strict=True):
+    for point, k, label, root in zip(
+        problem.points, problem.pose.tolist(), problem.landmark.tolist(), problem.roots, strict=True
+    ):
         r = float(np.hypot(*point))
         # From x and y to bearing and range.
         J = np.array([[-point[1] / r**2, point[0] / r**2], point / r])
         polar = J @ np.linalg.inv(root.T @ root) @ J.T
         bearing = gtsam.Rot2.atan2(point[1], point[0])
-        graph.add(gtsam.BearingRangeFactor2D(pose_key(k), landmark_key(label), bearing, r, noise(polar)))
+        graph.add(
+            gtsam.BearingRangeFactor2D(pose_key(k), landmark_key(label), bearing, r, noise(polar))
+        )
     scale, turn_scale, per_m = constant
     for k in np.flatnonzero(np.isfinite(problem.motion[:, 0])).tolist():
         x, y, yaw = problem.motion[k]
@@ -324,7 +346,9 @@ def peer_solved(problem: Problem, state: State, constant: Floats) -> Floats | No
         motion[2] = (yaw + np.hypot(x, y) * per_m) / (1 + turn_scale)
         sd = problem.sd[k, [0, 0, 1]] / (1 + np.array([scale, scale, turn_scale]))
         between = gtsam.Pose2(*motion)
-        graph.add(gtsam.BetweenFactorPose2(pose_key(k - 1), pose_key(k), between, noise(np.diag(sd**2))))
+        graph.add(
+            gtsam.BetweenFactorPose2(pose_key(k - 1), pose_key(k), between, noise(np.diag(sd**2)))
+        )
     found = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
     landmarks = np.full_like(state.landmarks, np.nan)
     for label in np.flatnonzero(np.isfinite(state.landmarks[:, 0])).tolist():

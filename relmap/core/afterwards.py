@@ -159,7 +159,7 @@ def _repair(engine: RelativeMapper) -> None:
     if is_bridged(engine):
         _refine(engine, to_the_last=False)
         merge_in_place(engine, at_last=True)
-        _refine(engine, to_the_last=False)
+        _refine(engine)
         gather(engine)
     rare = _rare(engine) & ~grouped
     engine.table.take_off_map(np.flatnonzero(rare))

@@ -112,4 +112,5 @@ def gather(engine: RelativeMapper) -> None:
     pairs = np.column_stack([own, oldest[whole]])
     pairs = pairs[known[whole] & (pairs[:, 0] != pairs[:, 1])]
     table.dynamic[pairs] = False
+    table.take_off_map(np.unique(pairs))  # Pieces have no position to average; they are solved for.
     engine.merge_pairs(pairs)

@@ -59,4 +59,3 @@ def gathered(
             whole[piece] = of
             seen[of] |= seen[piece]
     return whole
-
