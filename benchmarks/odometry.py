@@ -3,9 +3,9 @@
     OMP_NUM_THREADS=1 python benchmarks/odometry.py DATA [--log NAME]
 
 prints one table in markdown; DATA is a folder of the real data sets. relmap maps each log with
-default settings. The batch (`pose_chain.py`) and GTSAM (``relmap[peers]``), which starts where the
-batch does, get the same residuals, with the noise that relmap estimates. Errors are RMS over the
-mapped landmarks seen ten times, after rigid alignment.
+default settings. The batch (`pose_chain.py`) starts from odometry; GTSAM (``relmap[peers]``)
+starts where the batch does. Both get the residuals and the noise that relmap estimates, with
+Cauchy's loss. Errors are RMS over the mapped landmarks seen ten times, after rigid alignment.
 
   error      from the true landmarks, where these are known
   apart      from those of the batch
@@ -16,13 +16,13 @@ mapped landmarks seen ten times, after rigid alignment.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
 from fnmatch import fnmatch
 from functools import partial
 from pathlib import Path
 
 import numpy as np
-from pose_chain import CONVEX, Floats, Ints, Problem, State, laid_on, peer_solved, solved, start
+from gtsam_chain import peer_solved
+from pose_chain import CONVEX, Floats, Ints, Problem, State, laid_on, solved, start
 
 from relmap import PointMapper
 from relmap.datasets import open_log
@@ -51,7 +51,8 @@ def main() -> None:
     parser.add_argument("--log", default="*", help="a log, or several as by '*'; else all")
     given = parser.parse_args()
     print(
-        "| log | landmarks | relmap: error [m] | batch | GTSAM | relmap: apart [m] | GTSAM | residuals |"
+        "| log | landmarks | error [m]: relmap | batch | GTSAM | "
+        "apart [m]: relmap | GTSAM | residuals |"
     )
     print("|---|---|---|---|---|---|---|---|")
     for name in filter(partial(fnmatch, pat=given.log), LOGS):

@@ -59,23 +59,34 @@ def bridge_gaps(engine: RelativeMapper, to_the_last: bool = False, is_open: bool
         engine.odometry = use
         return False
     solve = _solver(engine, rows, believed, noise, sigmas, to_the_last, is_open).solve
-    suspects = _suspects(engine) if to_the_last or not engine.refined else hanging[:0]
-    engine.table.dynamic[suspects] = False
-    bridged, solved = _solved(bridged, solve, engine.association.has_ids)
-    moving = _moving(engine, solved, suspects)
-    if len(moving):
-        engine.table.dynamic[moving] = True
-        solved = solve(bridged)
+    judges = to_the_last or not engine.refined
+    solved = _judged(engine, bridged, solve) if judges else _solved(engine, bridged, solve)[1]
     _place(engine, solved)
     engine.odometry = _in_use(use, solved, hanging, engine.store.n_iterations)
     return True
 
 
+def _judged(
+    engine: RelativeMapper, bridged: Bridged, solve: Callable[[Bridged], list[Solved]]
+) -> list[Solved]:
+    """Return the parts of a run, solved without landmarks that move in them.
+
+    Those considered dynamic are solved for as static first: if they are at rest, the poses agree
+    with them within the noise of odometry, and a robust solution leaves out those that are not.
+    """
+    suspects = _suspects(engine)
+    engine.table.dynamic[suspects] = False
+    bridged, solved = _solved(engine, bridged, solve)
+    moving = _moving(engine, solved, suspects)
+    engine.table.dynamic[moving] = True
+    return solve(bridged) if len(moving) else solved
+
+
 def _solved(
-    bridged: Bridged, solve: Callable[[Bridged], list[Solved]], has_ids: bool
+    engine: RelativeMapper, bridged: Bridged, solve: Callable[[Bridged], list[Solved]]
 ) -> tuple[Bridged, list[Solved]]:
     """Return the parts of a run, those joined that ids tie."""
-    solved = solve(bridged)
+    solved, has_ids = solve(bridged), engine.association.has_ids
     while has_ids and (joined := join_parts(bridged, solved)) is not None:
         bridged, solved = joined, solve(joined)
     return bridged, solved
@@ -124,11 +135,7 @@ def _suspects(engine: RelativeMapper) -> Ints:
 
 
 def _moving(engine: RelativeMapper, solved: list[Solved], suspects: Ints) -> Ints:
-    """Return the suspects (k,) that do not keep their place where they were solved for as static.
-
-    If they are at rest, the poses agree with them within the noise of odometry; a robust solution
-    leaves out those that are not.
-    """
+    """Return the suspects (k,) that do not keep their place where they were solved for."""
     if not len(suspects):
         return suspects
     table, kept = engine.table, engine.kept

@@ -24,8 +24,8 @@ def gathered(
 ) -> Ints:
     """Return for each landmark (n,) the one that it is a piece of; its own number if of none.
 
-    Each goes to the nearest that was seen more often (Rodriguez and Laio, 2014), unless a scan shows
-    it together with a piece of that.
+    Each goes to the nearest that was seen more often (Rodriguez and Laio, 2014), unless a scan
+    shows it together with a piece of that.
 
     Parameters
     ----------
