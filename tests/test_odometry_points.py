@@ -185,3 +185,30 @@ def test_covariances_weigh_the_observations_that_they_came_with() -> None:
     mapper.refine()
     assert len(mapper.submaps) == 1
     assert rmse_m(run, mapper.map.positions, mapper.map.landmark_ids) < 0.5
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_with_odometry_movers_are_dynamic_and_what_only_scatters_is_mapped(known: bool) -> None:
+    run = world(SPARSE, 250)
+    mapper = PointMapper()
+    rng, steps = np.random.default_rng(3), np.arange(110, 140)
+    middle = run.trajectory[125]
+    start = middle[:3, 3] + middle[:3, :3] @ [4.0, 0.0, 0.0]
+    noisy = middle[:3, 3] + middle[:3, :3] @ [4.0, 3.0, 0.0]
+    motions, labels = odometry_of(run, 0), []
+    for k, scan in enumerate(run.log.scans()):
+        points, ids = scan.points_robot, scan.ids
+        assert ids is not None
+        if k in steps:
+            moved = start + [0.5 * (k - 125), 0.0, 0.0]
+            scattered = noisy + rng.normal(0, 0.13, 3)
+            back = np.linalg.inv(run.trajectory[k])
+            more = np.array([moved, scattered]) @ back[:3, :3].T + back[:3, 3]
+            points, ids = np.concatenate([points, more]), np.append(ids, [1000, 1001])
+        label = mapper.update(points, ids=ids if known else None, odometry=motions[k])
+        labels.append(label[-2:] if k in steps else label[:0])
+    mapper.finish()
+    mapper.refine()
+    mover, scatters = mapper.landmarks_of(np.concatenate(labels)).reshape(-1, 2).T
+    assert not np.isin(mapper.map.landmark_ids, mover).any()
+    assert np.isin(scatters, mapper.map.landmark_ids).mean() > 0.5

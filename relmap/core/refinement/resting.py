@@ -20,7 +20,7 @@ def placed_observations(kept: KeptObservations, poses: Floats) -> Floats:
         ``T_map_robot`` of each iteration; NaN where there is none.
     """
     d, own = kept.location.shape[1], poses[kept.iteration]
-    return np.einsum("nij,nj->ni", own[:, :d, :d], kept.location) + own[:, :d, 3]
+    return np.asarray(np.einsum("nij,nj->ni", own[:, :d, :d], kept.location) + own[:, :d, 3])
 
 
 def scattered(landmark: Ints, places: Floats, m: int) -> Floats:
