@@ -200,7 +200,7 @@ def test_with_odometry_movers_are_dynamic_and_what_only_scatters_is_mapped(known
         points, ids = scan.points_robot, scan.ids
         assert ids is not None
         if k in steps:
-            moved = start + [0.5 * (k - 125), 0.0, 0.0]
+            moved = start + np.array([0.5 * (k - 125), 0.0, 0.0])
             scattered = noisy + rng.normal(0, 0.13, 3)
             back = np.linalg.inv(run.trajectory[k])
             more = np.array([moved, scattered]) @ back[:3, :3].T + back[:3, 3]
