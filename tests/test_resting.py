@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.testing import assert_array_equal
 
+from relmap.core.arrays import Floats
 from relmap.core.association.gathering import gathered
 from relmap.core.refinement.resting import at_rest, drifting
 
@@ -12,9 +13,9 @@ N = 20
 SIGMA_M = 0.1
 
 
-def still(rng: np.random.Generator, sigma_m: float = SIGMA_M) -> list[list[float]]:
+def still(rng: np.random.Generator, sigma_m: float = SIGMA_M) -> Floats:
     """Return the places of N observations of a landmark that does not move."""
-    return (rng.uniform(-50, 50, 2) + rng.normal(0, sigma_m, (N, 2))).tolist()
+    return np.asarray(rng.uniform(-50, 50, 2) + rng.normal(0, sigma_m, (N, 2)))
 
 
 def test_scatter_is_noise_and_a_trend_is_motion() -> None:
