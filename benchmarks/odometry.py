@@ -3,7 +3,7 @@
     OMP_NUM_THREADS=1 python benchmarks/odometry.py DATA [--log NAME]
 
 prints one table in markdown; DATA is a folder of the real data sets. relmap maps each log with
-default settings. The batch (`pose_chain.py`) starts from odometry; GTSAM (``relmap[peers]``)
+default settings. The batch (in `references/`) starts from odometry; GTSAM (``relmap[peers]``)
 starts where the batch does. Both get the residuals and the noise that relmap estimates, with
 Cauchy's loss. Errors are RMS over the mapped landmarks seen ten times, after rigid alignment.
 
@@ -21,8 +21,8 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from gtsam_chain import peer_solved
-from pose_chain import CONVEX, Floats, Ints, Problem, State, laid_on, solved, start
+from references.gtsam_chain import peer_solved
+from references.pose_chain import CONVEX, Floats, Ints, Problem, State, laid_on, solved, start
 
 from relmap import PointMapper
 from relmap.datasets import open_log

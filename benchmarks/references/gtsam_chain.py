@@ -6,7 +6,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from pose_chain import CAUCHY, HELD, Floats, Problem, State
+from references.pose_chain import CAUCHY, HELD, Floats, Problem, State
 
 
 def peer_solved(problem: Problem, state: State, constant: Floats) -> Floats | None:
