@@ -141,6 +141,7 @@ def _mapped_into(folder: Path, job: Job, log: Log) -> Run:
         )
         if view is not None:
             view.show(mapper)
+        _note_tie(run, mapper, log)
         _write(folder, run, job)
         names = getattr(log, "names", None)
         if names and job.association == "known":
@@ -154,18 +155,29 @@ def _mapped_into(folder: Path, job: Job, log: Log) -> Run:
 def _taken_up(
     job: Job, mapper: AnyMapper, log: Log, scans: Iterable[Any], about: dict[str, Any]
 ) -> Iterator[Any]:
-    """Yield scans; with an existing map, localise them in it until one is found."""
+    """Yield scans; with an existing map, add them to it from the first one localised there."""
     from relmap.evaluation.feeding import preparation
+    from relmap.planes import PlaneMapper
 
     prepare = preparation(mapper, log)
     tied = job.onto is None or job.association == "known"
     for scan in scans:
-        if not tied:
-            points = scan.points_robot
-            more = {"beams": points} if job.variant == "planes" else {}
-            tied = mapper.take_up(prepare(points), **more)
+        if not tied and isinstance(mapper, PlaneMapper):
+            mapper.take_up(prepare(scan.points_robot), scan.points_robot)
+            tied = True  # or not: `finish` decides
+        elif not tied:
+            tied = mapper.take_up(prepare(scan.points_robot))
             about["tied_at"] = scan.iteration if tied else None
         yield scan
+
+
+def _note_tie(run: Run, mapper: AnyMapper, log: Log) -> None:
+    """Enter in the summary where `finish` tied a log of walls to an earlier map."""
+    from relmap.planes import PlaneMapper
+
+    if isinstance(mapper, PlaneMapper) and mapper.tied_at is not None:
+        before = run.result.summary["counts"]["iterations"] - mapper.n_iterations
+        run.result.summary["tied_at"] = log.first_iteration + mapper.tied_at + before
 
 
 def _about(job: Job, log: Log) -> dict[str, Any]:

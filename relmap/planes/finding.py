@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from relmap.core.arrays import Floats
+from relmap.core.arrays import Bools, Floats
 from relmap.mapper import Place
 from relmap.planes.observation import PlaneObservation
 from relmap.planes.wall_tie import ACROSS, WallTie, wall_ties
@@ -51,23 +51,36 @@ class WallFinder:
             With its beams; without them no placement is accepted.
         """
         nowhere = np.full((4, 4), np.nan)
-        ties = wall_ties(seen.ends, self._ends)[:PLACES]
-        if not (ties and len(seen.beams.points)):
+        ties, worth, fits = self._judged(seen)
+        if not fits.any():
             return Place(nowhere, 0)
-        length_m = float(seen.size.sum())
-        explained = np.array([self._explained(tie, seen) for tie in ties])
-        worth = explained + [tie.length_m / length_m for tie in ties]
         best = int(np.argmax(worth))
-        tie = ties[best]
-        fits = explained[best] >= EXPLAINED and tie.length_m >= max(LEAST_M, SHARE * length_m)
-        if not fits:
+        if not fits[best]:
             return Place(nowhere, 0)
+        tie = ties[best]
         slides = tie.across < ACROSS
         if slides or np.delete(worth, best).max(initial=0.0) > RIVAL * worth[best]:
             return Place(nowhere, 2)
-        T_map_robot = np.eye(4)
-        T_map_robot[:2, :2], T_map_robot[:2, 3] = tie.R, tie.t
-        return Place(T_map_robot, 1)
+        return Place(_matrix(tie), 1)
+
+    def places(self, seen: PlaneObservation) -> Floats:
+        """Return all poses ``T_map_robot`` (k, 4, 4) that explain a scan and do not slide."""
+        ties, _, fits = self._judged(seen)
+        held = [
+            _matrix(tie)
+            for tie, fit in zip(ties, fits, strict=True)
+            if fit and tie.across >= ACROSS
+        ]
+        return np.array(held).reshape(-1, 4, 4)
+
+    def _judged(self, seen: PlaneObservation) -> tuple[list[WallTie], Floats, Bools]:
+        """Return the likely placements (k,) of a scan, their scores, and which explain it."""
+        ties = wall_ties(seen.ends, self._ends)[:PLACES] if len(seen.beams.points) else []
+        length_m = float(seen.size.sum())
+        overlap_m = np.array([tie.length_m for tie in ties])
+        explained = np.array([self._explained(tie, seen) for tie in ties])
+        fits = (explained >= EXPLAINED) & (overlap_m >= max(LEAST_M, SHARE * length_m))
+        return ties, explained + overlap_m / length_m, fits
 
     def _explained(self, tie: WallTie, seen: PlaneObservation) -> float:
         """Return the share of beams that end on walls, minus the share that go through one."""
@@ -90,3 +103,10 @@ class WallFinder:
         at_m = along_wall / crossing * size
         met = (along_beam > 0) & (along_beam * length[:, None] < length[:, None] - BEYOND_M)
         return np.asarray((met & (at_m > RIM_M) & (at_m < size - RIM_M)).any(axis=1))
+
+
+def _matrix(tie: WallTie) -> Floats:
+    """Return a motion as ``T_map_robot`` (4, 4)."""
+    T = np.eye(4)
+    T[:2, :2], T[:2, 3] = tie.R, tie.t
+    return T

@@ -142,11 +142,13 @@ class PlaneMapper(LocatingMapper):
         if self._journal is not None:
             beams = seen.beams.to_bytes()
             self._journal.append(journaled(seen), None, walls, beams=beams, odometry=motion)
-        self._attach(seen, walls)
+        if self._onto is not None:
+            self._onto.see(seen, self._planes.links)
         return walls
 
     def _finish(self) -> None:
-        self._finder = self._onto = None
+        self._finder = None
+        self._attach()
         cut = self._planes.tie()
         super()._finish()
         self._planes.links.cut(cut)

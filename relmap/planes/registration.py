@@ -137,9 +137,9 @@ class PlaneRegistration:
         self._tracks = None
         self.links.begin_run()
 
-    def attach(self, motion: Floats, scan: int, walls: Ints) -> None:
-        """Tie the submap of the last scan to that of another scan; see `ScanLinks.attach`."""
-        name = self.links.attach(motion, scan, walls)
+    def attach(self, first: int, motion: Floats, scan: int, walls: Ints) -> None:
+        """Tie a submap to that of another scan; see `ScanLinks.attach`."""
+        name = self.links.attach(first, motion, scan, walls)
         self._submap_of.values[:] = name[self.submap_of]
 
     def tie(self) -> Ints:

@@ -142,13 +142,15 @@ class ScanLinks:
         """Begin another run with the next scan, which is not tied to the last one."""
         self._begun.extend(np.array([len(self)]))
 
-    def attach(self, motion: Floats, scan: int, walls: Ints) -> Ints:
-        """Tie the submap of the last scan to that of another scan, in whose map it was localised.
+    def attach(self, first: int, motion: Floats, scan: int, walls: Ints) -> Ints:
+        """Tie a submap to that of another scan, in whose map it was localised.
 
         Parameters
         ----------
+        first : int
+            Its first scan.
         motion : (3,) float64
-            To the last scan, from the scan before the first of its submap.
+            To that scan, from the one before.
         scan : int
         walls : (k, 2) int64
             Pairs of numbers of the same wall.
@@ -158,14 +160,13 @@ class ScanLinks:
         (s,) int64
             New number of each submap.
         """
-        old, new = int(self.submaps[-1]), int(self.submaps[scan])
-        first = int(np.flatnonzero(self.submaps == old)[0])
-        back = inverse(motion_over(self.motions[first + 1 :]))
-        self.motions[first] = after(motion, back[None])[0]
+        old, new = int(self.submaps[first]), int(self.submaps[scan])
+        self.motions[first] = motion
         self._evidence.values[first], self.measured[first] = np.inf, True
         self.same_walls = np.concatenate([self.same_walls, walls])
         name = np.arange(self._n_submaps)
-        name[old] = self.submap = new
+        name[old] = new
+        self.submap = int(name[self.submap])
         self._submaps.values[self.submaps == old] = new
         return name
 
