@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
+from relmap.core.guard import ChangeGuard
 from relmap.core.scan import checked_labels
 from relmap.planes3d.fitting import Surfaces
 from relmap.planes3d.hypotheses import Held
@@ -67,6 +68,7 @@ class Plane3dMapper:
             raise RelmapError(f"max_missed is {max_missed}; it must be at least 1")
         self.segmenter = segmenter or PatchSegmenter()
         self.max_missed = max_missed
+        self._guard = ChangeGuard()
         self._parts: list[Submap] = []
         self._n_iterations = self._n_planes = 0
         self._name: dict[int, int] = {}
@@ -89,7 +91,16 @@ class Plane3dMapper:
         RelmapError
             If the points are invalid; the mapper is unchanged.
         """
-        seen = points if isinstance(points, Patches) else self.segmenter.fit(points).patches_
+        seen = points if isinstance(points, Patches) else self._segmented(points)
+        with self._guard.change():
+            return self._take_in(seen)
+
+    def _segmented(self, points: ArrayLike) -> Patches:
+        # The segmenter stores its result: two threads would mix theirs.
+        with self._guard.change(spoils=False):
+            return self.segmenter.fit(points).patches_
+
+    def _take_in(self, seen: Patches) -> Ints:
         iteration, self._n_iterations = self._n_iterations, self._n_iterations + 1
         if not len(seen):
             return np.empty(0, dtype=np.int64)
@@ -115,9 +126,10 @@ class Plane3dMapper:
         Only the 12 largest submaps of at least three scans are tried.
         """
         failed: set[tuple[Span, Span]] = set()
-        while self._tied_two(failed):
-            pass
-        self._name_unsure()
+        with self._guard.change():
+            while self._tied_two(failed):
+                pass
+            self._name_unsure()
 
     def refine(self) -> None:
         """Adjust planes and poses of each submap to all observations by least squares.
@@ -125,11 +137,12 @@ class Plane3dMapper:
         Landmarks that are one surface are joined; `landmarks_of` gives their current numbers.
         Uncertain steps are found again, see `weak_links`.
         """
-        for k, part in enumerate(self._parts):
-            if len(part.iteration) > 1:
-                self._parts[k], name = refined(part)
-                self._rename(name)
-        self._name_unsure()
+        with self._guard.change():
+            for k, part in enumerate(self._parts):
+                if len(part.iteration) > 1:
+                    self._parts[k], name = refined(part)
+                    self._rename(name)
+            self._name_unsure()
 
     def landmarks_of(self, labels: ArrayLike) -> Ints:
         """Return the current numbers of landmarks.
@@ -148,12 +161,14 @@ class Plane3dMapper:
         RelmapError
             If `update` has not returned one of the numbers.
         """
+        self._guard.check()
         checked = checked_labels(labels, np.arange(self._n_planes))
         return np.array([self._name.get(label, label) for label in checked.tolist()], np.int64)
 
     @property
     def n_iterations(self) -> int:
         """Number of scans, empty ones included."""
+        self._guard.check()
         return self._n_iterations
 
     @property
@@ -170,6 +185,7 @@ class Plane3dMapper:
     @property
     def submaps(self) -> list[Submap]:
         """The parts of the run that are not tied to each other, largest number of scans first."""
+        self._guard.check()
         return sorted(self._parts, key=lambda part: (-len(part.iteration), part.iteration[0]))
 
     @property
@@ -193,6 +209,7 @@ class Plane3dMapper:
         the position well, so that constant motion may have been assumed; or, after `finish` or
         `refine`, one in which the step from the scan before is uncertain.
         """
+        self._guard.check()
         found = [part.unsure | part.weak for part in self._parts]
         return {k: free for each in found for k, free in sorted(each.items())}
 
