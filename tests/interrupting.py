@@ -86,14 +86,12 @@ def told(mapper: Any) -> bytes:
 def outcome(mapper: Any, kind: Kind, begun: int, whole: bytes) -> int:
     """Continue an interrupted mapper, and return what becomes of it."""
     try:
-        done = mapper.n_iterations - begun
-    except RelmapError:
-        return REPORTED
-    try:
-        for scan in kind.scans[done:]:
+        for scan in kind.scans[mapper.n_iterations - begun :]:
             mapper.update(**scan)
         return SAME if told(mapper) == whole else OTHER
     except BaseException as error:  # noqa: BLE001 - a child must not return
+        if isinstance(error, RelmapError) and "was interrupted" in str(error):
+            return REPORTED
         print(f"{type(error).__name__}: {error}", file=sys.stderr)
         return FAILED
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import errno
 import os
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -49,6 +51,37 @@ def test_atomic_write_leaves_the_earlier_file_where_the_disk_is_full(
         atomic_write(path, "new")
     assert path.read_text() == "old"
     assert names(tmp_path) == ["a.txt"]
+
+
+@pytest.mark.parametrize("at", range(6))
+def test_a_kill_between_two_files_leaves_no_mixture_that_counts_as_a_result(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at: int
+) -> None:
+    for name in ("landmarks.csv", "stale.csv", "summary.json", "trajectory.tum"):
+        (tmp_path / name).write_text("old")
+    steps = 0
+
+    def counted(call: Callable[..., object]) -> Callable[..., object]:
+        def step(*arguments: object, **more: object) -> object:
+            nonlocal steps
+            if steps == at:
+                raise KeyboardInterrupt
+            steps += 1
+            return call(*arguments, **more)
+
+        return step
+
+    with suppress(KeyboardInterrupt), staged_folder(tmp_path, ["stale.csv"]) as staging:
+        for name in ("landmarks.csv", "summary.json", "trajectory.tum"):
+            (staging / name).write_text("new")
+        monkeypatch.setattr(Path, "unlink", counted(Path.unlink))
+        monkeypatch.setattr(Path, "replace", counted(Path.replace))
+    monkeypatch.undo()
+    texts = {path.name: path.read_text() for path in tmp_path.iterdir()}
+    if "summary.json" in texts:
+        assert set(texts.values()) == {"old" if at == 0 else "new"}
+        assert ("stale.csv" in texts) == (at == 0)
+    assert (at == 5) == (texts.get("summary.json") == "new")
 
 
 def test_staged_files_arrive_together_with_their_folders(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import subprocess
 import sys
 import threading
 from collections.abc import Callable, Sequence
@@ -16,6 +17,7 @@ import pytest
 from relmap import MapperConfig, PlaneMapper, PointMapper, RelmapError
 from relmap.io.journal import writing
 from relmap.simulation import simulate_building
+from tests.commands import PATIENCE_S
 from tests.worlds import walk
 
 AnyMapper = PointMapper | PlaneMapper
@@ -99,6 +101,23 @@ def test_an_interrupted_update_is_undone_or_complete_or_reported(
         assert resumed.n_iterations in (k, k + 1)
         assert told(go_on(resumed, scans)) == whole
     assert was_told
+
+
+def test_every_mapper_reports_interrupts_or_continues_to_the_same_map(
+    child_env: dict[str, str], repo_root: Path
+) -> None:
+    kinds = ["points-odometry", "walls-onto", "planes3d"]
+    done = subprocess.run(
+        [sys.executable, "-m", "tests.interrupting", "--every", "1500", *kinds],
+        env=child_env | {"OMP_NUM_THREADS": "1"},
+        cwd=repo_root,
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stdout.count("'reported': ") == len(kinds)
 
 
 def test_interrupted_updates_are_reported_but_refused_ones_are_not(

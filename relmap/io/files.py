@@ -29,6 +29,9 @@ from relmap.datasets.textfile import (
 )
 from relmap.io.tables import MAX_RESULT_M
 
+WHOLE = "summary.json"
+"""A folder without this file is not read as a result: it is moved last, so that a kill between two
+files leaves no result of old and new files."""
 MAX_TEXT = 1 << 26
 """Maximum number of characters of a text; JSON needs twenty times as much memory."""
 
@@ -83,10 +86,7 @@ def staged_folder(folder: Path, stale: Sequence[str] = ()) -> Iterator[Path]:
         folder.mkdir(parents=True, exist_ok=True)
         staging = Path(tempfile.mkdtemp(prefix=".relmap-", dir=folder))
         yield staging
-        written = {path.name for path in staging.iterdir()}
-        _move_files(staging, folder)
-        for name in set(stale) - written:
-            (folder / name).unlink(missing_ok=True)
+        _move_files(staging, folder, stale)
     except OSError as error:
         raise RelmapError(f"cannot write into {shown(folder)}: {why_not_written(error)}") from error
     except RelmapError as error:
@@ -99,7 +99,7 @@ def staged_folder(folder: Path, stale: Sequence[str] = ()) -> Iterator[Path]:
                 level.rmdir()
 
 
-def _move_files(staging: Path, folder: Path) -> None:
+def _move_files(staging: Path, folder: Path, stale: Sequence[str]) -> None:
     names = sorted(path.relative_to(staging) for path in staging.rglob("*") if path.is_file())
     for name in names:
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
@@ -107,6 +107,11 @@ def _move_files(staging: Path, folder: Path) -> None:
             raise RelmapError(f"cannot write {shown(folder / name)}: a folder of that name exists")
         with (staging / name).open("rb") as stream:
             os.fsync(stream.fileno())
+    written = {path.name for path in staging.iterdir()}
+    first = [WHOLE] if WHOLE in written else []
+    for stale_name in [*first, *set(stale).difference(written)]:
+        (folder / stale_name).unlink(missing_ok=True)
+    names.sort(key=lambda name: name == Path(WHOLE))
     for name in names:
         (staging / name).replace(folder / name)
 
