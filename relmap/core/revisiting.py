@@ -71,7 +71,7 @@ def merge_in_place(engine: RelativeMapper, at_last: bool = False) -> None:
     """
     merger, found = engine.merger, True
     sightings = Sightings(rows_of_tracks(engine.rows, engine.table), engine.table)
-    while found:
+    while found and engine.refined:
         noise_m = max(refined.noise_m for refined in engine.refined)
         pairs = lying_together(engine.table, noise_m)
         if not at_last:

@@ -11,6 +11,8 @@ from relmap.core.errors import RelmapError
 FARTHEST_M = 1e9
 """Upper limit of a valid coordinate: larger than the range of any sensor."""
 
+TINY = 1e-30
+"""Smaller values are zero: their squares underflow, and what is divided by these overflows."""
 SMALLEST_M2, LARGEST_M2 = 1e-30, 1e30
 """Limits of a valid variance; beyond them the squares of weighted values overflow."""
 ASYMMETRY = 1e-6
@@ -56,7 +58,7 @@ def checked_points(points: ArrayLike, dimension: int) -> Floats:
 
 
 def numbers(values: ArrayLike, name: str, wanted: str) -> Floats:
-    """Return values as a new, contiguous float64 array without negative zeros.
+    """Return values as a new, contiguous float64 array; those below `TINY` are zero.
 
     Parameters
     ----------
@@ -73,8 +75,9 @@ def numbers(values: ArrayLike, name: str, wanted: str) -> Floats:
         array = np.asarray(values)
         if array.dtype.kind not in "biufO":
             raise TypeError(f"its type is {array.dtype}")
-        # Adding 0 turns -0 into 0: a journal stores only one zero.
-        return np.array(array, dtype=np.float64, order="C") + 0.0
+        array = np.array(array, dtype=np.float64, order="C")
+        array[np.abs(array) < TINY] = 0.0  # also -0: a journal stores only one zero
+        return array
     except (TypeError, ValueError, OverflowError) as error:
         raise RelmapError(f"{name} must be {wanted}: {error}") from error
 

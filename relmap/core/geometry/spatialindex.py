@@ -9,6 +9,8 @@ from relmap.core.state.table import NONE, LandmarkState
 
 SIDE = 2**20
 """Cells along each axis with keys of their own; more distant cells only share a list."""
+FARTHEST = 2.0**62
+"""Largest index of a cell."""
 
 
 class SpatialIndex:
@@ -75,7 +77,9 @@ class SpatialIndex:
             self._table.next_in_cell[other] = after
 
     def _cells(self, positions: Floats) -> Ints:
-        return np.floor(positions / self.cell_m).astype(np.int64)
+        with np.errstate(over="ignore"):  # far cells are one
+            cells = np.floor(positions / self.cell_m)
+        return np.clip(cells, -FARTHEST, FARTHEST).astype(np.int64)
 
     def _keys(self, cells: Ints) -> list[int]:
         """Return a non-negative key for each cell (k, d)."""

@@ -33,6 +33,8 @@ WORST = 2.0
 landmarks, poses that fit them exactly and noisy odometry explain everything."""
 FREE = 4.0
 """Freedoms below which what is left does not tell how noisy something is."""
+LEAST = 1e-9
+"""Smallest standard deviation, as such a multiple: residuals may be exactly zero."""
 
 
 class Chain(NamedTuple):
@@ -240,7 +242,8 @@ class ChainProblem:
             for kind, of in kinds:
                 sums[kind] += squares[:, of].sum(), free[:, of].sum()
         factors = [np.sqrt(squares / free) if free > FREE else 1.0 for squares, free in sums]
-        seen, way, turn = (float(old * new) for old, new in zip(self.sigmas, factors, strict=True))
+        both = zip(self.sigmas, factors, strict=True)
+        seen, way, turn = (max(float(old * new), LEAST) for old, new in both)
         return Sigmas(seen, min(way, WORST), min(turn, WORST))
 
     def _linearised(

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.scan import TINY
 
 FEWEST = 6
 """Least number of points of a voxel that define a plane."""
@@ -71,7 +72,7 @@ class Voxels:
         parts = np.array_split(order, min(BINS, max(len(order) // 20, 1)))
         at = np.array([np.median(range_m[part]) for part in parts])
         sigma = np.array([np.quantile(thick[part], QUANTILE) for part in parts])
-        return at, np.maximum.accumulate(np.maximum(sigma, ROUNDING * at))
+        return at, np.maximum.accumulate(np.maximum(sigma, ROUNDING * at + TINY))
 
 
 def cells_of(points: Floats, range_m: Floats, size_m: float, middle_m: float) -> tuple[Ints, Ints]:

@@ -1,0 +1,76 @@
+"""Numbers that are legal and odd: tiny, huge, equal, repeated. Warnings are errors in the tests."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from relmap import Plane3dMapper, PlaneMapper, PointMapper
+from relmap.core.arrays import Floats
+from relmap.core.geometry.spatialindex import SpatialIndex
+from relmap.core.state.table import LandmarkState
+from relmap.segmentation.space import PatchSegmenter
+
+SCALES = [5e-324, 1e-300, 1e-160, 1e-20, 1e-8, 1e6]
+OFFSETS = [0.0, 1e8, -1e5]
+WORLD = np.random.default_rng(3).uniform(-8.0, 8.0, (12, 2))
+SIDES = [axis.ravel() for axis in np.meshgrid(*[np.linspace(0.0, 3.0, 30)] * 2)]
+ROOM = np.concatenate([np.insert(np.column_stack(SIDES), k, 0.0, axis=1) for k in range(3)])
+WALLS = np.array([[[3.0, -2], [3, 2]], [[3, 2], [-1, 2]], [[-1, 2], [-1, -2]]])
+
+
+def is_clean(trajectory: Floats) -> bool:
+    """Return whether every pose is a rigid motion, or NaN throughout its upper rows."""
+    known = np.isfinite(trajectory).all(axis=(1, 2))
+    R = trajectory[known, :3, :3]
+    rigid = np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max(initial=0.0) < 1e-6
+    return bool(rigid and np.isnan(trajectory[~known, :3]).all())
+
+
+@pytest.mark.parametrize("scale", SCALES)
+@pytest.mark.parametrize("odometry", [None, [1e8, 0.0, 1e-320]], ids=["none", "odometry"])
+def test_points_of_any_size(scale: float, odometry: list[float] | None) -> None:
+    for offset in OFFSETS:
+        mapper = PointMapper()
+        for k in range(8):
+            points = WORLD * scale + offset - np.array([0.1 * k, 0.0]) * scale
+            points = [points, np.repeat(points, 2, axis=0), points[:1], points * 0][max(k - 4, 0)]
+            mapper.update(points, odometry=odometry)
+        mapper.finish()
+        assert is_clean(mapper.trajectory)
+        mapper.refine()
+        assert is_clean(mapper.trajectory)
+        assert np.isfinite(mapper.map.positions).all()
+
+
+@pytest.mark.parametrize("scale", SCALES)
+def test_walls_of_any_size(scale: float) -> None:
+    mapper = PlaneMapper()
+    for k in range(8):
+        ends = (WALLS - [0.1 * k, 0.0]) * scale
+        mapper.update(SimpleNamespace(ends=ends), beams=ends.reshape(-1, 2))
+    mapper.finish()
+    mapper.refine()
+    assert is_clean(mapper.trajectory)
+    assert np.isfinite(mapper.map.positions).all()
+
+
+@pytest.mark.parametrize("scale", SCALES)
+def test_clouds_of_any_size(scale: float) -> None:
+    mapper = Plane3dMapper(PatchSegmenter())
+    for k in range(3):
+        mapper.update((ROOM - [1.0 + 0.1 * k, 1.0, 1.0]) * scale)
+    mapper.finish()
+    mapper.refine()
+    assert is_clean(mapper.trajectory)
+
+
+def test_cells_beyond_whole_numbers_are_found() -> None:
+    table = LandmarkState()
+    table.resize(3, 0, 2)
+    index = SpatialIndex(table, 1e-300)
+    positions = np.array([[1e8, -1e8], [0.0, 0.0], [1e8, -1e8]])
+    index.add(np.arange(3), positions)
+    assert set(index.near(positions[:1]).tolist()) >= {0, 2}
