@@ -128,7 +128,7 @@ def tour(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_log_is_added_to_a_map(tour: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log, part, more = str(tour / "log.csv"), str(tour / "part"), str(tour / "more")
     assert main(["map", log, "-o", more, "--scans", "300:700", "--onto", part]) == 0
-    assert "no scan was localised" not in capsys.readouterr().out
+    assert "could not be localised" not in capsys.readouterr().out
     summary = load(tour / "more" / "summary.json")
     assert summary["tied_at"] == 300
     assert len(summary["submaps"]) == 1

@@ -181,7 +181,7 @@ Onto = Annotated[
         "--onto",
         metavar="RESULT",
         help="Add the log to the map in this result folder: once a scan is localised in it, "
-        "mapping continues from there.",
+        "mapping continues from there. Walls are added if a stretch of 7 m fits in one place only.",
     ),
 ]
 Animate = Annotated[

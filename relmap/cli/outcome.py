@@ -50,7 +50,7 @@ def report(job: Job) -> None:
     typer.echo(told)
     if job.onto and job.association == "nearest" and summary["tied_at"] is None:
         typer.echo(
-            f"no scan was localised in the map of {job.onto}: the log forms a separate submap"
+            f"the log could not be localised in the map of {job.onto}: it forms a separate submap"
         )
     if summary["interrupted"]:
         if job.journal is not None:
