@@ -80,7 +80,7 @@ def told(mapper: Any) -> bytes:
     """Return what a mapper makes of its scans, to the last bit."""
     mapper.finish()
     table = mapper.planes.normal if isinstance(mapper, Plane3dMapper) else mapper.map.positions
-    return table.tobytes() + mapper.trajectory.tobytes()
+    return bytes(table.tobytes() + mapper.trajectory.tobytes())
 
 
 def outcome(mapper: Any, kind: Kind, begun: int, whole: bytes) -> int:

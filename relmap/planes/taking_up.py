@@ -176,7 +176,8 @@ class Placements:
         way_m = np.abs(self._way_m[self.of] - self._way_m[self.of[k]])
         off_m = np.hypot(*(expected - self.T_map_robot)[:, :2, 3].T)
         turned = np.abs(wrapped(_yaw(expected) - _yaw(self.T_map_robot)))
-        return (off_m <= NEAR_M + DRIFT * way_m) & (turned <= NEAR_RAD + DRIFT_RAD * way_m)
+        near = (off_m <= NEAR_M + DRIFT * way_m) & (turned <= NEAR_RAD + DRIFT_RAD * way_m)
+        return np.asarray(near)
 
     @property
     def _way_m(self) -> Floats:
