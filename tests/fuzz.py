@@ -28,7 +28,7 @@ from tests.damage import GIB, made_to_harm, mutated, nearly_too_large
 from tests.hostile import Files, Reader, evaluate, readers
 
 MEMORY = 2 * GIB
-SECONDS = 60.0
+SECONDS = 20.0
 """Processor time after which an input counts as one that hangs; the machine may be busy."""
 MESSAGE = 2000
 """No message is longer."""

@@ -20,10 +20,12 @@ from scipy.io import savemat
 from relmap.cli.arguments import read_config
 from relmap.cli.evaluate import evaluate_folder
 from relmap.cli.mapping import map_input
+from relmap.comparison.sweep_spec import read_spec
 from relmap.core.arrays import Floats
 from relmap.datasets import open_log, open_scans, read_relations
 from relmap.evaluation import evaluate as evaluation
 from relmap.evaluation.truth import read_truth
+from relmap.mapper import Mapper
 from relmap.planes.files import read_any
 from tests import bagfiles
 from tests.logs import PLAIN, TREES
@@ -113,6 +115,10 @@ WALLS = (
     "plane,x0,y0,x1,y1,z0,z1,nx,ny,nz,end0,end1,observations,first_iteration,last_iteration,"
     "status,corner0,corner1\n0,0,0,4,0,0,2,0,1,0,corner,open,12,0,11,static,0,-1\n"
     "1,4,0,4,3,0,2,-1,0,0,corner,corner,12,0,11,static,1,2\n"
+)
+SWEEP = (
+    'world = ["figure-eight"]\nseed = "0:2"\niterations = [20, 30]\ndensity = 25.0\n'
+    'sigma = [0.0, 0.05]\nmethod = ["relmap-points"]\nassociation = ["known"]\n'
 )
 TUM = "# t x y z qx qy qz qw\n0.0 0 0 0 0 0 0 1\n1.0 1 0 0 0 0 0.1 0.995\n"
 
@@ -255,6 +261,8 @@ def readers() -> dict[str, Reader]:
         "mrpt-laser2d": Reader({"a": LASER.encode()}, "a", _scan_log("a", "mrpt-laser2d")),
         "relations": Reader({"a": RELATIONS.encode()}, "a", lambda f: read_relations(f / "a")),
         "config": Reader({"a": CONFIG.encode()}, "a", lambda f: read_config(f / "a")),
+        "sweep": Reader({"a": SWEEP.encode()}, "a", lambda f: read_spec(f / "a")),
+        "state": Reader(mapped, "mapper.npz", lambda f: Mapper.load(f / "mapper.npz")),
     }
     for name, content in {"corrected": CORRECTED, "graph": GRAPH}.items():
         read = _scan_log("a", "carmen-log")
