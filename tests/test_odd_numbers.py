@@ -9,6 +9,7 @@ import pytest
 
 from relmap import Plane3dMapper, PlaneMapper, PointMapper
 from relmap.core.arrays import Floats
+from relmap.core.geometry.alignment import fit_rigid_each
 from relmap.core.geometry.spatialindex import SpatialIndex
 from relmap.core.state.table import LandmarkState
 from relmap.segmentation.space import PatchSegmenter
@@ -65,6 +66,23 @@ def test_clouds_of_any_size(scale: float) -> None:
     mapper.finish()
     mapper.refine()
     assert is_clean(mapper.trajectory)
+
+
+def test_odometry_with_far_points_that_fix_no_motion() -> None:
+    mapper = PointMapper()
+    mapper.update([[1e8, 1e8], [1e8, 1e8]], odometry=[0.0, 0.0, 0.0])
+    mapper.update([[0.0, 1e8]], odometry=[1e8, 0.0, 0.0])
+    mapper.finish()
+    assert is_clean(mapper.trajectory)
+
+
+def test_weights_of_hardly_any_noise_fit_as_others_do() -> None:
+    source, at = WORLD * 1e6, np.zeros(12, dtype=np.int64)
+    target = source @ np.array([[0.0, 1.0], [-1.0, 0.0]]) + 1e9
+    heavy, light = (fit_rigid_each(source, target, np.full(12, w), at, 1) for w in (1e300, 1.0))
+    assert heavy[2].all()
+    np.testing.assert_allclose(heavy[0], light[0], atol=1e-9)
+    np.testing.assert_allclose(heavy[1], light[1])
 
 
 def test_cells_beyond_whole_numbers_are_found() -> None:

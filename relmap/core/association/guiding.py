@@ -144,6 +144,10 @@ class OdometryGuide:
         least = np.full(q, 1 / sigma_rad[0] ** 2), np.full(d, 1 / sigma_m[0] ** 2)
         matrix = np.einsum("nda,ndb->ab", J, J) / noise_m**2
         matrix += np.diag(np.concatenate(least) / max(self._steps, 1))
-        step = np.linalg.solve(matrix, np.einsum("nda,nd->a", J, there - here) / noise_m**2)
+        right = np.einsum("nda,nd->a", J, there - here) / noise_m**2
+        try:
+            step = np.linalg.solve(matrix, right)
+        except np.linalg.LinAlgError:  # points so far away exhaust double precision
+            return guess
         R = rotations(step[None, :q])[0]
         return Placement(R @ guess.R, R @ guess.t + step[q:], len(here))

@@ -17,6 +17,9 @@ DEGENERATE = 1e-6
 """Smallest ratio of the spread of points across a line to that along it that determines a
 rotation."""
 
+HEAVIEST = 1e200
+"""Larger weights, of hardly any noise, are as this one: their products overflow."""
+
 
 def fit_rigid(
     source: Floats, target: Floats, weights: Floats | None = None
@@ -95,6 +98,7 @@ def fit_rigid_each(
     fixed : (n,) bool
         Whether the points of a set determine its rotation; otherwise R and t are undefined.
     """
+    weights = np.minimum(weights, HEAVIEST)
     total = np.bincount(at, weights=weights, minlength=n)
     total[total <= 0] = 1.0
     source_mean = sums_each(weights[:, None] * source, at, n) / total[:, None]
