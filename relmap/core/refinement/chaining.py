@@ -2,26 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import fit_rigid, fixes_rotation, sums_each
-from relmap.core.geometry.robust import (
-    OUTLIER,
-    huber,
-    lenient,
-    limit_of,
-    robust_cost,
-    strict,
-)
 from relmap.core.motion_noise import MotionNoise
 from relmap.core.refinement.bridging import Bridged
+from relmap.core.refinement.chain_solving import settled_chain
 from relmap.core.refinement.chained import Chain, Chained, ChainProblem, Sigmas
 from relmap.core.refinement.condensing import SegmentRows
-from relmap.core.refinement.gauss_newton import Solution, Weigh, gauss_newton
 from relmap.core.refinement.joint import Refined, Spread, joint_rows
 from relmap.core.refinement.residuals import (
     MergeResiduals,
@@ -29,23 +21,14 @@ from relmap.core.refinement.residuals import (
     merge_residuals,
     segment_residuals,
 )
-from relmap.core.refinement.settling import FAINT, WORTH_SAYING, Settled, size_of
+from relmap.core.refinement.settling import Settled, size_of
 from relmap.core.state.kept import KeptObservations
 from relmap.core.state.table import LandmarkState
 
-TIMES, FEW_ROUNDS, ROUNDS = 15, 10, 50
-"""How often noise is estimated from what is left, and the map solved with it; steps each time, and
-in the end."""
-ROUGH, FINE = 1e-2, 1e-4
-"""Gain that no further step is taken for, in squared standard deviations of the whole map."""
 ALIKE = 0.1
 """How far apart landmarks of two parts may lie, in sizes of what they share, to be joined."""
 GUESS_M = 0.1
 """Noise of an observed coordinate where nothing is known of it yet."""
-SETTLED = 0.02
-"""Change of the noise, as a share, that makes no difference."""
-BENT = 3.5
-"""Standard deviations beyond which residuals pull no harder, until a loop is closed."""
 DOUBT = 0.25
 """Weight below which a step of odometry is not believed."""
 
@@ -129,7 +112,7 @@ class PartSolver:
         anchor = int(chain.iteration[0])
         start = _start(chain, bridged.poses[iterations], len(landmarks))
         odds = self.noise.sigmas(chain.motion)
-        settled, problem = _settled(
+        settled, problem = settled_chain(
             chain, odds, start, anchor, self.sigmas, self.to_the_last, self.is_open, self.has_ids
         )
         refined, placed = self._refined(settled, problem, landmarks, iterations)
@@ -218,89 +201,6 @@ def join_parts(bridged: Bridged, solved: Sequence[Solved]) -> Bridged | None:
             part[other.iterations] = part[base.iterations[0]]
             return replace(bridged, poses=poses, part=part)
     return None
-
-
-def _settled(
-    chain: Chain,
-    odds: tuple[Floats, Floats],
-    state: Chained,
-    anchor: int,
-    sigmas: Sigmas | None,
-    to_the_last: bool,
-    is_open: bool,
-    has_ids: bool,
-) -> tuple[Settled[Chained], ChainProblem]:
-    """Return the state of the least robust cost, and estimate the noise from its residuals."""
-    known = sigmas is not None
-    problem = ChainProblem(
-        chain, odds, sigmas or Sigmas(), state.positions, anchor, turns_whole=not has_ids
-    )
-    is_first = not known and not is_open
-    if is_open:
-        state = _bent(problem, state)
-    for _ in range(TIMES):
-        weigh = _weighing(problem, lenient, OUTLIER)
-        found = gauss_newton(problem, state, weigh, FEW_ROUNDS, unsure=ROUGH, faint=WORTH_SAYING)
-        state = found.state
-        if known and (found.converged or not to_the_last):
-            break
-        sigmas, before = problem.components(state, found.weight), problem.sigmas
-        known = max(abs(np.log(a / b)) for a, b in zip(sigmas, before, strict=True)) < SETTLED
-        problem = ChainProblem(
-            chain, odds, sigmas, state.positions, anchor, problem.pattern, not has_ids
-        )
-    if is_first:
-        found = _better(problem, found)
-        state = found.state
-    if to_the_last:
-        found = gauss_newton(
-            problem, state, _weighing(problem, strict, OUTLIER), ROUNDS, unsure=FINE, faint=FAINT
-        )
-    converged = found.converged or found.gain <= WORTH_SAYING
-    return Settled(found.state, found.weight, converged or not to_the_last), problem
-
-
-def _bent(problem: ChainProblem, state: Chained) -> Chained:
-    """Return the state of least cost by Huber's weights."""
-    weigh = _weighing(problem, huber, BENT)
-    return gauss_newton(problem, state, weigh, ROUNDS, unsure=ROUGH, faint=WORTH_SAYING).state
-
-
-def _better(problem: ChainProblem, known: Solution[Chained]) -> Solution[Chained]:
-    """Return the better of a solution and one found by way of Huber's weights.
-
-    Lenient weights have many local minima, each with other outliers.  Huber's have few, but are of
-    use only if the noise is known.
-    """
-    d, residual = problem.chain.points.shape[1], problem.residuals(known.state)
-    limits = [max(limit_of(residual[part], d, 0.0), OUTLIER) for part in problem.parts]
-
-    def cost(state: Chained) -> float:
-        residual = problem.residuals(state)
-        of = zip(problem.parts, limits, strict=True)
-        return sum(robust_cost(residual[part], limit) for part, limit in of)
-
-    bent, weigh = _bent(problem, known.state), _weighing(problem, lenient, OUTLIER)
-    found = gauss_newton(problem, bent, weigh, FEW_ROUNDS, unsure=ROUGH, faint=WORTH_SAYING)
-    return found if cost(found.state) < cost(known.state) else known
-
-
-def _weighing(
-    problem: ChainProblem, function: Callable[[Floats, float], Floats], outlier: float
-) -> Weigh:
-    """Return weights by what noise explains of observations, and of odometry: each by itself."""
-    d, share = problem.chain.points.shape[1], outlier / OUTLIER
-
-    def limit(residual: Floats, least: float) -> float:
-        return max(share * limit_of(residual, d, 0.0), least)
-
-    def weigh(residual: Floats) -> Floats:
-        seen, *odometry = (residual[part] for part in problem.parts)
-        # Where odometry is all there is, nothing is left of it.
-        each = [function(part, limit(part, outlier)) for part in odometry]
-        return np.concatenate([function(seen, limit(seen, 0.0)), *each])
-
-    return weigh
 
 
 def _start(chain: Chain, poses: Floats, m: int) -> Chained:

@@ -1,0 +1,130 @@
+"""Least squares over all observations and odometry, with the noise of each estimated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from relmap.core.arrays import Floats
+from relmap.core.geometry.robust import OUTLIER, huber, lenient, limit_of, robust_cost, strict
+from relmap.core.refinement.chained import Chain, Chained, ChainProblem, Sigmas
+from relmap.core.refinement.gauss_newton import Solution, Weigh, gauss_newton
+from relmap.core.refinement.settling import FAINT, WORTH_SAYING, Settled
+
+TIMES, FEW_ROUNDS, ROUNDS = 15, 10, 50
+"""How often noise is estimated from what is left, and the map solved with it; steps each time, and
+in the end."""
+ROUGH, FINE = 1e-2, 1e-4
+"""Gain that no further step is taken for, in squared standard deviations of the whole map."""
+SETTLED = 0.02
+"""Change of the noise, as a share, that makes no difference."""
+BENT = 3.5
+"""Standard deviations beyond which residuals pull no harder, until a loop is closed."""
+
+
+def settled_chain(
+    chain: Chain,
+    odds: tuple[Floats, Floats],
+    state: Chained,
+    anchor: int,
+    sigmas: Sigmas | None,
+    to_the_last: bool,
+    is_open: bool,
+    has_ids: bool,
+) -> tuple[Settled[Chained], ChainProblem]:
+    """Solve for the map of least robust cost, and estimate the noise from its residuals.
+
+    Parameters
+    ----------
+    chain : Chain
+    odds : tuple of (k - 1,) float64
+        Standard deviations of the way and the turn of each step of odometry, as in `ChainProblem`.
+    state : Chained
+        Where to start.
+    anchor : int
+        Iteration that is held.
+    sigmas : Sigmas or None
+        The noise, if known.
+    to_the_last : bool
+        Whether to iterate until convergence.
+    is_open : bool
+        Whether a loop has just been closed that the state leaves open.
+    has_ids : bool
+
+    Returns
+    -------
+    settled : Settled
+    problem : ChainProblem
+        With the estimated noise.
+    """
+    known = sigmas is not None
+    problem = ChainProblem(
+        chain, odds, sigmas or Sigmas(), state.positions, anchor, turns_whole=not has_ids
+    )
+    is_first = not known and not is_open
+    if is_open:
+        state = _bent(problem, state)
+    for _ in range(TIMES):
+        weigh = _weighing(problem, lenient, OUTLIER)
+        found = gauss_newton(problem, state, weigh, FEW_ROUNDS, unsure=ROUGH, faint=WORTH_SAYING)
+        state = found.state
+        if known and (found.converged or not to_the_last):
+            break
+        sigmas, before = problem.components(state, found.weight), problem.sigmas
+        known = max(abs(np.log(a / b)) for a, b in zip(sigmas, before, strict=True)) < SETTLED
+        problem = ChainProblem(
+            chain, odds, sigmas, state.positions, anchor, problem.pattern, not has_ids
+        )
+    if is_first:
+        found = _better(problem, found)
+        state = found.state
+    if to_the_last:
+        found = gauss_newton(
+            problem, state, _weighing(problem, strict, OUTLIER), ROUNDS, unsure=FINE, faint=FAINT
+        )
+    converged = found.converged or found.gain <= WORTH_SAYING
+    return Settled(found.state, found.weight, converged or not to_the_last), problem
+
+
+def _bent(problem: ChainProblem, state: Chained) -> Chained:
+    """Return the state of least cost by Huber's weights."""
+    weigh = _weighing(problem, huber, BENT)
+    return gauss_newton(problem, state, weigh, ROUNDS, unsure=ROUGH, faint=WORTH_SAYING).state
+
+
+def _better(problem: ChainProblem, known: Solution[Chained]) -> Solution[Chained]:
+    """Return the better of a solution and one found by way of Huber's weights.
+
+    Lenient weights have many local minima, each with other outliers.  Huber's have few, but are of
+    use only if the noise is known.
+    """
+    d, residual = problem.chain.points.shape[1], problem.residuals(known.state)
+    limits = [max(limit_of(residual[part], d, 0.0), OUTLIER) for part in problem.parts]
+
+    def cost(state: Chained) -> float:
+        residual = problem.residuals(state)
+        of = zip(problem.parts, limits, strict=True)
+        return sum(robust_cost(residual[part], limit) for part, limit in of)
+
+    bent, weigh = _bent(problem, known.state), _weighing(problem, lenient, OUTLIER)
+    found = gauss_newton(problem, bent, weigh, FEW_ROUNDS, unsure=ROUGH, faint=WORTH_SAYING)
+    return found if cost(found.state) < cost(known.state) else known
+
+
+def _weighing(
+    problem: ChainProblem, function: Callable[[Floats, float], Floats], outlier: float
+) -> Weigh:
+    """Return weights by what noise explains of observations, and of odometry: each by itself."""
+    d, share = problem.chain.points.shape[1], outlier / OUTLIER
+
+    def limit(residual: Floats, least: float) -> float:
+        return max(share * limit_of(residual, d, 0.0), least)
+
+    def weigh(residual: Floats) -> Floats:
+        seen, *odometry = (residual[part] for part in problem.parts)
+        # Where odometry is all there is, nothing is left of it.
+        each = [function(part, limit(part, outlier)) for part in odometry]
+        return np.concatenate([function(seen, limit(seen, 0.0)), *each])
+
+    return weigh
