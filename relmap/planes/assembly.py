@@ -9,7 +9,6 @@ import numpy as np
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.planes.equations import WallEquations, Walls
 from relmap.planes.history import PlaneHistory
-from relmap.planes.motion_factors import MotionFactors
 
 FLAT_M = 0.003
 SHARP_M = 0.01
@@ -200,8 +199,8 @@ def assemble(
     sd = np.hypot(history.sd[rows], FLAT_M)
     corner_sd = np.hypot(BLUNT * history.sd[rows][row], SHARP_M)
     ends = history.ends[rows]
-    odometry = history.odometry.between(iterations) if history.odometry else MotionFactors()
-    given = WallEquations(iteration, wall, ends, sd, row, end, corner, corner_sd, odometry)
+    motions = history.factors(iterations)
+    given = WallEquations(iteration, wall, ends, sd, row, end, corner, corner_sd, motions)
     state = laid_out(given, poses[iterations])
     typical = float(np.median(history.sd[rows]))
     every = np.arange(len(numbers.corner_of))

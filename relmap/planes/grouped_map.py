@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -26,11 +27,14 @@ class GroupedMap:
     engine : RelativeMapper
     walls : PlaneRegistration
     history : PlaneHistory
+    known : sequence of (i, 4, 4) float64
+        Poses in joined submaps, in one frame each, that take precedence; NaN for other scans.
     """
 
     engine: RelativeMapper
     walls: PlaneRegistration
     history: PlaneHistory
+    known: Sequence[Floats] = ()
 
     @property
     def numbers(self) -> WallNumbers:
@@ -95,10 +99,10 @@ class GroupedMap:
 
     @cached_property
     def _paths(self) -> list[Floats]:
-        """The poses (i, 4, 4) from each of the engine's submaps, the largest first."""
+        """The poses (i, 4, 4) that are known, and from each of the engine's submaps."""
         table, rows = self.engine.table, self.engine.rows
         submaps, counts = np.unique(table.submap[table.submap != NONE], return_counts=True)
-        paths = []
+        paths = list(self.known)
         for submap in submaps[np.argsort(-counts, kind="stable")]:
             positions = np.where((table.submap == submap)[:, None], table.position, np.nan)
             paths.append(trajectory(rows, positions, table.landmark_of))

@@ -7,7 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
+from relmap.planes.motion_factors import MotionFactors
+from relmap.planes.motions import inverse
 from relmap.planes.steps import Steps
+
+LONG_M = 0.5
+"""Measured motions over longer steps are kept as equations: few walls stay in view, and along a
+corridor these alone leave a map free to stretch. Edmonton's largest submap: 0.348 -> 0.104 m."""
+LINK_M, LINK_RAD = 0.07, 0.015
+"""Standard deviations of such a motion."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +41,8 @@ class PlaneHistory:
         Submap of each iteration; -1 for none.
     odometry : Steps, optional
         Odometry, if available and accepted.
+    measured : (i,) bool, optional
+        Which motions are determined in all directions.
     """
 
     iteration: Ints
@@ -44,6 +54,7 @@ class PlaneHistory:
     motion: Floats
     submap: Ints
     odometry: Steps | None = None
+    measured: Bools | None = None
 
     @property
     def n_iterations(self) -> int:
@@ -61,6 +72,23 @@ class PlaneHistory:
         last = len(own) - 1 - np.unique(self.submap[own][::-1], return_index=True)[1]
         spans = np.column_stack([own[first], own[last] + 1])
         return [(a, b) for a, b in spans[np.lexsort((number, -count))].tolist()]
+
+    def factors(self, iterations: Ints) -> MotionFactors:
+        """Return the equations for the motions between some iterations (k,).
+
+        They are those of odometry, if there is any, else the measured motions over long steps.
+        """
+        if self.odometry:
+            return self.odometry.between(iterations)
+        if self.measured is None:
+            return MotionFactors()
+        before, after = iterations[:-1], iterations[1:]
+        long = np.hypot(*self.motion[after, 1:].T) > LONG_M
+        known = long & self.measured[after] & (after == before + 1)
+        pairs = np.flatnonzero(known & (self.submap[before] == self.submap[after]))
+        steps = np.array([inverse(motion) for motion in self.motion[after[pairs]]])
+        sd = np.tile([LINK_RAD, LINK_M], (len(pairs), 1))
+        return MotionFactors(np.column_stack([pairs, pairs + 1]), steps.reshape(-1, 3), sd)
 
     def own(self, span: tuple[int, int]) -> Bools:
         """Return which iterations (k,) of the span of a submap belong to it."""

@@ -148,26 +148,6 @@ def _off(poses: Floats, motions: Floats) -> tuple[Floats, Floats]:
     return way_m, np.abs((turn + np.pi) % (2 * np.pi) - np.pi)
 
 
-def stretched_m(poses: Floats, before: Floats, weak: Ints) -> float:
-    """Return the largest difference between two paths over consecutive weak links, metres.
-
-    Parameters
-    ----------
-    poses, before : (k, 4, 4) float64
-    weak : (w,) int64, ascending
-        Iterations with a weak link to the previous one; those of other submaps are skipped.
-    """
-    weak = weak[(weak > 0) & (weak < len(poses))]
-    if not len(weak):
-        return 0.0
-    breaks = np.flatnonzero(np.diff(weak) > 1)
-    first, last = weak[np.append(0, breaks + 1)] - 1, weak[np.append(breaks, len(weak) - 1)]
-    ways = [
-        np.linalg.norm(path[last, :2, 3] - path[first, :2, 3], axis=1) for path in (poses, before)
-    ]
-    return float(np.nan_to_num(np.abs(ways[0] - ways[1])).max())
-
-
 def spread(along: Floats, of: Ints, n: int) -> Floats:
     """Return the spread (n,) of the wall directions (k, 2) of each of n scans.
 

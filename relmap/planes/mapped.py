@@ -42,6 +42,7 @@ class MappedWalls(Mapper):
             corner=store.column("corner"),
             motion=self._planes.links.motions,
             submap=self._planes.links.submaps,
+            measured=self._planes.links.measured,
         )
 
     @property

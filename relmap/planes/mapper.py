@@ -16,12 +16,14 @@ from relmap.core.errors import RelmapError
 from relmap.core.odometry import checked_odometry
 from relmap.core.scan import checked_labels
 from relmap.planes.beams import ToldBeams
+from relmap.planes.history import PlaneHistory
 from relmap.planes.locating import LocatingMapper
 from relmap.planes.model import WallModel
 from relmap.planes.observation import PlaneObservation, checked_planes, journaled, of_journal
 from relmap.planes.refining import refined_submaps
 from relmap.planes.registration import PlaneRegistration
-from relmap.planes.submaps import WallSubmap, torn_in
+from relmap.planes.submap_ties import MapPart, tied_parts
+from relmap.planes.submaps import WallSubmap, among_all, torn_in
 
 if TYPE_CHECKING:
     from relmap.io.journal import RecordedScan
@@ -29,6 +31,9 @@ if TYPE_CHECKING:
 
 CUTS = 2
 """Maximum number of rounds of cutting torn submaps and refining again."""
+
+BEAMS = 60_000
+"""Beams of each submap by which ties of submaps are judged."""
 
 
 class Segmenter(Protocol):
@@ -167,19 +172,53 @@ class PlaneMapper(LocatingMapper):
             self._refine_and_cut()
 
     def _refine_and_cut(self) -> None:
+        self._refine_until_whole([])
+        before = self.history.submap.copy()
+        if joined := self._join_submaps():
+            self._refine_until_whole(joined)
+            torn = self._joints(before)
+            self._planes.links.cut(torn)
+            if len(torn):
+                self._refine_until_whole(joined)
+
+    def _joints(self, before: Ints) -> Ints:
+        """Return where submaps were joined to one that cannot be refined, given those before."""
+        now, joints = self.history.submap, [np.empty(0, dtype=np.int64)]
+        for submap in self.submaps:
+            own = np.flatnonzero(now == now[submap.first_iteration])
+            changed = own[1:][np.diff(before[own]) != 0]
+            joints += [] if submap.refined else [changed]
+        return np.concatenate(joints)
+
+    def _join_submaps(self) -> list[Floats]:
+        """Join the submaps that show the same place; return the poses (i, 4, 4) of each result."""
+        submaps, parts = self.submaps, list[MapPart]()
+        for k in range(len(submaps)):
+            table, beams = self.planes_of(k), self.beams_of(k, BEAMS)
+            static = table.status == "static"
+            parts.append(MapPart.of(k, table.ends[static], table.plane[static], beams))
+        tied = [part for part in tied_parts(parts) if len(part.members) > 1]
+        poses = [_in_one_frame(part, submaps, self.history) for part in tied]
+        if tied:
+            self._planes.join(poses, np.concatenate([part.same for part in tied]))
+        return poses
+
+    def _refine_until_whole(self, known: list[Floats]) -> None:
+        """Refine all submaps, those with known poses (i, 4, 4) from these; cut the torn ones."""
         for _ in range(CUTS):
-            torn = torn_in(self._refined(), self.history)
+            torn = torn_in(self._refined(known), self.history)
             if len(torn) and self._planes.links.leave_to_odometry(torn):
-                torn = torn_in(self._refined(), self.history)
+                torn = torn_in(self._refined(known), self.history)
             if not len(torn):
                 break
             self._planes.links.cut(torn)
         else:
-            self._refined()
+            self._refined(known)
 
-    def _refined(self) -> list[WallSubmap]:
+    def _refined(self, known: list[Floats]) -> list[WallSubmap]:
         self._moved = np.empty(0, dtype=np.int64)
-        found = refined_submaps(self._grouped, self._moving, self._planes.links)
+        grouped = replace(self._grouped, known=known)
+        found = refined_submaps(grouped, self._moving, self._planes.links)
         self._refined_walls, self._moved = (found.submaps, found.numbers), found.moved
         self._spread = self._finder = None
         return found.submaps
@@ -221,3 +260,12 @@ class PlaneMapper(LocatingMapper):
         with self._guard.change(spoils=False):
             self._segmenter.fit(points)
             return self._segmenter.planes_
+
+
+def _in_one_frame(part: MapPart, submaps: list[WallSubmap], history: PlaneHistory) -> Floats:
+    """Return the poses (i, 4, 4) of the members of a part in its frame; NaN for other scans."""
+    poses = np.full((history.n_iterations, 4, 4), np.nan)
+    for number, motion in part.members:
+        own = among_all(submaps[number].poses, submaps[number].span, history)
+        poses = np.where(np.isfinite(own), motion @ own, poses)
+    return poses

@@ -107,7 +107,7 @@ def _crossed(walls: Stretches, beams: tuple[Floats, Floats]) -> tuple[Ints, Ints
     from relmap.planes.plan_kernels import beams_on_walls
 
     high = walls.low + BIN_M * np.diff(walls.first)
-    given = (walls.base, walls.normal, walls.low, high), (walls.first, BIN_M), _grid(walls)
+    given = (walls.base, walls.normal, walls.low, high), (walls.first, BIN_M), grid_over(walls)
     some = beams[0][::SAMPLED].copy(), beams[1][::SAMPLED].copy()
     *_, off = beams_on_walls(some, *given, (FAR_M, FAR_M, LEAST_SINE))
     off = off[off < FAR_M]
@@ -117,7 +117,7 @@ def _crossed(walls: Stretches, beams: tuple[Floats, Floats]) -> tuple[Ints, Ints
     return hits, against
 
 
-def _grid(walls: Stretches) -> tuple[Floats, float, Ints, Ints, Ints]:
+def grid_over(walls: Stretches) -> tuple[Floats, float, Ints, Ints, Ints]:
     """Return a grid over the walls, listing those in or next to each cell; see `beams_on_walls`."""
     wall, n = walls.wall, len(walls.low)
     points = walls.base[wall] + walls.place[:, None] * walls.along[wall]

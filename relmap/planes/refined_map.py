@@ -16,9 +16,9 @@ from relmap.planes.assembly import Assembled, WallNumbers, assemble
 from relmap.planes.closing import walls_seen_again
 from relmap.planes.history import PlaneHistory
 from relmap.planes.joining import join_pairs, join_walls
-from relmap.planes.links import TORN_M, disagreement, stretched_m
+from relmap.planes.links import disagreement
 from relmap.planes.solving import refined, refined_to_the_noise
-from relmap.planes.stitching import stitched, weak_links, with_strays_put_back
+from relmap.planes.stitching import stitched, with_strays_put_back
 from relmap.planes.submaps import WallSubmap, among_all
 
 _LOG = logging.getLogger(__name__)
@@ -30,9 +30,10 @@ CLOSED = 2
 """The same once a loop is closed, and the maximum number of searches for loops."""
 ROUGHLY = ((1, 8.0), (1, 5.0))
 """Rounds of solutions for joining walls; see `relmap.planes.solving.refined`."""
-WORSE, WORSE_M = 2.0, 0.001
-"""Largest error of a refined map at the links, relative to the chained map, and absolute in metres:
-links are approximate with noise, and almost exact without."""
+WORSE, WORSE_M, WORSE_SHARE = 2.0, 0.001, 0.1
+"""Largest error of a refined map at the links, relative to the chained map, and absolute: in
+metres, and as a share of the usual step. Links are approximate with noise, the more the longer they
+are, and almost exact without."""
 ROUGH_M = 0.1
 """The same with odometry, where links may be the only initial information."""
 HELD = 0.0, 1e-4, 1e-3
@@ -66,8 +67,8 @@ def refined_map(
     if chained.assembled is None:
         return None
     for held in HELD:
-        found, found_numbers, closed = _solved(history, numbers, chained, moving, held)
-        if _better(found, chained, history, closed):
+        found, found_numbers = _solved(history, numbers, chained, moving, held)
+        if _better(found, chained, history):
             return found, found_numbers
     _LOG.warning("scans %d:%d: refinement tears the submap; it is kept as chained", *chained.span)
     return None
@@ -75,9 +76,9 @@ def refined_map(
 
 def _solved(
     history: PlaneHistory, numbers: WallNumbers, chained: WallSubmap, moving: Bools, held: float
-) -> tuple[WallSubmap, WallNumbers, bool]:
-    """Return the refined submap, its association, and whether a loop was closed."""
-    span, closed = chained.span, False
+) -> tuple[WallSubmap, WallNumbers]:
+    """Return the refined submap and its association."""
+    span = chained.span
     assert chained.assembled is not None
     motions = history.motion[slice(*span)]
 
@@ -97,7 +98,7 @@ def _solved(
         tied = again(joined, CLOSELY)
         if disagreement(tied[1], motions)[0] > torn:
             break  # similar places were confused
-        numbers, closed, (best, poses) = joined, True, tied
+        numbers, (best, poses) = joined, tied
     for _ in range(JOINED):
         joined = join_walls(best, numbers)
         if joined.same_as(numbers):
@@ -105,34 +106,19 @@ def _solved(
         numbers, (best, poses) = joined, again(joined, ROUGHLY)
     best = refined_to_the_noise(best, held)
     found = WallSubmap.of(span, poses_of(best, span, history), best, refined=True)
-    return found, numbers, closed
+    return found, numbers
 
 
-def _better(found: WallSubmap, chained: WallSubmap, history: PlaneHistory, closed: bool) -> bool:
-    """Return whether a refined map converged and agrees with the links between its scans.
-
-    Without a loop closure, the motion over a weak link is undetermined.
-    """
+def _better(found: WallSubmap, chained: WallSubmap, history: PlaneHistory) -> bool:
+    """Return whether a refined map converged and agrees with the links between its scans."""
     assert found.assembled is not None
     motions = history.motion[slice(*found.span)]
     torn, off_m = disagreement(found.poses, motions)
     torn_before, off_before_m = disagreement(chained.poses, motions)
-    worse_m = ROUGH_M if history.odometry else WORSE_M
+    step_m = float(np.median(np.hypot(*history.motion[:, 1:].T)))
+    worse_m = ROUGH_M if history.odometry else max(WORSE_M, WORSE_SHARE * step_m)
     agrees = torn <= torn_before and off_m <= WORSE * off_before_m + worse_m
-    stretched = not closed and _stretched(found, chained, history)
-    return found.assembled.settled and agrees and not stretched
-
-
-def _stretched(found: WallSubmap, chained: WallSubmap, history: PlaneHistory) -> bool:
-    """Return whether the motion over weak links differs from the assumed constant motion.
-
-    Not tested if odometry is available.
-    """
-    weak = weak_links(history)
-    if history.odometry:
-        weak = weak[np.isnan(history.odometry.motion[weak, 0])]
-    weak = weak - found.span[0]
-    return stretched_m(found.poses, chained.poses, weak) > TORN_M
+    return found.assembled.settled and agrees
 
 
 def poses_of(assembled: Assembled, span: tuple[int, int], history: PlaneHistory) -> Floats:

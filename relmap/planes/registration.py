@@ -10,6 +10,8 @@ rest of the algorithm is the same as for points.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
@@ -140,6 +142,11 @@ class PlaneRegistration:
     def attach(self, first: int, motion: Floats, scan: int, walls: Ints) -> None:
         """Tie a submap to that of another scan; see `ScanLinks.attach`."""
         name = self.links.attach(first, motion, scan, walls)
+        self._submap_of.values[:] = name[self.submap_of]
+
+    def join(self, poses: Sequence[Floats], walls: Ints) -> None:
+        """Join submaps whose maps show the same place; see `ScanLinks.join`."""
+        name = self.links.join(poses, walls)
         self._submap_of.values[:] = name[self.submap_of]
 
     def tie(self) -> Ints:

@@ -14,10 +14,11 @@ import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.planes.finding import WallFinder
+from relmap.planes.link_record import seen_before
 from relmap.planes.motions import matrices
 from relmap.planes.observation import SHORTEST_M, PlaneObservation
 from relmap.planes.placement import STILL, settled
-from relmap.planes.scan_links import ScanLinks, seen_before
+from relmap.planes.scan_links import ScanLinks
 from relmap.planes.submaps import WallSubmap
 from relmap.planes.table import PlaneTable
 from relmap.planes.tracks import PlaneTracks, wrapped

@@ -36,6 +36,8 @@ LEAST_M = 6.0
 """Length of wall that must overlap."""
 RIVAL = 0.7
 """Fraction of it that may overlap elsewhere."""
+COINCIDING = 0.5
+"""Fraction of a wall that must lie on another one if both are the same."""
 ACROSS = 0.1
 """Least fraction of it that must prevent the maps from sliding along the rest."""
 
@@ -222,6 +224,16 @@ def lying(
     on = (distance <= near_m + SAMPLE_M) & (np.abs(off) <= near_m)
     on &= np.einsum("ni,ni->n", normal, moved.normal) >= TURN
     return on, np.asarray(other, dtype=np.int64), off
+
+
+def coinciding(ends: Floats, others: Floats, tie: WallTie) -> Ints:
+    """Return pairs (k, 2) of walls (w, 2, 2) and others (v, 2, 2) on which they lie, moved."""
+    points, among = WallPoints.of(ends), WallPoints.of(others)
+    on, other, _ = lying(points, among, cKDTree(among.at), tie, NEAR_M)
+    pairs = np.column_stack([points.wall[on], among.wall[other[on]]])
+    pairs, counts = np.unique(pairs, axis=0, return_counts=True)
+    length = np.bincount(points.wall, minlength=len(ends))
+    return np.asarray(pairs[counts >= COINCIDING * length[pairs[:, 0]]])
 
 
 def _stepped(tie: WallTie, at: Floats, normal: Floats, off: Floats) -> WallTie:

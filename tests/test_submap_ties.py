@@ -1,0 +1,100 @@
+"""Submaps that show the same place become one; those that only look alike do not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from relmap import PlaneMapper
+from relmap.core.arrays import Floats
+from relmap.evaluation.metrics import ate
+from relmap.planes.beams import PlacedBeams
+from relmap.planes.submap_ties import MapPart, tied_parts
+from tests.segments import cast
+from tests.test_scan_links import driven, scans_of
+
+ROOM = np.array([[0.0, 0.0], [6.0, 0.0], [6.0, 3.0], [4.0, 3.0], [4.0, 4.0], [0.0, 4.0]])
+"""A room with a niche: it fits itself in one way only."""
+R, T = np.array([[0.6, -0.8], [0.8, 0.6]]), np.array([7.0, -3.0])
+
+
+def part_of(number: int, corners: Floats, sensors: Floats, moved: bool = False) -> MapPart:
+    """Return a room with these corners, counterclockwise, and beams all round from sensors."""
+    ends = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
+    bearing = np.linspace(0, 2 * np.pi, 720, endpoint=False)
+    stops = [
+        at + cast(ends - at, angle)[0] * np.array([np.cos(angle), np.sin(angle)])
+        for at in sensors
+        for angle in bearing
+    ]
+    begins, stops_there = np.repeat(sensors, len(bearing), axis=0), np.array(stops)
+    if moved:
+        ends, begins, stops_there = ((each - T) @ R for each in (ends, begins, stops_there))
+    beams = PlacedBeams(begins, stops_there, np.repeat(np.arange(len(sensors)), len(bearing)))
+    return MapPart.of(number, ends, 100 * number + np.arange(len(ends)), beams)
+
+
+INSIDE = np.array([[1.0, 1.0], [3.0, 2.0], [5.0, 2.0]])
+
+
+def test_one_room_in_two_frames_is_one() -> None:
+    (joined,) = tied_parts([part_of(0, ROOM, INSIDE), part_of(1, ROOM, INSIDE, moved=True)])
+    (first, own), (second, motion) = joined.members
+    assert (first, second) == (0, 1)
+    np.testing.assert_array_equal(own, np.eye(4))
+    np.testing.assert_allclose(motion[:2, :2], R, atol=1e-6)
+    np.testing.assert_allclose(motion[:2, 3], T, atol=1e-6)
+    assert {(100 + k, k) for k in range(6)} <= {tuple(sorted(p)[::-1]) for p in joined.same}
+
+
+def test_a_square_room_fits_itself_in_four_ways() -> None:
+    square = np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 4.0], [0.0, 4.0]])
+    inside = np.array([[1.0, 1.0], [3.0, 2.0]])
+    assert len(tied_parts([part_of(0, square, inside), part_of(1, square, inside, True)])) == 2
+
+
+def test_beams_that_pass_through_a_wall_contradict() -> None:
+    """The same room, but one end of it stands open for 3 m."""
+    longer = ROOM.copy()
+    longer[1:3, 0] = 9.0
+    parts = [part_of(0, ROOM, INSIDE), part_of(1, longer, INSIDE, moved=True)]
+    assert len(tied_parts(parts)) == 2
+
+
+def known_of(mapper: PlaneMapper) -> list[list[int]]:
+    """Return the scans of each submap."""
+    return [
+        (submap.span[0] + np.flatnonzero(np.isfinite(submap.poses[:, 0, 0]))).tolist()
+        for submap in mapper.submaps
+    ]
+
+
+def test_a_place_seen_again_after_a_jump_is_joined(tmp_path: Path) -> None:
+    """Scans of elsewhere in between stay a submap of their own."""
+    (log, scans), (_, foreign) = scans_of(0), scans_of(0, world="panels")
+    mapper = driven(log, scans[:35] + foreign[20:35] + scans[5:40])
+    again = [*range(35), *range(50, 85)]
+    assert sorted(known_of(mapper)) == [again[:35], list(range(35, 50)), again[35:]]
+    mapper.save(tmp_path / "mapper.npz")
+    mapper.refine()
+    assert sorted(known_of(mapper)) == [again, list(range(35, 50))]
+    assert log.poses is not None
+    error_m = ate(mapper.trajectory[again], log.poses[[*range(35), *range(5, 40)]], planar=True)
+    assert error_m is not None
+    assert error_m < 0.02
+    same = PlaneMapper.load(tmp_path / "mapper.npz")
+    same.refine()
+    np.testing.assert_array_equal(same.trajectory, mapper.trajectory)
+    mapper.refine()
+    assert sorted(known_of(mapper)) == [again, list(range(35, 50))]
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_two_buildings_stay_apart(seed: int) -> None:
+    (log, first), (_, second) = scans_of(seed), scans_of(seed + 2)
+    mapper = driven(log, first[:40] + second[:40])
+    before = sorted(known_of(mapper))
+    mapper.refine()
+    assert sorted(known_of(mapper)) == before
