@@ -18,6 +18,7 @@ from relmap.core.association.metric import rows_of, stretch_of
 from relmap.core.association.placement import Placement
 from relmap.core.association.registering import ENOUGH, TrackPlacing
 from relmap.core.association.scale import Scale, spacing_of
+from relmap.core.association.soft import likely_links
 from relmap.core.association.tracks import LiveTracks
 from relmap.core.state.weighed import WeighedObservations
 
@@ -207,6 +208,10 @@ class Constellation(Numbered):
         """
         from relmap.core.association.matching_kernels import claims, nearest_within
 
+        if self._scale.is_blurred:
+            variance = self._scale.variances(carried.seen)
+            rows, found = likely_links(carried.expected, variance, carried.seen, points, metric)
+            return rows, found, np.zeros(len(rows), dtype=bool)
         gate_m, stretch = self._scale.gate_m, stretch_of(metric)
         if metric is None or stretch is None:
             distance, target = nearest_within(points, carried.expected, gate_m)

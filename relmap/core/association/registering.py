@@ -17,6 +17,7 @@ from relmap.core.association.placement import Placement, trimmed_fit
 from relmap.core.association.scale import SIGMAS, WIDER, Scale
 from relmap.core.association.search import log_chance as chance_of
 from relmap.core.association.search import search, settled
+from relmap.core.association.soft import SoftMatching
 from relmap.core.association.tracks import LiveTracks
 
 ENOUGH = 3
@@ -32,10 +33,12 @@ SAMPLE = 32
 """Maximum number of tracks used to fit a placement; more would not improve it."""
 SEARCH = 30
 """Maximum number of tracks used by the wider search, those seen longest."""
-SHARP = 0.16
-"""Tolerance, in spacings, up to which agreeing nearest neighbours need no search for rivals."""
 CLEAR = 0.6
 """Fraction of the matches that a rival may have."""
+BLURRED = (0.1, 0.2, 0.35)
+"""Noise, in spacings, that is tried where none explains the matches."""
+LOG_CLEAR = float(np.log(1 / 20))
+"""Log of the likelihood of chance, or of a rival, relative to the most likely placement."""
 CROWD = 60
 """Maximum number of points of a scan used by the wider search, the nearest."""
 LOG_CHANCE, LOG_CHANCE_NEAR = float(np.log(1e-3)), float(np.log(1e-2))
@@ -67,12 +70,45 @@ class TrackPlacing:
     def placement(self, tracks: LiveTracks, points: Floats) -> Placement | None:
         """Return the placement that brings tracks onto points (n, d); None if none is certain."""
         found = self._found(tracks, points)
+        if self.scale.is_blurred:
+            found = self._likely(tracks, points, found)
         return self._found_of_unknown_noise(tracks, points) if found is None else found
 
     def is_unique(self, placement: Placement, tracks: LiveTracks, points: Floats) -> bool:
         """Return whether chance alone brings tracks onto points (n, d) so well in no placement."""
         chance = self._log_chance(placement.n_agreeing, tracks.expected, points)
+        if self.scale.is_blurred:
+            d, extent_m = points.shape[1], float(np.ptp(points, axis=0).max())
+            chance = (2 * d - 3) * np.log(2 * np.pi) + self._log_placements(d, extent_m)
+            chance -= self._soft(tracks, points).fitted(placement.R, placement.t)[1]
         return bool(chance <= LOG_CHANCE)
+
+    def _likely(
+        self, tracks: LiveTracks, points: Floats, found: Placement | None
+    ) -> Placement | None:
+        """Return the most likely placement, near that found if there is one; None if uncertain."""
+        matching = self._soft(tracks, points)
+        if found is not None:
+            placement, _ = matching.fitted(found.R, found.t)
+            self.scale.learn_misfit(matching.misfit(placement))
+            return placement
+        best = matching.found()
+        if best is None:
+            return None
+        placement, score, rival = best
+        here = matching.source
+        moved_m = float(np.linalg.norm(placement.apply(here) - here, axis=1).max())
+        chance = self._log_placements(here.shape[1], moved_m) - score
+        if max(chance, rival - score) > LOG_CLEAR:
+            return None
+        self.scale.learn_misfit(matching.misfit(placement))
+        return placement
+
+    def _soft(self, tracks: LiveTracks, points: Floats) -> SoftMatching:
+        known, seen = self._crowd(tracks, points, len(tracks))
+        variance, metric = self.scale.variances(tracks.seen[known]), rows_of(self.metric, seen)
+        expected, spacing_m = tracks.expected[known], self.scale.spacing_m
+        return SoftMatching(expected, variance, points[seen], spacing_m, metric)
 
     def _found(self, tracks: LiveTracks, points: Floats) -> Placement | None:
         """Find the placement of the tracks' frame in the scan with the most matches."""
@@ -94,7 +130,7 @@ class TrackPlacing:
         rows, tolerance_m = sample[claimed], self.scale.tolerance_m
         own = rows_of(metric, target[claimed])
         near = trimmed_fit(tracks.expected[rows], points[target[claimed]], tolerance_m, own)
-        is_sharp = tolerance_m <= SHARP * self.scale.spacing_m
+        is_sharp = self.scale.is_sharp
         if near is not None:
             if is_sharp and near.n_agreeing >= max(PLENTY + missed, SHARE * min(len(sample), n)):
                 return near
@@ -142,11 +178,15 @@ class TrackPlacing:
         if moved_m is None:
             moved_m = float(np.ptp(there, axis=0).max())
             placements = (2 * d - 3) * np.log(2 * np.pi)
-        placements += d * (d + 1) / 2 * np.log(1 + 2 * moved_m / tolerance_m)
+        placements += self._log_placements(d, moved_m)
         # The volume of a gate relative to that of a sphere, in the mean of the points.
         volume = 1.0 if self.metric is None else float(np.mean(1 / np.linalg.det(self.metric)))
         share = min(np.log(2) * volume * (tolerance_m / self.scale.spacing_m) ** d, 0.5)
         return chance_of(max(min(len(here), len(there)), n_agreeing), n_agreeing, share, placements)
+
+    def _log_placements(self, d: int, moved_m: float) -> float:
+        """Return the log of the number of placements that move no point farther."""
+        return float(d * (d + 1) / 2 * np.log(1 + 2 * moved_m / self.scale.tolerance_m))
 
     def _is_familiar_pair(self, tracks: LiveTracks, rows: Ints, distance: Floats) -> bool:
         """Return whether two matches in the plane suffice: well known, just seen, hardly moved."""
@@ -162,8 +202,27 @@ class TrackPlacing:
                 placement = self._found(tracks, points)
                 if placement is not None and placement.n_agreeing >= SHARE * min(possible, SEARCH):
                     return placement
-        scale.noise_m, scale.wider = learnt, 1.0
+        scale.wider = 1.0
+        for share in BLURRED if possible >= PLENTY else ():
+            scale.noise_m = share * scale.spacing_m
+            if scale.is_blurred and not (learnt or 0) > scale.noise_m:
+                placement = self._likely(tracks, points, None)
+                if placement is not None:
+                    return placement
+        scale.noise_m = learnt
         return None
+
+    def _crowd(
+        self, tracks: LiveTracks, points: Floats, most: int = SEARCH
+    ) -> tuple[Ints, Ints]:
+        """Return the tracks (k,) and points (l,) used by the wider search."""
+        away = np.linalg.norm(points, axis=1)
+        within_m = np.partition(away, CROWD - 1)[CROWD - 1] if len(away) > CROWD else np.inf
+        recent = tracks.missed <= int(tracks.missed.min()) + 1
+        recent &= np.linalg.norm(tracks.expected, axis=1) <= within_m
+        known = np.flatnonzero(recent)
+        known = known[np.argsort(-tracks.seen[known], kind="stable")[:most]]
+        return known, np.flatnonzero(away <= within_m)
 
     def _search(self, tracks: LiveTracks, points: Floats) -> tuple[Placement | None, int]:
         """Search for the tracks in the scan, for any motion of the robot.
@@ -171,14 +230,7 @@ class TrackPlacing:
         If there are many, only those near the robot are used. Returns the placement, None if it is
         uncertain, and the number of matches of the best one.
         """
-        away = np.linalg.norm(points, axis=1)
-        within_m = np.partition(away, CROWD - 1)[CROWD - 1] if len(away) > CROWD else np.inf
-        missed = int(tracks.missed.min())
-        recent = tracks.missed <= missed + 1
-        recent &= np.linalg.norm(tracks.expected, axis=1) <= within_m
-        known = np.flatnonzero(recent)
-        known = known[np.argsort(-tracks.seen[known], kind="stable")[:SEARCH]]
-        seen = np.flatnonzero(away <= within_m)
+        missed, (known, seen) = int(tracks.missed.min()), self._crowd(tracks, points)
         here, there = tracks.expected[known], points[seen]
         found = search(here, there, self.scale.tolerance_m, ENOUGH, rows_of(self.metric, seen))
         if found is None:

@@ -7,7 +7,7 @@ from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association.base import middle, nearest
-from relmap.core.association.metric import RayNoise, scaled
+from relmap.core.association.metric import MEMORY, RayNoise, scaled
 
 COARSE = 0.1
 """Tolerance before the noise is known, in spacings."""
@@ -16,6 +16,8 @@ WIDER = (1, 2, 3.5)
 SIGMAS, FEW_SIGMAS = 4.5, 3.0
 """Tolerance once the noise is known, in standard deviations; and if that is large compared with the
 spacing."""
+SHARP = 0.16
+"""Tolerance, in spacings, up to which single matches are hardly ambiguous."""
 WIDEST = 0.5
 """Largest tolerance, in spacings."""
 EXACT = 1e-3
@@ -67,6 +69,22 @@ class Scale:
         return min(max(SIGMAS * self.noise_m, EXACT * self.spacing_m), most)
 
     @property
+    def is_sharp(self) -> bool:
+        """Whether single matches are hardly ambiguous."""
+        return self.tolerance_m <= SHARP * self.spacing_m
+
+    @property
+    def is_blurred(self) -> bool:
+        """Whether the noise is known and many single matches are ambiguous."""
+        return self.noise_m is not None and not self.is_sharp and np.isfinite(self.spacing_m)
+
+    def variances(self, n_seen: Ints) -> Floats:
+        """Return the variance of a coordinate's difference between tracks, seen so often, and an
+        observation of them; (n,), square metres."""
+        share = (1 + 1 / np.minimum(n_seen, MEMORY)) / (1 + 1 / MEMORY)
+        return np.asarray(share * (self.noise_m or 0.0) ** 2)
+
+    @property
     def gate_m(self) -> float:
         """Largest distance of an observation from the predicted track."""
         return max(self.tolerance_m, min(2 * self.tolerance_m, 0.8 * COARSE * self.spacing_m))
@@ -88,8 +106,18 @@ class Scale:
         if n <= FEW:
             return
         self.rays.learn(expected, found, n_seen)
+        if self.is_blurred:
+            return
         squares = np.sum(scaled(metric, expected - found) ** 2, axis=1)
         variance = middle(squares) / CHI2_MEDIAN[d] * n * d / (n * d - d * (d + 1) / 2)
+        self._learn_variance(variance)
+
+    def learn_misfit(self, misfit: float) -> None:
+        """Update the noise from the variance of ambiguous matches, relative to that assumed."""
+        if self.noise_m is not None:
+            self._learn_variance(misfit * self.noise_m**2)
+
+    def _learn_variance(self, variance: float) -> None:
         if self.noise_m is None:
             self.noise_m = float(np.sqrt(variance))
         else:

@@ -69,7 +69,7 @@ def search(
     """
     from relmap.core.association.search_kernels import placements_by_triangles
 
-    triangles = _triangles(source, 2 * tolerance_m)
+    triangles = triangles_of(source, 2 * tolerance_m)
     if not len(triangles) or min(len(source), len(target)) < fewest:
         return None
     R, t, matches = placements_by_triangles(
@@ -149,7 +149,7 @@ def _matches(
     return match
 
 
-def _triangles(points: Floats, least_m: float) -> Ints:
+def triangles_of(points: Floats, least_m: float) -> Ints:
     """Return triangles (k, 3) of points (n, d) with long sides, and in space long heights."""
     n, d = points.shape
     rng = np.random.default_rng(n)

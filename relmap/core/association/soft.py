@@ -1,0 +1,195 @@
+"""Registration where the noise is a good fraction of the spacing of the landmarks.
+
+Most single matches are then ambiguous, but a scan of many points still has one likely placement
+only.  Each point may be of any track near it, with the probability that the noise implies, or of
+none; the placement that maximises the likelihood is found by expectation maximisation from many
+starts (Granger and Pennec, "Multi-scale EM-ICP", ECCV 2002). In the mean over random placements the
+likelihood ratio to unrelated points is 1, so a placement is accepted if its ratio exceeds the
+number of possible placements and no other placement comes near.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from relmap.core.arrays import Floats, Ints
+from relmap.core.association.metric import rows_of, scaled, stretch_of
+from relmap.core.association.placement import Placement
+from relmap.core.association.search import MOST, triangles_of
+
+UNEXPLAINED = 0.3
+"""Fraction of the points of a scan that are of no track, as first assumed; and its bounds."""
+BOUNDS = 0.1, 0.9
+SOURCES = 30
+"""Maximum number of tracks in the triangles that suggest placements, the first."""
+FURTHEST = 16.0
+"""Largest squared distance of a possible match, in variances."""
+GATE = 11.0
+"""The same of a link."""
+COARSE = 4.0
+"""Factor of the variance when many starts are compared."""
+STARTS = 12
+"""Number of starts that are refined, the most likely."""
+ROUNDS = 12
+"""Maximum number of rounds of expectation maximisation."""
+SETTLED = 0.01
+"""Change of the log likelihood ratio that ends them."""
+LEAST = 0.02
+"""Least probability of a match that takes part in a fit."""
+MOVED = 2.0
+"""Standard deviations by which points differ, in the mean, in another placement."""
+CORNERS = 4.0
+"""Smallest side of the triangles that suggest placements, in standard deviations."""
+SEEN = 0.25
+"""Fraction of the points that a suggested placement must explain."""
+DOUBT = 2.0
+"""A track seen n times exists with probability n / (n + DOUBT)."""
+
+
+@dataclass(frozen=True, eq=False)
+class SoftMatching:
+    """Tracks and the points of a scan, matched with the probabilities that the noise implies.
+
+    Attributes
+    ----------
+    source : (n, d) float64, metres
+        Tracks, in the frame of an earlier scan.
+    variance : (n,) float64, square metres
+        Of the difference of a coordinate between a track and an observation of it.
+    target : (m, d) float64, metres
+        Points of the scan.
+    spacing_m : float
+        Median distance of a landmark to its nearest neighbour.
+    metric : (m, d, d) float64 or None
+        Of the points.
+    """
+
+    source: Floats
+    variance: Floats
+    target: Floats
+    spacing_m: float
+    metric: Floats | None
+
+    @property
+    def density(self) -> float:
+        """Landmarks per unit of area or volume, if scattered at random."""
+        ball = {2: math.pi, 3: 4 / 3 * math.pi}[self.source.shape[1]]
+        return math.log(2) / (ball * self.spacing_m ** self.source.shape[1])
+
+    def found(self) -> tuple[Placement, float, float] | None:
+        """Return the most likely placement, and the log likelihood ratios of it and of a rival."""
+        starts = self._starts()
+        fitted = [self.fitted(R, t) for R, t in zip(*starts, strict=True)]
+        if not fitted:
+            return None
+        best, score = max(fitted, key=lambda one: one[1])
+        rivals = [other for placed, other in fitted if self._differs(placed, best)]
+        return best, score, max(rivals, default=-np.inf)
+
+    def fitted(self, R: Floats, t: Floats) -> tuple[Placement, float]:
+        """Return the most likely placement near one, and its log likelihood ratio."""
+        from relmap.core.association.soft_kernels import soft_matches
+        from relmap.core.geometry.weighted_kernels import weighted_fit
+
+        d, R, t = self.source.shape[1], R.copy(), t.copy()
+        share, metric, peak = self._blank()
+        metrics = np.broadcast_to(np.eye(d), (len(self.target), d, d)) if metric is None else metric
+        score = last = -np.inf
+        unexplained = UNEXPLAINED
+        for k in range(ROUNDS + 1):
+            score = soft_matches(*self._terms(1.0, unexplained), R, t, share, metric, peak)
+            unexplained = float(np.clip(1 - share.sum() / share.shape[1], *BOUNDS))
+            if k == ROUNDS or score - last < SETTLED:
+                break
+            last = score
+            i, j = np.nonzero(share > LEAST)
+            if len(i) < d:
+                break
+            weight = np.sqrt(share[i, j] / self.variance[i])[:, None, None]
+            weighed = np.ascontiguousarray(metrics[j] * weight)
+            used = np.ones(len(i), dtype=bool)
+            weighted_fit(self.source[i], self.target[j], weighed, used, R, t, 1)
+        return Placement(R, t, round(float(share.sum()))), score
+
+    def misfit(self, placement: Placement) -> float:
+        """Return the variance of matches after placement, relative to that assumed."""
+        from relmap.core.association.soft_kernels import soft_matches
+
+        share, metric, peak = self._blank()
+        soft_matches(*self._terms(1.0), placement.R, placement.t, share, metric, peak)
+        i, j = np.nonzero(share > LEAST)
+        off = scaled(rows_of(metric, j), self.target[j] - placement.apply(self.source)[i])
+        d, weight = self.source.shape[1], share[i, j]
+        freedoms = max(float(weight.sum()) * d - d * (d + 1) / 2, 1.0)
+        return float(weight @ (np.sum(off**2, axis=1) / self.variance[i])) / freedoms
+
+    def _terms(self, factor: float, unexplained: float = UNEXPLAINED) -> tuple[Floats, Floats, Floats, float, float, float]:
+        spread = factor * self.variance
+        return self.source, spread, self.target, self.density, unexplained, FURTHEST
+
+    def _blank(self) -> tuple[Floats, Floats | None, Floats | None]:
+        peak = None if self.metric is None else np.linalg.det(self.metric)
+        return np.empty((len(self.source), len(self.target))), self.metric, peak
+
+    def _starts(self) -> tuple[Floats, Floats]:
+        """Return the most likely of the placements R (k, d, d), t (k, d) that triangles suggest."""
+        from relmap.core.association.search_kernels import placements_by_triangles
+        from relmap.core.association.soft_kernels import scores
+
+        sigma_m = math.sqrt(float(np.median(self.variance)))
+        source = self.source[:SOURCES]
+        triangles = triangles_of(source, CORNERS * sigma_m)
+        fewest = max(3, round(SEEN * min(len(source), len(self.target))))
+        stretch = stretch_of(self.metric)
+        R, t, _ = placements_by_triangles(
+            source,
+            self.target,
+            triangles,
+            2 * sigma_m,
+            fewest,
+            MOST,
+            self.metric,
+            stretch,
+        )
+        _, metric, peak = self._blank()
+        likely = np.argsort(-scores(*self._terms(COARSE), R, t, metric, peak), kind="stable")
+        return R[likely[:STARTS]], t[likely[:STARTS]]
+
+    def _differs(self, one: Placement, other: Placement) -> bool:
+        apart = one.apply(self.source) - other.apply(self.source)
+        off = np.sqrt(np.mean(np.sum(apart**2, axis=1) / self.variance))
+        return bool(off > MOVED)
+
+
+def likely_links(
+    expected: Floats, variance: Floats, seen: Ints, points: Floats, metric: Floats | None
+) -> tuple[Ints, Ints]:
+    """Return the most likely links of predicted tracks and points: rows of each, (k,).
+
+    Parameters
+    ----------
+    expected : (n, d) float64, metres
+    variance : (n,) float64, square metres
+        As in `SoftMatching`.
+    seen : (n,) int64
+        Observations of each track; one with few may not exist.
+    points : (m, d) float64, metres
+    metric : (m, d, d) float64, optional
+        Of the points.
+    """
+    n, d = expected.shape
+    apart = (points[None] - expected[:, None]).reshape(-1, d)
+    own = None if metric is None else np.tile(metric, (n, 1, 1))
+    square = np.sum(scaled(own, apart) ** 2, axis=1).reshape(n, -1) / variance[:, None]
+    exists = seen / (seen + DOUBT)
+    cost = square + d * np.log(variance)[:, None] - 2 * np.log(exists)[:, None]
+    near = square <= GATE
+    if not near.any():
+        return np.empty(0, np.int64), np.empty(0, np.int64)
+    rows, found = linear_sum_assignment(np.where(near, cost, cost[near].max()))
+    linked = near[rows, found]
+    return rows[linked], found[linked]
