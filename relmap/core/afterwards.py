@@ -8,7 +8,7 @@ import numpy as np
 
 from relmap.core.arrays import Bools, Ints
 from relmap.core.association.loops import LoopFinder
-from relmap.core.association.merging import merge_doubles
+from relmap.core.association.merging import doubtful, merge_doubles
 from relmap.core.association.sightings import Sightings, rows_of_tracks
 from relmap.core.association.strays import find_strays
 from relmap.core.association.tying import CLEAR, tie_submaps
@@ -161,10 +161,24 @@ def _repair(engine: RelativeMapper) -> None:
         merge_in_place(engine, at_last=True)
         _refine(engine)
         gather(engine)
-    rare = _rare(engine) & ~grouped
+    elif undone:  # Coinciding without the others that were merged with them, they may be one.
+        _refine(engine, to_the_last=False)
+        undone = _merge_coinciding(engine) or engine.config.keep_observations
+    rare = _rare(engine)
+    wrong = doubtful(engine.table, rare, engine.averaging.noise.sigma_m)
+    rare &= ~grouped | (wrong & (not is_bridged(engine)))
     engine.table.take_off_map(np.flatnonzero(rare))
     if undone or rare.any() or engine.config.keep_observations or is_bridged(engine):
         _refine(engine)
+
+
+def _merge_coinciding(engine: RelativeMapper) -> bool:
+    """Merge landmarks that coincide in the refined map; return whether there were any."""
+    merger = engine.merger
+    merger.sightings = Sightings(rows_of_tracks(engine.rows, engine.table), engine.table)
+    merged = merge_doubles(engine.table, merger, engine.merge)
+    merger.sightings = None
+    return merged
 
 
 def _look_over(engine: RelativeMapper) -> bool:

@@ -251,3 +251,24 @@ def merge_doubles(table: LandmarkState, merger: Merger, merge: Callable[[Ints], 
         if merged == before:
             break
     return merged > 0
+
+
+def doubtful(table: LandmarkState, rare: Bools, noise_m: float) -> Bools:
+    """Return which landmarks (m,) of a few observations may be wrong matches of another.
+
+    Parameters
+    ----------
+    table : LandmarkState
+    rare : (m,) bool
+        Landmarks with few observations.
+    noise_m : float
+        Standard deviation of an observed coordinate.
+    """
+    found = np.zeros(len(table), dtype=bool)
+    for submap in np.unique(table.submap[rare & (table.submap != NONE)]).tolist():
+        own = table.submap == submap
+        few, known = np.flatnonzero(own & rare), np.flatnonzero(own & ~rare)
+        if len(known):
+            distance = cKDTree(table.position[known]).query(table.position[few])[0]
+            found[few] = distance <= TOLERANCE * noise_m
+    return found

@@ -7,12 +7,19 @@ from dataclasses import replace
 import numpy as np
 
 from relmap.core.arrays import Ints
-from relmap.core.refinement.condensing import SegmentRows
+from relmap.core.refinement.condensing import LENGTH, SegmentRows
 from relmap.core.state.table import LandmarkState
+
+
+RARELY = 0.25
+"""Largest fraction of the scans of a double landmark that show the other one too."""
 
 
 class Sightings:
     """Which landmarks were seen together: in one scan a landmark occurs only once.
+
+    But for a wrong match now and then: where the noise is large, a track may take over from another
+    one of the same landmark while that still finds an observation, of a neighbour.
 
     Parameters
     ----------
@@ -28,10 +35,15 @@ class Sightings:
         self._table = table
 
     def together(self, one: int, other: int) -> bool:
-        """Return whether two landmarks were seen in one scan."""
+        """Return whether two landmarks were seen in one scan, and not only by mistake."""
         here, there = self._rows(one), self._rows(other)
-        _, a, b = np.intersect1d(self._segment[here], self._segment[there], return_indices=True)
-        return bool((self._visible[here[a]] & self._visible[there[b]]).any())
+        seen = self._scans(here), self._scans(there)
+        return len(np.intersect1d(*seen)) > RARELY * min(map(len, seen))
+
+    def _scans(self, rows: Ints) -> Ints:
+        """Return the scans (k,) of some rows, ascending."""
+        bits = (self._visible[rows][:, None] >> np.arange(LENGTH)) & 1 > 0
+        return np.unique((LENGTH * self._segment[rows][:, None] + np.arange(LENGTH))[bits])
 
     def _rows(self, landmark: int) -> Ints:
         numbers = self._table.members(landmark)
