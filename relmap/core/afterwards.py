@@ -74,14 +74,14 @@ def tie(engine: RelativeMapper) -> None:
     rows = rows_of_tracks(engine.rows, engine.table)
     merger.sightings = Sightings(rows, engine.table)
     for _ in tie_submaps(engine.map, noise_m):
-        merge_doubles(engine.table, merger, engine.merge)
+        merge_doubles(engine.table, merger, engine.merge, engine.averaging.noise.sigma_m)
     if is_bridged(engine):
         close_revisits(engine)
         merge_in_place(engine)
     else:
         _close_loops(engine, rows, noise_m)
     if engine.refined:  # Before that what lies together may not be one.
-        merge_doubles(engine.table, merger, engine.merge)
+        merge_doubles(engine.table, merger, engine.merge, engine.averaging.noise.sigma_m)
     merger.sightings = None
 
 
@@ -93,7 +93,7 @@ def _close_loops(engine: RelativeMapper, rows: SegmentRows, noise_m: float) -> N
         if len(pairs) > CLEAR * len(loop.pairs):
             bend(engine.map, rows, pairs, loop.placement.R, loop.placement.t)
             engine.merge_pairs(pairs)
-            merge_doubles(engine.table, engine.merger, engine.merge)
+            merge_doubles(engine.table, engine.merger, engine.merge, engine.averaging.noise.sigma_m)
 
 
 def find_again(engine: RelativeMapper) -> None:
@@ -124,7 +124,7 @@ def refine(engine: RelativeMapper) -> None:
     elif association.is_known:
         more = _extend_by_ids(engine)
     elif not association.has_ids:
-        more = merge_doubles(engine.table, engine.merger, engine.merge)
+        more = merge_doubles(engine.table, engine.merger, engine.merge, engine.averaging.noise.sigma_m)
     if more:
         _refine(engine)
     for refined in engine.refined:
@@ -176,7 +176,7 @@ def _merge_coinciding(engine: RelativeMapper) -> bool:
     """Merge landmarks that coincide in the refined map; return whether there were any."""
     merger = engine.merger
     merger.sightings = Sightings(rows_of_tracks(engine.rows, engine.table), engine.table)
-    merged = merge_doubles(engine.table, merger, engine.merge)
+    merged = merge_doubles(engine.table, merger, engine.merge, engine.averaging.noise.sigma_m)
     merger.sightings = None
     return merged
 

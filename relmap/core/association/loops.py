@@ -11,14 +11,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from relmap.core.arrays import Ints
+from relmap.core.arrays import Bools, Ints
+from relmap.core.association.evidence import LOCAL_DRIFT
 from relmap.core.association.placement import Placement
 from relmap.core.association.recognition import ENOUGH, HITS, PlaceFinder, found_elsewhere
+from relmap.core.association.registering import LOG_CLEAR
+from relmap.core.association.scale import spacing_of
+from relmap.core.association.soft import SoftMatching, likely_links
 from relmap.core.association.tying import BY_CHANCE, CLEAR, NEIGHBOURHOOD, OVERLAP
 from relmap.core.state.table import NONE, LandmarkState
 
 FARTHEST = 10.0
 """Possible drift of the map, in standard deviations."""
+CROWD = 40
+"""Number of landmarks in a neighbourhood where the noise is large."""
 TIED = 3
 """Landmarks of a neighbourhood known from before that already close the loop."""
 
@@ -91,6 +97,17 @@ class LoopFinder:
         before[before] = near
         if near.sum() < (len(around) // 2 if is_tied else ENOUGH):
             return None
+        loop = self._by_places(finder, own, around, together, before)
+        if loop is None and finder.is_blurred:
+            nearest = together[np.argsort(apart, kind="stable")[:CROWD]]
+            loop = self._by_likelihood(nearest, own[before], reach_m)
+        return loop
+
+    def _by_places(
+        self, finder: PlaceFinder, own: Ints, around: Ints, together: Ints, before: Bools
+    ) -> Loop | None:
+        """Return the loop to landmarks seen before by the place at which others lie."""
+        table, points = self._table, self._table.position[around]
         places = finder.places(points, before)
         if not places:
             return None
@@ -105,6 +122,28 @@ class LoopFinder:
         rival = found_elsewhere(points, places)
         sure = finder.by_chance(len(points), len(pairs), rival, trials) <= BY_CHANCE
         return Loop(pairs, places[0]) if sure and rival <= CLEAR * len(pairs) else None
+
+    def _by_likelihood(self, later: Ints, older: Ints, farthest_m: float) -> Loop | None:
+        """Return the loop by the most likely shift of later landmarks onto older ones."""
+        table = self._table
+        older = older[table.last[older] < table.since[later].min()]
+        if min(len(later), len(older)) < ENOUGH:
+            return None
+        weight = np.minimum(table.weight[later], table.observations[later])
+        usual = float(np.median(table.weight[older]))
+        variance = self._noise_m**2 * (1 / np.maximum(weight, 1) + 1 / usual + LOCAL_DRIFT)
+        here, there = table.position[later], table.position[older]
+        matching = SoftMatching(here, variance, there, spacing_of(there), None)
+        best = matching.found(*matching.by_shifts(farthest_m))
+        if best is None:
+            return None
+        placement, score, rival = best
+        d, sigma_m = here.shape[1], float(np.sqrt(np.median(variance)))
+        chance = d * (d + 1) / 2 * np.log(1 + farthest_m / sigma_m) - np.log(BY_CHANCE)
+        if score < chance or rival - score > LOG_CLEAR:
+            return None
+        rows, found = likely_links(placement.apply(here), variance, weight, there, None)
+        return Loop(np.column_stack([later[rows], older[found]]), placement)
 
     def _drift_m(self, around: Ints, together: Ints, begin: int) -> float:
         """Return the possible drift of the map between an iteration and landmarks seen later.

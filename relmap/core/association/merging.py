@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from relmap.core.arrays import Bools, Ints
 from relmap.core.association.evidence import Evidence, chosen
 from relmap.core.association.scale import spacing_of
-from relmap.core.association.sightings import Sightings
+from relmap.core.association.sightings import RARELY, Sightings
 from relmap.core.association.tying import NEIGHBOURHOOD, OVERLAP
 from relmap.core.geometry.spatialindex import SpatialIndex
 from relmap.core.model import LandmarkModel
@@ -85,7 +85,7 @@ class Merger:
         """Re-enter all landmarks, because the map has moved; `go_on` does it incrementally."""
         self._entered = 0
 
-    def doubles(self) -> Ints:
+    def doubles(self, noise_m: float) -> Ints:
         """Return the landmarks (k,) near compatible older ones, to be merged next.
 
         Current positions are used, after the map has moved or submaps were joined, and however few
@@ -95,8 +95,9 @@ class Merger:
         if self._index is None or not len(mapped):
             return np.empty(0, dtype=np.int64)
         self._enter(mapped)
+        tolerance_m = TOLERANCE * self._model.position_spread * np.nan_to_num(noise_m)
         near = cKDTree(self._table.position[mapped]).query_pairs(
-            self._index.cell_m, output_type="ndarray"
+            max(self._index.cell_m, tolerance_m), output_type="ndarray"
         )
         found: dict[int, list[int]] = {}
         for new, old in sorted(mapped[np.vstack([near, near[:, ::-1]])].tolist()):
@@ -229,11 +230,13 @@ class Merger:
         later = table.is_later(new, old)
         if not later and self.sightings is not None:
             order = (table.last[old], old) < (table.last[new], new)
-            later = order and not self.sightings.together(new, old)
+            later = order and not self.sightings.together(new, old, RARELY)
         return bool(later and not self._are_apart(new, old) and self._model.may_be(table, new, old))
 
 
-def merge_doubles(table: LandmarkState, merger: Merger, merge: Callable[[Ints], int]) -> bool:
+def merge_doubles(
+    table: LandmarkState, merger: Merger, merge: Callable[[Ints], int], noise_m: float
+) -> bool:
     """Merge landmarks that coincide at their current positions; return whether there were any.
 
     Parameters
@@ -242,10 +245,12 @@ def merge_doubles(table: LandmarkState, merger: Merger, merge: Callable[[Ints], 
     merger : Merger
     merge : callable
         Merges landmarks (k,) with older ones and returns how many.
+    noise_m : float
+        Standard deviation of an observed coordinate.
     """
     merged = 0
     for _ in range(ROUNDS):
-        before, doubles = merged, merger.doubles()
+        before, doubles = merged, merger.doubles(noise_m)
         for there in merger.visits(doubles):
             merged += merge(there)
         if merged == before:

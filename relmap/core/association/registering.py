@@ -92,7 +92,7 @@ class TrackPlacing:
             placement, _ = matching.fitted(found.R, found.t)
             self.scale.learn_misfit(matching.misfit(placement))
             return placement
-        best = matching.found()
+        best = matching.found(*matching.by_triangles())
         if best is None:
             return None
         placement, score, rival = best

@@ -12,14 +12,12 @@ from relmap.core.state.table import LandmarkState
 
 
 RARELY = 0.25
-"""Largest fraction of the scans of a double landmark that show the other one too."""
+"""Largest fraction of the scans of a double landmark that show the other one too: where the noise
+is large, a new track may take over while the old one is still continued by a neighbour."""
 
 
 class Sightings:
     """Which landmarks were seen together: in one scan a landmark occurs only once.
-
-    But for a wrong match now and then: where the noise is large, a track may take over from another
-    one of the same landmark while that still finds an observation, of a neighbour.
 
     Parameters
     ----------
@@ -34,11 +32,10 @@ class Sightings:
         self._begin = np.searchsorted(rows.landmark[order], np.arange(len(table) + 1))
         self._table = table
 
-    def together(self, one: int, other: int) -> bool:
-        """Return whether two landmarks were seen in one scan, and not only by mistake."""
-        here, there = self._rows(one), self._rows(other)
-        seen = self._scans(here), self._scans(there)
-        return len(np.intersect1d(*seen)) > RARELY * min(map(len, seen))
+    def together(self, one: int, other: int, share: float = 0.0) -> bool:
+        """Return whether the scans of two landmarks overlap by more than a fraction of the fewer."""
+        seen = [self._scans(self._rows(landmark)) for landmark in (one, other)]
+        return len(np.intersect1d(*seen)) > share * min(map(len, seen))
 
     def _scans(self, rows: Ints) -> Ints:
         """Return the scans (k,) of some rows, ascending."""

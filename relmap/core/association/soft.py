@@ -32,6 +32,8 @@ GATE = 11.0
 """The same of a link."""
 COARSE = 4.0
 """Factor of the variance when many starts are compared."""
+SHIFTS = 1000
+"""Maximum number of shifts compared."""
 STARTS = 12
 """Number of starts that are refined, the most likely."""
 ROUNDS = 12
@@ -80,10 +82,19 @@ class SoftMatching:
         ball = {2: math.pi, 3: 4 / 3 * math.pi}[self.source.shape[1]]
         return math.log(2) / (ball * self.spacing_m ** self.source.shape[1])
 
-    def found(self) -> tuple[Placement, float, float] | None:
-        """Return the most likely placement, and the log likelihood ratios of it and of a rival."""
-        starts = self._starts()
-        fitted = [self.fitted(R, t) for R, t in zip(*starts, strict=True)]
+    def found(self, R: Floats, t: Floats) -> tuple[Placement, float, float] | None:
+        """Return the most likely placement, and the log likelihood ratios of it and of a rival.
+
+        Parameters
+        ----------
+        R, t : (h, d, d), (h, d) float64
+            Placements to start from.
+        """
+        from relmap.core.association.soft_kernels import scores
+
+        _, metric, peak = self._blank()
+        likely = np.argsort(-scores(*self._terms(COARSE), R, t, metric, peak), kind="stable")
+        fitted = [self.fitted(R[k], t[k]) for k in likely[:STARTS]]
         if not fitted:
             return None
         best, score = max(fitted, key=lambda one: one[1])
@@ -135,10 +146,9 @@ class SoftMatching:
         peak = None if self.metric is None else np.linalg.det(self.metric)
         return np.empty((len(self.source), len(self.target))), self.metric, peak
 
-    def _starts(self) -> tuple[Floats, Floats]:
-        """Return the most likely of the placements R (k, d, d), t (k, d) that triangles suggest."""
+    def by_triangles(self) -> tuple[Floats, Floats]:
+        """Return the placements R (h, d, d), t (h, d) that triangles suggest."""
         from relmap.core.association.search_kernels import placements_by_triangles
-        from relmap.core.association.soft_kernels import scores
 
         sigma_m = math.sqrt(float(np.median(self.variance)))
         source = self.source[:SOURCES]
@@ -155,9 +165,15 @@ class SoftMatching:
             self.metric,
             stretch,
         )
-        _, metric, peak = self._blank()
-        likely = np.argsort(-scores(*self._terms(COARSE), R, t, metric, peak), kind="stable")
-        return R[likely[:STARTS]], t[likely[:STARTS]]
+        return R, t
+
+    def by_shifts(self, farthest_m: float) -> tuple[Floats, Floats]:
+        """Return the shifts up to a length that bring a source point onto a target, as above."""
+        shifts = (self.target[None] - self.source[:, None]).reshape(-1, self.source.shape[1])
+        shifts = shifts[np.linalg.norm(shifts, axis=1) <= farthest_m]
+        shifts = shifts[:: max(1, -(-len(shifts) // SHIFTS))]
+        unturned = np.broadcast_to(np.eye(shifts.shape[1]), (len(shifts),) + 2 * shifts.shape[1:])
+        return np.ascontiguousarray(unturned), np.ascontiguousarray(shifts)
 
     def _differs(self, one: Placement, other: Placement) -> bool:
         apart = one.apply(self.source) - other.apply(self.source)
