@@ -12,7 +12,7 @@ from relmap.core.association.merging import doubtful, merge_doubles
 from relmap.core.association.sightings import Sightings, rows_of_tracks
 from relmap.core.association.strays import find_strays
 from relmap.core.association.tying import CLEAR, tie_submaps
-from relmap.core.association.undoing import contradicted, pieces, places_of
+from relmap.core.association.undoing import contradicted, nearer_another, pieces, places_of
 from relmap.core.gaps import bridge_gaps, is_bridged
 from relmap.core.grouping.chart import PointChart
 from relmap.core.map.bending import bend
@@ -224,7 +224,10 @@ def undo(engine: RelativeMapper) -> int:
     rows = rows_of_tracks(engine.rows, table)
     usual = np.inf if is_bridged(engine) else 1.0
     each = [contradicted(refined, table, rows, usual) for refined in engine.refined]
-    tracks = np.concatenate([np.empty(0, dtype=np.int64), *each])
+    if not is_bridged(engine):
+        sightings = Sightings(rows, table)
+        each += [nearer_another(refined, table, rows, sightings) for refined in engine.refined]
+    tracks = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *each]))
     if len(tracks):
         _part(engine, rows, tracks)
     changes = len(tracks)

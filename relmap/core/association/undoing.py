@@ -10,9 +10,12 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 from scipy.special import chdtri
 
 from relmap.core.arrays import Floats, Ints
+from relmap.core.association.sightings import RARELY, Sightings
+from relmap.core.geometry.alignment import sums_each
 from relmap.core.refinement.condensing import SegmentRows
 from relmap.core.refinement.joint import Refined, laid_on
 from relmap.core.state.table import NONE, LandmarkState
@@ -25,6 +28,10 @@ SPREAD = 4.0
 """Ratio to the usual residual above which a track is wrong, where noise does not explain the usual
 one.
 """
+CANDIDATES = 4
+"""Landmarks near a track that are compared with its own."""
+FAR_BETTER = 8.0
+"""Squared misfit, in variances, by which one of them must fit better."""
 WORST = 0.5
 """Fraction of the worst deviation above which others are undone with it: they may follow from
 it."""
@@ -86,6 +93,49 @@ def places_of(table: LandmarkState, rows: SegmentRows, tracks: Ints) -> tuple[Fl
     places = np.zeros_like(table.position)
     np.add.at(places, rows.landmark[at], rows.n_seen[at][:, None] * placed[at])
     return places[tracks] / np.maximum(seen[tracks], 1)[:, None], seen[tracks]
+
+
+def nearer_another(
+    refined: Refined, table: LandmarkState, rows: SegmentRows, sightings: Sightings
+) -> Ints:
+    """Return the merged tracks (k,) that another landmark of a refined map explains far better.
+
+    Parameters
+    ----------
+    refined : Refined
+    table : LandmarkState
+    rows : SegmentRows
+        By tracks.
+    sightings : Sightings
+    """
+    tracks = np.unique(refined.merges.track)
+    if len(refined.landmarks) <= CANDIDATES or not len(tracks):
+        return np.empty(0, dtype=np.int64)
+    position, of, d = np.full(table.position.shape, np.nan), table.landmark_of, table.dimension
+    position[refined.landmarks] = refined.positions
+    kept = np.isfinite(position[of[rows.landmark], 0])
+    placed, fixed = laid_on(rows, position, kept, of[rows.landmark])
+    fixed &= kept
+    seen = np.bincount(rows.landmark[fixed], rows.n_seen[fixed], len(table))
+    sums = sums_each(rows.n_seen[fixed][:, None] * placed[fixed], rows.landmark[fixed], len(table))
+    whole = np.bincount(of, seen, len(table))
+    tracks = tracks[(seen[tracks] > 0) & (whole[of[tracks]] > seen[tracks]) & (of[tracks] != tracks)]
+    place, own = sums[tracks] / seen[tracks][:, None], of[tracks]
+    rest = whole[own] - seen[tracks]
+    without = (sums_each(sums, of, len(table))[own] - sums[tracks]) / rest[:, None]
+    misfit = np.sum((place - without) ** 2, axis=1) / (1 / seen[tracks] + 1 / rest)
+    _, near = cKDTree(refined.positions).query(place, CANDIDATES)
+    other = refined.landmarks[near]
+    apart = np.sum((place[:, None] - position[other]) ** 2, axis=2)
+    apart /= 1 / seen[tracks][:, None] + 1 / np.maximum(whole[other], 1)
+    apart[other == own[:, None]] = np.inf
+    better = misfit - apart.min(axis=1) > FAR_BETTER * refined.noise_m**2
+    best = other[np.arange(len(tracks)), apart.argmin(axis=1)]
+    free = [
+        not sightings.together(track, landmark, RARELY)
+        for track, landmark in zip(tracks[better].tolist(), best[better].tolist(), strict=True)
+    ]
+    return np.asarray(tracks[better][np.array(free, dtype=bool)])
 
 
 def pieces(table: LandmarkState, rows: SegmentRows, submap: int) -> list[Ints]:
