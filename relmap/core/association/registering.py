@@ -98,8 +98,9 @@ class TrackPlacing:
         placement, score, rival = best
         here = matching.source
         moved_m = float(np.linalg.norm(placement.apply(here) - here, axis=1).max())
+        is_near = moved_m <= self.scale.spacing_m
         chance = self._log_placements(here.shape[1], moved_m) - score
-        if max(chance, rival - score) > LOG_CLEAR:
+        if chance > (LOG_CLEAR if is_near else LOG_CHANCE_NEAR) or rival - score > LOG_CLEAR:
             return None
         self.scale.learn_misfit(matching.misfit(placement))
         return placement
