@@ -204,9 +204,11 @@ class TrackPlacing:
                 if placement is not None and placement.n_agreeing >= SHARE * min(possible, SEARCH):
                     return placement
         scale.wider = 1.0
-        for share in BLURRED if possible >= PLENTY else ():
+        scale.noise_m = learnt
+        may_be_blurred = learnt is None or scale.is_blurred
+        for share in BLURRED if possible >= PLENTY and may_be_blurred else ():
             scale.noise_m = share * scale.spacing_m
-            if scale.is_blurred and not (learnt or 0) > scale.noise_m:
+            if scale.is_blurred and scale.noise_m >= (learnt or 0):
                 placement = self._likely(tracks, points, None)
                 if placement is not None:
                     return placement

@@ -35,7 +35,9 @@ COARSE = 4.0
 SHIFTS = 1000
 """Maximum number of shifts compared."""
 STARTS = 12
-"""Number of starts that are refined, the most likely."""
+"""Maximum number of starts that are refined, the most likely that differ."""
+SUGGESTED = 200
+"""Maximum number of starts among which these are chosen."""
 ROUNDS = 12
 """Maximum number of rounds of expectation maximisation."""
 SETTLED = 0.01
@@ -94,7 +96,13 @@ class SoftMatching:
 
         _, metric, peak = self._blank()
         likely = np.argsort(-scores(*self._terms(COARSE), R, t, metric, peak), kind="stable")
-        fitted = [self.fitted(R[k], t[k]) for k in likely[:STARTS]]
+        fitted: list[tuple[Placement, float]] = []
+        for k in likely[:SUGGESTED]:
+            start = Placement(R[k], t[k], 0)
+            if all(self._differs(start, placed) for placed, _ in fitted):
+                fitted.append(self.fitted(R[k], t[k]))
+            if len(fitted) == STARTS:
+                break
         if not fitted:
             return None
         best, score = max(fitted, key=lambda one: one[1])
