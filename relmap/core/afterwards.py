@@ -124,7 +124,9 @@ def refine(engine: RelativeMapper) -> None:
     elif association.is_known:
         more = _extend_by_ids(engine)
     elif not association.has_ids:
-        more = merge_doubles(engine.table, engine.merger, engine.merge, engine.averaging.noise.sigma_m)
+        more = merge_doubles(
+            engine.table, engine.merger, engine.merge, engine.averaging.noise.sigma_m
+        )
     if more:
         _refine(engine)
     for refined in engine.refined:

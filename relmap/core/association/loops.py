@@ -140,7 +140,7 @@ class LoopFinder:
         placement, score, rival = best
         d, sigma_m = here.shape[1], float(np.sqrt(np.median(variance)))
         chance = d * (d + 1) / 2 * np.log(1 + farthest_m / sigma_m) - np.log(BY_CHANCE)
-        if score < chance or rival - score > LOG_CLEAR:
+        if score < chance or rival > min(score + LOG_CLEAR, CLEAR * score):
             return None
         rows, found = likely_links(placement.apply(here), variance, weight, there, None)
         return Loop(np.column_stack([later[rows], older[found]]), placement)

@@ -34,7 +34,7 @@ SAMPLE = 32
 SEARCH = 30
 """Maximum number of tracks used by the wider search, those seen longest."""
 CLEAR = 0.6
-"""Fraction of the matches that a rival may have."""
+"""Fraction of the matches, or of the log likelihood ratio, that a rival may have."""
 BLURRED = (0.1, 0.2, 0.35)
 """Noise, in spacings, that is tried where none explains the matches."""
 LOG_CLEAR = float(np.log(1 / 20))
@@ -100,7 +100,9 @@ class TrackPlacing:
         moved_m = float(np.linalg.norm(placement.apply(here) - here, axis=1).max())
         is_near = moved_m <= self.scale.spacing_m
         chance = self._log_placements(here.shape[1], moved_m) - score
-        if chance > (LOG_CLEAR if is_near else LOG_CHANCE_NEAR) or rival - score > LOG_CLEAR:
+        if chance > (LOG_CLEAR if is_near else LOG_CHANCE_NEAR):
+            return None
+        if rival > min(score + LOG_CLEAR, CLEAR * score):
             return None
         self.scale.learn_misfit(matching.misfit(placement))
         return placement
@@ -215,9 +217,7 @@ class TrackPlacing:
         scale.noise_m = learnt
         return None
 
-    def _crowd(
-        self, tracks: LiveTracks, points: Floats, most: int = SEARCH
-    ) -> tuple[Ints, Ints]:
+    def _crowd(self, tracks: LiveTracks, points: Floats, most: int = SEARCH) -> tuple[Ints, Ints]:
         """Return the tracks (k,) and points (l,) used by the wider search."""
         away = np.linalg.norm(points, axis=1)
         within_m = np.partition(away, CROWD - 1)[CROWD - 1] if len(away) > CROWD else np.inf

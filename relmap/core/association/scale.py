@@ -79,8 +79,10 @@ class Scale:
         return self.noise_m is not None and not self.is_sharp and np.isfinite(self.spacing_m)
 
     def variances(self, n_seen: Ints) -> Floats:
-        """Return the variance of a coordinate's difference between tracks, seen so often, and an
-        observation of them; (n,), square metres."""
+        """Return the variances (n,) of a coordinate's difference, square metres.
+
+        Between tracks with so many observations and the next observation.
+        """
         share = (1 + 1 / np.minimum(n_seen, MEMORY)) / (1 + 1 / MEMORY)
         return np.asarray(share * (self.noise_m or 0.0) ** 2)
 

@@ -10,7 +10,6 @@ from relmap.core.arrays import Ints
 from relmap.core.refinement.condensing import LENGTH, SegmentRows
 from relmap.core.state.table import LandmarkState
 
-
 RARELY = 0.25
 """Largest fraction of the scans of a double landmark that show the other one too: where the noise
 is large, a new track may take over while the old one is still continued by a neighbour."""
@@ -33,7 +32,7 @@ class Sightings:
         self._table = table
 
     def together(self, one: int, other: int, share: float = 0.0) -> bool:
-        """Return whether the scans of two landmarks overlap by more than a fraction of the fewer."""
+        """Return whether two landmarks share more than a fraction of the scans of the rarer."""
         seen = [self._scans(self._rows(landmark)) for landmark in (one, other)]
         return len(np.intersect1d(*seen)) > share * min(map(len, seen))
 

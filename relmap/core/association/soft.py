@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from relmap.core.arrays import Floats, Ints
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.association.metric import rows_of, scaled, stretch_of
 from relmap.core.association.placement import Placement
 from relmap.core.association.search import MOST, triangles_of
@@ -36,8 +36,6 @@ SHIFTS = 1000
 """Maximum number of shifts compared."""
 STARTS = 12
 """Maximum number of starts that are refined, the most likely that differ."""
-SUGGESTED = 200
-"""Maximum number of starts among which these are chosen."""
 ROUNDS = 12
 """Maximum number of rounds of expectation maximisation."""
 SETTLED = 0.01
@@ -95,18 +93,19 @@ class SoftMatching:
         from relmap.core.association.soft_kernels import scores
 
         _, metric, peak = self._blank()
-        likely = np.argsort(-scores(*self._terms(COARSE), R, t, metric, peak), kind="stable")
+        likely = scores(*self._terms(COARSE), R, t, metric, peak)
+        placed = np.einsum("hij,nj->hni", R, self.source) + t[:, None]
         fitted: list[tuple[Placement, float]] = []
-        for k in likely[:SUGGESTED]:
-            start = Placement(R[k], t[k], 0)
-            if all(self._differs(start, placed) for placed, _ in fitted):
-                fitted.append(self.fitted(R[k], t[k]))
-            if len(fitted) == STARTS:
-                break
+        while len(fitted) < STARTS and np.isfinite(likely).any():
+            k = int(likely.argmax())
+            fitted.append(self.fitted(R[k], t[k]))
+            for known in (placed[k], fitted[-1][0].apply(self.source)):
+                likely[~self._differ(placed, known)] = -np.inf
         if not fitted:
             return None
         best, score = max(fitted, key=lambda one: one[1])
-        rivals = [other for placed, other in fitted if self._differs(placed, best)]
+        there = best.apply(self.source)
+        rivals = [rival for one, rival in fitted if self._differ(one.apply(self.source), there)]
         return best, score, max(rivals, default=-np.inf)
 
     def fitted(self, R: Floats, t: Floats) -> tuple[Placement, float]:
@@ -146,7 +145,9 @@ class SoftMatching:
         freedoms = max(float(weight.sum()) * d - d * (d + 1) / 2, 1.0)
         return float(weight @ (np.sum(off**2, axis=1) / self.variance[i])) / freedoms
 
-    def _terms(self, factor: float, unexplained: float = UNEXPLAINED) -> tuple[Floats, Floats, Floats, float, float, float]:
+    def _terms(
+        self, factor: float, unexplained: float = UNEXPLAINED
+    ) -> tuple[Floats, Floats, Floats, float, float, float]:
         spread = factor * self.variance
         return self.source, spread, self.target, self.density, unexplained, FURTHEST
 
@@ -183,10 +184,10 @@ class SoftMatching:
         unturned = np.broadcast_to(np.eye(shifts.shape[1]), (len(shifts),) + 2 * shifts.shape[1:])
         return np.ascontiguousarray(unturned), np.ascontiguousarray(shifts)
 
-    def _differs(self, one: Placement, other: Placement) -> bool:
-        apart = one.apply(self.source) - other.apply(self.source)
-        off = np.sqrt(np.mean(np.sum(apart**2, axis=1) / self.variance))
-        return bool(off > MOVED)
+    def _differ(self, placed: Floats, other: Floats) -> Bools:
+        """Return whether source points (..., n, d) as placed are elsewhere than others (n, d)."""
+        square = np.sum((placed - other) ** 2, axis=-1) / self.variance
+        return np.asarray(np.mean(square, axis=-1) > MOVED**2)
 
 
 def likely_links(
@@ -210,10 +211,10 @@ def likely_links(
     own = None if metric is None else np.tile(metric, (n, 1, 1))
     square = np.sum(scaled(own, apart) ** 2, axis=1).reshape(n, -1) / variance[:, None]
     exists = seen / (seen + DOUBT)
-    cost = square + d * np.log(variance)[:, None] - 2 * np.log(exists)[:, None]
+    own_cost = (d * np.log(variance) - 2 * np.log(exists))[:, None]
     near = square <= GATE
     if not near.any():
         return np.empty(0, np.int64), np.empty(0, np.int64)
-    rows, found = linear_sum_assignment(np.where(near, cost, cost[near].max()))
+    rows, found = linear_sum_assignment(np.where(near, square + own_cost, GATE + own_cost.max()))
     linked = near[rows, found]
     return rows[linked], found[linked]

@@ -4,9 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 
-from relmap.core.arrays import Floats, Ints
-from relmap.core.linalg.compiling import compiled
+from relmap.core.arrays import Floats
+from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.small_kernels import square_of
+
+
+@helper
+def _placed(points: Floats, R: Floats, t: Floats) -> Floats:
+    """Return points (n, d) as placed."""
+    n, d = points.shape
+    placed = np.empty((n, d))
+    for i in range(n):
+        for a in range(d):
+            placed[i, a] = t[a]
+            for b in range(d):
+                placed[i, a] += R[a, b] * points[i, b]
+    return placed
 
 
 @compiled
@@ -50,12 +63,7 @@ def soft_matches(
         Log of the likelihood ratio of the targets to targets all of other objects.
     """
     (n, d), m = source.shape, len(target)
-    placed, apart, score = np.empty((n, d)), np.empty(d), 0.0
-    for i in range(n):
-        for a in range(d):
-            placed[i, a] = t[a]
-            for b in range(d):
-                placed[i, a] += R[a, b] * source[i, b]
+    placed, apart, score = _placed(source, R, t), np.empty(d), 0.0
     for j in range(m):
         total = 0.0
         for i in range(n):

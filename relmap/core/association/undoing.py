@@ -111,7 +111,7 @@ def nearer_another(
     tracks = np.unique(refined.merges.track)
     if len(refined.landmarks) <= CANDIDATES or not len(tracks):
         return np.empty(0, dtype=np.int64)
-    position, of, d = np.full(table.position.shape, np.nan), table.landmark_of, table.dimension
+    position, of = np.full(table.position.shape, np.nan), table.landmark_of
     position[refined.landmarks] = refined.positions
     kept = np.isfinite(position[of[rows.landmark], 0])
     placed, fixed = laid_on(rows, position, kept, of[rows.landmark])
@@ -119,7 +119,9 @@ def nearer_another(
     seen = np.bincount(rows.landmark[fixed], rows.n_seen[fixed], len(table))
     sums = sums_each(rows.n_seen[fixed][:, None] * placed[fixed], rows.landmark[fixed], len(table))
     whole = np.bincount(of, seen, len(table))
-    tracks = tracks[(seen[tracks] > 0) & (whole[of[tracks]] > seen[tracks]) & (of[tracks] != tracks)]
+    tracks = tracks[
+        (seen[tracks] > 0) & (whole[of[tracks]] > seen[tracks]) & (of[tracks] != tracks)
+    ]
     place, own = sums[tracks] / seen[tracks][:, None], of[tracks]
     rest = whole[own] - seen[tracks]
     without = (sums_each(sums, of, len(table))[own] - sums[tracks]) / rest[:, None]

@@ -1,0 +1,89 @@
+"""Registration by likelihood, where single matches are ambiguous."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from relmap import PointMapper
+from relmap.core.association.placement import Placement
+from relmap.core.association.registering import CLEAR
+from relmap.core.association.scale import spacing_of
+from relmap.core.association.soft import SoftMatching, likely_links
+from relmap.evaluation.metrics import purity
+from relmap.simulation import WorldSpec, simulate_world
+
+FIELD_M = 24.0
+
+
+def turned(angle_rad: float) -> np.ndarray:
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    return np.array([[c, -s], [s, c]])
+
+
+def matching_of(here: np.ndarray, there: np.ndarray, sigma_m: float) -> SoftMatching:
+    return SoftMatching(here, np.full(len(here), 2 * sigma_m**2), there, spacing_of(here), None)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_scan_is_placed_though_its_single_matches_are_ambiguous(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    landmarks = rng.uniform(0, FIELD_M, (40, 2))
+    sigma_m = 0.25 * spacing_of(landmarks)
+    R, t = turned(0.7), np.array([3.0, -1.0])
+    here = landmarks + rng.normal(0, sigma_m, landmarks.shape)
+    there = landmarks @ R.T + t + rng.normal(0, sigma_m, landmarks.shape)
+    matching = matching_of(here, rng.permutation(there), sigma_m)
+    found = matching.found(*matching.by_triangles())
+    assert found is not None
+    placement, score, rival = found
+    off = placement.apply(landmarks) - landmarks @ R.T - t
+    assert np.sqrt(np.mean(np.sum(off**2, axis=1))) < sigma_m
+    assert score > 10
+    assert rival < CLEAR * score
+
+
+def test_unrelated_points_have_no_likely_placement() -> None:
+    rng = np.random.default_rng(5)
+    here, there = rng.uniform(0, FIELD_M, (2, 40, 2))
+    matching = matching_of(here, there, 0.25 * spacing_of(here))
+    found = matching.found(*matching.by_triangles())
+    assert found is None or found[1] < 10
+
+
+def test_a_lattice_has_rivals() -> None:
+    rng = np.random.default_rng(6)
+    lattice = np.stack(np.meshgrid(*2 * [np.arange(7.0)]), axis=-1).reshape(-1, 2)
+    here, there = lattice + rng.normal(0, 0.1, (2, *lattice.shape))
+    matching = matching_of(here, there, 0.1)
+    found = matching.found(*matching.by_triangles())
+    assert found is not None
+    assert found[2] > CLEAR * found[1]
+
+
+def test_the_noise_is_estimated_from_ambiguous_matches() -> None:
+    rng = np.random.default_rng(7)
+    landmarks = rng.uniform(0, 4 * FIELD_M, (600, 2))
+    sigma_m = 0.15 * spacing_of(landmarks)
+    here, there = landmarks + rng.normal(0, sigma_m, (2, *landmarks.shape))
+    matching = matching_of(here, there, sigma_m)
+    assert matching.misfit(Placement(np.eye(2), np.zeros(2), 0)) == pytest.approx(1, abs=0.15)
+
+
+def test_links_are_the_likeliest_together() -> None:
+    tracks = np.array([[0.0, 0.0], [1.0, 0.0]])
+    points = np.array([[0.9, 0.0], [1.8, 0.0]])  # the first is nearest to the second track
+    rows, found = likely_links(tracks, np.full(2, 0.25), np.array([9, 9]), points, None)
+    assert dict(zip(rows.tolist(), found.tolist(), strict=True)) == {0: 0, 1: 1}
+
+
+def test_a_world_of_much_noise_is_followed() -> None:
+    spec = WorldSpec(kind="field", length_m=540.0, sigma=0.5, seed=11)
+    world = simulate_world(spec)
+    mapper, scans = PointMapper(), list(world.log.scans())[:36]
+    labels = np.concatenate([mapper.update(scan.points_robot) for scan in scans])
+    ids = world.true_ids[: len(labels)]
+    found = purity(labels, ids)
+    assert found is not None
+    assert found > 0.93
+    assert len(np.unique(labels)) < 3 * len(np.unique(ids))
