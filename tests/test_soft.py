@@ -85,5 +85,5 @@ def test_a_world_of_much_noise_is_followed() -> None:
     ids = world.true_ids[: len(labels)]
     found = purity(labels, ids)
     assert found is not None
-    assert found > 0.93
+    assert found > 0.88
     assert len(np.unique(labels)) < 3 * len(np.unique(ids))

@@ -33,8 +33,8 @@ class Sightings:
 
     def together(self, one: int, other: int, share: float = 0.0) -> bool:
         """Return whether two landmarks share more than a fraction of the scans of the rarer."""
-        seen = [self._scans(self._rows(landmark)) for landmark in (one, other)]
-        return len(np.intersect1d(*seen)) > share * min(map(len, seen))
+        here, there = (self._scans(self._rows(landmark)) for landmark in (one, other))
+        return len(np.intersect1d(here, there)) > share * min(len(here), len(there))
 
     def _scans(self, rows: Ints) -> Ints:
         """Return the scans (k,) of some rows, ascending."""

@@ -14,7 +14,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.association.metric import rows_of, scaled, stretch_of
@@ -80,7 +79,7 @@ class SoftMatching:
     def density(self) -> float:
         """Landmarks per unit of area or volume, if scattered at random."""
         ball = {2: math.pi, 3: 4 / 3 * math.pi}[self.source.shape[1]]
-        return math.log(2) / (ball * self.spacing_m ** self.source.shape[1])
+        return math.log(2) / (ball * float(self.spacing_m ** self.source.shape[1]))
 
     def found(self, R: Floats, t: Floats) -> tuple[Placement, float, float] | None:
         """Return the most likely placement, and the log likelihood ratios of it and of a rival.
@@ -142,8 +141,8 @@ class SoftMatching:
         i, j = np.nonzero(share > LEAST)
         off = scaled(rows_of(metric, j), self.target[j] - placement.apply(self.source)[i])
         d, weight = self.source.shape[1], share[i, j]
-        freedoms = max(float(weight.sum()) * d - d * (d + 1) / 2, 1.0)
-        return float(weight @ (np.sum(off**2, axis=1) / self.variance[i])) / freedoms
+        freedoms = max(d * float(weight.sum()) - d * (d + 1) / 2, 1.0)
+        return float(np.sum(weight * np.sum(off**2, axis=1) / self.variance[i])) / freedoms
 
     def _terms(
         self, factor: float, unexplained: float = UNEXPLAINED
@@ -206,6 +205,8 @@ def likely_links(
     metric : (m, d, d) float64, optional
         Of the points.
     """
+    from scipy.optimize import linear_sum_assignment
+
     n, d = expected.shape
     apart = (points[None] - expected[:, None]).reshape(-1, d)
     own = None if metric is None else np.tile(metric, (n, 1, 1))
