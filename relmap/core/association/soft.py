@@ -141,7 +141,7 @@ class SoftMatching:
         i, j = np.nonzero(share > LEAST)
         off = scaled(rows_of(metric, j), self.target[j] - placement.apply(self.source)[i])
         d, weight = self.source.shape[1], share[i, j]
-        freedoms = max(d * float(weight.sum()) - d * (d + 1) / 2, 1.0)
+        freedoms: float = max(d * float(weight.sum()) - d * (d + 1) / 2, 1.0)
         return float(np.sum(weight * np.sum(off**2, axis=1) / self.variance[i])) / freedoms
 
     def _terms(
