@@ -57,14 +57,15 @@ def checked_points(points: ArrayLike, dimension: int) -> Floats:
     return array
 
 
-def numbers(values: ArrayLike, name: str, wanted: str) -> Floats:
-    """Return values as a new, contiguous float64 array; those below `TINY` are zero.
+def numbers(values: ArrayLike, name: str, wanted: str, least: float = TINY) -> Floats:
+    """Return values as a new, contiguous float64 array; those below the least are zero.
 
     Parameters
     ----------
     values : array of numbers
     name, wanted : str
         Name of the argument and the expected value, for error messages.
+    least : float
 
     Raises
     ------
@@ -76,8 +77,8 @@ def numbers(values: ArrayLike, name: str, wanted: str) -> Floats:
         if array.dtype.kind not in "biufO":
             raise TypeError(f"its type is {array.dtype}")
         array = np.array(array, dtype=np.float64, order="C")
-        array[np.abs(array) < TINY] = 0.0  # also -0: a journal stores only one zero
-        return array
+        array[np.abs(array) < least] = 0.0
+        return array + 0.0  # -0 becomes 0: a journal stores only one zero
     except (TypeError, ValueError, OverflowError) as error:
         raise RelmapError(f"{name} must be {wanted}: {error}") from error
 
@@ -128,7 +129,7 @@ def checked_covariances(covariances: ArrayLike, points: Floats) -> Floats:
     """
     n, d = points.shape
     shape = f"({n}, {d}, {d})"
-    array = numbers(covariances, "covariances", f"a {shape} array of numbers")
+    array = numbers(covariances, "covariances", f"a {shape} array of numbers", 0.0)
     if array.size == 0 and n == 0:
         return np.empty((0, d, d))
     if array.shape != (n, d, d):

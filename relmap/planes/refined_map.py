@@ -30,10 +30,11 @@ CLOSED = 2
 """The same once a loop is closed, and the maximum number of searches for loops."""
 ROUGHLY = ((1, 8.0), (1, 5.0))
 """Rounds of solutions for joining walls; see `relmap.planes.solving.refined`."""
-WORSE, WORSE_M, WORSE_SHARE = 2.0, 0.001, 0.1
+WORSE, WORSE_M, WORSE_SHARE, WORSE_SD = 2.0, 0.001, 0.1, 30.0
 """Largest error of a refined map at the links, relative to the chained map, and absolute: in
-metres, and as a share of the usual step. Links are approximate with noise, the more the longer they
-are, and almost exact without."""
+metres, or, where it is more, as a share of the usual step, but no more than so many standard
+deviations of a wall. Links are approximate with noise, the more the longer they are, and almost
+exact without."""
 ROUGH_M = 0.1
 """The same with odometry, where links may be the only initial information."""
 HELD = 0.0, 1e-4, 1e-3
@@ -116,7 +117,8 @@ def _better(found: WallSubmap, chained: WallSubmap, history: PlaneHistory) -> bo
     torn, off_m = disagreement(found.poses, motions)
     torn_before, off_before_m = disagreement(chained.poses, motions)
     step_m = float(np.median(np.hypot(*history.motion[:, 1:].T)))
-    worse_m = ROUGH_M if history.odometry else max(WORSE_M, WORSE_SHARE * step_m)
+    rough_m = min(WORSE_SHARE * step_m, WORSE_SD * float(np.median(history.sd)))
+    worse_m = ROUGH_M if history.odometry else max(WORSE_M, rough_m)
     agrees = torn <= torn_before and off_m <= WORSE * off_before_m + worse_m
     return found.assembled.settled and agrees
 
