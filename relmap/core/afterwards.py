@@ -87,7 +87,7 @@ def tie(engine: RelativeMapper) -> None:
 
 def _close_loops(engine: RelativeMapper, rows: SegmentRows, noise_m: float) -> None:
     """Close loops that drift has left open, one after the other."""
-    finder = LoopFinder(engine.table, noise_m)
+    finder = LoopFinder(engine.table, noise_m, engine.association.is_blurred)
     while (loop := finder.next()) is not None:
         pairs = loop.pairs[engine.merger.allowed(loop.pairs)]
         if len(pairs) > CLEAR * len(loop.pairs):

@@ -130,6 +130,12 @@ class DataAssociation:
         registration = self.registration
         return registration.unique_share if isinstance(registration, Constellation) else None
 
+    @property
+    def is_blurred(self) -> bool:
+        """Whether the noise makes many single matches of points without ids ambiguous."""
+        registration = self.registration
+        return isinstance(registration, Constellation) and registration.is_blurred
+
     def labels_of(self, landmarks: Ints) -> Ints:
         """Return the public labels of landmarks (n,)."""
         return landmarks if self.registration is None else self.registration.labels_of(landmarks)

@@ -121,6 +121,11 @@ class Constellation(Numbered):
         return self._n_unique / max(self._n_scans - 1, 1)
 
     @property
+    def is_blurred(self) -> bool:
+        """Whether the noise makes many single matches ambiguous."""
+        return self._scale.is_blurred
+
+    @property
     def rejected(self) -> list[int]:
         """Scans, counted from 0, that matched no other; a deferred scan is not included."""
         waits = self._tracks_since if self._stray is None else None

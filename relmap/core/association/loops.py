@@ -53,11 +53,13 @@ class LoopFinder:
     table : LandmarkState
     noise_m : float
         Standard deviation of an observed coordinate.
+    is_blurred : bool
+        Whether this makes many single matches ambiguous: loops are then also found by likelihood.
     """
 
-    def __init__(self, table: LandmarkState, noise_m: float) -> None:
+    def __init__(self, table: LandmarkState, noise_m: float, is_blurred: bool = False) -> None:
         self._table = table
-        self._noise_m = noise_m
+        self._noise_m, self._is_blurred = noise_m, is_blurred
         self._had = np.zeros(len(table), dtype=bool)
 
     def next(self) -> Loop | None:
@@ -98,7 +100,7 @@ class LoopFinder:
         if near.sum() < (len(around) // 2 if is_tied else ENOUGH):
             return None
         loop = self._by_places(finder, own, around, together, before)
-        if loop is None and finder.is_blurred:
+        if loop is None and self._is_blurred:
             nearest = together[np.argsort(apart, kind="stable")[:CROWD]]
             loop = self._by_likelihood(nearest, own[before], reach_m)
         return loop

@@ -54,7 +54,6 @@ class PlaceFinder:
     def __init__(self, positions: Floats, noise_m: float) -> None:
         self._positions = positions
         self._among: Bools | None = None
-        self.is_blurred = False
         self._corners, sides = _triangles(positions)
         self._sides = cKDTree(sides) if len(sides) else None
         if self._sides is not None:
@@ -62,7 +61,6 @@ class PlaceFinder:
             self._apart_m = float(np.median(nearest(self._tree, positions, 2)[0][:, 1]))
             least, most = EXACT * self._apart_m, COARSE * self._apart_m
             self._tolerance_m = float(np.clip(SIGMAS * noise_m, least, most))
-            self.is_blurred = SIGMAS * noise_m > most
 
     def find(self, points: Floats) -> Placement | None:
         """Return the placement of a scan's frame in the map's; None if it is ambiguous.
