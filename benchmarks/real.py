@@ -50,10 +50,7 @@ DRIVEN: dict[str, tuple[str, Association]] = {
     "Victoria Park, odometry": (VICTORIA, "nearest"),
     "DLR circles, odometry": ("dlr-circles", "nearest"),
     "I-SLSJF simulation, odometry": ("slsjf-sim-8240", "nearest"),
-    **{
-        f"MRCLAM robot {k}, odometry, ids": (f"{MRCLAM}/Robot{k}_Measurement.dat.gz", "known")
-        for k in range(1, 6)
-    },
+    "MRCLAM 6, odometry, ids": (MRCLAM, "known"),
 }
 """Logs mapped with their odometry: file or folder, and association."""
 ICP = ("kiss-icp", "small-gicp")
