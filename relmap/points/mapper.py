@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from relmap.core import afterwards
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association.placement import Placement
-from relmap.core.association.recognition import PlaceFinder, is_clear
+from relmap.core.association.recognition import PlaceFinder
 from relmap.core.config import MapperConfig
 from relmap.core.errors import RelmapError
 from relmap.core.gaps import bridge_gaps
@@ -253,7 +253,7 @@ class PointMapper(Mapper):
             mapped = positions[np.isfinite(positions).all(axis=1)]
             self._finder = PlaceFinder(mapped, np.nan_to_num(self.noise_m))
         places = self._finder.places(points_robot)
-        if places and is_clear(points_robot, places):
+        if places and self._finder.is_clear(points_robot, places):
             return places[0], 1
         return None, min(len(places), 2)
 

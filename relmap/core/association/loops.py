@@ -14,7 +14,7 @@ import numpy as np
 from relmap.core.arrays import Bools, Ints
 from relmap.core.association.evidence import LOCAL_DRIFT
 from relmap.core.association.placement import Placement
-from relmap.core.association.recognition import ENOUGH, HITS, PlaceFinder, found_elsewhere
+from relmap.core.association.recognition import ENOUGH, HITS, PlaceFinder
 from relmap.core.association.registering import LOG_CLEAR
 from relmap.core.association.scale import spacing_of
 from relmap.core.association.soft import SoftMatching, likely_links
@@ -121,7 +121,7 @@ class LoopFinder:
         off_m = np.linalg.norm(places[0].apply(points) - points, axis=1).max()
         if off_m > self._drift_m(around, together, int(table.last[pairs[:, 1]].max(initial=0))):
             return None
-        rival = found_elsewhere(points, places)
+        rival = finder.elsewhere(points, places)
         sure = finder.by_chance(len(points), len(pairs), rival, trials) <= BY_CHANCE
         return Loop(pairs, places[0]) if sure and rival <= CLEAR * len(pairs) else None
 

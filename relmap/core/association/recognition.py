@@ -70,7 +70,11 @@ class PlaceFinder:
         points : (n, d) float64, robot frame, metres
         """
         places = self.places(points)
-        return places[0] if places and is_clear(points, places) else None
+        return places[0] if places and self.is_clear(points, places) else None
+
+    def is_clear(self, points: Floats, places: list[Placement]) -> bool:
+        """Return whether the first placement of points (n, d) fits far better than the others."""
+        return self.elsewhere(points, places) < DISTINCT * places[0].n_agreeing
 
     def places(self, points: Floats, among: Bools | None = None) -> list[Placement]:
         """Return candidate placements of points (n, d), best first, if enough points agree.
@@ -98,6 +102,19 @@ class PlaceFinder:
         self._among = among
         distance, landmark = self._nearest(points)
         return np.where(distance <= self._tolerance_m, landmark, -1)
+
+    def elsewhere(self, points: Floats, places: list[Placement]) -> int:
+        """Return how many of points (n, d) the best placement elsewhere brings onto landmarks.
+
+        Most points are elsewhere; they need not be far, as on a lattice.
+        """
+        there, apart_m = places[0].apply(points), REACH * self._tolerance_m
+        rivals = [
+            other.n_agreeing
+            for other in places[1:]
+            if np.median(np.linalg.norm(other.apply(points) - there, axis=1)) > apart_m
+        ]
+        return max(rivals, default=0)
 
     def _nearest(self, points: Floats) -> tuple[Floats, Ints]:
         """Return distance and row of the nearest counted landmark for each point (n, d)."""
@@ -173,25 +190,6 @@ class PlaceFinder:
         """Return whether two placements are equal up to the changes made by fitting."""
         off = np.abs(one.apply(points) - other.apply(points))
         return bool(off.max() <= REACH * self._tolerance_m)
-
-
-def is_clear(points: Floats, places: list[Placement]) -> bool:
-    """Return whether the first placement of points (n, d) fits far better than the others.
-
-    Only those that differ from it are compared.
-    """
-    return found_elsewhere(points, places) < DISTINCT * places[0].n_agreeing
-
-
-def found_elsewhere(points: Floats, places: list[Placement]) -> int:
-    """Return how many of points (n, d) the best placement elsewhere brings onto landmarks."""
-    there, extent_m = places[0].apply(points), float(np.ptp(points, axis=0).max())
-    rivals = [
-        other.n_agreeing
-        for other in places[1:]
-        if np.abs(other.apply(points) - there).max() > 0.1 * extent_m
-    ]
-    return max(rivals, default=0)
 
 
 def _triangles(positions: Floats) -> tuple[Ints, Floats]:

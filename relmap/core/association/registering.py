@@ -37,6 +37,11 @@ CLEAR = 0.6
 """Fraction of the matches, or of the log likelihood ratio, that a rival may have."""
 BLURRED = (0.1, 0.2, 0.35)
 """Noise, in spacings, that is tried where none explains the matches."""
+ASIDE = 2.0
+"""Largest shift of a rival of a placement found, in spacings."""
+LEAST_MISFIT = 0.25
+"""Least variance of matches relative to that assumed: with too much noise assumed, a rival nearby
+would not differ."""
 LOG_CLEAR = float(np.log(1 / 20))
 """Log of the likelihood of chance, or of a rival, relative to the most likely placement."""
 CROWD = 60
@@ -87,24 +92,22 @@ class TrackPlacing:
         self, tracks: LiveTracks, points: Floats, found: Placement | None
     ) -> Placement | None:
         """Return the most likely placement, near that found if there is one; None if uncertain."""
-        matching = self._soft(tracks, points)
-        if found is not None:
-            placement, _ = matching.fitted(found.R, found.t)
-            self.scale.learn_misfit(matching.misfit(placement))
-            return placement
-        best = matching.found(*matching.by_triangles())
+        matching, spacing_m = self._soft(tracks, points), self.scale.spacing_m
+        here = matching.source
+        if found is None or _moved_m(found, here) > spacing_m:
+            best = matching.found(*matching.by_triangles())
+        else:
+            best = matching.found(*matching.by_shifts(ASIDE * spacing_m, found))
         if best is None:
             return None
         placement, score, rival = best
-        here = matching.source
-        moved_m = float(np.linalg.norm(placement.apply(here) - here, axis=1).max())
-        is_near = moved_m <= self.scale.spacing_m
+        moved_m, misfit = _moved_m(placement, here), matching.misfit(placement)
         chance = self._log_placements(here.shape[1], moved_m) - score
-        if chance > (LOG_CLEAR if is_near else LOG_CHANCE_NEAR):
+        if chance > (LOG_CLEAR if moved_m <= spacing_m else LOG_CHANCE_NEAR):
             return None
-        if rival > min(score + LOG_CLEAR, CLEAR * score):
+        if rival > min(score + LOG_CLEAR, CLEAR * score) or misfit < LEAST_MISFIT:
             return None
-        self.scale.learn_misfit(matching.misfit(placement))
+        self.scale.learn_misfit(misfit)
         return placement
 
     def _soft(self, tracks: LiveTracks, points: Floats) -> SoftMatching:
@@ -159,7 +162,7 @@ class TrackPlacing:
         After failed attempts and nearly empty scans, more matches are required.
         """
         enough = ENOUGH + max(missed, min(missed + self.idle, PLENTY - ENOUGH))
-        moved_m = float(np.linalg.norm(placement.apply(here) - here, axis=1).max())
+        moved_m = _moved_m(placement, here)
         if placement.n_agreeing < enough:
             return False
         if moved_m <= self.scale.spacing_m:
@@ -245,3 +248,8 @@ class TrackPlacing:
         # Matches that chance produces in some placement explain nothing.
         is_rival = is_rival and self._log_chance(rival, here, there) <= 0
         return None if is_rival else placement, placement.n_agreeing
+
+
+def _moved_m(placement: Placement, points: Floats) -> float:
+    """Return the largest distance by which a placement moves points (n, d), metres."""
+    return float(np.linalg.norm(placement.apply(points) - points, axis=1).max())

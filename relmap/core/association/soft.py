@@ -175,13 +175,23 @@ class SoftMatching:
         )
         return R, t
 
-    def by_shifts(self, farthest_m: float) -> tuple[Floats, Floats]:
-        """Return the shifts up to a length that bring a source point onto a target, as above."""
-        shifts = (self.target[None] - self.source[:, None]).reshape(-1, self.source.shape[1])
+    def by_shifts(self, farthest_m: float, start: Placement | None = None) -> tuple[Floats, Floats]:
+        """Return a start, as above, and its shifts that bring a source point onto a target.
+
+        Parameters
+        ----------
+        farthest_m : float
+            Maximum length of a shift.
+        start : Placement, optional
+            By default the identity.
+        """
+        d = self.source.shape[1]
+        start = Placement(np.eye(d), np.zeros(d), 0) if start is None else start
+        shifts = (self.target[None] - start.apply(self.source)[:, None]).reshape(-1, d)
         shifts = shifts[np.linalg.norm(shifts, axis=1) <= farthest_m]
-        shifts = shifts[:: max(1, -(-len(shifts) // SHIFTS))]
-        unturned = np.broadcast_to(np.eye(shifts.shape[1]), (len(shifts),) + 2 * shifts.shape[1:])
-        return np.ascontiguousarray(unturned), np.ascontiguousarray(shifts)
+        shifts = np.concatenate([np.zeros((1, d)), shifts[:: max(1, -(-len(shifts) // SHIFTS))]])
+        R = np.broadcast_to(start.R, (len(shifts), d, d))
+        return np.ascontiguousarray(R), start.t + shifts
 
     def _differ(self, placed: Floats, other: Floats) -> Bools:
         """Return whether source points (..., n, d) as placed are elsewhere than others (n, d)."""

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.core.association.recognition import ENOUGH, HITS, MORE, PlaceFinder, found_elsewhere
+from relmap.core.association.recognition import ENOUGH, HITS, MORE, PlaceFinder
 from relmap.core.association.tying import BY_CHANCE, CLEAR
 from relmap.core.refinement.condensing import SegmentRows
 from relmap.core.state.table import NONE, LandmarkState
@@ -36,20 +36,25 @@ def find_strays(table: LandmarkState, rows: SegmentRows, noise_m: float) -> Iter
     free = ~mapped & ~table.dynamic[table.landmark_of[rows.landmark]]
     known, unknown = (np.bincount(rows.segment[which], minlength=n) for which in (mapped, free))
     strays = np.flatnonzero((known <= d) & (unknown >= ENOUGH + MORE * (d - 2)))
-    submaps = np.unique(table.submap[table.submap != NONE])
-    for submap in submaps.tolist() if len(strays) else ():
-        own = np.flatnonzero(table.submap == submap)
-        finder = PlaceFinder(table.position[own], noise_m)
-        for stray in strays.tolist():
+    if not len(strays):
+        return
+    submaps = [np.flatnonzero(table.submap == k) for k in np.unique(table.submap) if k != NONE]
+    finders = [(own, PlaceFinder(table.position[own], noise_m)) for own in submaps]
+    for stray in strays.tolist():
+        of = np.flatnonzero((rows.segment == stray) & free)
+        of = of[table.weight[table.now(rows.landmark[of])] == 0]
+        found = []
+        for own, finder in finders:
             when = rows.first_iteration[stray]
             among = table.first[own] <= when + NEARBY
             among &= table.last[own] >= when - NEARBY
-            of = np.flatnonzero((rows.segment == stray) & free)
-            of = of[table.weight[table.now(rows.landmark[of])] == 0]
             at = _found(finder, rows.points[of], among, HITS * len(strays) * len(submaps))
-            if (at >= 0).any():
-                pairs = np.column_stack([table.now(rows.landmark[of]), own[at]])[at >= 0]
-                yield pairs[np.unique(pairs[:, 1], return_index=True)[1]]
+            pairs = np.column_stack([table.now(rows.landmark[of]), own[at]])[at >= 0]
+            found.append(pairs[np.unique(pairs[:, 1], return_index=True)[1]])
+        *others, best = sorted(found, key=len)
+        # A scan that fits several submaps may be of a repeated structure.
+        if len(best) and all(len(other) <= CLEAR * len(best) for other in others):
+            yield best
 
 
 def _found(finder: PlaceFinder, points: Floats, among: Bools, trials: int) -> Ints:
@@ -58,6 +63,6 @@ def _found(finder: PlaceFinder, points: Floats, among: Bools, trials: int) -> In
     if not places:
         return np.full(len(points), -1)
     at = finder.landmarks_at(places[0].apply(points), among)
-    hits, rival = len(np.unique(at[at >= 0])), found_elsewhere(points, places)
+    hits, rival = len(np.unique(at[at >= 0])), finder.elsewhere(points, places)
     sure = finder.by_chance(len(points), hits, rival, trials) <= BY_CHANCE
     return at if sure and rival <= CLEAR * hits else np.full(len(points), -1)

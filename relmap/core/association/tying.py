@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association.base import nearest
 from relmap.core.association.placement import Placement
-from relmap.core.association.recognition import ENOUGH, HITS, PlaceFinder, found_elsewhere
+from relmap.core.association.recognition import ENOUGH, HITS, PlaceFinder
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.state.table import NONE, LandmarkState
 
@@ -81,7 +81,7 @@ def _found_elsewhere(
             continue
         other = int(in_submaps[0][0])
         rivals = [place for place, of in zip(places, in_submaps, strict=True) if other in of]
-        elsewhere = found_elsewhere(points, rivals)
+        elsewhere = finder.elsewhere(points, rivals)
         sure = finder.by_chance(len(points), len(hits[0]), elsewhere, trials) <= BY_CHANCE
         clear = elsewhere <= CLEAR * places[0].n_agreeing
         if sure and clear and _leads_back(back, positions[hits[0]], places[0], points):
