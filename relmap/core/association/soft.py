@@ -93,18 +93,16 @@ class SoftMatching:
 
         _, metric, peak = self._blank()
         likely = scores(*self._terms(COARSE), R, t, metric, peak)
-        placed = np.einsum("hij,nj->hni", R, self.source) + t[:, None]
         fitted: list[tuple[Placement, float]] = []
         while len(fitted) < STARTS and np.isfinite(likely).any():
             k = int(likely.argmax())
             fitted.append(self.fitted(R[k], t[k]))
-            for known in (placed[k], fitted[-1][0].apply(self.source)):
-                likely[~self._differ(placed, known)] = -np.inf
+            for known in (Placement(R[k], t[k], 0), fitted[-1][0]):
+                likely[~self._differ(R, t, known)] = -np.inf
         if not fitted:
             return None
         best, score = max(fitted, key=lambda one: one[1])
-        there = best.apply(self.source)
-        rivals = [rival for one, rival in fitted if self._differ(one.apply(self.source), there)]
+        rivals = [rival for one, rival in fitted if self._differ(one.R, one.t, best)]
         return best, score, max(rivals, default=-np.inf)
 
     def fitted(self, R: Floats, t: Floats) -> tuple[Placement, float]:
@@ -193,10 +191,18 @@ class SoftMatching:
         R = np.broadcast_to(start.R, (len(shifts), d, d))
         return np.ascontiguousarray(R), start.t + shifts
 
-    def _differ(self, placed: Floats, other: Floats) -> Bools:
-        """Return whether source points (..., n, d) as placed are elsewhere than others (n, d)."""
-        square = np.sum((placed - other) ** 2, axis=-1) / self.variance
-        return np.asarray(np.mean(square, axis=-1) > MOVED**2)
+    def _differ(self, R: Floats, t: Floats, other: Placement) -> Bools:
+        """Return whether R (..., d, d) and t (..., d) place source points elsewhere than another.
+
+        The mean square distance in variances, from the moments of the points.
+        """
+        turn, shift = R - other.R, t - other.t
+        weight = 1 / (len(self.source) * self.variance)
+        second = np.einsum("n,ni,nj->ij", weight, self.source, self.source)
+        square = np.einsum("...ij,jk,...ik->...", turn, second, turn)
+        square += 2 * np.einsum("...i,...ij,j->...", shift, turn, weight @ self.source)
+        square += weight.sum() * np.sum(shift**2, axis=-1)
+        return np.asarray(square > MOVED**2)
 
 
 def likely_links(
