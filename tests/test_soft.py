@@ -43,6 +43,18 @@ def test_a_scan_is_placed_though_its_single_matches_are_ambiguous(seed: int) -> 
     assert rival < CLEAR * score
 
 
+def test_a_shift_to_the_neighbours_is_a_rival() -> None:
+    """Two rows of marks, of which the scan shows the middle."""
+    rng = np.random.default_rng(3)
+    rows = np.stack(np.meshgrid(np.arange(16.0), [-1.0, 1.0]), axis=-1).reshape(-1, 2)
+    there = rows[np.abs(rows[:, 0] - 7.5) < 5] + rng.normal(0, 0.2, (20, 2))
+    matching = matching_of(rows + rng.normal(0, 0.2, rows.shape), there, 0.2)
+    start = Placement(np.eye(2), np.array([0.1, 0.0]), 20)
+    found = matching.found(*matching.by_shifts(2.0, start))
+    assert found is not None
+    assert found[2] > CLEAR * found[1]
+
+
 def test_unrelated_points_have_no_likely_placement() -> None:
     rng = np.random.default_rng(5)
     here, there = rng.uniform(0, FIELD_M, (2, 40, 2))

@@ -108,6 +108,8 @@ class PlaceFinder:
 
         Most points are elsewhere; they need not be far, as on a lattice.
         """
+        if not places:
+            return 0
         there, apart_m = places[0].apply(points), REACH * self._tolerance_m
         rivals = [
             other.n_agreeing

@@ -81,7 +81,9 @@ def _found_elsewhere(
             continue
         other = int(in_submaps[0][0])
         rivals = [place for place, of in zip(places, in_submaps, strict=True) if other in of]
+        # What looks like another place of its own submap may be a third one.
         elsewhere = finder.elsewhere(points, rivals)
+        elsewhere = max(elsewhere, back.elsewhere(points, back.places(points)))
         sure = finder.by_chance(len(points), len(hits[0]), elsewhere, trials) <= BY_CHANCE
         clear = elsewhere <= CLEAR * places[0].n_agreeing
         if sure and clear and _leads_back(back, positions[hits[0]], places[0], points):
