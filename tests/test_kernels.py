@@ -12,7 +12,12 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from relmap.core.arrays import Floats
-from relmap.core.association.matching_kernels import claims, nearest_within, two_nearest
+from relmap.core.association.matching_kernels import (
+    claims,
+    continued,
+    nearest_of_sample,
+    nearest_within,
+)
 from relmap.core.geometry import fitting_kernels, rotation_kernels
 from relmap.core.geometry.alignment import fit_rigid, rotation_of_moment
 from relmap.core.grouping import binning_kernels
@@ -81,18 +86,54 @@ def test_nearest_within_any_reach(d: int) -> None:
     np.testing.assert_allclose(distance, distances(points + 1.0, points).min(axis=1))
 
 
-@given(seeds, dimensions, sizes, sizes, st.booleans())
-def test_two_nearest_are_the_smallest_distances(
-    seed: int, d: int, n: int, k: int, ties: bool
+@given(seeds, dimensions, sizes, sizes, st.integers(1, 9), st.booleans())
+def test_the_nearest_of_a_sample_of_the_tracks_seen_last(
+    seed: int, d: int, n: int, m: int, most: int, ties: bool
 ) -> None:
     rng = np.random.default_rng(seed)
-    points, queries = rng.normal(0, 2, (n, d)), rng.normal(0, 2, (k, d))
+    points, tracks = rng.normal(0, 2, (n, d)), rng.normal(0, 2, (m + 1, d))
     if ties:
-        points, queries = points.round(), queries.round()
-    found, index = two_nearest(points, queries)
-    apart = np.column_stack([distances(queries, points), np.full((k, 2), np.inf)])
-    np.testing.assert_allclose(found, np.sort(apart, axis=1)[:, :2], rtol=1e-12)
-    np.testing.assert_array_equal(index, np.minimum(apart.argmin(axis=1), n) if n else 0)
+        points, tracks = points.round(), tracks.round()
+    missed = rng.integers(0, 3, m + 1)
+    sample, target, distance, spacing = nearest_of_sample(points, tracks, missed, most)
+    latest = np.flatnonzero(missed == missed.min())
+    if min(n, len(latest)) < 2:
+        assert not len(sample)
+        return
+    np.testing.assert_array_equal(sample, latest[:: -(-len(latest) // most)])
+    apart = distances(tracks[sample], points)
+    np.testing.assert_array_equal(target, apart.argmin(axis=1))
+    np.testing.assert_allclose(distance, apart.min(axis=1), rtol=1e-12)
+    crowd = points if n >= len(latest) else tracks[latest]
+    neighbours = crowd[:: -(-len(crowd) // most)]
+    second = np.sort(distances(neighbours, crowd), axis=1)[:, 1]
+    np.testing.assert_allclose(spacing, np.sort(second)[len(second) // 2], rtol=1e-12)
+
+
+@given(seeds, dimensions, sizes, sizes)
+def test_tracks_are_continued_where_expected_or_else_where_seen_last(
+    seed: int, d: int, n: int, m: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    points, latest = rng.normal(0, 2, (n, d)), rng.normal(0, 2, (m, d))
+    missed, restless = rng.integers(0, 2, m), rng.integers(0, 2, m)
+    seen = rng.integers(1, 5, m)
+    near, young = (1.5, 0.7), 3
+    distance, target = nearest_within(points, latest + 0.1, 0.3)
+    counts, reaches = (missed, seen, restless), (*near, young)
+    rows, found, n_static = continued(points, (target, distance), latest, counts, reaches)
+    linked = claims(target, distance, n)
+    np.testing.assert_array_equal(rows[:n_static], np.flatnonzero(linked))
+    np.testing.assert_array_equal(found[:n_static], target[linked])
+    wanted, apart = np.full(m, n), np.full(m, np.inf)
+    for row in np.flatnonzero(~linked & (missed == 0)) if n else ():
+        away = distances(latest[row : row + 1], points)[0]
+        reach = near[0] if restless[row] or seen[row] < young else near[1]
+        if away.min() <= reach and away.argmin() not in target[linked]:
+            wanted[row], apart[row] = away.argmin(), away.min()
+    moving = claims(wanted, apart, n)
+    np.testing.assert_array_equal(rows[n_static:], np.flatnonzero(moving))
+    np.testing.assert_array_equal(found[n_static:], wanted[moving])
 
 
 @given(
@@ -189,7 +230,7 @@ def test_the_fit_of_some_rows_is_the_fit_of_these_alone(seed: int, d: int, n: in
     source, target = rng.normal(0, 5, (n, d)), rng.normal(0, 5, (n, d))
     target[: n // 2] = source[: n // 2]
     rows = rng.permutation(n) < max(4, n // 2)
-    R, t, fixed, scatter = fit_rows(source, target, rows, np.eye(d))
+    R, t, fixed, scatter, _ = fit_rows(source, target, rows, np.eye(d))
     expected_R, expected_t = fit_rigid(source[rows], target[rows])
     there, expected = source[rows] @ R.T + t, source[rows] @ expected_R.T + expected_t
     squares, least = (np.sum((at - target[rows]) ** 2) for at in (there, expected))

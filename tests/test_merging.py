@@ -127,7 +127,7 @@ def test_index_finds_all_that_is_near(seed: int, d: int) -> None:
     index.add(np.arange(60), positions)
     for position in rng.normal(0, 5, (10, d)):
         near = np.flatnonzero(np.linalg.norm(positions - position, axis=1) <= 2.0)
-        assert set(near.tolist()) <= set(index.near(position).tolist())
+        assert set(near.tolist()) <= set(index.near(position[None])[0].tolist())
 
 
 def test_merged_landmarks_absorb_no_others() -> None:

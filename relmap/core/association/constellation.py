@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.arrays import Floats, Ints
 from relmap.core.association.base import UNIDENTIFIED, Numbered
 from relmap.core.association.estimated import EstimatedCovariances
 from relmap.core.association.guiding import OdometryGuide
@@ -153,14 +153,13 @@ class Constellation(Numbered):
                 carried = tracks.carried(
                     placement.apply(tracks.expected), placement.apply(tracks.latest)
                 )
-                rows, found, strayed = self._links(carried, points_robot, metric)
+                rows, found, n_static = self._links(carried, points_robot, metric)
                 landmarks[found] = tracks.landmarks[rows]
-                at_rest = ~strayed
-                there = points_robot[found[at_rest]]
-                own = rows_of(metric, found[at_rest])
-                known = rows[at_rest]
-                self._scale.learn(carried.expected[known], there, carried.seen[known], own)
-                carried.see(rows, points_robot[found], strayed)
+                there, known = points_robot[found], rows[:n_static]
+                own = rows_of(metric, found[:n_static])
+                expected, n_seen = carried.expected[known], carried.seen[known]
+                self._scale.learn(expected, there[:n_static], n_seen, own)
+                carried.see(rows, there, n_static)
                 if since is not None:
                     self._alone.remove(since)
                 return carried.kept(carried.missed <= self._max_missed)
@@ -201,56 +200,32 @@ class Constellation(Numbered):
 
     def _links(
         self, carried: LiveTracks, points: Floats, metric: Floats | None
-    ) -> tuple[Ints, Ints, Bools]:
+    ) -> tuple[Ints, Ints, int]:
         """Link predicted tracks to the observations near them.
+
+        Tracks that are not where a static landmark would be are followed from their last
+        observation. One that was seen moving, or is too short to classify, may move far; a static
+        one only as far as it could drift unnoticed: a jump means another landmark.
 
         Returns
         -------
         rows, found : (k,) int64
             Tracks and the points that continue them.
-        strayed : (k,) bool
-            Whether the track moves relative to the others and is followed by continuity.
+        n_static : int
+            Number of these that are static, which come first; the others move.
         """
-        from relmap.core.association.matching_kernels import claims, nearest_within
+        from relmap.core.association.matching_kernels import continued, nearest_within
 
         if self._scale.is_blurred:
             variance = self._scale.variances(carried.seen)
             rows, found = likely_links(carried.expected, variance, carried.seen, points, metric)
-            return rows, found, np.zeros(len(rows), dtype=bool)
+            return rows, found, len(rows)
         gate_m, stretch = self._scale.gate_m, stretch_of(metric)
         if metric is None or stretch is None:
             distance, target = nearest_within(points, carried.expected, gate_m)
         else:
             reach_m = gate_m * float(stretch.max())
             distance, target = nearest_within(points, carried.expected, gate_m, metric, reach_m)
-        linked = claims(target, distance, len(points))
-        taken = np.zeros(len(points) + 1, dtype=bool)
-        taken[target[linked]] = True
-        free = np.flatnonzero(~linked & (carried.missed == 0))
-        followed, found = self._follow(carried, free, points, taken)
-        rows = np.concatenate([np.flatnonzero(linked), followed])
-        strayed = np.arange(len(rows)) >= linked.sum()
-        return rows, np.concatenate([target[linked], found]), strayed
-
-    def _follow(
-        self, carried: LiveTracks, free: Ints, points: Floats, taken: Bools
-    ) -> tuple[Ints, Ints]:
-        """Follow tracks that are not where a static landmark would be, from their last observation.
-
-        A track that was seen moving, or is too short to classify, may move far; a static one only
-        as far as it could drift unnoticed: a jump means another landmark.
-        """
-        if not len(free):
-            return free, free
-        from relmap.core.association.matching_kernels import claims, nearest_within
-
-        may_move = (carried.restless[free] > 0) | (carried.seen[free] < YOUNG)
-        reach = np.where(
-            may_move,
-            max(CONTINUITY * self._scale.spacing_m, self._scale.gate_m),
-            self._scale.gate_m,
-        )
-        distance, target = nearest_within(points, carried.latest[free], float(reach.max()))
-        near = np.where((distance <= reach) & ~taken[target], distance, np.inf)
-        followed = claims(target, near, len(points))
-        return free[followed], target[followed]
+        counts = carried.missed, carried.seen, carried.restless
+        reaches = max(CONTINUITY * self._scale.spacing_m, gate_m), gate_m, YOUNG
+        return continued(points, (target, distance), carried.latest, counts, reaches)

@@ -6,7 +6,11 @@ import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.linalg.compiling import compiled, helper
+from relmap.core.linalg.order_kernels import smallest
 from relmap.core.linalg.small_kernels import square_of, unset
+
+CELL, MARGIN = 4.0, 0.2501
+"""Side of a cell of the grid, in reaches, and a reach in sides, with room for rounding."""
 
 
 @compiled
@@ -69,20 +73,20 @@ def nearest_within(
     units, and `cell` is the largest distance of a point within reach, metres.
     """
     n, d = points.shape
-    side = reach if metric is None else cell
+    side = CELL * (reach if metric is None else cell)
     first, following = buckets(points, side)
     apart = np.empty(d)
     distance, index = np.empty(len(queries)), np.empty(len(queries), dtype=np.int64)
-    layers = 1 if d == 3 else 0
+    margin_z = MARGIN if d == 3 else 0.0
     for k in range(len(queries)):
         index[k] = n
         z = queries[k, 2] if d == 3 else 0.0
         cx, cy, cz = queries[k, 0] / side, queries[k, 1] / side, z / side
         best = reach * reach
-        for x in range(int(np.floor(cx)) - 1, int(np.floor(cx)) + 2):
-            for y in range(int(np.floor(cy)) - 1, int(np.floor(cy)) + 2):
-                for z_cell in range(int(np.floor(cz)) - layers, int(np.floor(cz)) + layers + 1):
-                    i = first[_bucket(x, y, z_cell, len(first))]
+        for x in range(int(np.floor(cx - MARGIN)), int(np.floor(cx + MARGIN)) + 1):
+            for y in range(int(np.floor(cy - MARGIN)), int(np.floor(cy + MARGIN)) + 1):
+                for layer in range(int(np.floor(cz - margin_z)), int(np.floor(cz + margin_z)) + 1):
+                    i = first[_bucket(x, y, layer, len(first))]
                     while i >= 0:
                         square = 0.0
                         for a in range(d):
@@ -97,26 +101,101 @@ def nearest_within(
     return distance, index
 
 
-@compiled
-def two_nearest(points: Floats, queries: Floats) -> tuple[Floats, Ints]:
-    """Return the distances (k, 2) of the two points (n, d) nearest to each query, and the nearest.
+@helper
+def _two_nearest(points: Floats, query: Floats) -> tuple[float, float, int]:
+    """Return the squared distances of the two points (n, d) nearest to a query, and the nearest.
 
-    For a few queries this is faster than building a tree. Infinite if there are fewer points.
+    For a few queries this is faster than building a grid. Infinite if there are fewer points.
     """
-    n, d = points.shape
-    distances, index = np.empty((len(queries), 2)), np.empty(len(queries), dtype=np.int64)
-    for k in range(len(queries)):
-        first, second, index[k] = np.inf, np.inf, n
-        for i in range(n):
-            square = 0.0
+    space = len(query) == 3
+    qx, qy, qz = query[0], query[1], query[2] if space else 0.0
+    first, second, index = np.inf, np.inf, len(points)
+    for i in range(len(points)):
+        x, y, z = points[i, 0] - qx, points[i, 1] - qy, points[i, 2] - qz if space else 0.0
+        square = x * x + y * y + z * z
+        if square < first:
+            first, second, index = square, first, i
+        elif square < second:
+            second = square
+    return first, second, index
+
+
+@compiled
+def nearest_of_sample(
+    points: Floats, expected: Floats, missed: Ints, most: int
+) -> tuple[Ints, Ints, Floats, float]:
+    """Return the points (n, d) nearest to a sample of the tracks (m, d) that were seen last.
+
+    Returns the tracks (k,), at most `most`, the point nearest to each, its distance, and the upper
+    median of the distances between neighbours; no tracks if two matches are impossible.
+    """
+    (n, d), m, fewest, n_latest = points.shape, len(missed), missed[0], 0
+    for row in range(m):
+        fewest = min(fewest, missed[row])
+    crowd, latest = np.empty((m, d)), np.empty(m, dtype=np.int64)
+    for row in range(m):
+        if missed[row] == fewest:
+            latest[n_latest] = row
             for a in range(d):
-                square += (points[i, a] - queries[k, a]) ** 2
-            if square < first:
-                first, second, index[k] = square, first, i
-            elif square < second:
-                second = square
-        distances[k, 0], distances[k, 1] = np.sqrt(first), np.sqrt(second)
-    return distances, index
+                crowd[n_latest, a] = expected[row, a]
+            n_latest += 1
+    if min(n, n_latest) < 2:
+        return latest[:0], latest[:0], np.empty(0), 0.0
+    crowd = points if n >= n_latest else crowd[:n_latest]
+    every = -(-len(crowd) // most)
+    neighbour = np.empty(-(-len(crowd) // every))
+    for k in range(len(neighbour)):
+        neighbour[k] = np.sqrt(_two_nearest(crowd, crowd[k * every])[1])
+    spacing = smallest(neighbour, len(neighbour) // 2)
+    every = -(-n_latest // most)
+    k = -(-n_latest // every)
+    target, distance = np.empty(k, dtype=np.int64), np.empty(k)
+    for i in range(k):
+        latest[i] = latest[i * every]
+        first, _, target[i] = _two_nearest(points, expected[latest[i]])
+        distance[i] = np.sqrt(first)
+    return latest[:k], target, distance, spacing
+
+
+@compiled
+def continued(
+    points: Floats,
+    nearest: tuple[Ints, Floats],
+    latest: Floats,
+    counts: tuple[Ints, Ints, Ints],
+    reaches: tuple[float, float, int],
+) -> tuple[Ints, Ints, int]:
+    """Return the tracks (k,) that points (n, d) continue, these points, and how many are static.
+
+    Static tracks, which come first, claim the point nearest to their prediction, at a known
+    distance. The others that were seen last claim the point nearest to their latest observation,
+    within a reach for those that may move or, if seen often and never moving, for static ones.
+    """
+    target, distance = nearest
+    missed, seen, restless = counts
+    widest, narrow, young = reaches
+    n, m = len(points), len(target)
+    rows, found, k = np.empty(m, dtype=np.int64), np.empty(m, dtype=np.int64), 0
+    linked, taken = claims(target, distance, n), np.zeros(n + 1, dtype=np.bool_)
+    for row in range(m):
+        if linked[row]:
+            rows[k], found[k], taken[target[row]] = row, target[row], True
+            k += 1
+    n_static = k
+    wanted, apart = np.empty(m, dtype=np.int64), np.empty(m)
+    for row in range(m):
+        apart[row] = np.inf
+        if not linked[row] and missed[row] == 0:
+            square, _, wanted[row] = _two_nearest(points, latest[row])
+            may_move = restless[row] > 0 or seen[row] < young
+            if np.sqrt(square) <= (widest if may_move else narrow) and not taken[wanted[row]]:
+                apart[row] = np.sqrt(square)
+    followed = claims(wanted, apart, n)
+    for row in range(m):
+        if followed[row]:
+            rows[k], found[k] = row, wanted[row]
+            k += 1
+    return rows[:k], found[:k], n_static
 
 
 @compiled
@@ -126,7 +205,7 @@ def see_tracks(
     counts: tuple[Ints, Ints, Ints],
     rows: Ints,
     points: Floats,
-    strayed: Bools,
+    n_static: int,
     memory: int,
     careful: int,
 ) -> None:
@@ -138,7 +217,7 @@ def see_tracks(
         row = rows[j]
         missed[row] = 0
         seen[row] += 1
-        restless[row] = careful if strayed[j] else max(restless[row] - 1, 0)
+        restless[row] = careful if j >= n_static else max(restless[row] - 1, 0)
         share = 1.0 if restless[row] > 0 else 1 / min(seen[row], memory)
         for a in range(points.shape[1]):
             expected[row, a] += share * (points[j, a] - expected[row, a])

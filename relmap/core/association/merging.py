@@ -76,6 +76,8 @@ class Merger:
 
     def leave(self, landmarks: Ints) -> None:
         """Record that landmarks have left the view: from now on they may be re-observed."""
+        if not len(landmarks):
+            return
         landmarks = landmarks[self._model.is_compared(landmarks)]
         for landmark in landmarks.tolist():
             self._old_near.pop(landmark, None)
@@ -140,8 +142,7 @@ class Merger:
         asked = self._table.asked_level[landmarks]
         ask = landmarks[mature & (levels > asked)]
         self._table.asked_level[landmarks] = np.maximum(asked, levels * mature)
-        for new in ask.tolist():
-            self._ask(new)
+        self._ask(ask)
         pairs = [
             (new, old)
             for new in landmarks.tolist()
@@ -210,17 +211,19 @@ class Merger:
             reach_m = REACH * spacing_of(self._table.position[landmarks])
         return SpatialIndex(self._table, reach_m) if 0 < reach_m < np.inf else None
 
-    def _ask(self, new: int) -> None:
-        """Search for older landmarks near a new one."""
-        if self._index is None:
+    def _ask(self, landmarks: Ints) -> None:
+        """Search for older landmarks near new ones (k,)."""
+        if self._index is None or not len(landmarks):
             return
-        near = self._index.near(self._table.position[new])
-        if len(near):
-            apart = np.linalg.norm(self._table.position[near] - self._table.position[new], axis=1)
-            near = near[apart <= self._index.cell_m]
-            may_be = [old for old in near.tolist() if self._may_be(new, old)]
-            if may_be:
-                self._old_near[new] = sorted(may_be)
+        positions = self._table.position
+        each = self._index.near(positions[landmarks])
+        for new, near in zip(landmarks.tolist(), each, strict=True):
+            if len(near):
+                apart = np.linalg.norm(positions[near] - positions[new], axis=1)
+                near = near[apart <= self._index.cell_m]
+                may_be = [old for old in near.tolist() if self._may_be(new, old)]
+                if may_be:
+                    self._old_near[new] = sorted(may_be)
 
     def _may_be(self, new: int, old: int) -> bool:
         """Return whether a landmark may be an older one: same submap, and never seen with it."""

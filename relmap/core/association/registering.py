@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.association.base import middle
 from relmap.core.association.metric import rows_of
 from relmap.core.association.placement import Placement, trimmed_fit
 from relmap.core.association.scale import SIGMAS, WIDER, Scale
@@ -118,20 +117,17 @@ class TrackPlacing:
 
     def _found(self, tracks: LiveTracks, points: Floats) -> Placement | None:
         """Find the placement of the tracks' frame in the scan with the most matches."""
-        from relmap.core.association.matching_kernels import claims, two_nearest
+        from relmap.core.association.matching_kernels import claims, nearest_of_sample
 
         (n, d), metric = points.shape, self.metric
-        missed = int(tracks.missed.min())
-        latest = np.flatnonzero(tracks.missed == missed)
-        possible = min(len(latest), n)
-        if possible < 2:
+        sample, target, distance, spacing_m = nearest_of_sample(
+            points, tracks.expected, tracks.missed, SAMPLE
+        )
+        if not len(sample):
             return None
-        sample = latest[:: -(-len(latest) // SAMPLE)]
-        crowd = points if n >= len(latest) else tracks.expected[latest]
-        apart, _ = two_nearest(crowd, crowd[:: -(-len(crowd) // SAMPLE)])
-        self.scale.see_spacing(middle(apart[:, 1]))
-        distances, target = two_nearest(points, tracks.expected[sample])
-        distance = np.where(distances[:, 0] > self.scale.spacing_m, np.inf, distances[:, 0])
+        missed = int(tracks.missed[sample[0]])
+        self.scale.see_spacing(spacing_m)
+        distance[distance > self.scale.spacing_m] = np.inf
         claimed = claims(target, distance, n)
         rows, tolerance_m = sample[claimed], self.scale.tolerance_m
         own = rows_of(metric, target[claimed])
@@ -180,9 +176,11 @@ class TrackPlacing:
 
         Placements are counted in steps of the tolerance: those with no larger motion, or all.
         """
+        from relmap.core.association.rigidity_kernels import extent_of
+
         tolerance_m, d, placements = self.scale.tolerance_m, here.shape[1], 0.0
         if moved_m is None:
-            moved_m = float(np.ptp(there, axis=0).max())
+            moved_m = extent_of(there)
             placements = (2 * d - 3) * np.log(2 * np.pi)
         placements += self._log_placements(d, moved_m)
         # The volume of a gate relative to that of a sphere, in the mean of the points.

@@ -89,7 +89,8 @@ class Scale:
     @property
     def gate_m(self) -> float:
         """Largest distance of an observation from the predicted track."""
-        return max(self.tolerance_m, min(2 * self.tolerance_m, 0.8 * COARSE * self.spacing_m))
+        tolerance_m = self.tolerance_m
+        return max(tolerance_m, min(2 * tolerance_m, 0.8 * COARSE * self.spacing_m))
 
     def see_spacing(self, spacing_m: float) -> None:
         """Update the spacing with that of one scan."""

@@ -150,7 +150,7 @@ def placements_by_triangles(
                     if off > 0 or r in (k, q):
                         continue
                     _enter(target, k, q, r, found)
-                    turn, shift, fixed, _ = fit_rows(corners, found, every, turn)
+                    turn, shift, fixed, _, _ = fit_rows(corners, found, every, turn)
                     if fixed and tried < most:
                         tried += 1
                         n_agreeing = matched_at(

@@ -74,12 +74,12 @@ class LiveTracks(Tracks):
         zeros = np.zeros(len(landmarks), dtype=np.int64)
         return cls(landmarks, points, points.copy(), zeros, zeros + 1, zeros.copy())
 
-    def see(self, rows: Ints, points: Floats, strayed: Bools) -> None:
-        """Record in place which tracks were found, which strayed and which were missed."""
+    def see(self, rows: Ints, points: Floats, n_static: int) -> None:
+        """Record in place which tracks were found, the static ones first, and which were missed."""
         from relmap.core.association.matching_kernels import see_tracks
 
         counts = (self.missed, self.seen, self.restless)
-        see_tracks(self.expected, self.latest, counts, rows, points, strayed, MEMORY, CAREFUL)
+        see_tracks(self.expected, self.latest, counts, rows, points, n_static, MEMORY, CAREFUL)
 
     def carried(self, expected: Floats, latest: Floats) -> LiveTracks:
         """Return the tracks with their predicted positions in the next iteration."""

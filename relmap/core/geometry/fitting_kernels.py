@@ -35,30 +35,37 @@ def _moments(source: Floats, target: Floats, rows: Bools, means: Floats) -> tupl
     The moments are the cross moment of source and target and the scatter of the source, padded with
     zeros in the plane.
     """
-    moment, scatter, space = np.zeros((3, 3)), np.zeros((3, 3)), source.shape[1] == 3
+    moment, scatter, space = np.empty((3, 3)), np.empty((3, 3)), source.shape[1] == 3
+    ax, ay, az = means[0, 0], means[0, 1], means[0, 2]
+    bx, by, bz = means[1, 0], means[1, 1], means[1, 2]
+    xu, xv, xw, yu, yv, yw, zu, zv, zw = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    xx, xy, xz, yy, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(len(source)):
         if rows[i]:
-            x, y = source[i, 0] - means[0, 0], source[i, 1] - means[0, 1]
-            z = source[i, 2] - means[0, 2] if space else 0.0
-            for b in range(source.shape[1]):
-                to, own = target[i, b] - means[1, b], source[i, b] - means[0, b]
-                moment[0, b] += x * to
-                moment[1, b] += y * to
-                moment[2, b] += z * to
-                scatter[0, b] += x * own
-                scatter[1, b] += y * own
-                scatter[2, b] += z * own
+            x, y, z = source[i, 0] - ax, source[i, 1] - ay, source[i, 2] - az if space else 0.0
+            u, v, w = target[i, 0] - bx, target[i, 1] - by, target[i, 2] - bz if space else 0.0
+            xu, xv, xw = xu + x * u, xv + x * v, xw + x * w
+            yu, yv, yw = yu + y * u, yv + y * v, yw + y * w
+            zu, zv, zw = zu + z * u, zv + z * v, zw + z * w
+            xx, xy, xz = xx + x * x, xy + x * y, xz + x * z
+            yy, yz, zz = yy + y * y, yz + y * z, zz + z * z
+    moment[0, 0], moment[0, 1], moment[0, 2] = xu, xv, xw
+    moment[1, 0], moment[1, 1], moment[1, 2] = yu, yv, yw
+    moment[2, 0], moment[2, 1], moment[2, 2] = zu, zv, zw
+    scatter[0, 0], scatter[1, 1], scatter[2, 2] = xx, yy, zz
+    scatter[0, 1], scatter[0, 2], scatter[1, 2] = xy, xz, yz
+    scatter[1, 0], scatter[2, 0], scatter[2, 1] = xy, xz, yz
     return moment, scatter
 
 
 @helper
 def fit_rows(
     source: Floats, target: Floats, rows: Bools, guess: Floats
-) -> tuple[Floats, Floats, bool, Floats]:
+) -> tuple[Floats, Floats, bool, Floats, Floats]:
     """Fit some rows of matched points (n, d) rigidly, as `fit_rigid` does with equal weights.
 
-    Returns R, t, whether the rows determine R, and the scatter (3, 3) of their source points.  An
-    initial guess of R (d, d) saves time.
+    Returns R, t, whether the rows determine R, and the scatter (3, 3) of their source points about
+    the first of the means (2, 3), which follow.  An initial guess of R (d, d) saves time.
     """
     d, means = source.shape[1], np.empty((2, 3))
     means[0, 0], means[0, 1], means[0, 2], _ = centre_of(source, rows)
@@ -69,7 +76,7 @@ def fit_rows(
         t[a] = means[1, a]
         for b in range(d):
             t[a] -= R[a, b] * means[0, b]
-    return R, t, fixes(scatter, d), scatter
+    return R, t, fixes(scatter, d), scatter, means
 
 
 @compiled
@@ -79,19 +86,19 @@ def swings(points: Floats, rows: Bools) -> Floats:
     In units of the variance of one of these rows. It is large far from the line of the rows, where
     the rotation is poorly determined.
     """
-    means, swing = np.empty((2, 3)), np.zeros(len(points))
-    means[0, 0], means[0, 1], means[0, 2], _ = centre_of(points, rows)
+    means, swing = np.empty((2, 3)), np.empty(len(points))
+    means[0, 0], means[0, 1], means[0, 2], count = centre_of(points, rows)
     for a in range(3):
         means[1, a] = means[0, a]
-    add_swings(points, rows, _moments(points, points, rows, means)[1], swing)
+    enter_swings(points, means, count, _moments(points, points, rows, means)[1], swing)
     return swing
 
 
 @helper
-def add_swings(points: Floats, rows: Bools, scatter: Floats, swing: Floats) -> None:
-    """Add the result of `swings` to variances (n,), except NaN; the scatter is overwritten."""
+def enter_swings(points: Floats, means: Floats, count: int, scatter: Floats, swing: Floats) -> None:
+    """Enter the result of `swings` for points (n, d), given the fit; the scatter is overwritten."""
     n, d = points.shape
-    x, y, z, count = centre_of(points, rows)
+    x, y, z = means[0, 0], means[0, 1], means[0, 2]
     trace = scatter[0, 0] + scatter[1, 1] + scatter[2, 2]
     for i in range(3):
         for j in range(3):
@@ -107,8 +114,7 @@ def add_swings(points: Floats, rows: Bools, scatter: Floats, swing: Floats) -> N
             c = points[i, 2] - z
             along = a * (xx * a + xy * b + xz * c) + b * (yy * b + yz * c) + zz * c * c
             turned = ((xx + yy + zz) * (a * a + b * b + c * c) - along) / 3
-        if not np.isnan(a):
-            swing[i] += 1 / count + turned
+        swing[i] = 0.0 if np.isnan(a) else 1 / count + turned
 
 
 @helper
@@ -155,7 +161,7 @@ def trimmed_fit_rows(
             return R, t, -1
         if last and same:
             break
-        R, t, _, _ = fit_rows(source, target, kept, R)
+        R, t, _, _, _ = fit_rows(source, target, kept, R)
         _misfits(source, target, R, t, misfit)
         n_kept = 0
         for i in range(n):

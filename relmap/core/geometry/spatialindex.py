@@ -50,15 +50,20 @@ class SpatialIndex:
             self._first[key] = landmark
             self._table.cell[landmark] = key
 
-    def near(self, position: Floats) -> Ints:
-        """Return the landmarks within a cell's side of the position (d,), and some others."""
-        found = []
-        for key in self._keys(self._cells(position) + self._around):
-            landmark = self._first.get(key, NONE)
-            while landmark != NONE:
-                found.append(landmark)
-                landmark = int(self._table.next_in_cell[landmark])
-        return np.array(found, dtype=np.int64)
+    def near(self, positions: Floats) -> list[Ints]:
+        """Return the landmarks within a cell's side of each position (k, d), and some others."""
+        cells = self._cells(positions)[:, None] + self._around
+        keys, n = self._keys(cells.reshape(-1, cells.shape[2])), len(self._around)
+        each = []
+        for k in range(0, len(keys), n):
+            found = []
+            for key in keys[k : k + n]:
+                landmark = self._first.get(key, NONE)
+                while landmark != NONE:
+                    found.append(landmark)
+                    landmark = int(self._table.next_in_cell[landmark])
+            each.append(np.array(found, dtype=np.int64))
+        return each
 
     def holds(self, landmarks: Ints) -> Bools:
         """Return which landmarks (k,) are in the index."""

@@ -21,6 +21,7 @@ from numba.core import event
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import FunctionPass, register_pass
+from numba.core.targetconfig import TargetConfig
 from numba.core.typed_passes import NopythonRewrites
 
 Function = TypeVar("Function", bound=Callable[..., object])
@@ -123,3 +124,25 @@ class _Watch(event.Listener):
 
 
 cast("Any", event).register("numba:compile", _Watch())
+
+
+class _Flags(cast("Any", TargetConfig)):  # type: ignore[misc]
+    """Compiler flags that are compared by those that are set, not by all including the defaults.
+
+    numba compares its flags tens of thousands of times, a tenth of the time of compilation.
+    """
+
+    _values: dict[str, Any]
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, TargetConfig):
+            return NotImplemented
+        flags = cast("_Flags", other)
+        return bool(self._values == flags._values or self.values() == flags.values())
+
+    def __hash__(self) -> int:
+        return hash(type(self))
+
+
+for _method in ("__eq__", "__hash__"):
+    setattr(TargetConfig, _method, getattr(_Flags, _method))

@@ -88,6 +88,8 @@ class Placing:
         Landmarks that need none are closed at once, so that they do not delay the others.
         """
         waited = self._schedule.waited(self._store.n_iterations)
+        if not len(waited):
+            return None
         needed = self.needs_last_pass(waited)
         if not needed.all():
             self.be_done_with(waited[~needed])

@@ -26,8 +26,6 @@ FAR = 10.0
 """Largest distance of a condensed landmark, relative to the largest observed distance."""
 LENGTH = 8
 """Iterations in a segment: one bit each in the landmarks' visibility."""
-TRIMS = 3
-"""Maximum number of rounds of outlier rejection in a segment."""
 NOWHERE = -1
 """Marks an iteration that saw too little to belong to a segment."""
 
@@ -150,6 +148,8 @@ class CondensedSegments:
         return whole.rows
 
     def _condense(self, store: ObservationStore, end: int, dynamic: Bools) -> None:
+        from relmap.core.refinement.segment_kernels import laid_together
+
         begin, k, d = self.end, end - self.end, store.dimension
         self._make_room(k, d)
         landmarks, iterations = store.seen(begin, end)
@@ -157,11 +157,13 @@ class CondensedSegments:
         block = np.full((len(present), k, d), np.nan)
         block[row, iterations - begin] = store.points(begin, end)
         steady = ~dynamic[present]
-        free = np.isfinite(block[steady, :, :1]).sum(axis=(0, 2)) >= 2
+        own = block if steady.all() else block[steady]
+        free = np.isfinite(own[:, :, :1]).sum(axis=(0, 2)) >= 2
         while free.any():
-            joined, R, t, points, visible, squares = _laid_together(block[steady], free)
+            joined, R, t, points, seen, deviation = laid_together(own, free)
+            visible, squares = _visibility(seen), float(np.sum(deviation**2))
             # Wrong matches can leave a landmark or an iteration without support.
-            reach = FAR * np.nanmax(np.abs(block[steady]))
+            reach = FAR * np.nanmax(np.abs(own))
             visible = np.where(np.abs(points).max(axis=1) <= reach, visible, 0).astype(np.uint8)
             t[np.abs(t).max(axis=1) > reach] = np.nan
             free &= ~joined
@@ -199,28 +201,6 @@ class CondensedSegments:
         self._iteration_segment.resize(self.end + k, NOWHERE)
         self._R.resize(self.end, np.nan)
         self._t.resize(self.end, np.nan)
-
-
-def _laid_together(
-    block: Floats, free: Bools
-) -> tuple[Bools, Floats, Floats, Floats, NDArray[np.uint8], float]:
-    """Align the largest consistent set of the free iterations (k,) of a block (n, k, d).
-
-    Returns these iterations, their poses R (k, d, d) and t (k, d), the positions (n, d) and
-    visibility (n,) of the landmarks, and the sum of the squared deviations from these positions.
-    """
-    from relmap.core.refinement.segment_kernels import join, settle, trim
-
-    seen = np.isfinite(block[:, :, 0]) & free
-    seed = int(np.argmax(seen.sum(axis=0)))
-    joined, R, t = join(block, seen, free, seed)
-    seen &= joined
-    places, counts, deviation = settle(block, seen, joined, R, t)
-    for _ in range(TRIMS):
-        if not trim(deviation, places, counts, seen):
-            break
-        places, counts, deviation = settle(block, seen, joined, R, t)
-    return joined, R, t, places, _visibility(seen), float(np.sum(deviation**2))
 
 
 def _visibility(seen: Bools) -> NDArray[np.uint8]:

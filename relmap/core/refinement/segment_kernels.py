@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from relmap.core.arrays import Bools, Floats
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.geometry.fitting_kernels import centre_of, fit_rows, set_placement
 from relmap.core.grouping.averaging_kernels import place
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import median
-from relmap.core.linalg.small_kernels import diagonalise, identity
+from relmap.core.linalg.small_kernels import diagonalise, identity, unset
 
 LEVERAGE = 20.0
 """Largest distance of an iteration's points, relative to those that align it to its segment."""
@@ -17,6 +17,8 @@ ROUNDS = 10
 """Rounds of alignment in a segment; each reduces the error about fivefold."""
 OUTLIER = 10.0
 """Deviation of an observation, in medians of its segment, above which it is an outlier."""
+TRIMS = 3
+"""Maximum number of rounds of outlier rejection in a segment."""
 EXACT = 1e-9
 """Deviation, as a fraction of the extent, treated as rounding."""
 
@@ -37,12 +39,12 @@ def _is_tied(here: Floats, rows: Bools, scatter: Floats) -> bool:
     return bool(farthest <= LEVERAGE * LEVERAGE * across)
 
 
-@compiled
-def join(block: Floats, seen: Bools, free: Bools, seed: int) -> tuple[Bools, Floats, Floats]:
+@helper
+def _join(block: Floats, seen: Bools, free: Bools, seed: int) -> tuple[Bools, Floats, Floats]:
     """Align iterations to the earlier ones, from the seed outwards, while well determined."""
     n, k, d = block.shape
     R, t, joined = np.zeros((k, d, d)), np.zeros((k, d)), np.zeros(k, dtype=np.bool_)
-    placed, here, rows = np.empty((n, k, d)), np.empty((n, d)), np.zeros(n, dtype=np.bool_)
+    placed, here, rows = np.empty((n, d)), np.empty((n, d)), np.zeros(n, dtype=np.bool_)
     sums, counts, reference = np.zeros((n, d)), np.zeros(n), np.zeros((n, d))
     again = True
     while again:
@@ -57,7 +59,7 @@ def join(block: Floats, seen: Bools, free: Bools, seed: int) -> tuple[Bools, Flo
                 n_rows += rows[i]
                 for a in range(d):
                     here[i, a] = block[i, at, a]
-            turn, shift, fixed, scatter = fit_rows(here, reference, rows, identity(d))
+            turn, shift, fixed, scatter, _ = fit_rows(here, reference, rows, identity(d))
             if at != seed and not (n_rows >= d and fixed and _is_tied(here, rows, scatter)):
                 continue
             joined[at] = again = True
@@ -66,7 +68,7 @@ def join(block: Floats, seen: Bools, free: Bools, seed: int) -> tuple[Bools, Flo
             for i in range(n):
                 counts[i] += seen[i, at]
                 for a in range(d):
-                    sums[i, a] += placed[i, at, a] if seen[i, at] else 0.0
+                    sums[i, a] += placed[i, a] if seen[i, at] else 0.0
                     reference[i, a] = sums[i, a] / max(counts[i], 1)
     return joined, R, t
 
@@ -93,8 +95,46 @@ def _mean_of(block: Floats, seen: Bools, R: Floats, t: Floats) -> tuple[Floats, 
     return mean, counts, deviation
 
 
-@compiled
-def settle(
+@helper
+def _shared(block: Floats, seen: Bools, counts: Floats) -> tuple[Floats, Ints, Ints]:
+    """Return the observations (p, d) of landmarks seen twice, by iteration, and where each begins.
+
+    Between them, the landmark of each (p,).
+    """
+    n, k, d = block.shape
+    points, of, begin, p = np.empty((n * k, d)), unset(n * k), unset(k + 1), 0
+    for m in range(k):
+        begin[m] = p
+        for i in range(n):
+            if seen[i, m] and counts[i] > 1:
+                of[p] = i
+                for a in range(d):
+                    points[p, a] = block[i, m, a]
+                p += 1
+    begin[k] = p
+    return points, of, begin
+
+
+@helper
+def _mean_place(
+    points: Floats, of: Ints, begin: Ints, R: Floats, t: Floats, counts: Floats
+) -> Floats:
+    """Return the mean places (n, d) of landmarks from what `_shared` returns."""
+    n, d = len(counts), points.shape[1]
+    mean, placed = np.zeros((n, d)), np.empty((n, d))
+    for m in range(len(begin) - 1):
+        place(points[begin[m] : begin[m + 1]], R, t, m, placed)
+        for j in range(begin[m], begin[m + 1]):
+            for a in range(d):
+                mean[of[j], a] += placed[j - begin[m], a]
+    for i in range(n):
+        for a in range(d):
+            mean[i, a] /= max(counts[i], 1)
+    return mean
+
+
+@helper
+def _settle(
     block: Floats, seen: Bools, joined: Bools, R: Floats, t: Floats
 ) -> tuple[Floats, Floats, Floats]:
     """Align the iterations of a segment jointly; R and t are updated in place.
@@ -102,24 +142,25 @@ def settle(
     Each is fitted to the mean of all, alternately (generalised Procrustes analysis; Gower, 1975).
     """
     n, k, d = block.shape
-    here, rows = np.empty((n, d)), np.empty(n, dtype=np.bool_)
+    _, counts, _ = _mean_of(block, seen, R, t)
+    points, of, begin = _shared(block, seen, counts)
+    target, every = np.empty((n, d)), np.ones(n, dtype=np.bool_)
     for _ in range(ROUNDS):
-        mean, counts, _ = _mean_of(block, seen, R, t)
+        mean = _mean_place(points, of, begin, R, t, counts)
         for m in range(k):
-            if not joined[m]:
-                continue
-            for i in range(n):
-                rows[i] = seen[i, m] and counts[i] > 1
+            n_rows = begin[m + 1] - begin[m] if joined[m] else 0
+            for j in range(n_rows):
                 for a in range(d):
-                    here[i, a] = block[i, m, a]
-            turn, shift, fixed, _ = fit_rows(here, mean, rows, R[m].copy())
+                    target[j, a] = mean[of[begin[m] + j], a]
+            here = points[begin[m] : begin[m] + n_rows]
+            turn, shift, fixed, _, _ = fit_rows(here, target[:n_rows], every, R[m].copy())
             if fixed:
                 set_placement(R, t, m, turn, shift)
     return _mean_of(block, seen, R, t)
 
 
-@compiled
-def trim(deviation: Floats, mean: Floats, counts: Floats, seen: Bools) -> bool:
+@helper
+def _trim(deviation: Floats, mean: Floats, counts: Floats, seen: Bools) -> bool:
     """Drop the worst observation of each iteration if it is an outlier; return whether any is.
 
     Only the worst, because the others may deviate because of it.
@@ -148,3 +189,33 @@ def trim(deviation: Floats, mean: Floats, counts: Floats, seen: Bools) -> bool:
             seen[worst, m] = False
             found = True
     return found
+
+
+@compiled
+def laid_together(
+    block: Floats, free: Bools
+) -> tuple[Bools, Floats, Floats, Floats, Bools, Floats]:
+    """Align the largest consistent set of the free iterations (k,) of a block (n, k, d).
+
+    Returns these iterations, their poses R (k, d, d) and t (k, d), the positions (n, d) of the
+    landmarks, which observations they rest on (n, k), and the deviations (n, k, d) of these.
+    """
+    n, k, _ = block.shape
+    seen, seed, most = np.zeros((n, k), dtype=np.bool_), 0, -1
+    for m in range(k):
+        n_seen = 0
+        for i in range(n):
+            seen[i, m] = free[m] and not np.isnan(block[i, m, 0])
+            n_seen += seen[i, m]
+        if n_seen > most:
+            seed, most = m, n_seen
+    joined, R, t = _join(block, seen, free, seed)
+    for m in range(k):
+        for i in range(n):
+            seen[i, m] = seen[i, m] and joined[m]
+    places, counts, deviation = _settle(block, seen, joined, R, t)
+    for _ in range(TRIMS):
+        if not _trim(deviation, places, counts, seen):
+            break
+        places, counts, deviation = _settle(block, seen, joined, R, t)
+    return joined, R, t, places, seen, deviation

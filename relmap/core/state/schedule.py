@@ -81,6 +81,8 @@ class GroupingSchedule:
         A landmark whose group fails is due again after as many more observations.
         """
         ready = landmarks[self._table.in_interval[landmarks] % self.group_after == 0]
+        if not len(ready):
+            return
         ready = ready[self.level_due(ready) > 0]
         self._due = np.concatenate([self._due, ready[~np.isin(ready, self._due)]])
 
@@ -89,6 +91,8 @@ class GroupingSchedule:
 
         Lower levels come first, then the landmarks seen longest.
         """
+        if not len(self._due):
+            return None
         level = self.level_due(self._due)
         self._due, level = self._due[level > 0], level[level > 0]
         if not len(self._due):

@@ -180,13 +180,13 @@ class LandmarkState:
         self.resize(int(landmarks.max(initial=-1)) + 1, iteration, points.shape[1])
         self.track_end[landmarks] = iteration
         self.track_observations[landmarks] += 1
-        return self.now(landmarks)
+        return self.landmark_of[landmarks]
 
     def now(self, landmarks: Ints) -> Ints:
         """Return the landmarks (any shape) after merging, given their numbers; -1 stays."""
-        merged = landmarks.copy()
-        merged[landmarks >= 0] = self.landmark_of[landmarks[landmarks >= 0]]
-        return merged
+        if not len(self):
+            return landmarks.copy()
+        return np.where(landmarks >= 0, self.landmark_of[landmarks], landmarks)
 
     def see(self, landmarks: Ints, iteration: int) -> None:
         """Record which landmarks (k,) are seen."""
