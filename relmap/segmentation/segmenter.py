@@ -164,13 +164,13 @@ class PlaneSegmenter:
         from relmap.segmentation.em import search
         from relmap.segmentation.scanline import lines
 
-        rng = np.random.default_rng(self.random_state)
         if method == "scanlines":
             mixture, labels = lines.scan_walls(xy, self.noise)
             sharp = meet(lines.extend_to_beams(mixture, xy, labels), len(xy))
             curved = lines.on_curves(mixture, xy, labels)
             hidden = lines.hidden_ends(xy, labels) | curved
             return replace(sharp, joined=sharp.joined & ~curved, hidden=hidden), labels
+        rng = np.random.default_rng(self.random_state)
         if method == "em":
             mixture = search.fit_walls(xy, self.noise, rng)
             sharp = sharpen(mixture, search.part(xy, search.POLISHED, rng))

@@ -173,13 +173,21 @@ class Rigidity:
 
     def _fit(self, places: _Places | None, scan: _Places) -> _Fit | None:
         """Align places to a scan; None if they have too few landmarks in common."""
-        from relmap.core.association.rigidity_kernels import lay_on
+        from relmap.core.association.rigidity_kernels import matched, misfits
+        from relmap.core.geometry.fitting_kernels import trimmed_fit_rows
 
         if places is None or len(scan.ids) < PLENTY:
             return None
-        limits = (self._tolerance_m(), SAMPLE, PLENTY)
-        fit = _Fit(*lay_on(places.ids, places.points, scan.ids, scan.points, limits))
-        return fit if len(fit.rows) >= PLENTY else None
+        rows, shared, source, target = matched(
+            places.ids, places.points, scan.ids, scan.points, SAMPLE
+        )
+        if len(rows) < PLENTY:
+            return None
+        R, t, n_agreeing = trimmed_fit_rows(source, target, self._tolerance_m())
+        if n_agreeing < 0:
+            return _Fit(rows, shared, R, t, np.empty(0), np.inf, np.inf)
+        of = misfits(places.points, scan.points, (rows, shared), R, t)
+        return _Fit(rows, shared, R, t, *of)
 
     def _usual(self) -> float:
         """Return the usual median misfit, metres."""

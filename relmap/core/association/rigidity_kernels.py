@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.geometry.fitting_kernels import trimmed_fit_rows
-from relmap.core.linalg.compiling import compiled, helper
+from relmap.core.linalg.compiling import compiled
 from relmap.core.linalg.order_kernels import smallest
 
 
@@ -22,10 +21,15 @@ def extent_of(points: Floats) -> float:
     return longest
 
 
-@helper
-def _in_both(ids: Ints, scan_ids: Ints) -> tuple[Ints, Ints]:
-    """Return the positions, in two ascending lists, of the ids contained in both."""
-    n, m = len(ids), len(scan_ids)
+@compiled
+def matched(
+    ids: Ints, points: Floats, scan_ids: Ints, scan_points: Floats, most: int
+) -> tuple[Ints, Ints, Floats, Floats]:
+    """Return the rows (k,) in two ascending lists of the ids in both, and a sample of the points.
+
+    The sample contains at most so many pairs of landmarks (n, d) and of the scan (m, d).
+    """
+    n, m, d = len(ids), len(scan_ids), points.shape[1]
     rows, shared = np.empty(min(n, m), dtype=np.int64), np.empty(min(n, m), dtype=np.int64)
     k, i, j = 0, 0, 0
     while i < n and j < m:
@@ -36,35 +40,24 @@ def _in_both(ids: Ints, scan_ids: Ints) -> tuple[Ints, Ints]:
             i += 1
         else:
             j += 1
-    return rows[:k], shared[:k]
-
-
-@compiled
-def lay_on(
-    ids: Ints, points: Floats, scan_ids: Ints, scan_points: Floats, limits: tuple[float, int, int]
-) -> tuple[Ints, Ints, Floats, Floats, Floats, float, float]:
-    """Fit landmarks (n, d) to those of the same ids in a scan (m, d); both ids ascend.
-
-    The limits are the tolerance and the maximum and minimum number of pairs to fit.  Returns the
-    rows of both, R, t, the misfits, their upper median and the largest; with too few pairs, or too
-    few that agree, there are no misfits and these are infinite.
-    """
-    tolerance_m, sample, fewest = limits
-    rows, shared = _in_both(ids, scan_ids)
-    k, d = len(rows), points.shape[1]
-    if k < fewest:
-        return rows, shared, np.empty((d, d)), np.empty(d), np.empty(0), np.inf, np.inf
-    every = -(-k // sample)
-    n_fitted = (k - 1) // every + 1
-    source, target = np.empty((n_fitted, d)), np.empty((n_fitted, d))
-    for pair in range(n_fitted):
+    every = max(-(-k // most), 1)
+    n_sample = -(-k // every)
+    source, target = np.empty((n_sample, d)), np.empty((n_sample, d))
+    for pair in range(n_sample):
         for a in range(d):
             source[pair, a] = points[rows[pair * every], a]
             target[pair, a] = scan_points[shared[pair * every], a]
-    R, t, n_agreeing = trimmed_fit_rows(source, target, tolerance_m)
-    if n_agreeing < 0:
-        return rows, shared, R, t, np.empty(0), np.inf, np.inf
-    misfit, listed, largest = np.empty(k), np.empty(k), 0.0
+    return rows[:k], shared[:k], source, target
+
+
+@compiled
+def misfits(
+    points: Floats, scan_points: Floats, pairs: tuple[Ints, Ints], R: Floats, t: Floats
+) -> tuple[Floats, float, float]:
+    """Return the misfits (k,) of placed pairs of points, their upper median and the largest."""
+    rows, shared = pairs
+    k, d, largest = len(rows), points.shape[1], 0.0
+    misfit, listed = np.empty(k), np.empty(k)
     for pair in range(k):
         square = 0.0
         for a in range(d):
@@ -74,7 +67,7 @@ def lay_on(
             square += apart * apart
         misfit[pair] = listed[pair] = np.sqrt(square)
         largest = max(largest, misfit[pair])
-    return rows, shared, R, t, misfit, smallest(listed, k // 2), largest
+    return misfit, smallest(listed, k // 2), largest
 
 
 @compiled

@@ -35,26 +35,19 @@ def _moments(source: Floats, target: Floats, rows: Bools, means: Floats) -> tupl
     The moments are the cross moment of source and target and the scatter of the source, padded with
     zeros in the plane.
     """
-    moment, scatter, space = np.empty((3, 3)), np.empty((3, 3)), source.shape[1] == 3
-    ax, ay, az = means[0, 0], means[0, 1], means[0, 2]
-    bx, by, bz = means[1, 0], means[1, 1], means[1, 2]
-    xu, xv, xw, yu, yv, yw, zu, zv, zw = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    xx, xy, xz, yy, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    moment, scatter, space = np.zeros((3, 3)), np.zeros((3, 3)), source.shape[1] == 3
     for i in range(len(source)):
         if rows[i]:
-            x, y, z = source[i, 0] - ax, source[i, 1] - ay, source[i, 2] - az if space else 0.0
-            u, v, w = target[i, 0] - bx, target[i, 1] - by, target[i, 2] - bz if space else 0.0
-            xu, xv, xw = xu + x * u, xv + x * v, xw + x * w
-            yu, yv, yw = yu + y * u, yv + y * v, yw + y * w
-            zu, zv, zw = zu + z * u, zv + z * v, zw + z * w
-            xx, xy, xz = xx + x * x, xy + x * y, xz + x * z
-            yy, yz, zz = yy + y * y, yz + y * z, zz + z * z
-    moment[0, 0], moment[0, 1], moment[0, 2] = xu, xv, xw
-    moment[1, 0], moment[1, 1], moment[1, 2] = yu, yv, yw
-    moment[2, 0], moment[2, 1], moment[2, 2] = zu, zv, zw
-    scatter[0, 0], scatter[1, 1], scatter[2, 2] = xx, yy, zz
-    scatter[0, 1], scatter[0, 2], scatter[1, 2] = xy, xz, yz
-    scatter[1, 0], scatter[2, 0], scatter[2, 1] = xy, xz, yz
+            x, y = source[i, 0] - means[0, 0], source[i, 1] - means[0, 1]
+            z = source[i, 2] - means[0, 2] if space else 0.0
+            for b in range(source.shape[1]):
+                to, own = target[i, b] - means[1, b], source[i, b] - means[0, b]
+                moment[0, b] += x * to
+                moment[1, b] += y * to
+                moment[2, b] += z * to
+                scatter[0, b] += x * own
+                scatter[1, b] += y * own
+                scatter[2, b] += z * own
     return moment, scatter
 
 
@@ -90,12 +83,14 @@ def swings(points: Floats, rows: Bools) -> Floats:
     means[0, 0], means[0, 1], means[0, 2], count = centre_of(points, rows)
     for a in range(3):
         means[1, a] = means[0, a]
-    enter_swings(points, means, count, _moments(points, points, rows, means)[1], swing)
+    enter_swings(points, means, float(count), _moments(points, points, rows, means)[1], swing)
     return swing
 
 
 @helper
-def enter_swings(points: Floats, means: Floats, count: int, scatter: Floats, swing: Floats) -> None:
+def enter_swings(
+    points: Floats, means: Floats, count: float, scatter: Floats, swing: Floats
+) -> None:
     """Enter the result of `swings` for points (n, d), given the fit; the scatter is overwritten."""
     n, d = points.shape
     x, y, z = means[0, 0], means[0, 1], means[0, 2]

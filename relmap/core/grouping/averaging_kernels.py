@@ -62,9 +62,11 @@ def place_iterations(
     n, m, d = block.shape
     R, t, fixed = np.empty((m, d, d)), np.empty((m, d)), np.zeros(m, dtype=np.bool_)
     here, there, source = np.empty((n, d)), np.empty((n, d)), np.empty((n, d))
-    rows, seen, swing = np.ones(n, dtype=np.bool_), np.empty(n, dtype=np.int64), np.empty(n)
+    rows, seen, swing = np.empty(n, dtype=np.bool_), np.empty(n, dtype=np.int64), np.empty(n)
     placed, of, p = np.empty((n * m, d)), np.empty(n * m, dtype=np.int64), 0
     mean, amplified, guess = np.zeros((n, d)), np.zeros(n), identity(d)
+    for k in range(n):
+        rows[k] = True
     for i in range(m):
         n_seen, n_fitted = 0, 0
         for k in range(n):
@@ -82,7 +84,7 @@ def place_iterations(
         set_placement(R, t, i, turn, shift)
         if fixed[i]:
             guess = turn
-            enter_swings(here[:n_seen], means, n_fitted, scatter, swing)
+            enter_swings(here[:n_seen], means, float(n_fitted), scatter, swing)
             place(here[:n_seen], R, t, i, placed[p : p + n_seen])
             for j in range(n_seen):
                 k, of[p] = seen[j], seen[j]

@@ -138,7 +138,8 @@ class _Flags(cast("Any", TargetConfig)):  # type: ignore[misc]
         if not isinstance(other, TargetConfig):
             return NotImplemented
         flags = cast("_Flags", other)
-        return bool(self._values == flags._values or self.values() == flags.values())
+        names = self._values.keys() | flags._values.keys()
+        return all(getattr(self, name) == getattr(flags, name) for name in names)
 
     def __hash__(self) -> int:
         return hash(type(self))

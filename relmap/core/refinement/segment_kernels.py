@@ -40,9 +40,23 @@ def _is_tied(here: Floats, rows: Bools, scatter: Floats) -> bool:
 
 
 @helper
-def _join(block: Floats, seen: Bools, free: Bools, seed: int) -> tuple[Bools, Floats, Floats]:
-    """Align iterations to the earlier ones, from the seed outwards, while well determined."""
+def _fullest(seen: Bools) -> int:
+    """Return the first column of those with most of what is seen (n, k)."""
+    counts = np.zeros(seen.shape[1])
+    fullest = 0
+    for i in range(len(seen)):
+        for m in range(seen.shape[1]):
+            counts[m] += seen[i, m]
+    for m in range(len(counts)):
+        fullest = m if counts[m] > counts[fullest] else fullest
+    return fullest
+
+
+@helper
+def _join(block: Floats, seen: Bools, free: Bools) -> tuple[Bools, Floats, Floats]:
+    """Align iterations to the earlier ones, from the fullest outwards, while well determined."""
     n, k, d = block.shape
+    seed = _fullest(seen)
     R, t, joined = np.zeros((k, d, d)), np.zeros((k, d)), np.zeros(k, dtype=np.bool_)
     placed, here, rows = np.empty((n, d)), np.empty((n, d)), np.zeros(n, dtype=np.bool_)
     sums, counts, reference = np.zeros((n, d)), np.zeros(n), np.zeros((n, d))
@@ -74,35 +88,17 @@ def _join(block: Floats, seen: Bools, free: Bools, seed: int) -> tuple[Bools, Fl
 
 
 @helper
-def _mean_of(block: Floats, seen: Bools, R: Floats, t: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return the mean positions (n, d), their counts (n,), and all deviations (n, k, d)."""
-    n, k, d = block.shape
-    mean, counts, deviation = np.zeros((n, d)), np.zeros(n), np.zeros((n, k, d))
-    for i in range(n):
-        for m in range(k):
-            if seen[i, m]:
-                counts[i] += 1
-                for a in range(d):
-                    placed = t[m, a]
-                    for b in range(d):
-                        placed += R[m, a, b] * block[i, m, b]
-                    deviation[i, m, a] = placed
-                    mean[i, a] += placed
-        for a in range(d):
-            mean[i, a] /= max(counts[i], 1)
-            for m in range(k):
-                deviation[i, m, a] -= mean[i, a] if seen[i, m] else 0.0
-    return mean, counts, deviation
-
-
-@helper
 def _shared(block: Floats, seen: Bools, counts: Floats) -> tuple[Floats, Ints, Ints]:
     """Return the observations (p, d) of landmarks seen twice, by iteration, and where each begins.
 
-    Between them, the landmark of each (p,).
+    Between them, the landmark of each (p,).  The counts (n,) are entered.
     """
     n, k, d = block.shape
     points, of, begin, p = np.empty((n * k, d)), unset(n * k), unset(k + 1), 0
+    for i in range(n):
+        counts[i] = 0
+        for m in range(k):
+            counts[i] += seen[i, m]
     for m in range(k):
         begin[m] = p
         for i in range(n):
@@ -134,17 +130,41 @@ def _mean_place(
 
 
 @helper
-def _settle(
-    block: Floats, seen: Bools, joined: Bools, R: Floats, t: Floats
-) -> tuple[Floats, Floats, Floats]:
+def _deviations(
+    block: Floats, seen: Bools, R: Floats, t: Floats, counts: Floats
+) -> tuple[Floats, Floats]:
+    """Return the mean places (n, d) of all landmarks, and all deviations (n, k, d) from them."""
+    n, k, d = block.shape
+    mean, deviation = np.zeros((n, d)), np.zeros((n, k, d))
+    for i in range(n):
+        for m in range(k):
+            if seen[i, m]:
+                for a in range(d):
+                    placed = t[m, a]
+                    for b in range(d):
+                        placed += R[m, a, b] * block[i, m, b]
+                    deviation[i, m, a] = placed
+                    mean[i, a] += placed
+        for a in range(d):
+            mean[i, a] /= max(counts[i], 1)
+            for m in range(k):
+                deviation[i, m, a] -= mean[i, a] if seen[i, m] else 0.0
+    return mean, deviation
+
+
+@helper
+def _settle(block: Floats, seen: Bools, joined: Bools, R: Floats, t: Floats) -> Floats:
     """Align the iterations of a segment jointly; R and t are updated in place.
+
+    Returns the number of observations of each landmark (n,).
 
     Each is fitted to the mean of all, alternately (generalised Procrustes analysis; Gower, 1975).
     """
     n, k, d = block.shape
-    _, counts, _ = _mean_of(block, seen, R, t)
+    counts, target, every = np.empty(n), np.empty((n, d)), np.empty(n, dtype=np.bool_)
     points, of, begin = _shared(block, seen, counts)
-    target, every = np.empty((n, d)), np.ones(n, dtype=np.bool_)
+    for i in range(n):
+        every[i] = True
     for _ in range(ROUNDS):
         mean = _mean_place(points, of, begin, R, t, counts)
         for m in range(k):
@@ -156,7 +176,7 @@ def _settle(
             turn, shift, fixed, _, _ = fit_rows(here, target[:n_rows], every, R[m].copy())
             if fixed:
                 set_placement(R, t, m, turn, shift)
-    return _mean_of(block, seen, R, t)
+    return counts
 
 
 @helper
@@ -201,21 +221,18 @@ def laid_together(
     landmarks, which observations they rest on (n, k), and the deviations (n, k, d) of these.
     """
     n, k, _ = block.shape
-    seen, seed, most = np.zeros((n, k), dtype=np.bool_), 0, -1
-    for m in range(k):
-        n_seen = 0
-        for i in range(n):
+    seen = np.zeros((n, k), dtype=np.bool_)
+    for i in range(n):
+        for m in range(k):
             seen[i, m] = free[m] and not np.isnan(block[i, m, 0])
-            n_seen += seen[i, m]
-        if n_seen > most:
-            seed, most = m, n_seen
-    joined, R, t = _join(block, seen, free, seed)
-    for m in range(k):
-        for i in range(n):
+    joined, R, t = _join(block, seen, free)
+    for i in range(n):
+        for m in range(k):
             seen[i, m] = seen[i, m] and joined[m]
-    places, counts, deviation = _settle(block, seen, joined, R, t)
-    for _ in range(TRIMS):
-        if not _trim(deviation, places, counts, seen):
-            break
-        places, counts, deviation = _settle(block, seen, joined, R, t)
-    return joined, R, t, places, seen, deviation
+    rounds = 0
+    while True:
+        counts = _settle(block, seen, joined, R, t)
+        places, deviation = _deviations(block, seen, R, t, counts)
+        if rounds == TRIMS or not _trim(deviation, places, counts, seen):
+            return joined, R, t, places, seen, deviation
+        rounds += 1
