@@ -8,6 +8,7 @@ to the relative map by least squares, and its observations are averaged as well.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -54,7 +55,7 @@ class RelativeMap:
     common_interval: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     given: Floats | None = None
 
-    @property
+    @cached_property
     def n_used(self) -> Ints:
         """Number of observations behind each position; (n,)."""
         return np.asarray(self.used.sum(axis=1))

@@ -32,8 +32,12 @@ class GlobalMap:
 
     def submaps_of(self, landmarks: Ints, at_least: int = 1) -> Ints:
         """Return the submaps that contain so many of the landmarks, the oldest first."""
-        submaps, counts = np.unique(self.table.submap[landmarks], return_counts=True)
-        return np.asarray(submaps[(submaps != NONE) & (counts >= at_least)])
+        own = self.table.submap[landmarks]
+        own = own[own != NONE]
+        if len(own) and (own == own[0]).all():
+            return np.asarray(own[:1] if len(own) >= at_least else own[:0])
+        submaps, counts = np.unique(own, return_counts=True)
+        return np.asarray(submaps[counts >= at_least])
 
     def weights_in(self, submap: int, landmarks: Ints) -> Floats:
         """Return the weights (g,) of landmarks, 0 outside the submap."""

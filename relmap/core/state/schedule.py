@@ -84,7 +84,9 @@ class GroupingSchedule:
         if not len(ready):
             return
         ready = ready[self.level_due(ready) > 0]
-        self._due = np.concatenate([self._due, ready[~np.isin(ready, self._due)]])
+        queued = set(self._due.tolist())
+        fresh = [landmark for landmark in ready.tolist() if landmark not in queued]
+        self._due = np.append(self._due, np.array(fresh, dtype=np.int64))
 
     def next_due(self) -> tuple[int, int] | None:
         """Remove a landmark that is still due from the queue; return it with its level.

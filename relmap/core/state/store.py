@@ -77,11 +77,15 @@ class ObservationStore:
         self._slots: GrowingArray[np.int64] = GrowingArray(np.int64)
         self._stored_from = 0
         self._first_iteration = 0
+        self._dimension = 0
 
     @property
     def dimension(self) -> int:
         """2 in a planar world, 3 in space, 0 before any observation."""
-        return int(self.points(self._first_iteration, self._first_iteration).shape[1])
+        if not self._dimension:
+            none = self.points(self._first_iteration, self._first_iteration)
+            self._dimension = int(none.shape[1])
+        return self._dimension
 
     @property
     def n_iterations(self) -> int:
