@@ -48,8 +48,9 @@ BARS = (
     ("KISS-ICP", 0.7, 0.35),
     ("KISS-ICP", 0.5, 0.25),
 )
-"""What relmap is held against at each density, and how many times its mean time it may take, without
-and with ids."""
+"""What relmap is held against at each density, and how many times its mean time it may take.
+
+Without ids and with them."""
 OURS = ("relmap nearest", "relmap known")
 
 Step = Callable[[Scan], object]

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.arrays import Bools, Floats
 from relmap.core.geometry.fitting_kernels import centre_of, fit_rows, set_placement
 from relmap.core.grouping.averaging_kernels import place
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import median
-from relmap.core.linalg.small_kernels import diagonalise, identity, unset
+from relmap.core.linalg.small_kernels import diagonalise, identity
 
 LEVERAGE = 20.0
 """Largest distance of an iteration's points, relative to those that align it to its segment."""
@@ -88,57 +88,14 @@ def _join(block: Floats, seen: Bools, free: Bools) -> tuple[Bools, Floats, Float
 
 
 @helper
-def _shared(block: Floats, seen: Bools, counts: Floats) -> tuple[Floats, Ints, Ints]:
-    """Return the observations (p, d) of landmarks seen twice, by iteration, and where each begins.
-
-    Between them, the landmark of each (p,).  The counts (n,) are entered.
-    """
+def _mean_of(block: Floats, seen: Bools, R: Floats, t: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return the mean positions (n, d), their counts (n,), and all deviations (n, k, d)."""
     n, k, d = block.shape
-    points, of, begin, p = np.empty((n * k, d)), unset(n * k), unset(k + 1), 0
-    for i in range(n):
-        counts[i] = 0
-        for m in range(k):
-            counts[i] += seen[i, m]
-    for m in range(k):
-        begin[m] = p
-        for i in range(n):
-            if seen[i, m] and counts[i] > 1:
-                of[p] = i
-                for a in range(d):
-                    points[p, a] = block[i, m, a]
-                p += 1
-    begin[k] = p
-    return points, of, begin
-
-
-@helper
-def _mean_place(
-    points: Floats, of: Ints, begin: Ints, R: Floats, t: Floats, counts: Floats
-) -> Floats:
-    """Return the mean places (n, d) of landmarks from what `_shared` returns."""
-    n, d = len(counts), points.shape[1]
-    mean, placed = np.zeros((n, d)), np.empty((n, d))
-    for m in range(len(begin) - 1):
-        place(points[begin[m] : begin[m + 1]], R, t, m, placed)
-        for j in range(begin[m], begin[m + 1]):
-            for a in range(d):
-                mean[of[j], a] += placed[j - begin[m], a]
-    for i in range(n):
-        for a in range(d):
-            mean[i, a] /= max(counts[i], 1)
-    return mean
-
-
-@helper
-def _deviations(
-    block: Floats, seen: Bools, R: Floats, t: Floats, counts: Floats
-) -> tuple[Floats, Floats]:
-    """Return the mean places (n, d) of all landmarks, and all deviations (n, k, d) from them."""
-    n, k, d = block.shape
-    mean, deviation = np.zeros((n, d)), np.zeros((n, k, d))
+    mean, counts, deviation = np.zeros((n, d)), np.zeros(n), np.zeros((n, k, d))
     for i in range(n):
         for m in range(k):
             if seen[i, m]:
+                counts[i] += 1
                 for a in range(d):
                     placed = t[m, a]
                     for b in range(d):
@@ -149,34 +106,29 @@ def _deviations(
             mean[i, a] /= max(counts[i], 1)
             for m in range(k):
                 deviation[i, m, a] -= mean[i, a] if seen[i, m] else 0.0
-    return mean, deviation
+    return mean, counts, deviation
 
 
 @helper
-def _settle(block: Floats, seen: Bools, joined: Bools, R: Floats, t: Floats) -> Floats:
+def _settle(block: Floats, seen: Bools, joined: Bools, R: Floats, t: Floats) -> None:
     """Align the iterations of a segment jointly; R and t are updated in place.
-
-    Returns the number of observations of each landmark (n,).
 
     Each is fitted to the mean of all, alternately (generalised Procrustes analysis; Gower, 1975).
     """
     n, k, d = block.shape
-    counts, target, every = np.empty(n), np.empty((n, d)), np.empty(n, dtype=np.bool_)
-    points, of, begin = _shared(block, seen, counts)
-    for i in range(n):
-        every[i] = True
+    here, rows = np.empty((n, d)), np.empty(n, dtype=np.bool_)
     for _ in range(ROUNDS):
-        mean = _mean_place(points, of, begin, R, t, counts)
+        mean, counts, _ = _mean_of(block, seen, R, t)
         for m in range(k):
-            n_rows = begin[m + 1] - begin[m] if joined[m] else 0
-            for j in range(n_rows):
+            if not joined[m]:
+                continue
+            for i in range(n):
+                rows[i] = seen[i, m] and counts[i] > 1
                 for a in range(d):
-                    target[j, a] = mean[of[begin[m] + j], a]
-            here = points[begin[m] : begin[m] + n_rows]
-            turn, shift, fixed, _, _ = fit_rows(here, target[:n_rows], every, R[m].copy())
+                    here[i, a] = block[i, m, a]
+            turn, shift, fixed, _, _ = fit_rows(here, mean, rows, R[m].copy())
             if fixed:
                 set_placement(R, t, m, turn, shift)
-    return counts
 
 
 @helper
@@ -231,8 +183,8 @@ def laid_together(
             seen[i, m] = seen[i, m] and joined[m]
     rounds = 0
     while True:
-        counts = _settle(block, seen, joined, R, t)
-        places, deviation = _deviations(block, seen, R, t, counts)
+        _settle(block, seen, joined, R, t)
+        places, counts, deviation = _mean_of(block, seen, R, t)
         if rounds == TRIMS or not _trim(deviation, places, counts, seen):
             return joined, R, t, places, seen, deviation
         rounds += 1
