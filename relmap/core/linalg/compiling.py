@@ -138,8 +138,7 @@ class _Flags(cast("Any", TargetConfig)):  # type: ignore[misc]
         if not isinstance(other, TargetConfig):
             return NotImplemented
         flags = cast("_Flags", other)
-        names = self._values.keys() | flags._values.keys()
-        return all(getattr(self, name) == getattr(flags, name) for name in names)
+        return bool(self._values == flags._values or self.values() == flags.values())
 
     def __hash__(self) -> int:
         return hash(type(self))
