@@ -12,6 +12,7 @@ from relmap.core.refinement.joint import refine
 from relmap.core.state.store import ObservationStore
 from relmap.evaluation.run import run_mapper
 from relmap.io.results import json_text
+from relmap.plots.run import weak_places
 from relmap.simulation import simulate_figure_eight
 from tests.worlds import mapped, walk
 
@@ -84,3 +85,14 @@ def test_the_summary_lists_weak_places() -> None:
     assert worst == sorted(worst, reverse=True)
     json_text(told)
     assert run_mapper(PointMapper(), log, "nearest").result.summary["refinement"] is None
+
+
+def test_rounding_is_no_weak_place() -> None:
+    log = simulate_figure_eight(iterations=60, sigma=0.0).log
+    result = run_mapper(PointMapper(), log, "nearest", refine=True).result
+    told = result.summary["refinement"]
+    assert told["noise_m"] < 1e-12
+    assert told["weakest_segments"][0]["residual"] > 2
+    assert all(len(places) == 0 for places in weak_places(result).values())
+    told["noise_m"] = 0.05
+    assert sum(map(len, weak_places(result).values())) > 0

@@ -213,7 +213,7 @@ def _compared(
     for number, method in enumerate(methods, 1):
         with busy(f"{method.name}, method {number} of {len(methods)}"):
             row = next(running)
-        if row.note:
+        if row.note and not method.missing:
             typer.echo(f"relmap: {method.name} {row.note}", err=True)
         yield row
 

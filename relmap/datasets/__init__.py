@@ -179,10 +179,10 @@ def _choose(
             f"{shown(path)}: may be {candidates}, expected one: name it with --format"
         )
     known = "; ".join(f"{dataset.name}: {dataset.description}" for dataset in datasets)
-    raise RelmapError(f"{shown(path)}: {_found_instead(path, what)}, expected {known}")
+    raise RelmapError(f"{shown(path)}: {_found_instead(path, what, names)}, expected {known}")
 
 
-def _found_instead(path: Path, what: str) -> str:
+def _found_instead(path: Path, what: str, formats: Sequence[str]) -> str:
     """Describe the content of a path that no format of the wanted kind recognises."""
     others: tuple[Dataset[Any], ...] = DATASETS
     other, variant = _LANDMARK_LOG, "points"
@@ -201,6 +201,10 @@ def _found_instead(path: Path, what: str) -> str:
         return f"is {foreign}, not a {what}"
     with open_text(path) as stream:
         head = read_head(path, stream)
-    table = what == _LANDMARK_LOG and len(head.columns) > 1
-    hint = " (other column names are given with --columns)" if table else ""
-    return f"line {head.line}: {quoted(','.join(head.columns))} does not begin a {what}{hint}"
+    found = f"line {head.line}: {quoted(','.join(head.columns))} does not begin a {what}"
+    if what == _LANDMARK_LOG and len(head.columns) > 1:
+        raise RelmapError(
+            f"{shown(path)}: {found}, expected iteration,x,y[,z][,id] or, for columns of other "
+            f"names, --columns iteration=...,x=...,y=...; formats: {', '.join(formats)}"
+        )
+    return found

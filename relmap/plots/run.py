@@ -23,6 +23,8 @@ ODOMETRY = "#8e44ad"
 WEAK_COLOUR = "#e67e22"
 WEAK = 2.0
 """Residual, relative to its expectation from noise, above which a place is marked."""
+ROUNDING_M = 1e-9
+"""Noise below which residuals are rounding errors, and no place is marked."""
 MOST_LINKS = 6000
 """Maximum number of links between groups and members; with more, a subset of groups is drawn."""
 
@@ -160,6 +162,8 @@ def _draw_weak_places(axes: Axes, result: Result, pair: list[int]) -> None:
 def weak_places(result: Result) -> dict[str, Floats]:
     """Return positions (n, 3) with residuals much larger than noise explains, by kind."""
     refinement = result.summary.get("refinement") or {}
+    if refinement.get("noise_m", 1.0) < ROUNDING_M:
+        refinement = {}
     segments, merges = (
         [place for place in refinement.get(kind, ()) if place["residual"] > WEAK]
         for kind in ("weakest_segments", "weakest_merges")
