@@ -33,6 +33,11 @@ Example:
 """
 
 INDEX = "index.html"
+INTRODUCTION = """<p>Maps of simulated scans, compared with the truth. RMSE and ATE (of the path)
+are after rigid alignment; coverage is the fraction of the landmarks seen at least ten times that
+are mapped; purity is 1 where every observation is assigned to the right landmark. Reports to pan,
+zoom and replay: <a href="report.html">with ids</a>, <a href="nearest/report.html">without</a>.</p>
+"""
 SPACING_M, ITERATIONS = 0.3, 80
 NOISES = {"little": 0.05, "much": 0.3}
 """Noise of the points on walls, in units of their spacing."""
@@ -135,4 +140,4 @@ def _write_page(path: Path, parts: Sequence[str]) -> None:
     )
     head = f'<meta charset="utf-8"><title>relmap demo</title><style>{style}</style>'
     begin = f'<!DOCTYPE html><html lang="en"><head>{head}</head><body><h1>relmap demo</h1>'
-    atomic_write(path, "\n".join([begin, *parts, "</body></html>\n"]))
+    atomic_write(path, "\n".join([begin, INTRODUCTION, *parts, "</body></html>\n"]))
