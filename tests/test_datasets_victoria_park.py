@@ -59,7 +59,7 @@ def test_victoria_park_with_clock_and_association(tmp_path: Path) -> None:
     ("content", "parts"),
     [
         (TREES.replace("1,300,5", "1,301,5"), ["line 3, field t_ms", "differs within a scan"]),
-        (TREES.replace("3,700", "3,300"), ["line 4, field t_ms", "does not grow"]),
+        (TREES.replace("3,700", "3,300"), ["line 4, field t_ms", "does not increase"]),
         (TREES.replace("5,0,", "5,90,"), ["line 3, field bearing_rad", "radians"]),
         (TREES.replace("scan,", ""), ["line 1", "missing column scan"]),
     ],
@@ -75,8 +75,8 @@ def test_victoria_park_bad_trees(tmp_path: Path, content: str, parts: list[str])
     [
         (CLOCK_FILE, [[0.1, 0.3]], "line 4, field t_ms: expected the scan's time as in Victoria"),
         (CLOCK_FILE, [[0.1, 0.2, 0.3, 0.7]], "line 2, field t_ms: expected the scan's time"),
-        (CLOCK_FILE, [[0.1, 0.3, 0.2, 0.7]], "field TLsr: is not a growing time"),
-        (CLOCK_FILE, [[0.1, 0.3, np.nan, 0.7]], "field TLsr: is not a growing time"),
+        (CLOCK_FILE, [[0.1, 0.3, 0.2, 0.7]], "field TLsr: does not increase"),
+        (CLOCK_FILE, [[0.1, 0.3, np.nan, 0.7]], "field TLsr: does not increase"),
         (CLOCK_FILE, [[]], "not a matrix of numbers"),
         (ASSOCIATION_FILE, ASSOCIATED[:, :5], "field data_sensor_clean_clean"),
         (ASSOCIATION_FILE, ASSOCIATED * np.nan, "field data_sensor_clean_clean"),

@@ -80,7 +80,7 @@ def tie(engine: RelativeMapper) -> None:
         merge_in_place(engine)
     else:
         _close_loops(engine, rows, noise_m)
-    if engine.refined:  # Before that what lies together may not be one.
+    if engine.refined:  # Before that, coinciding landmarks may be distinct.
         merge_doubles(engine.table, merger, engine.merge, engine.averaging.noise.sigma_m)
     merger.sightings = None
 
@@ -208,7 +208,7 @@ def leave_out_rare(engine: RelativeMapper) -> None:
 
 
 def _rare(engine: RelativeMapper) -> Bools:
-    """Tell which landmarks (m,) are mapped though they were seen less often than a group needs."""
+    """Return which landmarks (m,) are mapped with fewer observations than a group needs."""
     table, rows, n = engine.table, engine.rows, len(engine.table)
     if is_bridged(engine):  # Scans of one or two landmarks are in no segment.
         seen = np.bincount(table.now(engine.kept.landmark), minlength=n)

@@ -1,4 +1,4 @@
-"""What odometry adds to the map: it bridges the gaps that landmarks leave."""
+"""Connecting parts of the map by odometry where landmarks leave gaps."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from relmap.core.refinement.resting import at_rest, placed_observations
 from relmap.core.state.table import NONE
 
 AGAIN = 2
-"""Observations of a landmark that tell something of the others."""
+"""Minimum number of observations of a landmark that constrains the poses."""
 
 
 def is_bridged(engine: RelativeMapper) -> bool:
-    """Tell whether the map rests on odometry where landmarks leave gaps."""
+    """Return whether the map depends on odometry where landmarks leave gaps."""
     return engine.odometry is not None and engine.odometry.is_used
 
 
 def bridge_gaps(engine: RelativeMapper, to_the_last: bool = False, is_open: bool = False) -> bool:
-    """Put what odometry ties in one frame, where all that was seen agrees best with it.
+    """Place all parts connected by odometry in one frame, by joint least squares.
 
-    With `is_open`, loops were found that are still open.  Tells whether there was
-    anything to do: where landmarks tie every scan, odometry adds nothing.
+    With `is_open`, loops were found that are still open.  Returns whether there was anything to do:
+    if landmarks connect all scans, odometry adds nothing.
     """
     if not len(engine.motions):
         return False
@@ -85,7 +85,7 @@ def _judged(
 def _solved(
     engine: RelativeMapper, bridged: Bridged, solve: Callable[[Bridged], list[Solved]]
 ) -> tuple[Bridged, list[Solved]]:
-    """Return the parts of a run, those joined that ids tie."""
+    """Return the parts of a run; parts with common ids are joined."""
     solved, has_ids = solve(bridged), engine.association.has_ids
     while has_ids and (joined := join_parts(bridged, solved)) is not None:
         bridged, solved = joined, solve(joined)
@@ -101,7 +101,7 @@ def _solver(
     to_the_last: bool,
     is_open: bool,
 ) -> PartSolver:
-    """Return what solves the parts of a run; `believed` is odometry without constant errors."""
+    """Return the solver of the parts of a run; `believed` is odometry without constant errors."""
     mature = to_the_last and not engine.association.has_ids
     roots = None
     if len(engine.weighed) and not engine.association.estimates_covariances:
@@ -151,7 +151,7 @@ def _moving(engine: RelativeMapper, solved: list[Solved], suspects: Ints) -> Int
 
 
 def _place(engine: RelativeMapper, solved: list[Solved]) -> None:
-    """Put the landmarks of each part in a submap of its own; those of several go to the largest."""
+    """Make each part a submap; landmarks of several parts belong to the largest."""
     table = engine.table
     seen = np.bincount(table.now(engine.kept.landmark), minlength=len(table)).astype(np.float64)
     table.take_off_map(np.flatnonzero(table.submap != NONE))

@@ -1,7 +1,7 @@
-"""How far odometry can be believed: what it gets wrong always, and what it gets wrong by chance.
+"""Systematic errors and noise of odometry.
 
-It is held against motions that landmarks fix better.  Wheels slip, and clocks run late, so the
-fits are robust: half of the steps may be anything.
+Odometry is compared with motions that landmarks determine more accurately.  Wheels slip, and stamps
+may be delayed, so the fits are robust: up to half of the steps may be wrong.
 """
 
 from __future__ import annotations
@@ -15,35 +15,35 @@ from scipy.spatial.transform import Rotation
 from relmap.core.arrays import Bools, Floats
 
 FEWEST = 8
-"""Comparisons below which odometry cannot be judged."""
+"""Minimum number of comparisons."""
 NORMAL = 1.4826
-"""Standard deviations in the median of absolute deviations, of a normal distribution."""
+"""Ratio of the standard deviation to the median absolute deviation of a normal distribution."""
 ROUNDS = 10
-"""Steps of the least absolute deviations, by weighted least squares (Schlossmacher, 1973)."""
+"""Steps of weighted least squares for the least absolute deviations (Schlossmacher, 1973)."""
 SLIPPED = 6.0
-"""Standard deviations beyond which odometry was wrong in a step."""
+"""Standard deviations beyond which a step of odometry is wrong."""
 WRONG_SCALE, WRONG_WAY = 0.3, 0.5
-"""Error of its scale, and noise as a share of the way, beyond which odometry tells nothing."""
+"""Error of the scale, and noise relative to the distance, beyond which odometry is rejected."""
 STILL_M = 1e-3
-"""A shorter way is a robot that stands."""
+"""Distance below which the robot stands still."""
 FLOOR_M, FLOOR_RAD = 1e-4, 1e-5
-"""Nothing is surer than this: files are rounded."""
+"""Least standard deviations: files are rounded."""
 
 
 @dataclass(frozen=True, eq=False)
 class MotionNoise:
-    """Odometry's constant errors, and the standard deviations of what is left in a step.
+    """Constant errors of odometry, and standard deviations of the rest of a step.
 
     Attributes
     ----------
     scale : float
-        Way of the robot over the way of its odometry.
+        Distance travelled by the robot, relative to that of its odometry.
     turn_per_m : (3,) float64
-        What odometry lacks of the turn (a rotation vector) on each metre, radians.
+        Turn (a rotation vector) that odometry misses per metre, radians.
     sigma_way : float
-        Standard deviation of each coordinate, as a share of the way.
+        Standard deviation of each coordinate, relative to the distance.
     sigma_m, sigma_rad : float
-        What else they have, and that of the angle about each axis, in each step.
+        Constant part of it, and standard deviation of the angle about each axis, per step.
     """
 
     scale: float = 1.0
@@ -54,7 +54,7 @@ class MotionNoise:
 
     @property
     def is_wrong(self) -> bool:
-        """Whether odometry is not that of this robot, or of another time."""
+        """Whether it is rejected as a whole: of another robot, or another time."""
         return abs(self.scale - 1) > WRONG_SCALE or self.sigma_way > WRONG_WAY
 
     def corrected(self, odometry: Floats) -> Floats:
@@ -75,13 +75,13 @@ class MotionNoise:
     def slipped(
         self, odometry: Floats, measured: Floats, sd_m: ArrayLike = 0.0, sd_rad: ArrayLike = 0.0
     ) -> Bools:
-        """Tell in which steps (k,) odometry went another way than what was measured (k, 4, 4).
+        """Return in which steps (k,) odometry contradicts measured motions (k, 4, 4).
 
         Parameters
         ----------
         odometry, measured : (k, 4, 4) float64
         sd_m, sd_rad : (k,) float64
-            Standard deviations of what was measured: of a coordinate, metres, and of the angle.
+            Standard deviations of the measured motions: of a coordinate, metres, and of the angle.
         """
         off_m, off_rad = _apart(self.corrected(odometry), measured)
         sigma_m, sigma_rad = self.sigmas(odometry)
@@ -90,12 +90,12 @@ class MotionNoise:
 
 
 def motion_noise(odometry: Floats, measured: Floats) -> MotionNoise | None:
-    """Return what is wrong with odometry where motions are known better; None of too few.
+    """Return errors and noise of odometry from more accurate motions; None if there are too few.
 
     Parameters
     ----------
     odometry, measured : (k, 4, 4) float64
-        Pose of the robot in its frame before; NaN where it is not known.
+        Pose of the robot in its previous frame; NaN if unknown.
     """
     both = np.isfinite(odometry[:, 0, 0]) & np.isfinite(measured[:, 0, 0])
     if both.sum() < FEWEST:
@@ -120,7 +120,7 @@ def motion_noise(odometry: Floats, measured: Floats) -> MotionNoise | None:
 
 
 def _least_deviations(columns: Floats, values: Floats) -> Floats:
-    """Return the coefficients (c,) of columns (n, c) whose absolute deviations are least."""
+    """Return the coefficients (c,) of columns (n, c) with least absolute deviations."""
     weight = np.ones(len(values))
     found: Floats = np.zeros(columns.shape[1])
     least = 1e-6 * max(float(np.abs(values).max(initial=0.0)), 1e-12)
@@ -128,13 +128,13 @@ def _least_deviations(columns: Floats, values: Floats) -> Floats:
         root = np.sqrt(weight)
         found = np.asarray(np.linalg.lstsq(root[:, None] * columns, root * values, rcond=None)[0])
         off = np.abs(values - columns @ found)
-        # Squares of less than a typical deviation (Huber, 1964), or the fit sticks where one is 0.
+        # Squares below a typical deviation (Huber, 1964): else the fit stops where one is 0.
         weight = 1 / np.maximum(off, max(NORMAL * float(np.median(off)), least))
     return found
 
 
 def _turns(motions: Floats) -> Floats:
-    """Return the rotation vectors (k, 3) of motions; NaN where they are not known."""
+    """Return the rotation vectors (k, 3) of motions; NaN if unknown."""
     found = np.full((len(motions), 3), np.nan)
     known = np.isfinite(motions[:, 0, 0])
     if known.any():
@@ -143,12 +143,12 @@ def _turns(motions: Floats) -> Floats:
 
 
 def _apart(first: Floats, second: Floats) -> tuple[Floats, Floats]:
-    """Return how far motions (k, 4, 4) are from others, metres, and by what angle, radians."""
+    """Return the distances, metres, and angles, radians, between motions (k, 4, 4) and others."""
     off_m = np.linalg.norm(first[:, :3, 3] - second[:, :3, 3], axis=1)
     turn = np.swapaxes(first[:, :3, :3], 1, 2) @ second[:, :3, :3]
     return off_m, np.linalg.norm(_turns(turn), axis=1)
 
 
 def _axes(*motions: Floats) -> int:
-    """Return how many axes motions have: 2 where all are in the plane."""
+    """Return the number of axes of motions: 2 if all are in the plane."""
     return 3 if any((np.abs(motion[:, 2, 3]) > 0).any() for motion in motions) else 2

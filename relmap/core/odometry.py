@@ -1,4 +1,4 @@
-"""Odometry, where a robot has it: how it moved from one iteration to the next, as it believes."""
+"""Odometry: measured motions of the robot from one iteration to the next."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ WANTED = (
     "one iteration before"
 )
 RIGID = 1e-6
-"""How far a rotation may be from orthogonal: rounding of files with six digits or more."""
+"""Tolerance of the orthogonality of a rotation, for files rounded to six digits or more."""
 
 
 def checked_odometry(odometry: ArrayLike) -> Floats:
@@ -29,12 +29,12 @@ def checked_odometry(odometry: ArrayLike) -> Floats:
     ----------
     odometry : (3,), (7,) or (4, 4) array of numbers
         The robot's pose in its frame one iteration before, metres and radians: x, y, yaw;
-        x, y, z and a quaternion, scalar last; or a matrix.  NaN throughout: not known.
+        x, y, z and a quaternion, scalar last; or a matrix.  Unknown if all values are NaN.
 
     Raises
     ------
     RelmapError
-        Where the shape is another, a value is not finite, or the rotation is none.
+        If the shape is wrong, a value is not finite, or the rotation is invalid.
     """
     array = numbers(odometry, "odometry", WANTED)
     if array.shape not in ((3,), (7,), (4, 4)):
@@ -55,9 +55,9 @@ def motion_from_velocity(speed_m_s: float, yaw_rate_rad_s: float, duration_s: fl
     Parameters
     ----------
     speed_m_s : float
-        Ahead; negative in reverse.
+        Forward speed; negative in reverse.
     yaw_rate_rad_s : float
-        To the left.
+        Positive to the left.
     duration_s : float
     """
     way, yaw = speed_m_s * duration_s, yaw_rate_rad_s * duration_s
@@ -67,26 +67,26 @@ def motion_from_velocity(speed_m_s: float, yaw_rate_rad_s: float, duration_s: fl
 
 @dataclass(frozen=True, eq=False)
 class OdometryUse:
-    """What was made of odometry.
+    """How odometry was used in the map.
 
     Attributes
     ----------
     noise : MotionNoise
-        Its constant errors and noise, as landmarks tell them.
+        Its constant errors and noise, estimated from landmarks.
     is_used : bool
-        Whether the map rests on it anywhere; not where landmarks tie every scan, nor where it
-        is wrong throughout.
+        Whether the map depends on it: not if landmarks connect all scans, nor if odometry is
+        rejected as a whole.
     left_out : (l,) int64
-        Iterations to which it was not believed.
+        Iterations whose odometry was rejected.
     hanging : (h,) int64
-        Iterations that nothing but odometry ties to the one before.
+        Iterations connected to the previous one by odometry only.
     poses : (k, 4, 4) float64, metres
         ``T_map_robot`` where it is used; NaN in other submaps.
     sigmas : (3,) float64
-        Noise of observations, and of odometry's ways and turns, over what `noise` has them.
+        Noise of observations and of the distances and turns of odometry, relative to `noise`.
     drift : float
-        How many times farther the map had drifted where places were seen again than noise explains.
-        Covariances are for drift as large everywhere.
+        Drift found at revisited places, relative to that expected from noise.  Covariances are
+        scaled by it.
     """
 
     noise: MotionNoise
@@ -99,13 +99,13 @@ class OdometryUse:
 
     @classmethod
     def of(cls, noise: MotionNoise, slipped: Bools) -> OdometryUse:
-        """Return that of odometry which was checked, but not used.
+        """Return a record of odometry that was checked, but not used.
 
         Parameters
         ----------
         noise : MotionNoise
         slipped : (k,) bool
-            Iterations to which it is contradicted by landmarks.
+            Iterations in which landmarks contradict it.
         """
         none = np.empty(0, dtype=np.int64)
         return cls(noise, False, np.flatnonzero(slipped), none, np.empty((0, 4, 4)), np.ones(3))
@@ -121,11 +121,11 @@ class Motions:
         self._begin = 0
 
     def __len__(self) -> int:
-        """Return for how many iterations there is a row."""
+        """Return the number of iterations with a row."""
         return len(self._motion)
 
     def append(self, motion: Floats | None, iteration: int) -> None:
-        """Take in the motion (4, 4) to an iteration; None or NaN where it is not known."""
+        """Add the motion (4, 4) to an iteration; None or NaN if unknown."""
         if motion is None and not len(self):
             return
         if not len(self):
@@ -133,7 +133,7 @@ class Motions:
         self._motion.extend(np.full((1, 4, 4), np.nan) if motion is None else motion[None])
 
     def between(self, begin: int, end: int) -> Floats:
-        """Return the motions to iterations begin:end (end - begin, 4, 4), NaN where not known."""
+        """Return the motions to iterations begin:end (end - begin, 4, 4), NaN if unknown."""
         found = np.full((end - begin, 4, 4), np.nan)
         first, last = max(begin, self._begin), min(end, self._begin + len(self))
         if first < last:
@@ -142,7 +142,7 @@ class Motions:
         return found
 
     def over(self, n_iterations: int) -> Floats:
-        """Return the motion to each iteration (n_iterations, 4, 4); NaN where it is not known."""
+        """Return the motion to each iteration (n_iterations, 4, 4); NaN if unknown."""
         return self.between(0, n_iterations)
 
 
@@ -154,7 +154,9 @@ def _of_numbers(array: Floats) -> Floats:
         motion[:2, :2] = [[c, -s], [s, c]]
         return motion
     if not np.linalg.norm(array[3:]) > RIGID:
-        raise RelmapError(f"odometry has the quaternion {array[3:].tolist()}, which is no rotation")
+        raise RelmapError(
+            f"odometry has the quaternion {array[3:].tolist()}, which is not a rotation"
+        )
     motion[:3, 3], motion[:3, :3] = array[:3], Rotation.from_quat(array[3:]).as_matrix()
     return motion
 

@@ -84,7 +84,7 @@ def merge_in_place(engine: RelativeMapper, at_last: bool = False) -> None:
 
 
 def gather(engine: RelativeMapper) -> None:
-    """Merge all pieces of a thing, mapped or not, where poses are as well known as they can be."""
+    """Merge all landmarks of one object, mapped or not, once the poses are final."""
     table, kept = engine.table, engine.kept
     if engine.odometry is None or not engine.refined:
         return
@@ -104,7 +104,7 @@ def gather(engine: RelativeMapper) -> None:
     known, total = np.zeros(len(table), dtype=bool), np.zeros(len(table), dtype=np.int64)
     np.logical_or.at(known, whole, mapped[own])
     np.add.at(total, whole, counts)
-    # Pieces of which none was mapped may be those of something that moves.
+    # Landmarks of which none was mapped may belong to a moving object.
     known |= at_rest(became[landmark], places, mapped) & (total >= engine.config.group_after)
     oldest = np.arange(len(table))
     for one in own[np.argsort(-table.first[own], kind="stable")].tolist():
@@ -112,5 +112,5 @@ def gather(engine: RelativeMapper) -> None:
     pairs = np.column_stack([own, oldest[whole]])
     pairs = pairs[known[whole] & (pairs[:, 0] != pairs[:, 1])]
     table.dynamic[pairs] = False
-    table.take_off_map(np.unique(pairs))  # Pieces have no position to average; they are solved for.
+    table.take_off_map(np.unique(pairs))  # These have no position to average; they are solved for.
     engine.merge_pairs(pairs)

@@ -102,7 +102,7 @@ def _beams(bag: Bag, message: Any, T_robot_laser: Floats) -> tuple[Floats, Float
     up = T_robot_laser[2, 2]
     if abs(up) < LEVEL or not np.isfinite([first, step]).all() or abs(first) > 7 or abs(step) > 7:
         raise RelmapError(
-            f"{shown(bag.path)}: the laser is not level on the robot, or its angles are none; "
+            f"{shown(bag.path)}: the laser is not level on the robot, or its angles are invalid; "
             "expected a laser that scans the plane"
         )
     nothing = ~np.isfinite(r) | (r < message.range_min) | (np.abs(r) > MAX_COORDINATE_M)

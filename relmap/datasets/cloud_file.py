@@ -169,7 +169,7 @@ def _ply(header: list[list[str]]) -> _Layout:
     lines = [line for line in header[1:-1] if line[0] not in ("comment", "obj_info")]
     order = _PLY_ORDER[lines[0][1]]
     if lines[1][:2] != ["element", "vertex"]:
-        raise ValueError(f"{' '.join(lines[1])} stands before the vertices")
+        raise ValueError(f"{' '.join(lines[1])} comes before the vertices")
     names, types = [], []
     for line in lines[2:]:
         if line[0] == "element":

@@ -75,7 +75,7 @@ def _points(file: Path, K: Floats) -> Floats:
     except DAMAGE as error:
         raise unreadable(file, error) from error
     if depth.ndim != 2 or depth.dtype == np.uint8:
-        raise RelmapError(f"{shown(file)}: is no depth image, expected one channel of 16 bits")
+        raise RelmapError(f"{shown(file)}: is not a depth image, expected one channel of 16 bits")
     row, column = np.nonzero(~np.isin(depth, NO_READING))
     z = depth[row, column] * UNIT_M
     right = (EVERY * column - K[0, 2]) / K[0, 0] * z

@@ -54,6 +54,8 @@ def read_array(
         shape = [int(side) for side in header[3].split(b",") if side.strip()]
         size = math.prod(shape) * dtype.itemsize
         if math.prod(shape) > most or size > member.file_size:
-            raise ValueError(f"{member.filename} has not the {shape} numbers it says")
+            raise ValueError(
+                f"{member.filename} does not hold the {shape} numbers that its header states"
+            )
         array = np.frombuffer(stream.read(size), dtype)
     return array.reshape(shape, order="F" if header[2] == b"True" else "C")

@@ -221,7 +221,7 @@ def _read_trajectory(file: Path, log: ObservationLog | ScanLog) -> Floats:
     if len(late):
         raise RelmapError(
             f"{shown(file)}: line {lines[late[0] + 1]}: the time {stamps_s[late[0] + 1]:.10g} "
-            "does not grow, expected poses in the order of time"
+            "does not increase, expected poses sorted by time"
         )
     at_s = log.stamps_s
     if at_s is None:

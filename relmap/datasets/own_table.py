@@ -46,7 +46,7 @@ class OwnTable:
 
     columns: Mapping[str, str] = field(default_factory=dict)
     name = "own-table"
-    description = "a table, CSV or Parquet, whose columns --columns names"
+    description = "a table, CSV or Parquet, whose columns are named by --columns"
 
     def recognises(self, path: Path) -> bool:
         """Return whether it is a Parquet file: other tables are read as observation logs."""

@@ -69,7 +69,7 @@ def read_trajectory(path: Path) -> tuple[Floats, Floats]:
     wrong = (off > _RIGID) | (np.linalg.det(R) < 0)
     if wrong.any():
         line = rows.lines[np.argmax(wrong)]
-        raise RelmapError(f"{shown(path)}: line {line}: its 3 x 3 part is no rotation")
+        raise RelmapError(f"{shown(path)}: line {line}: its 3 x 3 part is not a rotation")
     return _times_of(path, len(poses)), poses
 
 

@@ -152,14 +152,14 @@ def _with_clock(table: Table, log: ObservationLog, clock: Path) -> ObservationLo
         table.fail(
             int(log.rows[np.argmax(wrong)]),
             "t_ms",
-            "differs within a scan or does not grow from scan to scan, expected each scan's time",
+            "differs within a scan or does not increase, expected the time of each scan",
         )
     if not os.path.isfile(clock):
         every_scan = np.arange(log.first_iteration, log.end_iteration)
         return replace(log, stamps_s=np.interp(every_scan, scans, scan_stamps))
     stamps_s = read_matrix(clock, "TLsr").ravel()
     if not np.isfinite(stamps_s).all() or (np.diff(stamps_s) <= 0).any():
-        raise RelmapError(f"{shown(clock)}: field TLsr: is not a growing time, expected seconds")
+        raise RelmapError(f"{shown(clock)}: field TLsr: does not increase, expected seconds")
     late = scans >= len(stamps_s)
     late[~late] = np.abs(stamps_s[scans[~late]] - scan_stamps[~late]) > _SAME_SCAN_S
     if late.any():
@@ -203,8 +203,8 @@ def _odometry(log: ObservationLog, file: Path) -> Floats:
     turned = alike and bool((np.abs(steering) < math.pi / 3).all())
     if not turned or not (np.diff(time_ms) > 0).all() or not (np.abs(speed) < 100).all():
         raise RelmapError(
-            f"{shown(file)}: fields {', '.join(names)} are not as long as one another or out of "
-            "range, expected growing milliseconds, metres per second and radians"
+            f"{shown(file)}: fields {', '.join(names)} differ in length or are out of "
+            "range, expected increasing milliseconds, metres per second and radians"
         )
     assert log.stamps_s is not None
     curvature = np.tan(steering) / WHEELBASE_M

@@ -25,10 +25,7 @@ ROUNDING = 1e-13
 SPREAD = 1 / np.sqrt(12)
 """Positions of the two points that represent a wall, in sizes from its middle. A line fitted to
 points spread evenly over the wall is as accurate as one fitted to these two, each with twice the
-variance of the middle.
-
-A line fitted to points spread evenly over the wall is as sure as if it were fitted to these two,
-each twice as uncertain (in variance) as the middle."""
+variance of the middle."""
 STRETCH = 8
 """Number of scans whose equations are summed before they go to the sparse matrix."""
 MUCH = 0.25

@@ -1,7 +1,7 @@
 """Submaps that show the same place: aligned by their walls, verified by their beams.
 
 Each pair of submaps is aligned by overlapping walls (`relmap.planes.wall_tie`). An alignment is
-judged by the beams of all scans of both: those that end on the walls of the other support it, those
+scored by the beams of all scans of both: those that end on the walls of the other support it, those
 that pass through them contradict it. The best pair is joined to one map, and the search repeated.
 """
 
@@ -24,9 +24,9 @@ NEAR_M, BEFORE_M = 0.25, 0.2
 """Largest distance of a beam's end from the wall it hits, and distance in front of that at which it
 counts against the wall: submaps are bent a little."""
 MOST_BEAMS = 10_000
-"""Number of beams of either map that judge an alignment."""
+"""Number of beams of either map that score an alignment."""
 ALIGNMENTS = 12
-"""Number of alignments of a pair that are judged, those with the longest overlap first."""
+"""Number of alignments of a pair that are scored, those with the longest overlap first."""
 OFTEN = 3
 """Beams that support or contradict a stretch of wall."""
 AGAINST = 5.0
@@ -151,7 +151,7 @@ class SubmapTie(NamedTuple):
 
 
 def tied_parts(parts: Sequence[MapPart]) -> list[MapPart]:
-    """Join the parts that show the same place, as long as one alignment is sure and unrivalled."""
+    """Join the parts that show the same place, while one alignment is certain and without rival."""
     left = dict(enumerate(parts))
     found = {pair: unrivalled(*(left[k] for k in pair)) for pair in combinations(left, 2)}
     while True:
@@ -167,7 +167,7 @@ def tied_parts(parts: Sequence[MapPart]) -> list[MapPart]:
 
 
 def unrivalled(part: MapPart, other: MapPart) -> SubmapTie | None:
-    """Return the alignment of another part to this one, if it is sure and the only one."""
+    """Return the alignment of another part to this one, if it is certain and the only one."""
     if min(part.crossing_m, other.crossing_m) < CROSSING_M:
         return None
     ties = wall_ties(other.ends, part.ends)[:ALIGNMENTS]
@@ -186,7 +186,7 @@ def _crosses(tie: WallTie) -> bool:
 
 
 def _judged(part: MapPart, other: MapPart, tie: WallTie) -> SubmapTie:
-    """Return an alignment of another part, judged by the beams of both."""
+    """Return an alignment of another part, scored by the beams of both."""
     R, t = tie.R, tie.t
     begins, stops = part.beams_from(other.ends @ R.T + t)
     own = other.judged((begins - t) @ R, (stops - t) @ R)

@@ -1,6 +1,6 @@
-"""Where in the map of before a run of scans was taken.
+"""Localisation of a run of scans in an earlier map.
 
-A place that is not in the map may look like one that is, so one scan is no evidence. All scans of a
+A place that is not in the map may look like one that is, so one scan is not enough. All scans of a
 submap must fit together: their placements in the map, and the motions between them, agree along a
 stretch of the path, and no other placement of the submap is supported nearly as well.
 """
@@ -31,10 +31,10 @@ APART_M = 0.5
 NEAR_M, NEAR_RAD = 0.3, np.deg2rad(4.0)
 """Two placements of a submap agree within this distance and angle, ..."""
 DRIFT, DRIFT_RAD = 0.03, np.deg2rad(0.3)
-"""... and so much for each metre of the path between the scans."""
+"""... plus so much per metre of the path between the scans."""
 STRETCH_M, AGREE = 7.0, 0.5
-"""Along so much of the path, so large a share of the scans must agree: in less, a laser sees the
-same things all the time."""
+"""Length of the path along which so large a share of the scans must agree: over less, a laser sees
+the same surfaces all the time."""
 RIVAL = 0.5
 """Maximum number of scans that agree on another placement, as a share of the best."""
 
@@ -112,7 +112,7 @@ class MapOfBefore:
 
 
 class Tie(NamedTuple):
-    """How a submap of a log lies in the map.
+    """The placement of a submap of a log in the map.
 
     Attributes
     ----------
@@ -150,7 +150,7 @@ class Placements:
     T_map_robot: Floats
 
     def believed(self) -> Taken | None:
-        """Return the place of one of the scans, if all is in agreement; see the module."""
+        """Return the place of one of the scans, if all agree; see the module."""
         if not len(self.of):
             return None
         agreeing = [self._agreeing(k) for k in range(len(self.of))]

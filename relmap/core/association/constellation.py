@@ -166,7 +166,7 @@ class Constellation(Numbered):
         return None
 
     def _is_unlikely(self, placement: Placement, tracks: LiveTracks) -> bool:
-        """Tell whether odometry contradicts a placement that chance may have made."""
+        """Return whether odometry contradicts a placement that may be due to chance."""
         noise_m = max(self._scale.noise_m or self._scale.gate_m, TINY_M)
         return self.guide.knows and self.guide.contradicts(placement, tracks.expected, noise_m)
 

@@ -1,4 +1,4 @@
-"""Which landmarks in view are older ones, judged by position and by the other landmarks in view."""
+"""Which landmarks in view are older ones, by position and by the other landmarks in view."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class Evidence:
 def chosen(
     position: Floats, pairs: Ints, tolerance_m: float, evidence: Evidence | None = None
 ) -> Ints:
-    """Return which of the pairs (k, 2) of landmarks are the same, judged by their mapped positions.
+    """Return which of the pairs (k, 2) of landmarks are the same, by their mapped positions.
 
     Those that coincide; if none do, those of the largest set that one rigid motion brings together,
     because drift is common to all.
@@ -99,7 +99,7 @@ def chosen(
     _, rival = next(found, (None, pairs[:0]))
     off = np.linalg.norm(shift.apply(position[pairs[:, 0]]) - position[pairs[:, 1]], axis=1)
     pairs = pairs[off <= tolerance_m]
-    pairs = pairs[~np.isin(pairs[:, 1], pairs[:, 0])]  # what is merged away absorbs nothing
+    pairs = pairs[~np.isin(pairs[:, 1], pairs[:, 0])]  # a merged landmark absorbs no other
     if evidence is not None:
         drifts = d * (d + 1) / 2 * np.log(1 + 2 * evidence.reach_m / tolerance_m)
         if len(rival) > DISTINCT * len(pairs) or not evidence.is_unlike_chance(pairs, drifts):

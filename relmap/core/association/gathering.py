@@ -1,7 +1,7 @@
-"""Landmarks of a solved map with odometry that are the same thing seen in pieces.
+"""Landmarks of a solved map with odometry that belong to the same object.
 
-A thing that is detected now and then makes many tracks of few observations, and one whose shape
-differs from side to side makes several landmarks beside each other.  No scan shows two of them.
+An object that is detected now and then has many tracks of few observations, and one whose shape
+differs from side to side has several landmarks next to each other.  No scan shows two of them.
 """
 
 from __future__ import annotations
@@ -13,28 +13,28 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.state.table import NONE
 
 SPACING = 0.2
-"""Largest distance of two places of one thing, in spacings of the landmarks: at random 3 % of the
-landmarks in the plane have another one as near."""
+"""Largest distance between two landmarks of one object, in spacings of the landmarks: at random 3 %
+of the landmarks in the plane have another one as close."""
 DEVIATIONS = 12.5
-"""The same in standard deviations of an observation: things look different from different sides."""
+"""The same in standard deviations of an observation: objects look different from each side."""
 
 
 def gathered(
     places: Floats, counts: Ints, iterations: list[Ints], noise_m: float, spacing_m: float
 ) -> Ints:
-    """Return for each landmark (n,) the one that it is a piece of; its own number if of none.
+    """Return for each landmark (n,) the one of the same object; its own number if there is none.
 
-    Each goes to the nearest that was seen more often (Rodriguez and Laio, 2014), unless a scan
-    shows it together with a piece of that.
+    Each is joined to the nearest that was seen more often (Rodriguez and Laio, 2014), unless a scan
+    shows it together with a landmark already joined to that.
 
     Parameters
     ----------
     places : (n, d) float64, metres
-        Median places of the observations of each landmark.
+        Median position of the observations of each landmark.
     counts : (n,) int64
-        Their numbers.
+        Number of observations of each.
     iterations : list of n (k,) int64
-        The scans that show each.
+        The scans that contain each.
     noise_m : float
         Standard deviation of an observed coordinate.
     spacing_m : float

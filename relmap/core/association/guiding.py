@@ -1,7 +1,7 @@
-"""Where live tracks lie in the next scan, by odometry.
+"""Prediction of live tracks in the next scan, by odometry.
 
-A placement that many landmarks agree on needs no odometry.  Where few are in view it narrows what
-they may be, and where none are it carries the tracks along.
+A placement supported by many landmarks needs no odometry.  With few landmarks in view, odometry
+restricts the possible matches; with none, it predicts the tracks.
 """
 
 from __future__ import annotations
@@ -14,20 +14,20 @@ from relmap.core.motion_noise import MotionNoise, motion_noise
 from relmap.core.state.growing import GrowingArray
 
 MEMORY = 256
-"""Comparisons with what landmarks tell that are remembered."""
+"""Number of comparisons with motions from landmarks that are kept."""
 FIRST, EVERY = 16, 128
-"""Comparisons after which odometry is judged for the first time, then twice as many, and so on; and
-most that are waited for."""
+"""Number of comparisons before the first estimate of the noise, which then doubles for each further
+one; and the maximum number between two estimates."""
 SIGMAS = 4.0
-"""Standard deviations within which a landmark is looked for."""
+"""Standard deviations within which a landmark is matched."""
 UNLIKELY = 6.0
-"""Standard deviations beyond which a placement that chance may have made is not believed."""
+"""Standard deviations beyond which a placement that may be due to chance is rejected."""
 ALONE = 0.5
-"""A match counts where no other is within twice as far."""
+"""Largest ratio of the distance of a match to that of the next candidate."""
 
 
 class OdometryGuide:
-    """Predicts where tracks are seen next, and learns how well.
+    """Predicts the positions of tracks, and estimates the noise of the prediction.
 
     Attributes
     ----------
@@ -45,19 +45,19 @@ class OdometryGuide:
         self._n_seen = 0
 
     def note(self, motion: Floats | None) -> None:
-        """Take in the motion (4, 4) since the scan before; None where it is not known."""
+        """Add the motion (4, 4) since the previous scan; None if unknown."""
         if motion is None:
             motion = np.full((4, 4), np.nan)
         self._since = self._since @ motion if self._steps else motion
         self._steps += 1
 
     def forget(self) -> None:
-        """Begin anew from the scan that was just taken in."""
+        """Start again from the latest scan."""
         self._since, self._steps = np.full((4, 4), np.nan), 0
 
     @property
     def knows(self) -> bool:
-        """Whether odometry covers the motion since the tracks were last carried along."""
+        """Whether odometry covers the motion since the tracks were last predicted."""
         return bool(np.isfinite(self._since[0, 0])) and not self.noise.is_wrong
 
     def predicted(self, d: int) -> Placement:
@@ -66,13 +66,13 @@ class OdometryGuide:
         return Placement(T_now_before[:d, :d], T_now_before[:d, 3], 0)
 
     def sigma_at(self, points: Floats) -> Floats:
-        """Return how far off points (n, d) may be where they are predicted, metres, typically."""
+        """Return the standard deviations (n,) of predicted points (n, d), metres."""
         sigma_m, sigma_rad = self.noise.sigmas(self._since[None])
         away = np.linalg.norm(points, axis=1)
         return np.asarray(np.hypot(sigma_m[0], sigma_rad[0] * away) * np.sqrt(self._steps))
 
     def contradicts(self, placement: Placement, points: Floats, noise_m: float) -> bool:
-        """Tell whether a placement brings points (n, d) where the robot hardly can have gone."""
+        """Return whether a placement of points (n, d) contradicts odometry."""
         off = np.linalg.norm(
             placement.apply(points) - self.predicted(points.shape[1]).apply(points), axis=1
         )
@@ -107,9 +107,9 @@ class OdometryGuide:
             Tracks, in their frame.
         points : (m, d) float64, robot frame, metres
         noise_m : float
-            Of a coordinate's difference between two scans.
+            Standard deviation of a coordinate's difference between two scans.
         most_m : float
-            Farthest that a match may be.
+            Largest distance of a match.
         """
         from relmap.core.association.matching_kernels import claims, nearest_within
 
@@ -125,14 +125,14 @@ class OdometryGuide:
         return self._fitted(guess, there[rows], points[target[rows]], noise_m)
 
     def _clear(self, there: Floats, points: Floats, distance: Floats) -> Bools:
-        """Tell for which tracks no other point is nearly as near as the nearest."""
+        """Return for which tracks no other point is nearly as close as the nearest."""
         apart = np.linalg.norm(there[:, None] - points[None], axis=2)
         if apart.shape[1] < 2:
             return np.ones(len(there), dtype=bool)
         return np.asarray(distance <= ALONE * np.partition(apart, 1, axis=1)[:, 1])
 
     def _fitted(self, guess: Placement, here: Floats, there: Floats, noise_m: float) -> Placement:
-        """Return a guess corrected by matches, each as far as it can be believed."""
+        """Return a guess corrected by matches, weighted by the noise of both."""
         if not len(here):
             return guess
         from relmap.core.geometry.motions import derivatives, rotations

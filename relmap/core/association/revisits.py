@@ -41,9 +41,9 @@ errors."""
 TOLERANCE = 5.0
 """Largest distance between the landmarks of a match, in standard deviations of an observation."""
 NEIGHBOUR, USUAL = 4, 3.67
-"""Rank of the neighbour whose distance tells how dense the landmarks are, and their number within
-it as the distance is the median (of a gamma distribution).  Nearer ones may be the same landmark,
-mapped twice."""
+"""Rank of the neighbour whose distance gives the density of the landmarks, and their number within
+the median of this distance (of a gamma distribution).  Nearer ones may be the same landmark, mapped
+twice."""
 WIDER = 2.0
 """Factor on that distance before the map is refined with the matches."""
 APART = 2.5
@@ -62,7 +62,7 @@ PEAKS = 12
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """The landmarks of one stretch of a run, and those that they may be.
+    """The landmarks of one stretch of a run, and their candidates.
 
     Attributes
     ----------
@@ -252,7 +252,7 @@ def _places(stretch: Stretch, tolerance_m: float) -> list[tuple[Placement, Ints]
 
 
 def _pairs_alike(stretch: Stretch, tolerance_m: float) -> float:
-    """Return how many pairs of landmarks may be which older ones, by distance and direction."""
+    """Return the number of candidates of pairs of landmarks, by distance and direction."""
     i, j = np.triu_indices(len(stretch.points), 1)
     lengths = np.linalg.norm(stretch.points[i] - stretch.points[j], axis=1)
     k, m = np.triu_indices(len(stretch.there), 1)

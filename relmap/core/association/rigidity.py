@@ -22,9 +22,7 @@ SAMPLE = 32
 """Maximum number of landmarks used to fit a placement."""
 UNLIKE = 12.0
 """Median misfit, in units of the usual one, above which a scan is rejected. Values up to 8 occur in
-real logs; a mirrored scan of the figure eight has 24 or more.
-
-Up to 8 was found in real logs; a mirrored scan of the figure eight has 24 and more."""
+real logs; a mirrored scan of the figure eight has 24 or more."""
 CLEAR, FIRST = 0.02, 0.05
 """The same as a fraction of the extent of the scan, below which nothing is rejected; and the limit
 while the usual misfit is unknown."""

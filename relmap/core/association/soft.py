@@ -1,8 +1,8 @@
 """Registration where the noise is a good fraction of the spacing of the landmarks.
 
-Most single matches are then ambiguous, but a scan of many points still has one likely placement
-only.  Each point may be of any track near it, with the probability that the noise implies, or of
-none; the placement that maximises the likelihood is found by expectation maximisation from many
+Most single matches are then ambiguous, but a scan of many points still has only one likely
+placement.  Each point belongs to any nearby track, with the probability that the noise implies, or
+to none; the placement that maximises the likelihood is found by expectation maximisation from many
 starts (Granger and Pennec, "Multi-scale EM-ICP", ECCV 2002). In the mean over random placements the
 likelihood ratio to unrelated points is 1, so a placement is accepted if its ratio exceeds the
 number of possible placements and no other placement comes near.
@@ -21,7 +21,7 @@ from relmap.core.association.placement import Placement
 from relmap.core.association.search import MOST, triangles_of
 
 UNEXPLAINED = 0.3
-"""Fraction of the points of a scan that are of no track, as first assumed; and its bounds."""
+"""Initial fraction of the points of a scan that belong to no track; and its bounds."""
 BOUNDS = 0.1, 0.9
 SOURCES = 30
 """Maximum number of tracks in the triangles that suggest placements, the first."""
@@ -42,7 +42,7 @@ SETTLED = 0.01
 LEAST = 0.02
 """Least probability of a match that takes part in a fit."""
 MOVED = 2.0
-"""Standard deviations by which points differ, in the mean, in another placement."""
+"""Mean difference of the points, in standard deviations, that makes two placements distinct."""
 CORNERS = 4.0
 """Smallest side of the triangles that suggest placements, in standard deviations."""
 SEEN = 0.25
@@ -192,7 +192,7 @@ class SoftMatching:
         return np.ascontiguousarray(R), start.t + shifts
 
     def _differ(self, R: Floats, t: Floats, other: Placement) -> Bools:
-        """Return whether R (..., d, d) and t (..., d) place source points elsewhere than another.
+        """Return whether R (..., d, d) and t (..., d) place source points differently from another.
 
         The mean square distance in variances, from the moments of the points.
         """

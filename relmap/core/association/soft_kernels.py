@@ -11,7 +11,7 @@ from relmap.core.linalg.small_kernels import square_of
 
 @helper
 def _placed(points: Floats, R: Floats, t: Floats) -> Floats:
-    """Return points (n, d) as placed."""
+    """Return points (n, d) after placement."""
     n, d = points.shape
     placed = np.empty((n, d))
     for i in range(n):
@@ -36,7 +36,7 @@ def soft_matches(
     metric: Floats | None = None,
     peak: Floats | None = None,
 ) -> float:
-    """Enter the probability that each target (m, d) is of each source point (n, d) as placed.
+    """Enter the probability that each target (m, d) belongs to each placed source point (n, d).
 
     Parameters
     ----------
@@ -46,9 +46,9 @@ def soft_matches(
     density : float
         Targets of other objects per unit of area or volume.
     unexplained : float
-        Fraction of the targets that are of other objects.
+        Fraction of the targets that belong to other objects.
     furthest : float
-        Largest squared distance, in variances, that counts.
+        Largest squared distance of a match, in variances.
     R, t : (d, d), (d,) float64
     share : (n, m) float64
         Overwritten with the probabilities.
@@ -60,7 +60,7 @@ def soft_matches(
     Returns
     -------
     float
-        Log of the likelihood ratio of the targets to targets all of other objects.
+        Log likelihood ratio, relative to targets that all belong to other objects.
     """
     (n, d), m = source.shape, len(target)
     placed, apart, score = _placed(source, R, t), np.empty(d), 0.0

@@ -1,4 +1,4 @@
-"""Where landmarks leave gaps, odometry bridges them: all scans in one frame, to be refined."""
+"""Initial poses of all scans in one frame: by landmarks, and by odometry across gaps."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from relmap.core.refinement.condensing import LENGTH, NOWHERE, SegmentRows
 from relmap.core.state.table import NONE, LandmarkState
 
 UNSURE, STILL_M = 0.5, 0.01
-"""Standard deviation, as a share of the way, beyond which landmarks say nothing of odometry; and
-that of a robot that stands, metres."""
+"""Largest standard deviation of a motion from landmarks that is compared with odometry, relative to
+the distance; and for a robot that stands still, metres."""
 
 
 LARGEST = -2
-"""In the place of a submap: what was solved for before, whatever submaps it is in now."""
+"""Marks scans solved for before, instead of their current submap."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,9 +31,9 @@ class Bridged:
     ----------
     poses : (k, 4, 4) float64, metres
     part : (k,) int64
-        Scans of different parts have different frames: no odometry came between them.
+        Scans of different parts have different frames: no odometry connects them.
     hanging : (h,) int64
-        Iterations that landmarks do not tie to the one before.
+        Iterations that landmarks do not connect to the previous one.
     """
 
     poses: Floats
@@ -42,7 +42,7 @@ class Bridged:
 
 
 class Measured(NamedTuple):
-    """The motion to each iteration by landmarks alone; NaN where these do not fix it.
+    """The motion to each iteration by landmarks alone; NaN where they do not determine it.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class Measured(NamedTuple):
 def measured_motions(odometry: Floats, rows: SegmentRows) -> Measured:
     """Return the motions by landmarks alone.
 
-    Both iterations must be in one segment, and fixed well enough to say whether odometry is right.
+    Both iterations must be in one segment, and accurate enough to evaluate odometry.
     """
     k, placed = len(rows.iteration_segment), _placed(rows)
     found = Measured(np.full((k, 4, 4), np.nan), np.full(k, np.nan), np.full(k, np.nan))
@@ -84,9 +84,9 @@ def _placed(rows: SegmentRows) -> Floats:
 
 
 def _is_sure(odometry: Floats, variance: Floats) -> Bools:
-    """Tell which odometry (k, 4, 4) can be judged by motions of variances (k,), square metres.
+    """Return which odometry (k, 4, 4) can be evaluated by motions of variances (k,), square metres.
 
-    Those that are known well by their own way are not the right ones: noise makes ways long.
+    Accuracy relative to the motion by landmarks would be biased: noise makes distances longer.
     """
     way = np.linalg.norm(odometry[:, :3, 3], axis=1)
     return np.asarray(np.sqrt(variance) <= np.maximum(UNSURE * way, STILL_M))
@@ -95,8 +95,8 @@ def _is_sure(odometry: Floats, variance: Floats) -> Bools:
 def _variances(rows: SegmentRows) -> tuple[Floats, Floats]:
     """Return the variances (k,) of a coordinate of the robot in each iteration, and of its angle.
 
-    Square metres and square radians, of a fit to what was seen there: its mean, and its turn by
-    the lever to the robot.  Infinite if nothing was seen in any iteration.
+    Square metres and square radians, of a fit to its observations: the error of their mean, and
+    of the rotation times the distance to the robot.  Infinite if there is no observation at all.
     """
     k = len(rows.iteration_segment)
     if not len(rows.points):
@@ -113,10 +113,10 @@ def _variances(rows: SegmentRows) -> tuple[Floats, Floats]:
 
 
 def noise_of(odometry: Floats, measured: Measured, rows: SegmentRows) -> tuple[MotionNoise, Bools]:
-    """Return the noise of odometry, measured by landmarks, and which steps (k,) it got wrong.
+    """Return the noise of odometry, estimated from landmarks, and which steps (k,) are wrong.
 
-    Wrong steps are found one by one.  The noise is measured over whole segments, where that of
-    the landmarks themselves counts less.
+    Wrong steps are found one by one.  The noise is estimated over whole segments, where that of
+    the landmarks has less influence.
     """
     single = motion_noise(odometry, measured.motion) or MotionNoise()
     slipped = single.slipped(odometry, measured.motion, measured.sd_m, measured.sd_rad)
@@ -136,7 +136,7 @@ def noise_of(odometry: Floats, measured: Measured, rows: SegmentRows) -> tuple[M
 
 
 def _stretches(odometry: Floats, rows: SegmentRows) -> tuple[Floats, Floats, float]:
-    """Return odometry over whole segments (s, 4, 4), the same by landmarks, and their steps."""
+    """Return odometry over whole segments (s, 4, 4), the same by landmarks, and their length."""
     segment = rows.iteration_segment
     inside = np.flatnonzero(segment != NOWHERE)
     _, first, counts = np.unique(segment[inside], return_index=True, return_counts=True)
@@ -156,17 +156,17 @@ def _stretches(odometry: Floats, rows: SegmentRows) -> tuple[Floats, Floats, flo
 def bridge(
     table: LandmarkState, rows: SegmentRows, motions: Floats, solved: Floats | None = None
 ) -> Bridged:
-    """Lay all scans in one frame: by submaps where these fix them, else by odometry.
+    """Place all scans in one frame: by submaps where these determine them, else by odometry.
 
     Parameters
     ----------
     table : LandmarkState
     rows : SegmentRows
     motions : (k, 4, 4) float64
-        Odometry, without its constant errors; NaN where it is not known.
+        Odometry, without its constant errors; NaN if unknown.
     solved : (k, 4, 4) float64, optional
-        Poses that were solved for before the map changed, in the frame of its largest submap; NaN
-        in others.
+        Poses solved for before the map changed, in the frame of its largest submap; NaN in
+        others.
     """
     k = len(motions)
     poses, part = np.tile(np.eye(4), (k, 1, 1)), np.zeros(k, dtype=np.int64)
@@ -201,9 +201,9 @@ def bridge(
 
 
 def _poses_in_submaps(table: LandmarkState, rows: SegmentRows) -> tuple[Floats, Ints]:
-    """Return the pose of each iteration (k, 4, 4) in the largest submap that fixes it, and which.
+    """Return the pose of each iteration (k, 4, 4) in the largest submap that determines it.
 
-    NONE where none does.
+    And that submap (k,), or NONE.
     """
     k = len(rows.iteration_segment)
     poses, submap_of = np.full((k, 4, 4), np.nan), np.full(k, NONE)

@@ -13,14 +13,13 @@ from relmap.core.refinement.gauss_newton import Solution, Weigh, gauss_newton
 from relmap.core.refinement.settling import FAINT, WORTH_SAYING, Settled
 
 TIMES, FEW_ROUNDS, ROUNDS = 15, 10, 50
-"""How often noise is estimated from what is left, and the map solved with it; steps each time, and
-in the end."""
+"""Maximum number of rounds of estimating the noise and solving; steps of each, and of the last."""
 ROUGH, FINE = 1e-2, 1e-4
-"""Gain that no further step is taken for, in squared standard deviations of the whole map."""
+"""Gain below which no further step is taken, in squared standard deviations of the whole map."""
 SETTLED = 0.02
-"""Change of the noise, as a share, that makes no difference."""
+"""Relative change of the noise that is negligible."""
 BENT = 3.5
-"""Standard deviations beyond which residuals pull no harder, until a loop is closed."""
+"""Residual, in standard deviations, beyond which Huber's influence is constant."""
 
 
 def settled_chain(
@@ -88,16 +87,16 @@ def settled_chain(
 
 
 def _bent(problem: ChainProblem, state: Chained) -> Chained:
-    """Return the state of least cost by Huber's weights."""
+    """Return the state of least cost with Huber's weights."""
     weigh = _weighing(problem, huber, BENT)
     return gauss_newton(problem, state, weigh, ROUNDS, unsure=ROUGH, faint=WORTH_SAYING).state
 
 
 def _better(problem: ChainProblem, known: Solution[Chained]) -> Solution[Chained]:
-    """Return the better of a solution and one found by way of Huber's weights.
+    """Return the better of a solution and one that starts from that with Huber's weights.
 
-    Lenient weights have many local minima, each with other outliers.  Huber's have few, but are of
-    use only if the noise is known.
+    Lenient weights have many local minima, each with other outliers.  Huber's have few, but help
+    only if the noise is known.
     """
     d, residual = problem.chain.points.shape[1], problem.residuals(known.state)
     limits = [max(limit_of(residual[part], d, 0.0), OUTLIER) for part in problem.parts]
@@ -115,7 +114,7 @@ def _better(problem: ChainProblem, known: Solution[Chained]) -> Solution[Chained
 def _weighing(
     problem: ChainProblem, function: Callable[[Floats, float], Floats], outlier: float
 ) -> Weigh:
-    """Return weights by what noise explains of observations, and of odometry: each by itself."""
+    """Return the weight function, with separate limits for observations and odometry."""
     d, share = problem.chain.points.shape[1], outlier / OUTLIER
 
     def limit(residual: Floats, least: float) -> float:
@@ -123,7 +122,7 @@ def _weighing(
 
     def weigh(residual: Floats) -> Floats:
         seen, *odometry = (residual[part] for part in problem.parts)
-        # Where odometry is all there is, nothing is left of it.
+        # Odometry without other observations has no residuals.
         each = [function(part, limit(part, outlier)) for part in odometry]
         return np.concatenate([function(seen, limit(seen, 0.0)), *each])
 

@@ -1,8 +1,8 @@
-"""Refinement by single observations and odometry: a chain of poses ties what no scan ties.
+"""Refinement by single observations and odometry: a chain of poses connects scans without overlap.
 
-Odometry is one more relative location, believed as far as it deserves.  What it gets wrong always
-(its scale, and what it turns on each metre) is solved for with the map; how noisy it is, and how
-noisy the observations are, is estimated from what is left (variance components; Foerstner, 1979).
+Odometry is one more relative location, weighted by its noise.  Its constant errors (of the scale,
+and the turn missed per metre) are solved for with the map; its noise, and that of the observations,
+is estimated from the residuals (variance components; Foerstner, 1979).
 """
 
 from __future__ import annotations
@@ -21,24 +21,23 @@ from relmap.core.refinement.schur import NormalEquations
 from relmap.core.refinement.settling import size_of
 
 CONSTANT = 0.03
-"""Standard deviation of odometry's errors of scale, and of the turn it misses on each metre, before
-anything is known of them."""
+"""Prior standard deviation of the error of odometry's scale, and of the turn missed per metre."""
 
 SIDES: tuple[Literal["left"], Literal["right"]] = ("left", "right")
 LOOSE, STIFF = 1e-14, 1e3
-"""What holds everything a little, and the pose that makes the frame, as shares of what holds most.
-"""
+"""Damping of all unknowns, and of the pose that defines the frame, relative to the largest diagonal
+entry."""
 WORST = 2.0
-"""How much noisier odometry may be than it was found, or is usual.  Where a scan shows one or two
-landmarks, poses that fit them exactly and noisy odometry explain everything."""
+"""Maximum noise of odometry, relative to its estimate from landmarks.  If a scan shows one or two
+landmarks, poses that fit these exactly, with noisy odometry, explain everything."""
 FREE = 4.0
-"""Freedoms below which what is left does not tell how noisy something is."""
+"""Minimum degrees of freedom of residuals from which a noise is estimated."""
 LEAST = 1e-9
-"""Smallest standard deviation, as such a multiple: residuals may be exactly zero."""
+"""Smallest factor of a standard deviation: residuals may be exactly zero."""
 
 
 class Chain(NamedTuple):
-    """What there is to know: observations, and odometry between iterations.
+    """The data: observations, and odometry between iterations.
 
     Attributes
     ----------
@@ -48,9 +47,9 @@ class Chain(NamedTuple):
     iteration : (n,) int64
         0 to k - 1.
     root : (n, d, d) float64
-        What brings a residual to standard deviations.
+        Matrix that converts a residual to standard deviations.
     motion : (k - 1, 4, 4) float64
-        Odometry from each iteration to the next; NaN where it is not known.
+        Odometry from each iteration to the next; NaN if unknown.
     """
 
     points: Floats
@@ -62,7 +61,7 @@ class Chain(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Chained:
-    """Where landmarks, the robot in each iteration, and odometry's constant errors are.
+    """Landmarks, the pose of each iteration, and the constant errors of odometry.
 
     Attributes
     ----------
@@ -70,7 +69,7 @@ class Chained:
     R : (k, d, d) float64
     t : (k, d) float64
     constant : (q + 2,) float64
-        Error of the scale of ways and of turns, and turn missed on each metre.
+        Error of the scale of distances and of turns, and turn missed per metre.
     """
 
     positions: Floats
@@ -80,12 +79,12 @@ class Chained:
 
 
 class Sigmas(NamedTuple):
-    """Standard deviations, as multiples of what the residuals are weighed by.
+    """Standard deviations, as multiples of those that weight the residuals.
 
     Attributes
     ----------
     seen, way, turn : float
-        Of observations, and of odometry's two parts.
+        Of observations, and of the distance and the turn of odometry.
     """
 
     seen: float = 1.0
@@ -103,12 +102,12 @@ class ChainProblem:
         Standard deviations of odometry: of a coordinate, metres, and of an angle, radians.
     sigmas : Sigmas
     positions : (m, d) float64, metres
-        About where landmarks are.
+        Approximate positions of the landmarks.
     anchor : int
-        The iteration whose placement makes the frame.
+        The iteration whose pose defines the frame.
     turns_whole : bool
-        Whether a step that turns one part of the chain moves all that hangs on it, so that long
-        chains bend in few steps.  Else all move by shifts of their own.
+        Whether a step that turns one part of the chain moves everything that depends on it, so that
+        long chains bend in few steps.  Otherwise each pose and landmark has its own shift.
     """
 
     def __init__(
@@ -146,7 +145,7 @@ class ChainProblem:
         )
         self._of_moved = np.concatenate([pose[self.moved], pose[self.moved + 1], constant], axis=1)
         self._constant = first[-1] + np.arange(q + 2)
-        # Where each landmark was seen in the middle of all times.
+        # The median iteration that saw each landmark.
         order = np.argsort(chain.landmark, kind="stable")
         begin, end = (np.searchsorted(chain.landmark[order], np.arange(m), of) for of in SIDES)
         self._base = chain.iteration[order][(begin + end) // 2]
@@ -155,12 +154,12 @@ class ChainProblem:
 
     @property
     def parts(self) -> tuple[slice, slice, slice]:
-        """Which residuals are observations, and odometry's ways and turns."""
+        """The residuals of observations, and of the distances and turns of odometry."""
         n, o = len(self.chain.points), len(self.moved)
         return slice(0, n), slice(n, n + o), slice(n + o, n + 2 * o)
 
     def residuals(self, state: Chained) -> Floats:
-        """Return the lengths of what is left, in standard deviations, in the order of `parts`."""
+        """Return the norms of the residuals, in standard deviations, in the order of `parts`."""
         way, turn, _ = self._left_of_odometry(state)
         parts = (self._left_of_seen(state)[0], way, turn)
         return np.concatenate([np.linalg.norm(part, axis=1) for part in parts])
@@ -168,7 +167,7 @@ class ChainProblem:
     def equations(
         self, state: Chained, weight: Floats, with_matrix: bool, damping: float
     ) -> NormalEquations:
-        """Return the normal equations of everything."""
+        """Return the normal equations of all unknowns."""
         pattern, right, cost = self.pattern, np.zeros(self.pattern.n_unknowns), 0.0
         matrix = np.zeros(pattern.size if with_matrix else 0)
         for rows, jacobian, unknowns, at, each in self._linearised(state, weight):
@@ -191,7 +190,7 @@ class ChainProblem:
         """Return the state after a step.
 
         Positions follow from the steps between neighbours, so that a part of the chain turns as a
-        whole: shifts of its own would stretch it, and steps would have to be short.
+        whole: independent shifts would stretch it, and steps would have to be short.
         """
         moves = equations.eliminated_steps(step)
         turn, shift = moves[:, : self._q], moves[:, self._q :]
@@ -200,7 +199,7 @@ class ChainProblem:
             return Chained(state.positions + step[self.unknown], R, state.t + shift, constant)
 
         def placed(base: Ints, points: Floats, moved: Floats) -> Floats:
-            """Return points (n, d), moved a little, as they lie from where their bases come to."""
+            """Return points (n, d) after a small step, relative to the new poses of their bases."""
             away = points - state.t[base]
             own = np.einsum("nij,nj->ni", derivatives(away), moves[base])
             back = np.swapaxes(state.R[base], 1, 2)
@@ -215,7 +214,7 @@ class ChainProblem:
         return Chained(ways + t[self._base], R, t, constant)
 
     def inverse(self, state: Chained, weight: Floats) -> Floats:
-        """Return the covariances of all unknowns that are tied, as the pattern lays them out."""
+        """Return the covariances of all coupled unknowns, in the layout of the pattern."""
         matrix = self.equations(state, weight, True, 0.0).matrix
         self.pattern.factorise(matrix)
         return self.pattern.inverse(matrix)
@@ -225,7 +224,7 @@ class ChainProblem:
         return self.pattern.parts(self.inverse(state, weight), self.unknown)
 
     def components(self, state: Chained, weight: Floats) -> Sigmas:
-        """Return the standard deviations by what is left, each kind by its own freedoms."""
+        """Return the standard deviations from the residuals of each kind and their freedoms."""
         inverse = self.inverse(state, weight)
         sums = np.zeros((3, 2))
         d = self.chain.points.shape[1]
@@ -249,7 +248,7 @@ class ChainProblem:
     def _linearised(
         self, state: Chained, weight: Floats
     ) -> list[tuple[Floats, Floats, Ints, tuple[Ints, tuple[Ints, ...]], Floats]]:
-        """Return residuals, Jacobians, unknowns, their places and weights, of both kinds."""
+        """Return residuals, Jacobians, unknowns, matrix positions and weights, of both kinds."""
         seen, way, turn = self.parts
         left, by_landmark, away = self._left_of_seen(state)
         by_pose = -(by_landmark @ derivatives(away))
@@ -257,14 +256,14 @@ class ChainProblem:
         found = [(left, jacobian, self._of_seen, self._at_seen, weight[seen])]
         off_way, off_turn, jacobian = self._left_of_odometry(state)
         off = np.concatenate([off_way, off_turn], axis=1)
-        # A slip spoils both parts of a step.
+        # A slip makes both parts of a step wrong.
         each = np.minimum(weight[way], weight[turn])
         return [*found, (off, jacobian, self._of_moved, self._at_moved, each)]
 
     def _left_of_seen(self, state: Chained) -> tuple[Floats, Floats, Floats]:
-        """Return what is left (n, d) of the observations, its derivative by the landmark, and ways.
+        """Return the residuals (n, d) of observations, their Jacobian by the landmark, and rays.
 
-        The ways (n, d) go from robot to landmark, map frame, metres.
+        The rays (n, d) go from robot to landmark, map frame, metres.
         """
         at = self.chain.iteration
         away = state.positions[self.chain.landmark] - state.t[at]
@@ -273,7 +272,7 @@ class ChainProblem:
         return np.einsum("nij,nj->ni", self._root, off), self._root @ back, away
 
     def _left_of_odometry(self, state: Chained) -> tuple[Floats, Floats, Floats]:
-        """Return what is left of ways (o, d) and turns (o, q), and their Jacobian."""
+        """Return the residuals of distances (o, d) and turns (o, q), and their Jacobian."""
         a, d, q = self.moved, self._t.shape[1], self._q
         R_a, R_b = state.R[a], state.R[a + 1]
         back, between = np.swapaxes(R_a, 1, 2), state.t[a + 1] - state.t[a]
@@ -305,7 +304,7 @@ def _angles(R: Floats) -> Floats:
 
 
 def _pattern(chain: Chain, moved: Ints, m: int, k: int, d: int, q: int) -> Pattern:
-    """Return an order of landmarks, poses and constant errors in which little fills."""
+    """Return the pattern of landmarks, poses and constant errors, ordered for little fill-in."""
     width = np.concatenate([np.full(m, d), np.full(k, d + q), [q + 2]])
     pairs = np.unique(np.column_stack([m + chain.iteration, chain.landmark]), axis=0)
     poses, begin = np.unique(pairs[:, 0], return_index=True)

@@ -26,25 +26,25 @@ from relmap.core.state.kept import KeptObservations
 from relmap.core.state.table import LandmarkState
 
 ALIKE = 0.1
-"""How far apart landmarks of two parts may lie, in sizes of what they share, to be joined."""
+"""Largest median distance of the common landmarks of two joined parts, relative to their extent."""
 GUESS_M = 0.1
-"""Noise of an observed coordinate where nothing is known of it yet."""
+"""Noise of an observed coordinate if it is unknown."""
 DOUBT = 0.25
-"""Weight below which a step of odometry is not believed."""
+"""Weight below which a step of odometry counts as rejected."""
 
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """A part of a run, solved.
+    """The solution for a part of a run.
 
     Attributes
     ----------
     refined : Refined
     poses : (k, 4, 4) float64
-        Of its iterations, in the frame of `refined`.
+        Poses of its iterations, in the frame of `refined`.
     iterations : (k,) int64
     doubted : (i,) int64
-        Iterations to which odometry does not fit.
+        Iterations whose odometry is rejected.
     sigmas : Sigmas
     """
 
@@ -57,7 +57,7 @@ class Solved:
 
 @dataclass(frozen=True, eq=False)
 class PartSolver:
-    """Solves parts of a run by all that was seen and by odometry.
+    """Solves parts of a run by all observations and odometry.
 
     Attributes
     ----------
@@ -65,23 +65,23 @@ class PartSolver:
     rows : SegmentRows
     kept : KeptObservations
     roots : (n, d, d) float64, optional
-        Roots of the information of each observation, where covariances came.
+        Square roots of the information of each observation, if covariances are given.
     motions : (k, 4, 4) float64
-        Odometry without its constant errors; NaN where it is not known.
+        Odometry without its constant errors; NaN if unknown.
     noise : MotionNoise
     noise_m : float
-        About that of an observed coordinate; NaN if nothing is known of it.
+        Approximate noise of an observed coordinate; NaN if unknown.
     sigmas : Sigmas, optional
-        How much noisier all of these are, where that was found before.
+        Factors of these noises, if estimated before.
     to_the_last : bool
-        Whether what fits nowhere is let go, and the least cost is found to the last digit.
+        Whether outliers are rejected and the cost is minimised until convergence.
     fewest : int
-        Observations below which a landmark is left out.
+        Minimum number of observations of a landmark.
     is_open : bool
-        Whether loops were found that are still open where the parts are laid.
+        Whether loops were found that the initial poses leave open.
     has_ids : bool
-        Whether ids came.  Parts of the chain do not turn as a whole then: wrong ids would turn
-        them, and MRCLAM's maps got worse by half.
+        Whether ids are given.  Then parts of the chain do not turn as a whole: wrong ids would turn
+        them, and the errors of MRCLAM's maps increased by half.
     """
 
     table: LandmarkState
@@ -98,13 +98,13 @@ class PartSolver:
     has_ids: bool
 
     def solve(self, bridged: Bridged) -> list[Solved]:
-        """Return the parts of a run, the smallest first, solved from where they are laid."""
+        """Return the solved parts of a run, the smallest first, from these initial poses."""
         found = (self._part(bridged, part) for part in np.unique(bridged.part).tolist())
         solved = [part for part in found if part is not None]
         return sorted(solved, key=lambda part: len(part.refined.landmarks))
 
     def _part(self, bridged: Bridged, part: int) -> Solved | None:
-        """Return one part; None where nothing was seen in it."""
+        """Return one part; None if it has no observation."""
         iterations = np.flatnonzero(bridged.part == part)
         chain, landmarks = self._chain(bridged, part, iterations)
         if not len(landmarks):
@@ -122,7 +122,7 @@ class PartSolver:
         return Solved(refined, placed, iterations, doubted, problem.sigmas)
 
     def _chain(self, bridged: Bridged, part: int, iterations: Ints) -> tuple[Chain, Ints]:
-        """Return what there is to know of a part, and the landmarks (m,) that it is about."""
+        """Return the data of a part, and its landmarks (m,)."""
         kept = self.kept
         every = self.table.now(kept.landmark)
         there = (bridged.part[kept.iteration] == part) & ~self.table.dynamic[every]
@@ -141,7 +141,7 @@ class PartSolver:
     def _refined(
         self, settled: Settled[Chained], problem: ChainProblem, landmarks: Ints, iterations: Ints
     ) -> tuple[Refined, Floats]:
-        """Return the map, and the poses (k, 4, 4), in the frame of the first that saw anything."""
+        """Return the map and the poses (k, 4, 4), in the frame of the first observation."""
         state, anchor = settled.state, int(problem.chain.iteration[0])
         R, t = state.R[anchor], state.t[anchor]
         d = len(t)
@@ -169,7 +169,7 @@ class PartSolver:
 def join_parts(bridged: Bridged, solved: Sequence[Solved]) -> Bridged | None:
     """Return all scans with a part joined to the largest that shares landmarks with it.
 
-    Parts of one log, between which no odometry came, may show the same landmarks; ids say so.
+    Parts of one log that are not connected by odometry may share landmarks, known by their ids.
 
     Parameters
     ----------
@@ -180,7 +180,7 @@ def join_parts(bridged: Bridged, solved: Sequence[Solved]) -> Bridged | None:
     Returns
     -------
     Bridged or None
-        None where no part shares enough, or what it shares lies otherwise.
+        None if no part shares enough landmarks, or their positions disagree.
     """
     for k, other in enumerate(solved):
         for base in reversed(solved[k + 1 :]):
@@ -204,7 +204,7 @@ def join_parts(bridged: Bridged, solved: Sequence[Solved]) -> Bridged | None:
 
 
 def _start(chain: Chain, poses: Floats, m: int) -> Chained:
-    """Return the state in which each landmark is in the middle of where it was seen."""
+    """Return the state with each landmark at the mean of its observations."""
     d = chain.points.shape[1]
     R, t = poses[:, :d, :d], poses[:, :d, 3]
     at = chain.iteration
@@ -217,7 +217,7 @@ def _start(chain: Chain, poses: Floats, m: int) -> Chained:
 def _residuals(
     rows: SegmentRows, table: LandmarkState, landmarks: Ints, positions: Floats, noise_m: float
 ) -> tuple[SegmentResiduals, MergeResiduals]:
-    """Return what segments and merges are apart from the map."""
+    """Return the residuals of segments and merges."""
     whole = np.full((len(table), positions.shape[1]), np.nan)
     whole[landmarks] = positions
     chosen = np.zeros(len(table), dtype=bool)

@@ -30,7 +30,7 @@ class Drift:
         self._own = pattern.parts(inverse, problem.unknown)
         turns = problem.pose[:, : problem.pose.shape[1] - self.state.t.shape[1]]
         self._turns, self._own_turn = turns, pattern.parts(inverse, turns)
-        # Observations are in the order of time.
+        # Observations are sorted by time.
         chain, self.last = problem.chain, np.zeros(len(problem.unknown), dtype=np.int64)
         self.last[chain.landmark] = chain.iteration
         self.first = np.zeros_like(self.last)

@@ -1,7 +1,7 @@
-"""Landmarks that only wrong ids name: the map must not have them.
+"""Removal of landmarks that exist only because of wrong ids.
 
-An id that is read wrongly again and again, but never rightly, looks like a landmark. Its
-observations contradict one another, or are of another landmark.
+An id that occurs only by misreading looks like a landmark. Its observations contradict one another,
+or belong to another landmark.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from relmap.core.refinement.extending import lay
 from relmap.core.state.table import NONE
 
 FEW = 3
-"""Observations that show a landmark to be real; how many times as often another must have been seen
-to take its place."""
+"""Supporting observations that a real landmark needs; and how many times as often another landmark
+at the same position must have been observed for this one to be removed."""
 FAR, MOST = 8.0, 0.95
 """Deviation from its landmark above which an observation contradicts it, relative to this quantile
 over the landmarks of the median deviation of each."""
@@ -27,10 +27,11 @@ in Victoria Park, 3 elsewhere."""
 
 
 def take_off_misread(global_map: GlobalMap, rows: SegmentRows) -> Ints:
-    """Unmap landmarks that only wrong ids name, and return them (k,).
+    """Unmap landmarks that exist only because of wrong ids, and return them (k,).
 
     Few observations of such a landmark support its position, and as many contradict it; or it was
-    seen a few times in the place of another that was seen more often, and never together with it.
+    seen a few times at the position of another that was seen more often, and never together with
+    it.
 
     Parameters
     ----------
@@ -50,7 +51,7 @@ def take_off_misread(global_map: GlobalMap, rows: SegmentRows) -> Ints:
 
 
 def _misread(positions: Floats, rows: SegmentRows, landmark: Ints, known: Bools) -> Ints:
-    """Return the landmarks of the known rows (n,) that only wrong ids name."""
+    """Return the landmarks of the known rows (n,) that exist only because of wrong ids."""
     laid = lay(rows, landmark, positions, known)
     judged = np.flatnonzero(known & np.isfinite(laid.variance))
     if not len(judged):
@@ -77,7 +78,7 @@ def _limit(apart: Floats, of: Ints) -> float:
 def _aliases(
     positions: Floats, rows: SegmentRows, landmark: Ints, limit_m: float, seen: Ints
 ) -> Ints:
-    """Return the landmarks that were seen (m,) a few times in the place of another one."""
+    """Return the landmarks seen (m,) a few times at the position of another one."""
     present = np.flatnonzero(seen)
     few = present[seen[present] < FEW]
     near = KDTree(positions[present]).query_ball_point(positions[few], limit_m)

@@ -1,4 +1,4 @@
-"""Every observation of a run, where segments do not say all that it says."""
+"""Every observation of a run, for refinement with odometry."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from relmap.core.state.growing import GrowingArray
 class KeptObservations:
     """Every observation of a run with odometry, by the number under which it was made.
 
-    Scans that see too little to be condensed count there.  That takes 32 bytes for each in the
+    Scans with too few landmarks to be condensed count too.  An observation takes 32 bytes in the
     plane and 40 in space.
     """
 
@@ -23,11 +23,11 @@ class KeptObservations:
         self._iteration: GrowingArray[np.int64] = GrowingArray(np.int64)
 
     def __len__(self) -> int:
-        """Return how many there are."""
+        """Return the number of observations."""
         return len(self._landmark)
 
     def append(self, landmark: Ints, location: Floats, iteration: int) -> None:
-        """Take in n observations of landmarks (n,) at (n, d), robot frame, metres."""
+        """Add n observations of landmarks (n,) at (n, d), robot frame, metres."""
         if not len(self):
             self._location = GrowingArray(np.float64, location.shape[1:])
         self._landmark.extend(landmark)
@@ -36,15 +36,15 @@ class KeptObservations:
 
     @property
     def landmark(self) -> Ints:
-        """Of which landmark each is (n,), as numbered when it was seen."""
+        """Landmark of each observation (n,), as numbered when it was seen."""
         return self._landmark.values
 
     @property
     def iteration(self) -> Ints:
-        """When each was made (n,), ascending."""
+        """Iteration of each observation (n,), ascending."""
         return self._iteration.values
 
     @property
     def location(self) -> Floats:
-        """Where each was seen (n, d), robot frame, metres."""
+        """Position of each observation (n, d), robot frame, metres."""
         return self._location.values

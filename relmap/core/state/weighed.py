@@ -1,4 +1,4 @@
-"""Observations with covariances of their own: each is kept, for the refinement to weigh it."""
+"""Observations with covariances, kept one by one for the refinement."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from relmap.core.state.growing import GrowingArray
 class WeighedObservations:
     """Every observation of a run that comes with covariances; empty in other runs.
 
-    Segments cannot keep what differs from observation to observation.  That takes 72 bytes for
-    each in the plane and 112 in space.
+    Segments cannot represent covariances that differ between observations.  An observation takes
+    72 bytes in the plane and 112 in space.
     """
 
     STATE = "_landmark _location _covariance _iteration"
@@ -24,16 +24,16 @@ class WeighedObservations:
         self._iteration: GrowingArray[np.int64] = GrowingArray(np.int64)
 
     def __len__(self) -> int:
-        """Return how many there are."""
+        """Return the number of observations."""
         return len(self._landmark)
 
     def append(self, landmark: Ints, location: Floats, covariance: Floats, iteration: int) -> None:
-        """Take in n observations of landmarks (n,) at (n, d), robot frame, metres.
+        """Add n observations of landmarks (n,) at (n, d), robot frame, metres.
 
         Parameters
         ----------
         landmark : (n,) int64
-            As numbered now.
+            Current numbers.
         location : (n, d) float64, robot frame, metres
         covariance : (n, d, d) float64, square metres
         iteration : int
@@ -71,20 +71,20 @@ class WeighedObservations:
 
     @property
     def landmark(self) -> Ints:
-        """Of which landmark each is (n,), as numbered when it was seen."""
+        """Landmark of each observation (n,), as numbered when it was seen."""
         return self._landmark.values
 
     @property
     def iteration(self) -> Ints:
-        """When each was made (n,), ascending."""
+        """Iteration of each observation (n,), ascending."""
         return self._iteration.values
 
     @property
     def location(self) -> Floats:
-        """Where each was seen (n, d), robot frame, metres."""
+        """Position of each observation (n, d), robot frame, metres."""
         return self._location.values
 
     @property
     def covariance(self) -> Floats:
-        """How noisy each is (n, d, d), square metres."""
+        """Covariance of each observation (n, d, d), robot frame, square metres."""
         return self._covariance.values
