@@ -52,8 +52,21 @@ class Mapped(Shown, ABC):
     def landmarks_of(self, labels: ArrayLike) -> Ints:
         """Return the current labels of landmarks (n,), given labels from earlier updates.
 
-        A landmark that is lost and seen again gets a new label, until it is recognised; -1 is
-        returned as -1. A label that no update has returned raises `RelmapError`.
+        A landmark that is lost and seen again gets a new label, until it is recognised.
+
+        Parameters
+        ----------
+        labels : (n,) array of int
+            As returned by `update`; -1 is returned as -1.
+
+        Returns
+        -------
+        (n,) int64
+
+        Raises
+        ------
+        RelmapError
+            If no update has returned such a label.
         """
         labels = checked_labels(labels, np.append(readout.labels(self.engine), -1))
         if self.engine.association.has_ids:

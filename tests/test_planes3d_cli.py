@@ -87,7 +87,7 @@ def test_path_is_that_of_the_truth(storey: Path, capsys: pytest.CaptureFixture[s
     assert evaluation["plane_recall"] > 0.75
     assert evaluation["plane_rmse_m"] < 0.003
     assert evaluation["doubled_area"] < 0.02
-    assert "planes found" in capsys.readouterr().out
+    assert "plane recall" in capsys.readouterr().out
 
 
 def test_scans_and_voxel(storey: Path, tmp_path: Path) -> None:

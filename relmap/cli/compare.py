@@ -22,9 +22,9 @@ World = Literal["figure-eight", "building"]
 HELP = """Compare methods on the same data: relmap's own, and others.
 
 INPUT is a log of landmarks or of point scans, as for 'relmap map'; or simulate a world.
-It prints one table and writes DIR/comparison.csv, comparison.png, and of each method
-trajectory-METHOD.tum, map-METHOD.csv and map-METHOD.png.  Where the true landmarks are known, that
-picture shows how far off each one is, enlarged alike for all methods.  None is given odometry.
+It prints one table and writes DIR/comparison.csv, comparison.png, and for each method
+trajectory-METHOD.tum, map-METHOD.csv and map-METHOD.png.  If the true landmarks are known, the
+pictures show the errors as arrows, enlarged by the same factor.  No method uses odometry.
 
 \b
 Examples:
@@ -107,7 +107,7 @@ _Truth = Annotated[
     Path | None,
     typer.Option(
         metavar="TRUTH",
-        help="What to compare with, as 'relmap evaluate' takes it; if not given, the folder "
+        help="The truth, as for 'relmap evaluate'; if not given, the folder "
         "truth beside INPUT.",
     ),
 ]

@@ -67,7 +67,7 @@ Bias = Annotated[
         metavar="WAY:TURN",
         parser=pair,
         help="Systematic odometry errors: a fraction of the distance, and degrees to the left "
-        "a metre.",
+        "per metre.",
     ),
 ]
 Broken = Annotated[

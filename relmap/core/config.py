@@ -133,6 +133,10 @@ class MapperConfig:
         ----------
         unused : mapping
             Names of ignored settings, with the reason.
+
+        Returns
+        -------
+        dict
         """
         used = {key: value for key, value in asdict(self).items() if key not in unused}
         if used.get("registration") != "nearest-previous":
@@ -142,6 +146,15 @@ class MapperConfig:
     @classmethod
     def from_mapping(cls, settings: Mapping[str, Any]) -> MapperConfig:
         """Build the configuration from keys and values, as read from a file.
+
+        Parameters
+        ----------
+        settings : mapping
+            Names of fields, and their values.
+
+        Returns
+        -------
+        MapperConfig
 
         Raises
         ------

@@ -50,7 +50,7 @@ def checked_odometry(odometry: ArrayLike) -> Floats:
 
 
 def motion_from_velocity(speed_m_s: float, yaw_rate_rad_s: float, duration_s: float) -> Floats:
-    """Return the motion (3,) x, y, yaw at constant speed and rate of turn: an arc of a circle.
+    """Return the motion at constant speed and rate of turn: an arc of a circle.
 
     Parameters
     ----------
@@ -59,6 +59,11 @@ def motion_from_velocity(speed_m_s: float, yaw_rate_rad_s: float, duration_s: fl
     yaw_rate_rad_s : float
         Positive to the left.
     duration_s : float
+
+    Returns
+    -------
+    (3,) float64
+        x, y, metres, and yaw, radians, in the frame at the start.
     """
     way, yaw = speed_m_s * duration_s, yaw_rate_rad_s * duration_s
     along, across = np.sinc(yaw / np.pi), np.sin(yaw / 2) * np.sinc(yaw / (2 * np.pi))

@@ -107,6 +107,10 @@ def evaluate(result: Result, truth: Truth, log: ObservationLog | None = None) ->
         The log of points that was mapped; its ids are the true association. Without them the
         landmark figures are None, unless the association was known and the labels are ids.
 
+    Returns
+    -------
+    Evaluation
+
     Raises
     ------
     RelmapError

@@ -208,7 +208,16 @@ def recognised_format(path: Path, variant: Variant) -> str | None:
 
 
 def truth_of(world: FigureEight | World | Building) -> Truth:
-    """Return the truth of a simulated world."""
+    """Return the truth of a simulated world.
+
+    Parameters
+    ----------
+    world : FigureEight, World or Building
+
+    Returns
+    -------
+    Truth
+    """
     if isinstance(world, FigureEight | World):
         places, status, stamps_s = world.landmarks_map, world.status, stamps_of(world.log)
         return Truth(world.landmark_ids, places, status, stamps_s, world.trajectory)

@@ -58,9 +58,22 @@ class LocatingMapper(MappedWalls):
         return self._finder.find(self._checked(points, beams))
 
     def localise(self, points: Any, beams: ArrayLike | None = None) -> Floats:
-        """Return the pose ``T_map_robot`` (4, 4) of a scan; NaN if it is ambiguous.
+        """Localise a scan using only the map; the mapper does not change.
 
-        See `locate`.
+        Parameters
+        ----------
+        points, beams
+            As for `locate`.
+
+        Returns
+        -------
+        (4, 4) float64
+            ``T_map_robot``; NaN if the scan is not found, or is ambiguous.
+
+        Raises
+        ------
+        RelmapError
+            If the scan is invalid.
         """
         return self.locate(points, beams).T_map_robot
 

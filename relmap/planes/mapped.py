@@ -62,6 +62,10 @@ class MappedWalls(Mapper):
         ----------
         number : int
             Index of the submap in `submaps`.
+
+        Returns
+        -------
+        PlaneTable
         """
         submaps, numbers = self._state
         assembled = submaps[number].assembled if submaps else None
@@ -76,6 +80,11 @@ class MappedWalls(Mapper):
             Index of the submap in `submaps`.
         most : int
             Maximum number of beams, by subsampling.
+
+        Returns
+        -------
+        PlacedBeams
+            Begin and end points, metres, and the scan of each beam.
         """
         submap = self.submaps[number]
         return self._planes.links.beams.placed(submap.poses, submap.span, most)

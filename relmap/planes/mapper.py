@@ -231,6 +231,10 @@ class PlaneMapper(LocatingMapper):
         labels : (n,) array of int
             As returned by `update`.
 
+        Returns
+        -------
+        (n,) int64
+
         Raises
         ------
         RelmapError

@@ -198,6 +198,12 @@ class PointMapper(Mapper):
         ----------
         points : (n, 2) or (n, 3) array, robot frame, metres
 
+        Returns
+        -------
+        Place
+            The pose ``T_map_robot`` (4, 4), NaN if the scan is not found or is ambiguous, and the
+            number of places.
+
         Raises
         ------
         RelmapError

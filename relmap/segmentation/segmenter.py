@@ -85,11 +85,26 @@ class PlaneSegmenter:
         return f"{type(self).__name__}({given})"
 
     def get_params(self, deep: bool = True) -> dict[str, Any]:
-        """Return the parameters by name, for scikit-learn's `clone`."""
+        """Return the parameters by name, for scikit-learn's `clone`.
+
+        Parameters
+        ----------
+        deep : bool
+            Ignored: no parameter is an estimator.
+
+        Returns
+        -------
+        dict
+        """
         return {name: getattr(self, name) for name in DEFAULTS}
 
     def set_params(self, **params: Any) -> Self:
         """Set parameters by name.
+
+        Parameters
+        ----------
+        **params
+            New values.
 
         Raises
         ------
@@ -104,7 +119,18 @@ class PlaneSegmenter:
         return self
 
     def fit_predict(self, points: ArrayLike, y: object = None) -> Ints:
-        """Segment one scan and return its `labels_`; `y` is ignored."""
+        """Segment one scan and return the plane of each point.
+
+        Parameters
+        ----------
+        points, y
+            As for `fit`.
+
+        Returns
+        -------
+        (n,) int64
+            `labels_`; -1 for points on no plane.
+        """
         return self.fit(points).labels_
 
     def fit(self, points: ArrayLike, y: object = None) -> Self:

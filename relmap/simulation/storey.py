@@ -70,6 +70,11 @@ def simulate_storey(
     iterations : int
     seed : int
 
+    Returns
+    -------
+    Storey
+        The scans, the true poses and the true faces.
+
     Raises
     ------
     RelmapError

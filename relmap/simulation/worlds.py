@@ -117,6 +117,14 @@ class World:
 def simulate_world(spec: WorldSpec) -> World:
     """Drive through a world and observe its landmarks.
 
+    Parameters
+    ----------
+    spec : WorldSpec
+
+    Returns
+    -------
+    World
+
     Raises
     ------
     RelmapError
