@@ -1,4 +1,4 @@
-# Needs git, make and Python 3.11 or later; the rest goes into virtual environments of its own.
+# Needs git, make and Python 3.11 or later; everything else is installed into virtual environments.
 
 PYTHON ?= python3
 WORKERS ?= auto
@@ -19,10 +19,10 @@ help:
 	@echo 'make demo     install relmap into $(DEMO_VENV) and run its demo, which fills the folder demo'
 	@echo 'make test     ruff, mypy and every test, in $(TEST_VENV) (ARGS="-k name" goes to pytest)'
 	@echo 'make lowest   every test with the lowest versions that pyproject.toml allows, in $(LOWEST_VENV)'
-	@echo 'make bench    accuracy and time as ratios, beside benchmarks/gate_baseline.json'
+	@echo 'make bench    accuracy and time as ratios, compared with benchmarks/gate_baseline.json'
 	@echo 'make lint     ruff check and ruff format --check'
 	@echo 'make types    mypy --strict'
-	@echo 'make format   let ruff mend and format what it can'
+	@echo 'make format   let ruff fix and format'
 	@echo 'make clean    remove what the other targets made'
 	@echo 'PYTHON=/path/to/python chooses the interpreter (3.11 or later; now: $(PYTHON))'
 
@@ -34,7 +34,7 @@ test: lint types
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(TEST_VENV)/bin/python -m pytest \
 		-n $(WORKERS) --maxprocesses 4 --dist worksteal $(ARGS)
 
-# Other people's deprecations are no fault where old versions meet new ones.
+# Deprecation warnings of old versions are expected.
 lowest: $(LOWEST_VENV)/.ready
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(LOWEST_VENV)/bin/python -m pytest \
 		-W ignore::DeprecationWarning -n $(WORKERS) --maxprocesses 4 --dist worksteal $(ARGS)

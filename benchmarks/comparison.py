@@ -1,14 +1,14 @@
-"""relmap beside other methods: the figures of docs/benchmarks.md.
+"""relmap compared with other methods.
 
     OMP_NUM_THREADS=1 python benchmarks/comparison.py [--seeds 10]
 
 The figure eight, density 25, sigma 0.05 m, known ids; landmark RMSE of the static landmarks after
 rigid alignment, median over the seeds.  Times are processor time with one thread.
-Methods of the extra `relmap[peers]` are left out, and named, where it is not installed.
+Methods of the extra `relmap[peers]` are left out, and named, if it is not installed.
 
-Moving landmarks: the same log with their observations taken out is what *static* means, so that the
-ratio tells what they do to the map, and not what fewer landmarks do.  Beside it stands the ratio to
-the world in which none moves, which has more landmarks to go by.
+Moving landmarks: *taken out* is the same log without their observations, so the ratio shows their
+effect on the map, not that of fewer landmarks.  The second ratio is to a world in which all
+landmarks are static, which are more.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ def accuracy_and_time(names: list[str], seeds: int) -> None:
 
 
 def without_moving(world: Data) -> Data:
-    """Take out what was seen of moving landmarks."""
+    """Remove the observations of moving landmarks."""
     log, truth = world.log, world.truth
     seen = np.isin(log.ids, truth.landmark_ids[truth.status == "static"])
     columns = ("points_robot", "iteration", "rows", "ids")

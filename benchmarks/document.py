@@ -28,7 +28,7 @@ def main() -> None:
     given = parser.parse_args()
     command = [sys.executable, str(ROOT / "benchmarks" / given.benchmark), *given.arguments]
     printed = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True).stdout
-    # Folders of data have another name on each machine.
+    # Folders of data have different names on different machines.
     options = ["DATA" if Path(word).is_dir() else word for word in given.arguments]
     source = measured_by(" ".join([given.benchmark, *options]))
     if not write_all(DOCUMENTS, given.benchmark, printed, source):

@@ -1,9 +1,9 @@
-"""What a long run without noise loses to rounding alone.
+"""Rounding errors of a long run without noise.
 
     python benchmarks/drift.py [--iterations N]
 
-The figure eight at density 100 driven round and round, and the road of `endurance.py` driven on and
-on, both with known ids and without noise.  The map after a tenth of the run and after all of it,
+The figure eight at density 100, driven repeatedly, and the road of `endurance.py`, both with known
+ids and without noise.  The map after a tenth of the run and after all of it,
 before any refinement, is compared with the truth after rigid alignment.
 """
 
@@ -40,7 +40,7 @@ def on_and_on(seed: int, iterations: int) -> tuple[Scans, Floats]:
 
 
 def errors_m(mapper: PointMapper, places: Floats) -> Floats:
-    """Return how far each mapped landmark is from its place, after rigid alignment."""
+    """Return the error of each mapped landmark, after rigid alignment."""
     found = mapper.map
     there = places[found.landmark_ids]
     R, t = fit_rigid(found.positions, there)
@@ -50,8 +50,8 @@ def errors_m(mapper: PointMapper, places: Floats) -> Floats:
 def main(iterations: int) -> None:
     rows = []
     for name, (scans, places) in {
-        "figure eight, round and round": round_and_round(seed=0),
-        "road, on and on": on_and_on(0, iterations),
+        "figure eight, repeated": round_and_round(seed=0),
+        "road": on_and_on(0, iterations),
     }.items():
         mapper = PointMapper()
         for k, (points, ids) in enumerate(islice(scans, iterations), start=1):
@@ -67,6 +67,6 @@ def main(iterations: int) -> None:
 
 if __name__ == "__main__":
     on_one_core()
-    parser = argparse.ArgumentParser(description="Measure what rounding does to a long run.")
+    parser = argparse.ArgumentParser(description="Measure rounding errors of a long run.")
     parser.add_argument("--iterations", metavar="N", type=int, default=20_000)
     main(parser.parse_args().iterations)

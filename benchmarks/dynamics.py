@@ -1,17 +1,16 @@
-"""Moving landmarks: how well they are told from static ones, and in how many comparisons.
+"""Detection of moving landmarks: precision, recall, and number of comparisons.
 
     python benchmarks/dynamics.py [--quick]
 
-The figure eight, sigma 0.05 m, with 10 to 70 % of its landmarks moving in every way that the
-simulation knows.  Judged are landmarks seen 30 times, by their status when the run is finished and
-by whether the world made them dynamic.  Without ids a landmark may be several tracks: each track
-is judged by itself, if it was seen 30 times, by the true landmark that most of its observations
-are of.  A track that moves only while nobody looks, or stopped long before it left the view, counts
-as missed all the same.
+The figure eight, sigma 0.05 m, with 10 to 70 % of its landmarks moving in all ways of the
+simulation.  The status of landmarks seen 30 times at the end of the run is compared with the truth.
+Without ids a landmark may have several tracks: each track seen 30 times is evaluated separately, by
+the true landmark of most of its observations.  A track that moves only while it is not observed, or
+stopped long before it left the view, counts as missed.
 
 Each group sorts the landmarks of its chart into bins; n are those seen often enough to be
-compared, where these are two or more.  The pairs that guessing the noise looks at, of at most
-`PAIRED` landmarks (`relmap.core.grouping.noise`), are not among the comparisons.
+compared, if these are two or more.  Pairs compared for the first noise estimate, of at most
+`PAIRED` landmarks (`relmap.core.grouping.noise`), are not counted.
 """
 
 from __future__ import annotations
@@ -32,9 +31,9 @@ SHARES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.65, 0.7)
 DENSITIES = (25, 100)
 SEEDS = range(5)
 SEEN = 30
-"""Sightings without which a landmark is not judged."""
+"""Minimum number of observations of an evaluated landmark."""
 BAR, JUDGED = 0.97, (0.4, 0.65)
-"""Least precision and recall, and the shares of dynamic landmarks at which it is asked for."""
+"""Required precision and recall, and the fractions of dynamic landmarks to which this applies."""
 
 Groups = list[tuple[int, int]]
 """Landmarks sorted for each chart, and pairs of them compared."""
@@ -60,9 +59,9 @@ class CountingMapper(PointMapper):
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one run: judged tracks by what they are and what they are taken for."""
+    """Result of one run: evaluated tracks by their true status and the status found."""
 
-    both: int  # dynamic, and called so
+    both: int  # true positives
     called: int
     dynamic: int
     judged: int
@@ -129,7 +128,7 @@ def main(shares: tuple[float, ...], densities: tuple[int, ...], seeds: range) ->
 
 if __name__ == "__main__":
     on_one_core()
-    parser = argparse.ArgumentParser(description="Judge how moving landmarks are found.")
+    parser = argparse.ArgumentParser(description="Measure how moving landmarks are found.")
     parser.add_argument("--quick", action="store_true", help="density 25, one seed, 40 and 65 %%")
     if parser.parse_args().quick:
         main(JUDGED, DENSITIES[:1], SEEDS[:1])

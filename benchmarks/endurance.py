@@ -3,14 +3,14 @@
     python benchmarks/endurance.py [--quick | --iterations N]
 
 One weaving road with 5.25 new landmarks per iteration and about 100 of them visible: 105 000 in the
-20 000 iterations of a full run, 26 000 in the 5000 of --quick.  The road is made while it is driven
-and forgotten behind the robot, so that memory that grows is the mapper's.  Each association has a
-process of its own: what one run freed would hide what the next one takes.
+20 000 iterations of a full run, 26 000 in the 5000 of --quick.  The road is generated ahead of the
+robot and forgotten behind it, so that growing memory is the mapper's.  Each association runs in its
+own process: memory freed by one run would hide what the next one takes.
 
-Times are processor time with one thread in each library.  Memory is VmRSS, counted from what the
-process holds when all is compiled and nothing is mapped.  The map itself is what the mapper hands
-out at the end, the table of landmarks and the groups with their relative maps, taken in proportion
-to the landmarks seen; what is held beyond it must not grow.  Linux only.
+Times are processor time with one thread in each library.  Memory is VmRSS, minus that
+of the process after compiling, before mapping.  The map itself is the table of landmarks and the
+groups with their relative maps at the end, in proportion to the landmarks seen; the rest must not
+grow.  Linux only.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ WEAVE_M, WAVE_M = 20.0, 800.0
 """The road swings this far to each side, once in this length."""
 CHUNK_M = 50.0
 PER_CHUNK = round(PER_M * CHUNK_M)
-"""Length of road that is made at once, and its landmarks."""
+"""Length of road generated at a time, and its landmarks."""
 WINDOW = 1000
 """Iterations in the windows that are compared: the second of the run and the last."""
 CHECKPOINTS = 10
@@ -92,7 +92,7 @@ def stretches(seed: int) -> Iterator[Floats]:
 
 
 def _weave(x_m: Floats) -> tuple[Floats, Floats]:
-    """Return how far the road is to the left at x, metres, and where it heads, radians."""
+    """Return the offset of the road to the left at x, metres, and its direction, radians."""
     phase = 2 * np.pi * x_m / WAVE_M
     return WEAVE_M * np.sin(phase), np.arctan(2 * np.pi * WEAVE_M / WAVE_M * np.cos(phase))
 
@@ -106,7 +106,7 @@ def _in_robot(points_map: Floats, at_m: float) -> Floats:
 
 @dataclass(frozen=True)
 class Drive:
-    """What was measured on the way.
+    """Measurements of a run.
 
     Attributes
     ----------
@@ -115,7 +115,7 @@ class Drive:
     resident : (k, 3) int64
         Iteration, landmarks seen so far, and bytes held beyond those at the start.
     landmarks, mapped, groups : int
-        In the end, as the mapper counts them.
+        At the end, as counted by the mapper.
     map_bytes : int
         Of the table of landmarks and of the groups.
     """
@@ -130,7 +130,7 @@ class Drive:
 
 
 def drive(known: bool, iterations: int) -> Drive:
-    """Drive the road in a process that has mapped nothing yet."""
+    """Map the road in a new process."""
     _go(PointMapper(), road(seed=1), known, WARM_UP)
     gc.collect()
     mapper = PointMapper()
@@ -147,7 +147,7 @@ def drive(known: bool, iterations: int) -> Drive:
 def _go(
     mapper: PointMapper, scans: Scans, known: bool, iterations: int
 ) -> tuple[Floats, Ints, Ints]:
-    """Drive; return time and number visible of each iteration, and memory now and then."""
+    """Map; return time and number visible of each iteration, and memory at intervals."""
     time_ms, visible = np.full(iterations, np.nan), np.full(iterations, -1)
     marks = np.linspace(0, iterations, CHECKPOINTS + 1).astype(int)[1:]
     seen = np.full(round(PER_M * (STEP_M * iterations + 2 * RANGE_M + CHUNK_M)), False)

@@ -1,15 +1,15 @@
-"""What the map loses to faults in the world and in the sensor.
+"""Effect of faults of the world and of the sensor on the map.
 
     python benchmarks/faults.py [--seeds N] [--density D ...]
 
-The figure eight with sigma 0.05 is mapped without a fault and with each, with known ids and without
-any; medians and worst of the seeds.  Compared is the landmark RMSE, refined, after rigid alignment,
-of the landmarks that the fault does not concern: of a landmark reported twice neither report
-counts, and of a fault at a time those seen only then do not.  The ratio is to the RMSE of the same
-landmarks without a fault; the aim is 1.2.  "Limit" is the same ratio for the log without what is
-wrong in it, as if all of that were found out: a fault also takes observations away.  "Covered" is
-the share of the landmarks seen ten times that are mapped, "rejected" how many iterations the mapper
-names, of how many that were wrong, and how many others it names.
+The figure eight with sigma 0.05 is mapped without a fault and with each fault, with known ids and
+without ids; medians and worst of the seeds.  The figure is the RMSE of the refined landmarks that
+the fault does not affect, after rigid alignment: landmarks reported twice, and landmarks seen only
+during a temporary fault, are left out.  The ratio is to the RMSE of the same landmarks without a
+fault; the aim is 1.2.  "Limit" is the same ratio for the log without its wrong observations, as if
+all were recognised: a fault also removes observations.  "Covered" is the fraction of the landmarks
+seen ten times that are mapped, "rejected" the number of useless iterations that the mapper rejects,
+of how many, and the number of others.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from relmap.evaluation.metrics import majority_ids
 from relmap.simulation import FigureEight, faults, simulate_figure_eight
 
 AT, COUNT = 450, 10
-"""Where faults at a time begin, and how many iterations they last."""
+"""First iteration of temporary faults, and their duration in iterations."""
 OUTLIERS, MISSED, GHOSTS, TWICE = 0.05, 0.1, 0.05, 0.05
 SIGMA_M = 0.05
 OFTEN = 10
@@ -37,7 +37,7 @@ OFTEN = 10
 
 @dataclass(frozen=True, eq=False)
 class Fault:
-    """A log with a fault, the iterations of it that cannot be used, and the landmarks in it."""
+    """A log with a fault, its useless iterations, and the affected landmarks."""
 
     log: ObservationLog
     useless: np.ndarray
@@ -63,7 +63,7 @@ def mirrored(log: ObservationLog, rng: np.random.Generator) -> Fault:
 
 
 def together(log: ObservationLog, rng: np.random.Generator) -> Fault:
-    """Put in all faults, those at a time 100 iterations apart."""
+    """Apply all faults, the temporary ones 100 iterations apart."""
     made = faults.big_step(log, 750, COUNT)
     made = faults.time_backwards(made, 650, COUNT)
     made = faults.few_landmarks(made, 350, COUNT)
@@ -92,7 +92,7 @@ FAULTS: dict[str, Make] = {
 
 @dataclass(frozen=True, eq=False)
 class Mapped:
-    """What came out: places and true ids of what is mapped, submaps and rejected iterations."""
+    """A result: positions and true ids of the mapped landmarks, submaps and rejected iterations."""
 
     positions: np.ndarray
     true_ids: np.ndarray
@@ -120,7 +120,7 @@ def rmse(result: Mapped, world: FigureEight, ids: np.ndarray) -> float:
 
 
 def what_is_right(log: ObservationLog, true: ObservationLog) -> ObservationLog:
-    """Return the observations of a log that stand, with the same id, in the true one too."""
+    """Return the observations of a log that are also, with the same id, in the true one."""
     whole = [np.column_stack([one.ids, one.points_robot]) for one in (true, log)]
     there = {row.tobytes() for row in whole[0]}
     right = np.array([row.tobytes() in there for row in whole[1]])
@@ -129,7 +129,7 @@ def what_is_right(log: ObservationLog, true: ObservationLog) -> ObservationLog:
 
 
 def loss(world: FigureEight, sound: Mapped, make: Make, known: bool, seed: int) -> list[float]:
-    """Return RMSE, its ratio, the limit, coverage, submaps, and what was rejected, also wrongly."""
+    """Return RMSE, ratio, limit, coverage, submaps, and iterations rejected, useless, wrong."""
     fault = make(world.log, np.random.default_rng([seed, 1]))
     result = mapped(fault.log, known)
     right = what_is_right(fault.log, world.log)
@@ -147,7 +147,7 @@ def loss(world: FigureEight, sound: Mapped, make: Make, known: bool, seed: int) 
 
 
 def compare(density: float, known: bool, seeds: range) -> dict[str, Floats]:
-    """Return the figures (seeds, 8) of each fault, as `loss` has them."""
+    """Return the figures (seeds, 8) of each fault; see `loss`."""
     found: dict[str, list[list[float]]] = {name: [] for name in FAULTS}
     for seed in seeds:
         world = simulate_figure_eight(density=density, sigma=SIGMA_M, seed=seed)
@@ -164,7 +164,7 @@ def ratio_cell(figures: Floats) -> str:
 
 
 def found_cell(figures: Floats) -> str:
-    """Return the least coverage, the most submaps, and what was rejected."""
+    """Return the least coverage, the maximum number of submaps, and the rejected iterations."""
     covered, submaps = figures[:, 3].min(), figures[:, 4].max()
     right, useless, wrong = figures[:, 5:].sum(axis=0)
     rejected = f"{right:.0f} of {useless:.0f}, {wrong:.0f} others"
@@ -172,7 +172,7 @@ def found_cell(figures: Floats) -> str:
 
 
 def main(densities: list[float], seeds: range) -> None:
-    """Print what the faults cost, and below it how much of the map and of the faults is found."""
+    """Print the table of errors, and that of coverage and rejected iterations."""
     of = {
         f"density {density:g}, {'known' if known else 'no'} ids": compare(density, known, seeds)
         for density in densities
@@ -188,7 +188,7 @@ def main(densities: list[float], seeds: range) -> None:
 
 if __name__ == "__main__":
     on_one_core()
-    parser = argparse.ArgumentParser(description="Measure what the map loses to faults.")
+    parser = argparse.ArgumentParser(description="Measure the effect of faults on the map.")
     parser.add_argument("--first", type=int, default=10, help="first seed; 0 to 2 chose settings")
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--density", type=float, nargs="+", default=[25.0, 100.0])

@@ -1,4 +1,4 @@
-"""What refinement by the shape of the noise gains over least squares, for docs/benchmarks.md.
+"""Refinement for bounded noise compared with least squares.
 
     python benchmarks/flat_noise.py
 

@@ -1,11 +1,11 @@
-"""What must not get worse: ratios beside a committed baseline, `make bench`.
+"""Regression gate, `make bench`: ratios compared with a committed baseline.
 
     python benchmarks/gate.py [--update]
 
-Each figure is a ratio, so that it says the same on every machine, with the direction in which it is
-better and the share by which it may be worse than `gate_baseline.json`.  Accuracy is the same in
-every run; times are processor time, the best of several runs.  The exit code is 1 where a figure
-is worse than that.  --update writes what is found as the new baseline.
+Each figure is a ratio, comparable between machines, with the direction in which it is better and
+its tolerance relative to `gate_baseline.json`.  Accuracy is the same in every run; times are
+processor time, the best of several runs.  The exit code is 1 if a figure is worse than allowed.
+--update writes a new baseline.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ BASELINE = Path(__file__).with_name("gate_baseline.json")
 SEEDS = range(5)
 REPEATS = 3
 ACCURATE, TIMED = 0.03, 0.35
-"""Shares by which an accuracy and a time may be worse."""
+"""Relative tolerances of accuracy and time."""
 
 
 @dataclass(frozen=True)
@@ -156,7 +156,7 @@ METRICS = (
 
 
 def is_worse(value: float, baseline: float, better: str, tolerance: float) -> bool:
-    """Tell whether a figure is worse than the baseline by more than the tolerance."""
+    """Return whether a figure is worse than the baseline by more than the tolerance."""
     if not np.isfinite(value):
         return True
     if better == "lower":
@@ -186,7 +186,7 @@ def gate(measured: dict[str, float], baseline: dict[str, dict[str, float | str]]
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--update", action="store_true", help="write the baseline anew")
+    parser.add_argument("--update", action="store_true", help="write a new baseline")
     update = parser.parse_args().update
     measured = {metric.name: metric.measure() for metric in METRICS}
     if update:

@@ -1,11 +1,11 @@
-"""What keeping a journal costs, and what saving and loading takes.
+"""Cost of a journal, and of saving and loading.
 
     python benchmarks/journal.py [--iterations N]
 
 The road of `endurance.py`, with about 100 of its landmarks visible, is mapped without and with a
 journal in the folder for temporary files.  Times are processor time of whole updates, one thread in
-each library: a journal also waits for the disk, which wall time would tell of whatever else the
-machine does.
+each library: a journal also waits for the disk, but wall time would depend on other
+processes.
 """
 
 from __future__ import annotations

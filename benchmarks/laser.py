@@ -1,14 +1,14 @@
-"""How well laser logs are mapped without odometry: real ones, harder ones, simulated ones.
+"""Maps of laser logs without odometry: real logs, harder variants, simulated worlds.
 
     OMP_NUM_THREADS=1 python benchmarks/laser.py DATA [--log NAME] [--scans A:B] [--seeds 2]
 
 prints two tables in markdown, of real and of simulated logs; DATA is a folder of the real data
-sets. Each log is mapped whole, with default settings. Errors are against the poses that it gives,
-and a scan without is left out. Times are those of the processor.
+sets. Each log is mapped whole, with default settings. Errors are against the poses of the log;
+scans without a pose are left out. Times are processor time.
 
   right        share of the scans in submaps of at least ten whose own ATE is at most 0.3 m
   wrong steps  consecutive scans of one submap whose relative pose is off by more than 0.3 m or
-               10 degrees; disputed are those whose points lie on those of the scan before by
+               10 degrees; disputed are those whose points match those of the previous scan by
                a tenth more than where the log's poses have them: there the log may be wrong
   found, true, doubled
                shares of the length of walls: of the true ones over 0.5 m that were seen and are
@@ -254,7 +254,7 @@ def judged(mapper: PlaneMapper, log: ScanLog) -> Floats:
 
 
 def _disputed(log: ScanLog, scans: Ints, poses: Floats) -> bool:
-    """Tell whether two scans fit better by the poses (2, 4, 4) given than by those of the log."""
+    """Return whether two scans fit better by the poses (2, 4, 4) given than by those of the log."""
     assert log.poses is not None
     before, after = (log.points_of(int(scan)) for scan in scans)
     own, reference = (

@@ -1,4 +1,4 @@
-"""Maps from observations with ids and odometry, beside batch least squares of the same.
+"""Maps from observations with ids and odometry, compared with batch least squares.
 
     OMP_NUM_THREADS=1 python benchmarks/odometry.py DATA [--log NAME]
 

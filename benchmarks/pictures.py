@@ -28,9 +28,9 @@ from relmap.simulation import simulate_figure_eight
 IMAGES = Path(__file__).resolve().parents[1] / "docs" / "images"
 LOG = "carmen-laser2d/freiburg-079-corrected.log.gz"
 EVERY_SCAN, EVERY_BEAM = 10, 3
-"""Of the points only so many are drawn, so that the file stays small."""
+"""Subsampling of scans and beams, to keep the file small."""
 FIGURES = {"05": "bench", "11": "group"}
-"""Of `relmap figures`, and what the documents call them."""
+"""Figures of `relmap figures`, and their names in the documents."""
 
 
 def main() -> None:
@@ -78,7 +78,7 @@ def _draw_building(scans: Axes, plan: Axes, path: Path) -> None:
     draw_walls(plan, walls, width=1.2)
     draw_limits(plan, limits)
     plan.set_title(
-        f"the map of all: {len(walls)} walls, no odometry (grey: points of the scans)", fontsize=11
+        f"the map of all scans: {len(walls)} walls, no odometry (grey: points)", fontsize=11
     )
 
 

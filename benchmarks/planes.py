@@ -1,9 +1,9 @@
-"""How accurate the map of walls is: simulated buildings, and real laser logs.
+"""Accuracy of maps of walls: simulated buildings, and real laser logs.
 
     python benchmarks/planes.py [DATA] [--seeds 5] [--only simulated|logs]
 
-prints tables in markdown; DATA is a folder of the real data sets.  `laser.py` tells of every laser
-log, also those whose scans lie too far apart for one map.
+prints tables in markdown; DATA is a folder of the real data sets.  `laser.py` measures all laser
+logs, including those whose scans are too far apart for one map.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ RELATIONS = {"freiburg-079": "carmen-laser2d/fr079.relations"}
 
 @dataclass(frozen=True)
 class Figures:
-    """What one simulated run came to: metres, milliseconds of processor time."""
+    """Figures of one simulated run: metres, milliseconds of processor time."""
 
     chained: float
     refined: float
@@ -71,7 +71,7 @@ def main() -> None:
 
 
 def _print_simulated(worlds: list[str], sigmas: list[float], seeds: int) -> None:
-    """Print every run, and then the median and the worst of each kind."""
+    """Print every run, then the median and the worst of each kind."""
     columns = (
         "chained [m] | refined [m] | literal recipe [m] | mapped | false corners | ATE [m] "
         "| update [ms] | refine, 700 iterations [ms] |"
@@ -146,7 +146,7 @@ def _log_of(building: Building) -> ScanLog:
 def _literal(mapper: PlaneMapper, run: Run, truth: Truth) -> float:
     """Return the corner RMSE of the paper's literal recipe, from the same observations.
 
-    Who is who is taken from the mapper's own map: corners are compared where it has them.
+    The association is that of the mapper: its corners are compared.
     """
     history = mapper.history
     ends = pairwise_map(history, int(history.plane.max()) + 1)

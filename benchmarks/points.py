@@ -101,7 +101,7 @@ def figure_eight() -> None:
 
 
 def figure_eight_without_ids() -> None:
-    """Print what becomes of the eight when landmarks must be recognised."""
+    """Print the figures of the figure eight without ids."""
     print("\nFigure eight, sigma 0.05, no ids, refined, seeds 0-4\n")
     names = ("RMSE, median [m]", "landmarks per true one, worst", "purity, worst")
     header("density", "loops", *names)
@@ -124,7 +124,7 @@ def figure_eight_without_ids() -> None:
 
 
 def live_map() -> None:
-    """Print how far the live map is behind the refined one at the end of the eight."""
+    """Print the final error of the live map of the figure eight, relative to the refined one."""
     print("\nFigure eight, density 25, sigma 0.05, seeds 0-39: error before refinement / after\n")
     header("association", "last update, median (worst)", "finished, median (worst)")
     for association in ("known", "nearest"):
@@ -161,7 +161,7 @@ def mrpt(data: Path) -> None:
 
 
 def constant_time() -> None:
-    """Print how the time of an iteration changes while the map grows."""
+    """Print the time of an iteration as the map grows."""
     log = simulate_figure_eight(density=100, iterations=3000).log
     run(PointMapper(), log.between(0, 100))
     times = run(PointMapper(), log)

@@ -1,4 +1,4 @@
-"""Every real log at hand, and others' simulated logs: relmap beside what other methods get.
+"""All real logs, and simulated logs of others: relmap compared with other methods.
 
     OMP_NUM_THREADS=1 python benchmarks/real.py DATA
 
@@ -45,7 +45,7 @@ POINTS: dict[str, tuple[str, tuple[int, int] | None, str | None]] = {
     "DLR circles": ("dlr-circles", None, "dlr-circles"),
     "I-SLSJF simulation": ("slsjf-sim-8240", None, "slsjf-sim-8240"),
 }
-"""File or folder, iterations and truth; of MRPT's logs the truth stands beside the log."""
+"""File or folder, iterations and truth; of MRPT's logs the truth is beside the log."""
 DRIVEN: dict[str, tuple[str, Association]] = {
     "Victoria Park, odometry": (VICTORIA, "nearest"),
     "DLR circles, odometry": ("dlr-circles", "nearest"),

@@ -1,4 +1,4 @@
-"""How close refinement comes to the limit, what it costs, and whether its covariances are right.
+"""Refinement: accuracy relative to the limit, time, and consistency of the covariances.
 
     OMP_NUM_THREADS=1 python benchmarks/refinement.py
 
@@ -29,7 +29,7 @@ RUNS = range(50)
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """One run: what it took, and what came of it."""
+    """Time and result of one run."""
 
     mapper: PointMapper
     true_ids: Ints
@@ -65,7 +65,7 @@ def measured(log: ObservationLog, known: bool) -> Measured:
 
 
 def true_ids(mapper: PointMapper, labels: list[Ints], log: ObservationLog, known: bool) -> Ints:
-    """Return who the mapped landmarks (m,) are."""
+    """Return the true ids of the mapped landmarks (m,)."""
     found = mapper.map.landmark_ids
     if known:
         return found
@@ -125,7 +125,7 @@ def figures_of(density: float, sigma: float, seed: int, known: bool) -> list[flo
 
 
 def scaling() -> None:
-    """Print what refinement takes as runs get longer, linear in their observations."""
+    """Print the time of refinement over the length of the run."""
     table("density", "iterations", "refine / map", "per observation [us]", "covariances [s]")
     for density, iterations in ((25, 900), (25, 9000), (25, 90000), (100, 900), (100, 9000)):
         log = simulate_figure_eight(density=density, iterations=iterations).log
@@ -135,7 +135,7 @@ def scaling() -> None:
 
 
 def stalls() -> None:
-    """Print how long the slowest update takes at density 100."""
+    """Print the time of the slowest update at density 100."""
     table("iterations", "slowest update / median")
     for iterations in (900, 3000):
         log = simulate_figure_eight(density=100, iterations=iterations, seed=1).log

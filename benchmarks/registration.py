@@ -1,10 +1,10 @@
-"""How well landmarks are told apart without ids: the figures of docs/benchmarks.md.
+"""Association of landmarks without ids.
 
     python benchmarks/registration.py [DATA]
 
-Default settings, association "nearest", no odometry; ids only judge the result. Beside relmap's own
-registration stands the paper's, "nearest-previous". DATA is a folder with the real data sets;
-without it only the figure eight is measured. "Often" is at least ten times.
+Default settings, association "nearest", no odometry; ids are used only to evaluate the result. The
+second figure is with the paper's registration, "nearest-previous". DATA is a folder with the real
+data sets; without it only the figure eight is measured. "Often" is at least ten times.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ INTERVALS = ((1181, 1642), (4220, 4634))
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """A run, and what its observations truly are of."""
+    """A run, and the true landmarks of its observations."""
 
     result: Result
     identified: Identified
 
     @property
     def purity(self) -> float:
-        """Share of the observations that are of the landmark most of their track are of."""
+        """Fraction of the observations that belong to the landmark of most of their track."""
         return metrics.purity(self.identified.landmark, self.identified.true_id)
 
     @property
@@ -62,7 +62,7 @@ class Outcome:
         return len(np.intersect1d(often, ids)), len(often)
 
     def agreeing(self, ids: Ints) -> float:
-        """Return the share of these landmarks' observations that are in a track of theirs."""
+        """Return the fraction of these landmarks' observations that are in one of their tracks."""
         labels, majority, _ = self._majority
         of = self.identified.true_id
         chosen = np.isin(of, ids)
@@ -86,7 +86,7 @@ class Outcome:
 
     @property
     def _mapped_tracks(self) -> tuple[Ints, Floats, Ints]:
-        """What each mapped track stands for, its place, and how often it was seen."""
+        """True landmark, position and number of observations of each mapped track."""
         labels, majority, _ = self._majority
         table = self.result.landmarks
         rows = np.flatnonzero(self.result.mapped & np.isin(table.landmark, labels))
@@ -105,7 +105,7 @@ def outcomes(log: ObservationLog) -> list[Outcome]:
 
 
 def row(name: str, *cells: tuple[str, str]) -> None:
-    """Print a row; each cell has relmap's own figure and that of the paper's registration."""
+    """Print a row; each cell has the figures of relmap's and of the paper's registration."""
     print(f"| {name} | {' | '.join(f'{own} [{paper}]' for own, paper in cells)} |", flush=True)
 
 
@@ -188,7 +188,7 @@ def real(data: Path) -> None:
 
 
 def cost(iterations: int = 300, warm_up: int = 20) -> None:
-    """Time one match beside building and asking one k-d tree of the same scans."""
+    """Compare the time of one match with building and querying a k-d tree of the same scans."""
     print("\n| cost of matching a scan, median | k-d tree [ms] | constellation [ms] | ratio |")
     print("|---|---|---|---|")
     for density in (125, 500, 1250):

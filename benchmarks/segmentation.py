@@ -1,10 +1,10 @@
-"""How well the planes of a scan are found: the figures of docs/benchmarks.md.
+"""Segmentation of scans into planes.
 
     python benchmarks/segmentation.py [DATA] [-o DIR]
 
-Simulated scenes of a building, seeds 0 to 29, the sensor's limits known. A wall counts where at
-least 1 % of the scan's points lie on it; it is found where it and one plane share 80 % of the
-points of each. "Known walls" labels points by the true walls and the true noise, each by the
+Simulated scenes of a building, seeds 0 to 29, the sensor's limits known. A wall counts if at
+least 1 % of the scan's points lie on it; it is found if it and one plane share 80 % of the points
+of each. "Known walls" labels points by the true walls and the true noise, each by the
 likeliest: no method can be expected to do better. Times are the processor's. DATA is a folder with
 the real data sets: every scan of the laser logs and of the hall is segmented, and three scans of
 each are drawn into DIR.
@@ -45,7 +45,7 @@ REAL = {
 
 @dataclass
 class Tally:
-    """What came of a number of scenes."""
+    """Results of a number of scenes."""
 
     correct: list[bool] = field(default_factory=list)
     over: list[bool] = field(default_factory=list)
@@ -56,7 +56,7 @@ class Tally:
     ms: list[float] = field(default_factory=list)
 
     def add(self, scan: BuildingScan, labels: Ints, planes: Planes | None) -> None:
-        """Judge one scan; without planes only its labels."""
+        """Evaluate one scan; without planes only its labels."""
         for row in np.flatnonzero(np.bincount(scan.stretch) >= COUNTED * len(scan.points)):
             plane, split = matched(scan.stretch == row, labels)
             self.correct.append(plane >= 0)
@@ -109,7 +109,7 @@ def known_walls(scan: BuildingScan, sigma: float) -> Ints:
 def judge(
     method: str, sigma: float, points: int, scenes: Iterable[int], **options: Any
 ) -> Tally | None:
-    """Segment scenes of a building; None where the method does not run here."""
+    """Segment scenes of a building; None if the method is not installed."""
     tally = Tally()
     laser = options.get("sampling") == "laser"
     sensor = LASER if laser else DEPTH_SENSOR
@@ -139,7 +139,7 @@ def middle(values: list[float], form: str = ".3f") -> str:
 
 
 def warm_up() -> None:
-    """Compile everything before the clock runs."""
+    """Compile everything before times are measured."""
     for method in METHODS:
         judge(method, 0.2, 500, [1000])
     judge("scanlines", 0.01, 361, [1000], sampling="laser")

@@ -1,19 +1,19 @@
-"""Planes in space: logs of lidars and depth cameras, and variants that nothing was tuned on.
+"""Planes in space: logs of lidars and depth cameras, and variants not used for tuning.
 
     OMP_NUM_THREADS=1 python benchmarks/space.py DATA [--log 'hall*'] [--peers]
 
 prints one table in markdown; DATA is a folder of the real data sets.  Settings are the defaults.
 
   largest  scans in the largest submap
-  weak     scans of all submaps that no plane tied in some direction, which `weak_links` names
-  right    share of the scans that are in submaps of at least two scans with an ATE of at most 5 cm
+  weak     scans of all submaps that `weak_links` lists: undetermined in some direction
+  right    fraction of the scans in submaps of at least two scans with an ATE of at most 5 cm
   ATE      of the largest submap, and the worst of all submaps
-  turn     error of the turn from scan to scan in the median, degrees
-  wrong    steps between neighbouring scans of a submap, not named as weak, that are off by more
-           than 10 cm or 3 degrees: what is silently wrong
-  double   share of the area of planes that lies on another plane of the map
-  ms       of the segmentation of a scan and of its placing, in the median; `finish` and `refine`
-           are in `last`, seconds
+  turn     median error of the rotation from scan to scan, degrees
+  wrong    steps between neighbouring scans of a submap, not listed as weak, that are off by more
+           than 10 cm or 3 degrees: silently wrong
+  double   fraction of the area of planes that another plane of the map covers
+  ms       median times of the segmentation and of the placement of a scan; `last` is the time of
+           `finish` and `refine`, seconds
 
 With ``--peers`` KISS-ICP and small_gicp (``relmap[peers]``) get the same clouds; the last columns
 are their ATE in metres and their time, ms a scan.
@@ -64,7 +64,7 @@ class Clouds:
         return Clouds([change(k, cloud) for k, cloud in enumerate(self.points)], self.poses)
 
     def tilted(self, most_rad: float) -> Clouds:
-        """Return clouds of a sensor that was held with a random tilt of its own in each scan."""
+        """Return clouds of a sensor with a random tilt in each scan."""
         rng = np.random.default_rng(0)
         axes = rng.standard_normal((len(self.points), 3))
         axes *= most_rad * rng.uniform(size=(len(axes), 1)) / np.linalg.norm(axes, axis=1)[:, None]
@@ -75,7 +75,7 @@ class Clouds:
 
 
 def noise(sigma: float, depth: bool = False) -> Callable[[int, Array], Array]:
-    """Return what adds noise along rays; of a depth camera by the square of the depth, at 2 m."""
+    """Return a function that adds noise along rays; of a depth camera, by the squared depth."""
 
     def noisy(k: int, cloud: Array) -> Array:
         range_m = np.linalg.norm(cloud, axis=1, keepdims=True)
@@ -86,12 +86,12 @@ def noise(sigma: float, depth: bool = False) -> Callable[[int, Array], Array]:
 
 
 def thinned(share: float) -> Callable[[int, Array], Array]:
-    """Return what keeps a random share of the points."""
+    """Return a function that keeps a random fraction of the points."""
     return lambda k, cloud: cloud[np.random.default_rng(k).random(len(cloud)) < share]
 
 
 def view(half_rad: float, farthest_m: float = np.inf) -> Callable[[int, Array], Array]:
-    """Return what keeps a sector ahead, and what is near."""
+    """Return a function that keeps a sector ahead, up to a range."""
 
     def seen(_: int, cloud: Array) -> Array:
         ahead = np.abs(np.arctan2(cloud[:, 1], cloud[:, 0])) < half_rad
@@ -101,7 +101,7 @@ def view(half_rad: float, farthest_m: float = np.inf) -> Callable[[int, Array], 
 
 
 def around(mid_rad: float, half_rad: float) -> Callable[[int, Array], Array]:
-    """Return what keeps a sector in some direction."""
+    """Return a function that keeps a sector in some direction."""
 
     def seen(_: int, cloud: Array) -> Array:
         off = np.arctan2(cloud[:, 1], cloud[:, 0]) - mid_rad
@@ -111,7 +111,7 @@ def around(mid_rad: float, half_rad: float) -> Callable[[int, Array], Array]:
 
 
 def elevated(least_rad: float, most_rad: float) -> Callable[[int, Array], Array]:
-    """Return what keeps a band of elevations."""
+    """Return a function that keeps a band of elevations."""
 
     def seen(_: int, cloud: Array) -> Array:
         up = np.arctan2(cloud[:, 2], np.hypot(cloud[:, 0], cloud[:, 1]))
@@ -121,7 +121,7 @@ def elevated(least_rad: float, most_rad: float) -> Callable[[int, Array], Array]
 
 
 def holes(k: int, cloud: Array) -> Array:
-    """Return a cloud without what lies in twelve random cones of 0.2 rad."""
+    """Return a cloud without the points in twelve random cones of 0.2 rad."""
     rng = np.random.default_rng(k)
     ways = cloud / np.maximum(np.linalg.norm(cloud, axis=1, keepdims=True), 1e-12)
     return cloud[(ways @ ways[rng.integers(len(ways), size=12)].T < np.cos(0.2)).all(axis=1)]
@@ -288,7 +288,7 @@ def _ate(part: Submap, poses: Array) -> float:
 
 
 def _steps(parts: list[Submap], poses: Array, weak: set[int]) -> tuple[int, Array]:
-    """Return how many steps are silently wrong, and by how far each turn is off, radians."""
+    """Return the number of steps silently wrong, and the error of each rotation, radians."""
     wrong, turns = 0, []
     for part in parts:
         at, true = part.trajectory, poses[part.iteration]

@@ -1,18 +1,18 @@
-"""Time of an iteration beside plain averaging and beside ICP, on the same scans in one run.
+"""Time of an iteration compared with plain averaging and with ICP, on the same scans in one run.
 
     python benchmarks/speed.py [--quick]
 
-Every scan of the figure eight (sigma 0.05 m, seed 0) goes to all methods in turn, and who comes
-first changes with every scan.  Times are processor time, which counts every thread, with one thread
+Every scan of the figure eight (sigma 0.05 m, seed 0) goes to all methods in turn, in an order
+that changes with every scan.  Times are processor time, which counts every thread, with one thread
 in each library; the first iterations are left out.  The mean decides, since groups are not formed
 in every iteration; the median stands beside it.
 
 Frame-to-map is given the ids.  KISS-ICP (Vizzo et al., RA-L 2023; `pip install kiss-icp`) gets the
 landmarks of a scan as its point cloud and runs `register_frame`: no deskewing, for a scan is one
 instant; its default range of 100 m, beyond the sensor's 80; and its default voxel, a hundredth of
-that, 1 m, smaller than the landmarks' spacing.  Its path error tells whether it keeps track.
+that, 1 m, smaller than the landmarks' spacing.  Its path error shows whether it keeps track.
 
-What is compiled, is compiled in processes of their own: once into an empty cache, once from it.
+Compiling is measured in separate processes: with an empty cache, and from the cache.
 """
 
 from __future__ import annotations
@@ -48,9 +48,8 @@ BARS = (
     ("KISS-ICP", 0.7, 0.35),
     ("KISS-ICP", 0.5, 0.25),
 )
-"""What relmap is held against at each density, and how many times its mean time it may take.
-
-Without ids and with them."""
+"""The reference at each density, and the largest allowed ratios of relmap's mean time to its time:
+without ids and with them."""
 OURS = ("relmap nearest", "relmap known")
 
 Step = Callable[[Scan], object]
@@ -65,7 +64,7 @@ def on_one_core() -> None:
 
 
 class KissIcp:
-    """KISS-ICP on the landmarks of each scan, and where it thinks the robot was.
+    """KISS-ICP on the landmarks of each scan, and its path.
 
     Raises
     ------

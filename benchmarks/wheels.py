@@ -1,10 +1,10 @@
-"""Make the odometry of a log from the path that it gives, as if wheels had counted it.
+"""Simulate wheel odometry for a log, from its path.
 
     python benchmarks/wheels.py LOG -o FOLDER/odometry.csv [--seed 0]
 
-LOG is a log of point scans whose poses are exact or corrected. Beside a copy of, or a link to, LOG
-the file is read as its odometry. The wheels err by 1 % of a step and 0.5 degrees a metre, and
-always count 1 % too much and 0.05 degrees a metre to the left.
+LOG is a log of point scans whose poses are exact or corrected. Placed beside a copy of LOG, or a
+link to it, the file is read as its odometry. The noise is 1 % of a step and 0.5 degrees per metre,
+the systematic error 1 % of the distance and 0.05 degrees per metre to the left.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from relmap.simulation.odometry import LASER_WHEELS, wheel_odometry
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="Make odometry from the path that a log gives.")
+    parser = argparse.ArgumentParser(description="Simulate odometry from the path of a log.")
     parser.add_argument("log", type=Path)
     parser.add_argument("-o", "--out", type=Path, default=Path("odometry.csv"))
     parser.add_argument("--seed", type=int, default=0)

@@ -2,8 +2,8 @@
 
     python benchmarks/worlds.py [--only NAME[,NAME]] [--seeds N] [--covariances]
 
-Each line is a world and a seed: the landmark RMSE of all submaps, each aligned by itself, as a
-multiple of that of unweighted batch least squares over all observations with the true ids (worst:
+Each line is a world and a seed: the landmark RMSE of all submaps, each aligned separately,
+relative to that of unweighted batch least squares over all observations with the true ids (worst:
 of the worst submap of ten landmarks); landmarks per true one; purity, and that of an oracle, which
 assigns each scan to the true landmarks from the true pose and covariances and so is about the
 limit; the fraction of the landmarks seen ten times that is mapped, in all submaps and in the
@@ -26,7 +26,7 @@ from relmap.evaluation.metrics import majority_ids, purity
 from relmap.simulation import World, WorldSpec, simulate_world
 
 FEWEST = 10
-"""Landmarks without which a submap is not judged."""
+"""Minimum number of landmarks of an evaluated submap."""
 FIELD = {"kind": "field", "length_m": 540.0}
 WORLDS: dict[str, dict[str, object]] = {
     "streets": {},
@@ -59,7 +59,7 @@ WORLDS: dict[str, dict[str, object]] = {
 
 
 def least_squares(world: World) -> dict[int, Floats]:
-    """Return where batch least squares with the true ids puts each landmark that is fixed."""
+    """Return the landmark positions of batch least squares with the true ids."""
     points, d = world.log.points_robot, world.log.points_robot.shape[1]
     used = world.true_ids >= 0
     for _ in range(20):
@@ -102,7 +102,7 @@ def oracle_purity(world: World) -> float:
 
 
 def judge(world: World, with_covariances: bool) -> dict[str, float]:
-    """Map a world by own association and judge the map."""
+    """Map a world without ids and evaluate the map."""
     limit, truth, d = least_squares(world), world.landmarks_map, world.log.points_robot.shape[1]
     mapper = PointMapper()
     ends = np.cumsum([len(scan.points_robot) for scan in world.log.scans()])
@@ -154,7 +154,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--only", help="names, separated by commas", default=",".join(WORLDS))
     parser.add_argument("--seeds", default="0,1,2,3,4")
-    parser.add_argument("--covariances", action="store_true", help="give the mapper the noise")
+    parser.add_argument("--covariances", action="store_true", help="pass the noise to the mapper")
     given = parser.parse_args()
     header = ("ratio", "worst", "per true", "purity", "oracle", "mapped", "largest", "submaps")
     print("| world | seed | " + " | ".join(header) + " |")

@@ -44,11 +44,29 @@ BANNED = {
     r"\bwhom each is of\b": "the landmark of each",
     r"\blies? to one another\b": "relative location",
     r"\bwhat came out\b": "the result",
+    r"\btells? (nothing|something|whether|which|how|where|when)\b": "return, show",
+    r"(?<!`)\bbelieved?\b": "accept, use",
+    r"\bhangs? on\b": "depend on",
+    r"\bheld against\b": "compared with",
+    r"\bround and round\b": "repeatedly",
+    r"\bas (far as )?it deserves\b": "by its noise",
+    r"\bwhat (comes|became) of\b": "the result of",
+    r"\bwho (comes|was|were)\b": "which landmarks, in which order",
+    r"\b(a|one) thing\b": "an object",
+    r"\b(is|are) no (rotation|bag|pose|word|image)\b": "is not a",
+    r"\bat hand\b": "available, listed",
+    r"\bdoes not grow\b": "does not increase",
+    r"\bhow far it is\b": "the progress",
+    r"\bin plainer words\b": "clearer",
 }
 """What is banned, as a regular expression, and what to write instead."""
 DOCUMENTS = ["README.md", "ARCHITECTURE.md", "CONTRIBUTING.md"]
 DOCUMENTS += sorted(f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md"))
-SOURCES = sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "relmap").rglob("*.py"))
+SOURCES = sorted(
+    path.relative_to(ROOT).as_posix()
+    for folder in ("relmap", "benchmarks", "examples")
+    for path in (ROOT / folder).rglob("*.py")
+)
 
 
 def words_of(source: str) -> Iterator[str]:

@@ -12,7 +12,7 @@ from references.pose_chain import CAUCHY, HELD, Floats, Problem, State
 def peer_solved(problem: Problem, state: State, constant: Floats) -> Floats | None:
     """Return the landmarks (m, 2) by GTSAM's Levenberg-Marquardt; None if it is not installed.
 
-    It has no factor with constant errors of odometry, so odometry is freed of them before.
+    It has no factor with constant errors of odometry, so these are removed from the odometry first.
     """
     try:
         import gtsam

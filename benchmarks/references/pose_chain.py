@@ -25,11 +25,11 @@ CAUCHY = 7.0
 CONSTANT = 0.03
 """Standard deviation of each constant error."""
 CHUNK = 100
-"""Scans that are placed by odometry at a time, before all are solved again."""
+"""Number of scans placed by odometry at a time, before all are solved again."""
 ROUGH, FINE = 1e-3, 1e-7
 """Relative gain of the cost below which the start, and the solution, is finished."""
 HELD = 1e12
-"""Information that holds the first pose, or a landmark that is given."""
+"""Information that fixes the first pose, or a given landmark."""
 MOST_DAMPED = 1e4
 
 
@@ -41,7 +41,7 @@ class Problem(NamedTuple):
     points : (n, 2) float64, robot frame, metres
     pose, landmark : (n,) int64
     roots : (n, 2, 2) float64
-        Each makes a residual one of unit covariance.
+        Each scales a residual to unit covariance.
     motion : (k, 3) float64
         Odometry x, y, yaw from the pose before to each; NaN where unknown.
     sd : (k, 2) float64
@@ -102,7 +102,7 @@ CONVEX = Loss(
 def start(problem: Problem) -> State:
     """Return a start: the scans are placed by odometry, a chunk at a time, and solved each time.
 
-    Stretches without odometry between them are solved one by one, and laid on the landmarks that
+    Stretches not connected by odometry are solved one by one, and aligned by the landmarks that
     they share.
     """
     cuts = np.flatnonzero(np.isnan(problem.motion[:, 0])).tolist()
@@ -129,7 +129,7 @@ def solved(
     problem : Problem
     state : State
     given : (m, 2) float64, optional
-        Landmarks that stay where they are; NaN for those that do not.
+        Landmarks with fixed positions; NaN for the others.
     fine : float
         Relative gain below which it is finished.
     loss : Loss
@@ -177,7 +177,7 @@ def _moved(pose: Floats, motion: Floats, constant: Floats) -> Floats:
 
 
 def _placed(problem: Problem, state: State) -> Floats:
-    """Return the landmarks, new ones where they were seen first."""
+    """Return the landmarks, new ones at their first observation."""
     R = _rotations(state.poses[problem.pose, 2])
     seen = np.einsum("nij,nj->ni", R, problem.points) + state.poses[problem.pose, :2]
     own, first = np.unique(problem.landmark, return_index=True)
@@ -188,7 +188,7 @@ def _placed(problem: Problem, state: State) -> Floats:
 
 
 def _joined(whole: State, part: State) -> State:
-    """Return both, the second laid on the landmarks of the first."""
+    """Return both, the second aligned to the landmarks of the first."""
     shared = np.isfinite(whole.landmarks[:, 0]) & np.isfinite(part.landmarks[:, 0])
     R, t = laid_on(part.landmarks[shared], whole.landmarks[shared])
     turn = np.arctan2(R[1, 0], R[0, 0])
@@ -198,7 +198,7 @@ def _joined(whole: State, part: State) -> State:
 
 
 def laid_on(source: Floats, target: Floats) -> tuple[Floats, Floats]:
-    """Return the rotation and the shift that lay points (n, 2) best on others."""
+    """Return the rotation and translation that best align points (n, 2) to others."""
     here, there = source - source.mean(axis=0), target - target.mean(axis=0)
     turn = np.arctan2(
         np.sum(here[:, 0] * there[:, 1] - here[:, 1] * there[:, 0]), np.sum(here * there)

@@ -107,8 +107,7 @@ _Truth = Annotated[
     Path | None,
     typer.Option(
         metavar="TRUTH",
-        help="The truth, as for 'relmap evaluate'; if not given, the folder "
-        "truth beside INPUT.",
+        help="The truth, as for 'relmap evaluate'; if not given, the folder truth beside INPUT.",
     ),
 ]
 _Sigma = Annotated[

@@ -42,7 +42,7 @@ def can_read() -> bool:
 
 
 def topics_in(path: Path, types: Iterable[str]) -> list[str] | None:
-    """Return the topics of given types in a bag; None if it is no bag, or cannot be opened."""
+    """Return the topics of given types in a bag; None if it is not a bag, or cannot be opened."""
     if not is_bag(path) or not can_read():
         return None
     try:

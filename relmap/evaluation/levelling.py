@@ -13,7 +13,7 @@ from relmap.segmentation.upright import MOST_SHARE, tilted_share
 
 
 def shows_floors(log: ScanLog) -> bool:
-    """Tell whether the first clouds of a log show floors, ceilings or tilted walls.
+    """Return whether the first clouds of a log show floors, ceilings or tilted walls.
 
     Raises
     ------

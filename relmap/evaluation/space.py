@@ -122,7 +122,7 @@ def surface_points(table: Plane3dTable, k: int) -> Floats:
 
 
 def _inside(points: Floats, table: Plane3dTable, k: int) -> Bools:
-    """Tell which points (n, 3) lie in the outline of a plane, looked at from its front."""
+    """Return which points (n, 3) lie in the outline of a plane, looked at from its front."""
     if len(table.outline[k]) < 3:
         return np.zeros(len(points), dtype=bool)
     axes = _along(table.normal[k])
@@ -162,7 +162,7 @@ def _true_plane(points: Floats, normal: Floats, faces: Faces) -> tuple[int, int]
 
 
 def _on_face(points: Floats, corners: Floats) -> Bools:
-    """Tell which points (n, 3) lie on a face, or just beyond its edges."""
+    """Return which points (n, 3) lie on a face, or just beyond its edges."""
     a, b = corners[1] - corners[0], corners[3] - corners[0]
     share = (points - corners[0]) @ np.linalg.pinv(np.stack([a, b]))
     beyond = NEAR_M / np.array([np.linalg.norm(a), np.linalg.norm(b)])

@@ -1,7 +1,7 @@
 """Agreement of the beams of two scans for a motion between them, compiled.
 
 A scan is `points` (n, 2), robot frame, sorted by their `bearings` (n,) from `origin` (2,), where
-the sensor is; `solid` (n,) tells which are on walls.  A motion is yaw, x, y from the frame of the
+the sensor is; `solid` (n,) marks those on walls.  A motion is yaw, x, y from the frame of the
 earlier scan into that of the later one.
 """
 

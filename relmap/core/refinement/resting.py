@@ -42,7 +42,7 @@ def scattered(landmark: Ints, places: Floats, m: int) -> Floats:
 
 
 def drifting(landmark: Ints, places: Floats, m: int) -> Bools:
-    """Tell which landmarks (m,) are seen at places that change gradually.
+    """Return which landmarks (m,) are seen at places that change gradually.
 
     The squared steps from one observation to the next are on average twice the variance if the
     places scatter independently, and much less if a landmark moves (von Neumann, 1941).
@@ -68,7 +68,7 @@ def drifting(landmark: Ints, places: Floats, m: int) -> Bools:
 
 
 def at_rest(landmark: Ints, places: Floats, static: Bools) -> Bools:
-    """Tell which landmarks (m,) keep their place as well as static ones do.
+    """Return which landmarks (m,) keep their place as well as static ones do.
 
     They scatter as most do, or as the worst do and without a trend: landmarks are not equally
     noisy.

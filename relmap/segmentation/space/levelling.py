@@ -95,7 +95,7 @@ def _candidates(normal: Floats) -> Floats:
 
 
 def _level_or_upright(normal: Floats, up: Floats) -> Floats:
-    """Tell which planes (m,) are level or upright for verticals (c, 3); (c, m)."""
+    """Return which planes (m,) are level or upright for verticals (c, 3); (c, m)."""
     along = np.abs(up @ normal.T)
     return np.asarray((along < ALIKE) | (along > np.sqrt(1 - ALIKE**2)), dtype=np.float64)
 
