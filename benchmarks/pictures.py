@@ -78,7 +78,7 @@ def _draw_building(scans: Axes, plan: Axes, path: Path) -> None:
     draw_walls(plan, walls, width=1.2)
     draw_limits(plan, limits)
     plan.set_title(
-        f"the map of all scans: {len(walls)} walls, no odometry (grey: points)", fontsize=11
+        f"the map of all: {len(walls)} walls, no odometry (grey: points of the scans)", fontsize=11
     )
 
 

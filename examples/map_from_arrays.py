@@ -1,4 +1,4 @@
-"""Map landmarks from plain arrays: one call per scan, no file in sight."""
+"""Map landmarks from plain arrays: one call per scan, without files."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ landmarks_map = rng.uniform(-10.0, 10.0, (30, 3))
 
 mapper = PointMapper()
 for step in range(60):
-    # The robot drives ahead by 10 cm a step and turns a little; the mapper is not told.
+    # The robot drives ahead by 10 cm a step and turns a little; the mapper does not know this.
     angle = 0.01 * step
     turn = np.array(
         [[np.cos(angle), -np.sin(angle), 0.0], [np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]]
@@ -21,5 +21,5 @@ for step in range(60):
 mapper.finish()
 
 print(f"{len(mapper.map.positions)} landmarks mapped")
-print("the first of them, metres:", mapper.map.positions[0].round(2))
-print("where the robot ended, metres:", mapper.trajectory[-1][:3, 3].round(2))
+print("the first one, metres:", mapper.map.positions[0].round(2))
+print("final position of the robot, metres:", mapper.trajectory[-1][:3, 3].round(2))
