@@ -192,7 +192,7 @@ def _found_instead(path: Path, what: str, formats: Sequence[str]) -> str:
         if dataset.recognises(path):
             raise RelmapError(
                 f"{shown(path)}: is a {other} ({dataset.name}), expected a {what}; "
-                f"'relmap map --variant {variant}' maps such"
+                f"'relmap map --variant {variant}' maps these"
             )
     foreign = foreign_at(path)
     if path.is_dir():
