@@ -15,13 +15,30 @@ from relmap.evaluation.evaluate import evaluate
 from relmap.evaluation.run import run_mapper
 from relmap.evaluation.sources import truth_of
 from relmap.segmentation.space import PatchSegmenter, level_scan
-from relmap.simulation import building_scene, simulate_building, simulate_figure_eight
-from relmap.simulation import simulate_world as world
+from relmap.simulation import (
+    building_scene,
+    simulate_building,
+    simulate_figure_eight,
+    simulate_world,
+)
 from relmap.simulation.storey import simulate_storey
 
-OTHERS = (open_log, open_scans, log_of_frame, evaluate, run_mapper, truth_of, level_scan)
-OTHERS += (PatchSegmenter, building_scene, simulate_building, simulate_figure_eight, world)
-OTHERS += (simulate_storey, relmap.map_log)
+OTHERS: tuple[Any, ...] = (
+    open_log,
+    open_scans,
+    log_of_frame,
+    evaluate,
+    run_mapper,
+    truth_of,
+    level_scan,
+    PatchSegmenter,
+    building_scene,
+    simulate_building,
+    simulate_figure_eight,
+    simulate_world,
+    simulate_storey,
+    relmap.map_log,
+)
 
 
 def functions() -> Iterator[tuple[str, Callable[..., Any]]]:
