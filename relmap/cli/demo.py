@@ -72,13 +72,14 @@ def _figure_eight(out: Path, seed: int) -> str:
     rows.append(("median time per iteration [ms]", *map(figure, timings)))
     title, header = "point landmarks of the figure eight", ("figure", "known", "nearest")
     print_table(title, header, rows)
-    _draw(out, known, evaluations[0])
-    text = "Mapped with known ids (known), and without ids (nearest)."
-    return _part(title, text, header, rows, "map.png")
+    _draw(out, out, known, evaluations[0])
+    _draw(out / "nearest", out, nearest, evaluations[1])
+    text = "Mapped with known ids (known, left), and without ids (nearest, right)."
+    return _part(title, text, header, rows, "map.png", "nearest/map.png")
 
 
-def _draw(out: Path, run: Run, evaluation: Evaluation) -> None:
-    """Draw the map again, with the truth."""
+def _draw(folder: Path, out: Path, run: Run, evaluation: Evaluation) -> None:
+    """Draw the map of a result folder again, with the truth of the simulated log."""
     from relmap.cli.evaluate import find_log
     from relmap.evaluation.landmarks import overlay
     from relmap.evaluation.truth import read_truth
@@ -91,7 +92,7 @@ def _draw(out: Path, run: Run, evaluation: Evaluation) -> None:
         f"{counts['mapped']} of {counts['landmarks']} landmarks mapped, "
         f"RMSE {figure(evaluation.landmark_rmse_m)} m"
     )
-    write_map_png(out / MAP_PNG, run.result, run.groups, truth, title)
+    write_map_png(folder / MAP_PNG, run.result, run.groups, truth, title)
 
 
 def _both_variants(out: Path, name: str, noise: float, seed: int) -> str:
@@ -120,14 +121,17 @@ def _rows(maps: BothMaps) -> Rows:
     ]
 
 
-def _part(title: str, text: str, header: Sequence[str], rows: Rows, picture: str) -> str:
-    """Return a heading, a table and a picture of the page."""
+def _part(title: str, text: str, header: Sequence[str], rows: Rows, *pictures: str) -> str:
+    """Return a heading, a table and pictures, side by side, of the page."""
     cells = ["".join(f"<td>{escape(cell)}</td>" for cell in row) for row in rows]
     head = "".join(f"<th>{escape(name)}</th>" for name in header)
     table = f"<tr>{head}</tr>" + "".join(f"<tr>{row}</tr>" for row in cells)
+    width = 100 // len(pictures)
+    shown = "".join(
+        f'<img src="{name}" alt="{escape(title)}" style="max-width: {width}%">' for name in pictures
+    )
     return (
-        f"<h2>{escape(title.capitalize())}</h2><p>{escape(text)}</p><table>{table}</table>"
-        f'<img src="{picture}" alt="{escape(title)}">'
+        f"<h2>{escape(title.capitalize())}</h2><p>{escape(text)}</p><table>{table}</table>{shown}"
     )
 
 
@@ -136,7 +140,7 @@ def _write_page(path: Path, parts: Sequence[str]) -> None:
 
     style = (
         "body { font: 16px/1.5 sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem } "
-        "td, th { padding: .2rem 1rem .2rem 0; text-align: left } img { max-width: 100% }"
+        "td, th { padding: .2rem 1rem .2rem 0; text-align: left }"
     )
     head = f'<meta charset="utf-8"><title>relmap demo</title><style>{style}</style>'
     begin = f'<!DOCTYPE html><html lang="en"><head>{head}</head><body><h1>relmap demo</h1>'
