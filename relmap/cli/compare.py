@@ -55,7 +55,7 @@ Methods for point scans:
   + needs pip install 'relmap[peers]'
 
 \b
-The figures:
+The metrics:
   RMSE        of landmarks (walls: of corners) after rigid alignment [m]
   of          number of landmarks in the RMSE: those that the method mapped
   RMSE10      RMSE of those seen at least ten times

@@ -70,7 +70,7 @@ def _figure_eight(out: Path, seed: int) -> str:
     rows = rows_of(*evaluations)
     timings = [run.result.summary["timing"]["median_ms"] for run in (known, nearest)]
     rows.append(("median time per iteration [ms]", *map(figure, timings)))
-    title, header = "point landmarks of the figure eight", ("figure", "known", "nearest")
+    title, header = "point landmarks of the figure eight", ("metric", "known", "nearest")
     print_table(title, header, rows)
     _draw(out, out, known, evaluations[0])
     _draw(out / "nearest", out, nearest, evaluations[1])
@@ -105,7 +105,7 @@ def _both_variants(out: Path, name: str, noise: float, seed: int) -> str:
     sigma_m, picture = maps.planes.run.sigma, f"building-{name}-noise.png"
     title = f"the same scans of a building as planes and as points, noise {sigma_m:g} m"
     write_both_png(out / picture, maps, title)
-    header, rows = ("figure", "planes", "points"), _rows(maps)
+    header, rows = ("metric", "planes", "points"), _rows(maps)
     print_table(title, header, rows)
     text = f"Points on the walls are about {SPACING_M:g} m apart, and no ids are given."
     return _part(title, text, header, rows, picture)

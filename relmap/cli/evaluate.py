@@ -36,7 +36,7 @@ Example:
   relmap evaluate result --truth eight
 
 \b
-The figures:
+The metrics:
   corner_rmse_m       walls: as landmark_rmse_m, for corners
   false corners       walls: mapped corners that match no true one, and are not in the RMSE
   wall_recall         walls: fraction of the observed length of true walls over 0.5 m
@@ -55,7 +55,7 @@ The figures:
   ate_m, rpe_m        absolute and relative error of the path
   relation_m, _rad    walls: mean error against checked relations between poses
 
-A figure that is not available is "-" in the table and null in evaluation.json; if this truth could
+A metric that is not available is "-" in the table and null in evaluation.json; if this truth could
 provide it, the reason is printed.
 """
 
@@ -99,11 +99,11 @@ def evaluate_command(
         raise RelmapError("walls and planes have no ids: --log is for a map of points")
     with busy("evaluating"):
         evaluation = evaluate_folder(folder, truth, log)
-    print_table(f"{folder} against {truth}", ("figure", "value"), rows_of(evaluation))
+    print_table(f"{folder} against {truth}", ("metric", "value"), rows_of(evaluation))
     for note in evaluation.notes:
         typer.echo(note)
     if evaluation.purity is None and evaluation.variant == "points" and not _merged(evaluation):
-        typer.echo("no log with ids was found: give it with --log to have every figure")
+        typer.echo("no log with ids was found: give it with --log to get all metrics")
     typer.echo(f"wrote evaluation.json to {folder}")
 
 
