@@ -66,21 +66,6 @@ def test_off_a_terminal_loops_tell_lines(
     ]
 
 
-def test_slow_first_steps_do_not_spoil_the_estimate(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The first of 100 steps takes a minute, as if it compiled; the others take one second."""
-    clock = [100.0]
-    monkeypatch.setattr(console, "monotonic", lambda: clock[0])
-    for k in tracked(range(100), 100, "counting sheep"):
-        clock[0] += 1.0 if k else 60.0
-    lines = capsys.readouterr().err.splitlines()
-    assert lines[:2] == [
-        "relmap: counting sheep: 1 of 100",
-        "relmap: counting sheep: 11 of 100, about 89 s left",
-    ]
-
-
 def test_off_a_terminal_progress_is_printed_as_lines(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

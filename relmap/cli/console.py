@@ -21,8 +21,6 @@ PATIENCE_S = 1.0
 """Work shorter than this shows no progress."""
 EVERY_S = 10.0
 """Seconds between two lines of progress if not on a terminal."""
-LEAST_DONE = 0.05
-"""Share of the work below which no remaining time is estimated."""
 STEADY_S = 600.0
 """Time over which the speed is averaged to estimate the remaining time."""
 WIDEST = 1000
@@ -45,16 +43,15 @@ class Counter:
         self._what = what
         self._patience_s = PATIENCE_S if patience_s is None else patience_s
         self._began = self._told = monotonic()
-        self._passed: list[tuple[int, float]] = []
+        self._before: int | None = None
         self._bar: Progress | None = None
         self._is_terminal: bool | None = None
 
     def __call__(self, done: int, total: int) -> None:
         """Show progress."""
         now = monotonic()
-        if not self._passed:
-            self._passed.append((done - 1, self._began))
-        self._passed.append((done, now))
+        if self._before is None:
+            self._before = done - 1
         if now - self._began <= self._patience_s:
             return
         if self._is_terminal is None:
@@ -62,16 +59,10 @@ class Counter:
         if self._bar is not None:
             self._bar.update(self._bar.task_ids[0], completed=done)
         elif not self._is_terminal and now - self._told >= EVERY_S and done < total:
-            typer.echo(f"relmap: {self._what}: {done} of {total}{self._left(total)}", err=True)
+            left_s = (now - self._began) / (done - self._before) * (total - done)
+            line = f"relmap: {self._what}: {done} of {total}, about {lasting(left_s)} left"
+            typer.echo(line, err=True)
             self._told = now
-
-    def _left(self, total: int) -> str:
-        """Return the time left at the speed of the latest half: the first steps may compile."""
-        done, now = self._passed[-1]
-        before, then = self._passed[len(self._passed) // 2]
-        if done < LEAST_DONE * total or done == before:
-            return ""
-        return f", about {lasting((now - then) / (done - before) * (total - done))} left"
 
     def close(self) -> None:
         """Remove the bar."""
