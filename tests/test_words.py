@@ -51,7 +51,7 @@ BANNED = {
     r"\bround and round\b": "repeatedly",
     r"\bas (far as )?it deserves\b": "by its noise",
     r"\bwhat (comes|became) of\b": "the result of",
-    r"\bwho (comes|was|were)\b": "which landmarks, in which order",
+    r"\bwho comes\b": "in which order",
     r"\b(a|one) thing\b": "an object",
     r"\b(is|are) no (rotation|bag|pose|word|image)\b": "is not a",
     r"\bdoes not grow\b": "does not increase",
