@@ -18,13 +18,14 @@ from relmap.cli.simulate_building import Sampling, World
 from relmap.comparison.compare import Compared
 from relmap.comparison.methods.registry import find_method
 from relmap.comparison.methods.running import run_method
-from relmap.datasets import FORMATS, SCAN_FORMATS, open_scans
+from relmap.datasets import FORMATS, SCAN_FORMATS, open_scans, write_observation_csv
 from relmap.evaluation.feeding import Association
 from relmap.evaluation.sources import Source
 from relmap.io.files import read_tum, write_tum
 from relmap.io.results import read_result, write_result
 from relmap.planes import PlaneMapper
 from relmap.planes.files import read_planes, write_planes
+from relmap.simulation import simulate_figure_eight
 from tests.commands import RESULT_FILES, load, names, table
 from tests.everyformat import LASER_AHEAD_M, POINTS, WALLS, Mapped
 
@@ -179,6 +180,21 @@ def test_a_map_of_too_few_scans_says_what_is_needed(
     printed = capsys.readouterr().out
     assert ("nothing is mapped: a map needs landmarks" in printed) == (n_scans == 3)
     assert ("4 of 4 landmarks mapped" in printed) == (n_scans == 4)
+
+
+def test_the_closing_line_counts_landmarks_seen_often(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = tmp_path / "observations.csv"
+    write_observation_csv(log, simulate_figure_eight(iterations=60).log)
+    assert main(["map", str(log), "-o", str(tmp_path / "result")]) == 0
+    found = read_result(tmp_path / "result").landmarks
+    often, mapped = found.observations >= 10, found.status == "static"
+    assert 0 < often.sum() < len(found)
+    said = (
+        f"{mapped.sum()} of {len(found)} landmarks ({(often & mapped).sum()} of {often.sum()} seen"
+    )
+    assert f"{said} 10 times or more) mapped" in capsys.readouterr().out
 
 
 def test_a_path_without_common_times_is_reported(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from time import monotonic
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -11,6 +11,11 @@ from relmap.cli.console import INTERRUPTED, lasting
 from relmap.cli.job import Job
 from relmap.cli.mapping import map_log
 
+if TYPE_CHECKING:
+    from relmap.io.results import Result
+
+OFTEN = 10
+"""Observations that make a landmark worth mapping."""
 WHOLE = 0.9
 """Minimum fraction of the scans in the largest submap of an unbroken run."""
 NOTHING = "; nothing is mapped: a map needs landmarks that are seen together in at least four scans"
@@ -41,7 +46,7 @@ def report(job: Job) -> None:
         )
     else:
         told += (
-            f"{counts['mapped']} of {counts['landmarks']} landmarks mapped from "
+            f"{counts['mapped']} of {counts['landmarks']} landmarks{often(run.result)} mapped from "
             f"{counts['observations']} observations in {iterations} iterations, "
             f"{each(timing['median_ms'])}{took}{untied(len(run.result.submaps) - 1)}"
             f"{'' if counts['mapped'] else NOTHING}{doubted(summary['association_trust'])}{hanging}"
@@ -56,6 +61,14 @@ def report(job: Job) -> None:
         if job.journal is not None:
             typer.echo(f"'relmap resume {job.journal}' continues it")
         raise typer.Exit(INTERRUPTED)
+
+
+def often(result: Result) -> str:
+    """Return how many of the landmarks seen often are mapped, if not all landmarks are."""
+    seen = result.landmarks.observations >= OFTEN
+    if result.mapped.all() or not seen.any():
+        return ""
+    return f" ({(seen & result.mapped).sum()} of {seen.sum()} seen {OFTEN} times or more)"
 
 
 def each(median_ms: float | None) -> str:
