@@ -1,4 +1,4 @@
-"""Matching mapped points to true ones, and their figures of merit."""
+"""Matching mapped points to true ones, and their metrics."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def judge_landmarks(
 def _judged_by_place(
     result: Result, truth: Truth, counts: dict[str, int]
 ) -> tuple[dict[str, float | None], dict[str, int], list[str]]:
-    """Judge a merged map, which has no tracks: landmarks are matched to the true ones by place.
+    """Evaluate a merged map, which has no tracks: landmarks are matched by position.
 
     The alignment starts from the path. Returns what `judge_landmarks` returns.
     """

@@ -150,7 +150,7 @@ def map_log(
     Raises
     ------
     RelmapError
-        If ``known`` is asked of a log without ids, or a scan of the log is damaged.
+        If ``known`` is requested for a log without ids, or a scan of the log is damaged.
     """
     if mapper is None:
         mapper = PlaneMapper() if isinstance(log, ScanLog) else PointMapper()

@@ -1,4 +1,4 @@
-"""Mapped planes in space beside the true faces: found, right, doubled, and how far off."""
+"""Metrics of planes in space, compared with the true faces."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from relmap.core.arrays import Bools, Floats, Ints
 from relmap.planes3d.table import Plane3dTable
 
 NEAR_M, TURN = 0.05, np.cos(np.deg2rad(5.0))
-"""A plane lies on a face where it is no farther off, and turned by no more (cosine)."""
+"""Largest distance and rotation (cosine) between a plane and a face on which it lies."""
 LEAST_M2 = 0.25
-"""Planes of no more area are not counted."""
+"""Smaller planes are not counted."""
 SAMPLE_M, MOST_SAMPLES = 0.1, 2000
-"""Planes are compared at points so far apart; large ones at about so many each."""
+"""Spacing of the points at which planes are compared, and their approximate maximum number."""
 MOSTLY = 0.5
-"""Share of a mapped plane that lies on a true one of which it is."""
+"""Least fraction of a mapped plane that lies on the true one matched to it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +28,7 @@ class Faces:
     plane : (f,) int64
         Faces of one plane have one number.
     corners : (f, 4, 3) float64, map frame of the truth, metres
-        In order round the face.
+        In order around the face.
     seen_m2 : (f,) float64
         Area of each face that at least two scans saw.
     """
@@ -41,7 +41,7 @@ class Faces:
 def judge_planes(
     table: Plane3dTable, faces: Faces | None, poses: Floats, true_poses: Floats
 ) -> dict[str, float | None]:
-    """Judge the mapped planes.
+    """Evaluate the mapped planes.
 
     Parameters
     ----------
@@ -54,12 +54,12 @@ def judge_planes(
     Returns
     -------
     dict
-        `plane_recall`, share of the true planes, of which at least 0.25 m2 were seen twice, on
-        which a mapped plane lies; `plane_precision`, share of the mapped planes over 0.25 m2 that
-        lie on true ones; `doubled_area`, share of the mapped area on which another mapped plane
-        lies; `plane_rmse_m`, root mean square distance of the corners of mapped planes from the
-        true planes that they lie on.  Planes lie on one another within 0.05 m and 5 degrees.  None
-        where there is nothing to compare.
+        `plane_recall`, fraction of the true planes, of which at least 0.25 m2 were seen twice, that
+        are mapped; `plane_precision`, fraction of the mapped planes over 0.25 m2 that lie on true
+        ones; `doubled_area`, fraction of the mapped area covered by another mapped plane;
+        `plane_rmse_m`, root mean square distance of the corners of mapped planes from the true
+        planes on which they lie.  Planes coincide within 0.05 m and 5 degrees.  None if there is
+        nothing to compare.
     """
     told: dict[str, float | None] = {"doubled_area": doubled_area(table)}
     if faces is None or not len(faces.plane) or not len(poses):
@@ -86,9 +86,9 @@ def judge_planes(
 
 
 def doubled_area(table: Plane3dTable) -> float | None:
-    """Return the share of the mapped area on which another mapped plane lies that faces its way.
+    """Return the fraction of the mapped area covered by another mapped plane with the same front.
 
-    Planes with fronts on different sides, as of a thin wall, are not one.
+    Planes with fronts on different sides, as of a thin wall, are different.
     """
     rows = np.flatnonzero(table.status == "static").tolist()
     points = {k: surface_points(table, k) for k in rows}
@@ -106,7 +106,7 @@ def doubled_area(table: Plane3dTable) -> float | None:
 
 
 def surface_points(table: Plane3dTable, k: int) -> Floats:
-    """Return points (n, 3) all over the outline of a plane, at least its corners' middle."""
+    """Return points (n, 3) within the outline of a plane, at least the mean of its corners."""
     outline = table.outline[k]
     if len(outline) < 3:
         return np.asarray(table.centre[k][None])
@@ -122,7 +122,7 @@ def surface_points(table: Plane3dTable, k: int) -> Floats:
 
 
 def _inside(points: Floats, table: Plane3dTable, k: int) -> Bools:
-    """Return which points (n, 3) lie in the outline of a plane, looked at from its front."""
+    """Return which points (n, 3) lie within the outline of a plane, seen from its front."""
     if len(table.outline[k]) < 3:
         return np.zeros(len(points), dtype=bool)
     axes = _along(table.normal[k])
@@ -138,7 +138,7 @@ def _within(points: Floats, outline: Floats) -> Bools:
 
 
 def _along(normal: Floats) -> Floats:
-    """Return two directions (2, 3) across a normal and one another."""
+    """Return two directions (2, 3) perpendicular to a normal and to each other."""
     u = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
     u /= np.linalg.norm(u)
     return np.stack([u, np.cross(normal, u)])
@@ -172,7 +172,7 @@ def _on_face(points: Floats, corners: Floats) -> Bools:
 
 
 def _between(poses: Floats, true_poses: Floats) -> tuple[Floats, Floats]:
-    """Return the motion (3, 3), (3,) that brings the map to the truth, of positions and turns."""
+    """Return the motion (3, 3), (3,) that aligns the map to the truth, by positions and rotations."""
     turns = true_poses[:, :3, :3] @ poses[:, :3, :3].transpose(0, 2, 1)
     u, _, vt = np.linalg.svd(turns.sum(axis=0))
     R = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
