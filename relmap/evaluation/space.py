@@ -172,7 +172,7 @@ def _on_face(points: Floats, corners: Floats) -> Bools:
 
 
 def _between(poses: Floats, true_poses: Floats) -> tuple[Floats, Floats]:
-    """Return the motion (3, 3), (3,) that aligns the map to the truth, by positions and rotations."""
+    """Return the motion (3, 3), (3,) that aligns the map to the truth, by whole poses."""
     turns = true_poses[:, :3, :3] @ poses[:, :3, :3].transpose(0, 2, 1)
     u, _, vt = np.linalg.svd(turns.sum(axis=0))
     R = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
