@@ -104,7 +104,8 @@ def test_saved_results_are_those_of_the_command_line(
     folder = mapped(source)
     kind = PlaneMapper if source == "npz" else PointMapper
     kind.load(folder / "mapper.npz").save_results(tmp_path / "new")
-    missing = {"bench.png"} if source == "npz" else set()
+    # Another test may have evaluated this result before.
+    missing = {"evaluation.json", "bench.png"} if source == "npz" else {"evaluation.json"}
     assert set(names(tmp_path / "new")) == set(names(folder)) - missing
     same = ["landmarks.csv", "map.ply", "submaps.csv", "mapper.npz"]
     for name in [*same, *(["planes.csv"] if source == "npz" else ["trajectory.tum"])]:
