@@ -7,6 +7,7 @@ ARGS ?=
 DEMO_VENV := .venv-demo
 TEST_VENV := .venv-test
 LOWEST_VENV := .venv-lowest
+LOWEST_EXTRAS := bags cluster live pandas parquet
 SOURCES := $(wildcard relmap/*.py relmap/*/*.py relmap/*/*/*.py)
 LINTED := $(wildcard relmap tests examples benchmarks)
 
@@ -77,8 +78,10 @@ $(LOWEST_VENV)/.ready: pyproject.toml
 	@echo 'installing relmap with the lowest versions it allows into $(LOWEST_VENV)'
 	@$(LOWEST_VENV)/bin/python -m pip install --quiet uv
 	@$(LOWEST_VENV)/bin/python -m uv pip compile --quiet --python $(LOWEST_VENV)/bin/python \
-		--resolution lowest-direct --only-binary :all: pyproject.toml -o $(LOWEST_VENV)/lowest.txt
-	@$(LOWEST_VENV)/bin/python -m pip install --quiet --editable '.[dev]' -c $(LOWEST_VENV)/lowest.txt
+		--resolution lowest-direct --only-binary :all: pyproject.toml \
+		$(LOWEST_EXTRAS:%=--extra %) -o $(LOWEST_VENV)/lowest.txt
+	@$(LOWEST_VENV)/bin/python -m uv pip install --quiet --python $(LOWEST_VENV)/bin/python \
+		--editable '.[dev]' -c $(LOWEST_VENV)/lowest.txt
 	@touch $@
 
 # new_venv DIR: make DIR a virtual environment with pip, or say what is missing. Where this

@@ -12,7 +12,8 @@ import pytest
 
 import relmap
 from relmap.cli import main
-from relmap.datasets import FORMATS
+from relmap.datasets import FORMATS, write_observation_csv
+from relmap.simulation import simulate_figure_eight
 from tests.commands import PATIENCE_S, RELMAP, RESULT_FILES, load, names
 
 
@@ -54,6 +55,25 @@ def run(
         env=env,
         cwd=folder,
     )
+
+
+@pytest.mark.parametrize("home", [None, os.path.join(os.devnull, "nobody")])
+def test_a_home_that_cannot_be_written_changes_nothing(
+    tmp_path: Path, child_env: dict[str, str], home: str | None
+) -> None:
+    simulated = simulate_figure_eight(seed=3, iterations=20).log
+    write_observation_csv(tmp_path / "log.csv", simulated)
+    assert main(["map", str(tmp_path / "log.csv"), "-o", str(tmp_path / "usual")]) == 0
+    left_out = ("HOME", "XDG_CACHE_HOME", "XDG_CONFIG_HOME", "MPLCONFIGDIR")
+    env = {name: value for name, value in child_env.items() if name not in left_out}
+    env |= {} if home is None else {"HOME": home}
+    done = run(["map", "log.csv", "-o", "out"], tmp_path, env)
+    usual = ("so far", "left", "half a minute")
+    said = [line for line in done.stderr.splitlines() if not line.endswith(usual)]
+    assert (done.returncode, said) == (0, [])
+    assert names(tmp_path / "out") == RESULT_FILES
+    for name in ("map.png", "landmarks.csv"):
+        assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "usual" / name).read_bytes()
 
 
 def test_version_and_help_from_a_shell(tmp_path: Path, child_env: dict[str, str]) -> None:

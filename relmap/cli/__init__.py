@@ -132,6 +132,8 @@ class _Stderr(logging.Handler):
 
 
 def _announce() -> None:
+    # Where it cannot write into the home folder, it warns in several lines, and works all the same.
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)
     log = logging.getLogger("relmap.core.linalg.compiling")
     if not any(isinstance(handler, _Stderr) for handler in log.handlers):
         log.addHandler(_Stderr())

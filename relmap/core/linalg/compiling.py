@@ -21,13 +21,13 @@ from numba.core import event
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import FunctionPass, register_pass
-from numba.core.targetconfig import TargetConfig
 from numba.core.typed_passes import NopythonRewrites
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
 _njit: Any = numba.njit  # the annotations do not cover wrappers
 _OPTIONS: dict[str, Any] = {"error_model": "numpy", "no_cfunc_wrapper": True}
+NOT_KEPT = "in every run, unless NUMBA_CACHE_DIR names a folder that can be written"
 
 
 def compiled(function: Function) -> Function:
@@ -38,6 +38,7 @@ def compiled(function: Function) -> Function:
     try:
         return cast("Function", _njit(cache=True, **_OPTIONS)(function))
     except RuntimeError:  # neither beside the package nor in the user's cache folder
+        _WATCH.keeps = False
         return cast("Function", _njit(**_OPTIONS)(function))
 
 
@@ -103,15 +104,17 @@ class _Watch(event.Listener):
     Otherwise the collector would scan the compiler's objects repeatedly, a tenth of the time.
     """
 
+    keeps = True
+    """Whether the code can be cached."""
+
     def __init__(self) -> None:
         self._depth, self._collects, self._said = 0, False, False
 
     def on_start(self, event: event.Event) -> None:
         if not self._said:
             self._said = True
-            logging.getLogger(__name__).info(
-                "compiling, only on the first run on a machine: up to half a minute"
-            )
+            when = "only on the first run on a machine" if self.keeps else NOT_KEPT
+            logging.getLogger(__name__).info("compiling, %s: up to half a minute", when)
         if self._depth == 0:
             self._collects = gc.isenabled()
             gc.disable()
@@ -123,26 +126,5 @@ class _Watch(event.Listener):
             gc.enable()
 
 
-cast("Any", event).register("numba:compile", _Watch())
-
-
-class _Flags(cast("Any", TargetConfig)):  # type: ignore[misc]
-    """Compiler flags that are compared by those that are set, not by all including the defaults.
-
-    numba compares its flags tens of thousands of times, a tenth of the time of compilation.
-    """
-
-    _values: dict[str, Any]
-
-    def __eq__(self, other: object) -> bool:
-        if not isinstance(other, TargetConfig):
-            return NotImplemented
-        flags = cast("_Flags", other)
-        return bool(self._values == flags._values or self.values() == flags.values())
-
-    def __hash__(self) -> int:
-        return hash(type(self))
-
-
-for _method in ("__eq__", "__hash__"):
-    setattr(TargetConfig, _method, getattr(_Flags, _method))
+_WATCH = _Watch()
+cast("Any", event).register("numba:compile", _WATCH)
