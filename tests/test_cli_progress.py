@@ -1,13 +1,17 @@
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 from rich.console import Console
 
-from relmap.cli import console
+from relmap.cli import console, main
 from relmap.cli.console import busy, lasting, tracked
+from relmap.datasets import write_observation_csv
+from relmap.simulation import simulate_figure_eight
 from tests.commands import PATIENCE_S
 
 CURSOR_BACK = "\x1b[?25h"
@@ -66,6 +70,26 @@ def test_off_a_terminal_loops_tell_lines(
     ]
 
 
+def test_the_time_to_compile_is_not_expected_of_every_step(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By a clock on which the first of 100 steps takes half a minute, and others 5 s."""
+    clock = [100.0]
+    monkeypatch.setattr(console, "monotonic", lambda: clock[0])
+    for k in tracked(range(100), 100, "counting sheep"):
+        clock[0] += 30.0 if k == 0 else 5.0
+        if k == 2:
+            break
+    assert capsys.readouterr().err == "relmap: counting sheep: 1 of 100\n"
+    for k in tracked(range(100), 100, "counting sheep"):
+        clock[0] += 30.0 if k == 0 else 5.0
+        if k == 3:
+            break
+    assert capsys.readouterr().err.splitlines()[-1] == (
+        "relmap: counting sheep: 3 of 100, about 8 min left"
+    )
+
+
 def test_off_a_terminal_progress_is_printed_as_lines(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -91,3 +115,27 @@ def test_work_that_fails_ends_its_message(said: Callable[[], str]) -> None:
     with pytest.raises(ZeroDivisionError):
         fail()
     assert CURSOR_BACK in said()
+
+
+def test_a_clock_that_goes_backwards_changes_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = tmp_path / "log.csv"
+    write_observation_csv(log, simulate_figure_eight(seed=3, iterations=20).log)
+    journals = ["--journal", str(tmp_path / "usual.journal")]
+    assert main(["map", str(log), "-o", str(tmp_path / "usual"), *journals]) == 0
+    clock = itertools.count(1_700_000_000, -3600)
+    monkeypatch.setattr(time, "time", lambda: float(next(clock)))
+    monkeypatch.setattr(console, "EVERY_S", 0.0)
+    monkeypatch.setattr(console, "PATIENCE_S", 0.0)
+    journals = ["--journal", str(tmp_path / "run.journal")]
+    capsys.readouterr()
+    assert main(["map", str(log), "-o", str(tmp_path / "out"), *journals]) == 0
+    lines = capsys.readouterr().err.splitlines()
+    assert [line for line in lines if "-" in line] == []  # no time that is negative
+    assert main(["resume", str(tmp_path / "run.journal"), "-o", str(tmp_path / "again")]) == 0
+    files = {path.name for path in (tmp_path / "usual").iterdir()} - {"summary.json", "report.html"}
+    for name in files:
+        usual = (tmp_path / "usual" / name).read_bytes()
+        assert (tmp_path / "out" / name).read_bytes() == usual
+        assert (tmp_path / "again" / name).read_bytes() == usual

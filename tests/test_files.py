@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from threading import Thread
 
 import numpy as np
 import pytest
@@ -82,6 +83,28 @@ def test_a_kill_between_two_files_leaves_no_mixture_that_counts_as_a_result(
         assert set(texts.values()) == {"old" if at == 0 else "new"}
         assert ("stale.csv" in texts) == (at == 0)
     assert (at == 5) == (texts.get("summary.json") == "new")
+
+
+def test_of_two_results_for_one_folder_all_files_are_of_the_later(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def write(text: str) -> None:
+        with staged_folder(tmp_path) as staging:
+            for name in ("a.csv", "b.csv", "c.csv", "summary.json"):
+                (staging / name).write_text(text)
+
+    other, replace = Thread(target=write, args=["second"]), Path.replace
+
+    def begin_the_other(self: Path, target: Path) -> Path:
+        if not other.ident:
+            other.start()
+            other.join(0.3)  # it ends here only if it does not wait for the first
+        return replace(self, target)
+
+    monkeypatch.setattr(Path, "replace", begin_the_other)
+    write("first")
+    other.join()
+    assert {path.read_text() for path in tmp_path.iterdir()} == {"second"}
 
 
 def test_staged_files_arrive_together_with_their_folders(tmp_path: Path) -> None:

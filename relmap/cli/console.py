@@ -42,7 +42,8 @@ class Counter:
     def __init__(self, what: str, patience_s: float | None = None) -> None:
         self._what = what
         self._patience_s = PATIENCE_S if patience_s is None else patience_s
-        self._began = self._told = monotonic()
+        self._began = self._told = self._latest = monotonic()
+        self._slowest_s = 0.0
         self._before: int | None = None
         self._bar: Progress | None = None
         self._is_terminal: bool | None = None
@@ -50,6 +51,8 @@ class Counter:
     def __call__(self, done: int, total: int) -> None:
         """Show progress."""
         now = monotonic()
+        self._slowest_s = max(self._slowest_s, now - self._latest)
+        self._latest = now
         if self._before is None:
             self._before = done - 1
         if now - self._began <= self._patience_s:
@@ -59,10 +62,16 @@ class Counter:
         if self._bar is not None:
             self._bar.update(self._bar.task_ids[0], completed=done)
         elif not self._is_terminal and now - self._told >= EVERY_S and done < total:
-            left_s = (now - self._began) / (done - self._before) * (total - done)
-            line = f"relmap: {self._what}: {done} of {total}, about {lasting(left_s)} left"
-            typer.echo(line, err=True)
+            line = f"relmap: {self._what}: {done} of {total}"
+            typer.echo(line + self._left(now, done - self._before, total - done), err=True)
             self._told = now
+
+    def _left(self, now: float, done: int, left: int) -> str:
+        """Return the estimated remaining time, without the slowest step: it may have compiled."""
+        if done < 2:
+            return ""
+        left_s = (now - self._began - self._slowest_s) / (done - 1) * left
+        return f", about {lasting(left_s)} left"
 
     def close(self) -> None:
         """Remove the bar."""

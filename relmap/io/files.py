@@ -86,7 +86,8 @@ def staged_folder(folder: Path, stale: Sequence[str] = ()) -> Iterator[Path]:
         folder.mkdir(parents=True, exist_ok=True)
         staging = Path(tempfile.mkdtemp(prefix=".relmap-", dir=folder))
         yield staging
-        _move_files(staging, folder, stale)
+        with _no_other_moves(folder):
+            _move_files(staging, folder, stale)
     except OSError as error:
         raise RelmapError(f"cannot write into {shown(folder)}: {why_not_written(error)}") from error
     except RelmapError as error:
@@ -97,6 +98,23 @@ def staged_folder(folder: Path, stale: Sequence[str] = ()) -> Iterator[Path]:
         for level in made:
             with suppress(OSError):
                 level.rmdir()
+
+
+@contextmanager
+def _no_other_moves(folder: Path) -> Iterator[None]:
+    """Wait until no other process moves files into a folder, where the system has such locks."""
+    try:
+        import fcntl
+    except ImportError:  # Windows
+        yield
+        return
+    lock = os.open(folder, os.O_RDONLY)
+    try:
+        with suppress(OSError):  # not every network file system has locks
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(lock)
 
 
 def _move_files(staging: Path, folder: Path, stale: Sequence[str]) -> None:
