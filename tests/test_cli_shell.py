@@ -17,7 +17,6 @@ from relmap.datasets import FORMATS, write_observation_csv
 from relmap.simulation import simulate_figure_eight
 from tests.commands import PATIENCE_S, RELMAP, RESULT_FILES, load, names
 
-
 USUAL = re.compile(r"relmap: .*(so far|left|half a minute|\d of \d+)")
 """A busy machine tells how far it is, and a new one that it compiles."""
 
