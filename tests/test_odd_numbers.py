@@ -11,6 +11,7 @@ from relmap import Plane3dMapper, PlaneMapper, PointMapper
 from relmap.core.arrays import Floats
 from relmap.core.geometry.alignment import fit_rigid_each
 from relmap.core.geometry.spatialindex import SpatialIndex
+from relmap.core.grouping.chart import PointChart
 from relmap.core.state.table import LandmarkState
 from relmap.segmentation.space import PatchSegmenter
 
@@ -92,3 +93,22 @@ def test_cells_beyond_whole_numbers_are_found() -> None:
     positions = np.array([[1e8, -1e8], [0.0, 0.0], [1e8, -1e8]])
     index.add(np.arange(3), positions)
     assert set(index.near(positions[:1])[0].tolist()) >= {0, 2}
+
+
+def test_landmarks_seen_too_rarely_for_a_group_take_no_time_at_the_end(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    mapper, rng = PointMapper(), np.random.default_rng(0)
+    for _ in range(3):
+        mapper.update(rng.uniform(-50.0, 50.0, (200, 2)))
+    charted: list[int] = []
+
+    def around(seed: int, *rest: int) -> PointChart:
+        charted.append(seed)
+        return whole(seed, *rest)
+
+    whole = PointChart.around
+    monkeypatch.setattr(PointChart, "around", around)
+    mapper.finish()
+    assert charted == []
+    assert not len(mapper.map.positions)

@@ -15,6 +15,7 @@ from relmap.core.association.tying import CLEAR, tie_submaps
 from relmap.core.association.undoing import contradicted, nearer_another, pieces, places_of
 from relmap.core.gaps import bridge_gaps, is_bridged
 from relmap.core.grouping.chart import PointChart
+from relmap.core.grouping.dynamics import FEWEST
 from relmap.core.map.bending import bend
 from relmap.core.mapper import RelativeMapper
 from relmap.core.refinement.by_submap import refine_submaps
@@ -38,7 +39,9 @@ follow: rounds that undo and repeat the same merges need not terminate."""
 
 def finish(engine: RelativeMapper) -> None:
     """Group unmapped landmarks in view, and run the last pass of those that left."""
-    for seed in engine.schedule.in_view.tolist():
+    in_view = engine.schedule.in_view
+    # With fewer observations no landmark can be tested for rest, and none is grouped.
+    for seed in in_view[engine.table.in_interval[in_view] >= FEWEST].tolist():
         if engine.table.weight[seed] == 0:
             group_or_found(engine, seed, 1)
     engine.schedule.end()
