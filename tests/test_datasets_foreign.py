@@ -84,7 +84,7 @@ def test_an_unreadable_bag_is_named(tmp_path: Path, name: str, data: bytes, foun
     path = put(tmp_path, data, name)
     for failure in (logs.failure, scanlogs.failure):
         assert f"{path}: is {found}" in failure(path)
-        assert "and cannot be read: " in failure(path)
+        assert ", but cannot be read: " in failure(path)
     named = put(tmp_path, data, "a")
     assert f"{named}: is {found}" in logs.failure(named)
 

@@ -156,10 +156,10 @@ def test_scans_of_wrong_and_of_short_submaps_are_not_right() -> None:
 @given(st.integers(0, 1000))
 def test_no_error_depends_on_the_frame_of_the_map(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    true_poses = poses_at(rng.normal(size=(8, 3)), Rotation.random(8, rng=rng))
+    true_poses = poses_at(rng.normal(size=(8, 3)), Rotation.random(8, rng))
     poses = true_poses.copy()
     poses[:, :3, 3] += rng.normal(scale=0.1, size=(8, 3))
-    T_other_map = poses_at(rng.normal(size=(1, 3)), Rotation.random(1, rng=rng))[0]
+    T_other_map = poses_at(rng.normal(size=(1, 3)), Rotation.random(1, rng))[0]
     moved, instant = T_other_map @ poses, np.arange(8)
     ate = metrics.ate(poses, true_poses, planar=False)
     assert metrics.ate(moved, true_poses, planar=False) == pytest.approx(ate)

@@ -60,10 +60,10 @@ def test_agrees_where_paths_are_wild_and_stamps_differ(tmp_path: Path) -> None:
     rng = np.random.default_rng(5)
     truth, found = (np.tile(np.eye(4), (60, 1, 1)) for _ in range(2))
     truth[:, :3, 3] = rng.normal(0, 3, (60, 3)).cumsum(axis=0)
-    truth[:, :3, :3] = Rotation.random(60, rng=rng).as_matrix()
-    found[:, :3, 3] = truth[:, :3, 3] @ Rotation.random(rng=rng).as_matrix() + [5, 6, 7]
+    truth[:, :3, :3] = Rotation.random(60, rng).as_matrix()
+    found[:, :3, 3] = truth[:, :3, 3] @ Rotation.random(None, rng).as_matrix() + [5, 6, 7]
     found[:, :3, 3] += rng.normal(0, 0.5, (60, 3))
-    found[:, :3, :3] = Rotation.random(60, rng=rng).as_matrix()
+    found[:, :3, :3] = Rotation.random(60, rng).as_matrix()
     stamps_s = 1.6e9 + np.arange(60, dtype=np.float64) / 10
     write_tum(tmp_path / "truth.tum", stamps_s, truth)
     write_tum(tmp_path / "found.tum", stamps_s + 0.004 * np.sin(np.arange(60.0)), found)

@@ -187,7 +187,7 @@ def test_tum_keeps_every_bit_of_stamps_and_positions(
     poses = np.tile(np.eye(4), (len(table), 1, 1))
     poses[:, :3, 3] = table[:, 1:]
     if len(table):
-        poses[:, :3, :3] = Rotation.random(len(table), rng=seed).as_matrix()
+        poses[:, :3, :3] = Rotation.random(len(table), seed).as_matrix()
     path = tmp_path_factory.getbasetemp() / "path.tum"
     write_tum(path, table[:, 0], poses)
     stamps_s, again = read_tum(path)

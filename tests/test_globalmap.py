@@ -180,7 +180,7 @@ def test_align_is_the_weighted_least_squares_fit(seed: int, d: int) -> None:
         moved = relative[:5] @ rotation(x[d:]).T + x[:d]
         return np.asarray(((moved - there) * root[:, None]).ravel())
 
-    starts = np.linspace(-3, 3, 5)[:, None] if d == 2 else Rotation.random(12, rng=rng).as_rotvec()
+    starts = np.linspace(-3, 3, 5)[:, None] if d == 2 else Rotation.random(12, rng).as_rotvec()
     fits = [least_squares(cost, np.concatenate([np.zeros(d), s]), x_scale="jac") for s in starts]
     best = min(fits, key=lambda fit: float(fit.cost)).x
     np.testing.assert_allclose(placed, relative @ rotation(best[d:]).T + best[:d], atol=1e-4)

@@ -198,7 +198,7 @@ def told(path: Path) -> Iterator[None]:
     except Exception as error:  # damaged files can raise any error
         reason = quoted(str(error).partition("\n")[0] or type(error).__name__)
         found = foreign_at(path) or "a bag"
-        raise RelmapError(f"{shown(path)}: is {found} and cannot be read: {reason}") from error
+        raise RelmapError(f"{shown(path)}: is {found}, but cannot be read: {reason}") from error
 
 
 def _files(path: Path) -> list[Path]:

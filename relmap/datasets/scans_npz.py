@@ -98,7 +98,7 @@ def write_scans_npz(
     limits = {name: np.float64(limit) for name, limit in known.items() if limit is not None}
     arrays = {"points": np.concatenate(scans), "iteration": iteration, "stamps_s": stamps_s}
     with replacing(path) as file:
-        np.savez(file, allow_pickle=False, **arrays, **limits)
+        np.savez(file, **arrays, **limits)
 
 
 def _read_arrays(file: Path) -> dict[str, NDArray[Any]]:
