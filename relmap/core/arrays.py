@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-# Written out, since `NDArray` is of another kind from numpy 2.5 on, and saved states look into these.
+# Written out: saved states look into these, and `NDArray` is of another kind from numpy 2.5 on.
 Floats = np.ndarray[tuple[Any, ...], np.dtype[np.float64]]
 Ints = np.ndarray[tuple[Any, ...], np.dtype[np.int64]]
 Bools = np.ndarray[tuple[Any, ...], np.dtype[np.bool_]]
