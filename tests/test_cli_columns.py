@@ -11,6 +11,7 @@ import pytest
 from relmap.cli import main
 from relmap.io.files import read_tum
 from relmap.io.results import read_result
+from tests.commands import load
 
 PLACES = {"gate, left": (4, 2), "oak": (5, -2), "elm": (7, 1), "post": (3, -1), "bin": (8, 3)}
 HEADER = "frame;seconds;ahead;left;what;score\n"
@@ -52,6 +53,27 @@ def test_a_run_with_columns_is_gone_on_with(here: Path) -> None:
     assert main(["resume", "run", "-o", "again"]) == 0
     for name in ("landmarks.csv", "names.csv", "trajectory.tum"):
         assert (here / "again" / name).read_bytes() == (here / "out" / name).read_bytes()
+
+
+def test_every_verb_reads_a_table_with_columns(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["map", "seen.csv", "-o", "out", "--columns", NAMES, "--association", "known"]) == 0
+    truth = [f"{k},{x},{y},0,static" for k, (_, (x, y)) in enumerate(sorted(PLACES.items()))]
+    Path("truth").mkdir()
+    Path("truth/landmarks.csv").write_text("\n".join(["landmark,x,y,z,status", *truth]))
+    for log in ([], ["--log", "seen.csv"]):
+        assert main(["evaluate", "out", "--truth", "truth", *log]) == 0
+        assert load(here / "out" / "evaluation.json")["purity"] == 1.0
+    assert main(["export", "out", "--to", "g2o", "--log", "seen.csv", "-o", "out/a.g2o"]) == 0
+    localise = ["localise", "seen.csv", "--map", "out", "-o", "where"]
+    assert main([*localise, "--columns", NAMES]) == 0
+    assert "found 16 of 16 scans" in capsys.readouterr().out
+    compare = ["compare", "seen.csv", "--methods", "relmap-points", "-o", "compared"]
+    assert main([*compare, "--columns", NAMES]) == 0
+    for command in (localise, compare):
+        assert main([*command, "--columns", NAMES, "--format", "own-table"]) == 2
+        assert "--columns applies only to tables of landmarks" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -103,7 +104,7 @@ def test_landmarks_seen_too_rarely_for_a_group_take_no_time_at_the_end(
         mapper.update(rng.uniform(-50.0, 50.0, (200, 2)))
     charted: list[int] = []
 
-    def around(seed: int, *rest: int) -> PointChart:
+    def around(seed: int, *rest: Any) -> PointChart:
         charted.append(seed)
         return whole(seed, *rest)
 

@@ -92,6 +92,25 @@ Format = Annotated[
         help="Format of INPUT, one that 'relmap map --help' lists; recognised if not given.",
     ),
 ]
+Columns = Annotated[
+    dict[str, str] | None,
+    typer.Option(
+        "--columns",
+        metavar="x=PX,y=PY,...",
+        parser=columns,
+        help="Column names of a table (CSV, Parquet) for iteration, stamp "
+        "(seconds), x, y, z and id; others are ignored.",
+    ),
+]
+Topics = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--topic",
+        metavar="NAME",
+        help="The topic to read if a bag has several with scans, detections or odometry; may "
+        "be given once for each of these.",
+    ),
+]
 Noise = Annotated[
     Literal["gaussian", "uniform"], typer.Option(help="Distribution of the simulated noise.")
 ]

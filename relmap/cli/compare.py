@@ -131,6 +131,8 @@ def compare_command(
     truth: _Truth = None,
     scans: args.Scans = None,
     log_format: args.Format = None,
+    columns: args.Columns = None,
+    topic: args.Topics = None,
     sigma: _Sigma = None,
     density: args.Density = DENSITY,
     iterations: _Iterations = None,
@@ -152,10 +154,14 @@ def compare_command(
         )
         outside = sigma is not None and not 0 < sigma < 1000
         args.refuse(outside, f"--sigma is {sigma}; it must lie above 0 and below 1000 metres")
-        given = FileSource(source, log_format, scans, truth)
+        args.refuse(columns and log_format, "--columns applies only to tables of landmarks")
+        given = FileSource(source, log_format, scans, truth, columns, tuple(topic or ()))
     else:
-        of_log = (truth, scans, log_format) != (None, None, None)
-        args.refuse(of_log, "--truth, --scans and --format are for INPUT, not for --simulate")
+        of_log = any(given is not None for given in (truth, scans, log_format, columns, topic))
+        args.refuse(
+            of_log,
+            "--truth, --scans, --format, --columns and --topic are for INPUT, not for --simulate",
+        )
         sigma = SIGMA_M if sigma is None else sigma
         if simulate == "building":
             args.refuse(of_eight, "--density and --dynamic are for the figure eight")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
@@ -175,21 +175,23 @@ def find_log(result: Result, truth: Path, log: Path | None) -> ObservationLog | 
     """
     from relmap.datasets import open_log
     from relmap.evaluation.landmarks import mapped_part
-    from relmap.evaluation.sources import recognised_format
+    from relmap.evaluation.sources import read_again
 
-    source, form = result.summary.get("input"), result.summary.get("format")
-    form = form if isinstance(form, str) else None
+    def read_mapped(path: Path) -> ObservationLog:
+        return cast("ObservationLog", read_again(path, "points", result.summary))
+
+    source = result.summary.get("input")
     if log is not None:
-        return open_log(log, recognised_format(log, "points") or form)
+        return read_mapped(log)
     beside = truth if truth.is_dir() else truth.parent
     beside = beside.parent if beside.name == "truth" else beside
-    candidates: list[tuple[Path, str | None]] = [(beside / name, None) for name in BESIDE]
+    candidates: list[tuple[Path, Any]] = [(beside / name, open_log) for name in BESIDE]
     if isinstance(source, str):
-        candidates.insert(0, (Path(source), form))
-    for path, name in candidates:
+        candidates.insert(0, (Path(source), read_mapped))
+    for path, read in candidates:
         if path.exists():
             with suppress(RelmapError):
-                found = open_log(path, name)
+                found: ObservationLog = read(path)
                 mapped_part(result, found)
                 return found
     return None

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from relmap.cli.arguments import Format, Out, Scans, Variant
+from relmap.cli.arguments import Columns, Format, Out, Scans, Topics, Variant, refuse
 from relmap.cli.arguments import Log as LogPath
 from relmap.cli.console import tracked
 
@@ -40,6 +40,8 @@ def localise_command(
     out: Out,
     scans: Scans = None,
     log_format: Format = None,
+    columns: Columns = None,
+    topic: Topics = None,
 ) -> None:
     """Localise scans; the help text explains the arguments."""
     from relmap.evaluation.sources import read_log
@@ -52,7 +54,9 @@ def localise_command(
     mapper = Mapper.load(result / MAPPER)
     assert isinstance(mapper, PointMapper | PlaneMapper)
     variant: Variant = "planes" if isinstance(mapper, PlaneMapper) else "points"
-    log = read_log(source, variant, log_format, scans)
+    of_table = columns and (variant == "planes" or log_format)
+    refuse(of_table, "--columns applies only to tables of landmarks")
+    log = read_log(source, variant, log_format, scans, columns, tuple(topic or ()))
     with staged_folder(out) as staging:
         places = _places(mapper, log)
         _write(staging, mapper, log, places)

@@ -156,25 +156,6 @@ Segmenter = Annotated[
         help="For walls: how points become walls. Default: scanlines for 2-D scans, em for clouds."
     ),
 ]
-Columns = Annotated[
-    dict[str, str] | None,
-    typer.Option(
-        "--columns",
-        metavar="x=PX,y=PY,...",
-        parser=args.columns,
-        help="Column names of a table (CSV, Parquet) for iteration, stamp "
-        "(seconds), x, y, z and id; others are ignored.",
-    ),
-]
-Topics = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--topic",
-        metavar="NAME",
-        help="The topic to read if a bag has several with scans, detections or odometry; may "
-        "be given once for each of these.",
-    ),
-]
 Onto = Annotated[
     Path | None,
     typer.Option(

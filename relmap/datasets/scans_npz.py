@@ -96,9 +96,10 @@ def write_scans_npz(
     iteration = np.repeat(np.arange(len(scans), dtype=np.int64), counts)
     known = {name: getattr(sensor, name, None) for name in _LIMITS}
     limits = {name: np.float64(limit) for name, limit in known.items() if limit is not None}
-    arrays = {"points": np.concatenate(scans), "iteration": iteration, "stamps_s": stamps_s}
+    arrays: dict[str, Any] = {"points": np.concatenate(scans), "iteration": iteration}
+    arrays |= {"stamps_s": stamps_s, **limits}
     with replacing(path) as file:
-        np.savez(file, **arrays, **limits)
+        np.savez(file, **arrays)
 
 
 def _read_arrays(file: Path) -> dict[str, NDArray[Any]]:

@@ -5,14 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Generic, Literal, Protocol, TypeVar, cast
+from typing import Any, Generic, Literal, Protocol, TypeVar, cast
 
 import numpy as np
 
 from relmap.core.arrays import Ints
 from relmap.core.errors import RelmapError
 from relmap.datasets import DATASETS, FORMATS, SCAN_DATASETS, SCAN_FORMATS, open_log, open_scans
+from relmap.datasets.bag_detections import BagDetections
+from relmap.datasets.bag_scans import BagScans
 from relmap.datasets.base import ObservationLog
+from relmap.datasets.own_table import OwnTable
 from relmap.datasets.scans import ScanLog, SensorView, stored_scans
 from relmap.datasets.textfile import quoted, require_path, shown
 from relmap.evaluation.feeding import Log
@@ -131,12 +134,17 @@ class FileSource:
         Range of iterations.
     truth : Path or None
         What to compare with; None: a folder ``truth`` beside the log, if any.
+    columns : mapping of str to str, optional
+    topics : sequence of str
+        As for `open_log`.
     """
 
     path: Path
     format: str | None = None
     scans: tuple[int, int] | None = None
     truth: Path | None = None
+    columns: Mapping[str, str] | None = None
+    topics: Sequence[str] = ()
 
     def load(self) -> Data[Log]:
         """Read it.
@@ -150,11 +158,13 @@ class FileSource:
         truth, folder = self.truth, self.path if self.path.is_dir() else self.path.parent
         if truth is None and (folder / "truth").is_dir():
             truth = folder
-        log = read_log(self.path, variant, self.format, self.scans)
+        log = read_log(self.path, variant, self.format, self.scans, self.columns, self.topics)
         return Data(log, read_truth(truth, variant) if truth else None)
 
     def _holds_scans(self) -> bool:
         """Return whether the log is one of point scans."""
+        if self.columns is not None:
+            return False
         if self.format is not None:
             if self.format not in (*FORMATS, *SCAN_FORMATS):
                 known = ", ".join((*FORMATS, *SCAN_FORMATS))
@@ -198,6 +208,26 @@ def read_log(
     else:
         whole = open_log(path, log_format, columns, topics)
     return whole if scans is None else whole.between(*scans)
+
+
+def read_again(path: Path, variant: Variant, summary: Mapping[str, Any]) -> Log:
+    """Read a log as the run of a result read it.
+
+    Format, columns and topics are those of its summary, unless the format is recognised.
+
+    Raises
+    ------
+    RelmapError
+        If there is no such log or it is damaged.
+    """
+    form, columns, topics = (summary.get(key) for key in ("format", "columns", "topics"))
+    known = recognised_format(path, variant)
+    if variant == "points" and known in (None, OwnTable.name) and isinstance(columns, dict):
+        names = {ours: str(theirs) for ours, theirs in columns.items()}
+        return read_log(path, variant, columns=names)
+    form = known or (form if isinstance(form, str) else None)
+    of_bag = form in (BagScans.name, BagDetections.name) and isinstance(topics, list)
+    return read_log(path, variant, form, topics=list(map(str, topics or ())) if of_bag else ())
 
 
 def recognised_format(path: Path, variant: Variant) -> str | None:

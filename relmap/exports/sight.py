@@ -15,7 +15,7 @@ from relmap.datasets.scans import ScanLog
 from relmap.evaluation.feeding import Log
 from relmap.evaluation.metrics import match_stamps
 from relmap.evaluation.run import stamps_of
-from relmap.evaluation.sources import read_log, recognised_format
+from relmap.evaluation.sources import read_again
 from relmap.evaluation.truth import Variant
 from relmap.exports.content import MapContent
 from relmap.io.results import MAPPER, SUMMARY, TRAJECTORY
@@ -102,11 +102,9 @@ def sightings(folder: Path, content: MapContent, log: Path | None) -> Sightings 
 
 
 def _read(content: MapContent, log: Path) -> Log:
-    """Read the log that was mapped, in its original format."""
+    """Read the log that was mapped."""
     variant: Variant = "points" if content.walls is None else "planes"
-    form = content.result.summary.get("format")
-    named = form if isinstance(form, str) and recognised_format(log, variant) is None else None
-    return read_log(log, variant, named)
+    return read_again(log, variant, content.result.summary)
 
 
 def _positions(of: Ints, wanted: Ints) -> Ints:
