@@ -17,7 +17,9 @@ import relmap
 from relmap import PlaneMapper, PlaneSegmenter, PointMapper, RelmapError
 from relmap.core.columns import Table
 from relmap.core.landmarks import LandmarkMap
-from relmap.simulation import building_scene
+from relmap.evaluation.run import run_mapper
+from relmap.evaluation.sources import truth_of
+from relmap.simulation import building_scene, simulate_building, simulate_figure_eight
 from tests.commands import load, names, table
 from tests.everyformat import Mapped
 
@@ -42,6 +44,20 @@ def test_mappers_and_tables_print_their_content(points: PointMapper, walls: Plan
     assert repr(points.landmarks).startswith("LandmarkTable(12 rows, 12 static; landmark, x, ")
     assert len(walls.planes) == len(walls.planes.plane)
     assert len(LandmarkMap(np.empty(0, np.int64), np.empty((0, 3)))) == 0
+
+
+def test_records_of_arrays_print_shapes_and_not_their_numbers(walls: PlaneMapper) -> None:
+    world, building = simulate_figure_eight(iterations=30), simulate_building(100, iterations=5)
+    log, truth = world.log, truth_of(world)
+    run = run_mapper(PointMapper(), log, refine=True)
+    assert repr(log).startswith(f"ObservationLog(points_robot=({len(log.iteration)}, 3) float64, ")
+    assert "iteration=3, points_robot=(" in repr(log.between(3, 4).scans().__next__())
+    assert "scans=list of 5" in repr(building)
+    assert "landmarks=LandmarkTable of " in repr(run)
+    assert "assembled=Assembled(...)" in repr(walls.submaps[0])
+    for record in (world, log, truth, building, run, run.result, walls.submaps[0]):
+        assert len(repr(record)) < 500
+        assert "array(" not in repr(record)
 
 
 def test_notebooks_show_the_first_rows_and_no_html_of_others(points: PointMapper) -> None:

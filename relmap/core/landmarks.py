@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.arrays import Floats, Ints
+from relmap.core.brief import Brief
 from relmap.core.columns import Table
 
 
@@ -41,8 +42,8 @@ class LandmarkMap(Table):
     covariances: Floats = field(default_factory=lambda: np.empty((0, 3, 3)))
 
 
-@dataclass(frozen=True, eq=False)
-class Submap:
+@dataclass(frozen=True, eq=False, repr=False)
+class Submap(Brief):
     """A part of the map with its own frame, not connected to the rest.
 
     Attributes
@@ -110,8 +111,8 @@ class LandmarkTable(Table):
         return self.position
 
 
-@dataclass(frozen=True, eq=False)
-class MappedGroup:
+@dataclass(frozen=True, eq=False, repr=False)
+class MappedGroup(Brief):
     """A group and its relative map (Figs 8 and 11), completed by all static landmarks of its chart.
 
     Attributes

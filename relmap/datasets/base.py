@@ -10,6 +10,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
+from relmap.core.brief import Brief
 from relmap.core.errors import RelmapError
 
 Log = TypeVar("Log", covariant=True)
@@ -31,8 +32,8 @@ def common_range(begin: int, end: int, first: int, last: int) -> tuple[int, int]
     return max(begin, first), min(end, last)
 
 
-@dataclass(frozen=True, eq=False)
-class Scan:
+@dataclass(frozen=True, eq=False, repr=False)
+class Scan(Brief):
     """The observations of one iteration.
 
     Attributes
@@ -58,8 +59,8 @@ class Scan:
     odometry: Floats | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class ObservationLog:
+@dataclass(frozen=True, eq=False, repr=False)
+class ObservationLog(Brief):
     """Landmark observations of a whole run, as a structure of arrays.
 
     Attributes

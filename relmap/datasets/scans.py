@@ -11,6 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from relmap.core.arrays import Floats, Ints
+from relmap.core.brief import Brief
 from relmap.core.errors import RelmapError
 from relmap.datasets.base import common_range
 from relmap.datasets.textfile import shown
@@ -24,8 +25,8 @@ FIXED = 1e-3
 """Allowed variation of the pose of a laser on the robot, due to rounding: metres and radians."""
 
 
-@dataclass(frozen=True, eq=False)
-class PointScan:
+@dataclass(frozen=True, eq=False, repr=False)
+class PointScan(Brief):
     """The points of one scan.
 
     Attributes
@@ -71,8 +72,8 @@ class SensorView:
     yaw_rad: float = 0.0
 
 
-@dataclass(frozen=True, eq=False)
-class ScanLog:
+@dataclass(frozen=True, eq=False, repr=False)
+class ScanLog(Brief):
     """The point scans of a whole run; the points of a scan may be read lazily.
 
     Attributes

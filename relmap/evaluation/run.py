@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
+from relmap.core.brief import Brief
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.scans import ScanLog
 from relmap.evaluation.feeding import AnyMapper, Association, Log, Method, Progress, Through, feed
@@ -29,8 +30,8 @@ POINTS_DRAWN = 100_000
 """Maximum number of points in a picture of a submap."""
 
 
-@dataclass(frozen=True, eq=False)
-class Run:
+@dataclass(frozen=True, eq=False, repr=False)
+class Run(Brief):
     """A result and the groups behind it.
 
     Attributes

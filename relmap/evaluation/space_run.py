@@ -25,7 +25,7 @@ LEAST_SCANS = 10
 """Minimum scans of a submap with a file of its own."""
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class SpaceResult(Plane3dResult):
     """A result of planes in space, with its parts.
 

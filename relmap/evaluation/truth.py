@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.arrays import Floats, Ints
+from relmap.core.brief import Brief
 from relmap.core.errors import RelmapError
 from relmap.datasets import Relations, open_scans
 from relmap.datasets.textfile import quoted, require_path, shown
@@ -41,8 +42,8 @@ _ENDS, _SEEN = ("x0", "y0", "x1", "y1"), ("seen0", "seen1")
 _NOWHERE = np.empty((0, 2))
 
 
-@dataclass(frozen=True, eq=False)
-class Truth:
+@dataclass(frozen=True, eq=False, repr=False)
+class Truth(Brief):
     """The true landmarks or walls, and the true path; unknown parts are empty.
 
     Attributes

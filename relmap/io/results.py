@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.brief import Brief
 from relmap.core.errors import RelmapError
 from relmap.core.landmarks import LandmarkTable, Submap
 from relmap.io.files import atomic_write, read_text, read_tum, write_tum
@@ -52,8 +53,8 @@ REJECTED = "rejected_id"
 TRACK_COLUMNS: dict[str, Kind] = dict.fromkeys(("iteration", "row", "landmark", REJECTED), "int")
 
 
-@dataclass(frozen=True, eq=False)
-class Tracks:
+@dataclass(frozen=True, eq=False, repr=False)
+class Tracks(Brief):
     """The landmark of each labelled observation of the log.
 
     Attributes
@@ -73,8 +74,8 @@ class Tracks:
     rejected_id: Ints | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class Result:
+@dataclass(frozen=True, eq=False, repr=False)
+class Result(Brief):
     """A finished run, as stored in the result folder.
 
     Attributes

@@ -70,7 +70,7 @@ class DrawnSubmap:
     weak: Ints
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class PlaneResult(Result):
     """A result whose landmarks are the corners of walls.
 

@@ -16,7 +16,7 @@ from relmap.planes.stitching import stitched, weak_links
 from relmap.planes.table import corner_map
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class WallSubmap(Submap):
     """A submap of walls: its corners are its landmarks.
 

@@ -41,7 +41,7 @@ COLOURS = np.array(
 """Colours of planes, by number modulo their count."""
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Plane3dResult(Result):
     """A result whose landmarks are planes in space, at the mean of their points.
 

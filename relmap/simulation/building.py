@@ -12,6 +12,7 @@ from typing import get_args
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.brief import Brief
 from relmap.datasets.scans import planar_poses
 from relmap.simulation.coverage import seen_extents, times_seen
 from relmap.simulation.drive import STEP_M, drive_round
@@ -28,8 +29,8 @@ STEP_S = 0.2
 """Interval between scans, in which the robot moves `STEP_M`."""
 
 
-@dataclass(frozen=True, eq=False)
-class Building:
+@dataclass(frozen=True, eq=False, repr=False)
+class Building(Brief):
     """A simulated run and its truth.
 
     Attributes

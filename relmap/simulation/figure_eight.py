@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from relmap.core.arrays import Floats, Ints
+from relmap.core.brief import Brief
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.scans import poses_of
 from relmap.simulation.noise import Noise, check_arguments, draw_noise
@@ -35,8 +36,8 @@ SPEED_M = (0.1, 0.4)
 """Slowest and fastest motion, metres per iteration."""
 
 
-@dataclass(frozen=True, eq=False)
-class FigureEight:
+@dataclass(frozen=True, eq=False, repr=False)
+class FigureEight(Brief):
     """A simulated run and its truth.
 
     Attributes

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
+from relmap.core.brief import Brief
 from relmap.simulation.noise import Noise, draw_noise
 from relmap.simulation.visibility import SeenWalls, ray_distances
 
@@ -55,8 +56,8 @@ def sensor_of(
     return replace(usual, view_rad=view_rad, range_m=usual.range_m if range_m is None else range_m)
 
 
-@dataclass(frozen=True, eq=False)
-class BuildingScan:
+@dataclass(frozen=True, eq=False, repr=False)
+class BuildingScan(Brief):
     """The measurements from one pose, and the truth.
 
     Attributes

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from relmap.core.arrays import Floats, Ints
+from relmap.core.brief import Brief
 from relmap.core.errors import RelmapError
 
 Sensor = Literal["lidar", "depth"]
@@ -28,8 +29,8 @@ DOOR = 3.0, 3.9, 2.0
 """Begin and end of the door along the wall between the rooms, and its height, metres."""
 
 
-@dataclass(frozen=True, eq=False)
-class Storey:
+@dataclass(frozen=True, eq=False, repr=False)
+class Storey(Brief):
     """A simulated run.
 
     Attributes

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from relmap.core.arrays import Floats, Ints
+from relmap.core.brief import Brief
 from relmap.core.errors import known_name
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.scans import poses_of
@@ -85,8 +86,8 @@ class WorldSpec:
         check_arguments("gaussian", self.sigma, self.seed, *limits)
 
 
-@dataclass(frozen=True, eq=False)
-class World:
+@dataclass(frozen=True, eq=False, repr=False)
+class World(Brief):
     """A simulated run and its truth.
 
     Attributes

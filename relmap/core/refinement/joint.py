@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.brief import Brief
 from relmap.core.geometry.alignment import fit_rigid, fixes_rotation, place_each
 from relmap.core.geometry.robust import fit_robust_each
 from relmap.core.refinement.condensing import LENGTH, SegmentRows
@@ -57,8 +58,8 @@ class Spread:
         return replace(self, scale=factor * self.scale)
 
 
-@dataclass(frozen=True, eq=False)
-class Refined:
+@dataclass(frozen=True, eq=False, repr=False)
+class Refined(Brief):
     """A submap at the joint optimum over all observations.
 
     Attributes
