@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 if TYPE_CHECKING:
     from relmap.core.landmarks import LandmarkMap
@@ -39,22 +40,25 @@ class Shown:
         """
         return import_module(PICTURES).plot_mapper(self)
 
-    def save_results(self, folder: PathLike[str] | str) -> None:
+    def save_results(self, folder: PathLike[str] | str, stamps_s: ArrayLike | None = None) -> None:
         """Write the files that `relmap map` writes of a map, except the tracks, into a folder.
 
-        Times are iteration numbers, and ``tracks.csv.gz`` is empty: the log is not known here.
+        ``tracks.csv.gz`` is empty: the log is not known here.
 
         Parameters
         ----------
         folder : path
             Created if missing.
+        stamps_s : (n_iterations,) array_like, optional
+            Time of each scan, seconds, ascending, for the trajectory; by default iteration numbers.
 
         Raises
         ------
         RelmapError
-            If it cannot be written; an earlier result in it is then left unchanged.
+            If the times are invalid, or the folder cannot be written; an earlier result in it is
+            then left unchanged.
         """
-        import_module(RESULTS).save_results(self, Path(folder), import_module(PICTURES))
+        import_module(RESULTS).save_results(self, Path(folder), import_module(PICTURES), stamps_s)
 
     def __repr__(self) -> str:
         mapped = self.map

@@ -19,6 +19,7 @@ from relmap.core.columns import Table
 from relmap.core.landmarks import LandmarkMap
 from relmap.evaluation.run import run_mapper
 from relmap.evaluation.sources import truth_of
+from relmap.io.files import read_tum
 from relmap.simulation import building_scene, simulate_building, simulate_figure_eight
 from tests.commands import load, names, table
 from tests.everyformat import Mapped
@@ -131,6 +132,27 @@ def test_saved_results_are_those_of_the_command_line(
         assert ours[name] == theirs[name]
     assert set(ours["counts"].items()) <= set(theirs["counts"].items())
     assert table(tmp_path / "new" / "tracks.csv.gz") == []
+
+
+@pytest.mark.parametrize("kind", ["points", "walls"])
+def test_the_trajectory_has_the_times_that_are_given(
+    kind: str, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    mapper = request.getfixturevalue(kind)
+    times_s = 1.7e9 + 0.1 * np.arange(mapper.n_iterations)
+    mapper.save_results(tmp_path, times_s.tolist())
+    known = np.isfinite(mapper.trajectory[:, 0, 3])
+    np.testing.assert_array_equal(read_tum(tmp_path / "trajectory.tum")[0], times_s[known])
+    for wrong in (times_s[:-1], times_s[::-1], times_s * np.nan, ["now"], times_s[:, None]):
+        with pytest.raises(RelmapError, match="ascending times, seconds"):
+            mapper.save_results(tmp_path / "new", wrong)
+    assert not (tmp_path / "new").exists()
+
+
+def test_what_is_no_log_is_not_mapped() -> None:
+    frame: Any = {"x": [1.0]}
+    with pytest.raises(RelmapError, match="got a dict, expected a log"):
+        relmap.map_log(frame)
 
 
 def test_mappers_of_nothing_are_saved(tmp_path: Path) -> None:

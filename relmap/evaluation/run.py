@@ -13,6 +13,7 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.brief import Brief
+from relmap.core.errors import RelmapError
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.scans import ScanLog
 from relmap.evaluation.feeding import AnyMapper, Association, Log, Method, Progress, Through, feed
@@ -151,8 +152,13 @@ def map_log(
     Raises
     ------
     RelmapError
-        If ``known`` is requested for a log without ids, or a scan of the log is damaged.
+        If `log` is no log, ``known`` is requested for a log without ids, or a scan is damaged.
     """
+    if not isinstance(log, ObservationLog | ScanLog):
+        raise RelmapError(
+            f"map_log got a {type(log).__name__}, expected a log: open_log and open_scans of "
+            "relmap.datasets read files, log_of_frame takes a data frame"
+        )
     if mapper is None:
         mapper = PlaneMapper() if isinstance(log, ScanLog) else PointMapper()
     return run_mapper(mapper, log, association, refine=refine, odometry=odometry, progress=progress)
