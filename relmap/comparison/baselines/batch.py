@@ -116,7 +116,8 @@ def _gauss_newton(
     J_map = _block_columns(np.tile(-np.eye(d), (n, 1, 1)), observations.landmark, m)
     products = np.zeros((k, q, q))
     np.add.at(products, observations.pose, np.swapaxes(by_pose, 1, 2) @ by_pose)
-    inverse = _block_columns(np.linalg.inv(products[1:]), np.arange(k - 1), k - 1)
+    inverses = np.asarray(np.linalg.inv(products[1:]), dtype=np.float64)
+    inverse = _block_columns(inverses, np.arange(k - 1), k - 1)
     coupling = J_pose.T @ J_map
     reduced = J_map.T @ J_map - coupling.T @ (inverse @ coupling)
     right = J_map.T @ residual - coupling.T @ (inverse @ (J_pose.T @ residual))
