@@ -137,6 +137,7 @@ def attacked(kind: Kind, every: int) -> Forker:
     for scan in kind.scans[:k]:
         mapper.update(**scan)
     forker = Forker(every)
+    sys._getframe().f_trace_opcodes = True  # without it Python 3.12 traces none
     sys.settrace(forker.step)
     try:
         mapper.update(**kind.scans[k])

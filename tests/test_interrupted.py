@@ -64,6 +64,7 @@ def interrupted(work: Callable[[], object], at: int) -> int:
         return step
 
     before = sys.gettrace()
+    sys._getframe().f_trace_opcodes = True  # without it Python 3.12 traces none
     sys.settrace(step)
     try:
         work()
