@@ -9,6 +9,7 @@ Its mapper must report that, or continue to the same map as if nothing had happe
 from __future__ import annotations
 
 import argparse
+import inspect
 import os
 import sys
 from collections import Counter
@@ -137,7 +138,9 @@ def attacked(kind: Kind, every: int) -> Forker:
     for scan in kind.scans[:k]:
         mapper.update(**scan)
     forker = Forker(every)
-    sys._getframe().f_trace_opcodes = True  # without it Python 3.12 traces none
+    frame = inspect.currentframe()
+    assert frame is not None
+    frame.f_trace_opcodes = True  # without it Python 3.12 traces none
     sys.settrace(forker.step)
     try:
         mapper.update(**kind.scans[k])

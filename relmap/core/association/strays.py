@@ -36,9 +36,9 @@ def find_strays(table: LandmarkState, rows: SegmentRows, noise_m: float) -> Iter
     free = ~mapped & ~table.dynamic[table.landmark_of[rows.landmark]]
     known, unknown = (np.bincount(rows.segment[which], minlength=n) for which in (mapped, free))
     strays = np.flatnonzero((known <= d) & (unknown >= ENOUGH + MORE * (d - 2)))
-    if not len(strays):
-        return
     submaps = [np.flatnonzero(table.submap == k) for k in np.unique(table.submap) if k != NONE]
+    if not submaps or not len(strays):
+        return
     finders = [(own, PlaceFinder(table.position[own], noise_m)) for own in submaps]
     for stray in strays.tolist():
         of = np.flatnonzero((rows.segment == stray) & free)
