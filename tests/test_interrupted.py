@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import inspect
 import subprocess
 import sys
 import threading
@@ -64,7 +65,9 @@ def interrupted(work: Callable[[], object], at: int) -> int:
         return step
 
     before = sys.gettrace()
-    sys._getframe().f_trace_opcodes = True  # without it Python 3.12 traces none
+    frame = inspect.currentframe()
+    assert frame is not None
+    frame.f_trace_opcodes = True  # without it Python 3.12 traces none
     sys.settrace(step)
     try:
         work()
