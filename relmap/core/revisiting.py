@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from relmap.core.arrays import Ints
+from relmap.core.association.coinciding import lying_together, seen_with_both
 from relmap.core.association.gathering import gathered
 from relmap.core.association.loops import TIED
-from relmap.core.association.revisits import RevisitFinder, lying_together, seen_with_both
+from relmap.core.association.revisits import RevisitFinder
 from relmap.core.association.scale import spacing_of
 from relmap.core.association.sightings import Sightings, rows_of_tracks
 from relmap.core.association.tying import CLEAR

@@ -13,8 +13,6 @@ from dataclasses import dataclass
 from itertools import islice
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 from scipy.special import bdtrc
 
@@ -46,8 +44,6 @@ the median of this distance (of a gamma distribution).  Nearer ones may be the s
 twice."""
 WIDER = 2.0
 """Factor on that distance before the map is refined with the matches."""
-APART = 2.5
-"""Least distance of any other landmark, relative to that of landmarks that are merged in place."""
 MOST_PAIRS = 800
 """Maximum number of candidate matches in space, the nearest."""
 FINE = 4.0
@@ -281,54 +277,3 @@ def _voted(stretch: Stretch, tolerance_m: float) -> Iterator[Placement]:
         cos, sin = np.cos(angles[peak // 2]), np.sin(angles[peak // 2])
         R = np.array([[cos, -sin], [sin, cos]])
         yield Placement(R, shifts[peak // 2, peak % 2] + middle - R @ middle, 0)
-
-
-def lying_together(table: LandmarkState, noise_m: float) -> Ints:
-    """Return pairs (k, 2) of a newer and an older landmark that coincide.
-
-    All others are much farther from both.
-
-    Parameters
-    ----------
-    table : LandmarkState
-        Of a refined map.
-    noise_m : float
-        Standard deviation of an observed coordinate.
-    """
-    own = np.flatnonzero(table.submap != NONE)
-    reach_m = TOLERANCE * noise_m
-    tree = cKDTree(table.position[own])
-    here, there = tree.query_pairs(APART * reach_m, output_type="ndarray").reshape(-1, 2).T
-    alike = table.submap[own[here]] == table.submap[own[there]]
-    here, there = here[alike], there[alike]
-    near = np.linalg.norm(table.position[own[here]] - table.position[own[there]], axis=1) <= reach_m
-    n = len(own)
-    graph = coo_array((np.ones(near.sum()), (here[near], there[near])), shape=(n, n))
-    place = connected_components(graph, directed=False)[1]
-    crowded = np.zeros(n, dtype=bool)
-    other = np.column_stack([place[here[~near]], place[there[~near]]])
-    crowded[other[other[:, 0] != other[:, 1]].ravel()] = True
-    order = np.lexsort((own, table.first[own], place))
-    oldest = order[np.unique(place[order], return_index=True)[1]][place]
-    newer = (np.arange(n) != oldest) & ~crowded[place]
-    pairs: Ints = np.column_stack([own, own[oldest]])[newer]
-    return pairs
-
-
-def seen_with_both(pairs: Ints, landmark: Ints, iteration: Ints, m: int) -> Ints:
-    """Return the number of landmarks seen at about the time of each of a pair (k, 2); (k,).
-
-    Parameters
-    ----------
-    pairs : (k, 2) int64
-    landmark, iteration : (n,) int64
-        Of all observations.
-    m : int
-        Number of landmarks.
-    """
-    when = iteration // LENGTH
-    ones = np.ones(len(landmark), dtype=np.int32)
-    seen = coo_array((ones, (landmark, when)), shape=(m, int(when.max(initial=0)) + 1)).tocsr()
-    seen.data[:] = 1
-    with_new, with_old = (((seen[of] @ seen.T) > 0).astype(np.int32) for of in pairs.T)
-    return np.asarray(with_new.multiply(with_old).sum(axis=1), dtype=np.int64).ravel()
