@@ -21,8 +21,6 @@ NEAR_M = 0.12
 """A point nearer to a surface agrees with it; one twice as far in front of it contradicts it."""
 PER_SCAN = 2000
 """Maximum number of beams kept per scan, by subsampling: a cloud has a hundred thousand."""
-LATEST = 3
-"""Scans whose sorted beams are kept."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +145,6 @@ class BeamStore:
         self._offsets.extend(np.zeros(1, dtype=np.int64))
         self._origins: GrowingArray[np.float64] = GrowingArray(np.float64, (2,))
         self._in_order: GrowingArray[np.bool_] = GrowingArray(np.bool_)
-        self._latest: dict[bytes, Beams] = {}
 
     def append(self, told: ToldBeams) -> None:
         """Add the beams of a scan."""
@@ -167,16 +164,7 @@ class BeamStore:
         """
         begin, end = self._offsets.values[scan : scan + 2].tolist()
         end = end if self._in_order.values[scan] else begin
-        return self.sorted(self._points.values[begin:end], self._origins.values[scan], ends)
-
-    def sorted(self, points: NDArray[np.float32], origin: Floats, ends: Floats) -> Beams:
-        """Return the same as `Beams.of`; the latest are kept, since later scans need them again."""
-        key = points.tobytes() + origin.tobytes() + ends.tobytes()
-        beams = self._latest.pop(key, None)
-        self._latest[key] = Beams.of(points, origin, ends) if beams is None else beams
-        if len(self._latest) > LATEST:
-            del self._latest[next(iter(self._latest))]
-        return self._latest[key]
+        return Beams.of(self._points.values[begin:end], self._origins.values[scan], ends)
 
     def placed(self, poses: Floats, span: tuple[int, int], most: int) -> PlacedBeams:
         """Return begin and end points of the beams of some scans, by their poses.

@@ -95,7 +95,7 @@ class ScanLinks(LinkRecord):
         reach_m, views = farthest_m(self._believed), self._views(seen)
         usual = self.usual
         if views:
-            beams = self.beams.sorted(seen.beams.points, seen.beams.origin, seen.ends)
+            beams = Beams.of(seen.beams.points, seen.beams.origin, seen.ends)
             judged = Search(tracks, seen, beams, views, usual, expected).found()
             return judged if judged and self._confirmed(judged, seen, beams, views) else None
         found = place(tracks, seen, usual, reach_m)
@@ -109,7 +109,7 @@ class ScanLinks(LinkRecord):
         """Return the motion by odometry alone; None if observations contradict it."""
         views = self._views(seen)
         if views:
-            beams = self.beams.sorted(seen.beams.points, seen.beams.origin, seen.ends)
+            beams = Beams.of(seen.beams.points, seen.beams.origin, seen.ends)
             return Search(tracks, seen, beams, views, self.usual, expected).bridged(expected)
         motion, match = settled(tracks, seen, planar(expected.motion))
         near = expected.off(np.array([[motion.yaw, *motion.t]]))[0] < OTHERWISE
