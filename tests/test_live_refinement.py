@@ -147,15 +147,16 @@ def test_bodies_that_share_nothing_are_each_brought_together() -> None:
 def test_stretches_that_share_enough_are_laid_together() -> None:
     rng = np.random.default_rng(0)
     world, R = rng.uniform(-5, 5, (12, 3)), random_rotation(3, 0.5, rng)
-    one = np.arange(8), world[:8], np.full(8, 2.0)
+    one = live.Body(np.arange(8), world[:8], np.full(8, 2.0))
     landmark = np.append(np.arange(4, 12), 5)
-    other = landmark, (world[landmark] + 3.0) @ R, np.ones(9)
+    other = live.Body(landmark, (world[landmark] + 3.0) @ R, np.ones(9))
     together = live.laid_together(one, other)
     assert together is not None
-    np.testing.assert_array_equal(together[0], np.arange(12))
-    np.testing.assert_allclose(together[1], world, atol=1e-9)
-    np.testing.assert_array_equal(together[2], [2, 2, 2, 2, 3, 4, 3, 3, 1, 1, 1, 1])
-    assert live.laid_together(one, (np.arange(7, 12), world[7:] @ R, np.ones(5))) is None
+    np.testing.assert_array_equal(together.landmark, np.arange(12))
+    np.testing.assert_allclose(together.points, world, atol=1e-9)
+    np.testing.assert_array_equal(together.weight, [2, 2, 2, 2, 3, 4, 3, 3, 1, 1, 1, 1])
+    few = live.Body(np.arange(7, 12), world[7:] @ R, np.ones(5))
+    assert live.laid_together(one, few) is None
 
 
 @pytest.mark.parametrize(("apart", "moved"), [(5.0, 0.0), (0.5, 1.0)])

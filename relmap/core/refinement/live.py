@@ -8,7 +8,7 @@ number of rigid bodies, which get longer with the run, so that the cost of a ste
 
 from __future__ import annotations
 
-from itertools import pairwise
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -39,8 +39,23 @@ BODIES = 64
 WHOLE = 400
 """Segments up to which each is a body of its own in the last step, which is not time-critical."""
 
-Seen = tuple[Ints, Floats, Floats]
-"""Landmarks (n,), their positions (n, d), and observation counts (n,)."""
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """Segments merged into one rigid body.
+
+    Attributes
+    ----------
+    landmark : (n,) int64
+    points : (n, d) float64, metres
+        Their positions, frame of the body.
+    weight : (n,) float64
+        Number of observations of each.
+    """
+
+    landmark: Ints
+    points: Floats
+    weight: Floats
 
 
 class LiveRefinement:
@@ -52,14 +67,14 @@ class LiveRefinement:
     global_map : GlobalMap
     """
 
-    STATE = "_landmark _points _weight _body _length _most _in_last _begun _noted _back"
+    _bodies: list[Body]
+    STATE = "_bodies _length _most _in_last _begun _noted _back"
 
     def __init__(self, segments: CondensedSegments, global_map: GlobalMap) -> None:
         self._segments = segments
         self._table = global_map.table
         self._map = global_map
-        self._landmark = self._body = np.zeros(0, dtype=np.int64)
-        self._points, self._weight = np.zeros((0, 3)), np.zeros(0)
+        self._bodies = []
         self._length = 1
         self._most = BODIES
         self._in_last = 0
@@ -73,7 +88,7 @@ class LiveRefinement:
         if self._back <= BACK or GROWTH * self._begun >= self._noted:
             return False
         self._begun, self._back = self._noted, 0
-        self._step(*self._bodies())
+        self._step(*self._rows())
         return True
 
     def complete(self) -> None:
@@ -84,7 +99,7 @@ class LiveRefinement:
             landmark = self._table.landmark_of[rows.landmark]
             self._step(landmark, rows.points, rows.n_seen.astype(np.float64), rows.segment)
         elif self._noted > LEAST:
-            self._step(*self._bodies())
+            self._step(*self._rows())
 
     def _note(self) -> None:
         """Record which landmarks came back into view after a long time; extend the bodies."""
@@ -97,58 +112,43 @@ class LiveRefinement:
             self._back += int(((last != NONE) & (last < segment - LEAST)).sum())
             self._table.last_segment[landmark] = segment
             weight = SEEN[rows.visible[first:end]].astype(np.float64)
-            self._add((landmark, rows.points[first:end], weight))
+            self._add(Body(landmark, rows.points[first:end].copy(), weight))
             first = end
         self._noted = rows.n_segments
 
-    def _add(self, seen: Seen) -> None:
+    def _add(self, seen: Body) -> None:
         """Merge a segment into the last body, or start a new body if that is full or far away."""
-        n_bodies = int(self._body[-1]) + 1 if len(self._body) else 0
-        together = None
-        if n_bodies and self._in_last < self._length:
-            last = self._body == n_bodies - 1
-            own = self._landmark[last], self._points[last], self._weight[last]
-            together = laid_together(own, seen)
+        n_before, together = len(self._bodies), None
+        if n_before and self._in_last < self._length:
+            together = laid_together(self._bodies[-1], seen)
         if together is None:
-            self._extend(len(self._body), n_bodies, seen)
+            self._bodies.append(seen)
             self._in_last = 1
         else:
-            self._extend(len(self._body) - int(last.sum()), n_bodies - 1, together)
+            self._bodies[-1] = together
             self._in_last += 1
-        if n_bodies >= self._most:
+        if n_before >= self._most:
             self._join()
-
-    def _extend(self, kept: int, body: int, seen: Seen) -> None:
-        """Add a body after so many rows."""
-        landmark, points, weight = seen
-        before = self._points[:kept] if kept else points[:0]
-        self._landmark = np.append(self._landmark[:kept], landmark)
-        self._points = np.concatenate([before, points])
-        self._weight = np.append(self._weight[:kept], weight)
-        self._body = np.append(self._body[:kept], np.full(len(landmark), body))
 
     def _join(self) -> None:
         """Merge pairs of consecutive bodies that share enough landmarks."""
-        begin = np.searchsorted(self._body, np.arange(self._body[-1] + 2))
-        whole = self._landmark, self._points, self._weight
-        bodies = [
-            (whole[0][at], whole[1][at], whole[2][at])
-            for at in (slice(*of) for of in pairwise(begin))
-        ]
-        kept = 0
-        self._extend(0, 0, (whole[0][:0], whole[1][:0], whole[2][:0]))
-        for k in range(0, len(bodies), 2):
-            together = laid_together(*bodies[k : k + 2]) if k + 1 < len(bodies) else None
-            for seen in bodies[k : k + 2] if together is None else [together]:
-                self._extend(len(self._body), kept, seen)
-                kept += 1
+        before, self._bodies = self._bodies, []
+        for k in range(0, len(before), 2):
+            pair = before[k : k + 2]
+            together = laid_together(*pair) if len(pair) == 2 else None
+            self._bodies += pair if together is None else [together]
         # Pairs that share too little are not retried with each segment.
-        self._length *= 2 if kept < len(bodies) else 1
-        self._most = max(BODIES, 2 * kept)
+        self._length *= 2 if len(self._bodies) < len(before) else 1
+        self._most = max(BODIES, 2 * len(self._bodies))
 
-    def _bodies(self) -> tuple[Ints, Floats, Floats, Ints]:
-        landmark = self._table.landmark_of[self._landmark]
-        return landmark, self._points, self._weight, self._body
+    def _rows(self) -> tuple[Ints, Floats, Floats, Ints]:
+        """Return landmarks, points, weights and bodies of all rows, as `_step` takes them."""
+        bodies = self._bodies
+        landmark = self._table.landmark_of[np.concatenate([body.landmark for body in bodies])]
+        points = np.concatenate([body.points for body in bodies])
+        weight = np.concatenate([body.weight for body in bodies])
+        sizes = [len(body.landmark) for body in bodies]
+        return landmark, points, weight, np.repeat(np.arange(len(bodies)), sizes)
 
     def _step(self, landmark: Ints, points: Floats, seen: Floats, body: Ints) -> None:
         """Take a Gauss-Newton step for the submap in view, if there is one.
@@ -212,19 +212,19 @@ class LiveRefinement:
         self._map.move(members, positions[members] + moves)
 
 
-def laid_together(one: Seen, other: Seen) -> Seen | None:
-    """Align one stretch of observations to another; None if they share too little."""
-    _, mine, its = np.intersect1d(one[0], other[0], return_indices=True)
-    if len(mine) < one[1].shape[1]:
+def laid_together(one: Body, other: Body) -> Body | None:
+    """Align one body to another and merge them; None if they share too little."""
+    _, mine, its = np.intersect1d(one.landmark, other.landmark, return_indices=True)
+    if len(mine) < one.points.shape[1]:
         return None
-    counts = np.minimum(one[2][mine], other[2][its])
+    counts = np.minimum(one.weight[mine], other.weight[its])
     at = np.zeros(len(mine), dtype=np.int64)
-    R, t, fixed, _ = fit_robust_each(other[1][its], one[1][mine], counts, at, 1)
+    R, t, fixed, _ = fit_robust_each(other.points[its], one.points[mine], counts, at, 1)
     if not fixed[0]:
         return None
-    landmark, of = np.unique(np.append(one[0], other[0]), return_inverse=True)
-    weight = np.append(one[2], other[2])
-    placed = np.concatenate([one[1], other[1] @ R[0].T + t[0]])
+    landmark, of = np.unique(np.append(one.landmark, other.landmark), return_inverse=True)
+    weight = np.append(one.weight, other.weight)
+    placed = np.concatenate([one.points, other.points @ R[0].T + t[0]])
     total = np.bincount(of, weights=weight).astype(np.float64)
     means = sums_each(weight[:, None] * placed, of, len(landmark)) / total[:, None]
-    return landmark, means, total
+    return Body(landmark, means, total)
