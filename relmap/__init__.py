@@ -1,7 +1,8 @@
 """Maps of landmarks from their relative locations; odometry is optional.
 
 Unless odometry is given, no motion or pose estimate enters the map: scans are registered by
-matching landmarks, and probability is used only in weights and in the optional refinement.
+matching landmarks, and probability is used in weights, in registration under large noise, and in
+the optional refinement.
 """
 
 from __future__ import annotations
