@@ -28,8 +28,8 @@ BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"!?\[[^]]*\]\(([^)\s]+)\)")
 CLAIM = (
     "Unless odometry is given, no motion or pose estimate enters the map: scans are registered by "
-    "matching landmarks, and probability is used in weights, in registration under large noise, and in "
-    "the optional refinement."
+    "matching landmarks, and probability is used in weights, in registration under large noise, "
+    "and in the optional refinement."
 )
 NOT_RUN = {
     "pip install .": "installs into the environment of whoever runs the tests",
