@@ -82,8 +82,7 @@ def test_folder_without_a_log_and_folder_with_two(tmp_path: Path) -> None:
 def test_unknown_text(tmp_path: Path, content: str) -> None:
     message = failure(put(tmp_path, content, "log.csv"))
     assert (
-        f"log.csv: line 1: {content.split(chr(10))[0]!r} is not the first line of a landmark log"
-        in message
+        f"log.csv: line 1: {content.split(chr(10))[0]!r} does not start a landmark log" in message
     )
     assert "iteration,x,y[,z][,id]" in message
 

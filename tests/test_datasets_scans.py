@@ -185,7 +185,7 @@ def test_other_things_are_refused(tmp_path: Path) -> None:
     path = put(tmp_path, "iteration,x,y\n0,1,2\n", "observations.csv")
     for place in (path, tmp_path):
         assert "is a landmark log (observation-csv), expected a log of point" in failure(place)
-    assert "line 1: 'hello' is not the first line of a log of point scans" in failure(
+    assert "line 1: 'hello' does not start a log of point scans" in failure(
         put(tmp_path, "hello\n", "a")
     )
     assert "is empty" in failure(put(tmp_path, "", "b"))

@@ -201,7 +201,7 @@ def _found_instead(path: Path, what: str, formats: Sequence[str]) -> str:
         return f"is {foreign}, not a {what}"
     with open_text(path) as stream:
         head = read_head(path, stream)
-    found = f"line {head.line}: {quoted(','.join(head.columns))} is not the first line of a {what}"
+    found = f"line {head.line}: {quoted(','.join(head.columns))} does not start a {what}"
     if what == _LANDMARK_LOG and len(head.columns) > 1:
         raise RelmapError(
             f"{shown(path)}: {found}, expected iteration,x,y[,z][,id] or, for columns of other "
