@@ -100,13 +100,13 @@ class TrackPlacing:
         if best is None:
             return None
         placement, score, rival = best
-        moved_m, misfit = _moved_m(placement, here), matching.misfit(placement)
+        moved_m = _moved_m(placement, here)
         chance = self._log_placements(here.shape[1], moved_m) - score
         if chance > (LOG_CLEAR if moved_m <= spacing_m else LOG_CHANCE_NEAR):
             return None
-        if rival > min(score + LOG_CLEAR, CLEAR * score) or misfit < LEAST_MISFIT:
+        if rival > min(score + LOG_CLEAR, CLEAR * score):
             return None
-        self.scale.learn_misfit(misfit)
+        self.scale.learn_misfit(matching.misfit(placement))
         return placement
 
     def _soft(self, tracks: LiveTracks, points: Floats) -> SoftMatching:
@@ -212,8 +212,8 @@ class TrackPlacing:
         for share in BLURRED if possible >= PLENTY and may_be_blurred else ():
             scale.noise_m = share * scale.spacing_m
             if scale.is_blurred and scale.noise_m >= (learnt or 0):
-                placement = self._likely(tracks, points, None)
-                if placement is not None:
+                matching, placement = self._soft(tracks, points), self._likely(tracks, points, None)
+                if placement is not None and matching.misfit(placement) >= LEAST_MISFIT:
                     return placement
         scale.noise_m = learnt
         return None
