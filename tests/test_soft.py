@@ -99,3 +99,17 @@ def test_a_world_of_much_noise_is_followed() -> None:
     assert found is not None
     assert found > 0.88
     assert len(np.unique(labels)) < 3 * len(np.unique(ids))
+
+
+@pytest.mark.parametrize("seed", [41, 43, 45])
+def test_columns_on_a_lattice_are_not_taken_for_their_neighbours(seed: int) -> None:
+    """Steps of more than half a period, and a corner: a period or a turn away many agree too."""
+    spec = WorldSpec(kind="columns", length_m=300.0, iterations=120, seed=seed)
+    world = simulate_world(spec)
+    mapper, scans = PointMapper(), list(world.log.scans())[:25]
+    labels = np.concatenate([mapper.update(scan.points_robot) for scan in scans])
+    ids = world.true_ids[: len(labels)]
+    found = purity(labels, ids)
+    assert found is not None
+    assert found > 0.99
+    assert len(np.unique(labels)) < 2 * len(np.unique(ids))

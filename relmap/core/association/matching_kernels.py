@@ -158,6 +158,36 @@ def nearest_of_sample(
 
 
 @compiled
+def middle_square(
+    source: Floats,
+    target: Floats,
+    R: Floats,
+    t: Floats,
+    tolerance_m: float,
+    metric: Floats | None = None,
+) -> float:
+    """Return the upper median of the squared misfits of matches (n, d) within a tolerance.
+
+    The misfits are in the metric (n, d, d) of the targets; infinite if none is within.
+    """
+    (n, d), found = source.shape, 0
+    squares, apart = np.empty(n), np.empty(d)
+    for i in range(n):
+        square = 0.0
+        for a in range(d):
+            apart[a] = target[i, a] - t[a]
+            for b in range(d):
+                apart[a] -= R[a, b] * source[i, b]
+            square += apart[a] * apart[a]
+        if metric is not None:
+            square = square_of(metric[i], apart)
+        if square <= tolerance_m * tolerance_m:
+            squares[found] = square
+            found += 1
+    return smallest(squares[:found], found // 2) if found else np.inf
+
+
+@compiled
 def continued(
     points: Floats,
     nearest: tuple[Ints, Floats],

@@ -13,7 +13,7 @@ import numpy as np
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association.metric import rows_of
 from relmap.core.association.placement import Placement, trimmed_fit
-from relmap.core.association.scale import SIGMAS, WIDER, Scale
+from relmap.core.association.scale import CHI2_MEDIAN, EXACT, SIGMAS, WIDER, Scale
 from relmap.core.association.search import log_chance as chance_of
 from relmap.core.association.search import search, settled
 from relmap.core.association.soft import SoftMatching
@@ -25,6 +25,9 @@ PLENTY = 6
 """Number of matches whose agreement is never chance."""
 SHARE = 0.6
 """Fraction of the nearest neighbours that must agree to skip the wider search."""
+MISFIT = 2.0
+"""Largest variance of their matches to skip it, relative to the usual one: if landmarks stand on a
+lattice, the nearest neighbours may agree one period away, but less closely."""
 FAR_SHARE = 0.3
 """Fraction of possible matches that must agree after a large motion: in space a mirrored scan
 agrees for points near a plane."""
@@ -130,11 +133,13 @@ class TrackPlacing:
         distance[distance > self.scale.spacing_m] = np.inf
         claimed = claims(target, distance, n)
         rows, tolerance_m = sample[claimed], self.scale.tolerance_m
+        matched = tracks.expected[rows], points[target[claimed]]
         own = rows_of(metric, target[claimed])
-        near = trimmed_fit(tracks.expected[rows], points[target[claimed]], tolerance_m, own)
-        is_sharp = self.scale.is_sharp
+        near = trimmed_fit(*matched, tolerance_m, own)
+        is_sharp, share = self.scale.is_sharp, SHARE * min(len(sample), n)
         if near is not None:
-            if is_sharp and near.n_agreeing >= max(PLENTY + missed, SHARE * min(len(sample), n)):
+            is_usual = is_sharp and not missed and self._is_usual(near, *matched, own)
+            if is_usual and near.n_agreeing >= max(PLENTY, share):
                 return near
             alone = near.n_agreeing == len(rows) == d == 2
             if alone and self._is_familiar_pair(tracks, rows, distance[claimed]):
@@ -143,12 +148,25 @@ class TrackPlacing:
             near = settled(here, points, near, tolerance_m, metric)
             if near is not None and not self._is_unlike_chance(near, here, points, missed):
                 near = None
-        if near is not None and is_sharp and near.n_agreeing >= SHARE * min(len(sample), n):
+        if near is not None and is_usual and near.n_agreeing >= share:
             return near
         far, n_far = self._search(tracks, points)
         if near is None or not is_sharp or n_far > near.n_agreeing:
             return far
         return near
+
+    def _is_usual(
+        self, placement: Placement, here: Floats, there: Floats, metric: Floats | None
+    ) -> bool:
+        """Return whether matches of tracks (n, d) and points (n, d) scatter as they usually do."""
+        from relmap.core.association.matching_kernels import middle_square
+
+        if self.scale.noise_m is None:
+            return False
+        R, t, tolerance_m = placement.R, placement.t, self.scale.tolerance_m
+        variance = middle_square(here, there, R, t, tolerance_m, metric) / CHI2_MEDIAN[len(t)]
+        usual_m = max(self.scale.noise_m, EXACT / SIGMAS * self.scale.spacing_m)
+        return bool(variance <= MISFIT * usual_m**2)
 
     def _is_unlike_chance(
         self, placement: Placement, here: Floats, there: Floats, missed: int
@@ -228,11 +246,12 @@ class TrackPlacing:
         known = known[np.argsort(-tracks.seen[known], kind="stable")[:most]]
         return known, np.flatnonzero(away <= within_m)
 
-    def _search(self, tracks: LiveTracks, points: Floats) -> tuple[Placement | None, int]:
+    def _search(self, tracks: LiveTracks, points: Floats) -> tuple[Placement | None, float]:
         """Search for the tracks in the scan, for any motion of the robot.
 
-        If there are many, only those near the robot are used. Returns the placement, None if it is
-        uncertain, and the number of matches of the best one.
+        If there are many, only those near the robot are used. Between rivals with similar numbers
+        of matches the likelihood decides, if the noise is known. Returns the placement, None if it
+        is uncertain, and the number of matches of the best one, infinite if there are rivals.
         """
         missed, (known, seen) = int(tracks.missed.min()), self._crowd(tracks, points)
         here, there = tracks.expected[known], points[seen]
@@ -242,10 +261,14 @@ class TrackPlacing:
         placement, rival = found
         if not self._is_unlike_chance(placement, here, there, missed):
             return None, placement.n_agreeing
-        is_rival = rival > CLEAR * placement.n_agreeing
+        is_decidable = self.scale.noise_m is not None and min(len(here), len(there)) >= PLENTY
         # Matches that chance produces in some placement explain nothing.
-        is_rival = is_rival and self._log_chance(rival, here, there) <= 0
-        return None if is_rival else placement, placement.n_agreeing
+        is_clear = rival <= CLEAR * placement.n_agreeing or self._log_chance(rival, here, there) > 0
+        if is_clear and is_decidable:
+            is_clear = self._soft(tracks, points).misfit(placement) <= MISFIT
+        if is_clear:
+            return placement, placement.n_agreeing
+        return self._likely(tracks, points, None) if is_decidable else None, np.inf
 
 
 def _moved_m(placement: Placement, points: Floats) -> float:
