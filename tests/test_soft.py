@@ -89,6 +89,13 @@ def test_links_are_the_likeliest_together() -> None:
     assert dict(zip(rows.tolist(), found.tolist(), strict=True)) == {0: 0, 1: 1}
 
 
+@pytest.mark.parametrize("n", [(0, 3), (3, 0)])
+def test_nothing_is_linked_to_nothing(n: tuple[int, int]) -> None:
+    expected, points = np.zeros((n[0], 2)), np.zeros((n[1], 2))
+    rows, found = likely_links(expected, np.ones(n[0]), np.ones(n[0], np.int64), points, None)
+    assert len(rows) == len(found) == 0
+
+
 def test_a_world_of_much_noise_is_followed() -> None:
     spec = WorldSpec(kind="field", length_m=540.0, sigma=0.5, seed=11)
     world = simulate_world(spec)

@@ -109,7 +109,8 @@ class TrackPlacing:
             return None
         if rival > min(score + LOG_CLEAR, CLEAR * score):
             return None
-        self.scale.learn_misfit(matching.misfit(placement))
+        if self.scale.is_blurred:  # otherwise it is learnt from the links
+            self.scale.learn_misfit(matching.misfit(placement))
         return placement
 
     def _soft(self, tracks: LiveTracks, points: Floats) -> SoftMatching:

@@ -224,6 +224,8 @@ def likely_links(
     from scipy.optimize import linear_sum_assignment
 
     n, d = expected.shape
+    if not n or not len(points):
+        return np.empty(0, np.int64), np.empty(0, np.int64)
     apart = (points[None] - expected[:, None]).reshape(-1, d)
     own = None if metric is None else np.tile(metric, (n, 1, 1))
     square = np.sum(scaled(own, apart) ** 2, axis=1).reshape(n, -1) / variance[:, None]
