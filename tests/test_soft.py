@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -108,11 +110,16 @@ def test_a_world_of_much_noise_is_followed() -> None:
     assert len(np.unique(labels)) < 3 * len(np.unique(ids))
 
 
-@pytest.mark.parametrize("seed", [41, 43, 45])
-def test_columns_on_a_lattice_are_not_taken_for_their_neighbours(seed: int) -> None:
+@pytest.mark.parametrize(
+    ("seed", "others"),
+    [(41, {}), (43, {}), (45, {}), (10, {"sigma": 0.02, "turn_deg": 35.0, "view_deg": 180.0})],
+)
+def test_columns_on_a_lattice_are_not_taken_for_their_neighbours(
+    seed: int, others: dict[str, float]
+) -> None:
     """Steps of more than half a period, and a corner: a period or a turn away many agree too."""
     spec = WorldSpec(kind="columns", length_m=300.0, iterations=120, seed=seed)
-    world = simulate_world(spec)
+    world = simulate_world(replace(spec, **others))  # type: ignore[arg-type]
     mapper, scans = PointMapper(), list(world.log.scans())[:25]
     labels = np.concatenate([mapper.update(scan.points_robot) for scan in scans])
     ids = world.true_ids[: len(labels)]

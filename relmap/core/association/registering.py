@@ -23,8 +23,10 @@ ENOUGH = 3
 """Minimum number of matches: two distances agree by chance now and then, three rarely."""
 PLENTY = 6
 """Number of matches whose agreement is never chance."""
-SHARE = 0.6
+NEAR_SHARE = 0.8
 """Fraction of the nearest neighbours that must agree to skip the wider search."""
+SHARE = 0.6
+"""Fraction of the possible matches that must agree while the noise is unknown."""
 MISFIT = 2.0
 """Largest variance of their matches to skip it, relative to the usual one: if landmarks stand on a
 lattice, the nearest neighbours may agree one period away, but less closely."""
@@ -137,7 +139,7 @@ class TrackPlacing:
         matched = tracks.expected[rows], points[target[claimed]]
         own = rows_of(metric, target[claimed])
         near = trimmed_fit(*matched, tolerance_m, own)
-        is_sharp, share = self.scale.is_sharp, SHARE * min(len(sample), n)
+        is_sharp, share = self.scale.is_sharp, NEAR_SHARE * min(len(sample), n)
         if near is not None:
             is_usual = is_sharp and not missed and self._is_usual(near, *matched, own)
             if is_usual and near.n_agreeing >= max(PLENTY, share):
@@ -221,7 +223,7 @@ class TrackPlacing:
         scale, possible = self.scale, min(int(np.sum(tracks.missed == 0)), len(points))
         learnt, scale.noise_m = scale.noise_m, None
         for scale.wider in WIDER if possible >= PLENTY else ():
-            if learnt is None or scale.tolerance_m > SIGMAS * learnt:
+            if scale.wider != 1 if learnt is None else scale.tolerance_m > SIGMAS * learnt:
                 placement = self._found(tracks, points)
                 if placement is not None and placement.n_agreeing >= SHARE * min(possible, SEARCH):
                     return placement
