@@ -33,6 +33,8 @@ COARSE = 4.0
 """Factor of the variance when many starts are compared."""
 SHIFTS = 1000
 """Maximum number of shifts compared."""
+SUGGESTED = 1000
+"""Maximum number of placements suggested by triangles that are compared, those with most matches."""
 STARTS = 12
 """Maximum number of starts that are refined, the most likely that differ."""
 ROUNDS = 12
@@ -161,7 +163,7 @@ class SoftMatching:
         triangles = triangles_of(source, CORNERS * sigma_m)
         fewest = max(3, round(SEEN * min(len(source), len(self.target))))
         stretch = stretch_of(self.metric)
-        R, t, _ = placements_by_triangles(
+        R, t, matches = placements_by_triangles(
             source,
             self.target,
             triangles,
@@ -171,7 +173,8 @@ class SoftMatching:
             self.metric,
             stretch,
         )
-        return R, t
+        best = np.argsort(-np.sum(matches >= 0, axis=1), kind="stable")[:SUGGESTED]
+        return R[best], t[best]
 
     def by_shifts(self, farthest_m: float, start: Placement | None = None) -> tuple[Floats, Floats]:
         """Return a start, as above, and its shifts that bring a source point onto a target.
