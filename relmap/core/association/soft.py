@@ -34,7 +34,7 @@ COARSE = 4.0
 SHIFTS = 1000
 """Maximum number of shifts compared."""
 SUGGESTED = 1000
-"""Maximum number of placements suggested by triangles that are compared, those with most matches."""
+"""Maximum number of placements by triangles that are compared, those with most matches."""
 STARTS = 12
 """Maximum number of starts that are refined, the most likely that differ."""
 ROUNDS = 12
