@@ -25,6 +25,8 @@ PLENTY = 6
 """Number of matches whose agreement is never chance."""
 NEAR_SHARE = 0.8
 """Fraction of the nearest neighbours that must agree to skip the wider search."""
+DECIDABLE = 8
+"""Minimum number of possible matches with which the likelihood decides between rivals."""
 SHARE = 0.6
 """Fraction of the possible matches that must agree while the noise is unknown."""
 MISFIT = 2.0
@@ -153,10 +155,10 @@ class TrackPlacing:
                 near = None
         if near is not None and is_usual and near.n_agreeing >= share:
             return near
-        far, n_far = self._search(tracks, points)
+        far, n_far, has_rivals = self._search(tracks, points)
         if near is None or not is_sharp or n_far > near.n_agreeing:
             return far
-        return near
+        return far if has_rivals and near.n_agreeing < share else near
 
     def _is_usual(
         self, placement: Placement, here: Floats, there: Floats, metric: Floats | None
@@ -249,29 +251,31 @@ class TrackPlacing:
         known = known[np.argsort(-tracks.seen[known], kind="stable")[:most]]
         return known, np.flatnonzero(away <= within_m)
 
-    def _search(self, tracks: LiveTracks, points: Floats) -> tuple[Placement | None, float]:
+    def _search(self, tracks: LiveTracks, points: Floats) -> tuple[Placement | None, int, bool]:
         """Search for the tracks in the scan, for any motion of the robot.
 
         If there are many, only those near the robot are used. Between rivals with similar numbers
         of matches the likelihood decides, if the noise is known. Returns the placement, None if it
-        is uncertain, and the number of matches of the best one, infinite if there are rivals.
+        is uncertain, the number of matches of the best one, and whether it has rivals.
         """
         missed, (known, seen) = int(tracks.missed.min()), self._crowd(tracks, points)
         here, there = tracks.expected[known], points[seen]
         found = search(here, there, self.scale.tolerance_m, ENOUGH, rows_of(self.metric, seen))
         if found is None:
-            return None, 0
+            return None, 0, False
         placement, rival = found
         if not self._is_unlike_chance(placement, here, there, missed):
-            return None, placement.n_agreeing
-        is_decidable = self.scale.noise_m is not None and min(len(here), len(there)) >= PLENTY
+            return None, placement.n_agreeing, False
+        is_decidable = self.scale.noise_m is not None
+        is_decidable &= min(len(here), len(there)) >= DECIDABLE
         # Matches that chance produces in some placement explain nothing.
         is_clear = rival <= CLEAR * placement.n_agreeing or self._log_chance(rival, here, there) > 0
         if is_clear and is_decidable:
             is_clear = self._soft(tracks, points).misfit(placement) <= MISFIT
         if is_clear:
-            return placement, placement.n_agreeing
-        return self._likely(tracks, points, None) if is_decidable else None, np.inf
+            return placement, placement.n_agreeing, False
+        likely = self._likely(tracks, points, None) if is_decidable else None
+        return likely, placement.n_agreeing, True
 
 
 def _moved_m(placement: Placement, points: Floats) -> float:
