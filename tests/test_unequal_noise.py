@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from relmap import PointMapper
 from relmap.comparison.baselines.batch import Batch, batch_least_squares
 from relmap.core.arrays import Floats
+from relmap.core.association.coinciding import compatible
 from relmap.core.association.estimated import LONGEST, EstimatedCovariances
 from relmap.core.association.matching_kernels import nearest_within
 from relmap.core.association.metric import RayNoise, stretch_of
@@ -169,12 +171,25 @@ def rmse(positions: Array, truth: Array) -> float:
 def test_a_stereo_camera_gives_one_map_better_than_unweighted_least_squares(
     with_covariances: bool,
 ) -> None:
-    spec = WorldSpec(
-        noise="stereo", sigma=0.03, space=True, iterations=200, length_m=300.0, seed=11
+    """A single landmark of few observations may decide about a world: two are compared."""
+    ratios = []
+    for seed in (11, 12):
+        spec = WorldSpec(noise="stereo", sigma=0.03, space=True, iterations=200, length_m=300.0)
+        mapper, (own, limit) = mapped(simulate_world(replace(spec, seed=seed)), with_covariances)
+        assert sum(len(submap.landmark_ids) >= 10 for submap in mapper.submaps) == 1
+        ratios.append(own / limit)
+    assert np.exp(np.mean(np.log(ratios))) < 0.95
+
+
+def test_landmarks_coincide_within_their_covariances_and_with_no_other() -> None:
+    """Pairs 2 m apart: along the error, across it, along it with a third near, and undetermined."""
+    along, across = [10.0, 0.0], [0.0, 10.0]
+    positions = np.array(
+        [[0.0, 0], [2, 0], along, [10, 2], across, [2, 10], [1, 10], [20, 20], [20, 20], [30, 5]]
     )
-    mapper, (own, limit) = mapped(simulate_world(spec), with_covariances)
-    assert len(mapper.submaps) == 1
-    assert own < limit
+    covariances = np.tile(np.diag([1.0, 0.01]), (10, 1, 1))
+    covariances[7] = np.nan
+    assert compatible(positions, covariances).tolist() == [[0, 1]]
 
 
 def test_an_observation_of_unknown_place_does_not_take_the_matches_of_others() -> None:

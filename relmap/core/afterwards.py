@@ -7,6 +7,7 @@ import logging
 import numpy as np
 
 from relmap.core.arrays import Bools, Ints
+from relmap.core.association.coinciding import compatible
 from relmap.core.association.loops import LoopFinder
 from relmap.core.association.merging import doubtful, merge_doubles
 from relmap.core.association.sightings import Sightings, rows_of_tracks
@@ -168,7 +169,8 @@ def _repair(engine: RelativeMapper) -> None:
         gather(engine)
     elif undone:  # Coinciding without the others that were merged with them, they may be one.
         _refine(engine, to_the_last=False)
-        undone = _merge_coinciding(engine) or engine.config.keep_observations
+        found = _merge_compatible(engine, at_last=True)
+        undone = _merge_coinciding(engine) or found or engine.config.keep_observations
     rare = _rare(engine)
     wrong = doubtful(engine.table, rare, engine.averaging.noise.sigma_m)
     rare &= ~grouped | (wrong & (not is_bridged(engine)))
@@ -186,11 +188,33 @@ def _merge_coinciding(engine: RelativeMapper) -> bool:
     return merged
 
 
+def _merge_compatible(engine: RelativeMapper, at_last: bool = False) -> bool:
+    """Merge landmarks of unequal noise that coincide within the covariances of the refined map.
+
+    With `at_last`, also those that were found to be distinct before but still coincide. Returns
+    whether there were any.
+    """
+    merged = 0
+    if not engine.association.estimates_covariances:
+        return False
+    sightings = Sightings(rows_of_tracks(engine.rows, engine.table), engine.table)
+    for refined in engine.refined:
+        pairs = refined.landmarks[compatible(refined.positions, refined.covariances)]
+        later = engine.table.first[pairs[:, 0]] < engine.table.first[pairs[:, 1]]
+        pairs[later] = pairs[later, ::-1]
+        if not at_last:
+            pairs = pairs[engine.merger.allowed(pairs)]
+        apart = [not sightings.together(new, old) for new, old in pairs.tolist()]
+        merged += engine.merge_pairs(pairs[np.array(apart, dtype=bool)])
+    return merged > 0
+
+
 def _look_over(engine: RelativeMapper) -> bool:
     """Undo merges that a refined map contradicts and find new ones; return whether any are new."""
     if undo(engine):  # Otherwise wrong merges look right on the map that they have distorted.
         _refine(engine, to_the_last=False)
     before = _extent(engine)
+    _merge_compatible(engine)
     tie(engine)
     find_again(engine)
     found = _extent(engine) != before

@@ -7,13 +7,20 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from relmap.core.arrays import Ints
+from relmap.core.arrays import Floats, Ints
+from relmap.core.association.base import nearest
 from relmap.core.association.revisits import TOLERANCE
 from relmap.core.refinement.condensing import LENGTH
 from relmap.core.state.table import NONE, LandmarkState
 
 APART = 2.5
 """Least distance of any other landmark, relative to that of landmarks that are merged in place."""
+SIGMAS, CLEAR_SIGMAS = 4.0, 10.0
+"""Largest distance of one landmark mapped twice, and least of any other, in standard deviations."""
+NEIGHBOURS = 2.0
+"""Largest distance of any other that counts, in spacings."""
+LEAST = 1e-9
+"""Least variance relative to their sum."""
 
 
 def lying_together(table: LandmarkState, noise_m: float) -> Ints:
@@ -45,6 +52,38 @@ def lying_together(table: LandmarkState, noise_m: float) -> Ints:
     oldest = order[np.unique(place[order], return_index=True)[1]][place]
     newer = (np.arange(n) != oldest) & ~crowded[place]
     pairs: Ints = np.column_stack([own, own[oldest]])[newer]
+    return pairs
+
+
+def compatible(positions: Floats, covariances: Floats) -> Ints:
+    """Return pairs (k, 2) of rows that coincide within their covariances, and with no others.
+
+    Parameters
+    ----------
+    positions : (n, d) float64, metres
+        Of a refined map.
+    covariances : (n, d, d) float64, square metres
+        NaN where a position is undetermined.
+    """
+    spread = np.sqrt(np.maximum(np.linalg.trace(covariances), 0.0))
+    known = np.flatnonzero(np.isfinite(spread) & (spread > 0))
+    if len(known) < 3:
+        return np.empty((0, 2), dtype=np.int64)
+    at, own = positions[known], covariances[known]
+    tree = cKDTree(at)
+    spacing_m = float(np.median(nearest(tree, at, 2)[0][:, 1]))
+    reach_m = np.minimum(2 * CLEAR_SIGMAS * spread[known], NEIGHBOURS * spacing_m)
+    near = [(i, j) for i, others in enumerate(tree.query_ball_point(at, reach_m)) for j in others]
+    i, j = np.unique(np.sort(np.array(near), axis=1), axis=0).T
+    i, j = i[i != j], j[i != j]
+    apart = at[i] - at[j]
+    regular = LEAST * np.eye(at.shape[1]) * (spread[known[i]] ** 2)[:, None, None]
+    scaled = np.linalg.solve(own[i] + own[j] + regular, apart[:, :, None])[:, :, 0]
+    square = np.sum(apart * scaled, axis=1)
+    rivals = square <= CLEAR_SIGMAS**2
+    alone = np.bincount(np.concatenate([i[rivals], j[rivals]]), minlength=len(at)) == 1
+    found = (square <= SIGMAS**2) & alone[i] & alone[j]
+    pairs: Ints = np.column_stack([known[i], known[j]])[found]
     return pairs
 
 
