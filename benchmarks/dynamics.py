@@ -40,7 +40,7 @@ Groups = list[tuple[int, int]]
 
 
 class CountingMapper(PointMapper):
-    """Keeps how many landmarks were sorted for each chart, and how many pairs of them compared."""
+    """Counts the landmarks sorted for each chart, and the pairs of them compared."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -5,7 +5,7 @@
 One weaving road with 5.25 new landmarks per iteration and about 100 of them visible: 105 000 in the
 20 000 iterations of a full run, 26 000 in the 5000 of --quick.  The road is generated ahead of the
 robot and forgotten behind it, so that growing memory is the mapper's.  Each association runs in its
-own process: memory freed by one run would hide what the next one takes.
+own process: memory freed by one run would hide the needs of the next.
 
 Times are processor time with one thread in each library.  Memory is VmRSS, minus that
 of the process after compiling, before mapping.  The map itself is the table of landmarks and the
@@ -40,9 +40,9 @@ STEP_M = 3.5
 PER_M = 1.5
 """Landmarks per metre of road."""
 HALF_WIDTH_M, HALF_HEIGHT_M = 30.0, 20.0
-"""Landmarks stand this far to each side of the road, and above and below it."""
+"""Largest distance of landmarks to each side of the road, and above and below it."""
 WEAVE_M, WAVE_M = 20.0, 800.0
-"""The road swings this far to each side, once in this length."""
+"""Amplitude and wavelength of the weaving road."""
 CHUNK_M = 50.0
 PER_CHUNK = round(PER_M * CHUNK_M)
 """Length of road generated at a time, and its landmarks."""

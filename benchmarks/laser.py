@@ -8,11 +8,11 @@ scans without a pose are left out. Times are processor time.
 
   right        share of the scans in submaps of at least ten whose own ATE is at most 0.3 m
   wrong steps  consecutive scans of one submap whose relative pose is off by more than 0.3 m or
-               10 degrees; disputed are those whose points match those of the previous scan by
-               a tenth more than where the log's poses have them: there the log may be wrong
+               10 degrees; disputed: with the poses of the map a tenth more points match those
+               of the previous scan than with the poses of the log, which may be wrong
   found, true, doubled
                shares of the length of walls: of the true ones over 0.5 m that were seen and are
-               mapped; of the mapped ones over 0.5 m that are true; of the mapped that stand twice
+               mapped; of the mapped ones over 0.5 m that are true; and that are mapped twice
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ COLUMNS = (
     "| scan, median [ms] | mean [ms] | refine [s] | all [s]"
 )
 LEFT_OUT = {"real": ("found", "true"), "simulated": ("disputed", "relations [m]", "[deg]")}
-"""Columns that a table does not have: walls are known in simulation only, and poses exact."""
+"""Columns left out of a table: only simulated walls are known, and simulated poses are exact."""
 
 
 def main() -> None:
@@ -76,7 +76,7 @@ def main() -> None:
     names = ", ".join([*LOGS, *varied, *(f"sim/{name}/SEED" for name in WORLDS)])
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0], epilog=names)
     parser.add_argument("data", type=Path)
-    parser.add_argument("--log", action="append", help="a log, or several as by '*'; else all")
+    parser.add_argument("--log", action="append", help="a log, or a pattern; all by default")
     parser.add_argument("--scans", default="0:1000000", help="a part of each log: A:B")
     parser.add_argument("--seeds", type=int, default=2, help="of simulated logs, from 0")
     arguments = parser.parse_args()
@@ -140,7 +140,7 @@ def _with_points(log: ScanLog, change: Callable[[Floats], Floats]) -> ScanLog:
 
 
 def _every_beam(every: int, log: ScanLog) -> ScanLog:
-    """Return a log with one of so many beams left."""
+    """Return a log with every so many-th beam."""
 
     def thinned(points: Floats) -> Floats:
         bearing = np.arctan2(points[:, 1], points[:, 0])
@@ -156,7 +156,7 @@ def _lost(log: ScanLog) -> ScanLog:
 
 
 def _noisy(sigma_m: float, log: ScanLog) -> ScanLog:
-    """Return a log whose ranges are off by as much more."""
+    """Return a log with more noise in its ranges."""
     rng = np.random.default_rng(0)
     at = np.array([log.sensor.x_m, log.sensor.y_m])
 
@@ -203,7 +203,7 @@ VARIANTS: dict[str, Change] = {
     "noise-5": lambda log: _noisy(0.05, log),
 }
 """Every 2nd beam, 10 % of the beams lost, mirrored, from the end to the beginning, every so
-many-th scan, and ranges off by so many centimetres more (standard deviation)."""
+many-th scan, and range noise of so many centimetres more (standard deviation)."""
 
 
 LASER: dict[str, Any] = {"points": 361, "sigma": 0.01, "sampling": "laser", "step_m": 0.1}
@@ -276,7 +276,7 @@ def _row(name: str, log: ScanLog, truth: Truth, data: Path) -> str:
     shares = [walls.get(name) for name in ("wall_recall", "wall_precision", "doubled_length")]
     cells = [
         str(len(log)),
-        *told(judged(mapper, log), len(log)),
+        *judged_cells(judged(mapper, log), len(log)),
         *_relations(name, log.stamps_s[there], poses[there], data),
         *("" if share is None else f"{share:.3f}" for share in shares),
         *times(fed),
@@ -284,8 +284,8 @@ def _row(name: str, log: ScanLog, truth: Truth, data: Path) -> str:
     return " | ".join(cells)
 
 
-def told(submaps: Floats, n_scans: int) -> list[str]:
-    """Return the cells of what was judged."""
+def judged_cells(submaps: Floats, n_scans: int) -> list[str]:
+    """Return the cells of the errors of submaps."""
     if not len(submaps):
         return ["0 | 0 | 0.0% | - | - | 0 | 0"]
     scans, ates_m, wrong, disputed = submaps.T

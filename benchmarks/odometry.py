@@ -10,7 +10,7 @@ Cauchy's loss. Errors are RMS over the mapped landmarks seen ten times, after ri
   error      from the true landmarks, where these are known
   apart      from those of the batch
   residuals  those of relmap's map over those of the batch: root of the ratio of the least costs,
-             where the map is given and where it is solved for
+             with relmap's landmarks fixed and with all unknowns free
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ OFTEN = 10
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("data", type=Path)
-    parser.add_argument("--log", default="*", help="a log, or several as by '*'; else all")
+    parser.add_argument("--log", default="*", help="a log, or a pattern; all by default")
     given = parser.parse_args()
     print(
         "| log | landmarks | error [m]: relmap | batch | GTSAM | "

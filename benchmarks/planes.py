@@ -61,7 +61,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--worlds", nargs="*", default=["building", "panels"])
     parser.add_argument("--sigmas", nargs="*", type=float, default=SIGMAS)
-    parser.add_argument("--only", choices=("simulated", "logs"), help="one table alone")
+    parser.add_argument("--only", choices=("simulated", "logs"), help="print one table only")
     arguments = parser.parse_args()
     _simulated("building", 0.1, 1000)  # compiles
     if arguments.only in (None, "simulated"):

@@ -61,7 +61,7 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("data", type=Path)
-    parser.add_argument("--log", default="*", help="a log, or several as by '*'; else all")
+    parser.add_argument("--log", default="*", help="a log, or a pattern; all by default")
     given = parser.parse_args()
     data = given.data
     print("| log | scans | submaps | usable | relmap, error [m] | other methods, error [m] |")

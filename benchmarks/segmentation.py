@@ -5,7 +5,7 @@
 Simulated scenes of a building, seeds 0 to 29, the sensor's limits known. A wall counts if at
 least 1 % of the scan's points lie on it; it is found if it and one plane share 80 % of the points
 of each. "Known walls" labels points by the true walls and the true noise, each by the
-likeliest: no method can be expected to do better. Times are the processor's. DATA is a folder with
+likeliest: no method can be expected to do better. Times are processor times. DATA is a folder with
 the real data sets: every scan of the laser logs and of the hall is segmented, and three scans of
 each are drawn into DIR.
 """
@@ -169,7 +169,7 @@ def print_comparison() -> None:
 
 
 def print_default() -> None:
-    """Print what the default method does at 2000 points, in full."""
+    """Print all figures of the default method at 2000 points."""
     print(
         "| scenes | found | over | normal [°] | corner [m] | bias [m] | precision | recall | ms |"
     )
@@ -260,7 +260,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Accuracy and time of plane segmentation.")
     parser.add_argument("data", nargs="?", type=Path, help="folder of the real data sets")
     parser.add_argument("-o", type=Path, default=Path("segmentation"), help="folder for pictures")
-    parser.add_argument("--only", choices=("comparison", "default", "real"), help="one part alone")
+    parser.add_argument("--only", choices=("comparison", "default", "real"), help="one part only")
     chosen = parser.parse_args()
     warm_up()
     parts: dict[str, Callable[[], None]] = {

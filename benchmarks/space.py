@@ -233,7 +233,7 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("data", type=Path)
-    parser.add_argument("--log", default="*", help="a log, or several as by '*'; else all")
+    parser.add_argument("--log", default="*", help="a log, or a pattern; all by default")
     parser.add_argument("--peers", action="store_true", help="KISS-ICP and small_gicp beside it")
     given = parser.parse_args()
     known = {"kiss_icp": KissIcp, "small_gicp": SmallGicp} if given.peers else {}

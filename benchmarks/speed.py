@@ -8,7 +8,7 @@ in each library; the first iterations are left out.  The mean decides, since gro
 in every iteration; the median stands beside it.
 
 Frame-to-map is given the ids.  KISS-ICP (Vizzo et al., RA-L 2023; `pip install kiss-icp`) gets the
-landmarks of a scan as its point cloud and runs `register_frame`: no deskewing, for a scan is one
+landmarks of a scan as its point cloud and runs `register_frame`: no deskewing, as a scan is one
 instant; its default range of 100 m, beyond the sensor's 80; and its default voxel, a hundredth of
 that, 1 m, smaller than the landmarks' spacing.  Its path error shows whether it keeps track.
 
@@ -232,7 +232,7 @@ if __name__ == "__main__":
     parser.add_argument("--quick", action="store_true", help="up to 80 visible, not compiling")
     quick = parser.parse_args().quick
     if kiss_icp() is None:
-        print("KISS-ICP is not installed (pip install kiss-icp): what it is for is left out")
+        print("KISS-ICP is not installed (pip install kiss-icp): its columns are left out")
     iterations, densities = (150, DENSITIES[:2]) if quick else (900, DENSITIES)
     for world in (DENSITIES[0], iterations), (DENSITIES[1], 150):
         timing(*world)  # until everything is compiled

@@ -71,7 +71,7 @@ def test_no_truth(place: Path, refused: Check) -> None:
     (place / "truth" / "trajectory.tum").write_text("1 2 3\n")
     assert "does not exist" in refused("evaluate", "out", "--truth", "none")
     assert "holds no truth" in refused("evaluate", "out", "--truth", "empty")
-    assert "is no truth" in refused("evaluate", "out", "--truth", "log.csv")
+    assert "is not a truth" in refused("evaluate", "out", "--truth", "log.csv")
     assert "result folder" in refused("evaluate", "out", "--truth", "out")
     assert "bad_ground_truth" in refused("evaluate", "out", "--truth", "bad_ground_truth.txt")
     assert "trajectory.tum: line 1" in refused("evaluate", "out", "--truth", "truth")

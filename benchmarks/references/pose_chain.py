@@ -1,7 +1,7 @@
 """Batch least squares over observations with ids and odometry, in the plane: a reference.
 
 It shares no code with the mapper's refinement.  Unknown are all poses, all landmarks and odometry's
-constant errors (scale of ways and of turns, turn missed on each metre).  The cost is
+constant errors (scale of distances and of turns, turn missed per metre).  The cost is
 Cauchy's, of the observations and of the steps of odometry, each in its standard deviations.
 """
 
@@ -27,7 +27,7 @@ CONSTANT = 0.03
 CHUNK = 100
 """Number of scans placed by odometry at a time, before all are solved again."""
 ROUGH, FINE = 1e-3, 1e-7
-"""Relative gain of the cost below which the start, and the solution, is finished."""
+"""Relative gain of the cost below which the start, and the solution, has converged."""
 HELD = 1e12
 """Information that fixes the first pose, or a given landmark."""
 MOST_DAMPED = 1e4

@@ -1,4 +1,4 @@
-"""``relmap demo``: both variants on simulated scans, and one page with the results."""
+"""``relmap demo``: points and walls from simulated scans, and one page with the results."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ if TYPE_CHECKING:
 
 HELP = """See relmap at work on simulated scans.
 
-Both variants are compared with the truth. First a robot flies a figure eight of 740 m past 185
-point landmarks and observes them with a noise of 5 cm. The log is mapped with known ids ('known')
-and without ids ('nearest'). Then a robot drives through a building and observes fixed points on its
-walls, with low and with high noise. The same scans are mapped as planes and as points.
+First a robot flies a figure eight of 740 m past 185 point landmarks and observes them with a noise
+of 5 cm. The log is mapped with known ids ('known') and without ids ('nearest'). Then a robot drives
+through a building and observes fixed points on its walls, with low and with high noise. The same
+scans are mapped as planes and as points. All maps are compared with the truth.
 
 DIR/index.html shows all pictures.  DIR holds the files of 'relmap simulate' and 'relmap map', and
-DIR/nearest those of the map without identities.
+DIR/nearest those of the map without ids.
 
 \b
 Example:

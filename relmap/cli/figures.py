@@ -21,7 +21,7 @@ T = TypeVar("T")
 HELP = """Reproduce the paper's figures, beside the paper's claims.
 
 NUMBER is 4 to 7 or 9 to 17; all of them by default. The others are sketches without results.
-'crossing' is a figure that is not in the paper: planes and points over the noise.
+'crossing' is not in the paper: the errors of planes and of points over the noise.
 
 \b
 It writes into DIR

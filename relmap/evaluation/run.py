@@ -152,7 +152,7 @@ def map_log(
     Raises
     ------
     RelmapError
-        If `log` is no log, ``known`` is requested for a log without ids, or a scan is damaged.
+        If `log` is not a log, ``known`` is requested for a log without ids, or a scan is damaged.
     """
     if not isinstance(log, ObservationLog | ScanLog):
         raise RelmapError(

@@ -243,7 +243,7 @@ def _read_data_set(path: Path) -> Truth:
     if dlr_circles.DlrCircles().recognises(path):
         ids = dlr_circles.read_ids(path)
         return _static(ids, np.full((len(ids), 3), np.nan))
-    what = "holds no truth" if path.is_dir() else "is no truth"
+    what = "holds no truth" if path.is_dir() else "is not a truth"
     raise RelmapError(f"{shown(path)}: {what}, expected {_EXPECTED}")
 
 

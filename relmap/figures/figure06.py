@@ -252,12 +252,12 @@ FIGURE = PaperFigure(
     name="6",
     title="without noise: partial planes, and only one of them",
     claim=(
-        "Without noise the map comes out without error, though walls are seen in part and at one "
-        "place a single partial wall is all that is in view."
+        "Without noise the map has no error, although walls are only partly visible and at one "
+        "place only a single partial wall is in view."
     ),
     criterion=(
-        f"errors below {EXACT_M:g} m, before and after the single wall, and from the one side of "
-        "it to the other; partly where one of the two holds"
+        f"errors below {EXACT_M:g} m, before and after the single wall, and from one side of it "
+        "to the other; partly where one of the two holds"
     ),
     unit="m off along the single partial wall",
     run=_run,

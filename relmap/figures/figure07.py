@@ -1,4 +1,4 @@
-"""Figure 7: planes hold at a noise at which points are lost."""
+"""Figure 7: planes can be mapped under noise at which points cannot."""
 
 from __future__ import annotations
 
@@ -74,10 +74,10 @@ def _run(quick: bool, data: Path | None, watch: Watch) -> BothMaps:
 
 FIGURE = PaperFigure(
     name="7",
-    title="planes under noise that points do not survive",
+    title="planes under noise too large for points",
     claim=(
-        "With a noise so large that no point can be told from its neighbours, the map of planes "
-        "has some error, much less than with points, which could not be mapped at all."
+        "Under noise so large that no point can be distinguished from its neighbours, the map of "
+        "planes has some error; points could not be mapped at all."
     ),
     criterion=(
         f"planes: {HALF:.0%} of the corners seen ten times are mapped, and points: less than "

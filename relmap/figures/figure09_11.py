@@ -52,7 +52,7 @@ def _judge_sorted(chart: ChartPicture) -> Outcome:
         float(np.median(inside)),
         f"Members of the group of landmark {chart.seed} share {np.median(inside):g} of its "
         f"{chart.visible[0].sum()} iterations (median){below}. "
-        f"The shared iterations {'never' if falls else 'do'} rise down the chart: it is sorted so.",
+        f"The number of shared ones {'never' if falls else 'sometimes'} rises down the chart.",
         judged(falls),
     )
 
@@ -201,7 +201,7 @@ CHART = PaperFigure(
     title="the point chart",
     claim="A chart shows for every landmark in which iterations it was visible.",
     criterion=(
-        f"without ids, {RIGHT:.0%} of the cells of the chart are as the simulator says; "
+        f"without ids, {RIGHT:.0%} of the cells of the chart agree with the simulation; "
         f"partly: {MOSTLY:.0%}"
     ),
     unit="share of the cells that are right",
@@ -213,10 +213,10 @@ SORTED = PaperFigure(
     name="10",
     title="the chart, sorted",
     claim=(
-        "Sorted by the iterations shared with one landmark, those that share many stand high "
-        "and those that were seen little or with gaps stand low."
+        "Sorted by the number of iterations shared with one landmark, those that share many are at "
+        "the top, and those that were seen rarely or with gaps at the bottom."
     ),
-    criterion="the shared iterations never rise from one row to the next",
+    criterion="the number of shared iterations never rises from one row to the next",
     unit="iterations shared with the seed by the median member of its group",
     run=lambda quick, data, watch: shown_chart(quick),
     judge=_judge_sorted,

@@ -260,7 +260,7 @@ def _plot_densities(data: DensityTiming) -> Figure:
     axes.set(xscale="log", yscale="log", ylim=(data.median_ms.min() / 2, 2 * data.mean_ms.max()))
     write_in_full(axes.xaxis)
     write_in_full(axes.yaxis)
-    title = f"Figure 15: run time over what is visible {MACHINE}\n{data.said}"
+    title = f"Figure 15: run time over visible landmarks {MACHINE}\n{data.said}"
     finish(axes, title, "landmarks visible n, on average", "processor time of an iteration [ms]")
     axes.legend(fontsize=8, loc="upper left")
     return figure
@@ -270,7 +270,7 @@ LOOP = PaperFigure(
     name="14",
     title="run time over one loop",
     claim=(
-        "An iteration takes as long at the end of the loop as at its beginning, though the map "
+        "An iteration takes as long at the end of the loop as at its beginning, although the map "
         "grows from nothing to 7400 landmarks."
     ),
     criterion=(
@@ -284,7 +284,7 @@ LOOP = PaperFigure(
 )
 VISIBLE = PaperFigure(
     name="15",
-    title="run time over what is visible",
+    title="run time over the number of visible landmarks",
     claim="An iteration takes O(n log n) for n visible landmarks.",
     criterion=(
         f"from {MANY:.0f} visible landmarks on, median and mean time grow no faster than "

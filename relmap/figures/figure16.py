@@ -36,7 +36,7 @@ WIDE = 2.0
 GAUSSIAN, FLAT = "Gaussian", "flat"
 NOISES = {GAUSSIAN: "gaussian", FLAT: "uniform"}
 MRPT, FITTED = "EKF as in MRPT", "EKF linearised at the best fit"
-PAPER, LIVE = "relmap with the paper's settings", "relmap by default, as the run goes"
+PAPER, LIVE = "relmap with the paper's settings", "relmap by default, during the run"
 SHAPED = "relmap refined by the shape of the noise"
 COLOURS = (RED, ORANGE, GREY, BLUE, "#2e7d32")
 
@@ -151,9 +151,9 @@ def _judge(data: ErrorCurves) -> Outcome:
         flat,
         "Error of the EKF as MRPT ships it over relmap's: with the paper's settings "
         f"{gaussian:.2f} under Gaussian and {flat:.2f} under flat noise of the same variance, by "
-        f"default {live[0]:.2f} and {live[1]:.2f}. The wide margin under flat noise is "
-        f"{'there' if wide else 'not there'}. relmap refined by the shape of the noise uses "
-        f"it: under flat noise it has {ratio(FLAT, SHAPED, MRPT):.2f} times the error of "
+        f"default {live[0]:.2f} and {live[1]:.2f}. Under flat noise there is "
+        f"{'a' if wide else 'no'} wide margin. relmap refined by the shape of the noise uses "
+        f"that shape: under flat noise it has {ratio(FLAT, SHAPED, MRPT):.2f} times the error of "
         f"that EKF and {ratio(FLAT, SHAPED, FITTED):.2f} times that of one linearised at the "
         "best fit.",
         judged(gaussian >= 1 / SIMILAR, wide),

@@ -214,13 +214,13 @@ FIGURE = PaperFigure(
     name="17",
     title="Victoria Park",
     claim=(
-        "In the stretches of Victoria Park in which enough trees are in view, the trees come out "
-        "where an EKF with odometry has them, without any odometry."
+        "In the stretches of Victoria Park in which enough trees are in view, trees are mapped "
+        "without odometry at the positions that an EKF with odometry finds."
     ),
     criterion=(
         f"in both stretches the RMSE against batch least squares with the published tree ids is "
         f"below {CLOSE_M:g} m and {COVERED:.0%} of the trees seen ten times are mapped; partly "
-        "where one stretch is so"
+        "where this holds in one stretch"
     ),
     unit="RMSE of the trees in m in the worse stretch",
     run=_run,

@@ -203,8 +203,8 @@ FIGURE = PaperFigure(
     name="crossing",
     title="planes and points over the noise",
     claim=(
-        "Planes can still be mapped where the noise is too large for points, which is what figure "
-        "7 stands for (this picture is not in the paper)."
+        "Planes can still be mapped where the noise is too large for points, as figure 7 shows "
+        "(this picture is not in the paper)."
     ),
     criterion=(
         "at every spacing of the points there is a noise from which on planes have the better map, "

@@ -65,9 +65,9 @@ def page(entries: Sequence[Made], quick: bool) -> str:
     title = "The paper's figures from runs of relmap"
     body = [
         f"<h1>{title}</h1>",
-        "<p>What &ldquo;A Relative Mapping Algorithm&rdquo; claims with each figure, what this "
-        "software does, and whether the claim is borne out: computed from the data by the rule "
-        "below each figure.</p>",
+        "<p>What &ldquo;A Relative Mapping Algorithm&rdquo; claims with each figure, the "
+        "result of this software, and whether the claim is borne out by the criterion below each "
+        "figure, computed from the data.</p>",
         f'<p class="small">{escape(size)}. {escape(said)}. Times are processor time of one '
         "machine.</p>",
         _summary(entries),
@@ -82,7 +82,7 @@ def _badge(entry: Made) -> str:
 
 
 def _summary(entries: Sequence[Made]) -> str:
-    names = ("figure", "shows", "our figure", "what that is", "the claim is")
+    names = ("figure", "shows", "our figure", "meaning", "the claim is")
     head = f"<tr>{''.join(f'<th>{name}</th>' for name in names)}</tr>"
     return f"<table><thead>{head}</thead><tbody>{''.join(map(_row, entries))}</tbody></table>"
 

@@ -43,7 +43,7 @@ CLEARLY = 0.5
 """The step to the chosen placement is at most this fraction of the step to any other rival."""
 LEAP = 1.0
 """A step longer than this fraction of the range is a leap; a rotation counts by how far it moves
-things at the range."""
+points at the range."""
 
 
 @dataclass(frozen=True, eq=False)

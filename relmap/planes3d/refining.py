@@ -27,8 +27,8 @@ UNSURE = 0.0125
 ONE = 2.0
 """Largest distance of two landmarks that are one plane, in standard deviations of their points."""
 BENT, COVERED = 0.003, 0.5
-"""What is added to that distance, as a fraction of the range, because the map may be bent, if this
-fraction of one surface lies at the other: a sensor does not see through either."""
+"""Added to that distance, as a fraction of the range, because the map may be bent, if this fraction
+of one surface lies at the other: a sensor does not see through either."""
 
 
 def refined(part: Submap) -> tuple[Submap, dict[int, int]]:

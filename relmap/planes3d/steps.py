@@ -10,7 +10,7 @@ from relmap.planes3d.adjustment import PlaneAdjustment, Scene, Sightings
 AROUND, AT_ONCE = 12, 12
 """Scans before and after a step that its covariance is computed from, and steps done at once."""
 LOOSE, LOOSE_PLANE = 1e-11, 1e-9
-"""What keeps undetermined poses and planes finite, as a fraction of the diagonal."""
+"""Damping that keeps undetermined poses and planes finite, as a fraction of the diagonal."""
 
 
 def step_covariances(seen: Sightings, scene: Scene, systematic: float) -> Floats:

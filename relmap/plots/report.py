@@ -44,9 +44,9 @@ def report_page(result: Result, command: str, name: str) -> str:
     result : Result
         As `relmap.evaluation.run.run_mapper` returns it.
     command : str
-        What makes it again.
+        Command that repeats the run.
     name : str
-        Of the log.
+        Name of the log.
 
     Returns
     -------

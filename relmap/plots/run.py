@@ -117,9 +117,9 @@ def _draw_path(axes: Axes, result: Result, pair: list[int]) -> None:
 
 
 def on_odometry_alone(result: Result) -> Ints:
-    """Return the rows (k,) of the poses that odometry alone ties to the one before.
+    """Return the rows (k,) of the poses that only odometry ties to the previous one.
 
-    Of a result that was read it is not known which iteration each pose is of: none.
+    None for a result read from a folder, whose poses have unknown iteration numbers.
     """
     told = result.summary.get("odometry")
     if told is None or result.iterations is None:

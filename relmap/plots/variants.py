@@ -1,4 +1,4 @@
-"""The maps of both variants from the same scans, side by side over the true walls."""
+"""Maps of planes and of points from the same scans, side by side over the true walls."""
 
 from __future__ import annotations
 

@@ -189,11 +189,7 @@ SENSORS: dict[str, Callable[[Floats], tuple[Floats, Floats]]] = {
 }
 """Noise along and across the ray, in units of sigma, by the distance in half ranges: isotropic; ten
 times larger in range; ten times larger in bearing; growing with the distance; of a stereo camera,
-growing along the ray with the square of the distance.
-
-The same everywhere; of the range ten times that of the rest; of the bearing ten times that of the
-range; growing with the distance; of a stereo camera, growing along the ray with its square.
-"""
+growing along the ray with the square of the distance."""
 
 
 def _poses(at: Floats, ahead: Floats, turn_deg: float, d: int, rng: np.random.Generator) -> Floats:

@@ -207,7 +207,7 @@ class JournalReader:
         if not 0 <= n <= MOST_ROWS or known not in (0, int(self.layout.has_ids)):
             raise ValueError(f"a scan of {told(n)} rows, with ids: {told(known)}")
         if any(type(part) is not bytes for part in beams):
-            raise ValueError("its beams are no bytes")
+            raise ValueError("its beams are not bytes")
         rows = _next(cursor, k, n, "observations")
         has_ids, width = self.layout.has_ids, len(self.layout.values)
         labels = _whole([row[-1] for row in rows])

@@ -32,8 +32,8 @@ def _gather(
 ) -> Floats:
     """Return the statistics of a wall's points for a step of EM, in the wall's frame.
 
-    Their weight, that with their precision across the wall, with this precision sums of t, d, tt,
-    td and dd; the pull on both ends, and the outermost measures.
+    The sum of their weights; weighted also by the precision across the wall, the sums of 1, t, d,
+    tt, td and dd; the pull on both ends; and the outermost measures.
     """
     s = np.zeros(11)
     s[9], s[10] = np.inf, -np.inf

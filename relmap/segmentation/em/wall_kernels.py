@@ -118,9 +118,9 @@ def sighted(
 ) -> tuple[float, float, float, float]:
     """Return where a point is relative to a wall.
 
-    Its place along the wall, as a `measure` and in metres; its distance from the line; and how many
-    times as far off it is in the direction of its noise: across the wall, or along its beam, which
-    meets the wall at that place. Infinitely many times where the beam does not meet the wall.
+    Its position along the wall, as a `measure` and in metres; its distance from the line; and the
+    factor by which it is farther off in the direction of its noise: across the wall, or along its
+    beam, which meets the wall at that position. Infinite if the beam does not meet the wall.
     """
     x -= wall[PX]
     y -= wall[PY]
@@ -137,9 +137,9 @@ def sighted(
 
 @compiled
 def sightings(xy: Floats, wall: Floats, beam: float) -> tuple[Floats, Floats, Floats]:
-    """Return of points (n, 2) the places along a wall, as `measure` and in metres, and how far off.
+    """Return positions of points (n, 2) along a wall, as `measure` and in metres, and distances.
 
-    See `sighted`; how far off is in the direction of the noise.
+    See `sighted`; distances are in the direction of the noise.
     """
     n = len(xy)
     u, t, off = np.empty(n), np.empty(n), np.empty(n)

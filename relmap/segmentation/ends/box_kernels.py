@@ -1,7 +1,7 @@
 """Compiled: the ends of a box that noise has blurred, by maximum likelihood.
 
 Along a wall points lie evenly between two ends; noise carries some of them beyond. The outermost
-points would put the ends too far out, by more the more points there are; the maximum of the
+points would put the ends too far out, the more so the more points there are; the maximum of the
 likelihood is unbiased, and without noise it is the outermost points.
 
 A beam stands for all bearings that are nearer to it than to its neighbours; the most likely end is
@@ -165,7 +165,7 @@ def fit_ends(
 
 @compiled
 def box_extent(t: Floats, sigma: float) -> tuple[float, float]:
-    """Return the ends of an evenly filled, blurred box from positions (n,), of many from a part."""
+    """Return the ends of a uniformly filled, blurred box from positions (n,), some 2000 at most."""
     t = t[:: len(t) // 2000 + 1].copy()
     low, high, weight = np.inf, -np.inf, np.ones(len(t))
     for i in range(len(t)):

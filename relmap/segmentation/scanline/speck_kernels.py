@@ -30,7 +30,7 @@ def _goes_on(xy: Floats, i: int, j: int, sigma: float) -> bool:
 
 @helper
 def _close_specks(xy: Floats, sigma: float, found: Bools) -> None:
-    """Find points (n,) a little before a line on which those beside them lie, either way."""
+    """Mark points (n,) slightly in front of the line through their neighbours on both sides."""
     own, n = np.empty(len(found), dtype=np.int64), 0
     for i in range(len(found)):
         if not found[i]:
@@ -40,7 +40,7 @@ def _close_specks(xy: Floats, sigma: float, found: Bools) -> None:
         i, a, b = own[k], own[k - 1], own[k + 1]
         dx, dy = xy[b, 0] - xy[a, 0], xy[b, 1] - xy[a, 1]
         length = max(math.hypot(dx, dy), 1e-12)
-        side = (dx * xy[a, 1] - dy * xy[a, 0]) / length  # where the sensor is not
+        side = (dx * xy[a, 1] - dy * xy[a, 0]) / length  # away from the sensor
         off = (dx * (xy[i, 1] - xy[a, 1]) - dy * (xy[i, 0] - xy[a, 0])) / length
         if off * side >= 0 or abs(off) <= OFF * sigma:
             continue
