@@ -13,7 +13,7 @@ from relmap.core.arrays import Floats
 from relmap.simulation import Building, BuildingScan, simulate_building
 from relmap.simulation.coverage import seen_extents
 from relmap.simulation.floor_plan import World, make_floor_plan
-from relmap.simulation.shapes import FloorPlan, turned, wall_distances
+from relmap.simulation.shapes import FloorPlan, wall_distances
 from relmap.simulation.things import glass_ranges, round_ranges, walking
 from relmap.simulation.visibility import SeenWalls
 from tests.segments import cast, crossings
@@ -27,6 +27,12 @@ NEW: tuple[World, ...] = (
     "bare-corridor",
     "curved",
 )
+
+
+def turned(points: Floats, quarters: int, about: Floats) -> Floats:
+    """Rotate points (..., 2) by a number of right angles about a centre."""
+    R = np.linalg.matrix_power(np.array([[0.0, -1.0], [1.0, 0.0]]), quarters)
+    return np.asarray((points - about) @ R.T + about)
 
 
 def plan_of(world: World, seed: int = 0) -> FloorPlan:

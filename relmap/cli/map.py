@@ -45,15 +45,10 @@ def map_command(
 ) -> None:
     """Map a log; the help text explains the arguments."""
     planes, known = variant == "planes", association == "known"
-    args.refuse(voxel is not None and variant != "planes3d", "--voxel requires --variant planes3d")
+    sigmas = _sigmas(planes, range_sigma, bearing_sigma, elevation_sigma)
     args.refuse((level or segmenter) and not planes, FOR_WALLS)
-    if variant == "planes3d":
-        sigmas_given = (range_sigma, bearing_sigma, elevation_sigma)
-        others = (known, registration, config, journal, onto, animate, columns, topic, live)
-        message = "--variant planes3d accepts only --scans, --format, --refine and --voxel"
-        args.refuse(any((*others, live_file, *sigmas_given)) or odometry != "auto", message)
-        _map_space(source, out, scans, log_format, refine, voxel)
-        return
+    others = (known, registration, config, journal, onto, animate, columns, topic, live, live_file)
+    _check_space(variant, voxel, any((*others, sigmas)) or odometry != "auto")
     args.refuse(columns and (planes or log_format), "--columns applies only to tables of landmarks")
     _check_onto(onto, journal, config or registration)
     args.refuse(animate and not planes, "--animate draws walls: give --variant planes with it")
@@ -61,7 +56,7 @@ def map_command(
         job = Job(
             source=source,
             out=out,
-            variant=variant,
+            variant="planes" if planes else "points",
             settings=_settings(config, registration, planes, known),
             association=association,
             interval=scans,
@@ -70,7 +65,7 @@ def map_command(
             journal=journal,
             onto=onto,
             animate=animate,
-            sigmas=_sigmas(planes, range_sigma, bearing_sigma, elevation_sigma),
+            sigmas=sigmas,
             odometry=odometry,
             level=level or "auto",
             segmenter=segmenter,
@@ -80,30 +75,20 @@ def map_command(
             live_file=live_file,
             stopped=stopped,
         )
-        report(job)
+        if variant == "planes3d":
+            report_space(job, voxel)
+        else:
+            report(job)
 
 
-def _map_space(
-    source: Path,
-    out: Path,
-    scans: args.Interval | None,
-    log_format: str | None,
-    refine: bool,
-    voxel: float | None,
-) -> None:
+def _check_space(variant: str, voxel: float | None, others: bool) -> None:
+    """Check the options of planes in space; `others`: whether any that they ignore is given."""
+    in_space = variant == "planes3d"
+    args.refuse(voxel is not None and not in_space, "--voxel requires --variant planes3d")
+    message = "--variant planes3d accepts only --scans, --format, --refine and --voxel"
+    args.refuse(in_space and others, message)
     low = voxel is not None and not 0 < voxel < float("inf")
     args.refuse(low, f"--voxel is {voxel}; it must be above 0")
-    with stoppable() as stopped:
-        job = Job(
-            source=source,
-            out=out,
-            settings=args.read_config(None),
-            interval=scans,
-            log_format=log_format,
-            refine=refine,
-            stopped=stopped,
-        )
-        report_space(job, voxel)
 
 
 def _check_onto(onto: Path | None, journal: Path | None, settings: object) -> None:

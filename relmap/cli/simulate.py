@@ -60,13 +60,13 @@ def figure_eight_command(
     from relmap.evaluation.sources import EightSource
 
     source = EightSource(density, iterations, noise, sigma, dynamic, seed)
-    counted = wheels.Counted(odometry, odometry_bias, odometry_fault)
-    n_files = 3 if counted.wheels() is None else 4
-    typer.echo(f"wrote {n_files} files to {out}: {write_figure_eight(out, source, counted)}")
+    options = wheels.OdometryOptions(odometry, odometry_bias, odometry_fault)
+    n_files = 3 if options.wheels() is None else 4
+    typer.echo(f"wrote {n_files} files to {out}: {write_figure_eight(out, source, options)}")
 
 
 def write_figure_eight(
-    out: Path, source: EightSource, counted: wheels.Counted = wheels.NONE
+    out: Path, source: EightSource, options: wheels.OdometryOptions = wheels.NONE
 ) -> str:
     """Simulate the figure eight into a folder and return a line with counts.
 
@@ -80,7 +80,7 @@ def write_figure_eight(
     with staged_folder(out) as staging, busy("simulating"):
         data = source.load()
         assert data.truth is not None
-        wheels.write_odometry(staging, counted, data.truth.poses, None, source.seed)
+        wheels.write_odometry(staging, options, data.truth.poses, None, source.seed)
         return write_points(staging, data.log, data.truth)
 
 

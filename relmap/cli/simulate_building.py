@@ -100,8 +100,8 @@ def building_command(
     from relmap.simulation import simulate_building
     from relmap.simulation.sensor import sensor_of
 
-    counted = wheels.Counted(odometry, odometry_bias, odometry_fault)
-    counted.wheels()
+    options = wheels.OdometryOptions(odometry, odometry_bias, odometry_fault)
+    options.wheels()
     if beams is not None:
         points, sampling = beams, "laser"
     with staged_folder(out) as staging, busy("simulating"):
@@ -122,7 +122,7 @@ def building_command(
         )
         write_building(staging, building)
         way, stamps_s = building.trajectory, building.stamps_s
-        n_files = 4 + wheels.write_odometry(staging, counted, way, stamps_s, seed)
+        n_files = 4 + wheels.write_odometry(staging, options, way, stamps_s, seed)
     count = sum(len(scan.points) for scan in building.scans)
     typer.echo(
         f"wrote {n_files} files to {out}: {len(building.walls)} sides of walls, "

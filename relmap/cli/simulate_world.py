@@ -89,11 +89,11 @@ def world_command(
         view_deg=view,
         seed=seed,
     )
-    counted = wheels.Counted(odometry, odometry_bias, odometry_fault)
-    counted.wheels()
+    options = wheels.OdometryOptions(odometry, odometry_bias, odometry_fault)
+    options.wheels()
     with staged_folder(out) as staging, busy("simulating"):
         world = simulate_world(spec)
-        n_files = 4 + wheels.write_odometry(staging, counted, world.trajectory, None, seed)
+        n_files = 4 + wheels.write_odometry(staging, options, world.trajectory, None, seed)
         counts = write_points(staging, world.log, truth_of(world))
         ids = csv_text(("row", "landmark"), enumerate(world.true_ids.tolist()))
         atomic_write(staging / "truth" / "ids.csv", ids)

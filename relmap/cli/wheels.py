@@ -81,7 +81,7 @@ Broken = Annotated[
 
 
 @dataclass(frozen=True)
-class Counted:
+class OdometryOptions:
     """The ``--odometry`` options."""
 
     noise: Pair | None
@@ -113,11 +113,11 @@ class Counted:
         return wheels
 
 
-NONE = Counted(None, None, None)
+NONE = OdometryOptions(None, None, None)
 
 
 def write_odometry(
-    folder: Path, counted: Counted, poses: Floats, stamps_s: Floats | None, seed: int
+    folder: Path, options: OdometryOptions, poses: Floats, stamps_s: Floats | None, seed: int
 ) -> int:
     """Write the odometry of a simulated path into a folder; return the number of files."""
     import numpy as np
@@ -126,7 +126,7 @@ def write_odometry(
     from relmap.datasets.scans import ScanLog
     from relmap.simulation.odometry import wheel_odometry
 
-    wheels = counted.wheels()
+    wheels = options.wheels()
     if wheels is None:
         return 0
     # A separate generator: the observations are the same with and without odometry.
@@ -135,7 +135,7 @@ def write_odometry(
     at = np.arange(float(len(poses))) if stamps_s is None else stamps_s
     log = ScanLog(2, at, lambda _: np.empty((0, 2)), odometry=odometry)
     late = LATE_ITERATIONS if stamps_s is None else LATE_S
-    faulty = _with_fault(log, counted.fault, late, rng).odometry
+    faulty = _with_fault(log, options.fault, late, rng).odometry
     assert faulty is not None
     write_odometry_csv(folder / "odometry.csv", faulty)
     return 1

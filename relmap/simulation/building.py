@@ -7,7 +7,7 @@ is its sensor's, is `SENSOR_HEIGHT_M` above the floor; there the map's z is 0.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import get_args
+from typing import TypeAlias, get_args
 
 import numpy as np
 
@@ -23,6 +23,8 @@ from relmap.simulation.sensor import BuildingScan, Sampling, Scanner, Sensor, se
 from relmap.simulation.shapes import CLEARANCE_M, FloorPlan, wall_distances
 from relmap.simulation.things import Things, walking
 from relmap.simulation.visibility import seen_walls
+
+Limit: TypeAlias = tuple[bool, str]
 
 SENSOR_HEIGHT_M = 1.0
 STEP_S = 0.2
@@ -143,16 +145,16 @@ def simulate_building(
     """
     sensor = sensor or sensor_of(sampling)
     scanner = Scanner(points, sigma, noise, sampling, sensor, sample_ends)
-    _check(scanner, seed, iterations, world, loops, moving, step_m, people, clutter)
+    limits = _drive_limits(iterations, world, loops, moving, step_m)
+    limits += _object_limits(people, clutter, world == "glass", sampling)
+    _check(scanner, seed, *limits)
     rng = np.random.default_rng(seed)
     plan = make_floor_plan(world, rng)
     trajectory = drive_round(plan.loop, loops, iterations, step_m, rng)
     stamps_s = STEP_S * (step_m / STEP_M) * np.arange(len(trajectory), dtype=np.float64)
     # Moving walls and objects have separate generators, so the rest is unchanged.
-    walkers, others = (np.random.default_rng([seed, people, which]) for which in (1, 2))
-    crowd = walking(plan, people, stamps_s, trajectory, walkers)
+    things = _things(plan, people, clutter, stamps_s, trajectory, seed)
     plan, movers = make_moving(plan, world, moving, np.random.default_rng([seed, moving]))
-    things = [Things(at, plan.glass, clutter, others) for at in crowd]
     scans = [
         _scan(movers.at(plan.walls, k), pose, scanner, rng, things[k])
         for k, pose in enumerate(trajectory)
@@ -196,20 +198,11 @@ def building_scene(
     return _scan(plan.walls, _random_pose(plan, rng), scanner, rng)
 
 
-def _check(
-    scanner: Scanner,
-    seed: int,
-    iterations: int | None = None,
-    world: str = "building",
-    loops: int = 1,
-    moving: int = 0,
-    step_m: float = STEP_M,
-    people: int = 0,
-    clutter: float = 0.0,
-) -> None:
+def _check(scanner: Scanner, seed: int, *limits: Limit) -> None:
+    """Raise an error for arguments out of range: those of the scanner, then others."""
     points, sampling, sensor = scanner.points, scanner.sampling, scanner.sensor
     range_m, view_rad = sensor.range_m, sensor.view_rad
-    limits = [
+    of_scanner = [
         (1 <= points <= 10**7, f"points is {points}; it must lie in [1, 10000000]"),
         (
             sampling in get_args(Sampling),
@@ -223,6 +216,14 @@ def _check(
             0 < view_rad < 2 * np.pi and 0 < sensor.vertical_view_rad < np.pi,
             "the field of view must lie in (0, 2 pi) radians, the vertical one in (0, pi)",
         ),
+    ]
+    check_arguments(scanner.noise, scanner.sigma, seed, *of_scanner, *limits)
+
+
+def _drive_limits(
+    iterations: int | None, world: str, loops: int, moving: int, step_m: float
+) -> list[Limit]:
+    return [
         (
             iterations is None or 1 <= iterations <= 10**6,
             f"iterations is {iterations}; it must lie in [1, 1000000]",
@@ -234,14 +235,32 @@ def _check(
         (1 <= loops <= 1000, f"loops is {loops}; it must lie in [1, 1000]"),
         (0 <= moving <= 1000, f"moving is {moving}; it must lie in [0, 1000]"),
         (0 < step_m <= 10, f"step is {step_m}; it must lie in (0, 10] metres"),
+    ]
+
+
+def _object_limits(people: int, clutter: float, glass: bool, sampling: str) -> list[Limit]:
+    return [
         (0 <= people <= 1000, f"people is {people}; it must lie in [0, 1000]"),
         (0 <= clutter <= 0.5, f"clutter is {clutter}; it must lie in [0, 0.5]"),
         (
-            sampling == "laser" or not (people or clutter or world == "glass"),
+            sampling == "laser" or not (people or clutter or glass),
             "people, clutter and glass are only for lasers; sampling must be laser",
         ),
     ]
-    check_arguments(scanner.noise, scanner.sigma, seed, *limits)
+
+
+def _things(
+    plan: FloorPlan,
+    people: int,
+    clutter: float,
+    stamps_s: Floats,
+    trajectory: Floats,
+    seed: int,
+) -> list[Things]:
+    """Return the objects in front of the walls in each scan."""
+    walkers, others = (np.random.default_rng([seed, people, which]) for which in (1, 2))
+    crowd = walking(plan, people, stamps_s, trajectory, walkers)
+    return [Things(at, plan.glass, clutter, others) for at in crowd]
 
 
 def _random_pose(plan: FloorPlan, rng: np.random.Generator) -> Floats:

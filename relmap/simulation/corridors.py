@@ -6,7 +6,7 @@ import numpy as np
 
 from relmap.core.arrays import Floats
 from relmap.simulation.rooms import CORRIDOR_M
-from relmap.simulation.shapes import FloorPlan, cut, edges, ring, rounded, turned
+from relmap.simulation.shapes import FloorPlan, cut, edges, ring, rounded
 
 NO_FLOORS: Floats = np.empty((0, 4))
 WIDTH_M, DEPTH_M, DOOR_M = 4.0, 4.5, 1.1
@@ -34,11 +34,10 @@ def twin_rooms(rng: np.random.Generator) -> FloorPlan:
     way = np.vstack([_way_round(x, hall[1]) for x in doors[:, :, 0].mean(axis=1)])
     middle = (hall[:2] + hall[2:]) / 2
     both, all_doors = (
-        np.concatenate([parts, turned(parts, 2, middle)])
-        for parts in (walls.reshape(-1, 2, 2), doors)
+        np.concatenate([parts, middle - (parts - middle)]) for parts in (walls.reshape(-1, 2, 2), doors)
     )
     fronts = [cut(edge, all_doors) for edge in edges(hall)]
-    loop = np.vstack([way, turned(way, 2, middle)])
+    loop = np.vstack([way, middle - (way - middle)])
     return FloorPlan(np.vstack([both.reshape(-1, 4), *fronts]), NO_FLOORS, loop, all_doors)
 
 

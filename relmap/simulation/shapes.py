@@ -146,9 +146,3 @@ def boxes(plan: FloorPlan, floor: Floats, count: int, rng: np.random.Generator) 
         if len(placed) > count:
             break
     return np.vstack(placed)
-
-
-def turned(points: Floats, quarters: int, about: Floats) -> Floats:
-    """Return points (..., 2) rotated by a number of right angles about a centre."""
-    R = np.linalg.matrix_power(np.array([[0.0, -1.0], [1.0, 0.0]]), quarters)
-    return np.asarray((points - about) @ R.T + about)
