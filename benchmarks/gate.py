@@ -190,7 +190,7 @@ def main() -> int:
     update = parser.parse_args().update
     measured = {metric.name: metric.measure() for metric in METRICS}
     if update:
-        told = {
+        baseline = {
             metric.name: {
                 "value": float(f"{measured[metric.name]:.5g}"),
                 "better": metric.better,
@@ -198,7 +198,7 @@ def main() -> int:
             }
             for metric in METRICS
         }
-        BASELINE.write_text(json.dumps(told, indent=2) + "\n")
+        BASELINE.write_text(json.dumps(baseline, indent=2) + "\n")
     worse = gate(measured, json.loads(BASELINE.read_text()))
     if worse:
         print(f"worse than the baseline: {'; '.join(worse)}", file=sys.stderr)

@@ -121,8 +121,8 @@ def _simulated(world: str, sigma: float, seed: int) -> Figures:
     began = process_time()
     mapper.refine()
     refine_ms = 1e3 * (process_time() - began) * 700 / len(log)
-    told = {"poses": mapper.trajectory, "stamps_s": log.stamps_s, "planes": mapper.planes}
-    refined = evaluate(replace(run.result, **told), truth)
+    found = {"poses": mapper.trajectory, "stamps_s": log.stamps_s, "planes": mapper.planes}
+    refined = evaluate(replace(run.result, **found), truth)
     return Figures(
         chained.corner_rmse_m or np.nan,
         refined.corner_rmse_m or np.nan,
@@ -184,10 +184,10 @@ def _logged(run: Run, log: ScanLog, data: Path, name: str) -> str:
     if name in RELATIONS:
         relations = relations_by_clocks(data / RELATIONS[name])
         errors = relation_errors(result.stamps_s, result.poses, relations)
-    told = "| |" if errors is None else f"{errors[0]:.3f} | {np.rad2deg(errors[1]):.2f} |"
+    found = "| |" if errors is None else f"{errors[0]:.3f} | {np.rad2deg(errors[1]):.2f} |"
     timing = result.summary["timing"]
     return (
-        f"| {ate:.3f} | {len(result.poses) / len(log):.1%} | {told} "
+        f"| {ate:.3f} | {len(result.poses) / len(log):.1%} | {found} "
         f"{(run.planes.status == 'static').sum()} | {timing['median_ms']:.2f} "
         f"| {timing['segmentation_median_ms']:.2f} | {timing['refine_ms'] / 1e3:.1f} |"
     )

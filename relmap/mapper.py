@@ -222,8 +222,8 @@ class Mapper(Mapped):
             if not np.array_equal(self._again(scan), scan.labels):
                 raise RelmapError(
                     f"journal {reader.path}: iteration {k} mapped again gives landmarks other than "
-                    f"were recorded; it was written by {_told(reader.meta.get('versions'))}, "
-                    f"and this is {_told(_versions())}"
+                    f"were recorded; it was written by {_listed(reader.meta.get('versions'))}, "
+                    f"and this is {_listed(_versions())}"
                 )
             yield
 
@@ -260,7 +260,7 @@ def _versions() -> dict[str, str]:
     }
 
 
-def _told(versions: Any) -> str:
+def _listed(versions: Any) -> str:
     if not isinstance(versions, dict):
         return "unknown versions"
     return ", ".join(f"{name} {version}" for name, version in versions.items())

@@ -62,12 +62,12 @@ class Shown:
 
     def __repr__(self) -> str:
         mapped = self.map
-        told = f"{self.n_iterations} iterations, {len(mapped)} landmarks mapped"
+        text = f"{self.n_iterations} iterations, {len(mapped)} landmarks mapped"
         if len(mapped):
             low, high = mapped.positions.min(axis=0), mapped.positions.max(axis=0)
             extent = " x ".join(f"{size:.4g}" for size in np.subtract(high, low) if size > 0)
-            told += f", {extent} m" if extent else ""
-        return f"{type(self).__name__}({told})"
+            text += f", {extent} m" if extent else ""
+        return f"{type(self).__name__}({text})"
 
     def _repr_html_(self) -> str:
         return f"<p>{escape(repr(self))}</p>{self.map.to_html()}"

@@ -239,7 +239,7 @@ def test_margins_over_the_ekf_are_judged_noise_by_noise() -> None:
     found = figure16.FIGURE.judge(errors((0.04, 0.03)))
     assert found.verdict == PARTLY
     assert found.value == pytest.approx(4 / 3)
-    assert "The wide margin under flat noise is not there" in found.ours
+    assert "Under flat noise there is no wide margin" in found.ours
     assert "0.25 times the error of that EKF and 0.50 times" in found.ours
     assert figure16.FIGURE.judge(errors((0.04, 0.02))).verdict == YES
     assert figure16.FIGURE.judge(errors((0.06, 0.03))).verdict == NO

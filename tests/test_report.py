@@ -125,7 +125,7 @@ def test_every_run_has_a_page(tmp_path: Path) -> None:
     (tmp_path / "one.csv").write_text("iteration,x,y\n0,1,2\n")
     assert main(["map", str(tmp_path / "one.csv"), "-o", str(tmp_path / "one")]) == 0
     (view,) = views((tmp_path / "one" / "report.html").read_text())
-    assert view["told"] == "0 poses, 0 landmarks"
+    assert view["caption"] == "0 poses, 0 landmarks"
     world = ["--world", "bare-corridor", "--sampling", "laser", "--points", "181"]
     run = ["simulate", "building", "-o", str(tmp_path / "world"), *world, "--iterations", "60"]
     assert main(run) == 0

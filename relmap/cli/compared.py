@@ -77,9 +77,9 @@ def draw(folder: Path, rows: Iterable[Compared], data: Data[Log], title: str) ->
 def _titled(name: str, run: MethodRun) -> str:
     """Return the name of a method with its errors."""
     rmse_m, ate_m = (run.figures[key] for key in ("landmark_rmse_m", "ate_m"))
-    told = [f"RMSE {figure(rmse_m)} m"] if rmse_m is not None else []
-    told += [f"ATE {figure(ate_m)} m"] if ate_m is not None else []
-    return f"{name}: {', '.join(told)}" if told else name
+    message = [f"RMSE {figure(rmse_m)} m"] if rmse_m is not None else []
+    message += [f"ATE {figure(ate_m)} m"] if ate_m is not None else []
+    return f"{name}: {', '.join(message)}" if message else name
 
 
 def _overlay(result: Result, data: Data[Log]) -> Overlay | None:

@@ -42,7 +42,7 @@ class Counter:
     def __init__(self, what: str, patience_s: float | None = None) -> None:
         self._what = what
         self._patience_s = PATIENCE_S if patience_s is None else patience_s
-        self._began = self._told = self._latest = monotonic()
+        self._began = self._printed = self._latest = monotonic()
         self._slowest_s = 0.0
         self._before: int | None = None
         self._bar: Progress | None = None
@@ -61,10 +61,10 @@ class Counter:
             self._begin(total)
         if self._bar is not None:
             self._bar.update(self._bar.task_ids[0], completed=done)
-        elif not self._is_terminal and now - self._told >= EVERY_S and done < total:
+        elif not self._is_terminal and now - self._printed >= EVERY_S and done < total:
             line = f"relmap: {self._what}: {done} of {total}"
             typer.echo(line + self._left(now, done - self._before, total - done), err=True)
-            self._told = now
+            self._printed = now
 
     def _left(self, now: float, done: int, left: int) -> str:
         """Return the estimated remaining time, without the slowest step: it may have compiled."""
@@ -125,7 +125,7 @@ def busy(what: str) -> Iterator[Callable[[str], None]]:
 
     status = Console(stderr=True).status(what)
     if not status.console.is_terminal:
-        with _told_by_lines(what) as now:
+        with _by_lines(what) as now:
             yield now
         return
     timer = Timer(PATIENCE_S, status.start)
@@ -139,22 +139,22 @@ def busy(what: str) -> Iterator[Callable[[str], None]]:
 
 
 @contextmanager
-def _told_by_lines(what: str) -> Iterator[Callable[[str], None]]:
+def _by_lines(what: str) -> Iterator[Callable[[str], None]]:
     """Print the current activity and its duration on stderr at intervals."""
     doing, over, began = [what], Event(), monotonic()
 
-    def tell() -> None:
+    def repeat() -> None:
         while not over.wait(EVERY_S):
             line = f"relmap: {doing[-1]}, for {lasting(monotonic() - began)} so far"
             typer.echo(line, err=True)
 
-    teller = Thread(target=tell, daemon=True)
-    teller.start()
+    thread = Thread(target=repeat, daemon=True)
+    thread.start()
     try:
         yield doing.append
     finally:
         over.set()
-        teller.join()
+        thread.join()
 
 
 def print_table(title: str, header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:

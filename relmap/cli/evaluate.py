@@ -114,12 +114,12 @@ def _merged(evaluation: Evaluation) -> bool:
 
 def rows_of(*evaluations: Evaluation) -> list[tuple[str, ...]]:
     """Return the rows of a table of evaluations of one variant: names, and figures of each."""
-    told = evaluations[0].as_dict()
+    available = evaluations[0].as_dict()
     walls = evaluations[0].variant == "planes"
     rows = [
         (name, *(figure(getattr(each, key)) for each in evaluations))
         for key, name in FIGURES.items()
-        if key in told and not (walls and key == "purity")
+        if key in available and not (walls and key == "purity")
     ]
     if walls:
         rows.insert(1, ("false corners", *(_false_corners(each.counts) for each in evaluations)))

@@ -58,5 +58,5 @@ def export_command(
     refuse(log is not None and to not in ("grid", "g2o"), "--log is for --to grid and g2o")
     order = Order(result, log, RESOLUTION_M if resolution is None else resolution)
     with busy("exporting"):
-        told = export(order, to, Path(out))
-    typer.echo(told)
+        message = export(order, to, Path(out))
+    typer.echo(message)

@@ -71,8 +71,8 @@ def _figures_into(out: Path, names: Sequence[str], quick: bool, data: Path | Non
     made: list[Made] = []
     for number, figure in enumerate(figures, 1):
         what = f"figure {figure.name}, {number} of {len(figures)}"
-        with staged_folder(out) as staging, busy(what) as tell:
-            made.append(make_figure(figure, staging, quick, data, _counting(tell, what)))
+        with staged_folder(out) as staging, busy(what) as show:
+            made.append(make_figure(figure, staging, quick, data, _counting(show, what)))
             if any(each.outcome for each in made):
                 write_page(staging, made, quick)
         _say(made[-1])
@@ -81,12 +81,12 @@ def _figures_into(out: Path, names: Sequence[str], quick: bool, data: Path | Non
     return made
 
 
-def _counting(tell: Callable[[str], None], what: str) -> Watch:
+def _counting(show: Callable[[str], None], what: str) -> Watch:
     """Return a wrapper that shows the progress of a loop."""
 
     def watch(items: Sequence[T], /) -> Iterator[T]:
         for number, item in enumerate(items, 1):
-            tell(f"{what}: step {number} of {len(items)}")
+            show(f"{what}: step {number} of {len(items)}")
             yield item
 
     return watch

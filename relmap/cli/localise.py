@@ -60,10 +60,10 @@ def localise_command(
     with staged_folder(out) as staging:
         places = _places(mapper, log)
         _write(staging, mapper, log, places)
-    told = f"found {sum(p.n_places == 1 for p in places)} of {len(log)} scans in the map"
+    message = f"found {sum(p.n_places == 1 for p in places)} of {len(log)} scans in the map"
     if several := sum(place.n_places > 1 for place in places):
-        told += f"; {several} fit in more than one place and were refused"
-    typer.echo(f"{told}; wrote 2 files to {out}")
+        message += f"; {several} fit in more than one place and were refused"
+    typer.echo(f"{message}; wrote 2 files to {out}")
 
 
 def _places(mapper: AnyMapper, log: Log) -> list[Place]:

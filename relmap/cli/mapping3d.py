@@ -52,7 +52,7 @@ def report_space(job: Job, voxel_m: float | None) -> None:
         with busy("writing"):
             _write(staging, result)
         n_files = len(list(staging.iterdir()))
-    typer.echo(_told(job, result, n_files))
+    typer.echo(_message(job, result, n_files))
     if result.summary["interrupted"]:
         raise typer.Exit(INTERRUPTED)
 
@@ -74,25 +74,25 @@ def _write(folder: Path, result: SpaceResult) -> None:
     write_planes3d_png(folder / MAP_PNG, table, result.poses, result.weak)
 
 
-def _told(job: Job, result: SpaceResult, n_files: int) -> str:
+def _message(job: Job, result: SpaceResult, n_files: int) -> str:
     from relmap.cli.outcome import each
 
     summary = result.summary
     counts, submaps = summary["counts"], summary["submaps"]
     iterations = counts["iterations"]
     begun = f"stopped after {iterations} of {summary['input_iterations']}: "
-    told = (
+    message = (
         f"{begun if summary['interrupted'] else ''}wrote {n_files} files to {job.out}: "
         f"{counts['planes_static']} planes mapped in {iterations} iterations, "
         f"{each(summary['timing']['scan_median_ms'])}"
     )
     if not submaps:
-        return f"{told}; no plane was found: the clouds show none, or are not in metres"
+        return f"{message}; no plane was found: the clouds show none, or are not in metres"
     if len(submaps) > 1:
-        told += (
+        message += (
             f"; the run broke into {len(submaps)} unconnected submaps: the "
             f"largest, of {submaps[0]['scans']} scans and {submaps[0]['metres']:.1f} m, is the map"
         )
     if weak := len(summary["weak_links"]):
-        told += f"; scans whose position is poorly determined in some direction: {weak}"
-    return told
+        message += f"; scans whose position is poorly determined in some direction: {weak}"
+    return message

@@ -36,23 +36,23 @@ def report(job: Job) -> None:
     counts, timing = summary["counts"], summary["timing"]
     iterations = counts["iterations"]
     begun = f"stopped after {iterations} of {summary['input_iterations']}: "
-    told = f"{begun if summary['interrupted'] else ''}wrote {n_files} files to {job.out}: "
+    message = f"{begun if summary['interrupted'] else ''}wrote {n_files} files to {job.out}: "
     hanging = on_odometry(summary.get("odometry"))
     if job.variant == "planes":
-        told += (
+        message += (
             f"{counts['planes_static']} walls with {counts['corners_static']} corners mapped in "
             f"{iterations} iterations, {each(timing['scan_median_ms'])}{took}{hanging}"
             f"{torn(summary)}"
         )
     else:
-        told += (
+        message += (
             f"{counts['mapped']} of {counts['landmarks']} landmarks{often(run.result)} mapped from "
             f"{counts['observations']} observations in {iterations} iterations, "
             f"{each(timing['median_ms'])}{took}{untied(len(run.result.submaps) - 1)}"
             f"{'' if counts['mapped'] else NOTHING}{doubted(summary['association_trust'])}{hanging}"
             f"{unconverged(summary['refinement'])}"
         )
-    typer.echo(told)
+    typer.echo(message)
     if job.onto and job.association == "nearest" and summary["tied_at"] is None:
         typer.echo(
             f"the log could not be localised in the map of {job.onto}: it forms a separate submap"
@@ -84,18 +84,18 @@ def torn(summary: dict[str, Any]) -> str:
     """Return the submaps of a broken run of walls, and its weak links: the end of a message."""
     submaps = summary["submaps"]
     failed = sum(not submap["refined"] for submap in submaps) if summary["refined"] else 0
-    told = ""
+    message = ""
     if len(submaps) > 1:
         scans, metres = submaps[0]["scans"], submaps[0]["metres"]
-        told += (
+        message += (
             f"; the run broke into {len(submaps)} submaps: the largest, of {scans} "
             f"scans and {metres:.1f} m, is the map"
         )
     if failed:
-        told += f"; {failed} of {len(submaps)} submaps could not be refined"
+        message += f"; {failed} of {len(submaps)} submaps could not be refined"
     if weak := len(summary["weak_links"]):
-        told += f"; links with unmeasured length, for which constant motion was assumed: {weak}"
-    return told + _advice(summary)
+        message += f"; links with unmeasured length, for which constant motion was assumed: {weak}"
+    return message + _advice(summary)
 
 
 def _advice(summary: dict[str, Any]) -> str:
@@ -116,13 +116,13 @@ def _advice(summary: dict[str, Any]) -> str:
 def doubted(trust: dict[str, Any]) -> str:
     """Return the reliability of the association, as the end of a message."""
     tied, unique, undone = (trust[key] for key in ("tied_scans", "unique_scans", "undone_merges"))
-    told = ""
+    message = ""
     if tied is not None and min(tied, unique) < 1:
-        told += (
+        message += (
             f"; {100 * tied:.1f} % of the scans were matched to earlier ones, {100 * unique:.1f} % "
             f"with more matches than expected by chance"
         )
-    return told + (f"; {undone} merge{'s' if undone > 1 else ''} undone" if undone else "")
+    return message + (f"; {undone} merge{'s' if undone > 1 else ''} undone" if undone else "")
 
 
 def on_odometry(odometry: dict[str, Any] | None) -> str:
@@ -132,12 +132,12 @@ def on_odometry(odometry: dict[str, Any] | None) -> str:
     if odometry["wrong_throughout"]:
         return "; odometry contradicts the observations and was not used"
     alone, left_out = (odometry[key]["count"] for key in ("tied_by_it_alone", "left_out"))
-    told = f"; {alone} scans are linked by odometry alone" if alone else ""
-    told += f"; odometry was rejected at {left_out} scans" if left_out else ""
+    message = f"; {alone} scans are linked by odometry alone" if alone else ""
+    message += f"; odometry was rejected at {left_out} scans" if left_out else ""
     worst_m = odometry["largest_sd_m"]
     if alone and worst_m is not None:
-        told += f"; the least certain landmark has a standard deviation of {worst_m:.2g} m"
-    return told
+        message += f"; the least certain landmark has a standard deviation of {worst_m:.2g} m"
+    return message
 
 
 def untied(submaps: int) -> str:

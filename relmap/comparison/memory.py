@@ -17,18 +17,18 @@ class PeakMemory:
         # If the peak cannot be reset, it is that of the whole process so far.
         with suppress(OSError):
             _RESET.write_text("5")
-        self._before = _told("VmRSS")
+        self._before = _kibibytes("VmRSS")
 
     @property
     def grown_mb(self) -> float | None:
         """Peak minus initial memory, megabytes; None if the system does not report it."""
-        peak = _told("VmHWM")
+        peak = _kibibytes("VmHWM")
         if peak is None or self._before is None:
             return None
         return max(peak - self._before, 0) / KB_PER_MB
 
 
-def _told(name: str) -> int | None:
+def _kibibytes(name: str) -> int | None:
     """Return a line of the process status, kilobytes."""
     try:
         lines = _STATUS.read_text().splitlines()

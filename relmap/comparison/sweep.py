@@ -81,9 +81,9 @@ class CellStore:
     def load(self, cell: Cell) -> Finished | None:
         """Return a finished cell; None if it is missing, damaged or of another version."""
         try:
-            told = json.loads(self._path(cell).read_text())
-            figures, note = told["figures"], told["note"]
-            whole = told == _told(cell, figures, note)
+            record = json.loads(self._path(cell).read_text())
+            figures, note = record["figures"], record["note"]
+            whole = record == _record(cell, figures, note)
         except (OSError, ValueError, LookupError, TypeError, RecursionError):
             return None
         return Finished(figures, note) if whole else None
@@ -98,18 +98,18 @@ class CellStore:
         """
         if finished.again:
             return
-        atomic_write(self._path(cell), json.dumps(_told(cell, finished.figures, finished.note)))
+        atomic_write(self._path(cell), json.dumps(_record(cell, finished.figures, finished.note)))
 
     def _path(self, cell: Cell) -> Path:
         text = json.dumps(asdict(cell), sort_keys=True)
         return self._folder / f"{hashlib.sha256(text.encode()).hexdigest()[:24]}.json"
 
 
-def _told(cell: Cell, figures: Any, note: Any) -> dict[str, Any]:
+def _record(cell: Cell, figures: Any, note: Any) -> dict[str, Any]:
     """Return the content of the file of a cell, with a checksum."""
-    told = {"version": __version__, "cell": asdict(cell), "figures": figures, "note": note}
-    text = json.dumps(told, sort_keys=True)
-    return told | {"checksum": hashlib.sha256(text.encode()).hexdigest()}
+    record = {"version": __version__, "cell": asdict(cell), "figures": figures, "note": note}
+    text = json.dumps(record, sort_keys=True)
+    return record | {"checksum": hashlib.sha256(text.encode()).hexdigest()}
 
 
 def run_cells(

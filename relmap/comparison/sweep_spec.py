@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from relmap.comparison.methods.registry import check_method, find_method
-from relmap.core.errors import RelmapError, known_name, told
+from relmap.core.errors import RelmapError, brief, known_name
 from relmap.evaluation.sources import BuildingSource, EightSource, Source
 from relmap.io.files import read_toml
 
@@ -135,7 +135,7 @@ def _choices(key: str, given: Any) -> list[Any]:
         given = _span(key, given)
     values = [_value(key, kind, value) for value in (given if isinstance(given, list) else [given])]
     if not values or len(set(values)) < len(values):
-        raise RelmapError(f"{key} is {told(given)}; it must list distinct values, at least one")
+        raise RelmapError(f"{key} is {brief(given)}; it must list distinct values, at least one")
     return values
 
 
@@ -143,7 +143,7 @@ def _value(key: str, kind: type, value: Any) -> Any:
     """Return one validated value of a key."""
     right = (int, float) if kind is float else kind
     if isinstance(value, bool) or not isinstance(value, right):
-        raise RelmapError(f"{key} is {told(value)}; it must be {_KINDS[kind]} or a list of such")
+        raise RelmapError(f"{key} is {brief(value)}; it must be {_KINDS[kind]} or a list of such")
     said = ""
     with suppress(OverflowError):  # beyond any limit
         value = kind(value)
@@ -152,14 +152,16 @@ def _value(key: str, kind: type, value: Any) -> Any:
     if key in _LIMITS and not _LIMITS[key][0] <= value <= _LIMITS[key][1]:
         said = _LIMITS[key][2]
     if said:
-        raise RelmapError(f"{key} is {told(value)}; it must be {said}")
+        raise RelmapError(f"{key} is {brief(value)}; it must be {said}")
     return value
 
 
 def _span(key: str, text: str) -> list[int]:
     numbers = re.fullmatch(r"(\d{1,18}):(\d{1,18})", text, re.ASCII)
     if not numbers:
-        raise RelmapError(f"{key} is {told(text)}; it must be whole numbers or A:B, for A to B - 1")
+        raise RelmapError(
+            f"{key} is {brief(text)}; it must be whole numbers or A:B, for A to B - 1"
+        )
     begin, end = int(numbers[1]), int(numbers[2])
     return list(range(begin, min(end, begin + MOST_CELLS + 1)))
 

@@ -18,11 +18,13 @@ class Brief:
     def __repr__(self) -> str:
         entries: Any = fields(self)  # type: ignore[arg-type]  # of every subclass
         values = ((entry.name, getattr(self, entry.name)) for entry in entries if entry.repr)
-        told = [f"{name}={_told(v)}" for name, v in values if v is not None and not callable(v)]
-        return f"{type(self).__name__}({', '.join(told)})"
+        shown = [
+            f"{name}={_abbreviated(v)}" for name, v in values if v is not None and not callable(v)
+        ]
+        return f"{type(self).__name__}({', '.join(shown)})"
 
 
-def _told(value: Any) -> str:
+def _abbreviated(value: Any) -> str:
     if isinstance(value, np.ndarray):
         return f"{value.shape} {value.dtype}"
     text, name = repr(value), type(value).__name__

@@ -63,8 +63,8 @@ class Table:
 
     def __repr__(self) -> str:
         columns = self.columns()
-        told = [f"{len(self)} rows", *_tally(columns.get("status"))]
-        return f"{type(self).__name__}({', '.join(told)}; {', '.join(columns)})"
+        parts = [f"{len(self)} rows", *_tally(columns.get("status"))]
+        return f"{type(self).__name__}({', '.join(parts)}; {', '.join(columns)})"
 
     def to_html(self) -> str:
         """Return the first rows as HTML, as notebooks show them."""

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
-from relmap.core.errors import RelmapError, known_name, told
+from relmap.core.errors import RelmapError, brief, known_name
 
 MOST = 10**9
 """Largest accepted integer or length; products of two such values cannot overflow."""
@@ -80,8 +80,8 @@ class MapperConfig:
             value = getattr(self, key)
             if type(value) is not int or not lowest <= value <= MOST:
                 raise RelmapError(
-                    f"setting {key} is {told(value)}; it must be a whole number, {lowest} or more, "
-                    f"up to {MOST}"
+                    f"setting {key} is {brief(value)}; it must be a whole number, {lowest} or "
+                    f"more, up to {MOST}"
                 )
         if self.third_pass <= self.second_pass:
             raise RelmapError(
@@ -90,18 +90,18 @@ class MapperConfig:
             )
         if self.registration not in REGISTRATIONS:
             raise RelmapError(
-                f"setting registration is {told(self.registration)}; "
+                f"setting registration is {brief(self.registration)}; "
                 f"it must be {' or '.join(REGISTRATIONS)}"
             )
         for key in ("keep_observations", "refine_live"):
             if type(getattr(self, key)) is not bool:
                 raise RelmapError(
-                    f"setting {key} is {told(getattr(self, key))}; it must be true or false"
+                    f"setting {key} is {brief(getattr(self, key))}; it must be true or false"
                 )
         for key, length in (("gate_m", self.gate_m), ("bridge_m", self.bridge_m)):
             if not ((key == "gate_m" and length is None) or _is_length(length)):
                 raise RelmapError(
-                    f"setting {key} is {told(length)}; it must be a length above 0, in metres, "
+                    f"setting {key} is {brief(length)}; it must be a length above 0, in metres, "
                     f"up to {MOST}"
                 )
         if self.gate_m is not None and self.registration != "nearest-previous":

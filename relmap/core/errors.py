@@ -21,7 +21,7 @@ def reason(error: Exception) -> str:
     return plain if len(plain) <= 200 else f"{plain[:200]}..."
 
 
-def told(value: object) -> str:
+def brief(value: object) -> str:
     """Return a value for use in a line: never too long."""
     try:
         text = repr(value)
@@ -42,4 +42,4 @@ def known_name(name: str, known: Collection[str], what: str) -> str:
         return name
     near = difflib.get_close_matches(name, known, n=1)
     hint = f"did you mean {near[0]}?" if near else f"known are {', '.join(known)}"
-    raise RelmapError(f"unknown {what} {told(name)}; {hint}")
+    raise RelmapError(f"unknown {what} {brief(name)}; {hint}")

@@ -124,8 +124,8 @@ def _judged_by_place(
     motion, pairs = paired(position, places, Motion(R, t))
     errors = motion.apply(position[pairs[:, 0]]) - places[pairs[:, 1]]
     counts |= {"matched_landmarks": len(pairs)}
-    told = f"landmarks were matched by place, {len(pairs)} of {len(position)}: the map was merged"
-    return {"landmark_rmse_m": metrics.rms(errors)}, counts, [told]
+    note = f"landmarks were matched by place, {len(pairs)} of {len(position)}: the map was merged"
+    return {"landmark_rmse_m": metrics.rms(errors)}, counts, [note]
 
 
 def overlay(result: Result, truth: Truth, log: ObservationLog | None = None) -> Overlay | None:

@@ -49,12 +49,12 @@ def result_of_mapper(mapper: AnyMapper, stamps_s: Floats | None = None) -> Resul
         times_s = np.arange(float(n)) if stamps_s is None else stamps_s
         log = stored_scans(np.empty((0, 2)), np.zeros(n + 1, dtype=np.int64), times_s)
     result = result_of(mapper, log, [none] * n, association, 0)
-    told = summary_of(mapper, result, log, 0, len(mapper.groups))
+    found = summary_of(mapper, result, log, 0, len(mapper.groups))
     for name in OF_THE_LOG:
-        told["counts"].pop(name, None)
+        found["counts"].pop(name, None)
     about = {"variant": "planes" if walls else "points", "configuration": mapper.settings}
     more = {"interrupted": False, "refined": len(mapper.refined) > 0}
-    return replace(result, summary=about | result.summary | told | more)
+    return replace(result, summary=about | result.summary | found | more)
 
 
 def save_results(

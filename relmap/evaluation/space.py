@@ -61,9 +61,9 @@ def judge_planes(
         planes on which they lie.  Planes coincide within 0.05 m and 5 degrees.  None if there is
         nothing to compare.
     """
-    told: dict[str, float | None] = {"doubled_area": doubled_area(table)}
+    figures: dict[str, float | None] = {"doubled_area": doubled_area(table)}
     if faces is None or not len(faces.plane) or not len(poses):
-        return told
+        return figures
     R, t = _between(poses, true_poses)
     rows = np.flatnonzero((table.status == "static") & (table.area_m2 >= LEAST_M2)).tolist()
     off, own = [np.empty(0)], []
@@ -78,7 +78,7 @@ def judge_planes(
     seen = np.bincount(faces.plane, faces.seen_m2)
     due = np.flatnonzero(seen >= LEAST_M2)
     distance = np.concatenate(off)
-    return told | {
+    return figures | {
         "plane_recall": float(np.isin(due, own).mean()) if len(due) else None,
         "plane_precision": float((np.array(own) >= 0).mean()) if rows else None,
         "plane_rmse_m": float(np.sqrt((distance**2).mean())) if len(distance) else None,

@@ -90,7 +90,7 @@ def run_in_space(
         mapper.refine()
     refine_s, n_input = perf_counter() - over, len(log)
     log = log.between(log.first_iteration, log.first_iteration + len(labels))
-    told = {
+    entries = {
         **about,
         "configuration": mapper.settings,
         "interrupted": len(log) < n_input,
@@ -98,11 +98,11 @@ def run_in_space(
         "refined": refine,
         "timing": timing(np.array(durations_s).reshape(-1, 2), refine_s, True),
     }
-    return _result(mapper, log, labels, told)
+    return _result(mapper, log, labels, entries)
 
 
 def _result(
-    mapper: Plane3dMapper, log: ScanLog, labels: list[np.ndarray], told: dict[str, Any]
+    mapper: Plane3dMapper, log: ScanLog, labels: list[np.ndarray], entries: dict[str, Any]
 ) -> SpaceResult:
     first, table = log.first_iteration, mapper.planes
     table = replace(
@@ -119,7 +119,7 @@ def _result(
     stamps_s, poses = paths[0] if paths else (np.empty(0), np.empty((0, 4, 4)))
     weak = mapper.weak_links
     own = parts[0].iteration if parts else []
-    summary = told | {
+    summary = entries | {
         "dimensions": 3,
         "scans": [first, first + len(log)],
         "versions": versions(),

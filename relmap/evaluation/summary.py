@@ -60,22 +60,22 @@ def summary_of(
     counts = _counts_of_walls(result) if isinstance(result, PlaneResult) else _counts(result, log)
     counts["groups"] = n_groups
     counts["iterations_without_pose"] = len(log) - len(result.poses)
-    told: dict[str, Any] = {"versions": versions(), "counts": {"iterations": len(log)} | counts}
-    told["submaps"] = [_submap_row(submap, offset) for submap in result.submaps]
-    told["refinement"] = weakness(mapper.refined, offset)
-    told["association_trust"] = {
+    summary: dict[str, Any] = {"versions": versions(), "counts": {"iterations": len(log)} | counts}
+    summary["submaps"] = [_submap_row(submap, offset) for submap in result.submaps]
+    summary["refinement"] = weakness(mapper.refined, offset)
+    summary["association_trust"] = {
         "tied_scans": mapper.tied_share,
         "unique_scans": mapper.unique_share,
         "undone_merges": mapper.n_undone,
         "submaps": len(result.submaps),
     }
-    told["odometry"] = _odometry(mapper.odometry, result, offset)
+    summary["odometry"] = _odometry(mapper.odometry, result, offset)
     if isinstance(mapper, PlaneMapper):
         weak = (mapper.weak_links + offset).tolist()
-        return told | {"weak_links": weak, "steps": _steps(mapper.submaps, log)}
-    told["rejected_iterations"] = ends_of(mapper.rejected + offset, "iterations")
-    told["rejected_observations"] = ends_of(_rejected_rows(mapper, log, offset), "rows")
-    return told
+        return summary | {"weak_links": weak, "steps": _steps(mapper.submaps, log)}
+    summary["rejected_iterations"] = ends_of(mapper.rejected + offset, "iterations")
+    summary["rejected_observations"] = ends_of(_rejected_rows(mapper, log, offset), "rows")
+    return summary
 
 
 def _odometry(use: OdometryUse | None, result: Result, offset: int) -> dict[str, Any] | None:
@@ -225,7 +225,8 @@ def _weakest(table: Any, columns: dict[str, str]) -> list[dict[str, Any]]:
     """Return the rows of the largest residuals: names in the summary, names in the table."""
     rows = np.argsort(-table.residual, kind="stable")[:SHOWN]
     return [
-        {told: getattr(table, name)[row].tolist() for told, name in columns.items()} for row in rows
+        {shown: getattr(table, name)[row].tolist() for shown, name in columns.items()}
+        for row in rows
     ]
 
 
@@ -241,14 +242,14 @@ def timing(durations_s: Floats, refine_s: float, segmented: bool) -> dict[str, f
         Whether preparation was segmentation.
     """
     prepare_s, total_s = durations_s[:, 0], durations_s.sum(axis=1)
-    told = timing_of(durations_s[:, 1])
+    times = timing_of(durations_s[:, 1])
     if segmented:
-        told |= {
+        times |= {
             "segmentation_median_ms": _median_ms(prepare_s),
             "segmentation_share": float(prepare_s.sum() / total_s.sum()) if len(total_s) else None,
             "scan_median_ms": _median_ms(total_s),
         }
-    return told | {"refine_ms": 1e3 * refine_s}
+    return times | {"refine_ms": 1e3 * refine_s}
 
 
 def timing_of(durations_s: Floats) -> dict[str, float | None]:

@@ -45,13 +45,13 @@ def judge_walls(
         is nothing to compare.
     """
     mapped = planes.ends[planes.status == "static"]
-    told = {"doubled_length": doubled_length(mapped)}
+    figures = {"doubled_length": doubled_length(mapped)}
     if not len(truth.ends) or not len(poses):
-        return told
+        return figures
     R, t = motion or align(poses[:, :2, 3], true_poses[:, :2, 3])
     there = mapped @ R.T + t
     seen = _seen_parts(truth)
-    return told | {
+    return figures | {
         "wall_recall": _covered(seen[_lengths(seen) > SHORT_M], there),
         "wall_precision": _covered(there[_lengths(there) > SHORT_M], truth.ends),
     }

@@ -54,7 +54,7 @@ class MapContent:
         return np.concatenate(parts)
 
     @property
-    def told(self) -> str:
+    def description(self) -> str:
         """A short summary of the content."""
         n, poses = len(self.landmarks.landmark), len(self.result.poses)
         if self.walls is None:

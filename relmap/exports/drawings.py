@@ -91,7 +91,7 @@ def svg_text(content: MapContent, title: str) -> str:
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{wide * scale:.0f}" '
         f'height="{tall * scale:.0f}" viewBox="{left!r} {top!r} {wide!r} '
         f'{tall!r}">\n<title>{escape(title)}</title>\n'
-        f"<desc>{content.told}; map frame, metres, y drawn as -y</desc>\n"
+        f"<desc>{content.description}; map frame, metres, y drawn as -y</desc>\n"
         f"<style>{SVG_STYLE}</style>\n" + "".join(_shapes(content, DOT * longest)) + "</svg>\n"
     )
 

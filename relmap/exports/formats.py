@@ -90,43 +90,45 @@ def export(order: Order, to: str, out: Path) -> str:
     if path.suffix.lower() not in form.endings:
         endings = " or ".join(form.endings)
         raise RelmapError(f"--to {to} writes {endings}, and {shown(out)} ends otherwise")
-    files, told = form.render(path, read_content(order.result), order)
+    files, description = form.render(path, read_content(order.result), order)
     with staged_folder(path.parent) as staging:
         for name, held in files.items():
             atomic_write(staging / name, held)
     names = " and ".join(str(path.with_name(name)) for name in files)
-    return f"wrote {names}: {told}"
+    return f"wrote {names}: {description}"
 
 
 def _text(text: Callable[[MapContent], str]) -> Callable[[Path, MapContent, Order], Rendered]:
-    return lambda path, content, order: ({path.name: text(content)}, content.told)
+    return lambda path, content, order: ({path.name: text(content)}, content.description)
 
 
 def _svg(path: Path, content: MapContent, order: Order) -> Rendered:
-    return {path.name: svg_text(content, order.result.resolve().name)}, content.told
+    return {path.name: svg_text(content, order.result.resolve().name)}, content.description
 
 
 def _g2o(path: Path, content: MapContent, order: Order) -> Rendered:
     seen = sightings(order.result, content, order.log) if content.walls is None else None
-    told = "" if seen is None else f", {len(seen.pose)} observations"
+    description = "" if seen is None else f", {len(seen.pose)} observations"
     if seen is not None and seen.points_robot is None:
-        told += " computed from the map: give --log LOG for the measured ones"
-    return {path.name: g2o_text(content, seen)}, content.told + told
+        description += " computed from the map: give --log LOG for the measured ones"
+    return {path.name: g2o_text(content, seen)}, content.description + description
 
 
 def _grid(path: Path, content: MapContent, order: Order) -> Rendered:
     lines = sight_lines(order.result, content, order.log)
     grid = grid_of(content, lines, order.resolution_m)
     rows, columns = grid.pixels.shape
-    told = f"{columns} x {rows} cells of {grid.resolution_m:g} m, "
+    description = f"{columns} x {rows} cells of {grid.resolution_m:g} m, "
     if lines is None:
-        told += "all unknown except the map: free space needs mapper.npz in the result folder, "
-        told += "or --log LOG"
+        description += (
+            "all unknown except the map: free space needs mapper.npz in the result folder, "
+        )
+        description += "or --log LOG"
     else:
-        told += f"free space from {len(lines[0])} beams"
+        description += f"free space from {len(lines[0])} beams"
     picture = path.with_suffix(".pgm").name
     about = yaml_text(picture, grid)
-    return {picture: pgm_bytes(grid), path.with_suffix(".yaml").name: about}, told
+    return {picture: pgm_bytes(grid), path.with_suffix(".yaml").name: about}, description
 
 
 FORMATS = {

@@ -53,8 +53,8 @@ def _landmarks(content: MapContent) -> Iterator[dict[str, Any]]:
     names = ("landmark", "sd", "observations", "first_iteration", "last_iteration", "status")
     axes = 2 if content.result.planar else 3
     for row, position in enumerate(table.position[:, :axes].tolist()):
-        told = {name: getattr(table, name)[row].item() for name in names}
-        yield _feature("Point", position, {"kind": kind} | told)
+        properties = {name: getattr(table, name)[row].item() for name in names}
+        yield _feature("Point", position, {"kind": kind} | properties)
 
 
 def _path(content: MapContent) -> dict[str, Any]:

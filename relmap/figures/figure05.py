@@ -53,12 +53,12 @@ def _run(quick: bool, data: Path | None, watch: Watch) -> Bench:
 def _judge(bench: Bench) -> Outcome:
     last = bench.frames[-1]
     rmse_m, coverage = bench.found.corner_rmse_m, bench.found.coverage or 0.0
-    told = "no corner" if rmse_m is None else f"corners to {rmse_m:.3f} m"
+    corners = "no corner" if rmse_m is None else f"corners to {rmse_m:.3f} m"
     return Outcome(
         Table(COLUMNS, list(last.rows())),
         float("nan") if rmse_m is None else rmse_m,
-        f"{len(last.walls)} walls after {bench.n_scans} scans, {told} (RMSE, points have a noise "
-        f"of {SIGMA_M} m), {coverage:.0%} of the corners seen ten times mapped.",
+        f"{len(last.walls)} walls after {bench.n_scans} scans, {corners} (RMSE; noise of points "
+        f"{SIGMA_M} m), {coverage:.0%} of the corners seen ten times mapped.",
         judged(rmse_m is not None and rmse_m < SIGMA_M, coverage >= COVERED),
         {".gif": lambda path: write_bench_gif(path, bench.frames, title=TITLE)},
     )

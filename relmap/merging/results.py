@@ -24,7 +24,7 @@ from relmap.planes.files import PlaneResult, read_any
 from relmap.planes.table import PlaneTable
 from relmap.planes.wall_tie import ACROSS, LEAST_M, RIVAL, wall_ties
 
-Told = dict[str, Any]
+Record = dict[str, Any]
 NOTHING = np.empty(0, dtype=np.int64)
 STATUS = ("static", "dynamic", "unmapped")
 
@@ -74,15 +74,15 @@ def merge_results(one: Path, other: Path) -> Merged:
         ]
         raise RelmapError(f"{one} is a map of {kinds[0]} and {other} of {kinds[1]}: not alike")
     if isinstance(a, PlaneResult) and isinstance(b, PlaneResult):
-        motion, told = _tie_of_walls(a.planes, b.planes, f"{other} and {one}")
+        motion, record = _tie_of_walls(a.planes, b.planes, f"{other} and {one}")
     else:
-        motion, told = _tie_of_points(a, b, f"{other} and {one}")
-    told |= {"first": str(one), "second": str(other)}
-    result, motion = _joined(a, b, motion, told)
+        motion, record = _tie_of_points(a, b, f"{other} and {one}")
+    record |= {"first": str(one), "second": str(other)}
+    result, motion = _joined(a, b, motion, record)
     return Merged(result, b.stamps_s, motion.matrix @ b.poses)
 
 
-def _joined(a: Result, b: Result, motion: Motion, told: Told) -> tuple[Result, Motion]:
+def _joined(a: Result, b: Result, motion: Motion, record: Record) -> tuple[Result, Motion]:
     """Merge two results, given an approximate alignment of the second; return it refined."""
     shift = int(a.landmarks.last_iteration.max(initial=-1)) + 1
     shift -= int(b.landmarks.first_iteration.min(initial=0))
@@ -100,9 +100,9 @@ def _joined(a: Result, b: Result, motion: Motion, told: Told) -> tuple[Result, M
     theirs = replace(_alone(b.landmarks), position=motion.apply(b.landmarks.position))
     theirs = shifted(replace(theirs, landmark=label), shift)
     table = joined(_alone(a.landmarks), theirs, pairs)
-    told |= {"T_first_second": motion.matrix.tolist(), "common_landmarks": len(pairs)}
+    record |= {"T_first_second": motion.matrix.tolist(), "common_landmarks": len(pairs)}
     tracks = Tracks(NOTHING, NOTHING, NOTHING)
-    result = Result(table, tracks, a.stamps_s, a.poses, _summary(a, table, told))
+    result = Result(table, tracks, a.stamps_s, a.poses, _summary(a, table, record))
     return result if planes is None else _of_walls(result, planes), motion
 
 
@@ -121,7 +121,7 @@ def _rows(labels: Ints, wanted: Ints) -> Ints:
     return np.asarray(order[np.searchsorted(labels[order], wanted)])
 
 
-def _tie_of_points(a: Result, b: Result, named: str) -> tuple[Motion, Told]:
+def _tie_of_points(a: Result, b: Result, named: str) -> tuple[Motion, Record]:
     """Return an approximate alignment of the second map, from unambiguous constellations."""
     d = 2 if a.planar else 3
     places = [result.landmarks.position[result.mapped][:, :d] for result in (a, b)]
@@ -143,7 +143,7 @@ def _tie_of_points(a: Result, b: Result, named: str) -> tuple[Motion, Told]:
     return Motion(back[:d, :d], back[:d, 3]), {}
 
 
-def _tie_of_walls(a: PlaneTable, b: PlaneTable, named: str) -> tuple[Motion, Told]:
+def _tie_of_walls(a: PlaneTable, b: PlaneTable, named: str) -> tuple[Motion, Record]:
     """Return the alignment of the second map, by the length of overlapping walls."""
     ends = [table.ends[table.status == "static"] for table in (b, a)]
     ties = wall_ties(*ends)
@@ -161,8 +161,8 @@ def _tie_of_walls(a: PlaneTable, b: PlaneTable, named: str) -> tuple[Motion, Tol
         )
     if best.across < ACROSS:
         raise RelmapError(f"{failed}: the walls that they share are parallel")
-    told = {"common_walls_m": best.length_m, "rival_walls_m": [t.length_m for t in ties[1:2]]}
-    return Motion(best.R, best.t), told | {"rms_m": best.rms_m}
+    record = {"common_walls_m": best.length_m, "rival_walls_m": [t.length_m for t in ties[1:2]]}
+    return Motion(best.R, best.t), record | {"rms_m": best.rms_m}
 
 
 def _alone(table: LandmarkTable) -> LandmarkTable:
@@ -193,7 +193,7 @@ def _of_walls(result: Result, planes: PlaneTable) -> PlaneResult:
     return PlaneResult(**vars(replace(result, landmarks=table, summary=summary)), planes=planes)
 
 
-def _summary(a: Result, table: LandmarkTable, told: Told) -> Told:
+def _summary(a: Result, table: LandmarkTable, record: Record) -> Record:
     mapped = int(np.isfinite(table.position[:, 0]).sum())
     counts = {"landmarks": len(table.landmark), "mapped": mapped}
     counts |= {kind: int((table.status == kind).sum()) for kind in STATUS}
@@ -202,4 +202,4 @@ def _summary(a: Result, table: LandmarkTable, told: Told) -> Told:
         int(table.first_iteration.min(initial=0)),
         int(table.last_iteration.max(initial=-1)) + 1,
     ]
-    return about | {"merged": told, "scans": scans, "versions": versions(), "counts": counts}
+    return about | {"merged": record, "scans": scans, "versions": versions(), "counts": counts}

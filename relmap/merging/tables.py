@@ -49,5 +49,5 @@ def _share(one: LandmarkTable, other: LandmarkTable, mine: Ints, theirs: Ints) -
     a, b = one.sd[mine] ** 2, other.sd[theirs] ** 2
     seen = one.observations[mine], other.observations[theirs]
     by_count = seen[1] / np.maximum(seen[0] + seen[1], 1)
-    told = (a > 0) & (b > 0)
-    return np.where(told, a / np.where(told, a + b, 1.0), by_count)
+    known = (a > 0) & (b > 0)
+    return np.where(known, a / np.where(known, a + b, 1.0), by_count)

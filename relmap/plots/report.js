@@ -75,7 +75,7 @@
     drawDots();
     drawWeak();
     drawRobot();
-    tell();
+    showTime();
   }
 
   function drawGrid() {
@@ -198,16 +198,16 @@
     context.fill();
   }
 
-  function tell() {
+  function showTime() {
     if (!view.n) {
-      element("now").textContent = view.told;
+      element("now").textContent = view.caption;
       return;
     }
     const stamp = view.stamps.length ? `, ${(view.stamps[now] - view.stamps[0]).toFixed(1)} s` : "";
     const at = Array.from(view.path.subarray(now * view.axes, (now + 1) * view.axes));
     element("now").textContent =
       `iteration ${view.iterations[now]}${stamp}, robot at ${at.map((v) => v.toFixed(2)).join(", ")} m ` +
-      `(pose ${now + 1} of ${view.n}); ${view.told}`;
+      `(pose ${now + 1} of ${view.n}); ${view.caption}`;
   }
 
   let leaps = new Set();
@@ -359,7 +359,7 @@
   new ResizeObserver(ask).observe(canvas);
 
   const select = element("view");
-  views.forEach((each, k) => select.append(new Option(`${each.name}: ${each.told}`, String(k))));
+  views.forEach((each, k) => select.append(new Option(`${each.name}: ${each.caption}`, String(k))));
   select.hidden = views.length < 2;
   select.addEventListener("change", () => { stop(); show(Number(select.value)); });
   if (views.length) show(0);

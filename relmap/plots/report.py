@@ -56,7 +56,7 @@ def report_page(result: Result, command: str, name: str) -> str:
     summary = result.summary
     body = [
         f"<h1>Map of {escape(name)}</h1>",
-        f"<p>{escape(_told(result))}</p>",
+        f"<p>{escape(_caption(result))}</p>",
         MAP,
         *_sections(summary),
         "<section><h2>How it was made</h2>",
@@ -77,7 +77,7 @@ def _safe(content: Any) -> str:
     return json.dumps(content, allow_nan=False, separators=(",", ":")).translate(UNSAFE)
 
 
-def _told(result: Result) -> str:
+def _caption(result: Result) -> str:
     """Return a one-sentence description of the map."""
     counts, n = result.summary["counts"], len(result.summary["submaps"])
     what = f"{counts.get('mapped')} of {counts.get('landmarks')} landmarks"

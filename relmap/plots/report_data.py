@@ -45,7 +45,7 @@ def _view_of_walls(number: int, submap: DrawnSubmap, every: int) -> View:
     first = np.searchsorted(submap.iterations, planes.first_iteration[mapped])
     return {
         "name": _name(number),
-        "told": f"{len(submap.poses)} scans, {len(ends)} walls, {len(corners)} corners",
+        "caption": f"{len(submap.poses)} scans, {len(ends)} walls, {len(corners)} corners",
         "axes": 2,
         "limits": _limits(ends.reshape(-1, 2), submap.poses[:, :2, 3]),
         "lines": _packed(ends, "<f4"),
@@ -66,7 +66,7 @@ def _view_of_points(result: Result) -> View:
     assert iterations is not None
     return {
         "name": _name(0),
-        "told": f"{len(result.poses)} poses, {len(at)} landmarks",
+        "caption": f"{len(result.poses)} poses, {len(at)} landmarks",
         "axes": axes,
         "limits": _limits(at, result.poses[:, :axes, 3]),
         "dots": _packed(at, "<f4"),
@@ -87,7 +87,7 @@ def _view_of_submap(number: int, submap: Submap, planar: bool) -> View:
     at = submap.positions[:, :axes]
     return {
         "name": _name(number),
-        "told": f"{len(at)} landmarks",
+        "caption": f"{len(at)} landmarks",
         "axes": axes,
         "limits": _limits(at, np.empty((0, axes))),
         "dots": _packed(at, "<f4"),

@@ -121,10 +121,10 @@ def on_odometry_alone(result: Result) -> Ints:
 
     None for a result read from a folder, whose poses have unknown iteration numbers.
     """
-    told = result.summary.get("odometry")
-    if told is None or result.iterations is None:
+    odometry = result.summary.get("odometry")
+    if odometry is None or result.iterations is None:
         return np.empty(0, dtype=np.int64)
-    stretches = [np.arange(a, b + 1) for a, b in told["tied_by_it_alone"]["stretches"]]
+    stretches = [np.arange(a, b + 1) for a, b in odometry["tied_by_it_alone"]["stretches"]]
     alone = np.isin(result.iterations, np.concatenate([[-1], *stretches]))
     alone[1:] &= np.diff(result.iterations) == 1
     return np.flatnonzero(alone[1:]) + 1

@@ -34,7 +34,8 @@ def twin_rooms(rng: np.random.Generator) -> FloorPlan:
     way = np.vstack([_way_round(x, hall[1]) for x in doors[:, :, 0].mean(axis=1)])
     middle = (hall[:2] + hall[2:]) / 2
     both, all_doors = (
-        np.concatenate([parts, middle - (parts - middle)]) for parts in (walls.reshape(-1, 2, 2), doors)
+        np.concatenate([parts, middle - (parts - middle)])
+        for parts in (walls.reshape(-1, 2, 2), doors)
     )
     fronts = [cut(edge, all_doors) for edge in edges(hall)]
     loop = np.vstack([way, middle - (way - middle)])

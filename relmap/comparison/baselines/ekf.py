@@ -146,15 +146,15 @@ class Ekf(KnownBaseline):
         return map_of({label: self._map[row] for label, row in self._row.items()})
 
 
-def as_mrpt_ships_it(told: Setup) -> Ekf:
+def as_mrpt_ships_it(setup: Setup) -> Ekf:
     """Return the filter that predicts standing still, with MRPT's process noise.
 
     MRPT uses one standard deviation for all bearings: that of a landmark at half the range.
     """
-    bearing_sd_rad = told.sigma_m / (told.range_m / 2)
-    return Ekf(told.dimension, EkfConfig("standing", 0.1, 0.1, told.sigma_m, bearing_sd_rad))
+    bearing_sd_rad = setup.sigma_m / (setup.range_m / 2)
+    return Ekf(setup.dimension, EkfConfig("standing", 0.1, 0.1, setup.sigma_m, bearing_sd_rad))
 
 
-def linearised_at_best_fit(told: Setup) -> Ekf:
+def linearised_at_best_fit(setup: Setup) -> Ekf:
     """Return the filter that predicts by fitting the scan to the map."""
-    return Ekf(told.dimension, EkfConfig("fitted", range_sd_m=told.sigma_m))
+    return Ekf(setup.dimension, EkfConfig("fitted", range_sd_m=setup.sigma_m))

@@ -29,15 +29,15 @@ METHODS: tuple[MethodInfo, ...] = (
     MethodInfo("relmap-planes", lambda _: PlaneMapper(), _SCANS, refine=True),
     MethodInfo("relmap-planes-live", lambda _: PlaneMapper(), _SCANS),
     MethodInfo("relmap-planes-paper", lambda _: PaperPlaneMapper(), _SCANS),
-    MethodInfo("frame-to-frame", lambda told: FrameToFrame(told.dimension), needs_ids=True),
-    MethodInfo("frame-to-map", lambda told: FrameToMap(told.dimension), needs_ids=True),
+    MethodInfo("frame-to-frame", lambda setup: FrameToFrame(setup.dimension), needs_ids=True),
+    MethodInfo("frame-to-map", lambda setup: FrameToMap(setup.dimension), needs_ids=True),
     MethodInfo("ekf-mrpt", as_mrpt_ships_it, needs_ids=True),
     MethodInfo("ekf", linearised_at_best_fit, needs_ids=True),
-    MethodInfo("batch", lambda told: BatchLeastSquares(told.dimension), needs_ids=True),
-    MethodInfo("isam2", lambda told: Isam2(told.dimension, told.sigma_m), **_GTSAM),
-    MethodInfo("gtsam-batch", lambda told: GtsamBatch(told.dimension, told.sigma_m), **_GTSAM),
-    MethodInfo("kiss-icp", lambda told: KissIcp(told.range_m), _ALL, needs="kiss_icp"),
-    MethodInfo("small-gicp", lambda told: SmallGicp(told.range_m), _ALL, needs="small_gicp"),
+    MethodInfo("batch", lambda setup: BatchLeastSquares(setup.dimension), needs_ids=True),
+    MethodInfo("isam2", lambda setup: Isam2(setup.dimension, setup.sigma_m), **_GTSAM),
+    MethodInfo("gtsam-batch", lambda setup: GtsamBatch(setup.dimension, setup.sigma_m), **_GTSAM),
+    MethodInfo("kiss-icp", lambda setup: KissIcp(setup.range_m), _ALL, needs="kiss_icp"),
+    MethodInfo("small-gicp", lambda setup: SmallGicp(setup.range_m), _ALL, needs="small_gicp"),
 )
 """In the order of tables."""
 

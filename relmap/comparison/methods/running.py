@@ -188,10 +188,10 @@ def _accuracy(result: Result, data: Data[Log]) -> dict[str, float | None]:
 def _cost(fed: Fed) -> dict[str, float | None]:
     """Return the times of a run: of an iteration, milliseconds, and of all, seconds."""
     durations_s = fed.durations_s.sum(axis=1)
-    told = timing_of(durations_s)
+    times = timing_of(durations_s)
     return {
-        "median_ms": told["median_ms"],
+        "median_ms": times["median_ms"],
         "mean_ms": 1e3 * float(durations_s.mean()) if len(durations_s) else None,
-        "last_100_median_ms": told["last_100_median_ms"],
+        "last_100_median_ms": times["last_100_median_ms"],
         "total_s": float(durations_s.sum()) + fed.finish_s + fed.refine_s,
     }

@@ -13,7 +13,7 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.config import MapperConfig
-from relmap.core.errors import RelmapError, reason, told
+from relmap.core.errors import RelmapError, brief, reason
 from relmap.io.journal.layout import (
     APPLICATION,
     COVARIANCES,
@@ -205,7 +205,7 @@ class JournalReader:
     ) -> RecordedScan:
         """Return scan k, whose observations are next; check that unused fields are empty."""
         if not 0 <= n <= MOST_ROWS or known not in (0, int(self.layout.has_ids)):
-            raise ValueError(f"a scan of {told(n)} rows, with ids: {told(known)}")
+            raise ValueError(f"a scan of {brief(n)} rows, with ids: {brief(known)}")
         if any(type(part) is not bytes for part in beams):
             raise ValueError("its beams are not bytes")
         rows = _next(cursor, k, n, "observations")
@@ -245,9 +245,9 @@ class JournalReader:
             MapperConfig.from_mapping(meta["configuration"])
         except RelmapError as error:
             raise ValueError(str(error)) from error
-        told = meta.pop(END, None)
-        whole = isinstance(told, dict) and told.keys() == {"scans", "checksum"}
-        return meta, End(**told) if whole else NOWHERE, meta_checksum(rows)
+        end = meta.pop(END, None)
+        whole = isinstance(end, dict) and end.keys() == {"scans", "checksum"}
+        return meta, End(**end) if whole else NOWHERE, meta_checksum(rows)
 
     def _holds(self, table: str) -> bool:
         sql = "SELECT count(*) FROM sqlite_master WHERE name = ?"
@@ -270,7 +270,7 @@ class JournalReader:
             "SELECT iteration, call FROM calls ORDER BY rowid"
         ):
             if call not in ("finish", "refine") or type(iteration) is not int:
-                raise ValueError(f"its table calls holds {told(call)} at {told(iteration)}")
+                raise ValueError(f"its table calls holds {brief(call)} at {brief(iteration)}")
             calls.setdefault(iteration, []).append(call)
         return calls
 
