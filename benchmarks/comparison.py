@@ -23,7 +23,6 @@ from relmap.comparison.methods.registry import METHODS, find_method
 from relmap.comparison.methods.running import run_method
 from relmap.evaluation.sources import Data, EightSource
 
-Errors = dict[str, list[float]]
 MAPPING = [
     method.name
     for method in METHODS

@@ -55,17 +55,17 @@ class Motions:
     ----------
     R : (h, 3, 3) float64
     t : (h, 3) float64, metres
-    support : (h,) float64
-        Fraction of the scan's planes that match, weighted by the square root of their size.
     """
 
     R: Floats
     t: Floats
-    support: Floats
 
 
 def motions(seen: Patches, there: Patches, held: Held) -> Motions:
     """Return hypotheses of the pose of a scan, largest support first.
+
+    The support is the fraction of the scan's planes that match, weighted by the square root of
+    their size.
 
     Parameters
     ----------
@@ -89,8 +89,8 @@ def motions(seen: Patches, there: Patches, held: Held) -> Motions:
             found.append((R, t, support))
     found.sort(key=lambda each: -each[2])
     if not found:
-        return Motions(np.empty((0, 3, 3)), np.empty((0, 3)), np.empty(0))
-    return Motions(*(np.array(column) for column in zip(*found, strict=True)))
+        return Motions(np.empty((0, 3, 3)), np.empty((0, 3)))
+    return Motions(np.array([R for R, _, _ in found]), np.array([t for _, t, _ in found]))
 
 
 def importance(seen: Patches) -> Floats:

@@ -35,8 +35,6 @@ class RelativeMap:
     R : (i, d, d) float64
     t : (i, d) float64, metres
         Pose of each iteration: robot frame to group frame.
-    fixed : (i,) bool
-        Whether the observations of an iteration determine its pose.
     common_interval : (c,) int64, ascending
         Iterations that show all members of the initial group.
     given : (n,) float64, square metres, optional
@@ -51,7 +49,6 @@ class RelativeMap:
     iterations: Ints
     R: Floats
     t: Floats
-    fixed: Bools
     common_interval: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     given: Floats | None = None
 
@@ -100,5 +97,5 @@ def complete(landmarks: Ints, iterations: Ints, block: Floats, reference: Floats
     freedoms = block.shape[2] * (used.sum(axis=1) - 2)
     variance = np.divide(squares, freedoms, out=np.full(len(used), np.nan), where=freedoms > 0)
     return RelativeMap(
-        landmarks[there], positions, variance, amplified[there], used, iterations, R, t, fixed
+        landmarks[there], positions, variance, amplified[there], used, iterations, R, t
     )

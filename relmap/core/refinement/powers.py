@@ -99,14 +99,13 @@ class PowerProblem:
     ----------
     seen : Observations
     n_landmarks : int
-    power : int
     """
 
     rounding = 0.0
 
-    def __init__(self, seen: Observations, n_landmarks: int, power: int = 2) -> None:
+    def __init__(self, seen: Observations, n_landmarks: int) -> None:
         d = seen.points.shape[1]
-        self.seen, self.power, self._unit = seen, power, 1.0
+        self.seen, self.power, self._unit = seen, 2, 1.0
         self.freedoms = max(seen.points.size - d * n_landmarks, 1)
         level = levels_of(seen.begin, seen.landmark, n_landmarks)[0]
         self.pattern = Pattern.of_levels(level, d)
