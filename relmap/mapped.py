@@ -50,14 +50,14 @@ class Mapped(Shown, ABC):
         return self._engine
 
     def landmarks_of(self, labels: ArrayLike) -> Ints:
-        """Return the current labels of landmarks (n,), given labels from earlier updates.
+        """Return the current labels of landmarks (of walls: their numbers), given earlier ones.
 
         A landmark that is lost and seen again gets a new label, until it is recognised.
 
         Parameters
         ----------
         labels : (n,) array of int
-            As returned by `update`; -1 is returned as -1.
+            As returned by `update`; -1, of an unidentified point, is returned as -1.
 
         Returns
         -------
@@ -68,6 +68,9 @@ class Mapped(Shown, ABC):
         RelmapError
             If no update has returned such a label.
         """
+        return self._current(labels)
+
+    def _current(self, labels: ArrayLike) -> Ints:
         labels = checked_labels(labels, np.append(readout.labels(self.engine), -1))
         if self.engine.association.has_ids:
             return labels

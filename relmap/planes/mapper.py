@@ -223,23 +223,7 @@ class PlaneMapper(LocatingMapper):
         self._spread = self._finder = None
         return found.submaps
 
-    def landmarks_of(self, labels: ArrayLike) -> Ints:
-        """Return the current numbers (n,) of walls, given numbers from earlier updates.
-
-        Parameters
-        ----------
-        labels : (n,) array of int
-            As returned by `update`.
-
-        Returns
-        -------
-        (n,) int64
-
-        Raises
-        ------
-        RelmapError
-            If no update has returned such a number.
-        """
+    def _current(self, labels: ArrayLike) -> Ints:
         labels = checked_labels(labels, np.arange(self._planes.n_planes))
         return np.asarray(self._own_numbers.wall_of[labels])
 
