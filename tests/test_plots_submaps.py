@@ -1,0 +1,59 @@
+"""The pictures of submaps of walls."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from relmap.planes.files import DrawnSubmap
+from relmap.planes.table import PlaneTable
+from relmap.plots.planes import plot_planes, plot_submaps
+
+
+def no_planes() -> PlaneTable:
+    none, pairs = np.empty(0, np.int64), np.empty((0, 2))
+    ends = np.empty((0, 2, 2))
+    corners = np.empty((0, 2), np.int64)
+    return PlaneTable(none, ends, pairs, pairs, corners, none, none, none, np.empty(0, "U7"))
+
+
+def drawn_submap(weak: list[int]) -> DrawnSubmap:
+    """A submap without walls, of ten scans along a line."""
+    poses = np.tile(np.eye(4), (10, 1, 1))
+    poses[:, 0, 3] = np.arange(10)
+    points = np.array([[2.0, 1.0], [3.0, 1.0]])
+    k, at = np.arange(10), np.array(weak, dtype=np.int64)
+    return DrawnSubmap(k, k.astype(float), poses, no_planes(), points, np.array([2, 3]), at)
+
+
+def test_a_floor_plan_shows_points_start_end_and_weak_links() -> None:
+    axes = plot_submaps([drawn_submap([4, 7])], 1).axes[0]
+    lines = {str(line.get_label()): line.get_xydata() for line in axes.get_lines()}
+    np.testing.assert_array_equal(lines["start"], [[0.0, 0.0]])
+    np.testing.assert_array_equal(lines["end"], [[9.0, 0.0]])
+    np.testing.assert_array_equal(lines["weak link"], [[3.5, 0.0], [6.5, 0.0]])
+    assert any(np.array_equal(each, [[2.0, 1.0], [3.0, 1.0]]) for each in lines.values())
+    without = plot_submaps([drawn_submap([])], 1).axes[0]
+    assert "weak link" not in [line.get_label() for line in without.get_lines()]
+
+
+def test_each_submap_has_its_own_panel() -> None:
+    figure = plot_submaps([drawn_submap([]), drawn_submap([2])], 3)
+    assert [axes.get_title().partition(":")[0] for axes in figure.axes] == ["map", "submap 1"]
+    assert figure.get_suptitle() == "3 separate submaps, 1 of a few scans not drawn"
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert labels.count("weak link") == 1
+
+
+def test_path_among_walls_is_broken_where_it_leaps() -> None:
+    poses = np.tile(np.eye(4), (40, 1, 1))
+    poses[:, 0, 3] = 0.1 * np.arange(40) + np.where(np.arange(40) < 20, 0.0, 15.0)
+    axes = plot_planes(no_planes(), poses).axes[0]
+    (line,) = (line for line in axes.get_lines() if line.get_label() == "path of the robot")
+    assert np.flatnonzero(np.isnan(np.asarray(line.get_xdata()))).tolist() == [20]
+
+
+def test_one_far_point_does_not_ruin_the_panel_of_a_submap() -> None:
+    far = drawn_submap([])
+    far.points[1] = 9000.0, 0.0
+    for axes in plot_submaps([far, drawn_submap([])], 2).axes:
+        assert np.ptp(axes.get_xlim()) < 12
