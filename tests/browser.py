@@ -136,7 +136,7 @@ class Page:
 
 @contextmanager
 def browser(chromium: str, folder: Path) -> Iterator[Page]:
-    """Offer a page of a browser that keeps its files in a folder and asks nobody for anything."""
+    """Offer a page of a browser that keeps its files in a folder and makes no requests."""
     theirs, to = os.pipe()
     back, ours = os.pipe()
     flags = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking"]

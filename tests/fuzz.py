@@ -132,7 +132,7 @@ def _tried(
     harm: dict[str, Files] | None,
     arguments: argparse.Namespace,
 ) -> int:
-    """Try a reader, and tell what came out; return the number of problems."""
+    """Try a reader, and report the results; return the number of problems."""
     folder = canary.parent / name.replace("/", "-")
     folder.mkdir()
     forget_resident()

@@ -46,7 +46,7 @@ def finished(mapper: PointMapper) -> tuple[bytes, ...]:
 
 
 def scans_of(dimension: int, with_ids: bool) -> list[tuple[Any, Any]]:
-    """Return scans, some of them empty, some with landmarks that nobody knows."""
+    """Return scans, some of them empty, some with unidentified landmarks."""
     scans: list[tuple[Any, Any]] = []
     for k, (ids, points) in enumerate(walk(dimension, 7, 0.02).scans):
         known = np.where(np.arange(len(ids)) == k % 5, -1, ids) if with_ids else None

@@ -37,7 +37,7 @@ def make_log() -> ObservationLog:
 
 
 def make_result() -> Result:
-    """Return a perfect result in a map frame of its own; labels are the ids plus ten."""
+    """Return a perfect result in its own map frame; labels are the ids plus ten."""
     log, truth = make_log(), make_truth()
     assert log.ids is not None
     turn = Rotation.from_rotvec([0.3, 0.2, 0.1]).as_matrix()

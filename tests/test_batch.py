@@ -253,7 +253,7 @@ def test_frame_to_map_leaves_out_undetermined_scans() -> None:
     )
 
 
-def test_frame_to_map_leaves_out_an_observation_that_cannot_be_right() -> None:
+def test_frame_to_map_leaves_out_an_inconsistent_observation() -> None:
     places = np.random.default_rng(0).uniform(-5.0, 5.0, (8, 2))
     baseline = FrameToMap(2)
     for k in range(10):

@@ -54,7 +54,7 @@ def test_endurance_reports_time_and_memory(repo_root: Path, child_env: dict[str,
     (times, *others) = tables.values()
     assert [row["association"] for row in times] == ["known", "nearest"]
     assert len(others) == 2
-    # Nearly all landmarks that came into view on the way are told of in the end.
+    # Nearly all landmarks that came into view are in the final table.
     assert int(times[0]["landmarks"]) == int(memory[-1]["landmarks seen"])
 
 

@@ -15,19 +15,19 @@ from relmap.simulation import simulate_figure_eight
 from tests.commands import PATIENCE_S
 
 CURSOR_BACK = "\x1b[?25h"
-"""What a terminal is told when a message has ended: show the cursor again."""
+"""Written to a terminal when a message has ended: show the cursor again."""
 
 
 @pytest.fixture
 def said(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[[], str]:
-    """Let progress believe in a terminal and lose patience soon; return what reads stderr."""
+    """Pretend that stderr is a terminal and show progress early; return what reads stderr."""
     monkeypatch.setattr(console, "PATIENCE_S", 0.05)
     monkeypatch.setattr(Console, "is_terminal", property(lambda _: True))
     return lambda: capsys.readouterr().err
 
 
 def wait_for(said: Callable[[], str]) -> None:
-    """Work until it is told, however busy the machine is."""
+    """Work until progress is reported, however busy the machine is."""
     end = time.monotonic() + PATIENCE_S
     while "counting sheep" not in said():
         assert time.monotonic() < end
@@ -54,7 +54,7 @@ def test_long_loops_show_how_far_they_are(said: Callable[[], str]) -> None:
     assert "counting sheep" in said()
 
 
-def test_off_a_terminal_loops_tell_lines(
+def test_off_a_terminal_loops_print_lines(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """By a clock on which each item takes four seconds."""

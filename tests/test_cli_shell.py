@@ -18,7 +18,7 @@ from relmap.simulation import simulate_figure_eight
 from tests.commands import PATIENCE_S, RELMAP, RESULT_FILES, load, names
 
 USUAL = re.compile(r"relmap: .*(so far|left|half a minute|\d of \d+)")
-"""A busy machine tells how far it is, and a new one that it compiles."""
+"""A busy machine prints progress, and a new one that it compiles."""
 
 
 def unusual(said: str) -> list[str]:
@@ -62,7 +62,7 @@ def run(
     )
 
 
-@pytest.mark.parametrize("home", [None, os.path.join(os.devnull, "nobody")])
+@pytest.mark.parametrize("home", [None, os.path.join(os.devnull, "home")])
 def test_a_home_that_cannot_be_written_changes_nothing(
     tmp_path: Path, child_env: dict[str, str], home: str | None
 ) -> None:

@@ -163,7 +163,7 @@ def test_every_method_is_run_on_every_cell() -> None:
     assert [row.method for row in data.runs] == [*METHODS, *METHODS]
     known = [row for row in data.runs if row.method == "points, ids given"]
     assert all(row.sigma == pytest.approx(0.008) for row in data.runs)
-    # Without any doubt who is who, and with 20 sights of most, it is better than one sight.
+    # With known association and 20 observations of most points, the map beats one observation.
     assert all(row.map_rmse_m is not None and row.map_rmse_m < 0.012 for row in known)
 
 

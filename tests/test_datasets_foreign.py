@@ -106,7 +106,7 @@ def test_not_every_bin_is_a_cloud_of_kitti(tmp_path: Path, data: bytes) -> None:
     assert "KITTI" not in scanlogs.failure(put(tmp_path, data, "a.bin"))
 
 
-def test_what_stands_in_the_place_of_a_cloud_is_named(tmp_path: Path) -> None:
+def test_a_file_in_the_place_of_a_cloud_is_named(tmp_path: Path) -> None:
     for name, data, found in [*BAGS, FILES[0]]:
         put(tmp_path, data, "scan1.pcd")
         assert f"scan1.pcd: is {found}" in scanlogs.failure(tmp_path), name

@@ -32,7 +32,7 @@ CLAIM = (
     "and in the optional refinement."
 )
 NOT_RUN = {
-    "pip install .": "installs into the environment of whoever runs the tests",
+    "pip install .": "installs into the environment of the tests",
     "relmap demo": "is run, exactly so, by test_cli_shell.test_demo",
 }
 """Lines of shell blocks that are not run, and why."""

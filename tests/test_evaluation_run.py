@@ -126,7 +126,7 @@ def test_a_continued_run_has_the_motion_since_the_last_scan() -> None:
     assert [T is None for T in mapper.told] == [True] * 5 + [False] * 7
 
 
-def test_a_callback_is_told_how_far_a_run_is() -> None:
+def test_a_callback_gets_the_progress_of_a_run() -> None:
     """It maps as `run_mapper` does, whatever the kind of the log."""
     world = simulate_figure_eight(iterations=12, seed=0)
     told = list[tuple[int, ...]]()

@@ -71,5 +71,5 @@ def test_doubled_area_counts_planes_on_one_another() -> None:
     assert doubled_area(table()) is None
 
 
-def test_without_faces_the_rest_is_told() -> None:
+def test_without_faces_only_doubled_area_is_known() -> None:
     assert judge_planes(table(([0, 0, 0], 1.0)), None, POSES, POSES) == {"doubled_area": 0}

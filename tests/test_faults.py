@@ -181,7 +181,7 @@ def test_rigid_scans_are_accepted(seed: int, d: int, sigma: float) -> None:
         R, t = R @ random_rotation(d, 0.3, rng), t + rng.uniform(-1, 1, d)
         seen = rng.permutation(30)[: rng.integers(0, 31)]
         points = (world[seen] - t) @ R + sigma * rng.standard_normal((len(seen), d))
-        np.testing.assert_array_equal(rigidity.believed(seen, points), seen)
+        np.testing.assert_array_equal(rigidity.checked(seen, points), seen)
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from([2, 3]))
@@ -193,17 +193,17 @@ def test_scans_that_are_not_rigid_are_rejected(seed: int, d: int) -> None:
         return world + 0.02 * rng.standard_normal((30, d))
 
     for _ in range(5):
-        assert rigidity.believed(ids, scan()) is not None
+        assert rigidity.checked(ids, scan()) is not None
     mirror = np.ones(d)
     mirror[1] = -1
-    assert rigidity.believed(ids, scan() * mirror) is None
-    assert rigidity.believed(ids, scan()[rng.permutation(30)]) is None
-    np.testing.assert_array_equal(rigidity.believed(ids, scan()), ids)
+    assert rigidity.checked(ids, scan() * mirror) is None
+    assert rigidity.checked(ids, scan()[rng.permutation(30)]) is None
+    np.testing.assert_array_equal(rigidity.checked(ids, scan()), ids)
     off = scan()
     off[4] += 60.0
-    np.testing.assert_array_equal(rigidity.believed(ids, off), np.where(ids == 4, -1, ids))
+    np.testing.assert_array_equal(rigidity.checked(ids, off), np.where(ids == 4, -1, ids))
     # It is there again: it has gone there.
-    np.testing.assert_array_equal(rigidity.believed(ids, off + 0.01), ids)
+    np.testing.assert_array_equal(rigidity.checked(ids, off + 0.01), ids)
 
 
 @pytest.mark.parametrize("new", [6, 30])
@@ -211,24 +211,24 @@ def test_among_wrong_ids_a_new_id_is_replaced_by_the_expected_one(new: int) -> N
     rng = np.random.default_rng(0)
     world, ids, rigidity = rng.uniform(-20, 20, (31, 3)), np.arange(31), Rigidity()
     for _ in range(5):
-        rigidity.believed(ids[:30], world[:30] + 0.02 * rng.standard_normal((30, 3)))
+        rigidity.checked(ids[:30], world[:30] + 0.02 * rng.standard_normal((30, 3)))
     swapped, read = ids.copy(), ids.copy()
     swapped[[4, 9]] = 9, 4
     swapped[new] = read[new] = 77
     expected = np.where(ids == 30, 77 if new == 30 else 30, ids)
-    np.testing.assert_array_equal(rigidity.believed(swapped, world), expected)
-    np.testing.assert_array_equal(rigidity.believed(read, world), expected)
+    np.testing.assert_array_equal(rigidity.checked(swapped, world), expected)
+    np.testing.assert_array_equal(rigidity.checked(read, world), expected)
 
 
 def test_a_misread_id_does_not_capture_a_landmark() -> None:
     rng = np.random.default_rng(0)
     world, ids, rigidity = rng.uniform(-20, 20, (31, 3)), np.arange(31), Rigidity()
     for _ in range(5):
-        rigidity.believed(ids[:30], world[:30])
+        rigidity.checked(ids[:30], world[:30])
     for strange in (77, 30, 30):
         seen = np.append(ids[:30], strange)
         seen[[4, 9]] = 9, 4
-        found = rigidity.believed(seen, world)
+        found = rigidity.checked(seen, world)
         np.testing.assert_array_equal(found, np.append(ids[:30], strange))
 
 
@@ -253,7 +253,7 @@ def test_too_little_in_common_is_not_judged() -> None:
     rigidity = Rigidity()
     for n in (PLENTY - 1, PLENTY - 1, 3, 0, 1):
         ids = np.arange(n)
-        np.testing.assert_array_equal(rigidity.believed(ids, rng.uniform(-9, 9, (n, 3))), ids)
+        np.testing.assert_array_equal(rigidity.checked(ids, rng.uniform(-9, 9, (n, 3))), ids)
     assert CARRIED > 0
 
 
@@ -297,10 +297,10 @@ def test_the_result_names_overruled_observations(tmp_path: Path) -> None:
 
 
 def test_unfiltered_gross_outliers_give_no_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
-    def believed(_: Rigidity, ids: Ints, __: object) -> Ints:
+    def unchecked(_: Rigidity, ids: Ints, __: object) -> Ints:
         return ids
 
-    monkeypatch.setattr(Rigidity, "believed", believed)
+    monkeypatch.setattr(Rigidity, "checked", unchecked)
     log = simulate_figure_eight(density=25, seed=0).log
     mapper = mapped(faults.gross_outliers(log, 0.05, np.random.default_rng([0, 3])), known=True)
     mapper.refine()

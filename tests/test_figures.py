@@ -119,7 +119,7 @@ def test_sorted_rows_share_less_and_less_with_the_seed() -> None:
     assert (found.verdict, found.value) == (YES, 5.0)
 
 
-def test_rule_of_the_paper_is_held_against_the_largest_area() -> None:
+def test_rule_of_the_paper_is_compared_with_the_largest_area() -> None:
     found = figure09_11.GROUP.judge([tiny_chart(), tiny_chart()])
     assert (found.verdict, found.value) == (YES, 1.0)
     assert [row[3] for row in found.table.rows] == [6, 12, 15, 16, 20, 12]
@@ -209,7 +209,7 @@ def test_landmarks_seen_so_far_are_counted() -> None:
     assert figure14_15.seen_so_far(log.ids, log).tolist() == so_far
 
 
-def test_growth_is_held_against_n_log_n() -> None:
+def test_growth_is_compared_with_n_log_n() -> None:
     data = tiny_densities()
     found = figure14_15.VISIBLE.judge(data)
     assert found.verdict == YES

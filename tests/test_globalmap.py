@@ -216,7 +216,7 @@ def test_submaps_join_by_the_motion_that_ties_them(seed: int, d: int) -> None:
     tie = np.array([5, 6, 7, 12, 13, 14, 15, 19])
     placed = global_map.align(first, tie, elsewhere(world[tie], rng), np.ones(8, dtype=np.int64))
     assert placed is not None
-    # Three nearly on a line leave the others free to swing.
+    # Three nearly collinear ones determine the others poorly.
     assume(np.isfinite(placed).all())
     assume(fixes_well(here[5:8]))
     assume(fixes_well(there[12:15]))

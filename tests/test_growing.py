@@ -34,7 +34,7 @@ def address_space_mb() -> float:
     return int(line.split()[1]) / 1024
 
 
-@pytest.mark.skipif(not STATUS.exists(), reason="the system does not tell of address space")
+@pytest.mark.skipif(not STATUS.exists(), reason="the system does not report address space")
 def test_a_new_mapper_reserves_little_address_space() -> None:
     PointMapper()
     before = address_space_mb()

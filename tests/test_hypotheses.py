@@ -28,8 +28,8 @@ def candidates(*motions: Floats, evidence: float = 2.0) -> Candidates:
     )
 
 
-def tells_for(*right: Floats) -> Judge:
-    """Return what two scans tell of a motion that is right only if it is one of these."""
+def evidence_for(*right: Floats) -> Judge:
+    """Return the evidence of two scans for a motion that is right only if it is one of these."""
 
     def judge(motion: Floats) -> tuple[float, float, bool]:
         stays = any(not others(motion[None], one)[0] for one in right)
@@ -45,7 +45,7 @@ def odds(run: Hypotheses, scan: int, motion: Floats) -> float:
 def test_ambiguous_motions_are_resolved_by_the_previous_scan() -> None:
     """Two motions fit the last scan alike; from the scan before it only one of them does."""
     told = []
-    for judge in (None, tells_for(2 * STEP), tells_for(STEP + FARTHER)):
+    for judge in (None, evidence_for(2 * STEP), evidence_for(STEP + FARTHER)):
         run = Hypotheses(STEP)
         run.go_on(candidates(STEP, FARTHER), STEP, judge)
         told.append(odds(run, 1, STEP))
@@ -58,7 +58,7 @@ def test_a_motion_contradicted_by_a_later_scan_is_rejected() -> None:
     run = Hypotheses(STEP)
     run.go_on(candidates(STEP, FARTHER), STEP, None)
     alone = odds(run, 1, STEP)
-    run.go_on(candidates(STEP), STEP, tells_for(FARTHER + STEP))
+    run.go_on(candidates(STEP), STEP, evidence_for(FARTHER + STEP))
     assert odds(run, 1, STEP) < 0 < alone
     assert odds(run, 1, FARTHER) > 0
 
@@ -73,7 +73,7 @@ def test_a_break_is_likelier_than_little_evidence(evidence: float, breaks: bool)
 def test_without_candidates_there_is_a_break() -> None:
     run = Hypotheses(STEP)
     for _ in range(3):
-        run.go_on(candidates(), STEP, tells_for())
+        run.go_on(candidates(), STEP, evidence_for())
     assert run.verdict(1).best is None
     assert odds(run, 1, STEP) < -10
     run.go_on(candidates(STEP), STEP, None)

@@ -48,7 +48,7 @@ MAY_IMPORT["figures"] = {*MAY_IMPORT} - {"mapper"}
 MAY_IMPORT["cli"] = {*MAY_IMPORT}
 
 FIGURES_FROM = {"relmap.cli.figures"}
-"""The figures of the paper are made by one command; whoever else needs them is upside down."""
+"""The figures of the paper are made by one command; no other module may need them."""
 
 KNOWN = {
     ("relmap.mapper", "relmap"),

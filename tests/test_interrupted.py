@@ -156,7 +156,7 @@ def test_a_flush_that_is_interrupted_loses_nothing(tmp_path: Path) -> None:
 
 
 class Waiting:
-    """A segmenter that waits in the midst of a scan until it is told to go on."""
+    """A segmenter that waits in the midst of a scan until it is released."""
 
     def __init__(self) -> None:
         self.begun, self.may_end = threading.Event(), threading.Event()

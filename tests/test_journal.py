@@ -41,7 +41,7 @@ def test_calls_are_repeated_on_resume(tmp_path: Path) -> None:
         run(mapper, scans[:50]).refine()
         run(mapper, scans[50:70]).finish()
         run(mapper, scans[70:80])
-    kept.finish()  # after the last scan: whoever goes on has not asked for that yet
+    kept.finish()  # after the last scan: a resumed run has not called it yet
     kept.close()
     assert finished(run(PointMapper.resume(path), scans[80:])) == finished(run(plain, scans[80:]))
 

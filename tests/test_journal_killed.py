@@ -188,7 +188,7 @@ def test_a_disk_that_is_full_ends_a_run_with_one_line_and_it_can_be_resumed(
     eight: Path, tmp_path: Path, child_env: dict[str, str]
 ) -> None:
     journal = tmp_path / "run.journal"
-    # No file of the child may grow beyond 100 KiB; SQLite is told so by the operating system.
+    # No file of the child may grow beyond 100 KiB; the operating system reports this to SQLite.
     limit = (
         "import resource, sys\n"
         "from relmap.cli import main\n"

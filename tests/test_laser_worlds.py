@@ -136,7 +136,7 @@ def unsure_m(run: Building, scan: int) -> float:
 
 
 @pytest.mark.parametrize("world", [world for world in NEW if world != "glass"])
-def test_all_but_the_bare_corridor_tell_the_robot_everywhere_where_it_is(world: World) -> None:
+def test_all_but_the_bare_corridor_determine_the_position_everywhere(world: World) -> None:
     run = laser(world, beams=361, step_m=0.4, seed=2)
     worst = max(unsure_m(run, scan) for scan in range(len(run.scans)))
     assert (worst > 1e3) if world == "bare-corridor" else (worst < 5)
@@ -156,7 +156,7 @@ def test_a_curve_is_round_and_has_no_corner_but_those_of_pilasters() -> None:
     assert (seen[~chord, 1:].max(axis=1) > 10).sum() >= 8
 
 
-def test_beams_meet_round_things_where_geometry_says() -> None:
+def test_beams_meet_round_objects_as_computed() -> None:
     bearing = np.deg2rad([-90.0, 0.0, 30.0, 89.0])
     discs = np.array([[3.0, 0.0, 0.5], [5.0, 0.0, 1.0], [-2.0, 0.0, 0.5]])
     assert round_ranges(discs, bearing).tolist() == [np.inf, 2.5, np.inf, np.inf]
@@ -167,7 +167,7 @@ def test_beams_meet_round_things_where_geometry_says() -> None:
     assert np.isinf(round_ranges(discs[:0], bearing)).all()
 
 
-def test_random_round_things_are_met_on_their_rim_and_nowhere_before() -> None:
+def test_random_round_objects_are_met_on_their_rim() -> None:
     rng = np.random.default_rng(0)
     discs = np.column_stack([rng.uniform(-6, 6, (20, 2)), rng.uniform(0.05, 0.4, 20)])
     discs = discs[np.hypot(*discs[:, :2].T) > 0.5]
@@ -255,7 +255,7 @@ def test_people_walk_through_doors_and_not_through_walls(world: World) -> None:
     assert away.min() > 0.5 - 1e-9
 
 
-def test_where_a_wall_was_seen_is_told() -> None:
+def test_the_seen_extent_of_a_wall_is_given() -> None:
     walls = np.array([[0.0, 1.0, 4.0, 1.0, 0.0, 2.0], [9.0, 0.0, 9.0, 1.0, 0.0, 2.0]])
     nothing = SeenWalls(np.array([0]), np.zeros((1, 2, 2)), np.full((1, 2), "view"))
 

@@ -144,7 +144,7 @@ def test_bodies_that_share_nothing_are_each_brought_together() -> None:
     assert aligned_rmse(found[20:], world[20:]) < 1e-6
 
 
-def test_stretches_that_share_enough_are_laid_together() -> None:
+def test_stretches_that_share_enough_are_aligned() -> None:
     rng = np.random.default_rng(0)
     world, R = rng.uniform(-5, 5, (12, 3)), random_rotation(3, 0.5, rng)
     one = live.Body(np.arange(8), world[:8], np.full(8, 2.0))

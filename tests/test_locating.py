@@ -105,7 +105,7 @@ def test_scans_of_a_building_are_found_where_they_were_taken(oblique: Building) 
     np.testing.assert_array_equal(mapper.trajectory, path)
 
 
-def test_rooms_that_are_the_same_are_not_told_apart(twins: Building) -> None:
+def test_identical_rooms_are_not_distinguished(twins: Building) -> None:
     mapper, log = PlaneMapper(), log_of(twins)
     feed(mapper, log, "nearest", refine=True)
     assert {place.n_places for _, place in places(mapper, log, 25)} == {2}
@@ -145,7 +145,7 @@ def test_a_log_is_added_to_a_map_of_walls(
     assert old < new < 1.6 * old  # those in both are one
 
 
-def test_a_log_of_elsewhere_is_a_submap_of_its_own(
+def test_a_log_of_another_place_is_a_separate_submap(
     part: Path, capsys: pytest.CaptureFixture[str], mapped: Mapped, logs: Path
 ) -> None:
     out = part / "apart"

@@ -47,7 +47,7 @@ def n_stored(mapper: PointMapper) -> int:
 
 @both_dimensions
 @pytest.mark.parametrize("known", [True, False])
-def test_what_stays_in_view_becomes_better_and_the_store_does_not_grow(d: int, known: bool) -> None:
+def test_what_stays_in_view_becomes_better_in_constant_memory(d: int, known: bool) -> None:
     errors, taken_for_others = [], 0
     for seed in range(4):
         rng, mapper = np.random.default_rng(seed), PointMapper()
@@ -102,7 +102,7 @@ def test_a_landmark_with_gaps_gets_a_place(d: int) -> None:
 
 
 @both_dimensions
-def test_one_that_stops_is_mapped_where_it_stands(d: int) -> None:
+def test_a_landmark_that_stops_is_mapped_where_it_stands(d: int) -> None:
     for seed in range(4):
         rng, mapper = np.random.default_rng(seed), PointMapper()
         world, way = scattered(16, d, rng), np.eye(d)[0]
@@ -222,7 +222,7 @@ def degenerate(kind: str, n: int, d: int, rng: np.random.Generator) -> Points:
     st.sampled_from([0, 2, 5, 9]),
     st.booleans(),
 )
-def test_whatever_is_seen_positions_are_finite_and_nothing_breaks(
+def test_any_input_gives_finite_positions(
     seed: int, d: int, kind: str, n: int, after: int, missed: int, known: bool
 ) -> None:
     rng = np.random.default_rng(seed)

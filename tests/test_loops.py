@@ -102,7 +102,7 @@ def evidence(n_tied: int, n_new: int) -> Evidence:
     return Evidence(first, 0.01, 0.35, np.full(40, 10.0), np.full(40, 20))
 
 
-def test_a_pair_that_lies_on_one_another_needs_support() -> None:
+def test_a_coincident_pair_needs_support() -> None:
     position = np.random.default_rng(0).uniform(0, 50, (40, 2))
     position[20] = position[0] + 0.01
     pair = np.array([[20, 0]])

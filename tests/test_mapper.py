@@ -110,7 +110,7 @@ def test_noise_and_sd_are_those_of_the_observations(d: int) -> None:
     assert np.median(table.sd / (mapper.noise_m / np.sqrt(table.observations))) < 1.2
 
 
-def test_the_table_tells_of_every_landmark() -> None:
+def test_the_table_lists_every_landmark() -> None:
     world = walk(3, 2)
     stranger = 999
     scans = [

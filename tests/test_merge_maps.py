@@ -45,7 +45,7 @@ def rooms(rng: np.random.Generator, n: int = 12) -> Floats:
 
 @settings(max_examples=15)
 @given(seeds, st.floats(-np.pi, np.pi), st.sampled_from([0.0, 0.01]))
-def test_walls_are_laid_on_those_that_they_are(seed: int, angle: float, sigma: float) -> None:
+def test_walls_are_aligned_with_their_matches(seed: int, angle: float, sigma: float) -> None:
     """Of rooms in a row each map shows some; six are in both."""
     rng = np.random.default_rng(seed)
     world = rooms(rng)

@@ -70,7 +70,7 @@ def test_clouds_of_any_size(scale: float) -> None:
     assert is_clean(mapper.trajectory)
 
 
-def test_odometry_with_far_points_that_fix_no_motion() -> None:
+def test_odometry_with_far_points_that_determine_no_motion() -> None:
     mapper = PointMapper()
     mapper.update([[1e8, 1e8], [1e8, 1e8]], odometry=[0.0, 0.0, 0.0])
     mapper.update([[0.0, 1e8]], odometry=[1e8, 0.0, 0.0])

@@ -88,7 +88,7 @@ def test_an_outlier_does_not_bend_the_map() -> None:
     assert np.abs(bent.t[2] - clean.t[2]).max() > 0.0
 
 
-def test_errors_in_common_are_told_from_the_residuals() -> None:
+def test_common_errors_are_estimated_from_the_residuals() -> None:
     seen, truth = room(seed=2, sigma=0.01)
     exact = replace(seen, information=1e4 * seen.information)
     assert systematic_share(exact, PlaneAdjustment(exact).solve(truth)) > 0.03

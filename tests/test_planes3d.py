@@ -137,7 +137,7 @@ def test_a_stretch_of_two_directions_is_named_and_its_free_direction() -> None:
     for k, free in mapper.weak_links.items():
         along = [np.cos(0.05 * k), -np.sin(0.05 * k), 0]
         assert abs(free @ along) > 0.999
-    # Nothing tells how far it went: it is taken to stand, and all else is as it was.
+    # The motion along it is unobservable: it is assumed to stand, and the rest is unchanged.
     assert np.abs(mapper.trajectory[:, :3, 3]).max() < 0.02
     yaw = np.arctan2(mapper.trajectory[:, 1, 0], mapper.trajectory[:, 0, 0])
     assert np.abs(yaw - 0.05 * np.arange(8)).max() < 0.002
@@ -149,7 +149,7 @@ def test_a_wall_at_the_end_ties_the_free_direction() -> None:
     assert np.abs(mapper.trajectory[:, 0, 3] - 0.2 * np.arange(8)).max() < 0.01
 
 
-def test_what_shows_nothing_known_begins_a_submap_and_is_tied_when_seen_again() -> None:
+def test_a_scan_without_known_planes_begins_a_submap_that_is_tied_later() -> None:
     world = simulate_storey("lidar", 0.005, 18)
     elsewhere = [np.random.default_rng(4).uniform(-3, 3, (3000, 3)) for _ in range(2)]
     tilted = simulate_storey("lidar", 0.005, 2, seed=1).scans
@@ -218,7 +218,7 @@ def test_a_depth_camera_is_mapped_in_one_piece() -> None:
     assert np.abs(mapper.trajectory - from_first(world.trajectory[:14])).max() < 0.05
 
 
-def test_a_leap_in_two_directions_only_is_not_believed() -> None:
+def test_a_leap_in_two_directions_only_is_rejected() -> None:
     scans = [hall(0.2 * k) for k in range(4)]
     elsewhere = hall(0.0) @ np.diag([1.0, 1.0, 1.0]) + [0.0, 0.0, 12.0]
     mapper = mapped([*scans, elsewhere])

@@ -125,7 +125,9 @@ def test_a_planar_log_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert "2-D laser" in capsys.readouterr().err
 
 
-def test_clouds_without_planes_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_clouds_without_planes_are_reported(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "clouds").mkdir()
     points = np.random.default_rng(2).uniform(-3, 3, (500, 4)).astype("<f4")
     (tmp_path / "clouds" / "0.bin").write_bytes(points.tobytes())

@@ -32,5 +32,5 @@ def test_an_iteration_in_which_the_basis_falls_together_does_not_count() -> None
     assert aligned_rmse(relative, CORNERS) < 1e-12
 
 
-def test_one_place_fixes_no_basis() -> None:
+def test_one_place_determines_no_basis() -> None:
     assert relative_map(np.ones((3, 9, 2))) is None

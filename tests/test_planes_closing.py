@@ -32,7 +32,7 @@ STREET = np.array(
 
 
 def test_a_loop_is_closed_however_far_the_map_has_drifted() -> None:
-    """Slower than before along the long wall, where nothing tells, so that the map drifts."""
+    """Slower along the long wall, where the motion is unobservable, so that the map drifts."""
     rng = np.random.default_rng(0)
     out = np.cumsum(np.concatenate([np.full(55, 0.2), np.full(40, 0.16), np.full(45, 0.2)])) - 2.0
     x = np.concatenate([out, out[-1] - 0.2 * np.arange(1, 1 + round((out[-1] + 2.0) / 0.2))])
@@ -124,5 +124,5 @@ def test_loops_between_places_that_look_alike_are_given_up(options: dict[str, An
 
 
 def test_a_map_that_is_torn_when_refined_freely_is_held() -> None:
-    """Along a corridor little tells how far the robot went: free steps went 18 m astray."""
+    """Along a corridor the motion is poorly determined: undamped steps went 18 m astray."""
     assert refined_error_m(step_m=0.5, seed=1) < 0.05

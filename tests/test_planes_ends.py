@@ -97,7 +97,7 @@ def test_walls_without_types_of_ends_are_mapped(named: bool) -> None:
 
 @pytest.mark.parametrize("seed", [2, 5])
 def test_refining_walls_without_types_of_ends_makes_no_path_worse(seed: int) -> None:
-    """Where few ends are told, what looks like a loop may be none."""
+    """Where few ends have a type, an apparent loop may be wrong."""
     building = simulate_building(points=10, sigma=0.0, seed=seed)
     mapper = PlaneMapper()
     for scan in building.scans:

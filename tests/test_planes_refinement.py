@@ -64,7 +64,7 @@ def test_a_path_is_eliminated_without_filling() -> None:
     assert pattern.size == 2 * n
 
 
-def test_what_rounding_leaves_nothing_of_stays() -> None:
+def test_a_singular_pivot_leaves_its_unknown_unchanged() -> None:
     pattern = Pattern.of_cliques(np.array([2]), np.array([0, 1]), np.array([0]))
     values = np.zeros(pattern.size)
     pattern.add(values, np.arange(2), np.ones((2, 2)))

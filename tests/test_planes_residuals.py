@@ -50,7 +50,7 @@ def test_groups_are_of_landmarks_that_are_handed_out(
             assert np.isin(walls, mapper.planes.plane).all()
 
 
-def test_covariances_tell_of_the_errors(runs: list[tuple[Building, PlaneMapper]]) -> None:
+def test_covariances_match_the_errors(runs: list[tuple[Building, PlaneMapper]]) -> None:
     squares = []
     for building, mapper in runs[1:]:
         covariances = mapper.map.covariances

@@ -56,7 +56,7 @@ def test_a_scan_that_nothing_supports_begins_a_submap() -> None:
 
 
 def test_a_long_bridge_ends_the_submap() -> None:
-    """Few scans without walls are bridged; after many nothing tells where the robot went."""
+    """Few scans without walls are bridged; after many the motion is unknown."""
     mapper = PlaneMapper()
     drive(mapper, 20)
     for _ in range(30):
@@ -178,7 +178,7 @@ def make_broken(tmp_path: Path) -> Path:
     return tmp_path / "log"
 
 
-def test_files_line_and_picture_tell_of_submaps(
+def test_files_line_and_picture_report_submaps(
     broken: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "result"
@@ -251,7 +251,7 @@ def test_the_summary_lists_weak_links_of_the_largest_submap(broken: Path, tmp_pa
     assert json.loads((out / "summary.json").read_text())["refinement"] is None
 
 
-def test_time_is_told_whole_and_readable(broken: Path, tmp_path: Path) -> None:
+def test_time_is_reported_in_whole_and_readable(broken: Path, tmp_path: Path) -> None:
     out = tmp_path / "result"
     assert main(["map", str(broken), "-o", str(out), "--variant", "planes"]) == 0
     timing = json.loads((out / "summary.json").read_text())["timing"]

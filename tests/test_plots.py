@@ -128,7 +128,7 @@ def test_a_path_is_not_drawn_where_it_is_not_known() -> None:
     assert broken_at_gaps(np.empty(0), np.empty((0, 2))).shape == (0, 2)
 
 
-def test_one_far_landmark_does_not_ruin_the_axes() -> None:
+def test_one_far_landmark_does_not_widen_the_axes() -> None:
     result = make_result(200)
     before = plot_run(result).axes[0]
     assert before.get_title() == "200 of 200 landmarks mapped"

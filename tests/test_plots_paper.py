@@ -82,7 +82,7 @@ def test_same_data_same_bytes_whatever_the_style(tmp_path: Path, number: str) ->
 # The point chart.
 
 
-def test_chart_holds_who_is_seen_with_the_seed_in_the_whole_window() -> None:
+def test_chart_holds_landmarks_seen_with_the_seed_in_the_window() -> None:
     chart = tiny_chart()
     assert sorted(chart.landmarks.tolist()) == [0, 1, 2, 3, 4, 6]  # 5 is never seen together with 2
     for landmark, row in zip(chart.landmarks.tolist(), chart.visible, strict=True):

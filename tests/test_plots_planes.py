@@ -58,7 +58,7 @@ def cut_walls() -> PlaneHistory:
     return history_of(scans, [["view", "corner"], ["corner", "view"]], [[-1, 0], [1, -1]])
 
 
-def test_corner_test_finds_the_static_pair_and_tells_all_four() -> None:
+def test_corner_test_finds_the_static_pair_and_reports_all_four() -> None:
     (test,) = corner_tests(cut_walls())
     assert test.static == test.chosen == (1, 0)
     np.testing.assert_allclose(test.sizes, [4.0, 5.0])

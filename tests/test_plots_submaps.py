@@ -52,7 +52,7 @@ def test_path_among_walls_is_broken_where_it_leaps() -> None:
     assert np.flatnonzero(np.isnan(np.asarray(line.get_xdata()))).tolist() == [20]
 
 
-def test_one_far_point_does_not_ruin_the_panel_of_a_submap() -> None:
+def test_one_far_point_does_not_widen_the_panel_of_a_submap() -> None:
     far = drawn_submap([])
     far.points[1] = 9000.0, 0.0
     for axes in plot_submaps([far, drawn_submap([])], 2).axes:

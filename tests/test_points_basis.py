@@ -72,7 +72,7 @@ def test_basis_points_are_spread_apart() -> None:
     assert set(basis.tolist()) == {0, 3, 4}
 
 
-def test_points_on_one_line_fix_no_basis_in_space() -> None:
+def test_collinear_points_determine_no_basis_in_space() -> None:
     line = np.outer(np.arange(5.0), [1.0, 2.0, 3.0])
     assert choose_basis(line) is None
     assert relative_map(np.stack([line, line + 1], axis=1)) is None

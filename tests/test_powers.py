@@ -35,7 +35,7 @@ def error(mapper: PointMapper, world: FigureEight) -> float:
     return aligned_rmse(found.positions[often], world.landmarks_map[found.landmark_ids[often]])
 
 
-def test_uniform_noise_is_made_use_of() -> None:
+def test_uniform_noise_is_exploited() -> None:
     ratios = []
     for seed in (40, 41, 42):
         world = simulate_figure_eight(noise="uniform", iterations=300, seed=seed)

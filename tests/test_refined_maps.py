@@ -69,7 +69,7 @@ def test_mapper_provides_covariances_of_the_map(d: int) -> None:
     sd = table.sd[table.level > 0]
     variance = np.trace(found.covariances, axis1=1, axis2=2) / d
     np.testing.assert_allclose(sd, np.sqrt(variance))
-    # What is farther from the first pose is less sure.
+    # Landmarks farther from the first pose are less certain.
     far = np.linalg.norm(found.positions, axis=1)
     assert sd[far > 15].min() > sd[far < 5].max()
     mapper.update(world.scans[-1][1], world.scans[-1][0])
@@ -85,7 +85,7 @@ def test_the_frame_is_that_of_the_first_iteration(d: int) -> None:
 
 
 @both_dimensions
-def test_one_that_stands_elsewhere_for_a_while_does_not_bend_the_map(d: int) -> None:
+def test_a_landmark_displaced_for_a_while_does_not_bend_the_map(d: int) -> None:
     """As under a wrong id: within its segment all agrees, so that only other segments tell."""
     errors: list[float] = []
     sound: list[float] = []

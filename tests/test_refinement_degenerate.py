@@ -41,7 +41,7 @@ def test_landmarks_on_a_line(d: int) -> None:
     for ids in [np.arange(8)] * 40:
         mapper.update(seen_from(world, 1, 0.0)[0], ids)
     assert finite(mapper)
-    # In space a line fixes no turn about itself: nothing can be mapped, and nothing is.
+    # In space a line leaves the rotation about itself free: nothing is mapped.
     assert len(mapper.map.positions) == (8 if d == 2 else 0)
     assert (mapper.landmarks.status == ("static" if d == 2 else "unmapped")).all()
 

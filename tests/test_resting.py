@@ -1,4 +1,4 @@
-"""What moves in a solved map, and what is one thing seen in pieces."""
+"""Landmarks that move in a solved map, and several that are one object."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def test_scatter_is_noise_and_a_trend_is_motion() -> None:
     assert_array_equal(np.flatnonzero(~at_rest(landmark, places.reshape(-1, 2), static)), [11])
 
 
-def test_what_scatters_as_widely_as_nothing_static_is_not_at_rest() -> None:
+def test_landmarks_that_scatter_more_than_static_ones_are_not_at_rest() -> None:
     rng = np.random.default_rng(1)
     places = np.array([*(still(rng) for _ in range(10)), still(rng, 10 * SIGMA_M)])
     landmark = np.repeat(np.arange(11), N)

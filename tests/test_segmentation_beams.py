@@ -50,7 +50,7 @@ def test_noise_along_beams_does_not_turn_a_wall() -> None:
     assert np.std(turns) < np.deg2rad(1.5)
 
 
-def test_a_point_tells_where_its_beam_meets_the_wall() -> None:
+def test_a_point_shows_where_its_beam_meets_the_wall() -> None:
     rng = np.random.default_rng(1)
     exact = sightings(grid(columns(16, 26), 3, 0.0, rng), row(0, 1), BEAM)
     noisy = sightings(grid(columns(16, 26), 3, 0.3, rng), row(0, 1), BEAM)

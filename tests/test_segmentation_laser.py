@@ -30,7 +30,7 @@ def test_a_long_line_needs_fewer_points(distance_m: float, count: int, walls: in
 
 
 @pytest.mark.parametrize("length", [100, 10, 5])
-def test_the_noise_does_not_grow_where_walls_have_few_points(length: int) -> None:
+def test_the_noise_is_not_larger_if_walls_have_few_points(length: int) -> None:
     """Of the triples of neighbours two in so many lie across the end of a wall."""
     found = []
     for seed in range(20):

@@ -99,7 +99,7 @@ def test_a_frame_needs_pandas(points: PointMapper, monkeypatch: pytest.MonkeyPat
         points.map.to_dataframe()
 
 
-def test_the_same_thing_has_the_same_name(points: PointMapper) -> None:
+def test_map_and_table_agree(points: PointMapper) -> None:
     mapped = np.isfinite(points.landmarks.positions[:, 0])
     np.testing.assert_array_equal(points.landmarks.landmark_ids[mapped], points.map.landmark_ids)
     np.testing.assert_array_equal(points.landmarks.positions[mapped], points.map.positions)

@@ -119,7 +119,7 @@ def given_as(points: Floats, how: int) -> Any:
 
 @settings(max_examples=15)
 @given(data=st.data())
-def test_how_an_array_lies_in_memory_changes_no_bit(data: st.DataObject) -> None:
+def test_memory_layout_does_not_change_the_result(data: st.DataObject) -> None:
     plain, tried = PointMapper(), PointMapper()
     for _, points in walk(3, 6, 0.02, iterations=25).scans:
         how = data.draw(st.integers(0, 7))
@@ -168,7 +168,7 @@ def test_with_ids_a_gap_ties_by_itself() -> None:
     assert aligned_rmse(found.positions, world.landmarks[found.landmark_ids]) < 1e-6
 
 
-def test_sight_of_another_place_after_a_gap_is_a_submap_of_its_own() -> None:
+def test_another_place_after_a_gap_is_a_separate_submap() -> None:
     here, there = stream(3)[:60], stream(11)[:60]
     mapper = PointMapper()
     for points in [*here, *[np.empty((0, 3))] * 20, *there]:

@@ -27,7 +27,7 @@ def placed(*parts: tuple[Floats, Ints]) -> Placements:
     return Placements(100 + np.arange(N), PATH, of[order], T[order])
 
 
-def test_a_stretch_that_agrees_is_believed() -> None:
+def test_a_stretch_that_agrees_is_accepted() -> None:
     found = placed((THERE, np.arange(4, 24)), (ELSEWHERE, np.arange(8, 15))).believed()
     assert found is not None
     np.testing.assert_allclose(found.T_map_robot, THERE @ PATH[found.scan - 100])
@@ -55,7 +55,7 @@ def test_a_path_that_drifts_agrees_and_one_that_tears_does_not() -> None:
     ],
     ids=["one", "short", "few", "elsewhere too", "twins", "none"],
 )
-def test_less_is_not_believed(parts: list[tuple[Floats, Ints]]) -> None:
+def test_weaker_agreement_is_rejected(parts: list[tuple[Floats, Ints]]) -> None:
     assert placed(*parts).believed() is None
 
 

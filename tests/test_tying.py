@@ -22,7 +22,7 @@ Points = Floats
 
 
 def in_submaps(*places: Points) -> GlobalMap:
-    """Return a map of submaps at positions (n, d), each in a frame of its own."""
+    """Return a map of submaps at positions (n, d), each in its own frame."""
     table, n, d = LandmarkState(), sum(map(len, places)), places[0].shape[1]
     table.resize(n, 0, d)
     global_map = GlobalMap(table)
@@ -131,7 +131,7 @@ def test_a_second_visit_from_nowhere_is_the_same_place(d: int, sigma: float) -> 
     found = mapper.landmarks_of(np.concatenate(labels))
     pairs = np.unique(np.column_stack([found, np.concatenate(true)]), axis=0)
     stands_for = dict(pairs.tolist())
-    assert len(stands_for) == len(pairs)  # nobody is two
+    assert len(stands_for) == len(pairs)  # no landmark stands for two
     mapped = [stands_for[label] for label in mapper.map.landmark_ids.tolist()]
     assert len(set(mapped)) >= len(world.landmarks) - 2
     assert len(mapped) <= 1.1 * len(set(mapped))

@@ -111,9 +111,7 @@ def test_rows_go_by_tracks_after_merges() -> None:
         (WorldSpec(missed=0.3, spurious=0.1, seed=7), 0.05),
     ],
 )
-def test_worlds_that_were_wrong_in_one_piece_or_in_pieces_are_right(
-    spec: WorldSpec, worst: float
-) -> None:
+def test_worlds_that_were_once_wrong_are_right(spec: WorldSpec, worst: float) -> None:
     world = simulate_world(spec)
     mapper, labels = mapped_world(world)
     assert len(mapper.submaps) == 1

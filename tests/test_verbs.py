@@ -33,7 +33,7 @@ SAMPLING = {"glass": "laser"}
 PATH, PLACES = ("ate_m", "rpe_m"), ("landmark_rmse_m", "coverage", "landmarks_per_true", "purity")
 CORNERS = ("corner_rmse_m", "coverage")
 PLAN = {"wall_recall", "wall_precision", "doubled_length"}
-"""What is told of walls alone; the comparison, which has other methods too, leaves it out."""
+"""Metrics of walls only; the comparison, which has other methods too, leaves them out."""
 RELATED = ("relation_m", "relation_rad")
 TRUTHS = [
     ("csv/observations.csv", "csv", (*PLACES, *PATH)),

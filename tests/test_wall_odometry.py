@@ -136,7 +136,7 @@ def test_a_bare_corridor_is_one_submap_and_as_long_as_wheels_tell(seed: int) -> 
     assert abs(found - length_m(poses, first, last)) < 3 * noise_m
 
 
-def test_covariances_tell_how_unsure_wheels_are() -> None:
+def test_covariances_reflect_the_noise_of_wheels() -> None:
     poses = down_the_corridor()
     mapper = mapped(scans_from(CORRIDOR, poses), odometry_of(poses))
     mapper.refine()

@@ -63,17 +63,20 @@ DOCUMENTS = ["README.md", "ARCHITECTURE.md", "CONTRIBUTING.md"]
 DOCUMENTS += sorted(f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md"))
 SOURCES = sorted(
     path.relative_to(ROOT).as_posix()
-    for folder in ("relmap", "benchmarks", "examples")
+    for folder in ("relmap", "benchmarks", "examples", "tests")
     for path in (ROOT / folder).rglob("*.py")
+    if path != Path(__file__)
 )
 
 
 def words_of(source: str) -> Iterator[str]:
-    """Yield comments, docstrings and messages of Python code."""
+    """Yield comments, docstrings and messages of Python code, and the names of tests."""
     kinds = {tokenize.COMMENT, tokenize.STRING, getattr(tokenize, "FSTRING_MIDDLE", -1)}
     for token in tokenize.generate_tokens(io.StringIO(source).readline):
         if token.type in kinds:
             yield token.string
+        elif token.string.startswith("test_"):
+            yield token.string.replace("_", " ")
 
 
 def found_in(text: str) -> list[str]:

@@ -131,7 +131,7 @@ def ruined(problem: object, state: Laid, *_: object, **__: object) -> Solution[L
     return Solution(Laid(positions, state.placed), weight, state, np.inf, False)
 
 
-def test_a_map_that_least_squares_would_ruin_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_map_that_least_squares_would_break_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     mapper = mapped(walk(3, 5, sigma=0.05).scans)
     before = mapper.map.positions
     monkeypatch.setattr(settling, "gauss_newton", ruined)

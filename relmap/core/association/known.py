@@ -55,7 +55,7 @@ class KnownAssociation:
         """
         known = np.empty(0, dtype=np.int64) if ids is None else ids
         self._n_scans += 1
-        known = self._believed(known, points_robot)
+        known = self._checked(known, points_robot)
         found = [self._parts[i % PARTS].get(i, UNIDENTIFIED) for i in known.tolist()]
         landmarks = np.array(found, dtype=np.int64)
         new = (landmarks == UNIDENTIFIED) & (known >= 0)
@@ -66,24 +66,24 @@ class KnownAssociation:
             self._labels.extend(known[new])
         return landmarks
 
-    def _believed(self, ids: Ints, points_robot: Floats) -> Ints:
+    def _checked(self, ids: Ints, points_robot: Floats) -> Ints:
         """Return the ids (n,), replaced or `UNIDENTIFIED` for inconsistent observations.
 
         Record the rows that changed.
         """
         named = np.flatnonzero(ids >= 0)
         if len(named) == len(ids):
-            good = self._rigidity.believed(ids, points_robot)
+            good = self._rigidity.checked(ids, points_robot)
         else:
-            good = self._rigidity.believed(ids[named], points_robot[named])
+            good = self._rigidity.checked(ids[named], points_robot[named])
         if good is None:
             self.rejected.append(self._n_scans - 1)
             return np.full(len(ids), UNIDENTIFIED)
         if good is ids:
             return ids
-        believed = np.full(len(ids), UNIDENTIFIED)
-        believed[named] = good
+        checked = np.full(len(ids), UNIDENTIFIED)
+        checked[named] = good
         overruled = named[good != ids[named]]
         self.overruled_scans += [self._n_scans - 1] * len(overruled)
         self.overruled_rows += overruled.tolist()
-        return believed
+        return checked

@@ -103,7 +103,7 @@ class Rigidity:
         self._wary = 0
         self._extent_m = 0.0
 
-    def believed(self, ids: Ints, points_robot: Floats) -> Ints | None:
+    def checked(self, ids: Ints, points_robot: Floats) -> Ints | None:
         """Return the landmarks of the observations.
 
         Parameters
@@ -138,9 +138,9 @@ class Rigidity:
             return ids
         named = self._named(fit, scan, far)
         self._go_on(fit, scan, far, named)
-        believed = np.empty_like(ids)
-        believed[order] = named
-        return believed
+        checked = np.empty_like(ids)
+        checked[order] = named
+        return checked
 
     def _named(self, fit: _Fit, scan: _Places, far: Ints) -> Ints:
         """Return the ids (n,) of a scan, doubtful ones replaced by the landmarks expected there.
