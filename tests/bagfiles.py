@@ -15,7 +15,7 @@ from relmap.datasets.bag_salvage import VISION_MSGS
 
 KINDS = ("ros1", "sqlite", "mcap")
 MORE = VISION_MSGS | {"tf2_msgs/msg/TFMessage": "geometry_msgs/TransformStamped[] transforms\n"}
-"""What rosbags does not know of ROS 1 or of ROS 2."""
+"""Message definitions of ROS 1 or ROS 2 that rosbags lacks."""
 
 
 class Types:

@@ -88,7 +88,7 @@ class Page:
         self.settle()
 
     def settle(self) -> None:
-        """Wait until what was asked for is drawn."""
+        """Wait until pending drawing is done."""
         two = "new Promise(r => requestAnimationFrame(() => requestAnimationFrame(() => r(0))))"
         self.run(two)
 
@@ -118,7 +118,7 @@ class Page:
         self.settle()
 
     def picture(self, path: Path) -> None:
-        """Write a picture of what is to be seen."""
+        """Write a screenshot."""
         path.write_bytes(b64decode(self.ask("Page.captureScreenshot")["data"]))
 
     @property

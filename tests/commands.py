@@ -22,7 +22,7 @@ RESULT_FILES = [
     "trajectory.tum",
 ]
 PATIENCE_S = 1800.0
-"""Longer than anything takes on a machine that does something else too: what exceeds it hangs."""
+"""Time limit: a process that takes longer, even on a busy machine, hangs."""
 RELMAP = [sys.executable, "-m", "relmap.cli"]
 GOOD = "iteration,x,y,z\n" + "".join(
     f"{k},{x - 0.1 * k!r},{y!r},{z!r}\n"

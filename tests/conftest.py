@@ -1,4 +1,4 @@
-"""What tests share: hypothesis profiles, real data, an environment, places to put files in."""
+"""Common parts of tests: hypothesis profiles, real data, an environment, folders."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def mapped(logs: Path) -> Mapped:
-    """Return what maps a log once, and gives its result folder."""
+    """Return a function that maps a log once and returns its result folder."""
     done: dict[str, Path] = {}
 
     def result_of(source: str) -> Path:

@@ -1,4 +1,4 @@
-"""How valid files are damaged at random, and files that were made to do harm or are large."""
+"""Random damage to valid files, and files that are malicious or large."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Mutation = Callable[[bytes, np.random.Generator], bytes]
 
 
 class Canary:
-    """Makes a file where it is unpickled."""
+    """Creates a file when it is unpickled."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -85,7 +85,7 @@ def _lines(data: bytes, rng: np.random.Generator) -> bytes:
 
 
 def _word(data: bytes, rng: np.random.Generator) -> bytes:
-    """Replace what stands between two separators, or one byte, by a word of harm."""
+    """Replace the text between two separators, or one byte, by a harmful word."""
     word = WORDS[rng.integers(len(WORDS))]
     separators = [k for k, byte in enumerate(data) if byte in b" ,\n;=:[]"]
     if not separators:
@@ -101,7 +101,7 @@ def _headed(data: bytes, rng: np.random.Generator) -> bytes:
 
 
 def _number(data: bytes, rng: np.random.Generator) -> bytes:
-    """Put a number of 2, 4 or 8 bytes, small, large or negative, somewhere."""
+    """Overwrite 2, 4 or 8 bytes by a small, large or negative number."""
     width = int(rng.choice([2, 4, 8]))
     value = int(rng.choice([0, 1, -1, 2**31 - 1, -(2**31), 2**15, 2**40, 2**63 - 1]))
     at = int(rng.integers(len(data) + 1))
@@ -125,7 +125,7 @@ def mutated(data: bytes, rng: np.random.Generator) -> bytes:
 
 
 def _mutated_zip(data: bytes, rng: np.random.Generator) -> bytes:
-    """Return a zip file that is whole, with a member damaged, renamed or left out."""
+    """Return a valid zip file with a member damaged, renamed or left out."""
     stream = io.BytesIO()
     with zipfile.ZipFile(io.BytesIO(data)) as old, zipfile.ZipFile(stream, "w") as new:
         names = old.namelist()
@@ -140,7 +140,7 @@ def _mutated_zip(data: bytes, rng: np.random.Generator) -> bytes:
 
 
 def npz_made_to_harm(canary: Path) -> Files:
-    """Return scans.npz that hold code to execute, or less than they say."""
+    """Return scans.npz that contain executable code, or fewer data than declared."""
     large = io.BytesIO()
     with zipfile.ZipFile(large, "w", zipfile.ZIP_DEFLATED) as archive:
         for name in ("points", "iteration", "stamps_s"):
@@ -156,7 +156,7 @@ def npz_made_to_harm(canary: Path) -> Files:
 
 
 def made_to_harm(canary: Path) -> dict[str, Files]:
-    """Return files that no chance finds, by reader and kind."""
+    """Return files that random damage does not produce, by reader and kind."""
     deep = b"a = " + b"[" * 100_000
     cloud = pcd(CLOUD, declared=3_000_000_000)
     return {
@@ -190,7 +190,7 @@ def made_to_harm(canary: Path) -> dict[str, Files]:
 
 
 def nearly_too_large() -> dict[str, Files]:
-    """Return files just within the limits, which are read or refused for what they hold."""
+    """Return files just within the limits, which are read, or refused for their content."""
     scan = b"FLASER 60 " + b"1 " * 60 + b"0 0 0 0 0 0 1 h 1\n"
     cloud = b"FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nPOINTS 8000000\nDATA ascii\n"
     n = 12_000_000
@@ -237,7 +237,7 @@ def packed_zeros(size: int) -> bytes:
 
 
 def packed_rows(head: bytes, row: bytes, size: int) -> bytes:
-    """Return so many bytes of one row again and again, gzipped."""
+    """Return one row repeated up to so many bytes, gzipped."""
     many = row * ((1 << 20) // len(row))
     stream = io.BytesIO()
     with gzip.GzipFile(fileobj=stream, mode="wb", compresslevel=1, mtime=0) as file:

@@ -29,7 +29,7 @@ from tests.hostile import Files, Reader, evaluate, readers
 
 MEMORY = 2 * GIB
 SECONDS = 20.0
-"""Processor time after which an input counts as one that hangs; the machine may be busy."""
+"""Processor time after which an input counts as hanging; the machine may be busy."""
 MESSAGE = 2000
 """No message is longer."""
 
@@ -50,7 +50,7 @@ def put(folder: Path, files: Files) -> None:
 
 
 def problem_with(reader: Reader, folder: Path) -> str | None:
-    """Read what stands in the folder; say what went wrong, if anything."""
+    """Read the files in the folder; return the problem, if any."""
     signal.setitimer(signal.ITIMER_VIRTUAL, SECONDS)
     try:
         reader.read(folder)

@@ -174,7 +174,7 @@ def _scan_log(name: str, form: str | None = None) -> Callable[[Path], object]:
 
 
 def _of_other_programs() -> dict[str, Reader]:
-    """Return the readers of bags and Parquet, where what they need is installed."""
+    """Return the readers of bags and Parquet if their packages are installed."""
     found = {}
     if find_spec("pyarrow"):
         found["own-table-parquet"] = Reader({"a": parquet()}, "a", _log("a"))
@@ -219,7 +219,7 @@ def _paths() -> dict[str, Reader]:
 
 
 def readers() -> dict[str, Reader]:
-    """Return every reader by the name of what it reads."""
+    """Return every reader by the name of its format."""
     mapped = _mapped()
     trees = np.column_stack([[300, 300, 700], [10, 5, 5], [np.pi / 2, 0, np.pi], *np.ones((3, 3))])
     park = {

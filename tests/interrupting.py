@@ -78,14 +78,14 @@ def onto() -> PlaneMapper:
 
 
 def told(mapper: Any) -> bytes:
-    """Return what a mapper makes of its scans, to the last bit."""
+    """Return the results of a mapper, to the last bit."""
     mapper.finish()
     table = mapper.planes.normal if isinstance(mapper, Plane3dMapper) else mapper.map.positions
     return bytes(table.tobytes() + mapper.trajectory.tobytes())
 
 
 def outcome(mapper: Any, kind: Kind, begun: int, whole: bytes) -> int:
-    """Continue an interrupted mapper, and return what becomes of it."""
+    """Continue an interrupted mapper, and return the outcome."""
     try:
         for scan in kind.scans[mapper.n_iterations - begun :]:
             mapper.update(**scan)

@@ -15,7 +15,7 @@ from tests.worlds import walk
 
 
 def end_after(path: Path, n: int) -> None:
-    """Make of a journal what it was after n scans."""
+    """Truncate a journal to its state after n scans."""
     with JournalReader(path) as reader:
         scans = list(islice(reader.scans(), n))
         layout, meta, calls = reader.layout, reader.meta, reader.calls
@@ -37,7 +37,7 @@ def changed(path: Path, statement: str) -> None:
 
 
 def finished(mapper: PointMapper) -> tuple[bytes, ...]:
-    """Return what the rest of a run makes of a mapper, to the last bit."""
+    """Return the results of a mapper after the rest of a run, to the last bit."""
     mapper.finish()
     before = mapper.map.positions.tobytes()
     mapper.refine()

@@ -1,4 +1,4 @@
-"""MRPT's ``kf-slam`` (Debian's mrpt-apps) run on a log of ours: a filter written by others."""
+"""MRPT's ``kf-slam`` (Debian's mrpt-apps), an independent filter, run on our logs."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def run_kfslam(
     every: int = 1,
     T_robot_sensor: Floats | None = None,
 ) -> tuple[Floats, str]:
-    """Run it; return the poses (k, 4, 4) of the iterations that it got to, and what it printed."""
+    """Run it; return the poses (k, 4, 4) of the iterations it completed, and its output."""
     on_robot = np.eye(4) if T_robot_sensor is None else T_robot_sensor
     write_rawlog(folder / "log.rawlog", log, 100.0, on_robot)
     settings = {"range_sd_m": range_sd_m, "bearing_sd_deg": np.rad2deg(bearing_sd_rad)}

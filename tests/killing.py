@@ -23,7 +23,7 @@ FLUSH_EVERY = 7
 
 
 def mapped(mapper: PointMapper, scans: list[Floats], acknowledged: Path) -> str:
-    """Map what is still to be mapped, note what was flushed, and return the map."""
+    """Map the remaining scans, note which were flushed, and return the map."""
     for points in scans[mapper.n_iterations :]:
         mapper.update(points)
         if mapper.n_iterations % FLUSH_EVERY == 0:

@@ -24,7 +24,7 @@ def put(folder: Path, content: str | bytes, name: str = "observations.csv") -> P
 
 
 def failure(path: Path | str, format: str | None = None) -> str:
-    """Return the one line with which reading fails."""
+    """Return the one-line error of reading."""
     with pytest.raises(RelmapError) as caught:
         open_log(path, format)
     message = str(caught.value)

@@ -1,4 +1,4 @@
-"""A saved map, and all that a mapper hands out."""
+"""A saved map, and all public results of a mapper."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from tests.worlds import walk
 
 
 def told(mapper: Any) -> tuple[bytes, ...]:
-    """Return all that a mapper hands out."""
+    """Return all public results of a mapper."""
     found, rows = mapper.map, mapper.landmarks
     return (
         *(found.positions.tobytes(), found.landmark_ids.tobytes(), found.covariances.tobytes()),

@@ -35,7 +35,7 @@ CLOUD = np.array([[1.0, 2, 3], [4, 5, 6], [np.nan, 0, 0], [7, 8, 9]])
 
 
 def failure(path: Path, format: str | None = None) -> str:
-    """Return the one line with which a log is refused, at the latest when its scans are read."""
+    """Return the one-line error of a log, raised at the latest when its scans are read."""
     with pytest.raises(RelmapError) as caught:
         list(open_scans(path, format).scans())
     message = str(caught.value)
@@ -60,7 +60,7 @@ def points_of(log: ScanLog) -> list[list[list[float]]]:
 
 
 def lzf(content: bytes) -> bytes:
-    """Return bytes packed as LZF: what came before is repeated where it is three bytes or more."""
+    """Return bytes packed as LZF: earlier content of three bytes or more is repeated."""
     packed, literal, at = b"", b"", 0
     while at < len(content):
         length, back = _repetition(content, at)
@@ -75,7 +75,7 @@ def lzf(content: bytes) -> bytes:
 
 
 def _repetition(content: bytes, at: int) -> tuple[int, int]:
-    """Return how long what came before repeats at a place, 0 for not at all, and how far back."""
+    """Return the length of the longest repetition of earlier content, and its distance."""
     start = content.rfind(content[at : at + 3], max(at - (1 << 13), 0), at + 2)
     if start < 0 or at + 3 > len(content):
         return 0, 0

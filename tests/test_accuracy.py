@@ -38,7 +38,7 @@ def rmse(result: LandmarkMap, ids: Ints, truth: Floats) -> float:
 
 
 def share_mapped(mapper: PointMapper, log: ObservationLog) -> float:
-    """Return the share of the landmarks seen ten times that are mapped."""
+    """Return the fraction of the landmarks seen ten times that are mapped."""
     assert log.ids is not None
     ids, counts = np.unique(log.ids[log.ids >= 0], return_counts=True)
     return float(np.isin(ids[counts >= 10], mapper.map.landmark_ids).mean())

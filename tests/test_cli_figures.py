@@ -79,7 +79,7 @@ def test_pictures_and_tables_are_written(made: Path) -> None:
 
 
 def test_table_of_the_group_is_its_area(made: Path) -> None:
-    """Areas by brute force, out of the other table: who was seen when."""
+    """Areas by brute force, from the table of visibility."""
     seen: dict[int, set[int]] = {}
     for row in table(made / "figure10.csv"):
         seen.setdefault(int(row["row"]), set()).add(int(row["iteration"]))
@@ -181,7 +181,7 @@ def fails(*_: object) -> Outcome:
 
 
 def run_instead(monkeypatch: pytest.MonkeyPatch, number: str, run: Callable[..., Outcome]) -> None:
-    """Have one of the figures do another run."""
+    """Replace the run of one of the figures."""
     changed = [replace(each, run=run) if each.name == number else each for each in FIGURES]
     monkeypatch.setattr(making, "FIGURES", tuple(changed))
 

@@ -196,7 +196,7 @@ def test_missing_methods_are_reported(
 
 
 def test_failures_of_one_method_are_reported_for_it() -> None:
-    """Three landmarks in two iterations: batch least squares has nothing to go on."""
+    """Three landmarks in two iterations: too few for batch least squares."""
     source = EightSource(density=0.3, iterations=3)
     rows = list(compare(source, [find_method("batch"), find_method("frame-to-frame")], "known"))
     assert rows[0].run is None

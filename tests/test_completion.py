@@ -21,7 +21,7 @@ Points = Floats
 def seen_block(
     places: Points, i: int, sigma: float, rng: np.random.Generator
 ) -> tuple[Points, list[tuple[Points, Points]]]:
-    """Show places (n, d) for i iterations to a robot that goes anywhere; return the poses too."""
+    """Observe places (n, d) in i iterations from random poses; return the poses too."""
     d = places.shape[1]
     turns = [random_rotation(d, 3.0, rng) for _ in range(i)]
     poses = list(zip(turns, rng.uniform(-20, 20, (i, d)), strict=True))

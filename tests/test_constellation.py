@@ -34,7 +34,7 @@ def scattered(n: int, d: int, rng: np.random.Generator, apart: float = 1.0) -> P
 
 
 def turned(points: Points, degrees: float) -> Points:
-    """Show points to a robot that turned."""
+    """Observe points from a robot that turned."""
     if points.shape[1] == 2:
         c, s = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
         return np.asarray(points @ np.array([[c, -s], [s, c]]))
@@ -43,7 +43,7 @@ def turned(points: Points, degrees: float) -> Points:
 
 
 def seen_at(points: Points, k: int) -> Points:
-    """Show points in iteration k to a robot that drives and turns a little."""
+    """Observe points in iteration k from a robot that drives and turns a little."""
     return turned(points - 0.1 * k, 1.5 * k)
 
 

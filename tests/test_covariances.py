@@ -64,7 +64,7 @@ def test_equal_covariances_change_next_to_nothing() -> None:
 
 
 def weighed_least_squares(log: ObservationLog, start: Array) -> Array:
-    """Return the landmarks (m, 2), by a solver that knows nothing of relmap's."""
+    """Return the landmarks (m, 2), by an independent solver."""
     assert log.ids is not None
     assert log.covariances is not None
     roots = np.linalg.inv(np.linalg.cholesky(log.covariances))

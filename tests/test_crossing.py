@@ -44,7 +44,7 @@ def test_one_point_in_each_square_of_a_wall() -> None:
 
 
 def test_points_are_seen_where_their_stretch_is() -> None:
-    """By brute force: from the robot, nothing stands before a point, and it is within view."""
+    """By brute force: no wall hides a point from the robot, and it is within view."""
     seen = scan_surface_points(BUILDING, 0.4, 0.0, seed=0)
     T = BUILDING.trajectory[3]
     robot = (seen.points_truth.landmarks_map - T[:3, 3]) @ T[:3, :3]

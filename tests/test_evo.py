@@ -1,4 +1,4 @@
-"""evo, a program by others (GPL: run as a tool, never imported), reads our files and agrees."""
+"""evo, an independent program (GPL: run as a tool, never imported), reads our files and agrees."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ def rows_of(log: ObservationLog) -> set[tuple[float, ...]]:
 
 
 def is_sound(log: ObservationLog) -> bool:
-    """Tell whether a log is in order, its rows are its own, and each id comes once in a scan."""
+    """Return whether a log is in order, its rows are its own, and each id comes once in a scan."""
     assert log.ids is not None
     pairs = np.column_stack([log.iteration, log.ids])
     once = len(np.unique(pairs, axis=0)) == len(pairs)

@@ -1,4 +1,4 @@
-"""What is said of each figure of the paper: the data in the tables, and verdicts from numbers."""
+"""Each figure of the paper: the data in its tables, and its verdict from numbers."""
 
 from __future__ import annotations
 

@@ -93,7 +93,7 @@ def test_the_room_is_drawn_as_it_is() -> None:
 
 
 def test_a_wall_that_beams_go_through_is_not_drawn() -> None:
-    """As a person whom the segmentation took for a wall."""
+    """As for a person segmented as a wall."""
     person: Sight = ([[3.0, -1.0], [3.0, 1.0]], OPEN, EARLY)
     mapper, (number,) = mapped(person)
     assert status(mapper, number) == "unmapped"

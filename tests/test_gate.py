@@ -1,4 +1,4 @@
-"""The benchmark gate tells better from worse; what it measures is not measured here."""
+"""The benchmark gate distinguishes better from worse; nothing is measured here."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ def average_in(
 
 
 def elsewhere(points: Points, rng: np.random.Generator) -> Points:
-    """Bring points into some other frame."""
+    """Transform points into another frame."""
     d = points.shape[1]
     return np.asarray(points @ random_rotation(d, 3.0, rng).T + rng.uniform(-50, 50, d))
 
@@ -198,7 +198,7 @@ def test_align_needs_members_that_fix_a_rotation() -> None:
 
 
 def fixes_well(points: Floats) -> bool:
-    """Tell whether points are apart in as many directions as fix a rotation."""
+    """Return whether points are apart in as many directions as fix a rotation."""
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     return bool(spread[points.shape[1] - 2] > 1.0)
 

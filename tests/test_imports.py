@@ -16,7 +16,7 @@ from tests.commands import PATIENCE_S
 
 HEAVY = {"matplotlib", "numba", "open3d", "sklearn", "typer"}
 SLOW = {"scipy.optimize", "scipy.signal", "scipy.stats"}
-"""Parts of a library that take as long to load as all that is needed of it."""
+"""Parts of libraries that are slow to load and not needed."""
 LIMIT_S = 0.5
 RUNS = 5
 
@@ -53,7 +53,7 @@ FIGURES_FROM = {"relmap.cli.figures"}
 KNOWN = {
     ("relmap.mapper", "relmap"),
 }
-"""Imports that are against the rule today.  None may be added; one that is mended must go here."""
+"""Imports that break the rule today; none may be added, and fixed ones must be removed."""
 
 LIGHT = (
     "core",
@@ -150,7 +150,7 @@ class Import:
 
 
 def modules_of(root: Path) -> dict[str, Path]:
-    """Return the files of all modules by their names."""
+    """Return the files of all modules by name."""
     paths = sorted((root / "relmap").rglob("*.py"))
     names = [".".join(path.relative_to(root).with_suffix("").parts) for path in paths]
     return {name.removesuffix(".__init__"): path for name, path in zip(names, paths, strict=True)}
@@ -231,7 +231,7 @@ def test_imports_are_found(source: str, of: str | None, loading: bool) -> None:
 
 
 def allowed(item: Import) -> bool:
-    """Tell whether an import runs the right way."""
+    """Return whether an import runs the right way."""
     by, of = part_of(item.by), part_of(item.of)
     if of == "figures" and by == "cli" and item.by not in FIGURES_FROM:
         return False

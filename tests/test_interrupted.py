@@ -41,7 +41,7 @@ def go_on(mapper: Any, scans: Sequence[Any]) -> Any:
 
 
 def is_whole(mapper: AnyMapper) -> bool:
-    """Tell whether a mapper does not say that it was interrupted."""
+    """Return whether a mapper does not say that it was interrupted."""
     try:
         mapper.flush()
     except RelmapError:

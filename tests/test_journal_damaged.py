@@ -1,4 +1,4 @@
-"""Journals that are not as a run left them: what is said of them, and what is recovered."""
+"""Changed and damaged journals: their errors, and what is recovered."""
 
 from __future__ import annotations
 

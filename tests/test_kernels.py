@@ -1,4 +1,4 @@
-"""The compiled loops, against what numpy and scipy say."""
+"""The compiled loops, compared with numpy and scipy."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ def mapped(scans: Scans) -> PointMapper:
 
 
 def limit(world: World) -> tuple[Ints, Array]:
-    """Return what batch least squares with the true ids maps."""
+    """Return the map of batch least squares with the true ids."""
     log, d = world.log, world.log.points_robot.shape[1]
     fixed = np.bincount(log.iteration)[log.iteration] >= d
     ids, landmark = np.unique(world.true_ids[fixed], return_inverse=True)
@@ -42,7 +42,7 @@ def limit(world: World) -> tuple[Ints, Array]:
 
 
 def ratio(mapper: PointMapper, world: World) -> float:
-    """Return how many times as far from the truth as batch least squares a map is."""
+    """Return the error of a map relative to that of batch least squares."""
     d, (ids, best) = world.log.points_robot.shape[1], limit(world)
     assert len(mapper.submaps) == 1
     found = mapper.map

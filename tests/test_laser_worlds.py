@@ -125,7 +125,7 @@ def test_half_way_along_a_bare_corridor_only_its_two_sides_are_seen() -> None:
 
 
 def unsure_m(run: Building, scan: int) -> float:
-    """Return how unsure the walls of a scan leave the robot's place, per metre of range noise."""
+    """Return the standard deviation of the position from one scan, per metre of range noise."""
     ends = run.walls[run.scans[scan].wall, :4].reshape(-1, 2, 2)
     along = (ends[:, 1] - ends[:, 0]) @ run.trajectory[scan, :2, :2]
     x, y = along.T / np.linalg.norm(along, axis=1)

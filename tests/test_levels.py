@@ -46,7 +46,7 @@ def numbers(levels: GroupLevels) -> list[int]:
 
 
 def offered(levels: GroupLevels, number: int, rows: list[tuple[int, int, int]]) -> Bools:
-    """Let a group offer positions, as the engine does; tell which were taken."""
+    """Let a group offer positions, as the engine does; return which were accepted."""
     landmarks, reached, n_averaged = np.array(rows, dtype=np.int64).reshape(-1, 3).T
     best = levels.better(landmarks, reached, n_averaged)
     levels.take(empty_group(number), landmarks[best], reached[best], n_averaged[best])

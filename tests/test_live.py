@@ -20,7 +20,7 @@ from tests.commands import PATIENCE_S
 
 
 def read_back(file: Path) -> dict[str, int]:
-    """Return how many chunks of each entity are in a recording, as `rerun` finds them."""
+    """Return the number of chunks of each entity in a recording, according to `rerun`."""
     done = subprocess.run(
         [sys.executable, "-m", "rerun", "rrd", "print", str(file)],
         capture_output=True,

@@ -1,4 +1,4 @@
-"""What a mapper makes of landmarks in view for long, with gaps, or that begin or cease to move."""
+"""Landmarks that are in view for long or with gaps, or that start or stop moving."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def spacings(places: Points) -> Points:
 
 
 def seen_from(places: Points, rng: np.random.Generator) -> Points:
-    """Show places (n, d) to a robot somewhere, with noise."""
+    """Observe places (n, d) from a random pose, with noise."""
     d = places.shape[1]
     R, t = random_rotation(d, 0.1, rng), rng.uniform(-0.3, 0.3, d)
     return (places - t) @ R + SIGMA * rng.standard_normal(places.shape)

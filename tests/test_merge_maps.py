@@ -1,4 +1,4 @@
-"""Maps of two runs made one: what they share ties them, and what does not is refused."""
+"""Merging the maps of two runs: common landmarks align them; without any it is refused."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ from relmap.simulation.floor_plan import World, make_floor_plan
 from relmap.simulation.moving_walls import make_moving
 
 SEEN = 10
-"""Scans in which a wall must have been seen before anything is asked of it."""
+"""Minimum number of scans that saw a wall, for it to be checked."""
 
 
 def crossings(a: Floats, b: Floats) -> int:

@@ -16,7 +16,7 @@ SIGMA = 0.05
 def seen_block(
     g: int, i: int, d: int, rng: np.random.Generator, movers: int = 0, uniform: bool = False
 ) -> Floats:
-    """Show g landmarks, some of them moving, for i iterations to a robot that goes anywhere."""
+    """Observe g landmarks, some of them moving, in i iterations from random poses."""
     half = 2 * g ** (1 / d)
     world = np.repeat(rng.uniform(-half, half, (g, 1, d)), i, axis=1)
     ways = rng.normal(size=(movers, d))

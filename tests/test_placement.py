@@ -1,4 +1,4 @@
-"""What places a scan: the trimmed fit and the pairs that agree, beside trying everything."""
+"""Placement of a scan: the trimmed fit and consistent pairs, against exhaustive search."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Plane adjustment: derivatives, and the least squares that it comes to."""
+"""Plane adjustment: derivatives, and the least-squares solution."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ SPREAD = np.array([1.0, 0.5, 0.01])
 
 
 def room(seed: int = 0, sigma: float = 0.0) -> tuple[Sightings, Scene]:
-    """Return what six scans saw of seven planes, noisy as it says, and the true scene."""
+    """Return observations of seven planes in six scans, with noise, and the true scene."""
     rng = np.random.default_rng(seed)
     normal = rng.standard_normal((7, 3))
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
@@ -96,7 +96,7 @@ def test_common_errors_are_estimated_from_the_residuals() -> None:
 
 
 def test_a_free_direction_stays_where_it_was() -> None:
-    """Three parallel planes tell nothing of the way along them."""
+    """Three parallel planes do not determine the motion along them."""
     seen, truth = room()
     alike = np.isin(seen.scan, [4]) & (seen.plane > 0)
     few = replace(

@@ -28,7 +28,7 @@ ROOM = np.array(
 
 
 def mapped(building: Building) -> PlaneMapper:
-    """Map what was truly seen of the walls."""
+    """Map the true visible parts of the walls."""
     mapper = PlaneMapper()
     for scan in building.scans:
         mapper.update(scan.seen)
@@ -56,7 +56,7 @@ def seen_from(
     half_view: float = 1.2,
     range_m: float = 8.0,
 ) -> Any:
-    """Return what a robot sees of walls."""
+    """Return the visible parts of walls."""
     c, s = np.cos(yaw), np.sin(yaw)
     R = np.array([[c, -s], [s, c]])
     return seen_walls((walls - [x, y]) @ R, range_m, half_view)
@@ -185,7 +185,7 @@ def test_scans_without_walls_are_bridged() -> None:
 
 
 def test_rooms_with_nothing_to_see_between_are_submaps() -> None:
-    """No motion is carried on over so many scans that show nothing."""
+    """Constant motion is not assumed over so many empty scans."""
     mapper = PlaneMapper()
     nothing = SimpleNamespace(ends=np.empty((0, 2, 2)), end_type=np.empty((0, 2), dtype=str))
     for k in range(70):

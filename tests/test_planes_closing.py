@@ -71,7 +71,7 @@ def test_what_fewer_than_three_scans_vote_for_closes_nothing() -> None:
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("walls", [6, 7, 8])
 def test_refining_past_a_single_wall_makes_no_path_worse(walls: int, seed: int) -> None:
-    """With few of the panels at the far end, nothing holds 15 m along the wall."""
+    """With few of the panels at the far end, 15 m along the wall are undetermined."""
     rng = np.random.default_rng(seed)
     x = np.arange(-2.0, 27.0, 0.2)
     mapper = PlaneMapper()

@@ -1,4 +1,4 @@
-"""Which tracks of walls become one once the map is refined, and which corners are none."""
+"""Which tracks of walls are joined in the refined map, and which corners are rejected."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_corners_seen_again_are_merged_while_mapping() -> None:
 
 
 def test_a_wall_without_corners_seen_again_is_one() -> None:
-    """Nothing but its line tells: no corner of it was ever seen."""
+    """Only its line is known: no corner of it was ever seen."""
     mapper, numbers = refined(
         ([[3.0, -1.5], [3.0, 1.0]], OPEN, EARLY), ([[3.0, -1.0], [3.0, 1.5]], OPEN, LATE)
     )

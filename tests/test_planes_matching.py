@@ -73,7 +73,7 @@ def tracks_of_a_room() -> tuple[PlaneTracks, np.ndarray]:
 
 
 def test_a_tiny_wall_does_not_rotate_the_scan() -> None:
-    """A false long wall that a short and noisy track takes for its own pulls at next to nothing."""
+    """A false long wall matched to a short and noisy track has almost no influence."""
     speck = np.array([[4.0, 1.0], [4.0, 1.1]])
     tracks, room = tracks_of_a_room()
     seen = checked_planes(Room(np.concatenate([room, speck[None]])))

@@ -74,7 +74,7 @@ def test_a_singular_pivot_leaves_its_unknown_unchanged() -> None:
 
 @pytest.fixture(name="room")
 def make_room() -> tuple[WallEquations, Walls]:
-    """Three walls and two corners seen with noise on a short way, and where all that was."""
+    """Three walls and two corners seen with noise on a short way, and their true positions."""
     rng = np.random.default_rng(3)
     ends = np.array(
         [[[4.0, -3.0], [4.0, 3.0]], [[4.0, 3.0], [-2.0, 3.0]], [[1.0, 5.0], [2.0, 7.0]]]

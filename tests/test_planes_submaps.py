@@ -128,7 +128,7 @@ def test_a_map_that_refining_tears_stays_as_chained(monkeypatch: pytest.MonkeyPa
 
 
 def test_steps_of_refinement_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What hangs by next to nothing is not thrown beyond the map."""
+    """A poorly connected part is not moved beyond the map."""
     from relmap.planes.equations import WallEquations
 
     walls = np.array([[[4.0, -3.0], [4.0, 3.0]], [[4.0, 3.0], [-2.0, 3.0]]])

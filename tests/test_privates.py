@@ -1,4 +1,4 @@
-"""What begins with an underscore is read in its own class or module alone, by the tests too."""
+"""Names that begin with an underscore are used only in their class or module, also by tests."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 
 FOLDERS = ("relmap", "tests", "benchmarks", "examples")
 OUTSIDE = {"os._exit"}
-"""What the standard library documents in spite of its underscore."""
+"""Names that the standard library documents in spite of the underscore."""
 
 
 def is_private(name: str) -> bool:
@@ -18,7 +18,7 @@ def is_private(name: str) -> bool:
 
 
 def own_names(node: ast.ClassDef) -> set[str]:
-    """Return what a class defines: methods, fields, and what its methods set of `self`."""
+    """Return the names that a class defines: methods, fields, and attributes set on `self`."""
     found = set()
     for child in ast.walk(node):
         if isinstance(child, ast.FunctionDef):

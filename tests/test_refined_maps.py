@@ -86,7 +86,7 @@ def test_the_frame_is_that_of_the_first_iteration(d: int) -> None:
 
 @both_dimensions
 def test_a_landmark_displaced_for_a_while_does_not_bend_the_map(d: int) -> None:
-    """As under a wrong id: within its segment all agrees, so that only other segments tell."""
+    """As under a wrong id: its own segment is consistent, so only other segments show it."""
     errors: list[float] = []
     sound: list[float] = []
     for seed in range(3):

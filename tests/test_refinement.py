@@ -228,7 +228,7 @@ def test_noise_is_estimated_from_what_is_left() -> None:
 
 
 def test_outliers_are_down_weighted() -> None:
-    """One in a hundred observations is metres off: the batch solution is spoilt, the map is not."""
+    """One in a hundred observations is metres off: the map is right, unlike the batch solution."""
     errors, spoilt = [], []
     for seed in (40, 41, 42):
         world = whole(walk(3, seed, sigma=0.05, iterations=200))

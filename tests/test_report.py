@@ -121,7 +121,7 @@ def test_names_are_text(nasty: Path) -> None:
 
 
 def test_every_run_has_a_page(tmp_path: Path) -> None:
-    """Of nothing mapped, and of submaps apart."""
+    """Without mapped landmarks, and with separate submaps."""
     (tmp_path / "one.csv").write_text("iteration,x,y\n0,1,2\n")
     assert main(["map", str(tmp_path / "one.csv"), "-o", str(tmp_path / "one")]) == 0
     (view,) = views((tmp_path / "one" / "report.html").read_text())

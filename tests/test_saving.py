@@ -1,4 +1,4 @@
-"""Saved maps: nothing is lost, and no file makes the loader do anything."""
+"""Saved maps: nothing is lost, and no file executes code when it is loaded."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Saved maps that are not as they were saved: each is refused in one line."""
+"""Changed and damaged saved maps: each is refused in one line."""
 
 from __future__ import annotations
 
@@ -131,7 +131,7 @@ def test_damage_is_reported_and_bombs_are_refused(tmp_path: Path) -> None:
 
 
 def test_flipped_bytes_anywhere_give_one_line_or_the_same_map(tmp_path: Path) -> None:
-    """Most of all in what the zip layer says of members, where a flip may go unnoticed."""
+    """Above all in the zip headers of members, where a flip may go unnoticed."""
     path = saved_map(tmp_path)
     data, rng = path.read_bytes(), np.random.default_rng(1)
     whole = told(PointMapper.load(path))

@@ -104,7 +104,7 @@ def test_wide_steps_and_turns_are_found(turn_deg: float, step_m: float) -> None:
 
 
 def test_walls_that_do_not_match_give_no_link() -> None:
-    """Beams alone do not, be it that all of them agree."""
+    """Beams alone do not suffice, even if all of them agree."""
     points = cast(CORNERS, (0.0, 0.0, 0.1))
     scan = observed(points)
     tracks = PlaneTracks.begun(

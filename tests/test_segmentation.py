@@ -119,7 +119,7 @@ def test_same_scan_and_seed_give_the_same_bits() -> None:
 
 @pytest.mark.parametrize("angle", [0.7, 2.5, -1.9])
 def test_turning_the_scan_turns_the_planes(angle: float) -> None:
-    """Without limits of the view nothing in a scan says where ahead is."""
+    """Without limits of the view a scan does not show which direction is ahead."""
     scan = building_scene(2003, sigma=0.0, sample_ends=True)
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     turned = np.column_stack([scan.points[:, :2] @ turn.T, scan.points[:, 2]])

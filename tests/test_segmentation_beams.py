@@ -20,7 +20,7 @@ OBLIQUE = (np.array([4.0, 2.0]), np.array([0.96, 0.28]))
 
 
 def grid(bearing: np.ndarray, rows: int, sigma: float, rng: np.random.Generator) -> np.ndarray:
-    """Return what columns of beams measure of the oblique wall, (columns * rows, 2)."""
+    """Return the points of the oblique wall measured by columns of beams, (columns * rows, 2)."""
     (x, y), (ux, uy) = OBLIQUE
     reach = (x * uy - y * ux) / (np.cos(bearing) * uy - np.sin(bearing) * ux)
     reach = np.repeat(reach, rows) + rng.normal(0, sigma, rows * len(bearing))

@@ -1,4 +1,4 @@
-"""2-D lasers with few beams: how many points make a wall depends on how well they fix it."""
+"""2-D lasers with few beams: the points required for a wall depend on how well they fit."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ ONE_DEGREE = 181
 
 
 def beams(distance_m: float, count: int, step_deg: float = 1.0) -> Floats:
-    """Return what beams across a wall ahead meet of it, with noise of 5 mm."""
+    """Return the points of beams on a wall ahead, with noise of 5 mm."""
     bearing = np.deg2rad(step_deg) * (np.arange(count) - 0.5 * (count - 1))
     reach = distance_m / np.cos(bearing) + np.random.default_rng(0).normal(0, 0.005, count)
     return np.column_stack([reach * np.cos(bearing), reach * np.sin(bearing)])

@@ -1,4 +1,4 @@
-"""What a laser meets that is no wall: clutter before walls, and curves."""
+"""Objects other than walls: clutter in front of walls, and curves."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def wall_ahead(seed: int = 0) -> Floats:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_clutter_hardly_parts_a_wall(seed: int) -> None:
-    """Four beams of clutter in a row part it; taken for what they seem it is in 15 pieces."""
+    """Four consecutive beams of clutter split it; without filtering it is in 15 pieces."""
     rng = np.random.default_rng(seed)
     ranges = wall_ahead(seed)
     met = rng.uniform(size=len(ranges)) < 0.2

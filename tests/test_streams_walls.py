@@ -1,4 +1,4 @@
-"""What a segmenter gives, and what it cannot: a rejected update changes nothing."""
+"""Valid and impossible output of a segmenter: a rejected update changes nothing."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ from tests.segments import cast
 from tests.test_scan_links import driven, scans_of
 
 ROOM = np.array([[0.0, 0.0], [6.0, 0.0], [6.0, 3.0], [4.0, 3.0], [4.0, 4.0], [0.0, 4.0]])
-"""A room with a niche: it fits itself in one way only."""
+"""A room with a niche, without symmetry."""
 R, T = np.array([[0.6, -0.8], [0.8, 0.6]]), np.array([7.0, -3.0])
 
 
@@ -72,7 +72,7 @@ def known_of(mapper: PlaneMapper) -> list[list[int]]:
 
 
 def test_a_place_seen_again_after_a_jump_is_joined(tmp_path: Path) -> None:
-    """Scans of elsewhere in between stay a submap of their own."""
+    """Scans of another place in between stay a separate submap."""
     (log, scans), (_, foreign) = scans_of(0), scans_of(0, world="panels")
     mapper = driven(log, scans[:35] + foreign[20:35] + scans[5:40])
     again = [*range(35), *range(50, 85)]

@@ -94,7 +94,7 @@ def finished_cells(out: Path) -> dict[str, int]:
 def test_goes_on_after_an_interruption(
     spec: Path, tmp_path: Path, expected: str, child_env: dict[str, str]
 ) -> None:
-    """Begun with one worker, ended with two: the table of a run in one go, in one process."""
+    """Begun with one worker, ended with two: the same table as in one process."""
     out = tmp_path / "out"
     run = sweep(spec, out, child_env, "--workers", "1", begin=CTRL_C_AFTER_3)
     _, complained = run.communicate(timeout=PATIENCE_S)

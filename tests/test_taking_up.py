@@ -1,4 +1,4 @@
-"""A run of scans is added to a map only where a stretch of it agrees, in one place alone."""
+"""A run of scans is added to a map only if a stretch of it agrees in exactly one place."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_weaker_agreement_is_rejected(parts: list[tuple[Floats, Ints]]) -> None:
 
 
 def test_the_next_corner_of_a_corridor_is_not_taken_for_the_mapped_one() -> None:
-    """Its four sides are the same: single scans are localised where they were not taken."""
+    """Its four sides are the same: single scans are localised in wrong places."""
     world = simulate_building(181, 0.01, sampling="laser", world="corridor", iterations=230)
     points = [scan.points[:, :2] for scan in world.scans]
     offsets = np.cumsum([0, *map(len, points)])

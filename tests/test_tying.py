@@ -77,7 +77,7 @@ def test_different_places_stay_apart(seed: int, d: int) -> None:
 
 
 def test_few_landmarks_in_a_chance_arrangement_join_nothing() -> None:
-    """Half of so few are found somewhere in any world, if the noise is large."""
+    """Under large noise half of so few landmarks match somewhere in any world."""
     for seed in range(6):
         rng = np.random.default_rng(seed)
         global_map = in_submaps(*(rng.uniform(0, 10, (12, 2)) for _ in range(4)))

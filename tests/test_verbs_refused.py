@@ -37,7 +37,7 @@ KINDS += ["empty", "gone", "pictures", "pictures/map.png"]
 
 @pytest.fixture(scope="session")
 def wrong(logs: Path, mapped: Mapped) -> Path:
-    """Return a folder with what people give by mistake."""
+    """Return a folder with typical wrong inputs."""
     (logs / "empty").mkdir()
     (logs / "pictures").mkdir()
     shutil.copytree(mapped("csv/observations.csv"), logs / "of-points")

@@ -1,4 +1,4 @@
-"""What a robot sees of walls: closed forms, and ray casting against every wall."""
+"""Visible parts of walls: closed forms, and ray casting against every wall."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ RIGHT_ANGLE = np.deg2rad(90.0)
 
 
 def look(*walls: tuple[float, float, float, float], range_m: float = 10.0) -> SeenWalls:
-    """Return what is seen of walls x0, y0, x1, y1 by a robot with a view of 90 degrees."""
+    """Return the parts of walls x0, y0, x1, y1 visible to a robot with a view of 90 degrees."""
     ends = np.array(walls, dtype=np.float64).reshape(-1, 2, 2)
     return seen_walls(ends, range_m, RIGHT_ANGLE / 2)
 

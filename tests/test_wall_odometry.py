@@ -80,7 +80,7 @@ def round_the_room(n: int = 60) -> Array:
 
 
 def odometry_of(poses: Array, seed: int = 0, scale: float = 1.02) -> Array:
-    """Return what wheels count: 2 % too much, with 1 % of noise, and 0.5 degrees a metre."""
+    """Return odometry: 2 % too long, with noise of 1 % and 0.5 degrees per metre."""
     rng, found = np.random.default_rng(seed), [np.full(3, np.nan)]
     for before, after in itertools.pairwise(poses):
         T = np.linalg.inv(before) @ after
@@ -107,7 +107,7 @@ def mapped(scans: list[tuple[Any, Array]], odometry: Array | None = None) -> Pla
 
 
 def use_of(mapper: PlaneMapper) -> OdometryUse:
-    """Return what was made of odometry."""
+    """Return how odometry was used."""
     assert mapper.odometry is not None
     return mapper.odometry
 
