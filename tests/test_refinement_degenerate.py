@@ -23,7 +23,7 @@ def seen_from(world: Floats, steps: int = 40, sigma: float = 0.01) -> Scans:
 
 
 def finite(mapper: PointMapper) -> bool:
-    """Refine; tell whether all that is handed out of the map is finite."""
+    """Refine; return whether all results of the map are finite."""
     mapper.finish()
     mapper.refine()
     found, table = mapper.map, mapper.landmarks

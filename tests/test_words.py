@@ -44,6 +44,7 @@ BANNED = {
     r"\bwhom each is of\b": "the landmark of each",
     r"\blies? to one another\b": "relative location",
     r"\bwhat came out\b": "the result",
+    r"\btell (whether|what|which|where)\b": "return, show",
     r"\btells (nothing|something|whether|which|how|where|when)\b": "shows",
     r"(?<!`)\bbelieved?\b": "accept, use",
     r"\bhangs? on\b": "depend on",

@@ -27,7 +27,7 @@ WRONG_SCALE, WRONG_WAY = 0.3, 0.5
 STILL_M = 1e-3
 """Distance below which the robot stands still."""
 FLOOR_M, FLOOR_RAD = 1e-4, 1e-5
-"""Least standard deviations: files are rounded."""
+"""Minimum standard deviations: files are rounded."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,7 @@ LEAST_M2 = 0.25
 SAMPLE_M, MOST_SAMPLES = 0.1, 2000
 """Spacing of the points at which planes are compared, and their approximate maximum number."""
 MOSTLY = 0.5
-"""Least fraction of a mapped plane that lies on the true one matched to it."""
+"""Minimum fraction of a mapped plane that lies on the true one matched to it."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,7 +24,7 @@ RIM = 5
 """Margin, in cells, around the known area."""
 MOST_CELLS = 100_000_000
 NEAREST_M, FARTHEST_M = 1e-3, 100.0
-"""Least and largest size of a cell."""
+"""Minimum and maximum size of a cell."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,7 +24,7 @@ BENT_RAD = 1e-4
 DOUBTFUL = 4.0
 """Standard deviations from which a match counts less."""
 ROUNDS, SETTLED, ROUNDING = 8, 1e-7, 1e-13
-"""Most steps of a fit, and the step that ends it, or the last fit: metres and radians."""
+"""Maximum number of steps of a fit, and the step that ends it, or the last one: metres, radians."""
 WEAK, OPEN = 0.015, 0.1
 """A direction is weak if the standard deviation of the position exceeds the first fraction of the
 range. The prediction is used there if it is more accurate, or if the second fraction is

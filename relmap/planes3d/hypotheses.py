@@ -26,7 +26,7 @@ LEADERS, PAIRS, TURNS, PER_TURN = 10, 18, 36, 4
 """Number of largest planes of a scan that give hypotheses, of candidate matches per rotation, of
 rotations, and of translations per rotation."""
 FLAT_CORNER = 0.15
-"""Least determinant of three normals that determine a translation."""
+"""Minimum determinant of three normals that determine a translation."""
 OFF_M, OFF_SHARE = 4.0, 0.01
 """Tolerance of offsets: standard deviations of the points, and a fraction of the range."""
 

@@ -22,9 +22,9 @@ from relmap.segmentation.space import Patches, PatchSegmenter
 
 Span = tuple[int, int]
 LEAST_SCANS, MOST_TIED = 3, 12
-"""Least number of scans of a submap that is tied, and number of largest submaps that are tried."""
+"""Minimum number of scans of a submap that is tied, and number of submaps tried, the largest."""
 LEAST_SHARED = 5
-"""Least number of shared planes of two submaps: three at right angles match any others."""
+"""Minimum number of shared planes of two submaps: three at right angles match any others."""
 STEADY = 6
 """Number of poses whose mean step predicts the next one in a direction that planes leave open."""
 

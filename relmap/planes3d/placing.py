@@ -28,7 +28,7 @@ SAMPLE, ROUGHLY = 400, 150
 OVERLAP = 1.5
 """Largest distance, in cells, of a cell of the scan from one of the map on the same surface."""
 LEAST = 0.35
-"""Least fraction of the scan's surfaces on surfaces of the map, of an accepted placement."""
+"""Minimum fraction of the scan's surfaces on surfaces of the map, of an accepted placement."""
 RIVAL, RIVAL_LESS_ONE = 0.9, 0.6
 """A rival is a placement that explains at least this fraction of what the best one does; the second
 value holds if at most `FEW` planes match and the rival misses one of them, which may be new or

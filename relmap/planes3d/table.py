@@ -13,7 +13,7 @@ from relmap.planes3d.submap import Submap
 from relmap.segmentation.space import Patches
 
 FEWEST = 2
-"""Least number of scans that saw a mapped plane."""
+"""Minimum number of scans that saw a mapped plane."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,11 +14,11 @@ CORRIDOR_M = 2.4
 """Width of the corridor round a block of rooms; further rooms lie along its outer side."""
 BLOCK_M = ((13.0, 18.0), (7.0, 10.0))
 ROOM_M = (3.4, 5.0)
-"""Least and greatest width: the narrowest holds the widest door between two posts."""
+"""Minimum and maximum width: the narrowest holds the widest door between two posts."""
 DEPTH_M = (3.5, 5.5)
 DOOR_M = (0.9, 1.3)
 POST_M = 0.8
-"""Least length of the wall on either side of a door."""
+"""Minimum length of the wall on either side of a door."""
 FRAME_M = 0.15
 """Of a pane, on either side."""
 MOST_PANELS = 2

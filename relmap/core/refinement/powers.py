@@ -31,7 +31,7 @@ STEPS = 2
 SHARES = (1.0, 0.5, 0.25)
 """Fractions of Newton's step that are tried: with few observations the full step is too long."""
 FAINT = 1e-4
-"""Least weight, as a fraction of the largest: landmarks seen a few times have no residual."""
+"""Minimum weight, as a fraction of the largest: landmarks seen a few times have no residual."""
 LOOSE, LOOSE_POSE = 1e-9, 1e-12
 """Damping of poorly determined landmarks and placements, as a fraction of the diagonal."""
 EXACT = 1e-9

@@ -19,7 +19,7 @@ SKEW = np.sin(np.deg2rad(20.0))
 ALIKE, UPRIGHT = np.sin(np.deg2rad(4.0)), np.sin(np.deg2rad(10.0))
 """Deviation of level and upright planes that determine the vertical, and of walls that are kept."""
 LEAST = 0.5
-"""Least fraction of the surface that is level or upright."""
+"""Minimum fraction of the surface that is level or upright."""
 ROUNDS = 3
 """Refinements of the vertical."""
 BEAMS = 720

@@ -27,9 +27,9 @@ REACH, GATE = 3.0, 3.0
 """Largest distance of the centres of voxels, and of points, from their plane, in standard
 deviations."""
 FEWEST_VOXELS = 4
-"""Least number of voxels of a plane."""
+"""Minimum number of voxels of a plane."""
 REGROWN, REFITS = 6, 2
-"""Most refits of a plane while it grows, and number of refits to its points."""
+"""Maximum number of refits of a plane while it grows, and number of refits to its points."""
 SCALES = (1.0, 2.5)
 """Sizes of voxels: larger ones find noisy or sparse planes in the points that are left."""
 ALIKE = 1.5
@@ -48,9 +48,9 @@ class PatchSegmenter:
     voxel_m : float, optional
         Size of the voxels at the median range; 4 % of the median range or more if omitted.
     min_points : int
-        Least number of points of a plane.
+        Minimum number of points of a plane.
     most : int
-        Largest number of planes of a scan; those with most points are kept.
+        Maximum number of planes of a scan; those with most points are kept.
 
     Raises
     ------

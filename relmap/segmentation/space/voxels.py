@@ -11,7 +11,7 @@ from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.scan import TINY
 
 FEWEST = 6
-"""Least number of points of a voxel that define a plane."""
+"""Minimum number of points of a voxel that define a plane."""
 FLAT, WIDE = 0.08, 0.1
 """Of a flat voxel: largest thickness of its points over four times their width, and least width by
 the size of the voxel. Noise is estimated, and planes grow, from flat voxels."""
