@@ -42,8 +42,8 @@ def straight_chain(n: int) -> tuple[ChainProblem, Chained]:
     points = positions[landmark] - t[iteration]
     root = np.tile(np.eye(2) / NOISE_M, (len(points), 1, 1))
     chain = Chain(points, landmark, iteration, root, np.tile(motion(1.0, 0.0), (n - 1, 1, 1)))
-    odds = np.full(n - 1, 0.05), np.full(n - 1, 0.01)
-    problem = ChainProblem(chain, odds, Sigmas(), positions, anchor=0)
+    step_sd = np.full(n - 1, 0.05), np.full(n - 1, 0.01)
+    problem = ChainProblem(chain, step_sd, Sigmas(), positions, anchor=0)
     return problem, Chained(positions, R, t, np.zeros(3))
 
 

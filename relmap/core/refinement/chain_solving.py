@@ -24,7 +24,7 @@ BENT = 3.5
 
 def settled_chain(
     chain: Chain,
-    odds: tuple[Floats, Floats],
+    step_sd: tuple[Floats, Floats],
     state: Chained,
     anchor: int,
     sigmas: Sigmas | None,
@@ -37,7 +37,7 @@ def settled_chain(
     Parameters
     ----------
     chain : Chain
-    odds : tuple of (k - 1,) float64
+    step_sd : tuple of (k - 1,) float64
         Standard deviations of the way and the turn of each step of odometry, as in `ChainProblem`.
     state : Chained
         Where to start.
@@ -57,33 +57,45 @@ def settled_chain(
     problem : ChainProblem
         With the estimated noise.
     """
-    known = sigmas is not None
     problem = ChainProblem(
-        chain, odds, sigmas or Sigmas(), state.positions, anchor, turns_whole=not has_ids
+        chain, step_sd, sigmas or Sigmas(), state.positions, anchor, turns_whole=not has_ids
     )
-    is_first = not known and not is_open
     if is_open:
         state = _bent(problem, state)
+    is_known = sigmas is not None
+    found, problem = _with_noise(problem, step_sd, state, anchor, is_known, to_the_last)
+    if not is_known and not is_open:
+        found = _better(problem, found)
+    if to_the_last:
+        weigh = _weighing(problem, strict, OUTLIER)
+        found = gauss_newton(problem, found.state, weigh, ROUNDS, unsure=FINE, faint=FAINT)
+    converged = found.converged or found.gain <= WORTH_SAYING
+    return Settled(found.state, found.weight, converged or not to_the_last), problem
+
+
+def _with_noise(
+    problem: ChainProblem,
+    step_sd: tuple[Floats, Floats],
+    state: Chained,
+    anchor: int,
+    is_known: bool,
+    to_the_last: bool,
+) -> tuple[Solution[Chained], ChainProblem]:
+    """Return the solution, and the problem with the noise estimated from its residuals in turn."""
     for _ in range(TIMES):
         weigh = _weighing(problem, lenient, OUTLIER)
         found = gauss_newton(problem, state, weigh, FEW_ROUNDS, unsure=ROUGH, faint=WORTH_SAYING)
         state = found.state
-        if known and (found.converged or not to_the_last):
+        if is_known and (found.converged or not to_the_last):
             break
         sigmas, before = problem.components(state, found.weight), problem.sigmas
-        known = max(abs(np.log(a / b)) for a, b in zip(sigmas, before, strict=True)) < SETTLED
+        ratios = [a / b for a, b in zip(sigmas, before, strict=True)]
+        is_known = max(abs(np.log(ratio)) for ratio in ratios) < SETTLED
+        whole, pattern = problem.turns_whole, problem.pattern
         problem = ChainProblem(
-            chain, odds, sigmas, state.positions, anchor, problem.pattern, not has_ids
+            problem.chain, step_sd, sigmas, state.positions, anchor, pattern, whole
         )
-    if is_first:
-        found = _better(problem, found)
-        state = found.state
-    if to_the_last:
-        found = gauss_newton(
-            problem, state, _weighing(problem, strict, OUTLIER), ROUNDS, unsure=FINE, faint=FAINT
-        )
-    converged = found.converged or found.gain <= WORTH_SAYING
-    return Settled(found.state, found.weight, converged or not to_the_last), problem
+    return found, problem
 
 
 def _bent(problem: ChainProblem, state: Chained) -> Chained:

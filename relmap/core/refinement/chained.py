@@ -98,7 +98,7 @@ class ChainProblem:
     Parameters
     ----------
     chain : Chain
-    odds : tuple of (k - 1,) float64
+    step_sd : tuple of (k - 1,) float64
         Standard deviations of odometry: of a coordinate, metres, and of an angle, radians.
     sigmas : Sigmas
     positions : (m, d) float64, metres
@@ -113,7 +113,7 @@ class ChainProblem:
     def __init__(
         self,
         chain: Chain,
-        odds: tuple[Floats, Floats],
+        step_sd: tuple[Floats, Floats],
         sigmas: Sigmas,
         positions: Floats,
         anchor: int,
@@ -131,7 +131,7 @@ class ChainProblem:
         self._way = np.linalg.norm(self._t, axis=1)
         turn = Rotation.from_matrix(R).as_rotvec() if len(R) else np.empty((0, 3))
         self._turn = turn if d == 3 else turn[:, 2:]
-        self._odds = odds[0][self.moved] * sigmas.way, odds[1][self.moved] * sigmas.turn
+        self._step_sd = step_sd[0][self.moved] * sigmas.way, step_sd[1][self.moved] * sigmas.turn
         self.freedoms = max(n * d + len(self.moved) * (d + q) - m * d - (k - 1) * (d + q), 1)
         self.rounding = float(np.sum(self._root**2)) * (ROUNDING * size_of(positions)) ** 2
         self.pattern = pattern or _pattern(chain, self.moved, m, k, d, q)
@@ -290,7 +290,7 @@ class ChainProblem:
         jacobian[:, d:, :q], jacobian[:, d:, d + q : d + 2 * q] = -by_turn, by_turn
         jacobian[:, d:, 2 * (d + q) + 1] = turned
         jacobian[:, d:, 2 * (d + q) + 2 :] = -self._way[:, None, None] * np.eye(q)
-        way, angle = self._odds[0][:, None], self._odds[1][:, None]
+        way, angle = self._step_sd[0][:, None], self._step_sd[1][:, None]
         jacobian[:, :d] /= way[:, None]
         jacobian[:, d:] /= angle[:, None]
         return off_way / way, off_turn / angle, jacobian

@@ -111,9 +111,9 @@ class PartSolver:
             return None
         anchor = int(chain.iteration[0])
         start = _start(chain, bridged.poses[iterations], len(landmarks))
-        odds = self.noise.sigmas(chain.motion)
+        step_sd = self.noise.sigmas(chain.motion)
         settled, problem = settled_chain(
-            chain, odds, start, anchor, self.sigmas, self.to_the_last, self.is_open, self.has_ids
+            chain, step_sd, start, anchor, self.sigmas, self.to_the_last, self.is_open, self.has_ids
         )
         refined, placed = self._refined(settled, problem, landmarks, iterations)
         way, turn = problem.parts[1:]
