@@ -1,4 +1,4 @@
-"""Map a planar world with known identities: two columns instead of three, and ids."""
+"""Map a planar world with known ids: two columns instead of three."""
 
 import numpy as np
 

@@ -17,12 +17,12 @@ if TYPE_CHECKING:
     from relmap.evaluation.run import Run
     from relmap.plots.variants import BothMaps
 
-HELP = """See relmap at work on simulated scans.
+HELP = """Map simulated scans and compare the maps with the truth.
 
 First a robot flies a figure eight of 740 m past 185 point landmarks and observes them with a noise
 of 5 cm. The log is mapped with known ids ('known') and without ids ('nearest'). Then a robot drives
 through a building and observes fixed points on its walls, with low and with high noise. The same
-scans are mapped as planes and as points. All maps are compared with the truth.
+scans are mapped as planes and as points.
 
 DIR/index.html shows all pictures.  DIR holds the files of 'relmap simulate' and 'relmap map', and
 DIR/nearest those of the map without ids.

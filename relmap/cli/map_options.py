@@ -9,7 +9,7 @@ import typer
 
 from relmap.cli import arguments as args
 
-HELP = """Make a map from a log of landmarks that a moving robot saw.
+HELP = """Make a map from a log of landmarks or of scans.
 
 INPUT is a file or folder. The simplest is a CSV file with the header iteration,x,y,z or
 iteration,x,y (a planar world) and one row per observation of a landmark: its position in the robot

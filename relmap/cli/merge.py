@@ -12,13 +12,14 @@ from relmap.cli.console import busy
 
 SECOND = "trajectory-2.tum"
 
-HELP = """Combine the maps of two result folders, of points or of walls, without their logs.
+HELP = """Combine the maps of two result folders.
 
-B is aligned to A by common landmarks with the same relative locations, or by coinciding walls. It
-is an error if there is no alignment, or more than one. If a run broke into submaps, its largest is
-merged. It writes into C the files of 'relmap map' except mapper.npz, report.html and bench.png;
-tracks.csv.gz is empty, trajectory.tum is the path of A, and trajectory-2.tum that of B in the same
-frame. In landmarks.csv and planes.csv the iterations of B follow those of A.
+Both are maps of points or of walls; their logs are not needed. B is aligned to A by common
+landmarks with the same relative locations, or by coinciding walls. It is an error if there is no
+alignment, or more than one. If a run broke into submaps, its largest is merged. It writes into C
+the files of 'relmap map' except mapper.npz, report.html and bench.png; tracks.csv.gz is empty,
+trajectory.tum is the path of A, and trajectory-2.tum that of B in the same frame. In landmarks.csv
+and planes.csv the iterations of B follow those of A.
 
 \b
 Example:

@@ -13,11 +13,11 @@ from relmap.cli.console import busy
 if TYPE_CHECKING:
     from relmap.simulation.storey import Storey
 
-HELP = """Simulate a lidar or depth camera carried through two rooms of a house.
+HELP = """Simulate a lidar or depth camera carried through rooms.
 
 It writes DIR/scans.npz and the truth: DIR/truth/faces.csv (the corners of every face, its plane and
-the area that two scans saw) and DIR/truth/trajectory.tum. There are a floor, a ceiling, a sloped
-roof, tables and cupboards; the sensor sways and tilts.
+the area that two scans saw) and DIR/truth/trajectory.tum. Two rooms of a house have a floor, a
+ceiling, a sloped roof, tables and cupboards; the sensor sways and tilts.
 
 \b
 Example:
