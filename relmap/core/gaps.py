@@ -48,17 +48,17 @@ def bridge_gaps(engine: RelativeMapper, to_the_last: bool = False, is_open: bool
     if noise.is_wrong or not len(engine.kept):
         engine.odometry = use
         return False
-    believed = noise.corrected(odometry)
+    corrected = noise.corrected(odometry)
     start, sigmas = None, None
     if before is not None and before.is_used:
         start, sigmas = before.poses if engine.refined else None, Sigmas(*before.sigmas.tolist())
-    motions = np.where(slipped[:, None, None], measured.motion, believed)
+    motions = np.where(slipped[:, None, None], measured.motion, corrected)
     bridged = bridge(engine.table, rows, motions, start)
     hanging = bridged.hanging if before is None or sigmas is None else before.hanging
     if not len(hanging):
         engine.odometry = use
         return False
-    solve = _solver(engine, rows, believed, noise, sigmas, to_the_last, is_open).solve
+    solve = _solver(engine, rows, corrected, noise, sigmas, to_the_last, is_open).solve
     judges = to_the_last or not engine.refined
     solved = _judged(engine, bridged, solve) if judges else _solved(engine, bridged, solve)[1]
     _place(engine, solved)
@@ -95,13 +95,13 @@ def _solved(
 def _solver(
     engine: RelativeMapper,
     rows: SegmentRows,
-    believed: Floats,
+    corrected: Floats,
     noise: MotionNoise,
     sigmas: Sigmas | None,
     to_the_last: bool,
     is_open: bool,
 ) -> PartSolver:
-    """Return the solver of the parts of a run; `believed` is odometry without constant errors."""
+    """Return the solver of the parts of a run; `corrected` is odometry without constant errors."""
     mature = to_the_last and not engine.association.has_ids
     roots = None
     if len(engine.weighed) and not engine.association.estimates_covariances:
@@ -113,7 +113,7 @@ def _solver(
         rows,
         engine.kept,
         roots,
-        believed,
+        corrected,
         noise,
         engine.averaging.noise.sigma_m,
         sigmas,

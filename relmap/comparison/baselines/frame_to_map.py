@@ -33,8 +33,8 @@ class FrameToMap(KnownBaseline):
 
     def _placed(self, points: Floats, labels: Ints) -> Pose | None:
         landmarks = self._association.match(points, labels)
-        believed = landmarks >= 0
-        landmarks, points = landmarks[believed], points[believed]
+        accepted = landmarks >= 0
+        landmarks, points = landmarks[accepted], points[accepted]
         self._means.resize(int(landmarks.max(initial=-1)) + 1, np.nan)
         self._counts.resize(int(landmarks.max(initial=-1)) + 1, 0)
         pose = self._fitted(landmarks, points)

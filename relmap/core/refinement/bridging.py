@@ -120,9 +120,9 @@ def noise_of(odometry: Floats, measured: Measured, rows: SegmentRows) -> tuple[M
     """
     single = motion_noise(odometry, measured.motion) or MotionNoise()
     slipped = single.slipped(odometry, measured.motion, measured.sd_m, measured.sd_rad)
-    believed = odometry.copy()
-    believed[slipped] = np.nan
-    composed, seen, steps = _stretches(believed, rows)
+    without_slips = odometry.copy()
+    without_slips[slipped] = np.nan
+    composed, seen, steps = _stretches(without_slips, rows)
     wide = motion_noise(composed, seen)
     if wide is None:
         return single, slipped
