@@ -44,7 +44,8 @@ def compared(tmp_path_factory: pytest.TempPathFactory, child_env: dict[str, str]
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    assert done.stderr == ""
+    progress = [line.endswith(" so far") for line in done.stderr.splitlines()]
+    assert all(progress), done.stderr  # a busy machine prints progress
     (folder / "printed").write_text(done.stdout)
     return folder
 

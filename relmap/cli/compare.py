@@ -141,40 +141,66 @@ def compare_command(
     seed: args.Seed = 0,
 ) -> None:
     """Compare; the help text explains the arguments."""
-    from relmap.evaluation.sources import BuildingSource, EightSource, FileSource
-
-    of_eight = (density, dynamic) != (DENSITY, 0.0)
-    given: Source
     neither = (source is None) == (simulate is None)
     args.refuse(neither, "compare takes either INPUT, a log, or --simulate with a world")
+    given: Source
     if source is not None:
+        of_world = (density, dynamic, iterations, noise, seed)
         args.refuse(
-            of_eight or (iterations, noise, seed) != (None, "gaussian", 0),
+            of_world != (DENSITY, 0.0, None, "gaussian", 0),
             "--density, --iterations, --noise, --dynamic and --seed are for --simulate",
         )
-        outside = sigma is not None and not 0 < sigma < 1000
-        args.refuse(outside, f"--sigma is {sigma}; it must lie above 0 and below 1000 metres")
-        args.refuse(columns and log_format, "--columns applies only to tables of landmarks")
-        given = FileSource(source, log_format, scans, truth, columns, tuple(topic or ()))
+        given = _log(source, log_format, scans, truth, columns, topic, sigma)
     else:
         of_log = any(given is not None for given in (truth, scans, log_format, columns, topic))
         args.refuse(
             of_log,
             "--truth, --scans, --format, --columns and --topic are for INPUT, not for --simulate",
         )
-        sigma = SIGMA_M if sigma is None else sigma
-        if simulate == "building":
-            args.refuse(of_eight, "--density and --dynamic are for the figure eight")
-            given = BuildingSource(iterations, noise, sigma, seed)
-        else:
-            loop = LOOP if iterations is None else iterations
-            given = EightSource(density, loop, noise, sigma, dynamic, seed)
+        given = _world(simulate, density, iterations, noise, sigma, dynamic, seed)
         sigma = sigma or SIGMA_M
     names = None if methods is None else [name.strip() for name in methods.split(",")]
     rows = _compare_into(out, given, names, association, sigma)
     ran = sum(row.run is not None for row in rows)
     each = f"{ran} trajector{'ies' if ran > 1 else 'y'} and map{'s' if ran > 1 else ''}"
     typer.echo(f"wrote comparison.csv, {each} and {ran + 1} pictures to {out}")
+
+
+def _log(
+    source: Path,
+    log_format: str | None,
+    scans: args.Interval | None,
+    truth: Path | None,
+    columns: dict[str, str] | None,
+    topic: list[str] | None,
+    sigma: float | None,
+) -> Source:
+    from relmap.evaluation.sources import FileSource
+
+    outside = sigma is not None and not 0 < sigma < 1000
+    args.refuse(outside, f"--sigma is {sigma}; it must lie above 0 and below 1000 metres")
+    args.refuse(columns and log_format, "--columns applies only to tables of landmarks")
+    return FileSource(source, log_format, scans, truth, columns, tuple(topic or ()))
+
+
+def _world(
+    world: World | None,
+    density: float,
+    iterations: int | None,
+    noise: args.Noise,
+    sigma: float | None,
+    dynamic: float,
+    seed: int,
+) -> Source:
+    from relmap.evaluation.sources import BuildingSource, EightSource
+
+    sigma = SIGMA_M if sigma is None else sigma
+    if world == "building":
+        of_eight = (density, dynamic) != (DENSITY, 0.0)
+        args.refuse(of_eight, "--density and --dynamic are for the figure eight")
+        return BuildingSource(iterations, noise, sigma, seed)
+    loop = LOOP if iterations is None else iterations
+    return EightSource(density, loop, noise, sigma, dynamic, seed)
 
 
 def _compare_into(
