@@ -18,6 +18,7 @@ from relmap.core.mapper import RelativeMapper
 from relmap.core.odometry import OdometryUse
 from relmap.core.refinement.joint import Refined
 from relmap.core.scan import checked_labels
+from relmap.core.stamps import Stamps
 from relmap.shown import Shown
 
 
@@ -34,6 +35,7 @@ class Mapped(Shown, ABC):
     config: MapperConfig
     _engine: RelativeMapper
     _guard: ChangeGuard
+    _stamps: Stamps
     _unused: ClassVar[dict[str, str]] = WITH_POINTS
     """Settings that the variant ignores, with the reason."""
 
@@ -153,6 +155,11 @@ class Mapped(Shown, ABC):
     def trajectory(self) -> Floats:
         """``T_map_robot`` of every iteration (k, 4, 4), for display; NaN where undetermined."""
         return readout.path(self.engine)
+
+    @property
+    def stamps_s(self) -> Floats:
+        """Time of each iteration (k,), seconds, as given to `update`; NaN where none was given."""
+        return self._stamps.of(self.n_iterations)
 
     @property
     def noise_m(self) -> float:

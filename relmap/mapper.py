@@ -19,6 +19,7 @@ from relmap.core.errors import RelmapError
 from relmap.core.guard import ChangeGuard
 from relmap.core.mapper import RelativeMapper
 from relmap.core.model import LandmarkModel
+from relmap.core.stamps import Stamps
 from relmap.mapped import Mapped
 
 if TYPE_CHECKING:
@@ -71,6 +72,7 @@ class Mapper(Mapped):
         self.config = config or MapperConfig()
         self.config.refuse(self._unused)
         self._guard = ChangeGuard()
+        self._stamps = Stamps()
         self._engine = RelativeMapper(self._model(), self.config)
         self._journal: Journal | None = None
         if journal is not None:
@@ -230,7 +232,7 @@ class Mapper(Mapped):
     @property
     def _parts(self) -> list[Any]:
         """The parts with state, see `relmap.core.state.saved`."""
-        return [self.engine]
+        return [self._stamps, self.engine]
 
     @abstractmethod
     def _model(self) -> LandmarkModel:

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 if TYPE_CHECKING:
     from relmap.core.landmarks import LandmarkMap
@@ -40,25 +39,23 @@ class Shown:
         """
         return import_module(PICTURES).plot_mapper(self)
 
-    def save_results(self, folder: PathLike[str] | str, stamps_s: ArrayLike | None = None) -> None:
+    def save_results(self, folder: PathLike[str] | str) -> None:
         """Write the files that `relmap map` writes of a map, except the tracks, into a folder.
 
-        ``tracks.csv.gz`` is empty: the log is not known here.
+        The trajectory has the times given to `update` if every scan had one, else the numbers of
+        the iterations. ``tracks.csv.gz`` is empty: the log is not known here.
 
         Parameters
         ----------
         folder : path
             Created if missing.
-        stamps_s : (n_iterations,) array_like, optional
-            Time of each scan, seconds, ascending, for the trajectory; by default iteration numbers.
 
         Raises
         ------
         RelmapError
-            If the times are invalid, or the folder cannot be written; an earlier result in it is
-            then left unchanged.
+            If the folder cannot be written; an earlier result in it is then left unchanged.
         """
-        import_module(RESULTS).save_results(self, Path(folder), import_module(PICTURES), stamps_s)
+        import_module(RESULTS).save_results(self, Path(folder), import_module(PICTURES))
 
     def __repr__(self) -> str:
         mapped = self.map

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import sys
+from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
 
@@ -61,10 +62,14 @@ def test_columns_are_given_by_name(
         caplog.clear()
 
 
-@pytest.mark.parametrize("kind", ["pandas", "polars"])
-def test_frames_are_logs(kind: str) -> None:
-    library = pytest.importorskip(kind)
-    check(log_of_frame(library.DataFrame(CELLS), NAMES))
+@pytest.fixture(params=["pandas", "polars"])
+def frames(request: pytest.FixtureRequest) -> Any:
+    """A library of data frames."""
+    return pytest.importorskip(request.param)
+
+
+def test_frames_are_logs(frames: Any) -> None:
+    check(log_of_frame(frames.DataFrame(CELLS), NAMES))
 
 
 def test_parquet_is_read(tmp_path: Path) -> None:
@@ -84,15 +89,27 @@ def test_without_pyarrow_it_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert failure(path).endswith("is a Parquet file: pip install 'relmap[parquet]' to read it")
 
 
-def test_times_alone_number_the_iterations() -> None:
-    pandas = pytest.importorskip("pandas")
-    stamps = pandas.to_datetime([1.5, 1.25, 1.5], unit="s")
-    log = log_of_frame(pandas.DataFrame({"stamp": stamps, "x": [1, 2, 3], "y": 0.5}))
+def test_times_alone_number_the_iterations(frames: Any) -> None:
+    stamps = [datetime(1970, 1, 1, 0, 0, 1, part) for part in (500_000, 250_000, 500_000)]
+    log = log_of_frame(frames.DataFrame({"stamp": stamps, "x": [1, 2, 3], "y": [0.5] * 3}))
     assert log.iteration.tolist() == [0, 1, 1]
     assert log.points_robot[:, 0].tolist() == [2, 1, 3]
     assert log.stamps_s is not None
     assert log.stamps_s.tolist() == [1.25, 1.5]
     assert log.ids is None
+
+
+def test_times_may_be_in_a_time_zone(frames: Any) -> None:
+    east = timezone(timedelta(hours=1))
+    stamps = [datetime(1970, 1, 1, 1, 0, k, tzinfo=east) for k in range(3)]
+    log = log_of_frame(frames.DataFrame({"stamp": stamps, "x": [1, 2, 3], "y": [0.5] * 3}))
+    assert log.stamps_s is not None
+    assert log.stamps_s.tolist() == [0, 1, 2]
+
+
+def test_what_is_no_frame_is_refused() -> None:
+    with pytest.raises(RelmapError, match="expected a DataFrame of pandas or polars, got a dict"):
+        log_of_frame({"x": [1.0], "y": [2.0]})
 
 
 @pytest.mark.parametrize(
@@ -107,10 +124,9 @@ def test_times_alone_number_the_iterations() -> None:
     ],
 )
 def test_ids_are_numbers_or_texts(
-    cells: list[Any], ids: list[int], names: tuple[str, ...] | None
+    frames: Any, cells: list[Any], ids: list[int], names: tuple[str, ...] | None
 ) -> None:
-    pandas = pytest.importorskip("pandas")
-    frame = pandas.DataFrame({"iteration": [0, 1, 2], "x": 1.0, "y": 2, "id": cells})
+    frame = frames.DataFrame({"iteration": [0, 1, 2], "x": [1.0] * 3, "y": [2] * 3, "id": cells})
     log = log_of_frame(frame)
     assert log.ids is not None
     assert log.ids.tolist() == ids
@@ -181,9 +197,11 @@ def test_wrong_tables(tmp_path: Path, content: str, columns: dict[str, str], pro
         ({"y": [[1], [2]]}, "data frame: row 0, field y: '[1]', expected a number"),
     ],
 )
-def test_wrong_frames(cells: dict[str, list[Any]], problem: str) -> None:
-    pandas = pytest.importorskip("pandas")
-    frame = pandas.DataFrame({"iteration": [0, 1], "x": [1.0, 2], "y": [0.0, 1]} | cells)
+def test_wrong_frames(frames: Any, cells: dict[str, list[Any]], problem: str) -> None:
+    try:
+        frame = frames.DataFrame({"iteration": [0, 1], "x": [1.0, 2], "y": [0.0, 1]} | cells)
+    except TypeError:
+        pytest.skip("polars makes no column of several types")
     with pytest.raises(RelmapError) as caught:
         log_of_frame(frame)
     assert problem in str(caught.value)

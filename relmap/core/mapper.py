@@ -95,9 +95,11 @@ class RelativeMapper:
             If ids come with some scans but not with others.
         """
         iteration = self.store.n_iterations
+        if len(seen) or self.association.registration is not None:
+            self.association.choose(ids, iteration)
         self.motions.append(odometry, iteration)
         # Register: match observations to those of earlier scans, untransformed (section II).
-        found = self.association.match(seen, ids, iteration, odometry, covariances)
+        found = self.association.match(seen, ids, odometry, covariances)
         self.refined = []
         self.odometry = None
         rows = self.model.rows(seen, found)

@@ -44,10 +44,13 @@ def log_of_frame(frame: Any, columns: Mapping[str, str] | None = None) -> Observ
     Raises
     ------
     RelmapError
-        If a column is missing or a value is invalid: with 0-based row and column.
+        If it is no data frame, a column is missing or a value is invalid: with 0-based row and
+        column.
     """
     path = Path("data frame")
     check_columns(columns or {})
+    if not (hasattr(frame, "columns") and hasattr(frame, "shape")):
+        raise RelmapError(f"expected a DataFrame of pandas or polars, got a {type(frame).__name__}")
     theirs = chosen(path, [str(name) for name in frame.columns], columns or {})
     found = {ours: frame[name].to_numpy() for ours, name in theirs.items()}
     return log_of(path, numbers_of(path, found, "row", first=0))
@@ -100,6 +103,8 @@ def _as_floats(path: Path, column: Column, cells: NDArray[Any], first: int) -> F
         seconds = cells.astype("datetime64[ns]").astype(np.int64) / 1e9
         return np.where(np.isnat(cells), np.nan, seconds)
     try:
+        if column.name == "stamp" and all(hasattr(cell, "timestamp") for cell in cells):
+            return np.array([cell.timestamp() for cell in cells])  # times in a time zone
         if cells.dtype.kind not in "biufO":
             raise ValueError(cells.dtype)
         return np.asarray(cells, dtype=np.float64)

@@ -125,7 +125,7 @@ def feed(
     first = log.first_iteration
     if n_seen < len(log):
         scans = log.between(first + n_seen, first + len(log)).scans()
-    prepare = preparation(method, log, segmenter)
+    prepare, stamps_s = preparation(method, log, segmenter), _new_stamps(method, log, n_seen)
     labels, durations_s = [], []
     for scan in through(scans):
         began = clock()
@@ -133,6 +133,8 @@ def feed(
         between = clock()
         # The motion to the first scan of a log starts where no scan was taken.
         more = _known_of(method, scan, odometry and scan.iteration > first)
+        if stamps_s is not None:
+            more["stamp_s"] = stamps_s[scan.iteration - first]
         labels.append(method.update(seen, ids=scan.ids if known else None, **more))
         durations_s.append([between - began, clock() - between])
         if progress is not None:
@@ -156,6 +158,15 @@ def _known_of(method: Method, scan: Any, odometry: bool) -> dict[str, Any]:
     if odometry and scan.odometry is not None and isinstance(method, PointMapper | PlaneMapper):
         more["odometry"] = scan.odometry
     return more
+
+
+def _new_stamps(method: Method, log: Log, n_seen: int) -> Floats | None:
+    """Return the times of the log, if later than those of the scans that a mapper has seen."""
+    stamps_s = log.stamps_s
+    if stamps_s is None or not isinstance(method, PointMapper | PlaneMapper):
+        return None
+    known_s = method.stamps_s[np.isfinite(method.stamps_s)]
+    return stamps_s if (np.diff(np.append(known_s[-1:], stamps_s[n_seen:])) > 0).all() else None
 
 
 def preparation(

@@ -101,6 +101,7 @@ class PlaneMapper(LocatingMapper):
         ids: ArrayLike | None = None,
         beams: ArrayLike | None = None,
         odometry: ArrayLike | None = None,
+        stamp_s: float | None = None,
     ) -> Ints:
         """Process one iteration.
 
@@ -120,6 +121,8 @@ class PlaneMapper(LocatingMapper):
             Motion of the robot since the last update, see `relmap.core.odometry.checked_odometry`;
             that of the first update is not used. It bridges scans that show too little, and
             determines the motion in directions that walls do not; see `odometry`.
+        stamp_s : float, optional
+            Time of the scan, seconds, later than that of earlier scans; kept for the trajectory.
 
         Returns
         -------
@@ -136,17 +139,21 @@ class PlaneMapper(LocatingMapper):
         seen = self._checked(points, beams)
         with self._guard.change():
             motion = None if odometry is None else checked_odometry(odometry)
-            return self._take_in(seen, motion)
+            time_s = None if stamp_s is None else self._stamps.checked(stamp_s)
+            return self._take_in(seen, motion, time_s)
 
-    def _take_in(self, seen: PlaneObservation, motion: Floats | None) -> Ints:
+    def _take_in(
+        self, seen: PlaneObservation, motion: Floats | None, stamp_s: float | None
+    ) -> Ints:
         if self._journal is not None:
             self._journal.ready()
         self._refined_walls = self._finder = None
         self._moved = np.empty(0, dtype=np.int64)
         walls = self.engine.update(seen, None, odometry=motion)
+        self._stamps.append(stamp_s, self.engine.store.n_iterations - 1)
         if self._journal is not None:
-            beams = seen.beams.to_bytes()
-            self._journal.append(journaled(seen), None, walls, beams=beams, odometry=motion)
+            values, beams = journaled(seen), seen.beams.to_bytes()
+            self._journal.append(values, None, walls, beams=beams, odometry=motion, stamp_s=stamp_s)
         if self._onto is not None:
             self._onto.see(seen, self._planes.links)
         return walls
@@ -229,7 +236,7 @@ class PlaneMapper(LocatingMapper):
 
     @property
     def _parts(self) -> list[Any]:
-        return [self, self.engine]
+        return [self, *super()._parts]
 
     def _model(self) -> WallModel:
         self._planes = PlaneRegistration(self.config.max_missed, self.config.bridge_m)
@@ -237,7 +244,9 @@ class PlaneMapper(LocatingMapper):
 
     def _again(self, scan: RecordedScan) -> Ints:
         seen = checked_planes(of_journal(scan.values))
-        return self._take_in(replace(seen, beams=ToldBeams.from_bytes(scan.beams)), scan.odometry)
+        seen = replace(seen, beams=ToldBeams.from_bytes(scan.beams))
+        time_s = None if scan.stamp_s is None else self._stamps.checked(scan.stamp_s)
+        return self._take_in(seen, scan.odometry, time_s)
 
     def _segmented(self, points: Any) -> Any:
         if self._segmenter is None:

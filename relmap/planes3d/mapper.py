@@ -12,6 +12,7 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.core.guard import ChangeGuard
 from relmap.core.scan import checked_labels
+from relmap.core.stamps import Stamps
 from relmap.planes3d.fitting import Surfaces
 from relmap.planes3d.hypotheses import Held
 from relmap.planes3d.placing import Placed, place
@@ -68,18 +69,20 @@ class Plane3dMapper:
             raise RelmapError(f"max_missed is {max_missed}; it must be at least 1")
         self.segmenter = segmenter or PatchSegmenter()
         self.max_missed = max_missed
-        self._guard = ChangeGuard()
+        self._guard, self._stamps = ChangeGuard(), Stamps()
         self._parts: list[Submap] = []
         self._n_iterations = self._n_planes = 0
         self._name: dict[int, int] = {}
 
-    def update(self, points: ArrayLike | Patches) -> Ints:
+    def update(self, points: ArrayLike | Patches, stamp_s: float | None = None) -> Ints:
         """Add a scan.
 
         Parameters
         ----------
         points : (n, 3) array, sensor frame, metres; or Patches
             A cloud, or the planes that a `PatchSegmenter` found in it.
+        stamp_s : float, optional
+            Time of the scan, seconds, later than that of earlier scans; kept for the trajectory.
 
         Returns
         -------
@@ -89,11 +92,14 @@ class Plane3dMapper:
         Raises
         ------
         RelmapError
-            If the points are invalid; the mapper is unchanged.
+            If the scan is invalid; the mapper is unchanged.
         """
         seen = points if isinstance(points, Patches) else self._segmented(points)
         with self._guard.change():
-            return self._take_in(seen)
+            time_s = None if stamp_s is None else self._stamps.checked(stamp_s)
+            labels = self._take_in(seen)
+            self._stamps.append(time_s, self._n_iterations - 1)
+            return labels
 
     def _segmented(self, points: ArrayLike) -> Patches:
         # The segmenter stores its result: two threads would mix theirs.
@@ -170,6 +176,11 @@ class Plane3dMapper:
         """Number of scans, empty ones included."""
         self._guard.check()
         return self._n_iterations
+
+    @property
+    def stamps_s(self) -> Floats:
+        """Time of each iteration (k,), seconds, as given to `update`; NaN where none was given."""
+        return self._stamps.of(self.n_iterations)
 
     @property
     def settings(self) -> dict[str, Any]:

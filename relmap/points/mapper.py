@@ -69,6 +69,7 @@ class PointMapper(Mapper):
         ids: ArrayLike | None = None,
         covariances: ArrayLike | None = None,
         odometry: ArrayLike | None = None,
+        stamp_s: float | None = None,
     ) -> Ints:
         """Process the observations of one iteration.
 
@@ -86,6 +87,8 @@ class PointMapper(Mapper):
         odometry : (3,), (7,) or (4, 4) array, optional
             Motion of the robot since the last update, see `relmap.core.odometry.checked_odometry`;
             that of the first update is not used.
+        stamp_s : float, optional
+            Time of the scan, seconds, later than that of earlier scans; kept for the trajectory.
 
         Returns
         -------
@@ -103,10 +106,16 @@ class PointMapper(Mapper):
             known = None if ids is None else checked_ids(ids, len(points_robot))
             noise = None if covariances is None else checked_covariances(covariances, points_robot)
             motion = None if odometry is None else checked_odometry(odometry)
-            return self._take_in(points_robot, known, noise, motion)
+            time_s = None if stamp_s is None else self._stamps.checked(stamp_s)
+            return self._take_in(points_robot, known, noise, motion, time_s)
 
     def _take_in(
-        self, points_robot: Floats, known: Ints | None, noise: Floats | None, motion: Floats | None
+        self,
+        points_robot: Floats,
+        known: Ints | None,
+        noise: Floats | None,
+        motion: Floats | None,
+        stamp_s: float | None,
     ) -> Ints:
         if len(points_robot) and self._has_covariances not in (None, noise is not None):
             given = "came with" if noise is None else "did not come with"
@@ -117,10 +126,13 @@ class PointMapper(Mapper):
             self._journal.ready()
         engine, self._finder = self.engine, None
         labels = engine.update(points_robot, known, noise, motion)
+        self._stamps.append(stamp_s, engine.store.n_iterations - 1)
         seen = labels >= 0
         labels[seen] = engine.association.labels_of(engine.table.now(labels[seen]))
         if self._journal is not None:
-            self._journal.append(points_robot, known, labels, noise, odometry=motion)
+            self._journal.append(
+                points_robot, known, labels, noise, odometry=motion, stamp_s=stamp_s
+            )
         return labels
 
     @property
@@ -267,4 +279,4 @@ class PointMapper(Mapper):
         return PointModel()
 
     def _again(self, scan: RecordedScan) -> Ints:
-        return self.update(scan.values, scan.ids, scan.covariances, scan.odometry)
+        return self.update(scan.values, scan.ids, scan.covariances, scan.odometry, scan.stamp_s)

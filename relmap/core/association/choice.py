@@ -40,23 +40,14 @@ class DataAssociation:
         self._model = model
         self._config = config
 
-    def match(
-        self,
-        seen: Any,
-        ids: Ints | None,
-        iteration: int,
-        motion: Floats | None = None,
-        covariances: Floats | None = None,
-    ) -> Ints:
-        """Return the landmark of each observation (n,) of an iteration; negative if unknown.
+    def choose(self, ids: Ints | None, iteration: int) -> None:
+        """Choose the registration by the first non-empty scan; check those that follow.
 
         Raises
         ------
         RelmapError
-            If ids come with some scans but not with others.
+            If ids come with some scans but not with others, or with settings for scans without.
         """
-        if self.registration is None and not len(seen):
-            return np.empty(0, dtype=np.int64)
         if self.registration is None:
             if ids is not None:
                 self._config.refuse(WITH_IDS)
@@ -64,6 +55,17 @@ class DataAssociation:
         if self.is_known != (ids is not None) or self.registration is None:
             given = "came with" if ids is None else "did not come with"
             raise RelmapError(f"ids {given} earlier scans; give them with every scan or none")
+
+    def match(
+        self,
+        seen: Any,
+        ids: Ints | None,
+        motion: Floats | None = None,
+        covariances: Floats | None = None,
+    ) -> Ints:
+        """Return the landmark of each observation (n,) of an iteration; negative if unknown."""
+        if self.registration is None:
+            return np.empty(0, dtype=np.int64)
         if isinstance(self.registration, Constellation):
             self.registration.guide.note(motion)
             self.registration.weigh(covariances)

@@ -24,6 +24,8 @@ of the tables.
 ``odometry``
     Only with odometry: ``iteration``, and ``motion``, the pose of the robot in its frame one
     iteration before, a 4 by 4 matrix row by row, 16 little-endian numbers of 8 bytes.
+``stamps``
+    Only with times: ``iteration``, and ``stamp``, seconds.
 ``calls``
     Other calls of the mapper, "finish" or "refine", made after the scans before ``iteration``.
 
@@ -58,6 +60,7 @@ COVARIANCES = (
 )
 
 ODOMETRY = "CREATE TABLE odometry (iteration INTEGER PRIMARY KEY, motion BLOB)"
+STAMPS = "CREATE TABLE stamps (iteration INTEGER PRIMARY KEY, stamp REAL)"
 
 
 @dataclass(frozen=True)
@@ -155,16 +158,18 @@ def checksum(
     covariances: Floats | None = None,
     beams: bytes = b"",
     odometry: Floats | None = None,
+    stamp_s: float | None = None,
     before: int = 0,
 ) -> int:
     """Return the CRC-32 continued with a scan.
 
     It covers the iteration number, n, n c, and 1 or 0 for the presence of ids, the values (n, c)
-    row by row, the ids if any, the landmarks (n,), the covariances (n, d, d) row by row and the
-    odometry (4, 4) if any; all as little-endian numbers of 8 bytes; and the beams.
+    row by row, the ids if any, the landmarks (n,), the covariances (n, d, d) row by row, the
+    odometry (4, 4) and the time if any; all as little-endian numbers of 8 bytes; and the beams.
     """
     head = struct.pack("<4q", iteration, len(labels), values.size, ids is not None)
-    came = [part for part in (ids, labels, covariances, odometry) if part is not None]
+    time_s = None if stamp_s is None else np.array([stamp_s])
+    came = [part for part in (ids, labels, covariances, odometry, time_s) if part is not None]
     total = zlib.crc32(head, before)
     for part in (values, *came):
         kind = "<f8" if part.dtype.kind == "f" else "<i8"

@@ -23,6 +23,7 @@ from relmap.io.journal.layout import (
     ODOMETRY,
     PAIRS,
     SCHEMA,
+    STAMPS,
     End,
     Layout,
     call_checksum,
@@ -53,6 +54,8 @@ class RecordedScan:
     beams : bytes
     odometry : (4, 4) float64 or None
         Motion of the robot since the previous scan, if given.
+    stamp_s : float or None
+        Its time, seconds, if given.
     """
 
     values: Floats
@@ -61,6 +64,7 @@ class RecordedScan:
     covariances: Floats | None = None
     beams: bytes = b""
     odometry: Floats | None = None
+    stamp_s: float | None = None
 
 
 class JournalReader:
@@ -107,7 +111,7 @@ class JournalReader:
             self.read = self._before = End(0, begin)
             self.layout: Layout = LAYOUTS[self.meta["variant"]]
             self._require(self.layout.tables)
-            more = {"covariances": COVARIANCES, "odometry": ODOMETRY}
+            more = {"covariances": COVARIANCES, "odometry": ODOMETRY, "stamps": STAMPS}
             self._more = {name: sql for name, sql in more.items() if self._holds(name)}
             self._require(self._more)
             self.calls = self._read_calls()
@@ -153,7 +157,7 @@ class JournalReader:
             rows = self._connection.execute(
                 f"SELECT {self.layout.names} FROM observations ORDER BY rowid"
             )
-            covariances, motions = self._covariances(), self._motions()
+            covariances, motions, stamps_s = self._covariances(), self._motions(), self._stamps()
             for k, (iteration, n, known, check, *beams) in enumerate(scans):
                 if iteration != k:
                     raise ValueError("a scan is missing")
@@ -162,11 +166,13 @@ class JournalReader:
                     scan = replace(scan, covariances=_matrices(covariances, k, *scan.values.shape))
                 if k in motions:
                     scan = replace(scan, odometry=motions.pop(k))
+                scan = replace(scan, stamp_s=stamps_s.pop(k, None))
                 if check != checksum(k, **vars(scan), before=self._called(k)):
                     raise ValueError("its checksum does not match")
                 self.read = End(k + 1, check)
                 yield scan
-            if rows.fetchone() or motions or (covariances is not None and covariances.fetchone()):
+            left = motions or stamps_s or (covariances is not None and covariances.fetchone())
+            if rows.fetchone() or left:
                 raise ValueError("there are observations without a scan")
             last = self.read.scans
             if self.end != End(last, self._called(last)) or max(self.calls, default=0) > last:
@@ -199,6 +205,12 @@ class JournalReader:
             return {}
         rows = self._connection.execute("SELECT iteration, motion FROM odometry").fetchall()
         return {k: np.frombuffer(motion, dtype="<f8").reshape(4, 4) for k, motion in rows}
+
+    def _stamps(self) -> dict[int, float]:
+        """Return the time of each scan that has one."""
+        if "stamps" not in self._more:
+            return {}
+        return dict(self._connection.execute("SELECT iteration, stamp FROM stamps").fetchall())
 
     def _scan(
         self, cursor: sqlite3.Cursor, k: int, n: int, known: int, beams: list[bytes]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
-from relmap.io.journal.layout import COVARIANCES, ODOMETRY, PAIRS, Layout
+from relmap.io.journal.layout import COVARIANCES, ODOMETRY, PAIRS, STAMPS, Layout
 
 Statements = list[tuple[str, list[tuple[Any, ...]]]]
 """SQL, and the rows of values to execute it with."""
@@ -47,6 +47,11 @@ def odometry_rows(k: int, motion: Floats) -> Statements:
     """Return the statements that write the motion (4, 4) to scan k into its table."""
     row = (k, np.ascontiguousarray(motion, dtype="<f8").tobytes())
     return [_made(ODOMETRY), ("INSERT INTO odometry VALUES (?, ?)", [row])]
+
+
+def stamp_rows(k: int, stamp_s: float) -> Statements:
+    """Return the statements that write the time of scan k, seconds, into its table."""
+    return [_made(STAMPS), ("INSERT INTO stamps VALUES (?, ?)", [(k, stamp_s)])]
 
 
 def _made(table: str) -> tuple[str, list[tuple[Any, ...]]]:

@@ -12,7 +12,13 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError, reason
 from relmap.io.journal.file import connected, create_file
 from relmap.io.journal.layout import END, End, Layout, call_checksum, checksum
-from relmap.io.journal.rows import Statements, covariance_rows, observation_rows, odometry_rows
+from relmap.io.journal.rows import (
+    Statements,
+    covariance_rows,
+    observation_rows,
+    odometry_rows,
+    stamp_rows,
+)
 
 if TYPE_CHECKING:
     from relmap.io.journal.reading import JournalReader
@@ -115,6 +121,7 @@ class Journal:
         covariances: Floats | None = None,
         beams: bytes = b"",
         odometry: Floats | None = None,
+        stamp_s: float | None = None,
     ) -> None:
         """Append one scan; if it cannot be written, the next `ready` or `flush` reports it.
 
@@ -129,6 +136,7 @@ class Journal:
         beams : bytes
             If the layout has beams.
         odometry : (4, 4) float64, optional
+        stamp_s : float, optional
         """
         k, n = self.n_scans, len(labels)
         statements = observation_rows(self._layout, k, values, ids, labels)
@@ -136,9 +144,11 @@ class Journal:
             statements += covariance_rows(k, covariances)
         if odometry is not None:
             statements += odometry_rows(k, odometry)
+        if stamp_s is not None:
+            statements += stamp_rows(k, stamp_s)
         kept = (beams,) * self._layout.has_beams
         before = self._end.checksum
-        check = checksum(k, values, ids, labels, covariances, beams, odometry, before)
+        check = checksum(k, values, ids, labels, covariances, beams, odometry, stamp_s, before)
         scan = (k, n, int(ids is not None), check, *kept)
         slots = ", ".join("?" * len(scan))
         statements.append((f"INSERT INTO scans VALUES ({slots})", [scan]))
