@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from relmap import PointMapper
+from relmap.core.association import loops
 from relmap.core.association.evidence import Evidence, chosen
 from relmap.core.association.loops import LoopFinder
 from relmap.core.association.search import search
@@ -55,6 +56,18 @@ def test_a_map_without_loops_has_none() -> None:
     table, n = seen_twice(shift_m=2.0)
     table.submap[n:] = -1
     assert LoopFinder(table, SIGMA).next() is None
+
+
+def test_landmarks_that_were_all_in_view_at_once_are_not_searched(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """With thousands of landmarks in view the search would take minutes."""
+    table, _ = seen_twice(shift_m=0.35)
+    table.since[:], table.last[:] = 0, 5
+    searched: list[object] = []
+    monkeypatch.setattr(loops, "PlaceFinder", lambda *given: searched.append(given))
+    assert LoopFinder(table, SIGMA).next() is None
+    assert not searched
 
 
 def test_a_ring_is_closed_over_a_drift_of_metres() -> None:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from relmap.core.arrays import Bools, Ints
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.association.evidence import LOCAL_DRIFT
 from relmap.core.association.placement import Placement
 from relmap.core.association.recognition import ENOUGH, HITS, PlaceFinder
@@ -69,6 +69,8 @@ class LoopFinder:
             own = np.flatnonzero(table.submap == submap)
             if self._had[own].all() or len(own) < 2 * NEIGHBOURHOOD:
                 continue
+            if table.last[own].min() >= table.since[own].max():
+                continue  # every landmark was seen together with every other
             finder = PlaceFinder(table.position[own], self._noise_m)
             for seed in own[np.argsort(table.first[own], kind="stable")].tolist():
                 loop = None if self._had[seed] else self._loop(finder, own, seed)
@@ -83,25 +85,28 @@ class LoopFinder:
             (table.since[own] <= table.last[seed]) & (table.last[own] >= table.since[seed])
         ]
         apart = np.linalg.norm(table.position[together] - table.position[seed], axis=1)
-        around = together[np.argsort(apart, kind="stable")[:NEIGHBOURHOOD]]
+        around = together[_least(apart, NEIGHBOURHOOD)]
         self._had[around[: max(1, len(around) // OVERLAP)]] = True
         self._had[seed] = True
         points = table.position[around]
         before = table.last[own] < table.since[around].min()
+        is_tied = np.sum(table.since[around] > table.first[around]) >= TIED
+        enough = len(around) // 2 if is_tied else ENOUGH
+        if before.sum() < enough:
+            return None
         old = own[before]
         off = np.linalg.norm(table.position[old] - points.mean(axis=0), axis=1)
         reach_m = np.ptp(points, axis=0).max()
-        is_tied = np.sum(table.since[around] > table.first[around]) >= TIED
         if not is_tied:
             begin = int(table.last[old].min(initial=table.since[seed]))
             reach_m += self._drift_m(around, together, begin)
         near = off <= reach_m
         before[before] = near
-        if near.sum() < (len(around) // 2 if is_tied else ENOUGH):
+        if near.sum() < enough:
             return None
         loop = self._by_places(finder, own, around, together, before)
         if loop is None and self._is_blurred:
-            nearest = together[np.argsort(apart, kind="stable")[:CROWD]]
+            nearest = together[_least(apart, CROWD)]
             loop = self._by_likelihood(nearest, own[before], reach_m)
         return loop
 
@@ -165,3 +170,12 @@ class LoopFinder:
         away = np.linalg.norm(table.position[between] - middle, axis=1)
         lever_m = away.max(initial=0.0) + radius_m
         return float(FARTHEST * turn * np.sqrt(max(end - begin, 0) / length + 1) * lever_m)
+
+
+def _least(values: Floats, n: int) -> Ints:
+    """Return the rows of the n least values, in their order; the first rows of equal ones."""
+    if n < len(values):
+        rows = np.flatnonzero(values <= np.partition(values, n - 1)[n - 1])
+    else:
+        rows = np.arange(len(values))
+    return np.asarray(rows[np.argsort(values[rows], kind="stable")][:n])
