@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from relmap.core import readout
 from relmap.core.arrays import Floats, Ints
 from relmap.core.config import WITH_IDS, WITH_POINTS, MapperConfig
-from relmap.core.guard import ChangeGuard
+from relmap.core.guard import ChangeGuard, reads_whole
 from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup, Submap
 from relmap.core.mapper import RelativeMapper
 from relmap.core.odometry import OdometryUse
@@ -22,6 +22,7 @@ from relmap.core.stamps import Stamps
 from relmap.shown import Shown
 
 
+@reads_whole()
 class Mapped(Shown, ABC):
     """The results of an engine.
 

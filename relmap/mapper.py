@@ -16,7 +16,7 @@ from relmap.core import afterwards
 from relmap.core.arrays import Floats, Ints
 from relmap.core.config import MapperConfig
 from relmap.core.errors import RelmapError
-from relmap.core.guard import ChangeGuard
+from relmap.core.guard import ChangeGuard, reads_whole
 from relmap.core.mapper import RelativeMapper
 from relmap.core.model import LandmarkModel
 from relmap.core.stamps import Stamps
@@ -43,6 +43,7 @@ class Place(NamedTuple):
     n_places: int
 
 
+@reads_whole("finish", "flush", "close")
 class Mapper(Mapped):
     """An engine with a journal, a saved state and tables of its results.
 

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from relmap.core.guard import reads_whole
+
 if TYPE_CHECKING:
     from relmap.core.landmarks import LandmarkMap
 
@@ -17,6 +19,7 @@ if TYPE_CHECKING:
 RESULTS, PICTURES = "relmap.evaluation.saved", "relmap.plots.of_mapper"
 
 
+@reads_whole()
 class Shown:
     """A mapper that can be displayed."""
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import copy
+import importlib
 import inspect
+import operator
 import subprocess
 import sys
 import threading
@@ -15,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from relmap import MapperConfig, PlaneMapper, PointMapper, RelmapError
+from relmap import MapperConfig, Plane3dMapper, PlaneMapper, PointMapper, RelmapError
 from relmap.io.journal import writing
 from relmap.simulation import simulate_building
 from tests.commands import PATIENCE_S
@@ -26,6 +28,9 @@ Kind = type[PointMapper] | type[PlaneMapper]
 
 POINTS = [points for _, points in walk(3, 5, 0.02, iterations=30).scans]
 WALLS = [scan.seen for scan in simulate_building(seed=0, points=20).scans][:25]
+SIDES = np.concatenate(
+    [np.insert(np.argwhere(np.ones((40, 40))) / 20, axis, 1.5, axis=1) for axis in range(3)]
+)
 KINDS = [(PointMapper, POINTS), (PlaneMapper, WALLS)]
 
 
@@ -179,3 +184,49 @@ def test_two_threads_that_share_a_mapper_are_refused() -> None:
     segmenter.may_end.set()
     other.join()
     assert mapper.n_iterations == 1
+
+
+@pytest.mark.parametrize(
+    ("mapper", "scan", "where"),
+    [
+        (PointMapper(), POINTS[0], "relmap.core.readout.landmark_map"),
+        (PlaneMapper(), WALLS[0], "relmap.planes.mapped.corner_map"),
+        (Plane3dMapper(), SIDES, "relmap.planes3d.mapper.plane_table"),
+    ],
+    ids=["points", "walls", "planes3d"],
+)
+def test_what_another_thread_changes_while_it_is_read_is_not_returned(
+    mapper: Any, scan: Any, where: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read = operator.attrgetter("planes" if isinstance(mapper, Plane3dMapper) else "map")
+    mapper.update(scan)
+    module, name = where.rsplit(".", 1)
+    whole = getattr(importlib.import_module(module), name)
+
+    def interleaved(*given: object) -> Any:
+        other = threading.Thread(target=mapper.update, args=(scan,))
+        other.start()
+        other.join()
+        return whole(*given)
+
+    monkeypatch.setattr(where, interleaved)
+    with pytest.raises(RelmapError, match="another thread is updating this mapper"):
+        read(mapper)
+    monkeypatch.undo()
+    read(mapper)
+    assert mapper.n_iterations == 2
+
+
+def test_scans_are_localised_in_the_map_as_it_is_while_a_run_is_resumed(tmp_path: Path) -> None:
+    mapper = go_on(PlaneMapper(journal=tmp_path / "journal"), WALLS)
+    mapper.close()
+    steps = np.linspace(0.0, 1.0, 20)[:, None]
+    beams = np.concatenate([right + steps * (left - right) for right, left in WALLS[20].ends])
+    places: list[int] = []
+
+    def localise(resumed: PlaneMapper) -> None:
+        places.append(resumed.locate(WALLS[20], beams).n_places)
+
+    PlaneMapper.resume(tmp_path / "journal", localise)
+    assert places[0] == 0
+    assert places[-1] == mapper.locate(WALLS[20], beams).n_places > 0

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import wraps
+from inspect import isfunction
 from threading import get_ident
+from typing import Any, TypeVar
 
 from relmap.core.errors import RelmapError
+
+T = TypeVar("T")
 
 HALF_DONE = (
     "an update of this mapper was interrupted, so its state is incomplete: "
@@ -20,9 +26,15 @@ class ChangeGuard:
 
     A change interrupted at any moment, for example by Ctrl-C, either has no effect or is reported
     by `check` and the next `change`.
+
+    Attributes
+    ----------
+    latest : list
+        Identifies the latest change that was begun: another object for each.
     """
 
     def __init__(self) -> None:
+        self.latest: list[int] = []
         # At most one entry, as `setdefault` is atomic; a list, because it is compared by identity.
         self._holder: dict[str, list[int]] = {}
 
@@ -51,24 +63,79 @@ class ChangeGuard:
         RelmapError
             On entry, if a change is in progress or was interrupted.
         """
-        return Change(self._holder, spoils)
+        return Change(self, self._holder, spoils)
+
+    def check_same(self, latest: list[int]) -> None:
+        """Check that no change began since `latest` was read.
+
+        Raises
+        ------
+        RelmapError
+            If one did: what was read since may be of two states.
+        """
+        if self.latest is not latest:
+            raise RelmapError(BUSY)
 
 
 class Change:
     """A change in progress; see `ChangeGuard.change`."""
 
-    __slots__ = ("_holder", "_mine", "_spoils")
+    __slots__ = ("_guard", "_holder", "_mine", "_spoils")
 
-    def __init__(self, holder: dict[str, list[int]], spoils: bool) -> None:
-        self._holder, self._spoils, self._mine = holder, spoils, [get_ident()]
+    def __init__(self, guard: ChangeGuard, holder: dict[str, list[int]], spoils: bool) -> None:
+        self._guard, self._holder, self._spoils = guard, holder, spoils
+        self._mine = [get_ident()]
 
     def __enter__(self) -> None:
         holder = self._holder.setdefault("thread", self._mine)
         if holder is not self._mine:
             raise RelmapError(HALF_DONE if holder[0] in (NOBODY, self._mine[0]) else BUSY)
+        if self._spoils:
+            self._guard.latest = self._mine
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if kind is None or not self._spoils or issubclass(kind, RelmapError):
             self._holder.clear()
         else:
             self._mine[0] = NOBODY
+
+
+def reads_whole(*changing: str) -> Callable[[type[T]], type[T]]:
+    """Return a class decorator: what another thread changes during a call is not returned.
+
+    It applies to the public methods and properties that a class defines, and its `_guard`.
+
+    Parameters
+    ----------
+    *changing : str
+        Methods that change the object themselves.
+    """
+
+    def decorated(cls: type[T]) -> type[T]:
+        for name, member in list(vars(cls).items()):
+            if name in changing or (name.startswith("_") and name != "__repr__"):
+                continue
+            if isinstance(member, property):
+                setattr(cls, name, property(_whole(member.fget), doc=member.__doc__))
+            elif isfunction(member):
+                setattr(cls, name, _whole(member))
+        return cls
+
+    return decorated
+
+
+def _whole(read: Any) -> Any:
+    """Return a method that fails if a change begins while it runs."""
+
+    @wraps(read)
+    def checked(self: Any, *given: Any, **named: Any) -> Any:
+        guard, latest = self._guard, self._guard.latest
+        try:
+            found = read(self, *given, **named)
+        except Exception:
+            guard.check_same(latest)
+            raise
+        guard.check_same(latest)
+        return found
+
+    return checked

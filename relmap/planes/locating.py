@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
+from relmap.core.guard import reads_whole
 from relmap.mapper import Place
 from relmap.planes.finding import WallFinder
 from relmap.planes.mapped import MappedWalls
@@ -17,10 +18,11 @@ from relmap.planes.observation import PlaneObservation, checked_planes
 from relmap.planes.taking_up import MapOfBefore, RunOnto
 
 
+@reads_whole("take_up")
 class LocatingMapper(MappedWalls):
     """The part of `PlaneMapper` that localises scans."""
 
-    _finder: WallFinder | None = None
+    _finder: tuple[object, WallFinder] | None = None
     _onto: RunOnto | None = None
     _tied_at: int | None = None
 
@@ -53,9 +55,11 @@ class LocatingMapper(MappedWalls):
         RelmapError
             If the scan is invalid.
         """
-        if self._finder is None:
-            self._finder = MapOfBefore.of(self.planes, self.submaps).finder
-        return self._finder.find(self._checked(points, beams))
+        seen, latest = self._checked(points, beams), self._guard.latest
+        known = self._finder
+        if known is None or known[0] is not latest:
+            known = self._finder = latest, MapOfBefore.of(self.planes, self.submaps).finder
+        return known[1].find(seen)
 
     def localise(self, points: Any, beams: ArrayLike | None = None) -> Floats:
         """Localise a scan using only the map; the mapper does not change.

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.guard import reads_whole
 from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup
 from relmap.core.odometry import OdometryUse
 from relmap.core.refinement.joint import Refined
 from relmap.mapper import Mapper
-from relmap.planes.assembly import WallNumbers
+from relmap.planes.assembly import Assembled, WallNumbers
 from relmap.planes.beams import PlacedBeams
 from relmap.planes.grouped_map import GroupedMap
 from relmap.planes.history import PlaneHistory
@@ -21,12 +22,13 @@ from relmap.planes.submaps import WallSubmap, among_all
 from relmap.planes.table import PlaneTable, corner_group, corner_map, corner_table, plane_table
 
 
+@reads_whole()
 class MappedWalls(Mapper):
     """The results of a plane mapper."""
 
     _planes: PlaneRegistration
     _refined_walls: tuple[list[WallSubmap], WallNumbers] | None
-    _spread: Floats | None
+    _spread: tuple[Assembled, Floats] | None = None
     _moved: Ints
 
     @property
@@ -183,9 +185,9 @@ class MappedWalls(Mapper):
         first = next(iter(self._refined_walls[0]), None) if self._refined_walls else None
         if first is None or first.assembled is None or not first.refined:
             return None
-        if self._spread is None:
-            self._spread = corner_covariances(first.assembled)
-        return self._spread
+        if self._spread is None or self._spread[0] is not first.assembled:
+            self._spread = first.assembled, corner_covariances(first.assembled)
+        return self._spread[1]
 
     @property
     def _grouped(self) -> GroupedMap:

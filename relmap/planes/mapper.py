@@ -13,6 +13,7 @@ from relmap.core import afterwards
 from relmap.core.arrays import Floats, Ints
 from relmap.core.config import WITH_WALLS, MapperConfig
 from relmap.core.errors import RelmapError
+from relmap.core.guard import reads_whole
 from relmap.core.odometry import checked_odometry
 from relmap.core.scan import checked_labels
 from relmap.planes.beams import ToldBeams
@@ -46,6 +47,7 @@ class Segmenter(Protocol):
         ...
 
 
+@reads_whole("update", "refine")
 class PlaneMapper(LocatingMapper):
     """Maps walls in 2½-D: vertical planes, for a robot that moves in the plane.
 
@@ -92,7 +94,6 @@ class PlaneMapper(LocatingMapper):
         self._planes.links.wheels.given = self.engine.motions
         self._segmenter = segmenter
         self._refined_walls = None
-        self._spread: Floats | None = None
         self._moved = np.empty(0, dtype=np.int64)
 
     def update(
@@ -147,7 +148,7 @@ class PlaneMapper(LocatingMapper):
     ) -> Ints:
         if self._journal is not None:
             self._journal.ready()
-        self._refined_walls = self._finder = None
+        self._refined_walls = None
         self._moved = np.empty(0, dtype=np.int64)
         walls = self.engine.update(seen, None, odometry=motion)
         self._stamps.append(stamp_s, self.engine.store.n_iterations - 1)
@@ -159,7 +160,6 @@ class PlaneMapper(LocatingMapper):
         return walls
 
     def _finish(self) -> None:
-        self._finder = None
         self._attach()
         cut = self._planes.tie()
         super()._finish()
@@ -227,7 +227,6 @@ class PlaneMapper(LocatingMapper):
         grouped = replace(self._grouped, known=known)
         found = refined_submaps(grouped, self._moving, self._planes.links)
         self._refined_walls, self._moved = (found.submaps, found.numbers), found.moved
-        self._spread = self._finder = None
         return found.submaps
 
     def _current(self, labels: ArrayLike) -> Ints:
@@ -246,7 +245,8 @@ class PlaneMapper(LocatingMapper):
         seen = checked_planes(of_journal(scan.values))
         seen = replace(seen, beams=ToldBeams.from_bytes(scan.beams))
         time_s = None if scan.stamp_s is None else self._stamps.checked(scan.stamp_s)
-        return self._take_in(seen, scan.odometry, time_s)
+        with self._guard.change():
+            return self._take_in(seen, scan.odometry, time_s)
 
     def _segmented(self, points: Any) -> Any:
         if self._segmenter is None:

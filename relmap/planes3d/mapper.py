@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
-from relmap.core.guard import ChangeGuard
+from relmap.core.guard import ChangeGuard, reads_whole
 from relmap.core.scan import checked_labels
 from relmap.core.stamps import Stamps
 from relmap.planes3d.fitting import Surfaces
@@ -30,6 +30,7 @@ STEADY = 6
 """Number of poses whose mean step predicts the next one in a direction that planes leave open."""
 
 
+@reads_whole("update", "finish", "refine")
 class Plane3dMapper:
     """Maps planes of any direction with a carried lidar or depth camera, in six degrees of freedom.
 

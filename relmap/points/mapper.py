@@ -15,6 +15,7 @@ from relmap.core.association.recognition import PlaceFinder
 from relmap.core.config import MapperConfig
 from relmap.core.errors import RelmapError
 from relmap.core.gaps import bridge_gaps
+from relmap.core.guard import reads_whole
 from relmap.core.odometry import checked_odometry
 from relmap.core.readout import positions_in_largest_submap
 from relmap.core.scan import checked_covariances, checked_ids, checked_points
@@ -28,6 +29,7 @@ AROUND = 1.2
 """Expected distance of landmarks from the robot, in units of the scan's extent."""
 
 
+@reads_whole("update", "finish", "refine", "take_up")
 class PointMapper(Mapper):
     """Maps point landmarks, with six degrees of freedom in space or three in the plane.
 
@@ -61,7 +63,7 @@ class PointMapper(Mapper):
         run: dict[str, Any] | None = None,
     ) -> None:
         super().__init__(config, journal, run)
-        self._finder: PlaceFinder | None = None
+        self._finder: tuple[object, PlaceFinder] | None = None
 
     def update(
         self,
@@ -124,7 +126,7 @@ class PointMapper(Mapper):
             )
         if self._journal is not None:
             self._journal.ready()
-        engine, self._finder = self.engine, None
+        engine = self.engine
         labels = engine.update(points_robot, known, noise, motion)
         self._stamps.append(stamp_s, engine.store.n_iterations - 1)
         seen = labels >= 0
@@ -161,7 +163,6 @@ class PointMapper(Mapper):
         """
         with self._guard.change():
             self._note_call("refine")
-            self._finder = None
             afterwards.refine(self.engine)
 
     def finish(self) -> None:
@@ -173,7 +174,6 @@ class PointMapper(Mapper):
         super().finish()
 
     def _finish(self) -> None:
-        self._finder = None
         super()._finish()
         if self.config.refine_live:
             self.engine.live.complete()
@@ -266,12 +266,14 @@ class PointMapper(Mapper):
 
     def _placed(self, points_robot: Floats) -> tuple[Placement | None, int]:
         """Return the placement of a scan in the map, if unique, and the number of placements."""
-        if self._finder is None:
+        known, latest = self._finder, self._guard.latest
+        if known is None or known[0] is not latest:
             positions = positions_in_largest_submap(self.engine.table)
             mapped = positions[np.isfinite(positions).all(axis=1)]
-            self._finder = PlaceFinder(mapped, np.nan_to_num(self.noise_m))
-        places = self._finder.places(points_robot)
-        if places and self._finder.is_clear(points_robot, places):
+            known = self._finder = latest, PlaceFinder(mapped, np.nan_to_num(self.noise_m))
+        finder = known[1]
+        places = finder.places(points_robot)
+        if places and finder.is_clear(points_robot, places):
             return places[0], 1
         return None, min(len(places), 2)
 
