@@ -133,6 +133,17 @@ def test_ids_are_numbers_or_texts(
     assert log.names == names
 
 
+@pytest.mark.parametrize(("step", "n"), [(10, 5), (1, 5), (10, 4)])
+def test_numbers_that_leave_out_iterations_are_named(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, step: int, n: int
+) -> None:
+    path = put(tmp_path, "iteration,x,y\n" + "".join(f"{step * k},1,2\n" for k in range(n)))
+    assert len(open_log(path)) == step * (n - 1) + 1
+    warnings = [f"{path}: iterations are numbered 0, 10, 20, ...: those between count as scans in "]
+    warned = step > 1 and n >= 5
+    assert [text[: len(warnings[0])] for text in caplog.messages] == warnings * warned
+
+
 def test_scans_out_of_order_are_sorted_by_time(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

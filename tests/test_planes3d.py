@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from operator import methodcaller
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from relmap import Plane3dMapper, RelmapError
 from relmap.core.arrays import Floats
 from relmap.evaluation import metrics
 from relmap.planes3d.adjustment import PlaneAdjustment, Scene
+from relmap.planes3d.files import COLUMNS
 from relmap.planes3d.refining import sightings
 from relmap.planes3d.submap import Submap
 from relmap.segmentation.space import PatchSegmenter
@@ -48,6 +50,20 @@ def test_poses_without_noise_are_exact() -> None:
     assert np.abs(mapper.trajectory - from_first(world.trajectory)).max() < 1e-5
     mapper.refine()
     assert np.abs(mapper.trajectory - from_first(world.trajectory)).max() < 1e-9
+
+
+def test_the_mapper_and_its_planes_print_their_content(noisy: tuple[Storey, Plane3dMapper]) -> None:
+    mapper = noisy[1]
+    n = int(np.sum(mapper.planes.status == "static"))
+    assert repr(mapper) == f"Plane3dMapper({N} iterations, {n} planes mapped)"
+    assert repr(Plane3dMapper()) == "Plane3dMapper(0 iterations, 0 planes mapped)"
+    assert len(mapper.planes) == len(mapper.planes.plane)
+    columns = mapper.planes.columns()
+    assert list(columns) == [name for name in COLUMNS if name != "outline"]
+    np.testing.assert_array_equal(columns["nz"], mapper.planes.normal[:, 2])
+    html = methodcaller("_repr_html_")(mapper)
+    assert f"<p>{mapper!r}</p>" in html
+    assert html.count("<tr>") == 1 + min(10, len(mapper.planes))
 
 
 def test_poses_are_as_good_as_plane_adjustment_with_true_associations(

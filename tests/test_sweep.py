@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import os
+import signal
 import subprocess
 import sys
 import time
@@ -12,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from relmap.cli import main
+from relmap.comparison import sweep as sweep_module
 from relmap.comparison.methods.running import ACCURACY
 from relmap.comparison.sweep import (
     TIMES,
@@ -19,6 +22,7 @@ from relmap.comparison.sweep import (
     Finished,
     accuracy_csv,
     run_cell,
+    run_cells,
     write_parquet,
 )
 from relmap.comparison.sweep_spec import KEYS, Cell, cells_of, varying
@@ -234,6 +238,15 @@ def test_parquet_holds_the_same_table(tmp_path: Path) -> None:
     assert columns["ate_m"] == [float(row["ate_m"]) for row in rows]
     assert columns["corner_rmse_m"] == [None] * 4
     assert columns["method"] == [row["method"] for row in rows]
+
+
+def test_a_killed_worker_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    def killed(number: int, cell: Cell) -> None:
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    monkeypatch.setattr(sweep_module, "_numbered", killed)
+    with pytest.raises(RelmapError, match="a worker process of the sweep was killed"):
+        list(run_cells([Cell(), Cell(seed=1)], 2))
 
 
 @NEEDS_DASK

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterator, Sequence
+from concurrent.futures import BrokenExecutor
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -128,7 +129,7 @@ def run_cells(
     Raises
     ------
     RelmapError
-        If the scheduler cannot be reached.
+        If the scheduler cannot be reached, or a process is killed.
     """
     from joblib import Parallel, delayed
 
@@ -136,8 +137,14 @@ def run_cells(
     with _cluster(scheduler) if scheduler else nullcontext():
         settings = {} if scheduler else {"n_jobs": workers}
         parallel = Parallel(return_as="generator_unordered", batch_size=1, **settings)
-        for number, finished in parallel(jobs):
-            yield cells[number], finished
+        try:
+            for number, finished in parallel(jobs):
+                yield cells[number], finished
+        except BrokenExecutor as error:
+            raise RelmapError(
+                "a worker process of the sweep was killed, perhaps because memory ran out: "
+                "the same command continues, with --workers 1 in less memory"
+            ) from error
 
 
 def _numbered(number: int, cell: Cell) -> tuple[int, Finished]:

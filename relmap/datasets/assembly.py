@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,12 +12,18 @@ from relmap.core.arrays import Floats, Ints
 from relmap.datasets.base import MAX_ITERATION, ObservationLog
 from relmap.datasets.scans import in_time_order
 from relmap.datasets.table import MAX_EXACT_INTEGER, Column, Table
+from relmap.datasets.textfile import shown
 
 MAX_COORDINATE_M = 1e9
 """Upper limit of a coordinate, larger than the range of any sensor."""
 
 MAX_EMPTY_ITERATIONS = 1_000_000
 """Maximum number of iterations without a row: with more, the numbers do not count scans."""
+
+FEWEST_STRIDES = 5
+"""Minimum number of iterations with rows, all a multiple apart, for a warning."""
+
+_LOG = logging.getLogger(__name__)
 
 
 def iteration_column(name: str) -> Column:
@@ -56,6 +63,7 @@ def assemble_log(
     iteration = table.integers(iteration_name)
     order = np.argsort(iteration, kind="stable").astype(np.int64)
     _check_span(table, iteration_name, iteration[order], order)
+    _warn_of_stride(table, np.unique(iteration))
     if ids is not None:
         _check_unique(table, iteration, ids)
         ids = ids[order]
@@ -104,6 +112,19 @@ def _check_span(table: Table, name: str, ascending: Ints, order: Ints) -> None:
             name,
             f"{ascending[widest + 1]} comes after {ascending[widest]}, and in all {empty} "
             f"iterations have no row, expected at most {MAX_EMPTY_ITERATIONS}: a count of scans",
+        )
+
+
+def _warn_of_stride(table: Table, numbers: Ints) -> None:
+    """Warn if all iterations (n,) with rows are multiples apart, such as 0, 10, 20."""
+    stride = int(np.gcd.reduce(np.diff(numbers))) if len(numbers) >= FEWEST_STRIDES else 1
+    if stride > 1:
+        first = ", ".join(map(str, numbers[:3]))
+        _LOG.warning(
+            "%s: iterations are numbered %s, ...: those between count as scans in which nothing "
+            "was seen; if there were none, number the scans one by one",
+            shown(table.path),
+            first,
         )
 
 

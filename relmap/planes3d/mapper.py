@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from html import escape
 from typing import Any
 
 import numpy as np
@@ -224,6 +225,13 @@ class Plane3dMapper:
         self._guard.check()
         found = [part.unsure | part.weak for part in self._parts]
         return {k: free for each in found for k, free in sorted(each.items())}
+
+    def __repr__(self) -> str:
+        mapped = np.sum(self.planes.status == "static")
+        return f"{type(self).__name__}({self.n_iterations} iterations, {mapped} planes mapped)"
+
+    def _repr_html_(self) -> str:
+        return f"<p>{escape(repr(self))}</p>{self.planes.to_html()}"
 
     def _name_unsure(self) -> None:
         """Find the uncertain steps of all submaps."""

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.columns import Table
 from relmap.planes3d.submap import Submap
 from relmap.segmentation.space import Patches
 
@@ -16,8 +17,8 @@ FEWEST = 2
 """Minimum number of scans that saw a mapped plane."""
 
 
-@dataclass(frozen=True, eq=False)
-class Plane3dTable:
+@dataclass(frozen=True, eq=False, repr=False)
+class Plane3dTable(Table):
     """All planes, one row each, by submap and number.
 
     Attributes
