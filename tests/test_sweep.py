@@ -244,7 +244,7 @@ def test_a_killed_worker_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     def killed(number: int, cell: Cell) -> None:
         os.kill(os.getpid(), signal.SIGKILL)
 
-    monkeypatch.setattr(sweep_module, "_numbered", killed)
+    monkeypatch.setattr(sweep_module, "numbered", killed)
     with pytest.raises(RelmapError, match="a worker process of the sweep was killed"):
         list(run_cells([Cell(), Cell(seed=1)], 2))
 

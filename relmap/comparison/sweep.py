@@ -133,7 +133,7 @@ def run_cells(
     """
     from joblib import Parallel, delayed
 
-    jobs = (delayed(_numbered)(number, cell) for number, cell in enumerate(cells))
+    jobs = (delayed(numbered)(number, cell) for number, cell in enumerate(cells))
     with _cluster(scheduler) if scheduler else nullcontext():
         settings = {} if scheduler else {"n_jobs": workers}
         parallel = Parallel(return_as="generator_unordered", batch_size=1, **settings)
@@ -147,7 +147,8 @@ def run_cells(
             ) from error
 
 
-def _numbered(number: int, cell: Cell) -> tuple[int, Finished]:
+def numbered(number: int, cell: Cell) -> tuple[int, Finished]:
+    """Run a cell, and return its result with its number."""
     return number, run_cell(cell)
 
 
