@@ -1,8 +1,8 @@
 """Agreement of the beams of two scans for a motion between them, compiled.
 
 A scan is `points` (n, 2), robot frame, sorted by their `bearings` (n,) from `origin` (2,), where
-the sensor is; `solid` (n,) marks those on walls.  A motion is yaw, x, y from the frame of the
-earlier scan into that of the later one.
+the sensor is; `solid` (n,) marks those on walls, and `loose` (n,) those on small things that stand
+free.  A motion is yaw, x, y from the frame of the earlier scan into that of the later one.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from relmap.core.arrays import Bools, Floats
 from relmap.core.linalg.compiling import compiled, helper
 
-Fan = tuple[Floats, Floats, Floats, Bools]
+Fan = tuple[Floats, Floats, Floats, Bools, Bools]
 
 BESIDE = 3
 """Number of beams on either side of a point whose surface it is compared with."""
@@ -31,7 +31,7 @@ def _surfaces(seen: Fan) -> Floats:
     The end of the previous beam, the vector from it to the end of this one, the inverse of its
     squared length or -1 for a gap, and the range of the shorter beam.
     """
-    points, _, origin, _ = seen
+    points, _, origin, _, _ = seen
     found = np.zeros((len(points), 6))
     for j in range(1, len(points)):
         ax, ay = points[j - 1, 0], points[j - 1, 1]
@@ -62,16 +62,25 @@ def _squared_distance(x: float, y: float, surface: Floats) -> float:
 
 @helper
 def _compare(
-    seen: Fan, surfaces: Floats, other: Fan, motion: Floats, near_m: float, step: int, sums: Floats
+    seen: Fan,
+    surfaces: Floats,
+    other: Fan,
+    motion: Floats,
+    near_m: float,
+    step: int,
+    firm: bool,
+    sums: Floats,
 ) -> None:
     """Count the points of `other`, transformed into the frame of `seen`, that agree with its beams.
 
     `sums` are the points on a surface that was seen, the wall points in front of one, where a beam
     passed through, the undecided ones, and those out of view.
     """
-    _, bearings, origin, _ = seen
+    _, bearings, origin, _, _ = seen
     c, s, n, i = math.cos(motion[0]), math.sin(motion[0]), len(bearings), 0
     for k in range(0, len(other[0]), step):
+        if firm and other[4][k]:
+            continue
         x = c * other[0][k, 0] - s * other[0][k, 1] + motion[1]
         y = s * other[0][k, 0] + c * other[0][k, 1] + motion[2]
         dx, dy = x - origin[0], y - origin[1]
@@ -90,12 +99,16 @@ def _compare(
             sums[0] += 1 - 0.5 * off / (near_m * near_m)
         elif math.sqrt(dx * dx + dy * dy) < surfaces[i, 5] - 2 * near_m:
             sums[1 if other[3][k] else 2] += 1
+        elif firm and (seen[4][i] and seen[4][i - 1]):
+            sums[3] += 1
         else:
             sums[2] += 1
 
 
 @compiled
-def compared(earlier: Fan, later: Fan, motions: Floats, near_m: float, step: int) -> Floats:
+def compared(
+    earlier: Fan, later: Fan, motions: Floats, near_m: float, step: int, firm: bool
+) -> Floats:
     """Return how many points of both scans agree, contradict, are undecided, and out of view.
 
     Shape (k, 4), for each of k motions; the beams are subsampled.
@@ -108,8 +121,8 @@ def compared(earlier: Fan, later: Fan, motions: Floats, near_m: float, step: int
         x, y = c * motion[1] + s * motion[2], -s * motion[1] + c * motion[2]
         back = np.empty(3)
         back[0], back[1], back[2] = -motion[0], -x, -y
-        _compare(later, after, earlier, motion, near_m, step, sums[k])
-        _compare(earlier, before, later, back, near_m, step, sums[k])
+        _compare(later, after, earlier, motion, near_m, step, firm, sums[k])
+        _compare(earlier, before, later, back, near_m, step, firm, sums[k])
     return sums
 
 
@@ -127,3 +140,69 @@ def on_walls(points: Floats, ends: Floats, near_m: float) -> Bools:
             if abs(x * uy - y * ux) / size < near_m and -near_m < along < size + near_m:
                 solid[k] = True
     return solid
+
+
+@helper
+def _extent(points: Floats, first: int, last: int) -> float:
+    """Return the diagonal of the box around points first to last."""
+    low_x, low_y, high_x, high_y = np.inf, np.inf, -np.inf, -np.inf
+    for k in range(first, last + 1):
+        low_x, high_x = min(low_x, points[k, 0]), max(high_x, points[k, 0])
+        low_y, high_y = min(low_y, points[k, 1]), max(high_y, points[k, 1])
+    return math.hypot(high_x - low_x, high_y - low_y)
+
+
+@helper
+def _is_behind(seen: tuple[Floats, Floats, Floats], k: int, other: int) -> bool:
+    """Return whether a neighbour of a point is farther from the sensor, or was not seen."""
+    points, bearings, origin = seen
+    if other < 0 or other >= len(points):
+        return False
+    own_m = math.hypot(points[k, 0] - origin[0], points[k, 1] - origin[1])
+    other_m = math.hypot(points[other, 0] - origin[0], points[other, 1] - origin[1])
+    return bool(other_m > own_m or abs(bearings[other] - bearings[k]) > GAP_RAD)
+
+
+@compiled
+def free_standing(
+    points: Floats, bearings: Floats, origin: Floats, size_m: float, gap_m: float, gap: float
+) -> Bools:
+    """Return which points (n,) are on small things with something behind them on both sides.
+
+    Neighbours belong to different things if they are farther apart than `gap_m` and a fraction
+    `gap` of the range of the nearer one.
+    """
+    n, first, seen = len(points), 0, (points, bearings, origin)
+    found = np.zeros(n, dtype=np.bool_)
+    for k in range(1, n + 1):
+        if k < n:
+            apart = math.hypot(points[k, 0] - points[k - 1, 0], points[k, 1] - points[k - 1, 1])
+            before_m = math.hypot(points[k - 1, 0] - origin[0], points[k - 1, 1] - origin[1])
+            range_m = math.hypot(points[k, 0] - origin[0], points[k, 1] - origin[1])
+            if apart <= gap_m + gap * min(before_m, range_m):
+                continue
+        free = _is_behind(seen, first, first - 1) and _is_behind(seen, k - 1, k)
+        if free and _extent(points, first, k - 1) <= size_m:
+            found[first:k] = True
+        first = k
+    return found
+
+
+@compiled
+def loose_walls(points: Floats, loose: Bools, ends: Floats, near_m: float, size_m: float) -> Bools:
+    """Return which walls, given their ends (m, 2, 2), lie on free-standing things."""
+    found = np.zeros(len(ends), dtype=np.bool_)
+    for j in range(len(ends)):
+        ax, ay = ends[j, 0, 0], ends[j, 0, 1]
+        ux, uy = ends[j, 1, 0] - ax, ends[j, 1, 1] - ay
+        size, on, of_those = math.hypot(ux, uy), 0, 0
+        if size > size_m:
+            continue
+        for k in range(len(points)):
+            x, y = points[k, 0] - ax, points[k, 1] - ay
+            along = (x * ux + y * uy) / size
+            if abs(x * uy - y * ux) / size < near_m and -near_m < along < size + near_m:
+                on += 1
+                of_those += loose[k]
+        found[j] = 2 * of_those > on
+    return found

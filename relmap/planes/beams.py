@@ -19,6 +19,10 @@ from relmap.core.state.growing import GrowingArray
 
 NEAR_M = 0.12
 """A point nearer to a surface agrees with it; one twice as far in front of it contradicts it."""
+LOOSE_M = 0.7
+APART_M, APART = 0.1, 0.05
+"""Largest size of what may be a person, and distance of neighbouring points on different things:
+constant, and as a fraction of the range."""
 PER_SCAN = 2000
 """Maximum number of beams kept per scan, by subsampling: a cloud has a hundred thousand."""
 
@@ -36,24 +40,23 @@ class Beams:
         Position of the sensor.
     solid : (n,) bool
         Which points are on walls: people and clutter may have moved.
+    loose : (n,) bool
+        Which points are on small things that stand free, such as people; not compared.
     """
 
     points: Floats
     bearings: Floats
     origin: Floats
     solid: Bools
+    loose: Bools
 
     @classmethod
     def of(cls, points: NDArray[Any], origin: Floats, ends: Floats) -> Beams:
         """Return the beams that end at points (n, 2), some of them on walls by ends (m, 2, 2)."""
         from relmap.planes.beam_kernels import on_walls
 
-        points = points.astype(np.float64)
-        bearings = np.arctan2(points[:, 1] - origin[1], points[:, 0] - origin[0])
-        order = np.argsort(bearings, kind="stable")
-        points = points[order]
-        solid = on_walls(points, ends, NEAR_M)
-        return cls(points, bearings[order], origin, solid)
+        points, bearings, loose = in_order(points, origin)
+        return cls(points, bearings, origin, on_walls(points, ends, NEAR_M), loose)
 
     def __len__(self) -> int:
         """Return the number of beams."""
@@ -62,7 +65,7 @@ class Beams:
     @property
     def arrays(self) -> Any:
         """What the kernels know of it."""
-        return self.points, self.bearings, self.origin, self.solid
+        return self.points, self.bearings, self.origin, self.solid, self.loose
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,7 +193,9 @@ class BeamStore:
         return PlacedBeams(begins, np.einsum("nij,nj->ni", R, ends) + t, scan)
 
 
-def compared(earlier: Beams, later: Beams, motions: Floats, near_m: float, step: int = 1) -> Floats:
+def compared(
+    earlier: Beams, later: Beams, motions: Floats, near_m: float, step: int = 1, firm: bool = True
+) -> Floats:
     """Return how many points agree, contradict, are undecided, and are out of view; (k, 4).
 
     For each of the motions (k, 3), yaw, x, y, from the frame of the earlier scan into that of the
@@ -198,4 +203,25 @@ def compared(earlier: Beams, later: Beams, motions: Floats, near_m: float, step:
     """
     from relmap.planes import beam_kernels
 
-    return beam_kernels.compared(earlier.arrays, later.arrays, motions, near_m, step)
+    return beam_kernels.compared(earlier.arrays, later.arrays, motions, near_m, step, firm)
+
+
+def in_order(points: NDArray[Any], origin: Floats) -> tuple[Floats, Floats, Bools]:
+    """Return points (n, 2) by bearing from the sensor, bearings, and which are on loose things."""
+    from relmap.planes.beam_kernels import free_standing
+
+    points = points.astype(np.float64)
+    bearings = np.arctan2(points[:, 1] - origin[1], points[:, 0] - origin[0])
+    order = np.argsort(bearings, kind="stable")
+    points, bearings = points[order], bearings[order]
+    return points, bearings, free_standing(points, bearings, origin, LOOSE_M, APART_M, APART)
+
+
+def on_loose_things(ends: Floats, told: ToldBeams) -> Bools:
+    """Return which walls, by their ends (m, 2, 2), are on small things that stand free."""
+    if not told.in_order:
+        return np.zeros(len(ends), dtype=np.bool_)
+    from relmap.planes.beam_kernels import loose_walls
+
+    points, _, loose = in_order(told.points, told.origin)
+    return np.asarray(loose_walls(points, loose, ends, NEAR_M, LOOSE_M))

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from relmap.core.arrays import Bools, Floats, Ints
 
-CUT, CORNER, UNKNOWN = 0, 1, 2
-"""Kinds of ends: of the visible part, of the wall itself, and unknown."""
+CUT, CORNER, UNKNOWN, LOOSE = 0, 1, 2, 4
+"""Kinds of ends: of the visible part, of the wall itself, unknown; and what is added for a small
+thing that stands free."""
 INTERVAL = 12
 """Iterations over which pairs are compared."""
 STEADY = 1.6

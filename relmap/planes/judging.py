@@ -9,7 +9,7 @@ import numpy as np
 
 from relmap.core.arrays import Bools, Floats
 from relmap.planes.beams import Beams
-from relmap.planes.placement import Match
+from relmap.planes.placement import Match, PlanarMotion
 
 AGREES = 0.25
 """Smallest fraction of points that must agree."""
@@ -25,6 +25,8 @@ PAIR = np.array([6.7, 2.8, 2.5, -1.8, -13.6])
 logarithm of the contradicting ones, constant."""
 MEASURED = 2.4
 """Added if the motion is determined in all directions."""
+
+NO_MATCH = Match(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), 0.0)
 
 
 class View(NamedTuple):
@@ -105,3 +107,28 @@ class Candidates(NamedTuple):
     evidence: Floats
     measured: Bools
     matches: list[Match]
+
+
+NO_CANDIDATES = Candidates(np.empty((0, 3)), np.empty(0), np.empty(0, dtype=np.bool_), [])
+
+
+class Found(NamedTuple):
+    """The accepted motion, and the resulting association.
+
+    Attributes
+    ----------
+    motion : PlanarMotion
+    match : Match
+    measured : bool
+        Whether the motion is determined in all directions.
+    evidence : float
+        Log odds that it is right.
+    bridged : bool
+        Whether it is given by odometry only.
+    """
+
+    motion: PlanarMotion
+    match: Match
+    measured: bool
+    evidence: float
+    bridged: bool = False

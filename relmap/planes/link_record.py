@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import accumulate
 
@@ -11,7 +12,9 @@ import numpy as np
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.state.growing import GrowingArray
 from relmap.core.state.store import ObservationStore
+from relmap.planes.at_rest import things_rest
 from relmap.planes.beams import BeamStore
+from relmap.planes.judging import Found
 from relmap.planes.motions import (
     after,
     from_matrices,
@@ -22,8 +25,7 @@ from relmap.planes.motions import (
 from relmap.planes.observation import PlaneObservation
 from relmap.planes.odometry import OTHERWISE, Wheels
 from relmap.planes.placement import PlanarMotion
-from relmap.planes.search import Found
-from relmap.planes.tying import Scans, judged_links
+from relmap.planes.tying import Link, Scans, judged_links
 
 IN_DOUBT = 10.0
 """Log odds below which a motion is re-evaluated with the surrounding scans."""
@@ -185,7 +187,21 @@ class LinkRecord:
         name = np.arange(self._n_submaps)
         if not (len(self.beams) and self._n_submaps):
             return name, np.empty(0, dtype=np.int64)
-        links, cut = judged_links(self._scans, *self._known())
+        is_tied, in_doubt = self._known()
+        links, cut = judged_links(self._scans, is_tied, in_doubt)
+        self._take(links, name)
+        is_tied, _ = self._known()
+        if things_rest(self._scans, is_tied):
+            in_doubt = ~is_tied
+            in_doubt[:1] = False
+            more, _ = judged_links(replace(self._scans, firm=False), is_tied, in_doubt)
+            self._take(more, name)
+        self.submap = int(name[self.submap])
+        self.wheels.look_again()
+        return name, np.array(cut, dtype=np.int64)
+
+    def _take(self, links: Sequence[Link], name: Ints) -> None:
+        """Enter links that were accepted later; `name` (s,) becomes the new number of submaps."""
         for link in links:
             between = motion_over(self.motions[link.earlier + 1 : link.later])
             self.motions[link.later] = after(inverse(between), link.motion[None])[0]
@@ -197,9 +213,6 @@ class LinkRecord:
                 self._submaps.values[self.submaps == old] = new
                 name[name == old] = new
         self.same_walls = np.concatenate([self.same_walls, *(link.walls for link in links)])
-        self.submap = int(name[self.submap])
-        self.wheels.look_again()
-        return name, np.array(cut, dtype=np.int64)
 
     def join(self, poses: Sequence[Floats], walls: Ints) -> Ints:
         """Join submaps whose maps show the same place.

@@ -12,9 +12,14 @@ from numpy.typing import NDArray
 from relmap.core.arrays import Bools, Floats
 from relmap.core.errors import RelmapError
 from relmap.core.scan import FARTHEST_M, numbers
-from relmap.planes.beams import ToldBeams
-from relmap.planes.corners import CORNER, CUT, UNKNOWN
+from relmap.planes.beams import ToldBeams, on_loose_things
+from relmap.planes.corners import CORNER, CUT, LOOSE, UNKNOWN
 
+BESIDE_LOOSE = " of a loose thing"
+JOURNALED = [
+    f"{name}{more}" for more in ("", BESIDE_LOOSE) for name in ("open", "corner", "unknown", "")
+]
+"""Kinds of ends by their codes."""
 SHORTEST_M = 1e-6
 """A shorter wall has no defined direction."""
 NO_BEAMS = ToldBeams.checked(np.empty((0, 2)), np.zeros(2))
@@ -78,7 +83,12 @@ class PlaneObservation:
     @property
     def static(self) -> Bools:
         """Whether an end is given as an end of the wall itself; (m, 2)."""
-        return np.asarray(self.kind == CORNER)
+        return np.asarray(self.kind % LOOSE == CORNER)
+
+    @property
+    def loose(self) -> Bools:
+        """Which walls (m,) are on small things that stand free, such as people."""
+        return np.asarray((self.kind >= LOOSE).any(axis=1))
 
     @property
     def arrays(self) -> Any:
@@ -120,6 +130,7 @@ def checked_planes(planes: Any, beams: Any = None) -> PlaneObservation:
         told = ToldBeams.checked(beams, getattr(planes, "origin", np.zeros(2)))
     kept = np.hypot(*(ends[:, 1] - ends[:, 0]).T) > SHORTEST_M
     kind = _coded(kind.reshape(m, 2)[kept])
+    kind[on_loose_things(ends[kept], told)] += LOOSE
     seen = PlaneObservation.of(ends[kept], kind, sd[kept], z_extent[kept])
     if (seen.offset > 0).any():
         wall = int(np.flatnonzero(kept)[np.argmax(seen.offset > 0)])
@@ -131,8 +142,9 @@ def checked_planes(planes: Any, beams: Any = None) -> PlaneObservation:
 
 def _coded(end_type: NDArray[np.str_]) -> NDArray[np.int8]:
     """Return the kinds of ends given by name."""
-    kind = np.where(end_type == "corner", CORNER, np.where(end_type == "unknown", UNKNOWN, CUT))
-    return kind.astype(np.int8)
+    own = np.char.replace(end_type.astype(np.str_), BESIDE_LOOSE, "")
+    kind = np.where(own == "corner", CORNER, np.where(own == "unknown", UNKNOWN, CUT))
+    return np.where(own == end_type, kind, kind + LOOSE).astype(np.int8)
 
 
 def checked_ends(ends: Any) -> Floats:
@@ -191,7 +203,7 @@ def of_journal(rows: Floats) -> SimpleNamespace:
     rows = rows.reshape(-1, 9)
     return SimpleNamespace(
         ends=rows[:, :4].reshape(-1, 2, 2),
-        end_type=np.array(["open", "corner", "unknown"])[rows[:, 7:].astype(np.int64)],
+        end_type=np.array(JOURNALED)[rows[:, 7:].astype(np.int64)],
         z_extent=rows[:, 4:6],
         noise=rows[:, 6],
         n_points=np.ones(len(rows)),

@@ -16,10 +16,10 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.state.growing import GrowingArray
-from relmap.planes.corners import CORNER, INTERVAL, UNKNOWN, compared_ends
+from relmap.planes.corners import CORNER, INTERVAL, LOOSE, UNKNOWN, compared_ends
+from relmap.planes.judging import Found
 from relmap.planes.observation import PlaneObservation
 from relmap.planes.scan_links import ScanLinks
-from relmap.planes.search import Found
 from relmap.planes.tracks import MEMORY, NO_CORNER, PlaneTracks
 
 STRAYED_M = 0.15
@@ -159,7 +159,7 @@ class PlaneRegistration:
         """Assign a corner to every static end; create new ones where none is expected."""
         row_of = {plane: row for row, plane in enumerate(tracks.plane.tolist())}
         told = self._told.values[walls]
-        untyped = seen.kind == UNKNOWN
+        untyped = seen.kind % LOOSE == UNKNOWN
         wall, end = np.nonzero(np.where(untyped, told == STATIC, seen.static))
         row = np.array([row_of[plane] for plane in walls[wall].tolist()], dtype=np.int64)
         at = seen.ends[wall, end]
@@ -197,7 +197,10 @@ class PlaneRegistration:
         if now < INTERVAL or now % TESTED:
             return
         rows, iteration = self.links.store.between(now - INTERVAL, now)
-        wall, kind = self.links.store.column("wall")[rows], self.links.store.column("kind")[rows]
+        wall, kind = (
+            self.links.store.column("wall")[rows],
+            self.links.store.column("kind")[rows] % LOOSE,
+        )
         ends, sd = self.links.store.column("location")[rows], self.links.store.column("sd")[rows]
         same, unknown = self._since.values[wall] <= now - INTERVAL, kind == UNKNOWN
         if not (same & unknown.any(axis=1)).any():

@@ -11,7 +11,7 @@ import numpy as np
 
 from relmap.core.arrays import Floats
 from relmap.planes.beams import Beams
-from relmap.planes.judging import View
+from relmap.planes.judging import NO_MATCH, Found, View
 from relmap.planes.link_record import LinkRecord, seen_before
 from relmap.planes.links import (
     USUAL,
@@ -31,7 +31,7 @@ from relmap.planes.motions import (
 from relmap.planes.observation import PlaneObservation
 from relmap.planes.odometry import OTHERWISE, Expected
 from relmap.planes.placement import PlanarMotion, place, settled, worth
-from relmap.planes.search import NO_MATCH, Found, Search
+from relmap.planes.search import Search
 from relmap.planes.tracks import PlaneTracks
 
 SURE, USUALLY = 4.0, 0.5

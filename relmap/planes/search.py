@@ -8,13 +8,20 @@ agreement of beams is accepted, unless beams contradict it or a rival comes near
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
 from relmap.core.arrays import Floats
 from relmap.planes.beams import NEAR_M, Beams, compared
-from relmap.planes.judging import MEASURED, Candidates, Judged, View
+from relmap.planes.judging import (
+    MEASURED,
+    NO_CANDIDATES,
+    NO_MATCH,
+    Candidates,
+    Found,
+    Judged,
+    View,
+)
 from relmap.planes.motions import after, distinct, others, planar
 from relmap.planes.observation import PlaneObservation
 from relmap.planes.odometry import OTHERWISE, Expected
@@ -53,34 +60,11 @@ EXPLAINS = 0.05
 """Fraction of points by which another motion must exceed the agreement of odometry."""
 CONTRADICTS = 0.1
 """Fraction of contradicting points above which odometry is rejected."""
-NO_MATCH = Match(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), 0.0)
 FREE_M, FREE = 0.3, 0.01
 """A motion along a wall is undetermined if the beams agree almost as well at this distance."""
 FREE_REACH_M = 1.0
 """Motions nearer than this are no rivals if the motion along a wall is undetermined: the previous
 motion decides."""
-
-
-class Found(NamedTuple):
-    """The accepted motion, and the resulting association.
-
-    Attributes
-    ----------
-    motion : PlanarMotion
-    match : Match
-    measured : bool
-        Whether the motion is determined in all directions.
-    evidence : float
-        Log odds that it is right.
-    bridged : bool
-        Whether it is given by odometry only.
-    """
-
-    motion: PlanarMotion
-    match: Match
-    measured: bool
-    evidence: float
-    bridged: bool = False
 
 
 class Search:
@@ -98,6 +82,8 @@ class Search:
         Usual motion of the robot.
     expected : Expected, optional
         Motion expected from odometry.
+    firm : bool
+        Whether to leave out walls and beams on small things that stand free.
     """
 
     def __init__(
@@ -108,10 +94,24 @@ class Search:
         views: Sequence[View],
         before: PlanarMotion,
         expected: Expected | None = None,
+        firm: bool = True,
     ) -> None:
-        self._tracks, self._seen, self._beams, self._views = tracks, seen, beams, views
+        self._beams, self._views = beams, views
         self._before = planar(expected.motion) if expected else before
         self._expected = expected
+        self._firm = firm
+        kept, own = ~(tracks.loose & firm), ~(seen.loose & firm)
+        self._rows, self._walls = np.flatnonzero(kept), np.flatnonzero(own)
+        self._tracks, self._seen = tracks.kept(kept), seen.only(own)
+
+    @property
+    def _is_empty(self) -> bool:
+        """Whether there is nothing to compare."""
+        return not min(len(self._tracks), len(self._seen), len(self._beams))
+
+    def _named(self, match: Match) -> Match:
+        """Return a match with the numbers of all tracks and walls."""
+        return Match(self._rows[match.tracks], self._walls[match.walls], match.score)
 
     def found(self) -> Found | None:
         """Find the motion implied by walls and supported by beams.
@@ -121,6 +121,8 @@ class Search:
         Found or None
             None if beams contradict all motions, or a rival comes near.
         """
+        if self._is_empty:
+            return None
         every = self._judged([self._before, STILL])
         best = int(np.argmax(every.evidence))
         clear = every.agree[best] > CLEARLY and every.contradict[best] < HARDLY
@@ -147,7 +149,8 @@ class Search:
             off_m = np.hypot(*(every.motions[:, 1:] - self._before.t).T)
             best = int(np.argmin(np.where(likely, off_m, np.inf)))
             motion = every.motions[best]
-        return Found(planar(motion), every.matches[best], measured, float(every.evidence[best]))
+        match = self._named(every.matches[best])
+        return Found(planar(motion), match, measured, float(every.evidence[best]))
 
     def _explains(self, expected: Expected, motion: Floats) -> bool:
         """Return whether beams agree with odometry almost as well as with another motion (3,)."""
@@ -166,7 +169,8 @@ class Search:
             return None
         best = int(np.argmin(np.where(near > near.max() - RIVAL, off, np.inf)))
         evidence = float(every.evidence[best])
-        return Found(planar(every.motions[best]), every.matches[best], False, evidence)
+        match = self._named(every.matches[best])
+        return Found(planar(every.motions[best]), match, False, evidence)
 
     def candidates(self, guesses: Sequence[PlanarMotion] = ()) -> Candidates:
         """Return the plausible motions between these scans by walls and beams, likeliest first.
@@ -176,6 +180,8 @@ class Search:
         guesses : sequence of PlanarMotion
             Candidates in addition to those implied by walls.
         """
+        if self._is_empty:
+            return NO_CANDIDATES
         every = self._judged([self._before, STILL, *guesses, *self._guesses()])
         for k in np.argsort(-every.of_pair, kind="stable")[:SLID]:
             every = every.and_those(self._judged(self._slid(every, k)))
@@ -184,7 +190,7 @@ class Search:
         order = order[np.isfinite(evidence[order]) & (evidence[order] > evidence.max() - WITHIN)]
         best = distinct(every.motions, order, CANDIDATES)
         measured = np.array([self._measured(every, k) for k in best], dtype=np.bool_)
-        matches = [every.matches[k] for k in best]
+        matches = [self._named(every.matches[k]) for k in best]
         evidence = evidence[best] + MEASURED * measured
         return Candidates(every.motions[best], evidence, measured, matches)
 
@@ -200,6 +206,8 @@ class Search:
         stays : bool
             Whether it converges to the given motion.
         """
+        if self._is_empty:
+            return -np.inf, 0.0, True
         found = self._judged([planar(motion)])
         evidence = float(found.of_pair[0]) + MEASURED * self._measured(found, 0)
         return evidence, float(found.contradict[0]), not others(found.motions, motion)[0]
@@ -216,7 +224,7 @@ class Search:
         by_walls = is_near and sums[1, 0] >= sums[0, 0] and sums[1, 1] <= sums[0, 1]
         if sums[int(by_walls), 1] > CONTRADICTS * sums[0].sum():
             return None
-        match = found.matches[0] if by_walls else NO_MATCH
+        match = self._named(found.matches[0]) if by_walls else NO_MATCH
         return Found(planar(motions[int(by_walls)]), match, False, float(found.evidence[0]), True)
 
     def _guesses(self) -> list[PlanarMotion]:
@@ -292,5 +300,7 @@ class Search:
         """Return the number of points of the scan and of views that agree etc.; see `compared`."""
         sums = np.zeros((len(motions), 4))
         for view in views:
-            sums += compared(view.beams, self._beams, after(view.motion, motions), near_m, step)
+            sums += compared(
+                view.beams, self._beams, after(view.motion, motions), near_m, step, self._firm
+            )
         return sums

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from relmap.core.arrays import Floats, Ints
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.association.tracks import Tracks
 from relmap.planes.observation import PlaneObservation
 
@@ -43,6 +43,8 @@ class PlaneTracks(Tracks):
         Iterations since the wall was last observed.
     seen : (n,) int64
         How often it was seen.
+    loose : (n,) bool
+        Whether it was on a small thing that stands free when it was first seen.
     """
 
     plane: Ints
@@ -55,6 +57,7 @@ class PlaneTracks(Tracks):
     corner_seen: Ints
     missed: Ints
     seen: Ints
+    loose: Bools
 
     @classmethod
     def begun(cls, plane: Ints, seen: PlaneObservation) -> PlaneTracks:
@@ -71,6 +74,7 @@ class PlaneTracks(Tracks):
             np.zeros((n, 2), dtype=np.int64),
             np.zeros(n, dtype=np.int64),
             np.ones(n, dtype=np.int64),
+            seen.loose,
         )
 
     @property
@@ -99,6 +103,7 @@ class PlaneTracks(Tracks):
             self.corner_seen.copy(),
             self.missed.copy(),
             self.seen.copy(),
+            self.loose,
         )
 
     def see(self, rows: Ints, seen: PlaneObservation, at: Ints) -> None:

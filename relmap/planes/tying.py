@@ -16,7 +16,7 @@ import numpy as np
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.planes.beams import Beams, BeamStore
 from relmap.planes.hypotheses import LATER, Hypotheses, Verdict
-from relmap.planes.judging import Candidates, View
+from relmap.planes.judging import NO_CANDIDATES, Candidates, View
 from relmap.planes.links import VARYING_M, unsure_m, usual_motion
 from relmap.planes.motions import others, planar
 from relmap.planes.observation import PlaneObservation
@@ -34,7 +34,6 @@ SKIPPED, STEP_M = 2, 0.5
 over longer ones too little stays in view, and 2 of 8 such links were wrong."""
 EARLIER = 2
 """Scans before a doubtful one that are evaluated with it."""
-NONE = Candidates(np.empty((0, 3)), np.empty(0), np.empty(0, dtype=np.bool_), [])
 
 
 @dataclass(eq=False)
@@ -58,6 +57,8 @@ class Scans:
         Returns the motion between two scans expected from odometry, or None.
     begun : (b,) int64
         First scans of further runs.
+    firm : bool
+        Whether to leave out what is on small things that stand free.
     """
 
     walls: PlaneObservation
@@ -68,6 +69,7 @@ class Scans:
     measured: Bools
     expected: Callable[[int, int], Expected | None]
     begun: Ints
+    firm: bool = True
 
     def of_one_run(self, earlier: int, later: int) -> bool:
         """Return whether two scans belong to one run."""
@@ -116,7 +118,8 @@ class Scans:
         if not min(len(tracks), len(seen), *map(len, beams)):
             return None
         views = [View(beams[0], np.zeros(3))]
-        return Search(tracks, seen, beams[1], views, before, self.expected(earlier, later))
+        expected = self.expected(earlier, later)
+        return Search(tracks, seen, beams[1], views, before, expected, self.firm)
 
 
 class Link(NamedTuple):
@@ -264,7 +267,7 @@ def _judged(scans: Scans, run: Sequence[int], fixed: bool) -> list[_Judged]:
             usual = usual_motion(scans.motions[: run[k]])
             search = scans.search(run[k - 1], run[k], planar(usual))
             guess = planar(scans.motions[run[k]])
-            found.append(search.candidates([guess]) if search else NONE)
+            found.append(search.candidates([guess]) if search else NO_CANDIDATES)
             before = run[k - 2] if k > 1 else max(run[0] - 1, 0)
             same = scans.of_one_run(before, run[k])
             two_back = scans.search(before, run[k], STILL) if same else None

@@ -1,0 +1,56 @@
+"""Whether small free-standing things stay where they are, or walk about."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from relmap.core.arrays import Bools, Floats, Ints
+from relmap.planes.beams import Beams
+from relmap.planes.motions import motion_over
+from relmap.planes.tying import Scans
+
+LINKS = 200
+"""Approximate number of links that are examined."""
+APART_M, MOST_APART = 0.5, 10
+"""Way between two scans that are compared, and maximum number of scans: people walk meanwhile."""
+NEAR_M, BEHIND_M = 0.2, 0.4
+"""A thing is still there if a point was seen nearer than this, and gone if a beam ended farther
+behind."""
+AT_REST = 0.5
+"""Fraction of the points in view that must still be there."""
+
+
+def things_rest(scans: Scans, is_tied: Bools) -> bool:
+    """Return whether small free-standing things are mostly seen again at their place.
+
+    Parameters
+    ----------
+    scans : Scans
+    is_tied : (i,) bool
+        Whether the motion into each scan is accepted.
+    """
+    there = gone = 0
+    step_m = float(np.median(np.hypot(*scans.motions[:, 1:].T)))
+    apart = int(np.clip(np.ceil(APART_M / max(step_m, 1e-3)), 1, MOST_APART))
+    for later in range(apart, len(is_tied), 1 + len(is_tied) // LINKS):
+        between = slice(later - apart + 1, later + 1)
+        if is_tied[between].all():
+            motion = motion_over(scans.motions[between])
+            seen = _seen_again(scans.beams_of(later - apart), scans.beams_of(later), motion)
+            there, gone = there + seen[0], gone + seen[1]
+    return there >= AT_REST * (there + gone)
+
+
+def _seen_again(earlier: Beams, later: Beams, motion: Floats) -> tuple[int, int]:
+    """Return how many points on loose things of one scan are there, and gone, in a later one."""
+    c, s = np.cos(motion[0]), np.sin(motion[0])
+    points = earlier.points[earlier.loose] @ np.array([[c, s], [-s, c]]) + motion[1:]
+    if not (len(points) and len(later)):
+        return 0, 0
+    off = np.hypot(*np.moveaxis(points[:, None] - later.points, 2, 0)).min(axis=1)
+    x, y = (points - later.origin).T
+    at: Ints = np.searchsorted(later.bearings, np.arctan2(y, x)).clip(1, len(later) - 1)
+    ranges = np.hypot(*(later.points - later.origin).T)
+    behind = np.minimum(ranges[at], ranges[at - 1]) > np.hypot(x, y) + BEHIND_M
+    there = off < NEAR_M
+    return int(there.sum()), int((behind & ~there).sum())
