@@ -20,7 +20,7 @@ from relmap.core.state.growing import GrowingArray
 NEAR_M = 0.12
 """A point nearer to a surface agrees with it; one twice as far in front of it contradicts it."""
 LOOSE_M = 0.7
-APART_M, APART = 0.1, 0.05
+APART_M, APART = 0.2, 0.05
 """Largest size of what may be a person, and distance of neighbouring points on different things:
 constant, and as a fraction of the range."""
 PER_SCAN = 2000

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from relmap.io.journal import RecordedScan
 
 
-CUTS = 2
+CUTS = 4
 """Maximum number of rounds of cutting torn submaps and refining again."""
 
 BEAMS = 60_000

@@ -15,11 +15,9 @@ from relmap.core.scan import FARTHEST_M, numbers
 from relmap.planes.beams import ToldBeams, on_loose_things
 from relmap.planes.corners import CORNER, CUT, LOOSE, UNKNOWN
 
-BESIDE_LOOSE = " of a loose thing"
-JOURNALED = [
-    f"{name}{more}" for more in ("", BESIDE_LOOSE) for name in ("open", "corner", "unknown", "")
-]
-"""Kinds of ends by their codes."""
+CODES = {"open": CUT, "corner": CORNER, "unknown": UNKNOWN}
+CODES |= {f"loose {name}": LOOSE + code for name, code in CODES.items()}
+"""Kinds of ends by name."""
 SHORTEST_M = 1e-6
 """A shorter wall has no defined direction."""
 NO_BEAMS = ToldBeams.checked(np.empty((0, 2)), np.zeros(2))
@@ -141,10 +139,11 @@ def checked_planes(planes: Any, beams: Any = None) -> PlaneObservation:
 
 
 def _coded(end_type: NDArray[np.str_]) -> NDArray[np.int8]:
-    """Return the kinds of ends given by name."""
-    own = np.char.replace(end_type.astype(np.str_), BESIDE_LOOSE, "")
-    kind = np.where(own == "corner", CORNER, np.where(own == "unknown", UNKNOWN, CUT))
-    return np.where(own == end_type, kind, kind + LOOSE).astype(np.int8)
+    """Return the kinds of ends given by name; any other is an end of the visible part."""
+    kind = np.full(end_type.shape, CUT, dtype=np.int8)
+    for name, code in CODES.items():
+        kind[end_type == name] = code
+    return kind
 
 
 def checked_ends(ends: Any) -> Floats:
@@ -201,9 +200,11 @@ def journaled(seen: PlaneObservation) -> Floats:
 def of_journal(rows: Floats) -> SimpleNamespace:
     """Return the walls stored as rows (m, 9)."""
     rows = rows.reshape(-1, 9)
+    names = np.full(2 * LOOSE, "loose unknown")
+    names[list(CODES.values())] = list(CODES)
     return SimpleNamespace(
         ends=rows[:, :4].reshape(-1, 2, 2),
-        end_type=np.array(JOURNALED)[rows[:, 7:].astype(np.int64)],
+        end_type=names[rows[:, 7:].astype(np.int64)],
         z_extent=rows[:, 4:6],
         noise=rows[:, 6],
         n_points=np.ones(len(rows)),
