@@ -11,34 +11,44 @@ from relmap.planes.tying import Scans
 
 LINKS = 200
 """Approximate number of links that are examined."""
-APART_M, MOST_APART = 0.5, 10
+APART_M, MOST_APART = 1.0, 10
 """Way between two scans that are compared, and maximum number of scans: people walk meanwhile."""
 NEAR_M, BEHIND_M = 0.2, 0.4
 """A thing is still there if a point was seen nearer than this, and gone if a beam ended farther
 behind."""
-AT_REST = 0.5
-"""Fraction of the points in view that must still be there."""
+UNKNOWN = 20
+"""Points added to those that are gone: few points do not prove rest."""
+MOSTLY, OFTEN = 0.7, 0.5
+"""Share of the points above which such things are used like all others, and above which they are
+used where nothing else links the scans."""
 
 
-def things_rest(scans: Scans, is_tied: Bools) -> bool:
-    """Return whether small free-standing things are mostly seen again at their place.
+def share_at_rest(scans: Scans, is_tied: Bools, most: int = LINKS) -> float:
+    """Return the share of the points on small free-standing things that are still there later.
 
     Parameters
     ----------
     scans : Scans
     is_tied : (i,) bool
         Whether the motion into each scan is accepted.
+    most : int
+        Approximate number of links to examine.
+
+    Returns
+    -------
+    float
+        0 if there is none.
     """
     there = gone = 0
     step_m = float(np.median(np.hypot(*scans.motions[:, 1:].T)))
     apart = int(np.clip(np.ceil(APART_M / max(step_m, 1e-3)), 1, MOST_APART))
-    for later in range(apart, len(is_tied), 1 + len(is_tied) // LINKS):
+    for later in range(apart, len(is_tied), 1 + len(is_tied) // most):
         between = slice(later - apart + 1, later + 1)
         if is_tied[between].all():
             motion = motion_over(scans.motions[between])
             seen = _seen_again(scans.beams_of(later - apart), scans.beams_of(later), motion)
             there, gone = there + seen[0], gone + seen[1]
-    return there >= AT_REST * (there + gone)
+    return there / (there + gone + UNKNOWN)
 
 
 def _seen_again(earlier: Beams, later: Beams, motion: Floats) -> tuple[int, int]:

@@ -12,7 +12,7 @@ import numpy as np
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.state.growing import GrowingArray
 from relmap.core.state.store import ObservationStore
-from relmap.planes.at_rest import things_rest
+from relmap.planes.at_rest import MOSTLY, OFTEN, share_at_rest
 from relmap.planes.beams import BeamStore
 from relmap.planes.judging import Found
 from relmap.planes.motions import (
@@ -55,7 +55,7 @@ class LinkRecord:
 
     STATE = (
         "_motions _submaps _n_submaps submap _unsure_m _unsure_each_m _evidence _measured _bridged "
-        "beams same_walls _begun"
+        "beams same_walls _begun _at_rest"
     )
 
     def __init__(self, bridge_m: float) -> None:
@@ -64,6 +64,7 @@ class LinkRecord:
         self._begun: GrowingArray[np.int64] = GrowingArray(np.int64)
         self.same_walls = np.empty((0, 2), dtype=np.int64)
         self._unsure_m, self._unsure_each_m = 0.0, 0.0
+        self._at_rest = False
         self._motions: GrowingArray[np.float64] = GrowingArray(np.float64, (3,))
         self._submaps: GrowingArray[np.int64] = GrowingArray(np.int64)
         self._evidence: GrowingArray[np.float64] = GrowingArray(np.float64)
@@ -188,10 +189,11 @@ class LinkRecord:
         if not (len(self.beams) and self._n_submaps):
             return name, np.empty(0, dtype=np.int64)
         is_tied, in_doubt = self._known()
-        links, cut = judged_links(self._scans, is_tied, in_doubt)
+        scans, share = self._scans, share_at_rest(self._scans, is_tied)
+        links, cut = judged_links(replace(scans, firm=share <= MOSTLY), is_tied, in_doubt)
         self._take(links, name)
-        is_tied, _ = self._known()
-        if things_rest(self._scans, is_tied):
+        if OFTEN < share <= MOSTLY:
+            is_tied, _ = self._known()
             in_doubt = ~is_tied
             in_doubt[:1] = False
             more, _ = judged_links(replace(self._scans, firm=False), is_tied, in_doubt)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.arrays import Floats
+from relmap.planes.at_rest import MOSTLY, share_at_rest
 from relmap.planes.beams import Beams
 from relmap.planes.judging import NO_MATCH, Found, View
 from relmap.planes.link_record import LinkRecord, seen_before
@@ -40,6 +41,9 @@ TOGETHER = 5.0
 """Sum of the log odds that both need."""
 FEW = 4.0
 """Number of unmatched walls and corners on either side that contradict odometry."""
+FIRST, AGAIN, LATELY = (10, 20), 50, 50
+"""When it is evaluated whether things rest: after so many scans, and at each multiple; and about
+how many links are examined."""
 VIEWS = 2
 """Number of last scans whose beams verify a motion."""
 
@@ -96,12 +100,20 @@ class ScanLinks(LinkRecord):
         usual = self.usual
         if views:
             beams = Beams.of(seen.beams.points, seen.beams.origin, seen.ends)
-            judged = Search(tracks, seen, beams, views, usual, expected).found()
-            return judged if judged and self._confirmed(judged, seen, beams, views) else None
+            firm = not self._rests()
+            judged = Search(tracks, seen, beams, views, usual, expected, firm).found()
+            return judged if judged and self._confirmed(judged, seen, beams, views, firm) else None
         found = place(tracks, seen, usual, reach_m)
         if found is None or not believed(tracks, seen, found, usual):
             return None
         return Found(*found, measured_along(tracks, seen, found[1]), np.inf)
+
+    def _rests(self) -> bool:
+        """Whether small free-standing things stayed in place so far; evaluated now and then."""
+        now = len(self)
+        if now in FIRST or now % AGAIN == 0:
+            self._at_rest = share_at_rest(self._scans, self._known()[0], LATELY) > MOSTLY
+        return self._at_rest
 
     def _over(
         self, tracks: PlaneTracks, seen: PlaneObservation, expected: Expected
@@ -121,7 +133,7 @@ class ScanLinks(LinkRecord):
         return Found(motion, match, False, -np.inf, True)
 
     def _confirmed(
-        self, found: Found, seen: PlaneObservation, beams: Beams, views: list[View]
+        self, found: Found, seen: PlaneObservation, beams: Beams, views: list[View], firm: bool
     ) -> bool:
         """Return whether the scan before the last one confirms a motion, if that is doubtful."""
         evidence = self._evidence.values[-VARYING:]
@@ -136,7 +148,7 @@ class ScanLinks(LinkRecord):
         tracks.corner_at = np.where(earlier.static[..., None], earlier.ends, np.nan)
         before = PlanarMotion(float(expected[0]), expected[1:])
         view = [View(views[1].beams, np.zeros(3))]
-        again = Search(tracks, seen, beams, view, before).found()
+        again = Search(tracks, seen, beams, view, before, firm=firm).found()
         if again is None or found.evidence + again.evidence < TOGETHER:
             return False
         return not others(np.array([[again.motion.yaw, *again.motion.t]]), expected)[0]

@@ -1,0 +1,89 @@
+"""Small things that stand free, such as people: they link scans only if they stay in place."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from relmap import PlaneMapper
+from relmap.core.arrays import Floats
+from relmap.evaluation.metrics import ate
+from relmap.planes.at_rest import share_at_rest
+from relmap.planes.beams import Beams, BeamStore, ToldBeams
+from relmap.planes.observation import PlaneObservation, checked_planes, journaled, of_journal
+from relmap.planes.tying import Scans
+from relmap.segmentation import PlaneSegmenter
+from relmap.simulation import simulate_building
+
+BEARING = np.linspace(-np.pi / 2, np.pi / 2, 361)
+BODY_M = 0.2
+NO_WALLS = np.empty((0, 2, 2))
+
+
+def seen_from(x_m: float, person: tuple[float, float] | None) -> Floats:
+    """Return a scan in a corridor with an end at 6 m, where a person may stand; robot frame."""
+    ray = np.column_stack([np.cos(BEARING), np.sin(BEARING)])
+    range_m = 1.2 / np.maximum(np.abs(ray[:, 1]), 1e-9)
+    range_m = np.minimum(range_m, (6 - x_m) / np.maximum(ray[:, 0], 1e-9))
+    if person is not None:
+        at = np.array(person) - [x_m, 0.0]
+        along = ray @ at
+        left = along**2 - at @ at + BODY_M**2
+        met = (left > 0) & (along > 0)
+        range_m[met] = np.minimum(range_m[met], along[met] - np.sqrt(left[met]))
+    return np.asarray(range_m[:, None] * ray)
+
+
+@pytest.mark.parametrize("person", [None, (2.0, 0.3), (4.0, -0.5)])
+def test_points_on_a_person_are_loose_and_those_on_walls_are_not(
+    person: tuple[float, float] | None,
+) -> None:
+    beams = Beams.of(seen_from(0.0, person), np.zeros(2), NO_WALLS)
+    on = np.zeros(len(beams), dtype=np.bool_)
+    if person is not None:
+        on = np.hypot(*(beams.points - person).T) < BODY_M + 1e-6
+    np.testing.assert_array_equal(beams.loose, on)
+
+
+def test_walls_on_a_person_are_loose_also_in_a_journal() -> None:
+    points = seen_from(0.0, (2.0, 0.3))
+    planes = PlaneSegmenter(view_rad=np.pi, range_m=20.0).fit(points).planes_
+    seen = checked_planes(planes, points)
+    near = np.hypot(*(seen.ends.mean(axis=1) - [2.0, 0.3]).T) < 0.3
+    assert near.any()
+    np.testing.assert_array_equal(seen.loose, near)
+    assert seen.static[~near].any()
+    np.testing.assert_array_equal(checked_planes(of_journal(journaled(seen))).kind, seen.kind)
+
+
+@pytest.mark.parametrize("walks", [False, True])
+def test_whether_share_at_rest_is_known_from_accepted_links(walks: bool) -> None:
+    n, step_m = 20, 0.1
+    beams = BeamStore()
+    for k in range(n):
+        person = (3.0 + 0.1 * k * walks, 0.3)
+        beams.append(ToldBeams.checked(seen_from(step_m * k, person), np.zeros(2)))
+    none = PlaneObservation.of(
+        NO_WALLS, np.empty((0, 2), dtype=np.int8), np.empty(0), np.empty((0, 2))
+    )
+    motions, count = np.tile([0.0, -step_m, 0.0], (n, 1)), np.empty(0, dtype=np.int64)
+    first_row, measured = np.zeros(n + 1, dtype=np.int64), np.ones(n, dtype=np.bool_)
+    scans = Scans(none, count, first_row, beams, motions, measured, lambda a, b: None, count)
+    share = share_at_rest(scans, measured)
+    assert share < 0.3 if walks else share > 0.8
+
+
+def test_a_crowd_does_not_drag_the_map_along() -> None:
+    """With the people's bodies as walls, it was 0.9 m off here."""
+    run = simulate_building(361, 0.01, sampling="laser", seed=1, step_m=0.1, people=15)
+    mapper = PlaneMapper(segmenter=PlaneSegmenter(view_rad=np.pi, range_m=8.0))
+    for scan in run.scans[:86]:
+        mapper.update(scan.points[:, :2])
+    mapper.finish()
+    mapper.refine()
+    submap = mapper.submaps[0]
+    known = np.isfinite(submap.poses[:, 0, 0])
+    error_m = ate(submap.poses[known], run.trajectory[slice(*submap.span)][known], planar=True)
+    assert known.sum() > 60
+    assert error_m is not None
+    assert error_m < 0.1
