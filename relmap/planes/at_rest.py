@@ -14,7 +14,7 @@ LINKS = 200
 APART_M, MOST_APART = 1.0, 10
 """Way between two scans that are compared, and maximum number of scans: people walk meanwhile."""
 NEAR_M, BEHIND_M = 0.2, 0.4
-"""A thing is still there if a point was seen nearer than this, and gone if a beam ended farther
+"""An object is still there if a point was seen nearer than this, and gone if a beam ended farther
 behind."""
 UNKNOWN = 20
 """Points added to those that are gone: few points do not prove rest."""
