@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.arrays import Floats
-from relmap.planes.at_rest import MOSTLY, share_at_rest
+from relmap.planes.at_rest import OFTEN, share_at_rest
 from relmap.planes.beams import Beams
 from relmap.planes.judging import NO_MATCH, Found, View
 from relmap.planes.link_record import LinkRecord, seen_before
@@ -112,7 +112,7 @@ class ScanLinks(LinkRecord):
         """Whether small free-standing things stayed in place so far; evaluated now and then."""
         now = len(self)
         if now in FIRST or now % AGAIN == 0:
-            self._at_rest = share_at_rest(self._scans, self._known()[0], LATELY) > MOSTLY
+            self._at_rest = share_at_rest(self._scans, self._known()[0], LATELY) > OFTEN
         return self._at_rest
 
     def _over(
