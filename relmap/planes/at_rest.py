@@ -18,9 +18,8 @@ NEAR_M, BEHIND_M = 0.2, 0.4
 behind."""
 UNKNOWN = 20
 """Points added to those that are gone: few points do not prove rest."""
-MOSTLY, OFTEN = 0.7, 0.5
-"""Share of the points above which such things are used like all others when breaks are evaluated,
-and above which they are used in the run, and then for the remaining breaks."""
+OFTEN = 0.5
+"""Share of the points above which such things are used like all others."""
 
 
 def share_at_rest(scans: Scans, is_tied: Bools, most: int = LINKS) -> float:

@@ -12,7 +12,7 @@ import numpy as np
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.state.growing import GrowingArray
 from relmap.core.state.store import ObservationStore
-from relmap.planes.at_rest import MOSTLY, OFTEN, share_at_rest
+from relmap.planes.at_rest import OFTEN, share_at_rest
 from relmap.planes.beams import BeamStore
 from relmap.planes.judging import Found
 from relmap.planes.motions import (
@@ -190,13 +190,13 @@ class LinkRecord:
             return name, np.empty(0, dtype=np.int64)
         is_tied, in_doubt = self._known()
         scans, share = self._scans, share_at_rest(self._scans, is_tied)
-        links, cut = judged_links(replace(scans, firm=share <= MOSTLY), is_tied, in_doubt)
+        links, cut = judged_links(replace(scans, firm=share <= OFTEN), is_tied, in_doubt)
         self._take(links, name)
-        if OFTEN < share <= MOSTLY:
+        if share > OFTEN:  # the remaining breaks without small things, as some may have moved
             is_tied, _ = self._known()
             in_doubt = ~is_tied
             in_doubt[:1] = False
-            more, _ = judged_links(replace(self._scans, firm=False), is_tied, in_doubt)
+            more, _ = judged_links(replace(self._scans, firm=True), is_tied, in_doubt)
             self._take(more, name)
         self.submap = int(name[self.submap])
         self.wheels.look_again()
