@@ -28,7 +28,8 @@ NEAR_SHARE = 0.8
 DECIDABLE = 8
 """Minimum number of possible matches with which the likelihood decides between rivals."""
 SHARE = 0.6
-"""Fraction of the possible matches that must agree while the noise is unknown."""
+"""Fraction of the possible matches that must agree while the noise is unknown or the likelihood
+decides."""
 MISFIT = 2.0
 """Largest variance of their matches to skip it, relative to the usual one: if landmarks stand on a
 lattice, the nearest neighbours may agree one period away, but less closely."""
@@ -275,6 +276,8 @@ class TrackPlacing:
         if is_clear:
             return placement, placement.n_agreeing, False
         likely = self._likely(tracks, points, None) if is_decidable else None
+        if likely is not None and likely.n_agreeing < SHARE * min(len(here), len(there)):
+            likely = None  # the best one may not be among those suggested
         return likely, placement.n_agreeing, True
 
 
