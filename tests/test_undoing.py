@@ -103,6 +103,20 @@ def test_rows_go_by_tracks_after_merges() -> None:
             assert met or not sightings.together(one, other)
 
 
+def test_observations_follow_a_track_that_is_parted_and_merged_again() -> None:
+    """Else rows condensed while it was merged stay with the other landmark: here 120."""
+    world = simulate_world(
+        WorldSpec(kind="field", sigma=0.2, length_m=400.0, iterations=300, seed=2)
+    )
+    mapper, labels = mapped_world(world)
+    assert mapper.n_undone > 0
+    table, rows = mapper.engine.table, mapper.engine.rows
+    by_rows = np.bincount(table.now(rows.landmark), rows.n_seen, len(table))
+    by_labels = np.bincount(mapper.landmarks_of(labels), minlength=len(table))
+    off = np.abs(by_rows - by_labels)[mapper.map.landmark_ids]
+    assert off.sum() <= 20  # tracks of one landmark that overlap in time share rows
+
+
 @pytest.mark.parametrize(
     ("spec", "worst"),
     [

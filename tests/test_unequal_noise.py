@@ -168,12 +168,9 @@ def rmse(positions: Array, truth: Array) -> float:
 
 
 STEREO = WorldSpec(noise="stereo", sigma=0.03, space=True, iterations=200, length_m=300.0, seed=11)
-WORSE = pytest.mark.xfail(
-    strict=True, reason="a landmark of four mixed observations: 1.18 times the error, 0.61 before"
-)
 
 
-@pytest.mark.parametrize("with_covariances", [True, pytest.param(False, marks=WORSE)])
+@pytest.mark.parametrize("with_covariances", [True, False])
 def test_a_stereo_camera_gives_one_map_better_than_unweighted_least_squares(
     with_covariances: bool,
 ) -> None:

@@ -173,6 +173,8 @@ def _repair(engine: RelativeMapper) -> None:
         undone = _merge_coinciding(engine) or found or engine.config.keep_observations
     rare = _rare(engine)
     wrong = doubtful(engine.table, rare, engine.averaging.noise.sigma_m)
+    if engine.association.is_blurred or engine.association.estimates_covariances:
+        wrong |= Sightings(rows_of_tracks(engine.rows, engine.table), engine.table).seldom(rare)
     rare &= ~grouped | (wrong & (not is_bridged(engine)))
     engine.table.take_off_map(np.flatnonzero(rare))
     if undone or rare.any() or engine.config.keep_observations or is_bridged(engine):
@@ -236,10 +238,11 @@ def leave_out_rare(engine: RelativeMapper) -> None:
 
 def _rare(engine: RelativeMapper) -> Bools:
     """Return which landmarks (m,) are mapped with fewer observations than a group needs."""
-    table, rows, n = engine.table, engine.rows, len(engine.table)
+    table, n = engine.table, len(engine.table)
     if is_bridged(engine):  # Scans of one or two landmarks are in no segment.
         seen = np.bincount(table.now(engine.kept.landmark), minlength=n)
     else:
+        rows = rows_of_tracks(engine.rows, table)
         seen = np.bincount(table.now(rows.landmark), rows.n_seen, minlength=n)
     return np.asarray((table.weight > 0) & (seen < engine.config.group_after))
 
@@ -271,6 +274,8 @@ def _part(engine: RelativeMapper, rows: SegmentRows, tracks: Ints) -> None:
     """Make merged tracks (k,) landmarks of their own again, mapped where they were seen."""
     table = engine.table
     places, seen = places_of(table, rows, tracks)
+    # From now on, the landmark and the time of a row no longer determine its track.
+    engine.segments.rename(rows.landmark)
     for track, place, weight in zip(tracks.tolist(), places, seen.tolist(), strict=True):
         landmark = int(table.landmark_of[track])
         stretch = int(table.track_begin[track]), int(table.track_end[track]) + 1

@@ -109,9 +109,9 @@ class RelativeMapper:
         self.store.append(**rows)
         if covariances is not None:
             named = found >= 0
-            self.weighed.append(landmarks, seen[named], covariances[named], iteration)
+            self.weighed.append(found[named], seen[named], covariances[named], iteration)
         else:
-            self.association.weigh_own(landmarks, seen, iteration, self.weighed)
+            self.association.weigh_own(found[found >= 0], seen, iteration, self.weighed)
         if len(self.motions) and len(landmarks) and not self.model.keeps_observations:
             named = found >= 0
             self.kept.append(found[named], seen[named], iteration)

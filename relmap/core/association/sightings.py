@@ -5,14 +5,17 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
-from relmap.core.arrays import Ints
+from relmap.core.arrays import Bools, Ints
 from relmap.core.refinement.condensing import LENGTH, SegmentRows
-from relmap.core.state.table import LandmarkState
+from relmap.core.state.table import NONE, LandmarkState
 
 RARELY = 0.25
 """Largest fraction of the scans of a double landmark that show the other one too: where the noise
 is large, a new track may take over while the old one is still continued by a neighbour."""
+SELDOM = 0.25
+"""Least share of the scans showing its neighbours that must show a landmark too."""
 
 
 class Sightings:
@@ -35,6 +38,25 @@ class Sightings:
         """Return whether two landmarks share more than a fraction of the scans of the rarer."""
         here, there = (self._scans(self._rows(landmark)) for landmark in (one, other))
         return len(np.intersect1d(here, there)) > share * min(len(here), len(there))
+
+    def seldom(self, rare: Bools) -> Bools:
+        """Return which of the `rare` landmarks (m,) few of the scans of their neighbours show.
+
+        Such a landmark is mostly a stretch of another one, observed with errors.
+        """
+        table, d = self._table, self._table.dimension
+        found = np.zeros(len(table), dtype=np.bool_)
+        for submap in np.unique(table.submap[rare & (table.submap != NONE)]).tolist():
+            own = table.submap == submap
+            few, known = np.flatnonzero(own & rare), np.flatnonzero(own & ~rare)
+            if len(known) < 2 * d:
+                continue
+            near = known[cKDTree(table.position[known]).query(table.position[few], 2 * d)[1]]
+            for landmark, others in zip(few.tolist(), near.tolist(), strict=True):
+                scans = np.concatenate([self._scans(self._rows(other)) for other in others])
+                shown = np.count_nonzero(np.unique(scans, return_counts=True)[1] > d)
+                found[landmark] = len(self._scans(self._rows(landmark))) < SELDOM * shown
+        return found
 
     def _scans(self, rows: Ints) -> Ints:
         """Return the scans (k,) of some rows, ascending."""

@@ -121,6 +121,10 @@ class CondensedSegments:
             self._t.values,
         )
 
+    def rename(self, landmark: Ints) -> None:
+        """Replace the landmark of each row by those of `rows` or `with_rest` (n,)."""
+        self._landmark.values[:] = landmark[: len(self._landmark)]
+
     def condense(self, store: ObservationStore, before: int, dynamic: Bools) -> bool:
         """Condense the next segment if it is complete before an iteration; return whether.
 

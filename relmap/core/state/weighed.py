@@ -33,7 +33,7 @@ class WeighedObservations:
         Parameters
         ----------
         landmark : (n,) int64
-            Current numbers.
+            Before merging, so that a merge can be undone.
         location : (n, d) float64, robot frame, metres
         covariance : (n, d, d) float64, square metres
         iteration : int
