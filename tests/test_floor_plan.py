@@ -11,7 +11,7 @@ import pytest
 from relmap import PlaneMapper
 from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
-from relmap.planes.beams import BeamStore, ToldBeams
+from relmap.planes.beams import BeamStore, GivenBeams
 from relmap.planes.plan_kernels import beams_on_walls
 
 ROOM = np.array(
@@ -223,7 +223,7 @@ def test_beams_are_stored_scan_by_scan() -> None:
     beams, none = BeamStore(), np.empty((0, 2, 2))
     laser, empty = np.array([[3.0, 4.0], [3.0, -4.0]]), np.empty((0, 2))
     for points in (np.array([[1.0, 2.0, 0.5]]), empty, laser):
-        beams.append(ToldBeams.checked(points, np.array([1.0, 0.0])))
+        beams.append(GivenBeams.checked(points, np.array([1.0, 0.0])))
     assert [len(beams.of(scan, none)) for scan in range(3)] == [0, 0, 2]  # no order in a cloud
     assert beams.of(2, none).points.tolist() == laser[::-1].tolist()
     poses = np.tile(np.eye(4), (3, 1, 1))
@@ -233,9 +233,9 @@ def test_beams_are_stored_scan_by_scan() -> None:
     assert scan.tolist() == [2, 2]
     assert origin.tolist() == [[11.0, 20.0]] * 2
     assert end.tolist() == [[13.0, 24.0], [13.0, 16.0]]
-    many = ToldBeams.checked(np.zeros((50_000, 3)), np.zeros(2))
+    many = GivenBeams.checked(np.zeros((50_000, 3)), np.zeros(2))
     assert 1000 < len(many.points) <= 2000
-    again = ToldBeams.from_bytes(many.to_bytes())
+    again = GivenBeams.from_bytes(many.to_bytes())
     np.testing.assert_array_equal(again.points, many.points)
 
 

@@ -10,7 +10,7 @@ from relmap.planes.hypotheses import LATER, MOST, Hypotheses, Judge
 from relmap.planes.judging import Candidates
 from relmap.planes.motions import after, distinct, inverse, motion_over, others
 from relmap.planes.placement import Match
-from relmap.planes.tying import BELIEVED
+from relmap.planes.tying import ACCEPTED
 
 STEP = np.array([0.0, -0.5, 0.0])
 FARTHER = np.array([0.0, -0.9, 0.0])
@@ -49,8 +49,8 @@ def test_ambiguous_motions_are_resolved_by_the_previous_scan() -> None:
         run = Hypotheses(STEP)
         run.go_on(candidates(STEP, FARTHER), STEP, judge)
         told.append(odds(run, 1, STEP))
-    assert 0 < told[0] < BELIEVED  # robots go on as before, but that is not enough
-    assert told[1] > BELIEVED
+    assert 0 < told[0] < ACCEPTED  # robots go on as before, but that is not enough
+    assert told[1] > ACCEPTED
     assert told[2] < -1
 
 

@@ -9,7 +9,7 @@ from relmap import PlaneMapper
 from relmap.core.arrays import Floats
 from relmap.evaluation.metrics import ate
 from relmap.planes.at_rest import share_at_rest
-from relmap.planes.beams import Beams, BeamStore, ToldBeams
+from relmap.planes.beams import Beams, BeamStore, GivenBeams
 from relmap.planes.observation import PlaneObservation, checked_planes, journaled, of_journal
 from relmap.planes.tying import Scans
 from relmap.segmentation import PlaneSegmenter
@@ -62,7 +62,7 @@ def test_whether_share_at_rest_is_known_from_accepted_links(walks: bool) -> None
     beams = BeamStore()
     for k in range(n):
         person = (3.0 + 0.1 * k * walks, 0.3)
-        beams.append(ToldBeams.checked(seen_from(step_m * k, person), np.zeros(2)))
+        beams.append(GivenBeams.checked(seen_from(step_m * k, person), np.zeros(2)))
     none = PlaneObservation.of(
         NO_WALLS, np.empty((0, 2), dtype=np.int8), np.empty(0), np.empty((0, 2))
     )

@@ -28,7 +28,7 @@ def placed(*parts: tuple[Floats, Ints]) -> Placements:
 
 
 def test_a_stretch_that_agrees_is_accepted() -> None:
-    found = placed((THERE, np.arange(4, 24)), (ELSEWHERE, np.arange(8, 15))).believed()
+    found = placed((THERE, np.arange(4, 24)), (ELSEWHERE, np.arange(8, 15))).accepted()
     assert found is not None
     np.testing.assert_allclose(found.T_map_robot, THERE @ PATH[found.scan - 100])
 
@@ -36,11 +36,11 @@ def test_a_stretch_that_agrees_is_accepted() -> None:
 def test_a_path_that_drifts_agrees_and_one_that_tears_does_not() -> None:
     scans = np.arange(4, 28)
     every = placed((THERE, scans))
-    for off_m, is_believed in ((0.02, True), (0.3, False)):
+    for off_m, is_accepted in ((0.02, True), (0.3, False)):
         drifted = every.T_map_robot.copy()
         drifted[:, 0, 3] += off_m * 0.5 * scans
-        found = Placements(every.scan, every.T_run_robot, every.of, drifted).believed()
-        assert (found is not None) == is_believed
+        found = Placements(every.scan, every.T_run_robot, every.of, drifted).accepted()
+        assert (found is not None) == is_accepted
 
 
 @pytest.mark.parametrize(
@@ -56,7 +56,7 @@ def test_a_path_that_drifts_agrees_and_one_that_tears_does_not() -> None:
     ids=["one", "short", "few", "elsewhere too", "twins", "none"],
 )
 def test_weaker_agreement_is_rejected(parts: list[tuple[Floats, Ints]]) -> None:
-    assert placed(*parts).believed() is None
+    assert placed(*parts).accepted() is None
 
 
 def test_the_next_corner_of_a_corridor_is_not_taken_for_the_mapped_one() -> None:

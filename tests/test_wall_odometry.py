@@ -23,7 +23,7 @@ from relmap.planes.judging import Candidates
 from relmap.planes.motion_factors import MotionFactors
 from relmap.planes.odometry import Expected
 from relmap.planes.placement import Match
-from relmap.planes.tying import BELIEVED
+from relmap.planes.tying import ACCEPTED
 from relmap.simulation import simulate_building
 
 Array = Floats
@@ -290,7 +290,7 @@ def test_a_motion_that_odometry_rules_out_is_no_rival() -> None:
         run.go_on(found, near, None, expected)
         best = run.verdict(1).best
         assert_array_equal(best, right)
-    assert run.verdict(1).odds(far) > BELIEVED
+    assert run.verdict(1).odds(far) > ACCEPTED
 
 
 def test_factors_have_the_derivatives_of_their_residuals() -> None:

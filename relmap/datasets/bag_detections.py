@@ -22,7 +22,7 @@ import numpy as np
 from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.datasets.bag_frames import Driven, Mounting, stamp_s
-from relmap.datasets.bags import Bag, is_bag, told, topics_in
+from relmap.datasets.bags import Bag, bag_errors, is_bag, topics_in
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.observation_csv import COLUMNS
 from relmap.datasets.own_columns import Ids, log_of
@@ -60,7 +60,7 @@ class BagDetections:
 
     def load(self, path: Path) -> ObservationLog:
         """Read the log, with ids if the messages have them."""
-        with told(path), Bag(path) as bag:
+        with bag_errors(path), Bag(path) as bag:
             topic = bag.chosen(DETECTIONS, self.topics, "detections")
             driven = Driven(bag, self.topics)
             log, frame = _read(bag, topic, Mounting(bag, driven.base))

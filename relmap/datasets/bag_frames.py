@@ -49,8 +49,8 @@ def pose_of(position: Any, orientation: Any, where: str) -> Floats:
     quaternion = [orientation.x, orientation.y, orientation.z, orientation.w]
     at = [position.x, position.y, position.z]
     if not np.isfinite([*quaternion, *at]).all() or not 0.5 < np.linalg.norm(quaternion) < 2:
-        told = f"position {at}, orientation {quaternion}"
-        raise RelmapError(f"{where}: {told}, expected finite numbers and a unit quaternion")
+        found = f"position {at}, orientation {quaternion}"
+        raise RelmapError(f"{where}: {found}, expected finite numbers and a unit quaternion")
     pose: Floats = poses_of(Rotation.from_quat([quaternion]), np.array([at]))[0]
     return pose
 

@@ -125,10 +125,10 @@ def _ros1_message(
     """Register a connection, or yield a message."""
     op = header["op"][0]
     if op == _CONNECTION:
-        told = dict(_fields(data))
-        package, _, name = told["type"].decode().partition("/")
+        fields = dict(_fields(data))
+        package, _, name = fields["type"].decode().partition("/")
         type_ = f"{package}/msg/{name}"
-        definitions[type_] = told["message_definition"].decode()
+        definitions[type_] = fields["message_definition"].decode()
         connections[_SIZE.unpack(header["conn"])[0]] = header["topic"].decode(), type_
     elif op == _MESSAGE:
         seconds, nanoseconds = struct.unpack("<II", header["time"])
@@ -234,8 +234,8 @@ def _of_sqlite(file: Path, definitions: dict[str, str]) -> Iterator[Found]:
     with closing(sqlite3.connect(":memory:")) as base:
         base.deserialize(bytes(data[: n_pages * page]))
         with suppress(sqlite3.Error):  # bags before Iron have no such table
-            told = "SELECT topic_type, encoded_message_definition FROM message_definitions"
-            definitions.update(base.execute(told))
+            query = "SELECT topic_type, encoded_message_definition FROM message_definitions"
+            definitions.update(base.execute(query))
         topics = {key: (name, kind) for key, name, kind in base.execute(_TOPICS)}
         rows = "SELECT topic_id, timestamp, data FROM messages NOT INDEXED"
         for key, t, raw in base.execute(rows):

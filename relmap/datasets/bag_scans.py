@@ -19,7 +19,7 @@ from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
 from relmap.datasets.bag_detections import DETECTIONS
 from relmap.datasets.bag_frames import Driven, Mounting, stamp_s
-from relmap.datasets.bags import Bag, is_bag, told, topics_in
+from relmap.datasets.bags import Bag, bag_errors, is_bag, topics_in
 from relmap.datasets.scans import ScanLog, in_time_order, laser_scans, require_memory
 from relmap.datasets.textfile import shown
 
@@ -54,7 +54,7 @@ class BagScans:
 
     def load(self, path: Path) -> ScanLog:
         """Read the log; clouds are read lazily."""
-        with told(path), Bag(path) as bag:
+        with bag_errors(path), Bag(path) as bag:
             topic = bag.chosen((LASER, CLOUD), self.topics, "LaserScan or PointCloud2")
             driven = Driven(bag, self.topics)
             mounting = Mounting(bag, driven.base)
@@ -133,7 +133,7 @@ def _clouds(bag: Bag, topic: str, mounting: Mounting) -> tuple[ScanLog, str]:
             reopened.append(Bag(bag.path))
             weakref.finalize(points_of, reopened[0].close)
         t, nth, T = places[order[index]]
-        with told(bag.path):
+        with bag_errors(bag.path):
             points = cloud_points(reopened[0].message_at(topic, t, nth), shown(bag.path))
         return np.asarray(points @ T[:3, :3].T + T[:3, 3])
 

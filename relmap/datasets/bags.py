@@ -73,7 +73,7 @@ class Bag:
         self._damage: Exception | None = None
         self._typestore: Typestore | None = None
         self._is_ros1 = _files(path)[0].suffix == ".bag"
-        with told(path):
+        with bag_errors(path):
             self._open()
 
     def _open(self) -> None:
@@ -123,7 +123,7 @@ class Bag:
         n = 0
         try:
             for t, raw in self._raw(topic):
-                with told(self.path):
+                with bag_errors(self.path):
                     message = self._decoded(topic, raw)
                 yield t, message
                 n += 1
@@ -134,7 +134,7 @@ class Bag:
 
     def message_at(self, topic: str, t: int, nth: int) -> Any:
         """Return the n-th message of a topic at a time, nanoseconds."""
-        with told(self.path):
+        with bag_errors(self.path):
             at = [raw for time, raw in self._raw(topic, t, t + 1) if time == t]
             return self._decoded(topic, at[nth])
 
@@ -145,7 +145,7 @@ class Bag:
             yield from ((found.t, found.raw) for found in self._found if found.topic == topic)
             return
         connections = [each for each in self._reader.connections if each.topic == topic]
-        with told(self.path):
+        with bag_errors(self.path):
             for _, t, raw in self._reader.messages(connections, start, stop):
                 yield t, raw
 
@@ -189,7 +189,7 @@ class Bag:
 
 
 @contextmanager
-def told(path: Path) -> Iterator[None]:
+def bag_errors(path: Path) -> Iterator[None]:
     """Convert any error while a bag is read into a RelmapError."""
     try:
         yield

@@ -100,9 +100,9 @@ def load_state(path: Path, begin: Callable[[dict[str, Any]], list[Any]]) -> None
         ) from error
 
 
-def _of_other_format(path: Path, told: str) -> str:
+def _of_other_format(path: Path, found: str) -> str:
     return (
-        f"saved map {path} is of format {told}, and this relmap reads {FORMAT}; map its log again"
+        f"saved map {path} is of format {found}, and this relmap reads {FORMAT}; map its log again"
     )
 
 

@@ -69,7 +69,7 @@ class Beams:
 
 
 @dataclass(frozen=True, eq=False)
-class ToldBeams:
+class GivenBeams:
     """The end points of the beams of one scan, as given to a mapper; robot frame, metres.
 
     Attributes
@@ -87,7 +87,7 @@ class ToldBeams:
     in_order: bool
 
     @classmethod
-    def checked(cls, points: Any, origin: Any) -> ToldBeams:
+    def checked(cls, points: Any, origin: Any) -> GivenBeams:
         """Return beams given their end points: (n, 2) of a laser, (n, 3) of a cloud.
 
         Subsampled to at most `PER_SCAN`.
@@ -115,7 +115,7 @@ class ToldBeams:
         return about.tobytes() + self.points.astype("<f4").tobytes()
 
     @classmethod
-    def from_bytes(cls, kept: bytes) -> ToldBeams:
+    def from_bytes(cls, kept: bytes) -> GivenBeams:
         """Return beams from stored values."""
         about, points = np.frombuffer(kept[:24], "<f8"), np.frombuffer(kept[24:], "<f4")
         return cls(points.astype(np.float32).reshape(-1, 2), about[1:].copy(), bool(about[0]))
@@ -149,12 +149,12 @@ class BeamStore:
         self._origins: GrowingArray[np.float64] = GrowingArray(np.float64, (2,))
         self._in_order: GrowingArray[np.bool_] = GrowingArray(np.bool_)
 
-    def append(self, told: ToldBeams) -> None:
+    def append(self, given: GivenBeams) -> None:
         """Add the beams of a scan."""
-        self._points.extend(told.points)
+        self._points.extend(given.points)
         self._offsets.extend(np.array([len(self._points)]))
-        self._origins.extend(told.origin[None])
-        self._in_order.extend(np.array([told.in_order]))
+        self._origins.extend(given.origin[None])
+        self._in_order.extend(np.array([given.in_order]))
 
     def __len__(self) -> int:
         """Return the number of points."""
@@ -217,11 +217,11 @@ def in_order(points: NDArray[Any], origin: Floats) -> tuple[Floats, Floats, Bool
     return points, bearings, free_standing(points, bearings, origin, LOOSE_M, APART_M, APART)
 
 
-def on_loose_things(ends: Floats, told: ToldBeams) -> Bools:
+def on_loose_things(ends: Floats, given: GivenBeams) -> Bools:
     """Return which walls, by their ends (m, 2, 2), are on small things that stand free."""
-    if not told.in_order:
+    if not given.in_order:
         return np.zeros(len(ends), dtype=np.bool_)
     from relmap.planes.beam_kernels import loose_walls
 
-    points, _, loose = in_order(told.points, told.origin)
+    points, _, loose = in_order(given.points, given.origin)
     return np.asarray(loose_walls(points, loose, ends, NEAR_M, LOOSE_M))

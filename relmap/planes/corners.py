@@ -76,7 +76,7 @@ def compared_ends(
         for e in np.flatnonzero(possible[k]).tolist():
             steady = off[:, e] <= STEADY * noise[:, None]
             static[k, e] = (steady & np.isfinite(off[:, e]) & possible).any()
-            told = np.isfinite(off[:, e]) & typed
+            known = np.isfinite(off[:, e]) & typed
             apart = off[:, e] > np.maximum(MOVES * noise, MOVES_M)[:, None]
-            moving[k, e] = told.sum() >= WITNESSES and apart[told].all()
+            moving[k, e] = known.sum() >= WITNESSES and apart[known].all()
     return ComparedEnds(walls, static, moving)

@@ -107,7 +107,7 @@ def _lines(tracks: Tracks, seen: Seen, yaw: float, reach_m: float) -> Floats:
     angle, _, ends, _, _ = tracks
     wall_ends, _, normal, size, _, _ = seen
     n, m = len(angle), len(size)
-    weight, told = np.empty(n * m), np.empty((n * m, 4))
+    weight, lines = np.empty(n * m), np.empty((n * m, 4))
     count = 0
     for i in range(n):
         own = math.hypot(ends[i, 1, 0] - ends[i, 0, 0], ends[i, 1, 1] - ends[i, 0, 1])
@@ -123,10 +123,10 @@ def _lines(tracks: Tracks, seen: Seen, yaw: float, reach_m: float) -> Floats:
             way = at - nx * x - ny * y
             if abs(way) < reach_m:
                 weight[count] = -min(own, size[j])
-                told[count, 0], told[count, 1], told[count, 2] = nx, ny, way
-                told[count, 3] = -weight[count]
+                lines[count, 0], lines[count, 1], lines[count, 2] = nx, ny, way
+                lines[count, 3] = -weight[count]
                 count += 1
-    return _rows(told, ordered(weight[:count]), LINES)
+    return _rows(lines, ordered(weight[:count]), LINES)
 
 
 @helper

@@ -164,7 +164,7 @@ def _change(before: Floats, motions: Floats, usual: Floats) -> Floats:
 
 def _two_back(last: Layer, found: Candidates, looked_at: Bools, judge: Judge) -> Floats:
     """Return the evidence of the scan two before for each motion and hypothesis; (h, k)."""
-    told = np.zeros(looked_at.shape)
+    weight = np.zeros(looked_at.shape)
     known = np.isfinite(last.motion[:, 0])
     unique, which = np.unique(last.motion[known], axis=0, return_inverse=True)
     rows = np.flatnonzero(known)
@@ -172,7 +172,7 @@ def _two_back(last: Layer, found: Candidates, looked_at: Bools, judge: Judge) ->
         own = rows[which.ravel() == u]
         for k in np.flatnonzero(looked_at[own].any(axis=0)).tolist():
             evidence, contradict, stays = judge(after(motion, found.motions[k][None])[0])
-            told[own, k] = BEFORE * np.clip(evidence, LOWEST, HIGHEST)
+            weight[own, k] = BEFORE * np.clip(evidence, LOWEST, HIGHEST)
             if not stays or not np.isfinite(evidence):
-                told[own, k] = ASTRAY + AGAINST * (np.log(contradict + HARDLY) - np.log(HARDLY))
-    return told
+                weight[own, k] = ASTRAY + AGAINST * (np.log(contradict + HARDLY) - np.log(HARDLY))
+    return weight

@@ -81,9 +81,9 @@ class Judged:
     def of_pair(self) -> Floats:
         """Evidence of two scans alone for each motion, (k,): log odds, without `MEASURED`."""
         against = np.log(self.contradict + HARDLY)
-        told = [self.match, self._many, self.agree, against, np.ones(len(self.match))]
+        features = [self.match, self._many, self.agree, against, np.ones(len(self.match))]
         known = (self.agree >= PAIR_AGREES) & (self._many > 0)
-        return np.where(known, PAIR @ np.array(told), -np.inf)
+        return np.where(known, PAIR @ np.array(features), -np.inf)
 
     @property
     def _many(self) -> Floats:

@@ -37,7 +37,7 @@ TORN_M = 1.0
 torn."""
 
 
-def believed(
+def is_supported(
     tracks: PlaneTracks,
     seen: PlaneObservation,
     found: tuple[PlanarMotion, Match],

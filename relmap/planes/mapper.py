@@ -16,7 +16,7 @@ from relmap.core.errors import RelmapError
 from relmap.core.guard import reads_whole
 from relmap.core.odometry import checked_odometry
 from relmap.core.scan import checked_labels
-from relmap.planes.beams import ToldBeams
+from relmap.planes.beams import GivenBeams
 from relmap.planes.history import PlaneHistory
 from relmap.planes.locating import LocatingMapper
 from relmap.planes.model import WallModel
@@ -243,7 +243,7 @@ class PlaneMapper(LocatingMapper):
 
     def _again(self, scan: RecordedScan) -> Ints:
         seen = checked_planes(of_journal(scan.values))
-        seen = replace(seen, beams=ToldBeams.from_bytes(scan.beams))
+        seen = replace(seen, beams=GivenBeams.from_bytes(scan.beams))
         time_s = None if scan.stamp_s is None else self._stamps.checked(scan.stamp_s)
         with self._guard.change():
             return self._take_in(seen, scan.odometry, time_s)

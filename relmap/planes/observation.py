@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from relmap.core.arrays import Bools, Floats
 from relmap.core.errors import RelmapError
 from relmap.core.scan import FARTHEST_M, numbers
-from relmap.planes.beams import ToldBeams, on_loose_things
+from relmap.planes.beams import GivenBeams, on_loose_things
 from relmap.planes.corners import CORNER, CUT, LOOSE, UNKNOWN
 
 CODES = {"open": CUT, "corner": CORNER, "unknown": UNKNOWN}
@@ -20,7 +20,7 @@ CODES |= {f"loose {name}": LOOSE + code for name, code in CODES.items()}
 """Kinds of ends by name."""
 SHORTEST_M = 1e-6
 """A shorter wall has no defined direction."""
-NO_BEAMS = ToldBeams.checked(np.empty((0, 2)), np.zeros(2))
+NO_BEAMS = GivenBeams.checked(np.empty((0, 2)), np.zeros(2))
 FARTHEST_END_M = FARTHEST_M / 4
 """Upper limit of an end's coordinates, so that points estimated from it stay within the limit of
 points."""
@@ -48,7 +48,7 @@ class PlaneObservation:
         Standard deviation of the distance of a wall at its midpoint; 0 if unknown.
     z_extent : (m, 2) float64
         Lowest and highest z; 0 if unknown.
-    beams : ToldBeams
+    beams : GivenBeams
         None if not given.
     """
 
@@ -60,7 +60,7 @@ class PlaneObservation:
     size: Floats
     sd: Floats
     z_extent: Floats
-    beams: ToldBeams = NO_BEAMS
+    beams: GivenBeams = NO_BEAMS
 
     @classmethod
     def of(
@@ -110,7 +110,7 @@ def checked_planes(planes: Any, beams: Any = None) -> PlaneObservation:
         is the default. `noise` (m,), `n_points` (m,), `z_extent` (m, 2) and `origin` (2,), the
         position of the sensor, are used if present.
     beams : (n, 2) or (n, 3) array, optional
-        End points of the beams; see `ToldBeams.checked`.
+        End points of the beams; see `GivenBeams.checked`.
 
     Raises
     ------
@@ -123,19 +123,19 @@ def checked_planes(planes: Any, beams: Any = None) -> PlaneObservation:
     if kind.size != 2 * m:
         raise RelmapError(f"end_type has shape {kind.shape}; it must be ({m}, 2), as ends are")
     sd, z_extent = _measured(planes, m)
-    told = NO_BEAMS
+    given = NO_BEAMS
     if beams is not None:
-        told = ToldBeams.checked(beams, getattr(planes, "origin", np.zeros(2)))
+        given = GivenBeams.checked(beams, getattr(planes, "origin", np.zeros(2)))
     kept = np.hypot(*(ends[:, 1] - ends[:, 0]).T) > SHORTEST_M
     kind = _coded(kind.reshape(m, 2)[kept])
-    kind[on_loose_things(ends[kept], told)] += LOOSE
+    kind[on_loose_things(ends[kept], given)] += LOOSE
     seen = PlaneObservation.of(ends[kept], kind, sd[kept], z_extent[kept])
     if (seen.offset > 0).any():
         wall = int(np.flatnonzero(kept)[np.argmax(seen.offset > 0)])
         raise RelmapError(
             f"wall {wall} is seen from behind; its ends must go from right to left as seen"
         )
-    return replace(seen, beams=told)
+    return replace(seen, beams=given)
 
 
 def _coded(end_type: NDArray[np.str_]) -> NDArray[np.int8]:

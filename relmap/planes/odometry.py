@@ -124,16 +124,16 @@ class Wheels:
         if now != self._noise_of:
             begin = max(now - LONG_AGO, 0)
             last = begin + np.flatnonzero(measured[begin:now])[-COMPARED:]
-            found, is_believed = self._compared(last, motions)
-            self._noise_of, self._noise = now, found if is_believed else None
+            found, is_accepted = self._compared(last, motions)
+            self._noise_of, self._noise = now, found if is_accepted else None
         return self._noise
 
     def noise_over_all(self, motions: Floats, measured: Bools) -> MotionNoise | None:
         """Return the quality of odometry over a whole run; None if missing or rejected."""
         if not len(self.given):
             return None
-        found, is_believed = self._compared(np.flatnonzero(measured), motions)
-        return found if is_believed else None
+        found, is_accepted = self._compared(np.flatnonzero(measured), motions)
+        return found if is_accepted else None
 
     def use(
         self, motions: Floats, measured: Bools, left_out: Bools, hanging: Bools

@@ -45,11 +45,11 @@ def refined_submaps(grouped: GroupedMap, moving: Bools, links: ScanLinks) -> Ref
     """
     merged, moved = grouped.at_rest(grouped.numbers), [np.empty(0, dtype=np.int64)]
     first = partial(grouped.submaps, merged, moving)
-    grouped = with_odometry(grouped, told_by_odometry(links, grouped.history, first))
+    grouped = with_odometry(grouped, odometry_steps(links, grouped.history, first))
     submaps, numbers = _refined(grouped, merged, moving)
     odometry = grouped.history.odometry
     if odometry and odometry.needed.any():  # estimated again, more accurately
-        grouped = with_odometry(grouped, told_by_odometry(links, grouped.history, lambda: submaps))
+        grouped = with_odometry(grouped, odometry_steps(links, grouped.history, lambda: submaps))
         submaps, numbers = _refined(grouped, merged, moving)
     history = grouped.history
     for k, submap in enumerate(submaps):
@@ -103,7 +103,7 @@ def odometry_left_out(links: ScanLinks, history: PlaneHistory) -> Bools:
     return np.asarray(links.wheels.left_out(links.motions, links.measured) | broken)
 
 
-def told_by_odometry(
+def odometry_steps(
     links: ScanLinks, history: PlaneHistory, submaps: Callable[[], Sequence[WallSubmap]]
 ) -> Steps | None:
     """Return the odometry factors for the map; None if there is none, or it is rejected.

@@ -30,7 +30,7 @@ MOST = 14
 """Number of corners of a scan used by the map: more would not improve it."""
 LONG_M = 4.0
 """Walls longer than this are equally good."""
-UNTOLD, STATIC, MOVING = 0, 1, -1
+UNTYPED, STATIC, MOVING = 0, 1, -1
 """Classification of an end over time."""
 TESTED = 4
 """Interval, in iterations, of the tests of ends with unknown type."""
@@ -61,7 +61,7 @@ class PlaneRegistration:
     """
 
     _tracks: PlaneTracks | None
-    STATE = "_tracks n_planes _half _wall_end _submap_of _told _since links"
+    STATE = "_tracks n_planes _half _wall_end _submap_of _type _since links"
 
     def __init__(self, max_missed: int, bridge_m: float) -> None:
         self._max_missed = max_missed
@@ -70,7 +70,7 @@ class PlaneRegistration:
         self._half: GrowingArray[np.float64] = GrowingArray(np.float64)
         self._wall_end: GrowingArray[np.int64] = GrowingArray(np.int64)
         self._submap_of: GrowingArray[np.int64] = GrowingArray(np.int64)
-        self._told: GrowingArray[np.int8] = GrowingArray(np.int8, (2,))
+        self._type: GrowingArray[np.int8] = GrowingArray(np.int8, (2,))
         self._since: GrowingArray[np.int64] = GrowingArray(np.int64)
         self.n_planes = 0
         self.corner = np.empty((0, 2), dtype=np.int64)
@@ -122,7 +122,7 @@ class PlaneRegistration:
         new = walls < 0
         walls[new] = self.n_planes + np.arange(new.sum())
         self.n_planes += int(new.sum())
-        self._told.resize(self.n_planes, UNTOLD)
+        self._type.resize(self.n_planes, UNTYPED)
         self._since.resize(self.n_planes, len(self.links))
         self._test_ends()
         begun = PlaneTracks.begun(walls[new], seen.only(new))
@@ -158,9 +158,9 @@ class PlaneRegistration:
     def _see_corners(self, tracks: PlaneTracks, seen: PlaneObservation, walls: Ints) -> None:
         """Assign a corner to every static end; create new ones where none is expected."""
         row_of = {plane: row for row, plane in enumerate(tracks.plane.tolist())}
-        told = self._told.values[walls]
+        types = self._type.values[walls]
         untyped = seen.kind % LOOSE == UNKNOWN
-        wall, end = np.nonzero(np.where(untyped, told == STATIC, seen.static))
+        wall, end = np.nonzero(np.where(untyped, types == STATIC, seen.static))
         row = np.array([row_of[plane] for plane in walls[wall].tolist()], dtype=np.int64)
         at = seen.ends[wall, end]
         off = np.abs(((at - tracks.corner_at[row, end]) * seen.along[wall]).sum(axis=1))
@@ -205,21 +205,21 @@ class PlaneRegistration:
         same, unknown = self._since.values[wall] <= now - INTERVAL, kind == UNKNOWN
         if not (same & unknown.any(axis=1)).any():
             return
-        told = self._told.values
-        untyped = np.zeros(told.shape, dtype=np.bool_)
+        types = self._type.values
+        untyped = np.zeros(types.shape, dtype=np.bool_)
         np.logical_or.at(untyped, wall, unknown)
-        kind = np.where(unknown & (told[wall] == STATIC), CORNER, kind)
+        kind = np.where(unknown & (types[wall] == STATIC), CORNER, kind)
         found = compared_ends(iteration[same], wall[same], ends[same], sd[same], kind[same])
         moving = found.moving & ~found.static & untyped[found.walls]
         static = found.static & untyped[found.walls]
-        before = told[found.walls]
-        told[found.walls] = np.where(static, STATIC, np.where(moving, MOVING, before))
+        before = types[found.walls]
+        types[found.walls] = np.where(static, STATIC, np.where(moving, MOVING, before))
         for k, end in np.argwhere(moving).tolist():
             self._name(found.walls[k], end, NO_CORNER)
 
     def _ask_again(self, walls: Ints, ends: Ints) -> None:
         """Begin a new interval for walls (k,), and forget the known types of their ends."""
-        self._told.values[walls, ends] = UNTOLD
+        self._type.values[walls, ends] = UNTYPED
         self._since.values[walls] = len(self.links)
 
     def _name(self, wall: int, end: int, corner: int) -> None:

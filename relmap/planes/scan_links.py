@@ -18,8 +18,8 @@ from relmap.planes.links import (
     USUAL,
     VARYING,
     VARYING_M,
-    believed,
     farthest_m,
+    is_supported,
     measured_along,
     unsure_m,
     usual_motion,
@@ -96,7 +96,7 @@ class ScanLinks(LinkRecord):
         self, tracks: PlaneTracks, seen: PlaneObservation, expected: Expected | None
     ) -> Found | None:
         """Return the accepted motion into a scan, and the resulting association."""
-        reach_m, views = farthest_m(self._believed), self._views(seen)
+        reach_m, views = farthest_m(self._last_links), self._views(seen)
         usual = self.usual
         if views:
             beams = Beams.of(seen.beams.points, seen.beams.origin, seen.ends)
@@ -104,7 +104,7 @@ class ScanLinks(LinkRecord):
             judged = Search(tracks, seen, beams, views, usual, expected, firm).found()
             return judged if judged and self._confirmed(judged, seen, beams, views, firm) else None
         found = place(tracks, seen, usual, reach_m)
-        if found is None or not believed(tracks, seen, found, usual):
+        if found is None or not is_supported(tracks, seen, found, usual):
             return None
         return Found(*found, measured_along(tracks, seen, found[1]), np.inf)
 
@@ -154,7 +154,7 @@ class ScanLinks(LinkRecord):
         return not others(np.array([[again.motion.yaw, *again.motion.t]]), expected)[0]
 
     @property
-    def _believed(self) -> Floats:
+    def _last_links(self) -> Floats:
         """The last motions (k, 3) that link scans of a submap."""
         last = slice(-USUAL, None)
         motions, submaps = self.motions[last], self.submaps[last]

@@ -39,7 +39,7 @@ CLOSELY = 8
 ALIKE_M, ALIKE_RAD = 0.2, np.deg2rad(5.0)
 """Number of motions fitted to walls and evaluated with all beams, and the distance of
 duplicates."""
-BELIEVED = 1.5
+ACCEPTED = 1.5
 """Log odds above which a motion is accepted."""
 CLEARLY, HARDLY = 0.75, 0.01
 """Agreeing and contradicting fractions for which a usual motion is accepted at once."""
@@ -131,7 +131,7 @@ class Search:
             for k in np.argsort(-every.evidence, kind="stable")[:SLID]:
                 every = every.and_those(self._judged(self._slid(every, k)))
             best = int(np.argmax(every.evidence))
-        if every.evidence[best] < BELIEVED:
+        if every.evidence[best] < ACCEPTED:
             return None
         motion = every.motions[best]
         if self._expected and self._explains(self._expected, motion):
@@ -165,7 +165,7 @@ class Search:
         """Return the likely motion nearest to odometry; None if none is near."""
         off = expected.off(every.motions)
         near = np.where(off < OTHERWISE, every.evidence, -np.inf)
-        if near.max() < BELIEVED:
+        if near.max() < ACCEPTED:
             return None
         best = int(np.argmin(np.where(near > near.max() - RIVAL, off, np.inf)))
         evidence = float(every.evidence[best])
@@ -293,8 +293,8 @@ class Search:
         """Return the prior improbability of motions (k, 3), given the usual motion."""
         way = np.hypot(*(motions[:, 1:] - self._before.t).T) / USUAL_M
         turn = wrapped(motions[:, 0] - self._before.yaw) / USUAL_RAD
-        told = self._expected.supports(motions) if self._expected else 0.0
-        return np.asarray((way**2 + turn**2) / 2 - told)
+        support = self._expected.supports(motions) if self._expected else 0.0
+        return np.asarray((way**2 + turn**2) / 2 - support)
 
     def _compared(self, views: Sequence[View], motions: Floats, near_m: float, step: int) -> Floats:
         """Return the number of points of the scan and of views that agree etc.; see `compared`."""

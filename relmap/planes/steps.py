@@ -106,9 +106,9 @@ def _compared(
     pairs = [(np.empty((0, 4, 4)), np.empty((0, 4, 4)))]
     for rows, poses in submaps:
         a, b = _windows(poses, way[rows], known[rows])
-        told = path[rows]
+        given = path[rows]
         pairs.append(
-            (np.linalg.inv(told[a]) @ told[b], np.linalg.inv(poses[a]) @ poses[b]),
+            (np.linalg.inv(given[a]) @ given[b], np.linalg.inv(poses[a]) @ poses[b]),
         )
     over, true = (np.concatenate(each) for each in zip(*pairs, strict=True))
     return over, true

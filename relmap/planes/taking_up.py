@@ -149,7 +149,7 @@ class Placements:
     of: Ints
     T_map_robot: Floats
 
-    def believed(self) -> Taken | None:
+    def accepted(self) -> Taken | None:
         """Return the place of one of the scans, if all agree; see the module."""
         if not len(self.of):
             return None
@@ -234,7 +234,7 @@ class RunOnto:
             places = [self._places[k] for k in rows.tolist()]
             of = np.repeat(np.arange(len(rows)), [len(each) for each in places])
             poses = np.array([self._poses[k] for k in rows.tolist()])
-            taken = Placements(scan[rows], poses, of, np.concatenate(places)).believed()
+            taken = Placements(scan[rows], poses, of, np.concatenate(places)).accepted()
             if taken is not None:
                 found.append(self._tie(taken, links))
         return found

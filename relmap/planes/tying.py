@@ -25,7 +25,7 @@ from relmap.planes.placement import STILL, PlanarMotion
 from relmap.planes.search import Search
 from relmap.planes.tracks import PlaneTracks
 
-BELIEVED = 2.5
+ACCEPTED = 2.5
 """Log odds above which a new motion is accepted."""
 DOUBTED = -0.5
 """Log odds below which an accepted motion is rejected."""
@@ -166,9 +166,9 @@ def judged_links(scans: Scans, is_tied: Bools, in_doubt: Bools) -> tuple[list[Li
         fixed = is_tied[run[0]] and not in_doubt[run[0]] and run[0] not in scans.begun
         for judged in _judged(scans, run, fixed):
             if not is_tied[judged.later]:
-                links += [link for link in judged.believed if scans.holds(link)]
+                links += [link for link in judged.accepted if scans.holds(link)]
             elif in_doubt[judged.later] and judged.is_doubted(scans):
-                same = [link for link in judged.believed if scans.agree(link)]
+                same = [link for link in judged.accepted if scans.agree(link)]
                 links += same
                 cut += [] if same else [judged.later]
     is_tied = is_tied.copy()
@@ -205,8 +205,8 @@ def _over_gaps(scans: Scans, is_tied: Bools) -> list[Link]:
         before = range(max(earlier - EARLIER, 0), begin)
         after = range(later, min(later + LATER + 1, len(is_tied)))
         judged = _judged(scans, [*before, *after], bool(is_tied[before[0]]))
-        believed = [link for one in judged if one.later == later for link in one.believed]
-        found = [link for link in believed if link.measured]
+        accepted = [link for one in judged if one.later == later for link in one.accepted]
+        found = [link for link in accepted if link.measured]
         links += found
         last = later if found else last
     return links
@@ -217,7 +217,7 @@ class _Judged(NamedTuple):
 
     later: int
     verdict: Verdict
-    believed: list[Link]
+    accepted: list[Link]
 
     def is_doubted(self, scans: Scans) -> bool:
         """Return whether the previously accepted motion is now rejected.
@@ -229,12 +229,12 @@ class _Judged(NamedTuple):
         return self.verdict.odds(motion) < DOUBTED and not agrees
 
 
-def _believed(
+def _accepted(
     scans: Scans, earlier: int, later: int, found: Candidates, verdict: Verdict
 ) -> list[Link]:
     """Return the link between two scans if a motion is accepted."""
     motion = verdict.best
-    if motion is None or verdict.odds(motion) < BELIEVED:
+    if motion is None or verdict.odds(motion) < ACCEPTED:
         return []
     same = int(np.argmin(others(found.motions, motion)))
     match = found.matches[same]
@@ -277,6 +277,6 @@ def _judged(scans: Scans, run: Sequence[int], fixed: bool) -> list[_Judged]:
         if k > LATER:
             scan = k - LATER
             verdict = hypotheses.verdict(scan)
-            link = _believed(scans, run[scan - 1], run[scan], found[scan - 1], verdict)
+            link = _accepted(scans, run[scan - 1], run[scan], found[scan - 1], verdict)
             judged.append(_Judged(run[scan], verdict, link))
     return judged

@@ -212,5 +212,5 @@ def _triangles(positions: Floats) -> tuple[Ints, Floats]:
     order = np.argsort(sides, axis=1)
     corners = np.take_along_axis(corners, order, axis=1)
     sides = np.take_along_axis(sides, order, axis=1)
-    told = np.diff(sides, axis=1).min(axis=1) > SLIM * sides[:, 2]
-    return corners[told], sides[told]
+    clear = np.diff(sides, axis=1).min(axis=1) > SLIM * sides[:, 2]
+    return corners[clear], sides[clear]

@@ -230,8 +230,8 @@ class ChainProblem:
         d = self.chain.points.shape[1]
         for rows, jacobian, unknowns, _, each in self._linearised(state, weight):
             covariance = self.pattern.parts(inverse, unknowns)
-            told = np.einsum("nri,nij,nrj->nr", jacobian, covariance, jacobian) * each[:, None]
-            free = np.where(each[:, None] == 1, 1 - told, 0.0)
+            known = np.einsum("nri,nij,nrj->nr", jacobian, covariance, jacobian) * each[:, None]
+            free = np.where(each[:, None] == 1, 1 - known, 0.0)
             squares = np.where(each[:, None] == 1, rows**2, 0.0)
             kinds = (
                 [(0, slice(0, d))]

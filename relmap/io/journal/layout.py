@@ -141,8 +141,8 @@ class End:
 
 def meta_checksum(rows: Iterable[tuple[str, str]]) -> int:
     """Return the CRC-32 of the sorted keys and values of ``meta``, each followed by a zero."""
-    told = (text for row in sorted(rows) if row[0] != END for text in row)
-    return zlib.crc32("".join(f"{text}\0" for text in told).encode())
+    texts = (text for row in sorted(rows) if row[0] != END for text in row)
+    return zlib.crc32("".join(f"{text}\0" for text in texts).encode())
 
 
 def call_checksum(name: str, before: int) -> int:
