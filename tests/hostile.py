@@ -8,6 +8,7 @@ import json
 import lzma
 import tempfile
 from collections.abc import Callable
+from contextlib import chdir
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -18,15 +19,16 @@ from PIL import Image
 from scipy.io import savemat
 
 from relmap.cli.arguments import read_config
-from relmap.cli.evaluate import evaluate_folder
+from relmap.cli.evaluate import evaluate_folder, find_log
 from relmap.cli.mapping import map_input
 from relmap.comparison.sweep_spec import read_spec
 from relmap.core.arrays import Floats
 from relmap.datasets import open_log, open_scans, read_relations
 from relmap.evaluation import evaluate as evaluation
 from relmap.evaluation.truth import read_truth
+from relmap.io.results import json_text
 from relmap.mapper import Mapper
-from relmap.planes.files import read_any
+from relmap.planes.files import PlaneResult, read_any
 from tests import bagfiles
 from tests.logs import PLAIN, TREES
 from tests.scanlogs import CLOUD, CORRECTED, GRAPH, LASER, packed_pcd, pcd, ply
@@ -137,28 +139,26 @@ def _mapped() -> Files:
         log.write_text("\n".join(rows))
         map_input(log, folder, association="known")
         files = {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
-    summary = json.loads(files["summary.json"]) | {"input": "gone", "refinement": None}
+    summary = json.loads(files["summary.json"]) | {"input": log.name, "refinement": None}
     truth = ["landmark,x,y,z,status"]
     truth += [f"{i},{x},{y},{z},static" for i, (x, y, z) in enumerate(world.tolist())]
     del files["map.png"]
     return files | {
         "summary.json": json.dumps(summary).encode(),
-        "planes.csv": WALLS.encode(),
         "truth/landmarks.csv": "\n".join(truth).encode(),
-        "truth/planes.csv": WALLS.encode(),
         "truth/trajectory.tum": TUM.encode(),
     }
 
 
-def evaluate(folder: Path) -> None:
-    (folder / "summary.json").write_text(
-        (folder / "summary.json").read_text("utf-8", "ignore").replace('"gone"', f'"{folder}"')
-    )
-    evaluate_folder(folder, folder / "truth")
-
-
-def _evaluate_walls(folder: Path) -> None:
-    evaluation.evaluate(read_any(folder), read_truth(folder / "truth", "planes"))
+def _evaluate(folder: Path) -> None:
+    """Evaluate without drawing, which takes most of the time of the verb."""
+    truth = folder / "truth"
+    result = read_any(folder)
+    walls = isinstance(result, PlaneResult)
+    known = read_truth(truth, "planes" if walls else "points")
+    with chdir(folder):
+        log = None if walls else find_log(result, truth, None)
+    json_text(evaluation.evaluate(result, known, log).as_dict())
 
 
 def _log(name: str, form: str | None = None) -> Callable[[Path], object]:
@@ -281,9 +281,12 @@ def readers() -> dict[str, Reader]:
     for name in ("store_beaconsTrue.mat", "store_robotTrue.mat"):
         found[f"slsjf-sim-{name}"] = Reader(beacons, name, read_truth)
     for name in ("landmarks.csv", "tracks.csv.gz", "trajectory.tum", "summary.json"):
-        found[f"result-{name}"] = Reader(mapped, name, evaluate)
+        found[f"result-{name}"] = Reader(mapped, name, _evaluate)
     for name in ("truth/landmarks.csv", "truth/trajectory.tum"):
-        found[name] = Reader(mapped, name, evaluate)
+        found[name] = Reader(mapped, name, _evaluate)
+    walls = mapped | dict.fromkeys(("planes.csv", "truth/planes.csv"), WALLS.encode())
+    for name in ("planes.csv", "truth/planes.csv", "trajectory.tum"):
+        found[f"walls-{name}"] = Reader(walls, name, _evaluate)
     for name in ("planes.csv", "truth/planes.csv"):
-        found[f"walls-{name}"] = Reader(mapped, name, _evaluate_walls)
+        found[f"drawn-{name}"] = Reader(walls, name, lambda f: evaluate_folder(f, f / "truth"))
     return found

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.commands import GOOD, Check, shown
+from tests.hostile import WALLS
 
 
 @pytest.mark.parametrize(
@@ -45,6 +46,16 @@ def test_damaged_result(
     else:
         (place / "out" / name).write_bytes(content)
     assert message in refused("evaluate", "out", "--truth", "truth", "--log", "log.csv")
+
+
+@pytest.mark.parametrize("name", ["x1", "ny"])
+def test_static_wall_without_an_end_or_a_normal(place: Path, refused: Check, name: str) -> None:
+    header, first, last = (line.split(",") for line in WALLS.splitlines())
+    last[header.index(name)] = ""
+    rows = "\n".join(",".join(cells) for cells in (header, first, last))
+    (place / "out" / "planes.csv").write_text(rows)
+    message = f"wall 1 is static, but its field {name} is empty"
+    assert message in refused("evaluate", "out", "--truth", "truth")
 
 
 @pytest.mark.parametrize(

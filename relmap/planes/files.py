@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
+from relmap.core.errors import RelmapError
+from relmap.datasets.textfile import shown
 from relmap.io.files import atomic_write, write_tum
 from relmap.io.results import Result, read_result
 from relmap.io.tables import Kind, csv_text, read_table
@@ -152,6 +154,11 @@ def read_planes(folder: Path) -> PlaneTable:
         If it is missing or was not written by `write_planes`.
     """
     table = read_table(folder / PLANES, COLUMNS)
+    for name in ("x0", "y0", "x1", "y1", "nx", "ny"):
+        empty = np.flatnonzero((table["status"] == "static") & np.isnan(table[name]))
+        if len(empty):
+            which = f"wall {table['plane'][empty[0]]} is static, but its field {name} is empty"
+            raise RelmapError(f"{shown(folder / PLANES)}: {which}")
     ends = np.column_stack([table[name] for name in ("x0", "y0", "x1", "y1")])
     return PlaneTable(
         plane=table["plane"],
