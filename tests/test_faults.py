@@ -131,6 +131,14 @@ def test_a_mirrored_scan_is_rejected_and_changes_nothing(known: bool) -> None:
         assert len(mirrored.map.landmark_ids) == len(without.map.landmark_ids)
 
 
+@pytest.mark.parametrize("seed", [0, 4, 10, 22])
+def test_a_mirrored_scan_of_few_landmarks_is_rejected(seed: int) -> None:
+    """Without ids, some of them lie in a plane (0, 10) or in a slab (4, 22) and fit rotated."""
+    log = simulate_figure_eight(density=25, seed=seed).log
+    part = faults.mirrored_scan(log, 450).between(430, 455)
+    assert mapped(part, known=False).rejected.tolist() == [20]
+
+
 @pytest.mark.parametrize("known", [True, False])
 @pytest.mark.parametrize("first", [0, 30])
 def test_rejected_iterations_are_the_callers(known: bool, first: int) -> None:

@@ -34,8 +34,7 @@ MISFIT = 2.0
 """Largest variance of their matches to skip it, relative to the usual one: if landmarks stand on a
 lattice, the nearest neighbours may agree one period away, but less closely."""
 FAR_SHARE = 0.3
-"""Fraction of possible matches that must agree after a large motion: in space a mirrored scan
-agrees for points near a plane."""
+"""Fraction of possible matches that must agree after a large motion."""
 SAMPLE = 32
 """Maximum number of tracks used to fit a placement; more would not improve it."""
 SEARCH = 30
@@ -81,10 +80,35 @@ class TrackPlacing:
 
     def placement(self, tracks: LiveTracks, points: Floats) -> Placement | None:
         """Return the placement that brings tracks onto points (n, d); None if none is certain."""
+        learnt = self.scale.noise_m
         found = self._found(tracks, points)
         if self.scale.is_blurred:
             found = self._likely(tracks, points, found)
-        return self._found_of_unknown_noise(tracks, points) if found is None else found
+        found = self._found_of_unknown_noise(tracks, points) if found is None else found
+        if found is None or learnt is None or not self._is_mirrored(found, learnt, tracks, points):
+            return found
+        self.scale.noise_m, self.scale.wider = learnt, 1.0
+        return None
+
+    def _is_mirrored(
+        self, found: Placement, learnt: float, tracks: LiveTracks, points: Floats
+    ) -> bool:
+        """Return whether the mirror image of a scan fits better than the scan at a large motion.
+
+        Of a mirrored scan those points fit that lie near a plane.
+        """
+        possible = min(int(np.sum(tracks.missed == 0)), len(points), SEARCH)
+        is_wide = self.scale.noise_m is None
+        is_certain = not is_wide and found.n_agreeing >= SHARE * possible
+        if is_certain or _moved_m(found, tracks.expected) <= self.scale.spacing_m:
+            return False
+        known, seen = self._crowd(tracks, points)
+        sign = np.where(np.arange(points.shape[1]) == 1, -1.0, 1.0)
+        metric = None if self.metric is None else self.metric[seen] * sign * sign[:, None]
+        tolerance_m = min(self.scale.tolerance_m, SIGMAS * learnt)
+        image = search(tracks.expected[known], points[seen] * sign, tolerance_m, ENOUGH, metric)
+        least = found.n_agreeing if is_wide else found.n_agreeing / CLEAR
+        return image is not None and image[0].n_agreeing >= least
 
     def is_unique(self, placement: Placement, tracks: LiveTracks, points: Floats) -> bool:
         """Return whether chance alone brings tracks onto points (n, d) so well in no placement."""
