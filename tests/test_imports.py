@@ -17,10 +17,10 @@ from tests.commands import PATIENCE_S
 HEAVY = {"matplotlib", "numba", "open3d", "sklearn", "typer"}
 SLOW = {"scipy.optimize", "scipy.signal", "scipy.stats"}
 """Parts of libraries that are slow to load and not needed."""
-LIMIT_S = 0.5
+LIMIT_S, NAMES_LIMIT_S = 0.3, 0.5
 RUNS = 5
 
-LIST_MODULES = "import json, sys, relmap; print(json.dumps(list(sys.modules)))"
+LIST_MODULES = "import json, sys; from relmap import *; print(json.dumps(list(sys.modules)))"
 
 # A part is a module or package right below relmap, `ROOT` is relmap/__init__.py.  Each may import
 # the parts on the right, anywhere in a function or for types alone too, and itself.
@@ -115,12 +115,16 @@ def test_modules_load_no_heavy_library(
     assert HEAVY & {module.partition(".")[0] for module in modules} == set()
 
 
-def test_import_takes_under_half_a_second(child_env: dict[str, str], tmp_path: Path) -> None:
-    """The time is what ``import relmap`` adds once the numpy and scipy it uses are loaded.
+def test_import_takes_under_three_tenths_of_a_second(
+    child_env: dict[str, str], tmp_path: Path
+) -> None:
+    """Only the best of several fresh interpreters counts; the time is that of the processor."""
+    code = "from time import process_time as t; begin = t(); import relmap; print(t() - begin)"
+    assert min(float(run_python(code, child_env, tmp_path)) for _ in range(RUNS)) < LIMIT_S
 
-    Only the best of several fresh interpreters counts: anything else the machine does can make
-    an import slower, never faster.
-    """
+
+def test_public_names_take_under_half_a_second(child_env: dict[str, str], tmp_path: Path) -> None:
+    """The time is what all public names add once the numpy and scipy they use are loaded."""
     modules = json.loads(run_python(LIST_MODULES, child_env, tmp_path))
     below = [
         module
@@ -133,11 +137,11 @@ def test_import_takes_under_half_a_second(child_env: dict[str, str], tmp_path: P
         f"for module in {below!r}:\n"
         "    with contextlib.suppress(ImportError): importlib.import_module(module)\n"
         "begin = time.process_time()\n"
-        "import relmap\n"
+        "from relmap import *\n"
         "print(time.process_time() - begin)\n"
     )
     best = min(float(run_python(code, child_env, tmp_path)) for _ in range(RUNS))
-    assert best < LIMIT_S
+    assert best < NAMES_LIMIT_S
 
 
 @dataclass(frozen=True)
