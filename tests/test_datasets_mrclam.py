@@ -141,3 +141,16 @@ def test_the_data_set_agrees_with_its_truth(shared_data: Path) -> None:
     assert 0.08 < np.median(far) < 0.14
     assert len(off) > 8_700
     assert np.median(np.abs(off), axis=0).max() < 0.006
+
+
+def test_what_is_sorted_or_left_out_is_reported(
+    robots: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    put(robots, "".join(reversed(WHEELS.splitlines(keepends=True))), "Robot1_Odometry.dat")
+    open_log(robots / "Robot1_Measurement.dat")
+    seen, wheels = robots / "Robot1_Measurement.dat", robots / "Robot1_Odometry.dat"
+    assert caplog.messages == [
+        f"{seen}: 1 measurements out of order: all are sorted by time",
+        f"{seen}: 1 unknown bar codes are left out",
+        f"{wheels}: 3 velocities out of order: all are sorted by time",
+    ]

@@ -185,13 +185,25 @@ def test_motions_between_iterations_that_are_kept_are_composed() -> None:
 
 def test_speeds_add_up_to_arcs() -> None:
     stamps, speed, turn = np.array([1.0, 2.0, 4.0]), np.array([1.0, 2, -1]), np.array([0, 0.5, 1])
-    poses = driven(stamps, speed, turn, np.array([0.5, 1.0, 1.5, 3.0, 4.5]))
-    first = checked_odometry([1.0, 0, 0])
-    half = first @ checked_odometry(motion_from_velocity(2, 0.5, 1.0))
-    last = half @ checked_odometry(motion_from_velocity(2, 0.5, 1.0))
-    last = last @ checked_odometry(motion_from_velocity(-1, 1.0, 0.5))
-    assert np.isnan(poses[0]).all()
-    assert_allclose(poses[1:], [np.eye(4), checked_odometry([0.5, 0, 0]), half, last], atol=1e-14)
+    found = driven(Path("a"), stamps, speed, turn, np.array([0.5, 1.0, 1.5, 3.0, 4.5]))
+    turned = checked_odometry(motion_from_velocity(2, 0.5, 1.0))
+    half = checked_odometry([0.5, 0, 0])
+    assert np.isnan(found[:2]).all()
+    last = turned @ checked_odometry(motion_from_velocity(-1, 1.0, 0.5))
+    assert_allclose(found[2:], [half, half @ turned, last], atol=1e-14)
+
+
+def test_across_a_gap_between_speeds_the_motion_is_unknown(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    stamps = np.delete(np.arange(0.0, 20, 0.25), np.arange(21, 60))  # none from 5 to 15 s
+    at = np.array([4.0, 5.0, 10.0, 15.0, 16.0])
+    found = driven(Path("a"), stamps, np.ones(len(stamps)), np.zeros(len(stamps)), at)
+    assert np.isnan(found[:, 0, 3]).tolist() == [True, False, True, True, False]
+    assert_allclose(found[[1, 4], 0, 3], 1.0, atol=1e-12)
+    across = driven(Path("a"), stamps, np.ones(len(stamps)), np.zeros(len(stamps)), at[[0, 1, 4]])
+    assert np.isnan(across[:, 0, 3]).tolist() == [True, False, True]
+    assert set(caplog.messages) == {"a: 1 gaps: the motion across them is unknown"}
 
 
 def test_dlr_steps_are_turned_into_our_axes(tmp_path: Path) -> None:

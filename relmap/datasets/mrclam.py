@@ -17,6 +17,7 @@ from the last image of one to the first of the next; a file of measurements is t
 
 from __future__ import annotations
 
+import logging
 import os
 import re
 from dataclasses import dataclass
@@ -29,8 +30,8 @@ from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.headers import file_beside
-from relmap.datasets.number_rows import read_rows
-from relmap.datasets.odometry import driven, motions, poses_at
+from relmap.datasets.number_rows import read_rows, warn_unsorted
+from relmap.datasets.odometry import driven, poses_at
 from relmap.datasets.scans import planar_poses
 from relmap.datasets.table import MAX_EXACT_INTEGER
 from relmap.datasets.textfile import shown
@@ -41,6 +42,7 @@ ROBOTS = 5
 APART_S = 100_000.0
 """Offset between the times of two robots of one log: more than a day."""
 
+_LOG = logging.getLogger(__name__)
 MOST_ROBOTS = 99
 _SEEN = "t bar-code range bearing"
 _NAME = re.compile(r"Robot([1-9]\d?)_(Measurement|Odometry|Groundtruth)\.dat(\.gz)?$")
@@ -105,6 +107,9 @@ class _Drive:
         """Read the files of a robot; `before` is the number of rows of earlier robots."""
         measured = read_rows(file, _MEASUREMENT, "#", "measurement", f"4 numbers: {_SEEN}").values
         measured[:, 1] = [subjects.get(int(code), -1) for code in measured[:, 1]]
+        warn_unsorted(file, measured[:, 0], "measurements")
+        if unknown := int((measured[:, 1] < 0).sum()):
+            _LOG.warning("%s: %d unknown bar codes are left out", shown(file), unknown)
         rows = np.flatnonzero(measured[:, 1] > ROBOTS)
         rows = rows[np.lexsort((rows, measured[rows, 1], measured[rows, 0]))]
         same = (np.diff(measured[rows, :2], axis=0) == 0).all(axis=1)
@@ -188,9 +193,9 @@ def _odometry(file: Path | None, at_s: Floats) -> Floats | None:
         return None
     limits = (_TIME, _SPEED, _SPEED)
     rows = read_rows(file, limits, "#", "velocity", "3 numbers: t forward angular").values
-    rows = rows[np.argsort(rows[:, 0], kind="stable")]
-    stamps_s, speed, turn = rows.T
-    return motions(driven(stamps_s, speed, turn, at_s))
+    warn_unsorted(file, rows[:, 0], "velocities")
+    stamps_s, speed, turn = rows[np.argsort(rows[:, 0], kind="stable")].T
+    return driven(file, stamps_s, speed, turn, at_s)
 
 
 def _shifted(stamps_s: Floats, robot: int) -> Floats:

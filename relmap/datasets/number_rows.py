@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from array import array
 from collections.abc import Iterable, Sequence
@@ -13,6 +14,7 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.datasets.textfile import numbered_lines, quoted, shown
 
+_LOG = logging.getLogger(__name__)
 MAX_LISTED = 1 << 24
 """Maximum number of values in such rows: some two million poses."""
 
@@ -83,6 +85,13 @@ def read_rows(
     if not len(rows.lines):
         raise RelmapError(f"{shown(path)}: holds no {what}, expected {expected}")
     return rows
+
+
+def warn_unsorted(path: Path, stamps_s: Floats, what: str) -> None:
+    """Log a warning if rows that are used in order of time (n,) are not in it."""
+    late = int((np.diff(stamps_s) < 0).sum())
+    if late:
+        _LOG.warning("%s: %d %s out of order: all are sorted by time", shown(path), late, what)
 
 
 class NumberRows:

@@ -12,6 +12,7 @@ Motions come from the log itself or from a file beside it:
 
 from __future__ import annotations
 
+import logging
 import math
 import os
 from dataclasses import replace
@@ -38,8 +39,12 @@ TABLES, TRAJECTORY = ("odometry.csv", "odometry.csv.gz"), "odometry.tum"
 GAP = 10.0
 """Multiple of the usual time between two poses above which there is a gap."""
 
+LEAST_GAP_S = 2.0
+"""Least time between two speeds that is a gap: they may be logged only when they change."""
+
 Log = TypeVar("Log", ObservationLog, ScanLog)
 
+_LOG = logging.getLogger(__name__)
 _PLANAR, _SPATIAL = ("x", "y", "yaw"), ("x", "y", "z", "qx", "qy", "qz", "qw")
 _COLUMNS = (
     iteration_column("iteration"),
@@ -90,11 +95,15 @@ def moved_frame(odometry: Floats, T_robot_other: Floats) -> Floats:
     return np.asarray(back @ odometry @ T_robot_other)
 
 
-def driven(stamps_s: Floats, speed_m_s: Floats, turn_rad_s: Floats, at_s: Floats) -> Floats:
-    """Return the poses of a vehicle integrated from forward and angular speed.
+def driven(
+    file: Path, stamps_s: Floats, speed_m_s: Floats, turn_rad_s: Floats, at_s: Floats
+) -> Floats:
+    """Return the motions of a vehicle between times, integrated from forward and angular speed.
 
     Parameters
     ----------
+    file : Path
+        Named in the warning of gaps.
     stamps_s, speed_m_s, turn_rad_s : (n,) float64
         Each speed and turn rate applies until the next stamp; the stamps ascend.
     at_s : (k,) float64
@@ -102,22 +111,29 @@ def driven(stamps_s: Floats, speed_m_s: Floats, turn_rad_s: Floats, at_s: Floats
     Returns
     -------
     (k, 4, 4) float64
-        Poses in the frame at the first stamp; NaN before it, and later than `GAP` usual steps after
-        the last.
+        NaN for the first, before the first stamp, later than `GAP` usual steps after the last, and
+        across a gap between stamps, also longer than `LEAST_GAP_S`.
     """
-    usual = float(np.median(np.diff(stamps_s))) if len(stamps_s) > 1 else 1.0
+    step = np.diff(stamps_s)
+    usual = float(np.median(step)) if len(step) else 1.0
     before = np.searchsorted(stamps_s, at_s, side="right") - 1
     known = (before >= 0) & (at_s <= stamps_s[-1] + GAP * usual)
     before = np.maximum(before, 0)
-    begun = np.concatenate([np.zeros((1, 3)), _arcs(speed_m_s, turn_rad_s, np.diff(stamps_s))])
+    begun = np.concatenate([np.zeros((1, 3)), _arcs(speed_m_s, turn_rad_s, step)])
     yaw = np.cumsum(begun[:, 2])
     start = np.concatenate([[0.0], yaw[:-1]])
     xy = np.cumsum(_turned(begun[:, :2], start), axis=0)
     rest = _arcs(speed_m_s[before], turn_rad_s[before], at_s - stamps_s[before])
     x, y = (xy[before] + _turned(rest[:, :2], yaw[before])).T
     poses = planar_poses(x, y, yaw[before] + rest[:, 2])
-    poses[~known] = np.nan
-    return poses
+    gap = np.append(step > max(GAP * usual, LEAST_GAP_S), False)
+    if gap.any():
+        _LOG.warning("%s: %d gaps: the motion across them is unknown", shown(file), gap.sum())
+    poses[~known | (gap[before] & (at_s > stamps_s[before]))] = np.nan
+    found = motions(poses)
+    part = (np.cumsum(gap) - gap)[before]
+    found[1:][part[1:] != part[:-1]] = np.nan
+    return found
 
 
 def _arcs(speed_m_s: Floats, turn_rad_s: Floats, duration_s: Floats) -> Floats:

@@ -29,7 +29,7 @@ from relmap.datasets.assembly import assemble_log, iteration_column
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.headers import TABLES, columns_of, file_beside, only_one, tables_with
 from relmap.datasets.matfile import read_matrix
-from relmap.datasets.odometry import driven, motions, moved_frame
+from relmap.datasets.odometry import driven, moved_frame
 from relmap.datasets.scans import planar_poses
 from relmap.datasets.table import Column, Table, header_text, read_table
 from relmap.datasets.textfile import shown
@@ -209,9 +209,9 @@ def _odometry(log: ObservationLog, file: Path) -> Floats:
     assert log.stamps_s is not None
     curvature = np.tan(steering) / WHEELBASE_M
     centre_m_s = speed / (1 - curvature * WHEEL_M)
-    poses = driven(time_ms / 1000, centre_m_s, centre_m_s * curvature, log.stamps_s)
+    moved = driven(file, time_ms / 1000, centre_m_s, centre_m_s * curvature, log.stamps_s)
     laser = planar_poses(*np.array([[LASER_AHEAD_M], [LASER_LEFT_M], [0.0]]))
-    return moved_frame(motions(poses), laser[0])
+    return moved_frame(moved, laser[0])
 
 
 def _nearest(ascending: Floats, values: Floats) -> Ints:
