@@ -10,7 +10,6 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
-from relmap.datasets.textfile import shown
 from relmap.io.files import atomic_write, write_tum
 from relmap.io.results import Result, read_result
 from relmap.io.tables import Kind, csv_text, read_table
@@ -158,7 +157,7 @@ def read_planes(folder: Path) -> PlaneTable:
         empty = np.flatnonzero((table["status"] == "static") & np.isnan(table[name]))
         if len(empty):
             which = f"wall {table['plane'][empty[0]]} is static, but its field {name} is empty"
-            raise RelmapError(f"{shown(folder / PLANES)}: {which}")
+            raise RelmapError(f"{folder / PLANES}: {which}")
     ends = np.column_stack([table[name] for name in ("x0", "y0", "x1", "y1")])
     return PlaneTable(
         plane=table["plane"],
