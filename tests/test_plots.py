@@ -18,7 +18,7 @@ from relmap.io.results import Result
 from relmap.plots.localised import plot_localised
 from relmap.plots.path import broken_at_gaps, broken_at_jumps
 from relmap.plots.run import plot_run, write_map_png
-from relmap.plots.sheet import limits_of
+from relmap.plots.sheet import Sheet, limits_of
 from tests.somerun import make_result
 
 
@@ -70,6 +70,18 @@ def test_everything_is_named_in_the_legend() -> None:
 def test_title() -> None:
     assert plot_run(make_result(3)).axes[0].get_title() == "3 of 3 landmarks mapped"
     assert plot_run(make_result(3), title="mine").axes[0].get_title() == "mine"
+
+
+@pytest.mark.parametrize("size", [(31, 20), (30, 18), (20, 40), (5, 3)])
+def test_the_title_is_not_cut_off(size: tuple[float, float]) -> None:
+    corners = np.array([[0.0, 0, 0], [*size, 0]])
+    sheet = Sheet(corners, corners, planar=True)
+    for name in "abcde":
+        sheet.views[0][0].plot([0], [0], label=name)
+    sheet.finish("title")
+    sheet.figure.savefig(io.BytesIO())
+    title = sheet.views[0][0].title.get_window_extent()
+    assert title.y1 <= sheet.figure.bbox.y1
 
 
 def test_only_a_part_of_very_many_groups_is_shown() -> None:

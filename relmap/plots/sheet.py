@@ -166,6 +166,8 @@ class Sheet:
             for handle in legend.legend_handles:
                 if isinstance(handle, PathCollection):
                     handle.set_sizes([24.0])
+        # With a fixed aspect the layout is right only from the second drawing on.
+        self.figure.draw_without_rendering()
 
 
 def write_png(path: Path, draw: Callable[[], Figure]) -> None:
