@@ -110,6 +110,8 @@ def test_victoria_park_damaged_mat(tmp_path: Path) -> None:
     for content in (b"", b"rubbish", whole[:200]):
         path.write_bytes(content)
         assert f"{ASSOCIATION_FILE}: cannot be read" in failure(tmp_path)
+    path.write_bytes(gzip.compress(whole, 1))
+    assert "'packed by gzip'" in failure(tmp_path)
     savemat(path, {"other": ASSOCIATED})
     assert "expected a MATLAB file with data_sensor_clean_clean" in failure(tmp_path)
     with pytest.raises(RelmapError, match="cannot be read"):

@@ -61,7 +61,8 @@ def read_matrix(file: Path, name: str) -> Floats:
             raise ValueError(f"more than {MAX_BYTES} bytes")
         order = {b"IM": "<", b"MI": ">"}.get(data[126:_HEADER_BYTES])
         if data[: len(_MAGIC)] != _MAGIC or order is None:
-            raise ValueError("not of level 5")
+            packed = data.startswith(b"\x1f\x8b")
+            raise ValueError("packed by gzip" if packed else "not of level 5")
         for content in _matrices(memoryview(data)[_HEADER_BYTES:], order):
             matrix = _matrix(content, order, name)
             if matrix is not None:
