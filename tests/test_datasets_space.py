@@ -59,6 +59,8 @@ def test_poses_of_kitti(tmp_path: Path) -> None:
     assert poses is not None
     assert poses[:, :3, 3].tolist() == [[5, 6, 7], [1, 2, 3]]
     assert poses[1, :2, :2].tolist() == [[0, -1], [1, 0]]
+    put(tmp_path, "1 0 0 5 0 1 0 6 0 0 1 7\n0 1 0 1 1 0 0 2 0 0 1 3\n", "poses.txt")
+    assert "the rotation of pose 1 is none" in failure(tmp_path)
     put(tmp_path, "1 0 0 5 0 1 0 6 0 0 1 7\n", "poses.txt")
     assert "1 poses, expected one for each of 2 clouds" in failure(tmp_path)
 
@@ -71,6 +73,12 @@ def test_a_file_of_position_and_quaternion_for_each_cloud(tmp_path: Path) -> Non
     poses = open_scans(tmp_path).poses
     assert poses is not None
     assert np.abs(poses[0, :3] - [[-1, 0, 0, 1], [0, -1, 0, 2], [0, 0, 1, 3]]).max() < 1e-12
+    put(tmp_path / "poses", b"\xef\xbb\xbf1.0, 2.0, 3.0\r\n", "000001.txt")
+    poses = open_scans(tmp_path).poses
+    assert poses is not None
+    assert poses[0, :3, 3].tolist() == [1, 2, 3]
+    put(tmp_path / "poses", "1.0, 2.0".encode("utf-16"), "000001.txt")
+    assert "a binary file or UTF-16" in failure(tmp_path)
     put(tmp_path / "poses", "1.0, 2.0", "000001.txt")
     assert "2 numbers, expected x, y, z, qx, qy, qz, qw" in failure(tmp_path)
 
@@ -85,6 +93,12 @@ def test_depth_images_come_out_ahead_left_and_up(tmp_path: Path) -> None:
         put(tmp_path, "1 0 0 5\n0 1 0 6\n0 0 1 7\n0 0 0 1\n", f"frame-{number:06d}.pose.txt")
     poses = open_scans(tmp_path).poses
     assert poses is not None
+    for wrong, rows in {
+        "the rotation of pose 0 is none": "0 1 0 6\n1 0 0 5\n0 0 1 7\n0 0 0 1\n",
+        "the last row is not 0 0 0 1": "1 0 0 5\n0 1 0 6\n0 0 0 1\n0 0 1 7\n",
+    }.items():
+        put(tmp_path, rows, "frame-000009.pose.txt")
+        assert f"frame-000009.pose.txt: {wrong}" in failure(tmp_path)
     ahead = poses[0] @ [2.0, 0.0, 0.0, 1.0]
     assert ahead.tolist() == [5, 6, 9, 1]  # the camera's z
 
@@ -96,6 +110,8 @@ def test_depth_images_come_out_ahead_left_and_up(tmp_path: Path) -> None:
         ("camera-intrinsics.txt", "1 2 x\n", "line 1: expected 3 numbers"),
         ("camera-intrinsics.txt", "1 2 3\n", "1 rows, expected a 3 x 3 matrix"),
         ("camera-intrinsics.txt", K.replace("10", "-10"), "focal lengths above 0"),
+        ("camera-intrinsics.txt", "0 0 1\n10 0 4\n0 20 2\n", "focal lengths above 0"),
+        ("camera-intrinsics.txt", "10 0 4\n5 20 2\n0 0 1\n", "expected rows fx s cx"),
         ("frame-000001.depth.png", b"no image", "frame-000001.depth.png"),
         ("frame-000001.depth.png", png(DEPTH)[:60], "frame-000001.depth.png"),
         ("frame-000001.depth.png", png(DEPTH.astype(np.uint8)), "one channel of 16 bits"),

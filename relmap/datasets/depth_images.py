@@ -18,7 +18,7 @@ import numpy as np
 from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.datasets.kitti_bin import numbers_in
-from relmap.datasets.scans import ScanLog
+from relmap.datasets.scans import ScanLog, require_rotations
 from relmap.datasets.textfile import require_path, shown, unreadable
 
 INTRINSICS, DEPTH, POSE = "camera-intrinsics.txt", ".depth.png", ".pose.txt"
@@ -52,6 +52,8 @@ class DepthImages:
         K = _matrix(path / INTRINSICS, 3)
         if not (K[0, 0] > 0 and K[1, 1] > 0):
             raise RelmapError(f"{shown(path / INTRINSICS)}: expected focal lengths above 0")
+        if K[1, 0] or (K[2] != [0, 0, 1]).any():
+            raise RelmapError(f"{shown(path / INTRINSICS)}: expected rows fx s cx, 0 fy cy, 0 0 1")
         stamps_s = np.arange(len(files), dtype=np.float64)
         return ScanLog(3, stamps_s, lambda index: _points(files[index], K), _poses(files))
 
@@ -88,7 +90,16 @@ def _poses(files: list[Path]) -> Floats | None:
     each = [file.with_name(file.name.removesuffix(DEPTH) + POSE) for file in files]
     if not all(file.is_file() for file in each):
         return None
-    return np.asarray(np.array([_matrix(file, 4) for file in each]) @ T_CAMERA_ROBOT)
+    return np.asarray(np.array([_pose(file) for file in each]) @ T_CAMERA_ROBOT)
+
+
+def _pose(file: Path) -> Floats:
+    """Return T_reference_camera (4, 4)."""
+    pose = _matrix(file, 4)
+    if (pose[3] != [0, 0, 0, 1]).any():
+        raise RelmapError(f"{shown(file)}: the last row is not 0 0 0 1, expected a pose")
+    require_rotations(file, pose[None])
+    return pose
 
 
 def _matrix(file: Path, size: int) -> Floats:

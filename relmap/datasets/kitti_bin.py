@@ -21,8 +21,9 @@ from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
 from relmap.datasets.cloud_file import MAX_BYTES
 from relmap.datasets.foreign import is_kitti
-from relmap.datasets.scans import ScanLog, poses_of
-from relmap.datasets.textfile import require_path, shown, unreadable
+from relmap.datasets.number_rows import MAX_LISTED, finite_numbers, too_many
+from relmap.datasets.scans import ScanLog, poses_of, require_rotations
+from relmap.datasets.textfile import numbered_lines, require_path, shown, unreadable
 
 POSES, POSES_FOLDER = "poses.txt", "poses"
 FOLDERS = ("", "lidar", "velodyne", "velodyne_points/data")
@@ -95,6 +96,7 @@ def _poses(files: list[Path]) -> Floats | None:
                 raise RelmapError(f"{shown(file)}: {problem}")
             poses = np.tile(np.eye(4), (len(files), 1, 1))
             poses[:, :3] = rows[: len(files)].reshape(-1, 3, 4)
+            require_rotations(file, poses)
             return poses
     each = [folder.parent / POSES_FOLDER / f"{file.stem}.txt" for file in files]
     if not each[0].is_file():
@@ -132,19 +134,15 @@ def numbers_in(file: Path, width: int | None = None) -> Floats:
     RelmapError
         If the file cannot be read or has other content.
     """
-    try:
-        lines = file.read_text("ascii").splitlines()
-    except (OSError, ValueError) as error:
-        raise unreadable(file, error) from error
     rows: list[list[float]] = []
-    for number, line in enumerate(lines, start=1):
-        try:
-            row = [float(cell) for cell in line.replace(",", " ").split()]
-        except ValueError:
-            row = [np.nan]
-        if not np.isfinite(row).all() or (row and len(row) != (width or len(row))):
+    for number, line in numbered_lines(file):
+        cells = line.replace(",", " ").split()
+        row = finite_numbers(cells)
+        if len(row) != len(cells) or (row and len(row) != (width or len(row))):
             what = f"{width} numbers" if width else "numbers"
             raise RelmapError(f"{shown(file)}: line {number}: expected {what}")
+        if len(rows) * len(row) > MAX_LISTED:
+            raise too_many(file, number, MAX_LISTED)
         rows += [row] if row else []
     if width:
         return np.array(rows).reshape(-1, width)

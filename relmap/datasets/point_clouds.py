@@ -18,7 +18,7 @@ from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.datasets.cloud_file import is_cloud, read_cloud
 from relmap.datasets.number_rows import read_rows
-from relmap.datasets.scans import ScanLog, in_time_order
+from relmap.datasets.scans import ScanLog, in_time_order, require_rotations
 from relmap.datasets.textfile import (
     require_path,
     shown,
@@ -86,5 +86,8 @@ def _read_poses(file: Path, clouds: list[Path]) -> tuple[Floats, Floats]:
     first = 4 * np.array(numbers)
     matrices = rows[first + np.arange(4)]
     stamps_s = matrices[:, 3, 3].copy()
+    if matrices[:, 3, :3].any() or len(rows) % 4:
+        raise RelmapError(f"{shown(file)}: not 4 rows a pose, expected the last to be 0, 0, 0, t")
     matrices[:, 3] = [0.0, 0.0, 0.0, 1.0]
+    require_rotations(file, matrices)
     return stamps_s, matrices

@@ -20,6 +20,8 @@ MAX_BEAMS, MAX_SCANS = 1 << 24, 1 << 18
 """Maximum number of beams and scans of a laser log: some fifty thousand scans of 360 beams."""
 
 _LOG = logging.getLogger(__name__)
+_ROUNDING = 1e-2
+"""Tolerance of products of the rows of a rotation, for rounded files."""
 
 FIXED = 1e-3
 """Allowed variation of the pose of a laser on the robot, due to rounding: metres and radians."""
@@ -237,6 +239,16 @@ def poses_of(rotation: Rotation, t: Floats) -> Floats:
     poses = np.tile(np.eye(4), (len(t), 1, 1))
     poses[:, :3, :3], poses[:, :3, 3] = rotation.as_matrix(), t
     return poses
+
+
+def require_rotations(file: Path, poses: Floats) -> None:
+    """Raise RelmapError if a pose (k, 4, 4) of a file is not a rotation and a translation."""
+    R = poses[:, :3, :3]
+    off = np.abs(R @ R.swapaxes(1, 2) - np.eye(3)).max(axis=(1, 2))
+    wrong = np.flatnonzero(~(off <= _ROUNDING) | (np.linalg.det(R) < 0))
+    if len(wrong):
+        problem = f"the rotation of pose {wrong[0]} is none, expected orthogonal rows of length 1"
+        raise RelmapError(f"{shown(file)}: {problem}")
 
 
 def planar_poses(x: Floats, y: Floats, yaw: Floats) -> Floats:
