@@ -101,7 +101,7 @@ def pairwise_map(history: PlaneHistory, n_planes: int) -> Floats:
                 relations[a, b] = relate(first, second, (size[a], size[b]))
     if not relations:
         return np.full((n_planes, 2, 2), np.nan)
-    pairs = np.array(list(relations))
+    pairs = np.array(list(relations), dtype=np.int32)  # which csgraph of scipy 1.15 needs
     doubt = np.array([1e-12 + r.deviation / np.sqrt(r.n) for r in relations.values()])
     graph = coo_array((doubt, (pairs[:, 0], pairs[:, 1])), shape=(n_planes, n_planes))
     tree = minimum_spanning_tree(graph.tocsr())

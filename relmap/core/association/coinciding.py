@@ -65,7 +65,7 @@ def compatible(positions: Floats, covariances: Floats) -> Ints:
     covariances : (n, d, d) float64, square metres
         NaN where a position is undetermined.
     """
-    spread = np.sqrt(np.maximum(np.linalg.trace(covariances), 0.0))
+    spread = np.sqrt(np.maximum(np.trace(covariances, axis1=1, axis2=2), 0.0))
     known = np.flatnonzero(np.isfinite(spread) & (spread > 0))
     if len(known) < 3:
         return np.empty((0, 2), dtype=np.int64)
