@@ -15,7 +15,7 @@ from relmap.core.association.metric import rows_of
 from relmap.core.association.placement import Placement, trimmed_fit
 from relmap.core.association.scale import CHI2_MEDIAN, EXACT, SIGMAS, WIDER, Scale
 from relmap.core.association.search import log_chance as chance_of
-from relmap.core.association.search import search, settled
+from relmap.core.association.search import fits_mirrored, search, settled
 from relmap.core.association.soft import SoftMatching
 from relmap.core.association.tracks import LiveTracks
 
@@ -103,12 +103,10 @@ class TrackPlacing:
         if is_certain or _moved_m(found, tracks.expected) <= self.scale.spacing_m:
             return False
         known, seen = self._crowd(tracks, points)
-        sign = np.where(np.arange(points.shape[1]) == 1, -1.0, 1.0)
-        metric = None if self.metric is None else self.metric[seen] * sign * sign[:, None]
         tolerance_m = min(self.scale.tolerance_m, SIGMAS * learnt)
-        image = search(tracks.expected[known], points[seen] * sign, tolerance_m, ENOUGH, metric)
         least = found.n_agreeing if is_wide else found.n_agreeing / CLEAR
-        return image is not None and image[0].n_agreeing >= least
+        own = rows_of(self.metric, seen)
+        return fits_mirrored(tracks.expected[known], points[seen], tolerance_m, least, own)
 
     def is_unique(self, placement: Placement, tracks: LiveTracks, points: Floats) -> bool:
         """Return whether chance alone brings tracks onto points (n, d) so well in no placement."""

@@ -166,3 +166,25 @@ def triangles_of(points: Floats, least_m: float) -> Ints:
         area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
         size = np.minimum(size, area / np.maximum(length.max(axis=1), 1e-300))
     return np.asarray(corners[size > least_m][:TRIANGLES])
+
+
+def fits_mirrored(
+    source: Floats, target: Floats, tolerance_m: float, least: float, metric: Floats | None
+) -> bool:
+    """Return whether `least` points fit the mirror image of others, but not that of their own.
+
+    Parameters
+    ----------
+    source, target : (n, d), (m, d) float64, metres
+    tolerance_m : float
+    least : float
+    metric : (m, d, d) float64 or None
+        Of the targets.
+    """
+    sign = np.where(np.arange(source.shape[1]) == 1, -1.0, 1.0)
+    mirrored = None if metric is None else metric * sign * sign[:, None]
+    image = search(source, target * sign, tolerance_m, 3, mirrored)
+    if image is None or image[0].n_agreeing < least:
+        return False
+    own = search(source, source * sign, tolerance_m, 3)  # on a line: all
+    return own is None or own[0].n_agreeing < least
