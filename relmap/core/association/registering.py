@@ -14,8 +14,8 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.association.metric import rows_of
 from relmap.core.association.placement import Placement, trimmed_fit
 from relmap.core.association.scale import CHI2_MEDIAN, EXACT, SIGMAS, WIDER, Scale
-from relmap.core.association.search import log_chance as chance_of
 from relmap.core.association.search import fits_mirrored, search, settled
+from relmap.core.association.search import log_chance as chance_of
 from relmap.core.association.soft import SoftMatching
 from relmap.core.association.tracks import LiveTracks
 
