@@ -94,6 +94,8 @@ def test_what_a_folder_holds_instead_is_named(tmp_path: Path) -> None:
     put(tmp_path, b"LASF" + REST, "000000.las")
     message = scanlogs.failure(tmp_path)
     assert "holds no log of point scans but '000000.las', a LAS or LAZ file, expected" in message
+    put(tmp_path, "iteration,x,y\n".encode("utf-16"), "log.csv")
+    assert "but 'log.csv', text in UTF-16, expected" in logs.failure(tmp_path)
     put(tmp_path, "rosbag2_bagfile_information:\n  version: 5\n", "metadata.yaml")
     assert "but a ROS 2 bag, expected" in scanlogs.failure(tmp_path)
     assert "but a ROS 2 bag, expected" in logs.failure(tmp_path)

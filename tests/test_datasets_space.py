@@ -78,7 +78,7 @@ def test_a_file_of_position_and_quaternion_for_each_cloud(tmp_path: Path) -> Non
     assert poses is not None
     assert poses[0, :3, 3].tolist() == [1, 2, 3]
     put(tmp_path / "poses", "1.0, 2.0".encode("utf-16"), "000001.txt")
-    assert "a binary file or UTF-16" in failure(tmp_path)
+    assert "a NUL byte: text in UTF-16, expected UTF-8 text" in failure(tmp_path)
     put(tmp_path / "poses", "1.0, 2.0", "000001.txt")
     assert "2 numbers, expected x, y, z, qx, qy, qz, qw" in failure(tmp_path)
 

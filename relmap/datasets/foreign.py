@@ -15,7 +15,7 @@ BAGS = (
     "an SQLite database, as ROS 2 bags are (.db3)",
     "an MCAP file, as ROS 2 bags are",
 )
-ZIP, PARQUET = "a zip archive", "a Parquet file"
+ZIP, PARQUET, UTF16 = "a zip archive", "a Parquet file", "text in UTF-16"
 _MOST_FILES = 20
 """Maximum number of files of a folder that are examined."""
 _GZIP_MAGIC, _GZIP_WINDOW = b"\x1f\x8b", 31
@@ -31,6 +31,8 @@ _MAGIC = (
     (0, b"\x89HDF\r\n\x1a\n", "an HDF5 file"),
     (0, b"MATLAB 5.0 MAT-file", "a MATLAB file"),
     (0, b"PAR1", PARQUET),
+    (0, b"\xff\xfe", UTF16),
+    (0, b"\xfe\xff", UTF16),
     (0, b"glTF", "a glTF file"),
     (0, b"\x89PNG\r\n\x1a\n", "a PNG image"),
     (0, b"\xff\xd8\xff", "a JPEG image"),
@@ -78,11 +80,9 @@ def foreign_at(path: Path) -> str | None:
         files = sorted(file for file in path.iterdir() if file.is_file())[:_MOST_FILES]
     except OSError:
         return None
-    for file in files:
-        found = _foreign_file(file)
-        if found:
-            return f"{file.name!a}, {found}"
-    return None
+    found = [(file, kind) for file in files if (kind := _foreign_file(file))]
+    found.sort(key=lambda pair: UTF16 not in pair[1])  # the others may belong to it
+    return f"{found[0][0].name!a}, {found[0][1]}" if found else None
 
 
 def _foreign_file(file: Path) -> str | None:
