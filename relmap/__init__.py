@@ -34,7 +34,10 @@ __all__ = [
     "motion_from_velocity",
     "range_bearing_covariances",
 ]
-ROOMS = ("datasets", "evaluation", "exports", "io", "merging", "plots", "simulation")
+ROOMS = (
+    *("core", "datasets", "evaluation", "exports", "io", "mapper", "merging"),
+    *("planes", "planes3d", "plots", "points", "segmentation", "simulation"),
+)
 """Packages imported on first access."""
 PLACES = {
     "MapperConfig": "core.config",

@@ -151,7 +151,8 @@ def test_mappers_of_nothing_are_saved(tmp_path: Path) -> None:
 def test_rooms_are_there_without_an_import_of_their_own(child_env: dict[str, str]) -> None:
     code = (
         "import sys, relmap; assert 'relmap.simulation' not in sys.modules;"
-        "print(relmap.simulation.simulate_figure_eight, relmap.datasets.open_log, dir(relmap))"
+        "print(relmap.simulation.simulate_figure_eight, relmap.datasets.open_log, dir(relmap));"
+        "print([getattr(relmap, name) for name in dir(relmap)])"
     )
     run = [sys.executable, "-c", code]
     told = subprocess.run(run, env=child_env, capture_output=True, text=True, check=True).stdout
