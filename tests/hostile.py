@@ -25,10 +25,11 @@ from relmap.comparison.sweep_spec import read_spec
 from relmap.core.arrays import Floats
 from relmap.datasets import open_log, open_scans, read_relations
 from relmap.evaluation import evaluate as evaluation
-from relmap.evaluation.truth import read_truth
+from relmap.evaluation.truth import read_space_truth, read_truth
 from relmap.io.results import json_text
 from relmap.mapper import Mapper
 from relmap.planes.files import PlaneResult, read_any
+from relmap.planes3d.files import read_result3d
 from tests import bagfiles
 from tests.logs import PLAIN, TREES
 from tests.scanlogs import CLOUD, CORRECTED, GRAPH, LASER, packed_pcd, pcd, ply
@@ -118,6 +119,15 @@ WALLS = (
     "status,corner0,corner1\n0,0,0,4,0,0,2,0,1,0,corner,open,12,0,11,static,0,-1\n"
     "1,4,0,4,3,0,2,-1,0,0,corner,corner,12,0,11,static,1,2\n"
 )
+SURFACES = (
+    "plane,nx,ny,nz,offset,x,y,z,sd,area_m2,observations,first_iteration,last_iteration,status,"
+    "submap,outline\n0,0,0,1,0,1,1,0,0.01,4,9,0,8,static,0,0 0 0;2 0 0;2 2 0;0 2 0\n"
+    "1,1,0,0,0,0,1,1,0.01,4,9,0,8,static,0,0 0 0;0 2 0;0 2 2;0 0 2\n"
+)
+FACES = (
+    "face,plane,x0,y0,z0,x1,y1,z1,x2,y2,z2,x3,y3,z3,seen_m2\n"
+    "0,0,0,0,0,2,0,0,2,2,0,0,2,0,4\n1,1,0,0,0,0,2,0,0,2,2,0,0,2,3\n"
+)
 SWEEP = (
     'world = ["figure-eight"]\nseed = "0:2"\niterations = [20, 30]\ndensity = 25.0\n'
     'sigma = [0.0, 0.05]\nmethod = ["relmap-points"]\nassociation = ["known"]\n'
@@ -159,6 +169,10 @@ def _evaluate(folder: Path) -> None:
     with chdir(folder):
         log = None if walls else find_log(result, truth, None)
     json_text(evaluation.evaluate(result, known, log).as_dict())
+
+
+def _evaluate_space(folder: Path) -> None:
+    evaluation.evaluate(read_result3d(folder), read_space_truth(folder / "truth"))
 
 
 def _log(name: str, form: str | None = None) -> Callable[[Path], object]:
@@ -215,6 +229,24 @@ def _paths() -> dict[str, Reader]:
     for name, content in paths.items():
         path = {"a": content.encode(), "times.txt": b"0.5\n1.5\n"}
         found[f"truth-{name}"] = Reader(path, "a", lambda f: read_truth(f / "a"))
+    return found
+
+
+def _results(mapped: Files) -> dict[str, Reader]:
+    """Return the readers of results and truths."""
+    found = {}
+    for name in ("landmarks.csv", "tracks.csv.gz", "trajectory.tum", "summary.json"):
+        found[f"result-{name}"] = Reader(mapped, name, _evaluate)
+    for name in ("truth/landmarks.csv", "truth/trajectory.tum"):
+        found[name] = Reader(mapped, name, _evaluate)
+    walls = mapped | dict.fromkeys(("planes.csv", "truth/planes.csv"), WALLS.encode())
+    for name in ("planes.csv", "truth/planes.csv", "trajectory.tum"):
+        found[f"walls-{name}"] = Reader(walls, name, _evaluate)
+    space = mapped | {"planes.csv": SURFACES.encode(), "truth/faces.csv": FACES.encode()}
+    for name in ("planes.csv", "truth/faces.csv"):
+        found[f"space-{name}"] = Reader(space, name, _evaluate_space)
+    for name in ("planes.csv", "truth/planes.csv"):
+        found[f"drawn-{name}"] = Reader(walls, name, lambda f: evaluate_folder(f, f / "truth"))
     return found
 
 
@@ -280,13 +312,4 @@ def readers() -> dict[str, Reader]:
         found[f"mrclam-{name}"] = Reader(robots, name, read)
     for name in ("store_beaconsTrue.mat", "store_robotTrue.mat"):
         found[f"slsjf-sim-{name}"] = Reader(beacons, name, read_truth)
-    for name in ("landmarks.csv", "tracks.csv.gz", "trajectory.tum", "summary.json"):
-        found[f"result-{name}"] = Reader(mapped, name, _evaluate)
-    for name in ("truth/landmarks.csv", "truth/trajectory.tum"):
-        found[name] = Reader(mapped, name, _evaluate)
-    walls = mapped | dict.fromkeys(("planes.csv", "truth/planes.csv"), WALLS.encode())
-    for name in ("planes.csv", "truth/planes.csv", "trajectory.tum"):
-        found[f"walls-{name}"] = Reader(walls, name, _evaluate)
-    for name in ("planes.csv", "truth/planes.csv"):
-        found[f"drawn-{name}"] = Reader(walls, name, lambda f: evaluate_folder(f, f / "truth"))
-    return found
+    return found | _results(mapped)

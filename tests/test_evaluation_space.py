@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from relmap.core.arrays import Floats
 from relmap.evaluation.space import Faces, doubled_area, judge_planes
+from relmap.evaluation.truth import read_space_truth
 from relmap.planes3d.table import Plane3dTable
+from tests.hostile import FACES, TUM
 
 SQUARE = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
 
@@ -73,3 +77,17 @@ def test_doubled_area_counts_planes_on_one_another() -> None:
 
 def test_without_faces_only_doubled_area_is_known() -> None:
     assert judge_planes(table(([0, 0, 0], 1.0)), None, POSES, POSES) == {"doubled_area": 0}
+
+
+def test_a_plane_that_is_long_and_thin_has_few_points() -> None:
+    one = table(([0.0, 0, 0], 1.0))
+    one.outline[0] = np.array([[0.0, 0, 0], [1e12, 0, 0], [1e12, 1e-9, 0]])
+    assert doubled_area(one) == 0.0
+
+
+def test_true_planes_may_have_any_numbers(tmp_path: Path) -> None:
+    (tmp_path / "trajectory.tum").write_text(TUM)
+    (tmp_path / "faces.csv").write_text(FACES.replace("\n1,1,", f"\n1,{2**63 - 1},"))
+    found = read_space_truth(tmp_path).faces
+    assert found is not None
+    assert found.plane.tolist() == [0, 1]

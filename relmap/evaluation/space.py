@@ -113,7 +113,8 @@ def surface_points(table: Plane3dTable, k: int) -> Floats:
     axes = _along(table.normal[k])
     flat = (outline - table.centre[k]) @ axes.T
     size = np.ptp(flat, axis=0)
-    step = max(SAMPLE_M, float(np.sqrt(size.prod() / MOST_SAMPLES)))
+    most = max(np.sqrt(size.prod() / MOST_SAMPLES), size.max() / MOST_SAMPLES)
+    step = max(SAMPLE_M, float(most))
     x, y = (np.arange(axis.min() + step / 2, axis.max(), step) for axis in flat.T)
     grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     grid = grid[_within(grid, flat)]

@@ -210,7 +210,8 @@ def _read_faces(path: Path) -> Faces:
     if len(table["plane"]) and table["plane"].min() < 0:
         raise RelmapError(f"{shown(path)}: a plane has a number below 0")
     corners = np.column_stack([table[name] for name in places]).reshape(-1, 4, 3)
-    return Faces(table["plane"], corners, table["seen_m2"])
+    plane = np.unique(table["plane"], return_inverse=True)[1]  # they may be of any size
+    return Faces(plane, corners, table["seen_m2"])
 
 
 def _read_path(path: Path) -> Truth:
