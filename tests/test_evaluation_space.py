@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 
 from relmap.core.arrays import Floats
+from relmap.core.errors import RelmapError
 from relmap.evaluation.space import Faces, doubled_area, judge_planes
 from relmap.evaluation.truth import read_space_truth
+from relmap.planes3d.files import read_result3d
 from relmap.planes3d.table import Plane3dTable
-from tests.hostile import FACES, TUM
+from tests.hostile import FACES, SURFACES, TUM
 
 SQUARE = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
 
@@ -91,3 +93,9 @@ def test_true_planes_may_have_any_numbers(tmp_path: Path) -> None:
     found = read_space_truth(tmp_path).faces
     assert found is not None
     assert found.plane.tolist() == [0, 1]
+
+
+def test_a_static_plane_without_a_centre_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "planes.csv").write_text(SURFACES.replace(",0,1,1,0.01", ",0,,1,0.01"))
+    with pytest.raises(RelmapError, match="plane 1 is static, but its field y is empty"):
+        read_result3d(tmp_path)

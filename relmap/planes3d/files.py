@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.errors import RelmapError
 from relmap.io.files import atomic_write
 from relmap.io.results import MAP_PLY, Result, read_result
 from relmap.io.tables import Kind, csv_text, read_table
@@ -88,6 +89,11 @@ def read_result3d(folder: Path) -> Plane3dResult:
         If a file is missing or invalid.
     """
     table = read_table(folder / PLANES, COLUMNS)
+    for name in (*_NORMAL, "offset", *_CENTRE, "area_m2"):
+        empty = np.flatnonzero((table["status"] == "static") & np.isnan(table[name]))
+        if len(empty):
+            which = f"plane {table['plane'][empty[0]]} is static, but its field {name} is empty"
+            raise RelmapError(f"{folder / PLANES}: {which}")
     normal, centre = (
         np.column_stack([table.pop(name) for name in names]) for names in (_NORMAL, _CENTRE)
     )
