@@ -30,7 +30,7 @@ FEWEST_VOXELS = 4
 """Minimum number of voxels of a plane."""
 REGROWN, REFITS = 6, 2
 """Maximum number of refits of a plane while it grows, and number of refits to its points."""
-SCALES = (1.0, 2.5)
+SCALES = (1.0, 2.5, 5.0)
 """Sizes of voxels: larger ones find noisy or sparse planes in the points that are left."""
 ALIKE = 1.5
 """Two planes are the same if the root mean square distance of the points of each from their common
@@ -228,37 +228,59 @@ def _means(points: Floats, label: Ints, number: Ints) -> Floats:
 
 def _grown(voxels: Voxels, flat: Bools, sigma: Floats) -> Ints:
     """Return the plane (v,) of each voxel, -1 for none."""
-    from relmap.segmentation.space.growing_kernels import grow
-
-    n = len(flat)
-    label, queue = np.full(n, -1), np.empty(n, dtype=np.int64)
     toward = -np.sign((voxels.normal * voxels.centre).sum(axis=1))
     normal = voxels.normal * toward[:, None]
+    planes = np.column_stack([normal, (normal * voxels.centre).sum(axis=1)])
     may = flat & (voxels.thickness < REACH * sigma)
     points = np.maximum(voxels.moments[:, 0], 1)
     reach = REACH * sigma * np.sqrt(1 / points + 0.25)
-    region = 0
     # The flattest first, relative to the noise.
-    for seed in np.flatnonzero(may)[np.argsort((voxels.thickness / sigma)[may], kind="stable")]:
-        if label[seed] >= 0:
+    seeds = np.flatnonzero(may)[np.argsort((voxels.thickness / sigma)[may], kind="stable")]
+    label, found, grown = _regions(seeds, planes[seeds], voxels, normal, may.copy(), reach)
+    # Then the largest first: a bent part of a plane that grew before it is taken back.
+    order = np.argsort(-np.bincount(label[label >= 0], minlength=len(found)), kind="stable")
+    seeds = np.concatenate([found[order], seeds])
+    planes = np.concatenate([grown[order], planes[seeds[len(found) :]]])
+    return _regions(seeds, planes, voxels, normal, may, reach)[0]
+
+
+def _regions(
+    seeds: Ints, planes: Floats, voxels: Voxels, normal: Floats, may: Bools, reach: Floats
+) -> tuple[Ints, Ints, Floats]:
+    """Grow planes (s, 4) from seeds (s,) in this order, over voxels that may belong to one.
+
+    Returns
+    -------
+    label : (v,) int64
+        The region of each voxel, -1 for none.
+    seeds : (r,) int64, planes : (r, 4) float64
+        Of the regions.
+    """
+    from relmap.segmentation.space.growing_kernels import grow
+
+    label, queue = np.full(len(may), -1), np.empty(len(may), dtype=np.int64)
+    found: list[int] = []
+    fitted: list[Floats] = []
+    for seed, plane in zip(seeds.tolist(), planes, strict=True):
+        if label[seed] >= 0 or not may[seed]:
             continue
-        plane = np.append(normal[seed], [normal[seed] @ voxels.centre[seed], TURN])
-        size, mine = 0, queue[:0]
+        size, mine, plane = 0, queue[:0], np.append(plane, TURN)
         for _ in range(REGROWN):
             label[mine] = -1
             rest = voxels.around, voxels.centre, normal, may, label, queue
-            found = grow(int(seed), region, plane, reach, *rest)
-            mine = queue[:found].copy()
-            if found <= 1.1 * size or found < FEWEST_VOXELS:
+            count = grow(seed, len(found), plane, reach, *rest)
+            mine = queue[:count].copy()
+            if count <= 1.1 * size or count < FEWEST_VOXELS:
                 break
-            size = found
+            size = count
             plane[:4] = _planes(voxels.moments[mine].sum(axis=0)[None])[0]
-        if found < FEWEST_VOXELS:
+        if count < FEWEST_VOXELS:
             label[mine] = -1
             may[seed] = False
         else:
-            region += 1
-    return label
+            found.append(seed)
+            fitted.append(plane[:4])
+    return label, np.array(found, dtype=np.int64), np.array(fitted).reshape(-1, 4)
 
 
 def _joined(sums: Floats, noise: Floats) -> Ints:

@@ -12,7 +12,7 @@ from relmap.core.scan import TINY
 
 FEWEST = 6
 """Minimum number of points of a voxel that define a plane."""
-FLAT, WIDE = 0.08, 0.1
+FLAT, WIDE = 0.12, 0.1
 """Of a flat voxel: largest thickness of its points over four times their width, and least width by
 the size of the voxel. Noise is estimated, and planes grow, from flat voxels."""
 QUANTILE = 0.7
