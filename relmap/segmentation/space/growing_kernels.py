@@ -83,6 +83,7 @@ def label_points(
     of: Ints,
     sigma: Floats,
     gate: float,
+    grazing: float,
     around: Ints,
     voxel_label: Ints,
     planes: Floats,
@@ -94,6 +95,7 @@ def label_points(
     """
     for i in range(len(points)):
         v, best, nearest = of[i], -1, gate * sigma[i]
+        range_m = (points[i, 0] ** 2 + points[i, 1] ** 2 + points[i, 2] ** 2) ** 0.5
         for k in range(-1, around.shape[1]):
             w = v if k < 0 else around[v, k]
             if w < 0 or voxel_label[w] < 0:
@@ -103,7 +105,8 @@ def label_points(
                 off = -planes[g, 3]
                 for a in range(3):
                     off += planes[g, a] * points[i, a]
-                if abs(off) < nearest:
+                steep = max(abs(off + planes[g, 3]) / range_m, grazing)
+                if abs(off) < min(nearest, gate * sigma[i] * steep):
                     best, nearest = g, abs(off)
             if k < 0:
                 break

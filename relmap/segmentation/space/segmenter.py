@@ -15,6 +15,7 @@ from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.core.scan import checked_points
 from relmap.segmentation.space.patches import Patches, no_patches, reach_of
+from relmap.segmentation.space import voxels as V
 from relmap.segmentation.space.voxels import Voxels, cells_of, moments_of, principal, voxels_of
 
 VOXEL = 0.04
@@ -150,6 +151,7 @@ class PatchSegmenter:
         flat = voxels.flat
         noise = voxels.noise(flat)
         noise_m, sigma = np.interp(range_m, *noise), np.interp(voxels.range_m, *noise)
+        sigma = sigma * voxels.steepness
         label = _grown(voxels, flat, sigma)
         mine, number = label >= 0, voxels.moments[:, 0]
         sums = _sums(voxels.moments, label)
@@ -160,13 +162,15 @@ class PatchSegmenter:
         for _ in range(REFITS):
             if not len(planes):
                 break
-            around = voxels.of, noise_m, GATE, voxels.around
+            around = voxels.of, noise_m, GATE, V.GRAZING, voxels.around
             label_points(points, *around, label, planes, found)
             keep = np.bincount(found + 1, minlength=len(planes) + 1)[1:] >= self.min_points
             name = np.append(np.where(keep, np.cumsum(keep) - 1, -1), -1)
             label, found = name[label], name[found]
             planes = _planes(moments_of(points, found, int(keep.sum()), noise_m**-2))
-        return found, noise_m, label
+        along = np.abs((points * planes[found, :3]).sum(axis=1)) / range_m if len(planes) else 1.0
+        across = np.where(found >= 0, np.maximum(along, V.GRAZING), 1.0)
+        return found, noise_m * across, label
 
     def _condense(self, points: Floats, cells: Floats, cell_of: Ints, size_m: float) -> None:
         """Join planes that are the same, and set `labels_` and `patches_`, most points first."""

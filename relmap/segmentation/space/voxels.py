@@ -22,6 +22,8 @@ BINS = 8
 """Number of ranges at which the noise is estimated."""
 ROUNDING = 1e-6
 """Noise below this fraction of the range is rounding, as of float32."""
+GRAZING = 0.3
+"""Least fraction of the noise along a ray that is across a plane: directions have errors, too."""
 NEAR = 0.1
 """Voxels have the same size below this fraction of the median range."""
 AROUND = np.array([a for a in itertools.product((-1, 0, 1), repeat=3) if any(a)])
@@ -63,9 +65,15 @@ class Voxels:
         enough = (self.moments[:, 0] >= FEWEST) & (self.width > WIDE * self.size_m)
         return np.asarray(enough & (self.thickness < FLAT * 4 * self.width))
 
+    @property
+    def steepness(self) -> Floats:
+        """How much of an error along the ray is across the plane of each voxel (v,)."""
+        along = np.abs((self.normal * self.centre).sum(axis=1))
+        return np.asarray(np.maximum(along / np.maximum(self.range_m, TINY), GRAZING))
+
     def noise(self, flat: Bools) -> tuple[Floats, Floats]:
-        """Return ranges and the noise across planes at these, ascending; both (b,), metres."""
-        range_m, thick = self.range_m[flat], self.thickness[flat]
+        """Return ranges and the noise along rays at these, ascending; both (b,), metres."""
+        range_m, thick = self.range_m[flat], self.thickness[flat] / self.steepness[flat]
         if not len(range_m):
             return np.ones(1), np.ones(1)
         order = np.argsort(range_m)
