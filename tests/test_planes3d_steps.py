@@ -110,6 +110,6 @@ def test_landmarks_that_cover_the_same_surface_are_joined(
 ) -> None:
     sides = wall(1, 4.0), wall(2, 3.0)
     here, there = patches(wall(0, 3.0), *sides), patches(wall(0, 3.014, span), *sides)
-    part, name = refined(part_of((here, [0, 1, 2]), (there, [9, 1, 2])))
+    part, name = refined(part_of((here, [0, 1, 2]), (there, [9, 1, 2])), 10)
     assert name == ({9: 0} if joined else {})
     assert len(part) == (3 if joined else 4)

@@ -35,8 +35,8 @@ def true_planes(world: Storey, k: int) -> Floats:
     return np.column_stack([(normal @ R) * sign[:, None], offset * sign])
 
 
-def squares(points: Floats, normal: Floats, offset: float) -> float:
-    return float(((points @ normal - offset) ** 2).sum())
+def squares(points: Floats, weight: Floats, normal: Floats, offset: float) -> float:
+    return float(weight @ (points @ normal - offset) ** 2)
 
 
 def condensed_squares(patches: Patches, k: int, normal: Floats, offset: float) -> float:
@@ -89,14 +89,15 @@ def test_condensed_scatter_gives_the_squares_of_the_points() -> None:
     patches = segmenter.patches_
     assert len(patches) == 1
     mine = points[segmenter.labels_ == 0]
-    noise = np.full(len(mine), squares(mine, patches.normal[0], patches.offset[0]) / len(mine))
-    # Points at one range have one weight, but for what their ranges differ.
-    best = squares(mine, patches.normal[0], patches.offset[0]) / noise[0]
+    # The noise gives the weights, and the thickness their scale.
+    weight = segmenter.noise_m_[segmenter.labels_ == 0] ** -2
+    weight *= len(mine) / squares(mine, weight, patches.normal[0], patches.offset[0])
+    best = float(len(mine))
     for tilt in ([0.02, 0.0, 0.0], [0.0, 0.0, -0.03]):
         normal = patches.normal[0] + tilt
         normal /= np.linalg.norm(normal)
         offset = patches.offset[0] + 0.004
-        direct = squares(mine, normal, offset) / noise[0]
+        direct = squares(mine, weight, normal, offset)
         assert condensed_squares(patches, 0, normal, offset) == pytest.approx(
             direct - best, rel=0.1
         )

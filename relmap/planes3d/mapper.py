@@ -143,12 +143,14 @@ class Plane3dMapper:
         """Adjust planes and poses of each submap to all observations by least squares.
 
         Landmarks that are one surface are joined; `landmarks_of` gives their current numbers.
+        Points on no plane form further landmarks where those of several scans lie on one.
         Uncertain steps are found again, see `weak_links`.
         """
         with self._guard.change():
             for k, part in enumerate(self._parts):
                 if len(part.iteration) > 1:
-                    self._parts[k], name = refined(part)
+                    self._parts[k], name = refined(part, self._n_planes)
+                    self._n_planes = max(self._n_planes, int(self._parts[k].number.max()) + 1)
                     self._rename(name)
             self._name_unsure()
 

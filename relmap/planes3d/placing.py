@@ -31,8 +31,8 @@ LEAST = 0.35
 """Minimum fraction of the scan's surfaces on surfaces of the map, of an accepted placement."""
 RIVAL, RIVAL_LESS_ONE = 0.9, 0.6
 """A rival is a placement that explains at least this fraction of what the best one does; the second
-value holds if at most `FEW` planes match and the rival misses one of them, which may be new or
-match by chance: three planes at right angles match any others."""
+value holds if at most `FEW` planes match, or if the best one is a leap, and the rival misses one of
+them, which may be new or match by chance: three planes at right angles match any others."""
 FEW = 4
 APART_RAD, APART = np.deg2rad(8.0), 0.05
 """Tolerance of placements that are the same: rotation, and translation over the range."""
@@ -115,13 +115,16 @@ def place(
     best.sort(key=lambda each: -each.share)
     if not best or best[0].share < LEAST:
         return None
-    rivals = _distinct([other for other in best if _rivals(other, best[0])], seen)
+    leap = LEAP * seen.reach_m
+    # In a room that looks the same from two sides a leap may explain a scan better by chance.
+    doubtful = last is not None and _step(best[0], last, seen) > leap
+    rivals = _distinct([other for other in best if _rivals(other, best[0], doubtful)], seen)
     if last is None:
         return best[0] if len(rivals) == 1 else None
     rivals.sort(key=lambda each: _step(each, last, seen))
     sure = [each for each in rivals if not each.is_held]
     chosen, *others = sure or rivals
-    step, leap = _step(chosen, last, seen), LEAP * seen.reach_m
+    step = _step(chosen, last, seen)
     # Constant motion is accepted if everything else is a leap.
     if step > leap and CLEARLY * step > _step(rivals[0], last, seen):
         return rivals[0]
@@ -131,9 +134,10 @@ def place(
     return None if others and step > CLEARLY * _step(others[0], last, seen) else chosen
 
 
-def _rivals(other: Placed, best: Placed) -> bool:
-    """Return whether a placement is a rival of the best one."""
-    less = best.n_planes <= FEW and other.n_planes >= best.n_planes - 1
+def _rivals(other: Placed, best: Placed, doubtful: bool) -> bool:
+    """Return whether a placement is a rival of the best one, which may be doubtful."""
+    doubtful = doubtful or best.n_planes <= FEW
+    less = doubtful and other.n_planes >= best.n_planes - 1
     return other.share > (RIVAL_LESS_ONE if less else RIVAL) * best.share
 
 

@@ -15,6 +15,7 @@ from relmap.planes3d.fitting import (
     distances,
     overlapping,
 )
+from relmap.planes3d.gathering import gathered
 from relmap.planes3d.steps import step_covariances
 from relmap.planes3d.submap import Submap
 
@@ -31,8 +32,14 @@ BENT, COVERED = 0.003, 0.5
 of one surface lies at the other: a sensor does not see through either."""
 
 
-def refined(part: Submap) -> tuple[Submap, dict[int, int]]:
+def refined(part: Submap, number: int) -> tuple[Submap, dict[int, int]]:
     """Return a submap adjusted to all its observations by least squares.
+
+    Parameters
+    ----------
+    part : Submap
+    number : int
+        Of the first of the landmarks that are found in the points of all scans together.
 
     Returns
     -------
@@ -48,7 +55,8 @@ def refined(part: Submap) -> tuple[Submap, dict[int, int]]:
             break
         part = part.again(part.poses, doubles)
         names = {old: doubles.get(new, new) for old, new in names.items()} | doubles
-    return part, names
+    more = gathered(part, number)
+    return _adjusted(more) if more else part, names
 
 
 def unsure_steps(part: Submap) -> dict[int, Floats]:

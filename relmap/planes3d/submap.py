@@ -11,6 +11,8 @@ from relmap.segmentation.space import Patches
 from relmap.segmentation.space.patches import reach_of
 
 Pose = tuple[Floats, Floats]
+MOST_LOOSE = 20
+"""Maximum number of points on no plane that are kept in a cube of half a cell of the map."""
 NOWHERE, NOTHING = np.empty((0, 3)), np.empty(0, dtype=np.int64)
 
 
@@ -63,6 +65,7 @@ class Submap:
         self._cell_of = np.empty(0, dtype=np.int64)
         self._untransformed: list[tuple[Floats, Ints]] = []
         self._known: set[tuple[int, ...]] = set()
+        self._loose: dict[tuple[int, ...], int] = {}
 
     def __len__(self) -> int:
         """Return the number of landmarks."""
@@ -96,7 +99,8 @@ class Submap:
         self._untransformed.append((seen.cells[fresh], seen.cell_patch[fresh]))
         self.iteration.append(iteration)
         self.poses.append(pose)
-        self.seen.append(replace(seen, cells=NOWHERE, cell_patch=NOTHING))
+        loose = seen.loose[self._sparse(seen.loose @ R.T + t, seen.cell_m)]
+        self.seen.append(replace(seen, cells=NOWHERE, cell_patch=NOTHING, loose=loose))
         self.match.append(match)
 
     def scan(self, k: int) -> Patches:
@@ -115,6 +119,17 @@ class Submap:
         self._cells = np.concatenate([self._cells, cells[fresh]])
         self._cell_of = np.append(self._cell_of, of[fresh])
         return fresh
+
+    def _sparse(self, points: Floats, cell_m: float) -> list[int]:
+        """Return which points (n, 3) on no plane lie in cells of the map with few such points."""
+        few = []
+        keys = np.floor(2 * points / cell_m).astype(np.int64)
+        for row, key in enumerate(map(tuple, keys.tolist())):
+            count = self._loose.get(key, 0)
+            if count < MOST_LOOSE:
+                self._loose[key] = count + 1
+                few.append(row)
+        return few
 
     @property
     def trajectory(self) -> Floats:
@@ -164,9 +179,13 @@ class Submap:
             numbers = self.number[self.match[k]].tolist()
             renamed = np.array([name.get(number, number) for number in numbers], dtype=np.int64)
             part.add(iteration, self.scan(k), poses[k], renamed)
-        part.weak, part.held, part.share = dict(self.weak), set(self.held), self.share
-        part.unsure = dict(self.unsure)
+        part.take_over(self)
         return part
+
+    def take_over(self, other: Submap) -> None:
+        """Copy what is known of the steps of another submap of the same scans."""
+        self.weak, self.held, self.share = dict(other.weak), set(other.held), other.share
+        self.unsure = dict(other.unsure)
 
     def joined(self, other: Submap, pose: Pose, name: dict[int, int]) -> Submap:
         """Return the submap and another as one, in the frame of the first scan of both.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -39,6 +39,8 @@ class Patches:
         Size of the voxels.
     reach_m : float
         Median distance of the cells from the origin.
+    loose : (k, 3) float64, metres
+        Points on no plane, thinned.
     """
 
     centre: Floats
@@ -50,6 +52,7 @@ class Patches:
     cell_patch: Ints
     cell_m: float
     reach_m: float
+    loose: Floats = field(default_factory=lambda: np.empty((0, 3)))
 
     def __len__(self) -> int:
         """Return the number of patches."""

@@ -8,6 +8,8 @@ and planes are fitted to their points with a noise that grows with the range.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -15,8 +17,14 @@ from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.core.scan import checked_points
 from relmap.segmentation.space.patches import Patches, no_patches, reach_of
-from relmap.segmentation.space import voxels as V
-from relmap.segmentation.space.voxels import Voxels, cells_of, moments_of, principal, voxels_of
+from relmap.segmentation.space.voxels import (
+    GRAZING,
+    Voxels,
+    cells_of,
+    moments_of,
+    principal,
+    voxels_of,
+)
 
 VOXEL = 0.04
 """Size of a voxel, as a fraction of the median range."""
@@ -33,6 +41,8 @@ REGROWN, REFITS = 6, 2
 """Maximum number of refits of a plane while it grows, and number of refits to its points."""
 SCALES = (1.0, 2.5, 5.0)
 """Sizes of voxels: larger ones find noisy or sparse planes in the points that are left."""
+THIN = 1 / 3
+"""Of the points on no plane one is kept in each voxel of this size, as a fraction of the usual."""
 ALIKE = 1.5
 """Two planes are the same if the root mean square distance of the points of each from their common
 plane is at most this multiple of the noise."""
@@ -105,12 +115,10 @@ class PatchSegmenter:
         range_m = np.linalg.norm(points, axis=1)
         self.labels_, self.noise_m_ = np.full(len(points), -1), np.ones(len(points))
         self.patches_ = no_patches(1.0)
-        left, middle_m = (
-            np.flatnonzero(range_m > 0),
-            float(np.median(range_m) if len(range_m) else 0.0),
-        )
+        left = np.flatnonzero(range_m > 0)
         if len(left) < self.min_points:
             return self
+        middle_m = float(np.median(range_m))
         cells, of = [np.empty((0, 3))], [np.empty(0, dtype=np.int64)]
         size_m, keys, of_points = self._cells(points[left], range_m[left], middle_m)
         for scale in SCALES:
@@ -129,6 +137,9 @@ class PatchSegmenter:
             if len(left) < self.min_points:
                 break
         self._condense(points, np.concatenate(cells), np.concatenate(of), size_m)
+        of_points = cells_of(points[left], range_m[left], THIN * size_m, middle_m)[1]
+        loose = points[left[np.unique(of_points, return_index=True)[1]]]
+        self.patches_ = replace(self.patches_, loose=loose)
         return self
 
     def _cells(self, points: Floats, range_m: Floats, middle_m: float) -> tuple[float, Ints, Ints]:
@@ -152,7 +163,7 @@ class PatchSegmenter:
         noise = voxels.noise(flat)
         noise_m, sigma = np.interp(range_m, *noise), np.interp(voxels.range_m, *noise)
         sigma = sigma * voxels.steepness
-        label = _grown(voxels, flat, sigma)
+        label = grown(voxels, flat, sigma)
         mine, number = label >= 0, voxels.moments[:, 0]
         sums = _sums(voxels.moments, label)
         square = np.bincount(label[mine], (sigma**2 * number)[mine], len(sums))
@@ -162,14 +173,14 @@ class PatchSegmenter:
         for _ in range(REFITS):
             if not len(planes):
                 break
-            around = voxels.of, noise_m, GATE, V.GRAZING, voxels.around
+            around = voxels.of, noise_m, GATE, GRAZING, voxels.around
             label_points(points, *around, label, planes, found)
             keep = np.bincount(found + 1, minlength=len(planes) + 1)[1:] >= self.min_points
             name = np.append(np.where(keep, np.cumsum(keep) - 1, -1), -1)
             label, found = name[label], name[found]
             planes = _planes(moments_of(points, found, int(keep.sum()), noise_m**-2))
         along = np.abs((points * planes[found, :3]).sum(axis=1)) / range_m if len(planes) else 1.0
-        across = np.where(found >= 0, np.maximum(along, V.GRAZING), 1.0)
+        across = np.where(found >= 0, np.maximum(along, GRAZING), 1.0)
         return found, noise_m * across, label
 
     def _condense(self, points: Floats, cells: Floats, cell_of: Ints, size_m: float) -> None:
@@ -230,8 +241,17 @@ def _means(points: Floats, label: Ints, number: Ints) -> Floats:
     return np.column_stack(sums) / number[:, None]
 
 
-def _grown(voxels: Voxels, flat: Bools, sigma: Floats) -> Ints:
-    """Return the plane (v,) of each voxel, -1 for none."""
+def grown(voxels: Voxels, flat: Bools, sigma: Floats) -> Ints:
+    """Return the plane (v,) of each voxel, -1 for none.
+
+    Parameters
+    ----------
+    voxels : Voxels
+    flat : (v,) bool
+        Voxels that may belong to a plane.
+    sigma : (v,) float64, metres
+        Noise of their points across planes.
+    """
     toward = -np.sign((voxels.normal * voxels.centre).sum(axis=1))
     normal = voxels.normal * toward[:, None]
     planes = np.column_stack([normal, (normal * voxels.centre).sum(axis=1)])

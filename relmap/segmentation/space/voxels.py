@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -67,7 +67,7 @@ class Voxels:
 
     @property
     def steepness(self) -> Floats:
-        """How much of an error along the ray is across the plane of each voxel (v,)."""
+        """Fraction of an error along the ray that is across the plane of each voxel (v,)."""
         along = np.abs((self.normal * self.centre).sum(axis=1))
         return np.asarray(np.maximum(along / np.maximum(self.range_m, TINY), GRAZING))
 
@@ -111,6 +111,13 @@ def voxels_of(points: Floats, keys: Ints, of: Ints, size_m: float, middle_m: flo
     away = np.linalg.norm(centre, axis=1)
     size = size_m * np.sqrt(np.maximum(away / middle_m, NEAR))
     return Voxels(of, around, moments, centre, axes[:, 0], thickness, width, away, size)
+
+
+def uniform_voxels(points: Floats, size_m: float) -> Voxels:
+    """Return voxels of one size of points (n, 3) in any frame."""
+    keys, of = cells_of(points, np.ones(len(points)), size_m, 1.0)
+    voxels = voxels_of(points, keys, of, size_m, 1.0)
+    return replace(voxels, size_m=np.full(len(keys), size_m))
 
 
 def moments_of(points: Floats, of: Ints, count: int, weight: Floats | None = None) -> Floats:
