@@ -115,12 +115,14 @@ def place(
     best.sort(key=lambda each: -each.share)
     if not best or best[0].share < LEAST:
         return None
-    leap = LEAP * seen.reach_m
-    # In a room that looks the same from two sides a leap may explain a scan better by chance.
-    doubtful = last is not None and _step(best[0], last, seen) > leap
-    rivals = _distinct([other for other in best if _rivals(other, best[0], doubtful)], seen)
+    first, leap = best[0], LEAP * seen.reach_m
+    if last is not None and _step(first, last, seen) > leap:
+        # In a room that looks the same from two sides a leap may explain a scan better by chance.
+        near = [other for other in best if _step(other, last, seen) <= leap]
+        first = next((other for other in near if _rivals(other, first, True)), first)
+    rivals = _distinct([other for other in best if _rivals(other, first)], seen)
     if last is None:
-        return best[0] if len(rivals) == 1 else None
+        return first if len(rivals) == 1 else None
     rivals.sort(key=lambda each: _step(each, last, seen))
     sure = [each for each in rivals if not each.is_held]
     chosen, *others = sure or rivals
@@ -134,9 +136,9 @@ def place(
     return None if others and step > CLEARLY * _step(others[0], last, seen) else chosen
 
 
-def _rivals(other: Placed, best: Placed, doubtful: bool) -> bool:
-    """Return whether a placement is a rival of the best one, which may be doubtful."""
-    doubtful = doubtful or best.n_planes <= FEW
+def _rivals(other: Placed, best: Placed, is_leap: bool = False) -> bool:
+    """Return whether a placement is a rival of the best one."""
+    doubtful = is_leap or best.n_planes <= FEW
     less = doubtful and other.n_planes >= best.n_planes - 1
     return other.share > (RIVAL_LESS_ONE if less else RIVAL) * best.share
 
