@@ -38,7 +38,7 @@ APART_RAD, APART = np.deg2rad(8.0), 0.05
 """Tolerance of placements that are the same: rotation, and translation over the range."""
 CLOSE, SETTLES = 0.3, 0.85
 """A hypothesis this close to a placement, as a fraction of `APART`, is not fitted if the placement
-explains at least the second value."""
+explains at least the second value. So must a leap: else the sensor may rather be in a new place."""
 CLEARLY = 0.5
 """The step to the chosen placement is at most this fraction of the step to any other rival."""
 LEAP = 1.0
@@ -120,6 +120,8 @@ def place(
         # In a room that looks the same from two sides a leap may explain a scan better by chance.
         near = [other for other in best if _step(other, last, seen) <= leap]
         first = next((other for other in near if _rivals(other, first, True)), first)
+        if first is best[0] and first.share < SETTLES:
+            return None
     rivals = _distinct([other for other in best if _rivals(other, first)], seen)
     if last is None:
         return first if len(rivals) == 1 else None
