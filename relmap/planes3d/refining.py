@@ -19,7 +19,7 @@ from relmap.planes3d.gathering import gathered
 from relmap.planes3d.steps import step_covariances
 from relmap.planes3d.submap import Submap
 
-ROUNDS = 4
+ROUNDS = 10
 """Maximum number of rounds of adjusting and joining."""
 SURE, UNUSUAL = 3.0, 2.5
 """Standard deviations within which a step is known, and how many times the median is unusual."""
