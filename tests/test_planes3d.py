@@ -11,6 +11,7 @@ import pytest
 from relmap import Plane3dMapper, RelmapError
 from relmap.core.arrays import Floats
 from relmap.evaluation import metrics
+from relmap.evaluation.space import Faces, judge_planes
 from relmap.planes3d.adjustment import PlaneAdjustment, Scene
 from relmap.planes3d.files import COLUMNS
 from relmap.planes3d.refining import sightings
@@ -249,3 +250,40 @@ def test_standing_still_takes_no_more_cells() -> None:
     assert counts[0] > 300
     # A few on the border of two squares.
     assert sum(counts[1:]) < 0.1 * counts[0]
+
+
+def test_planes_that_no_scan_shows_by_itself_are_found() -> None:
+    world = simulate_storey("lidar", 0.01, 20)
+    mapper = mapped(world.scans)
+    faces = Faces(world.plane_of, world.corners, world.seen_m2)
+
+    def found() -> dict[str, float | None]:
+        return judge_planes(mapper.planes, faces, mapper.trajectory, world.trajectory)
+
+    before = found()["plane_recall"]
+    mapper.refine()
+    after = found()
+    assert before is not None
+    assert before < 0.9
+    assert after["plane_recall"] == 1.0
+    assert after["plane_precision"] == 1.0
+    again = len(mapper.planes)
+    mapper.refine()
+    assert len(mapper.planes) == again
+
+
+def test_half_a_turn_in_the_next_room_is_not_accepted() -> None:
+    world = simulate_storey("lidar", 0.01, 8)
+    mapper = mapped(world.scans)
+    for part in mapper.submaps:
+        truth = from_first(world.trajectory[part.iteration])
+        assert np.abs(part.trajectory - part.trajectory[0] @ truth).max() < 0.02
+
+
+def test_noise_of_a_depth_camera_leaves_its_walls_whole() -> None:
+    world = simulate_storey("depth", 0.02, 1)
+    segmenter = PatchSegmenter().fit(world.scans[0])
+    plane = world.plane_of[world.faces[0]]
+    for wall in np.flatnonzero(np.bincount(plane) > 2500):
+        labels = segmenter.labels_[plane == wall]
+        assert np.bincount(labels + 1)[1:].max() > 0.85 * len(labels)

@@ -16,7 +16,7 @@ from relmap.planes3d.adjustment import across
 from relmap.planes3d.fitting import Surfaces
 from relmap.planes3d.submap import Submap
 from relmap.segmentation.space import Patches
-from relmap.segmentation.space.segmenter import grown
+from relmap.segmentation.space.growing import grown
 from relmap.segmentation.space.voxels import ROUNDING, moments_of, principal, uniform_voxels
 
 SIZES = (0.5, 1.0)
@@ -45,7 +45,11 @@ def gathered(part: Submap, number: int) -> Submap | None:
     Submap or None
         None if there are none.
     """
-    planes = part.all_planes()
+    sights = np.bincount(np.concatenate([np.unique(match) for match in part.match]))
+    # A plane that only one scan shows by itself is gathered, too, and joined afterwards.
+    planes = part.planes(np.flatnonzero(sights > 1))
+    if not len(planes):
+        return None
     own = [part.seen[k].loose for k in range(len(part.poses))]
     scan = np.repeat(np.arange(len(own)), [len(each) for each in own])
     points = np.concatenate([x @ R.T + t for x, (R, t) in zip(own, part.poses, strict=True)])

@@ -56,7 +56,12 @@ def refined(part: Submap, number: int) -> tuple[Submap, dict[int, int]]:
         part = part.again(part.poses, doubles)
         names = {old: doubles.get(new, new) for old, new in names.items()} | doubles
     more = gathered(part, number)
-    return _adjusted(more) if more else part, names
+    if more is None:
+        return part, names
+    part = _adjusted(more)
+    doubles = _doubles(part)
+    names = {old: doubles.get(new, new) for old, new in names.items()} | doubles
+    return part.again(part.poses, doubles), names
 
 
 def unsure_steps(part: Submap) -> dict[int, Floats]:

@@ -3,7 +3,7 @@
 Flat voxels are seeds. A plane grows over connected voxels that lie on it and is refitted as it
 grows (Poppinga et al., IROS 2008; Feng et al., ICRA 2014). Planes that are the same within the
 noise are joined. Each point is then assigned to the nearest plane in its voxel or its neighbours,
-and planes are fitted to their points with a noise that grows with the range.
+and planes are fitted to their points with a noise along the rays that grows with the range.
 """
 
 from __future__ import annotations
@@ -13,9 +13,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.core.scan import checked_points
+from relmap.segmentation.space.growing import grown, joined, moments_by, planes_of
 from relmap.segmentation.space.patches import Patches, no_patches, reach_of
 from relmap.segmentation.space.voxels import (
     GRAZING,
@@ -28,24 +29,14 @@ from relmap.segmentation.space.voxels import (
 
 VOXEL = 0.04
 """Size of a voxel, as a fraction of the median range."""
-PARALLEL = np.cos(np.deg2rad(5.0))
-"""Tolerance of the normals of planes that are the same (cosine)."""
-TURN = np.cos(np.deg2rad(25.0))
-"""Tolerance of the normal of a voxel (cosine): it is inaccurate if it has few points."""
-REACH, GATE = 3.0, 3.0
-"""Largest distance of the centres of voxels, and of points, from their plane, in standard
-deviations."""
-FEWEST_VOXELS = 4
-"""Minimum number of voxels of a plane."""
-REGROWN, REFITS = 6, 2
-"""Maximum number of refits of a plane while it grows, and number of refits to its points."""
+GATE = 3.0
+"""Largest distance of points from their plane, in standard deviations."""
+REFITS = 2
+"""Number of refits of the planes to their points."""
 SCALES = (1.0, 2.5, 5.0)
 """Sizes of voxels: larger ones find noisy or sparse planes in the points that are left."""
 THIN = 1 / 3
 """Of the points on no plane one is kept in each voxel of this size, as a fraction of the usual."""
-ALIKE = 1.5
-"""Two planes are the same if the root mean square distance of the points of each from their common
-plane is at most this multiple of the noise."""
 SPARSE, COARSER, COARSEST = 30, 1.5, 0.2
 """If voxels have fewer points in the median they are enlarged by this factor, up to a fraction of
 the median range."""
@@ -165,10 +156,10 @@ class PatchSegmenter:
         sigma = sigma * voxels.steepness
         label = grown(voxels, flat, sigma)
         mine, number = label >= 0, voxels.moments[:, 0]
-        sums = _sums(voxels.moments, label)
+        sums = moments_by(voxels.moments, label)
         square = np.bincount(label[mine], (sigma**2 * number)[mine], len(sums))
-        label = _joined(sums, square / np.maximum(sums[:, 0], 1))[label]
-        planes = _planes(_sums(voxels.moments, label))
+        label = joined(sums, square / np.maximum(sums[:, 0], 1))[label]
+        planes = planes_of(moments_by(voxels.moments, label))
         found = np.full(len(points), -1)
         for _ in range(REFITS):
             if not len(planes):
@@ -178,7 +169,7 @@ class PatchSegmenter:
             keep = np.bincount(found + 1, minlength=len(planes) + 1)[1:] >= self.min_points
             name = np.append(np.where(keep, np.cumsum(keep) - 1, -1), -1)
             label, found = name[label], name[found]
-            planes = _planes(moments_of(points, found, int(keep.sum()), noise_m**-2))
+            planes = planes_of(moments_of(points, found, int(keep.sum()), noise_m**-2))
         along = np.abs((points * planes[found, :3]).sum(axis=1)) / range_m if len(planes) else 1.0
         across = np.where(found >= 0, np.maximum(along, GRAZING), 1.0)
         return found, noise_m * across, label
@@ -189,7 +180,7 @@ class PatchSegmenter:
         mine = self.labels_ >= 0
         sums = moments_of(points, self.labels_, count)
         square = np.bincount(self.labels_[mine], self.noise_m_[mine] ** 2, count)
-        own = _joined(sums, square / np.maximum(sums[:, 0], 1))
+        own = joined(sums, square / np.maximum(sums[:, 0], 1))
         number = np.bincount(own[self.labels_[mine]], minlength=count)
         order = np.argsort(-number, kind="stable")
         order = order[number[order] > 0][: self.most]
@@ -219,135 +210,10 @@ class PatchSegmenter:
         )
 
 
-def _sums(moments: Floats, label: Ints) -> Floats:
-    """Return the moments (m, 10) of planes, the sums of those of their voxels."""
-    sums = np.zeros((int(label.max(initial=-1)) + 1, moments.shape[1]))
-    np.add.at(sums, label[label >= 0], moments[label >= 0])
-    return sums
-
-
-def _planes(moments: Floats) -> Floats:
-    """Return normals that point to the sensor, and offsets: (m, 4)."""
-    centre, _, axes = principal(moments)
-    normal = axes[:, 0]
-    offset = (normal * centre).sum(axis=1)
-    sign = np.where(offset > 0, -1.0, 1.0)
-    return np.column_stack([normal * sign[:, None], offset * sign])
-
-
 def _means(points: Floats, label: Ints, number: Ints) -> Floats:
     mine = label >= 0
     sums = [np.bincount(label[mine], column[mine], len(number)) for column in points.T]
     return np.column_stack(sums) / number[:, None]
-
-
-def grown(voxels: Voxels, flat: Bools, sigma: Floats) -> Ints:
-    """Return the plane (v,) of each voxel, -1 for none.
-
-    Parameters
-    ----------
-    voxels : Voxels
-    flat : (v,) bool
-        Voxels that may belong to a plane.
-    sigma : (v,) float64, metres
-        Noise of their points across planes.
-    """
-    toward = -np.sign((voxels.normal * voxels.centre).sum(axis=1))
-    normal = voxels.normal * toward[:, None]
-    planes = np.column_stack([normal, (normal * voxels.centre).sum(axis=1)])
-    may = flat & (voxels.thickness < REACH * sigma)
-    points = np.maximum(voxels.moments[:, 0], 1)
-    reach = REACH * sigma * np.sqrt(1 / points + 0.25)
-    # The flattest first, relative to the noise.
-    seeds = np.flatnonzero(may)[np.argsort((voxels.thickness / sigma)[may], kind="stable")]
-    label, found, grown = _regions(seeds, planes[seeds], voxels, normal, may.copy(), reach)
-    # Then the largest first: a bent part of a plane that grew before it is taken back.
-    order = np.argsort(-np.bincount(label[label >= 0], minlength=len(found)), kind="stable")
-    seeds = np.concatenate([found[order], seeds])
-    planes = np.concatenate([grown[order], planes[seeds[len(found) :]]])
-    return _regions(seeds, planes, voxels, normal, may, reach)[0]
-
-
-def _regions(
-    seeds: Ints, planes: Floats, voxels: Voxels, normal: Floats, may: Bools, reach: Floats
-) -> tuple[Ints, Ints, Floats]:
-    """Grow planes (s, 4) from seeds (s,) in this order, over voxels that may belong to one.
-
-    Returns
-    -------
-    label : (v,) int64
-        The region of each voxel, -1 for none.
-    seeds : (r,) int64, planes : (r, 4) float64
-        Of the regions.
-    """
-    from relmap.segmentation.space.growing_kernels import grow
-
-    label, queue = np.full(len(may), -1), np.empty(len(may), dtype=np.int64)
-    found: list[int] = []
-    fitted: list[Floats] = []
-    for seed, plane in zip(seeds.tolist(), planes, strict=True):
-        if label[seed] >= 0 or not may[seed]:
-            continue
-        size, mine, plane = 0, queue[:0], np.append(plane, TURN)
-        for _ in range(REGROWN):
-            label[mine] = -1
-            rest = voxels.around, voxels.centre, normal, may, label, queue
-            count = grow(seed, len(found), plane, reach, *rest)
-            mine = queue[:count].copy()
-            if count <= 1.1 * size or count < FEWEST_VOXELS:
-                break
-            size = count
-            plane[:4] = _planes(voxels.moments[mine].sum(axis=0)[None])[0]
-        if count < FEWEST_VOXELS:
-            label[mine] = -1
-            may[seed] = False
-        else:
-            found.append(seed)
-            fitted.append(plane[:4])
-    return label, np.array(found, dtype=np.int64), np.array(fitted).reshape(-1, 4)
-
-
-def _joined(sums: Floats, noise: Floats) -> Ints:
-    """Return the number (m + 1,) of each plane after joining the same ones; the last is -1.
-
-    Parameters
-    ----------
-    sums : (m, 10) float64
-        Moments of their points; changed.
-    noise : (m,) float64
-        Mean square of the noise of each plane; changed.
-    """
-    own = np.arange(len(sums))
-    for a, b in _alike(sums, noise).tolist():
-        a, b = own[a], own[b]
-        if a == b:
-            continue
-        pair = sums[[a, b]]
-        plane = _planes(pair.sum(axis=0)[None])[0]
-        thin = np.maximum(noise[[a, b]], ALIKE**-2 * principal(pair)[1][:, 0])
-        if (_square_off(pair, plane) < ALIKE**2 * thin).all():
-            a, b = min(a, b), max(a, b)
-            own[own == b] = a
-            noise[a] = (noise[[a, b]] * sums[[a, b], 0]).sum() / sums[[a, b], 0].sum()
-            sums[a] += sums[b]
-    return np.append(np.unique(own, return_inverse=True)[1], -1)
-
-
-def _square_off(moments: Floats, plane: Floats) -> Floats:
-    """Return the mean square distance (m,) of points, known by their moments, from a plane."""
-    x, y, z, d = plane
-    products = np.array([x * x, 2 * x * y, 2 * x * z, y * y, 2 * y * z, z * z])
-    ahead = moments[:, 1:4] @ plane[:3]
-    return np.asarray((moments[:, 4:] @ products - 2 * d * ahead) / moments[:, 0] + d * d)
-
-
-def _alike(sums: Floats, noise: Floats) -> Ints:
-    """Return the pairs (p, 2) of planes that may be the same, those with most points first."""
-    planes, centre = _planes(sums), sums[:, 1:4] / sums[:, :1]
-    off = np.abs(centre @ planes[:, :3].T - planes[:, 3])
-    near = off < REACH * np.sqrt(noise[:, None] + noise)
-    pairs = np.argwhere(np.triu((planes[:, :3] @ planes[:, :3].T > PARALLEL) & near & near.T, 1))
-    return pairs[np.argsort(-sums[pairs, 0].sum(axis=1), kind="stable")]
 
 
 def _cells(cells: Floats, of: Ints, centre: Floats, normal: Floats) -> tuple[Floats, Ints]:
