@@ -17,8 +17,8 @@ prints one table in markdown; DATA is a folder of the real data sets.  Settings 
   ms       median times of the segmentation and of the placement of a scan; `last` is the time of
            `finish` and `refine`, seconds
 
-With ``--peers`` KISS-ICP and small_gicp (``relmap[peers]``) get the clouds of the logs themselves; the
-last columns are their ATE in metres and their time, ms a scan.
+With ``--peers`` KISS-ICP and small_gicp (``relmap[peers]``) get the clouds of the logs themselves;
+the last columns are their ATE in metres and their time, ms a scan.
 """
 
 from __future__ import annotations

@@ -91,12 +91,12 @@ def test_path_is_that_of_the_truth(storey: Path, capsys: pytest.CaptureFixture[s
 
 
 def test_scans_and_voxel(storey: Path, tmp_path: Path) -> None:
-    arguments = ["--variant", "planes3d", "--scans", "3:6", "--voxel", "0.3", "--no-refine"]
+    arguments = ["--variant", "planes3d", "--scans", "6:9", "--voxel", "0.3", "--no-refine"]
     run_relmap("map", storey / "world", "-o", tmp_path / "part", *arguments)
     summary = json.loads((tmp_path / "part" / "summary.json").read_text())
     assert summary["configuration"]["voxel_m"] == 0.3
-    assert summary["scans"] == [3, 6]
-    assert read_tum(tmp_path / "part" / "trajectory.tum")[0].tolist() == [3, 4, 5]
+    assert summary["scans"] == [6, 9]
+    assert read_tum(tmp_path / "part" / "trajectory.tum")[0].tolist() == [6, 7, 8]
 
 
 @pytest.mark.parametrize(

@@ -12,11 +12,11 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.scan import TINY
-from relmap.planes3d.adjustment import across
+from relmap.planes3d.adjustment import NORMAL, across
 from relmap.planes3d.fitting import Surfaces
 from relmap.planes3d.submap import Submap
 from relmap.segmentation.space import Patches
-from relmap.segmentation.space.growing import grown
+from relmap.segmentation.space.growing import grown, planes_of
 from relmap.segmentation.space.voxels import ROUNDING, moments_of, principal, uniform_voxels
 
 SIZES = (0.5, 1.0)
@@ -24,6 +24,9 @@ SIZES = (0.5, 1.0)
 KNOWN_CELLS, KNOWN_SD, PIECE_SD = 1.5, 3.0, 6.0
 """Points within so many cells of the surface of a plane, and so many standard deviations, belong to
 it. Planes with half of their points within the last value are its noise."""
+TRIMMED, TRIM_SD = 12, 2.0
+"""Number of times that the points of a plane are chosen, within so many standard deviations: other
+points in its voxels would tilt it."""
 WIDE = 0.25
 """Minimum standard deviation of the points of a plane along its width, by the size of voxels."""
 FEWEST, FEWEST_SCANS = 24, 3
@@ -60,7 +63,7 @@ def gathered(part: Submap, number: int) -> Submap | None:
     for size in SIZES:
         size_m = size * planes.cell_m
         for mine in _regions_in(points[left], size_m, sigma):
-            rows = left[mine]
+            rows = left[mine[_on_plane(points[left[mine]])]]
             piece = np.bincount(of[rows][off[rows] < PIECE_SD]).max(initial=0) > len(rows) / 2
             if not piece and _is_plane(points[rows], scan[rows], size_m):
                 label[rows], count = count, count + 1
@@ -88,6 +91,18 @@ def _regions_in(points: Floats, size_m: float, sigma: float) -> list[Ints]:
     voxels = uniform_voxels(points, size_m)
     label = grown(voxels, voxels.flat, np.full(len(voxels.centre), sigma))[voxels.of]
     return [np.flatnonzero(label == k) for k in range(int(label.max(initial=-1)) + 1)]
+
+
+def _on_plane(points: Floats) -> Ints:
+    """Return the rows of points (n, 3) on the plane of most of them."""
+    rows = np.arange(len(points))
+    for _ in range(TRIMMED):
+        moments = moments_of(points[rows], np.zeros(len(rows), np.int64), 1)
+        plane = planes_of(moments)[0]
+        off = np.abs(points @ plane[:3] - plane[3])
+        usual = np.median(off) / NORMAL
+        rows = np.flatnonzero(off <= TRIM_SD * usual + ROUNDING * np.abs(points).max())
+    return rows
 
 
 def _is_plane(points: Floats, scan: Ints, size_m: float) -> bool:
