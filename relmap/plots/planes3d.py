@@ -53,9 +53,11 @@ def plot_planes3d(table: Plane3dTable, poses: Floats, weak: Ints) -> Figure:
     figure = blank(12.0, 6.0)
     low, high = limits_of(np.concatenate([*outlines, way]), way, 0.2)
     space: Any = figure.add_subplot(1, 2, 1, projection="3d")
-    space.add_collection3d(
-        Poly3DCollection(outlines, facecolors=colours, edgecolors="k", linewidths=0.3, alpha=0.45)
+    surfaces = Poly3DCollection(
+        outlines, facecolors=colours, edgecolors="k", linewidths=0.3, alpha=0.45
     )
+    # Its automatic limits would include uninitialised padding of outlines of different length.
+    space.add_collection(surfaces, autolim=False)
     space.plot(*way.T, color=BLUE, linewidth=1.5)
     space.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
     space.set_box_aspect(np.maximum(high - low, 1e-3))
