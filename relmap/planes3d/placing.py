@@ -38,7 +38,9 @@ APART_RAD, APART = np.deg2rad(8.0), 0.05
 """Tolerance of placements that are the same: rotation, and translation over the range."""
 CLOSE, SETTLES = 0.3, 0.85
 """A hypothesis this close to a placement, as a fraction of `APART`, is not fitted if the placement
-explains at least the second value. So must a leap: else the sensor may rather be in a new place."""
+explains at least the second value. So must a leap, unless more planes match than `BOX`: a room that
+is a box, with something in it, looks much the same after half a turn."""
+BOX = 8
 CLEARLY = 0.5
 """The step to the chosen placement is at most this fraction of the step to any other rival."""
 LEAP = 1.0
@@ -120,7 +122,7 @@ def place(
         # In a room that looks the same from two sides a leap may explain a scan better by chance.
         near = [other for other in best if _step(other, last, seen) <= leap]
         first = next((other for other in near if _rivals(other, first, True)), first)
-        if first is best[0] and first.share < SETTLES:
+        if first is best[0] and first.share < SETTLES and first.n_planes <= BOX:
             return None
     rivals = _distinct([other for other in best if _rivals(other, first)], seen)
     if last is None:
