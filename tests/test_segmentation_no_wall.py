@@ -42,7 +42,6 @@ def test_clutter_does_not_break_a_map() -> None:
     assert len(refined_errors_m(step_m=0.1, clutter=0.2, seed=2)) == 1
 
 
-@pytest.mark.xfail(strict=True, reason="0.023 m in one submap; 0.015 m in the worse of two before")
 def test_clutter_does_not_mislead_a_map() -> None:
     assert max(refined_errors_m(step_m=0.1, clutter=0.2, seed=2)) < 0.02
 

@@ -131,14 +131,14 @@ def worth(tracks: PlaneTracks, seen: PlaneObservation, recent: Bools) -> tuple[f
 
 
 def settled(
-    tracks: PlaneTracks, seen: PlaneObservation, guess: PlanarMotion
+    tracks: PlaneTracks, seen: PlaneObservation, guess: PlanarMotion, rounds: int = ROUNDS
 ) -> tuple[PlanarMotion, Match]:
     """Fit a motion to the walls that match, and match again."""
     from relmap.planes import matching_kernels
 
     start = np.array([guess.yaw, *guess.t])
     motion, track_of, score = matching_kernels.settled(
-        tracks.arrays, seen.arrays, start, ROUGHLY, ROUNDS, HELD, LEAST_M
+        tracks.arrays, seen.arrays, start, ROUGHLY, rounds, HELD, LEAST_M
     )
     walls = np.flatnonzero(track_of >= 0)
     return PlanarMotion(float(motion[0]), motion[1:]), Match(track_of[walls], walls, score)

@@ -25,7 +25,7 @@ from relmap.planes.judging import (
 from relmap.planes.motions import after, distinct, others, planar
 from relmap.planes.observation import PlaneObservation
 from relmap.planes.odometry import OTHERWISE, Expected
-from relmap.planes.placement import STILL, Match, PlanarMotion, settled, worth
+from relmap.planes.placement import ROUNDS, STILL, Match, PlanarMotion, settled, worth
 from relmap.planes.tracks import PlaneTracks, wrapped
 
 REACH_M = 3.5
@@ -57,7 +57,8 @@ CANDIDATES, WITHIN = 6, 8.0
 """Number of motions compared with those of other scans, and largest difference to the best, in log
 odds."""
 EXPLAINS = 0.05
-"""Fraction of points by which another motion must exceed the agreement of odometry."""
+"""Fraction of points by which another motion must exceed the agreement of odometry, and a usual one
+slid along a wall that of the motion fitted to walls."""
 CONTRADICTS = 0.1
 """Fraction of contradicting points above which odometry is rejected."""
 FREE_M, FREE = 0.3, 0.01
@@ -129,7 +130,7 @@ class Search:
         if not clear or not self._measured(every, best):
             every = every.and_those(self._judged(self._guesses()))
             for k in np.argsort(-every.evidence, kind="stable")[:SLID]:
-                every = every.and_those(self._judged(self._slid(every, k)))
+                every = every.and_those(self._slid(every, k))
             best = int(np.argmax(every.evidence))
         if every.evidence[best] < ACCEPTED:
             return None
@@ -184,7 +185,7 @@ class Search:
             return NO_CANDIDATES
         every = self._judged([self._before, STILL, *guesses, *self._guesses()])
         for k in np.argsort(-every.of_pair, kind="stable")[:SLID]:
-            every = every.and_those(self._judged(self._slid(every, k)))
+            every = every.and_those(self._slid(every, k))
         evidence = every.of_pair
         order = np.argsort(-evidence, kind="stable")
         order = order[np.isfinite(evidence[order]) & (evidence[order] > evidence.max() - WITHIN)]
@@ -248,21 +249,34 @@ class Search:
         """Return a motion slid along the longest wall that matches, and the agreement of beams."""
         motions = np.tile(judged.motions[k], (len(way_m), 1))
         motions[:, 1:] += way_m[:, None] * self._along(judged.matches[k])
-        sums = self._compared(self._views[:1], motions, SLIDE_NEAR_M, SLIDE_STEP)
-        in_view = np.maximum(sums[:, :3].sum(axis=1), 1.0)
-        return motions, (sums[:, 0] - SLIDE_CONTRADICTS * sums[:, 1]) / in_view
+        return motions, self._value(motions, SLIDE_STEP)
 
-    def _slid(self, judged: Judged, k: int) -> list[PlanarMotion]:
-        """Return a motion slid along the longest wall to the best agreement of beams."""
+    def _value(self, motions: Floats, step: int) -> Floats:
+        """Return the agreement of beams along walls for motions (k, 3)."""
+        sums = self._compared(self._views[:1], motions, SLIDE_NEAR_M, step)
+        in_view = np.maximum(sums[:, :3].sum(axis=1), 1.0)
+        return np.asarray((sums[:, 0] - SLIDE_CONTRADICTS * sums[:, 1]) / in_view)
+
+    def _slid(self, judged: Judged, k: int) -> Judged:
+        """Return a motion slid along the longest wall to the best agreement of beams.
+
+        With short steps, one near the usual motion with which beams agree clearly better is also
+        compared as it is: fitted to walls, a wrong corner may pull it back.
+        """
         if not len(judged.matches[k].walls):
-            return []
+            return self._judged([])
         n = int(REACH_M / SLIDE_M)
         way_m = SLIDE_M * np.arange(-n, n + 1.0)
         motions, value = self._slides(judged, k, way_m)
         inner = value[1:-1]
         peaks = 1 + np.flatnonzero((inner >= value[:-2]) & (inner > value[2:]))
         peaks = peaks[np.argsort(-value[peaks], kind="stable")][:PEAKS]
-        return [planar(motions[peak]) for peak in peaks if abs(way_m[peak]) > SLIDE_M / 2]
+        motions = motions[peaks[np.abs(way_m[peaks]) > SLIDE_M / 2]]
+        off_m, step_m = np.hypot(*(motions[:, 1:] - self._before.t).T), np.hypot(*self._before.t)
+        usual = motions[np.maximum(off_m, step_m) < FREE_M]
+        usual = usual[self._value(usual, 1) > self._value(judged.motions[k : k + 1], 1) + EXPLAINS]
+        slid = self._judged([planar(motion) for motion in motions])
+        return slid.and_those(self._judged([planar(motion) for motion in usual], 0))
 
     def _measured(self, judged: Judged, k: int) -> bool:
         """Return whether beams agree less if a motion is slid along the longest wall."""
@@ -271,10 +285,10 @@ class Search:
         value = self._slides(judged, k, FREE_M * np.array([-1.0, 0.0, 1.0]))[1]
         return bool(max(value[0], value[2]) < value[1] - FREE)
 
-    def _judged(self, guesses: Sequence[PlanarMotion]) -> Judged:
-        """Fit motions to the walls that match, and compare the beams."""
+    def _judged(self, guesses: Sequence[PlanarMotion], rounds: int = ROUNDS) -> Judged:
+        """Fit motions to the walls that match in some rounds, and compare the beams."""
         tracks, seen = self._tracks, self._seen
-        found = [settled(tracks, seen, guess) for guess in guesses]
+        found = [settled(tracks, seen, guess, rounds) for guess in guesses]
         motions = np.array([[motion.yaw, *motion.t] for motion, _ in found]).reshape(-1, 3)
         step = 1 + len(self._beams) // JUDGES
         sums = np.array([self._compared([view], motions, NEAR_M, step) for view in self._views])
