@@ -56,9 +56,11 @@ USUAL_M, USUAL_RAD = 1.5, np.deg2rad(45.0)
 CANDIDATES, WITHIN = 6, 8.0
 """Number of motions compared with those of other scans, and largest difference to the best, in log
 odds."""
+BETTER = 1.25
+"""Lead of a usual motion slid along a wall over the one fitted to walls, in points that agree, times
+the root of their number: three standard deviations where a tenth disagrees."""
 EXPLAINS = 0.05
-"""Fraction of points by which another motion must exceed the agreement of odometry, and a usual one
-slid along a wall that of the motion fitted to walls."""
+"""Fraction of points by which another motion must exceed the agreement of odometry."""
 CONTRADICTS = 0.1
 """Fraction of contradicting points above which odometry is rejected."""
 FREE_M, FREE = 0.3, 0.01
@@ -274,7 +276,8 @@ class Search:
         motions = motions[peaks[np.abs(way_m[peaks]) > SLIDE_M / 2]]
         off_m, step_m = np.hypot(*(motions[:, 1:] - self._before.t).T), np.hypot(*self._before.t)
         usual = motions[np.maximum(off_m, step_m) < FREE_M]
-        usual = usual[self._value(usual, 1) > self._value(judged.motions[k : k + 1], 1) + EXPLAINS]
+        lead = self._value(usual, 1) - self._value(judged.motions[k : k + 1], 1)
+        usual = usual[lead > BETTER / np.sqrt(len(self._beams))]
         slid = self._judged([planar(motion) for motion in motions])
         return slid.and_those(self._judged([planar(motion) for motion in usual], 0))
 
