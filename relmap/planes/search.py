@@ -57,8 +57,8 @@ CANDIDATES, WITHIN = 6, 8.0
 """Number of motions compared with those of other scans, and largest difference to the best, in log
 odds."""
 BETTER = 1.25
-"""Lead of a usual motion slid along a wall over the one fitted to walls, in points that agree, times
-the root of their number: three standard deviations where a tenth disagrees."""
+"""Lead of a usual motion slid along a wall over the one fitted to walls, as a fraction of points,
+times the root of their number: three standard deviations where a tenth disagrees."""
 EXPLAINS = 0.05
 """Fraction of points by which another motion must exceed the agreement of odometry."""
 CONTRADICTS = 0.1
