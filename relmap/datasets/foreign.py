@@ -72,7 +72,8 @@ def foreign_format(head: bytes) -> str | None:
 def foreign_at(path: Path) -> str | None:
     """Return the other format of a file, or of a folder's content; None if unknown."""
     if not os.path.isdir(path):
-        return _foreign_file(path)
+        found = _foreign_file(path)
+        return None if found and UTF16 in found else found  # readers of text name the line
     name, hallmark = _ROS2_FOLDER
     if hallmark in _head(path / name):
         return "a ROS 2 bag"
@@ -80,9 +81,9 @@ def foreign_at(path: Path) -> str | None:
         files = sorted(file for file in path.iterdir() if file.is_file())[:_MOST_FILES]
     except OSError:
         return None
-    found = [(file, kind) for file in files if (kind := _foreign_file(file))]
-    found.sort(key=lambda pair: UTF16 not in pair[1])  # the others may belong to it
-    return f"{found[0][0].name!a}, {found[0][1]}" if found else None
+    foreign = [(file, kind) for file in files if (kind := _foreign_file(file))]
+    foreign.sort(key=lambda pair: UTF16 not in pair[1])  # the others may belong to it
+    return f"{foreign[0][0].name!a}, {foreign[0][1]}" if foreign else None
 
 
 def _foreign_file(file: Path) -> str | None:
