@@ -79,7 +79,7 @@ def weighted_trimmed_fit(
 ) -> Placement | None:
     """Fit matches as `trimmed_fit` does, by least squares in the metric (n, d, d) of each."""
     from relmap.core.geometry.alignment import fit_rigid
-    from relmap.core.geometry.weighted_kernels import weighted_fit
+    from relmap.core.geometry.weighted_kernels import weighted_step
 
     d = source.shape[1]
     if len(source) < d:
@@ -87,7 +87,7 @@ def weighted_trimmed_fit(
     R, t = map(np.ascontiguousarray, fit_rigid(source, target))
     kept = np.ones(len(source), dtype=bool)
     for _ in range(TRIMMING_ROUNDS):
-        step_m = weighted_fit(source, target, metric, kept, R, t, 1)
+        step_m = weighted_step(source, target, metric, kept, R, t)
         misfit = np.linalg.norm(scaled(metric, target - source @ R.T - t), axis=1)
         before, kept = kept, misfit <= max(tolerance_m, 1.5 * middle(misfit[kept]))
         if kept.sum() < d:

@@ -110,7 +110,7 @@ class SoftMatching:
     def fitted(self, R: Floats, t: Floats) -> tuple[Placement, float]:
         """Return the most likely placement near one, and its log likelihood ratio."""
         from relmap.core.association.soft_kernels import soft_matches
-        from relmap.core.geometry.weighted_kernels import weighted_fit
+        from relmap.core.geometry.weighted_kernels import weighted_step
 
         d, R, t = self.source.shape[1], R.copy(), t.copy()
         share, metric, peak = self._blank()
@@ -129,7 +129,7 @@ class SoftMatching:
             weight = np.sqrt(share[i, j] / self.variance[i])[:, None, None]
             weighed = np.ascontiguousarray(metrics[j] * weight)
             used = np.ones(len(i), dtype=bool)
-            weighted_fit(self.source[i], self.target[j], weighed, used, R, t, 1)
+            weighted_step(self.source[i], self.target[j], weighed, used, R, t)
         return Placement(R, t, round(float(share.sum()))), score
 
     def misfit(self, placement: Placement) -> float:

@@ -13,44 +13,36 @@ HELD = 1e-9
 
 
 @compiled
-def weighted_fit(
-    source: Floats,
-    target: Floats,
-    metric: Floats,
-    rows: Bools,
-    R: Floats,
-    t: Floats,
-    rounds: int,
+def weighted_step(
+    source: Floats, target: Floats, metric: Floats, rows: Bools, R: Floats, t: Floats
 ) -> float:
-    """Improve a placement of some rows of matches (n, d) by Gauss-Newton steps, in place.
+    """Improve a placement of some rows of matches (n, d) by a Gauss-Newton step, in place.
 
-    Misfits count in the metric (n, d, d) of their targets.  Returns the length of the last step.
+    Misfits count in the metric (n, d, d) of their targets.  Returns the length of the step.
     """
     n, d = source.shape
     q = 3 * d - 3
     J, off, length = np.zeros((d, q)), np.empty(d), 0.0
     for a in range(d):
         J[a, q - d + a] = 1.0
-    for _ in range(rounds):
-        A, b = np.zeros((q, q)), np.zeros(q)
-        for i in range(n):
-            if rows[i]:
-                _enter(J, off, R, t, source[i], target[i])
-                _add(A, b, metric[i], J, off)
-        for a in range(q):
-            A[a, a] += HELD * A[a, a] + 1e-300
-        factorise(A)
-        solve(A, b)
-        turn = _turned(b, d)
-        R[:] = product(turn, R)
-        length = 0.0
-        for a in range(d):
-            off[a] = b[q - d + a]
-            for c in range(d):
-                off[a] += turn[a, c] * t[c]
-        for a in range(d):
-            length += (off[a] - t[a]) ** 2
-            t[a] = off[a]
+    A, b = np.zeros((q, q)), np.zeros(q)
+    for i in range(n):
+        if rows[i]:
+            _enter(J, off, R, t, source[i], target[i])
+            _add(A, b, metric[i], J, off)
+    for a in range(q):
+        A[a, a] += HELD * A[a, a] + 1e-300
+    factorise(A)
+    solve(A, b)
+    turn = _turned(b, d)
+    R[:] = product(turn, R)
+    for a in range(d):
+        off[a] = b[q - d + a]
+        for c in range(d):
+            off[a] += turn[a, c] * t[c]
+    for a in range(d):
+        length += (off[a] - t[a]) ** 2
+        t[a] = off[a]
     return float(np.sqrt(length))
 
 
