@@ -121,7 +121,9 @@ def _simulated(world: str, sigma: float, seed: int) -> Figures:
     began = process_time()
     mapper.refine()
     refine_ms = 1e3 * (process_time() - began) * 700 / len(log)
-    found = {"poses": mapper.trajectory, "stamps_s": log.stamps_s, "planes": mapper.planes}
+    known = np.isfinite(mapper.trajectory[:, 0, 0])
+    poses, stamps_s = mapper.trajectory[known], log.stamps_s[known]
+    found = {"poses": poses, "stamps_s": stamps_s, "planes": mapper.planes}
     refined = evaluate(replace(run.result, **found), truth)
     return Figures(
         chained.corner_rmse_m or np.nan,
