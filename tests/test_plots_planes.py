@@ -20,7 +20,6 @@ from relmap.figures.figure06 import PartialWall, longest, run_partial_wall
 from relmap.planes import PlaneMapper
 from relmap.planes.history import PlaneHistory
 from relmap.planes.observation import checked_planes
-from relmap.planes.stitching import weak_links
 from relmap.plots.bench import plot_bench, write_bench_gif
 from relmap.plots.bench_recorder import BenchFrame, BenchRecorder, frame_step
 from relmap.plots.path import fit_poses
@@ -222,15 +221,15 @@ def test_points_are_not_animated(refused: Check) -> None:
 
 def test_links_by_parallel_walls_alone_are_weak() -> None:
     still = [WALLS] * 3
-    assert weak_links(history_of(still, [["view"] * 2] * 2, [[-1, -1]] * 2)).tolist() == []
+    assert history_of(still, [["view"] * 2] * 2, [[-1, -1]] * 2).weak_links.tolist() == []
     alone = [WALLS[:1]] * 3
     cut = history_of(alone, [["view", "view"]], [[-1, -1]])
-    assert weak_links(cut).tolist() == [1, 2]
+    assert cut.weak_links.tolist() == [1, 2]
     with_corner = history_of(alone, [["view", "corner"]], [[-1, 7]])
-    assert weak_links(with_corner).tolist() == []
+    assert with_corner.weak_links.tolist() == []
     parallel = np.array([[[4.0, -2.0], [4.0, 2.0]], [[-4.0, 2.0], [-4.0, -2.0]]])
     both = history_of([parallel] * 2, [["view"] * 2] * 2, [[-1, -1]] * 2)
-    assert weak_links(both).tolist() == [1]
+    assert both.weak_links.tolist() == [1]
 
 
 def test_longest_run() -> None:

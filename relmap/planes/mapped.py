@@ -17,7 +17,6 @@ from relmap.planes.history import PlaneHistory
 from relmap.planes.refining import odometry_left_out, on_odometry
 from relmap.planes.registration import PlaneRegistration
 from relmap.planes.residuals import corner_covariances, refined_walls
-from relmap.planes.stitching import weak_links
 from relmap.planes.submaps import WallSubmap, among_all
 from relmap.planes.table import PlaneTable, corner_group, corner_map, corner_table, plane_table
 
@@ -150,7 +149,7 @@ class MappedWalls(Mapper):
     @property
     def weak_links(self) -> Ints:
         """Iterations (k,) whose motion since the previous one is not fully determined."""
-        return weak_links(self.history)
+        return self.history.weak_links
 
     @property
     def odometry(self) -> OdometryUse | None:

@@ -17,7 +17,6 @@ from relmap.planes.history import PlaneHistory
 from relmap.planes.refined_map import refined_map
 from relmap.planes.scan_links import ScanLinks
 from relmap.planes.steps import Steps, steps_of
-from relmap.planes.stitching import weak_links
 from relmap.planes.submaps import WallSubmap
 
 
@@ -85,7 +84,7 @@ def on_odometry(links: ScanLinks, history: PlaneHistory) -> Bools:
     There, walls do not determine the motion in all directions.
     """
     weak = np.zeros(history.n_iterations, dtype=np.bool_)
-    weak[weak_links(history)] = True
+    weak[history.weak_links] = True
     same = (np.diff(history.submap, prepend=-1) == 0) & (history.submap >= 0)
     known = np.isfinite(links.wheels.given.over(history.n_iterations)[:, 0, 0])
     known &= links.wheels.noise_over_all(links.motions, links.measured) is not None

@@ -12,9 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from relmap.core.arrays import Bools, Floats, Ints
-from relmap.planes.history import PlaneHistory
-from relmap.planes.links import CROSSING, spread
+from relmap.core.arrays import Bools, Floats
 from relmap.planes.motions import matrices
 from relmap.planes.placement import LEVER_M
 
@@ -91,26 +89,3 @@ def _astray(poses: Floats, motions: Floats) -> Bools:
     off = np.linalg.inv(poses[:-1]) @ poses[1:] @ matrices(motions[1:])
     turn = np.abs(np.arctan2(off[:, 1, 0], off[:, 0, 0]))
     return np.asarray(np.hypot(off[:, 0, 3], off[:, 1, 3]) + LEVER_M * turn > ASTRAY_M)
-
-
-def weak_links(history: PlaneHistory) -> Ints:
-    """Return the iterations (k,) whose motion since the previous one relies on the motion model.
-
-    The two scans share no static corner and no two crossing walls; constant motion is assumed in
-    the undetermined direction. There is no link where a submap begins.
-    """
-    n = history.n_iterations
-    n_planes = int(history.plane.max(initial=-1)) + 1
-    key = history.iteration * n_planes + history.plane
-    order = np.argsort(key, kind="stable")
-    before = np.searchsorted(key[order], key - n_planes).clip(max=max(len(key) - 1, 0))
-    row = np.flatnonzero((history.iteration > 0) & (key[order][before] == key - n_planes))
-    other, iteration = order[before[row]], history.iteration[row]
-    corner = history.corner[row]
-    both = ((corner >= 0) & (corner == history.corner[other])).any(axis=1)
-    held = np.bincount(iteration[both], minlength=n) > 0
-    along = history.ends[row, 1] - history.ends[row, 0]
-    along /= np.linalg.norm(along, axis=1, keepdims=True)
-    weak = ~held & (spread(along, iteration, n) < CROSSING)
-    same = np.diff(history.submap) == 0
-    return np.flatnonzero(weak[1:] & same & (history.submap[1:] >= 0)) + 1

@@ -37,6 +37,10 @@ alignments of submaps, of eight logs and between buildings, right ones had at mo
 0.10 or more."""
 CROSSING_M = 3.0
 """Least length of overlapping wall that prevents sliding along the rest."""
+WALLS = 6
+"""Least number of walls that coincide: a bend of a bare corridor has four, and looks like any other
+bend. Of 27 alignments of submaps in ten logs and worlds, the four wrong ones had at most 4, 21 of
+the right ones at least 10 and two 4."""
 RIVAL = 0.5
 """Largest support of another alignment, as a share of the best."""
 
@@ -176,8 +180,10 @@ def unrivalled(part: MapPart, other: MapPart) -> SubmapTie | None:
     judged = [_judged(part, other, tie) for tie in ties]
     judged.sort(key=lambda each: -each.support_m)
     rival_m = judged[1].support_m if len(judged) > 1 else 0.0
-    unrivalled = judged[0].is_sure and rival_m <= RIVAL * judged[0].support_m
-    return judged[0] if unrivalled else None
+    best = judged[0]
+    if not best.is_sure or rival_m > RIVAL * best.support_m:
+        return None
+    return best if len(coinciding(other.ends, part.ends, best.tie)) >= WALLS else None
 
 
 def _crosses(tie: WallTie) -> bool:

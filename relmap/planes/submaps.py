@@ -12,7 +12,7 @@ from relmap.core.landmarks import Submap
 from relmap.planes.assembly import Assembled
 from relmap.planes.history import PlaneHistory
 from relmap.planes.links import disagreement, torn_links
-from relmap.planes.stitching import stitched, weak_links
+from relmap.planes.stitching import stitched
 from relmap.planes.table import corner_map
 
 
@@ -91,7 +91,7 @@ def chained_poses(paths: list[Floats], span: tuple[int, int], history: PlaneHist
 
 def torn_in(submaps: Sequence[WallSubmap], history: PlaneHistory) -> Ints:
     """Return the scans (t,) before which submaps deviate from the links between scans."""
-    torn, weak = [np.empty(0, dtype=np.int64)], weak_links(history)
+    torn, weak = [np.empty(0, dtype=np.int64)], history.weak_links
     for submap in submaps:
         begin, end = submap.span
         own = weak[(weak > begin) & (weak < end)] - begin
