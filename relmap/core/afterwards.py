@@ -23,7 +23,7 @@ from relmap.core.refinement.by_submap import refine_submaps
 from relmap.core.refinement.condensing import SegmentRows
 from relmap.core.refinement.extending import extend_submaps
 from relmap.core.refinement.misread import take_off_misread
-from relmap.core.revisiting import close_revisits, gather, merge_in_place
+from relmap.core.revisiting import close_revisits, gather, merge_doubles_in_place, merge_in_place
 from relmap.core.state.table import NONE
 from relmap.core.turns import group_or_found, last_pass, placed_first
 
@@ -78,14 +78,15 @@ def tie(engine: RelativeMapper) -> None:
     rows = rows_of_tracks(engine.rows, engine.table)
     merger.sightings = Sightings(rows, engine.table)
     for _ in tie_submaps(engine.map, noise_m):
-        merge_doubles(engine.table, merger, engine.merge, engine.averaging.noise.sigma_m)
+        merge_doubles(engine.table, merger, engine.merge, noise_m)
     if is_bridged(engine):
         close_revisits(engine)
         merge_in_place(engine)
+        merge_doubles_in_place(engine)
     else:
         _close_loops(engine, rows, noise_m)
-    if engine.refined:  # Before that, coinciding landmarks may be distinct.
-        merge_doubles(engine.table, merger, engine.merge, engine.averaging.noise.sigma_m)
+        if engine.refined:  # Before that, coinciding landmarks may be distinct.
+            merge_doubles(engine.table, merger, engine.merge, noise_m)
     merger.sightings = None
 
 

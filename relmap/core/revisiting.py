@@ -6,11 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from relmap.core.arrays import Ints
-from relmap.core.association.coinciding import lying_together, seen_with_both
+from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.association.coinciding import lying_together, neighbours_fit, seen_with_both
 from relmap.core.association.gathering import gathered
 from relmap.core.association.loops import TIED
-from relmap.core.association.revisits import RevisitFinder
+from relmap.core.association.merging import merge_doubles
+from relmap.core.association.revisits import TOLERANCE, RevisitFinder
 from relmap.core.association.scale import spacing_of
 from relmap.core.association.sightings import Sightings, rows_of_tracks
 from relmap.core.association.tying import CLEAR
@@ -18,8 +19,10 @@ from relmap.core.gaps import bridge_gaps
 from relmap.core.mapper import RelativeMapper
 from relmap.core.refinement.drift import Drift
 from relmap.core.refinement.resting import at_rest, by_landmark, placed_observations
-from relmap.core.state.table import LandmarkState
+from relmap.core.state.table import NONE, LandmarkState
 
+SURE = 3.0
+"""Standard deviations of the distance of two landmarks within which a neighbour may be."""
 ROUNDS = 10
 """Maximum number of searches for revisits: each that is closed reduces the drift of others."""
 
@@ -84,6 +87,68 @@ def merge_in_place(engine: RelativeMapper, at_last: bool = False) -> None:
         found = engine.merge_pairs(pairs[both >= TIED]) > 0
 
 
+def merge_doubles_in_place(engine: RelativeMapper) -> None:
+    """Merge landmarks that coincide, unless neighbours within the drift would fit as well."""
+    table, noise_m = engine.table, engine.averaging.noise.sigma_m
+    accuracy = _Accuracy(engine)
+
+    def merge(placed: Ints) -> int:
+        pairs = engine.merger.find(placed, table.highest_level[placed], noise_m)
+        if not len(pairs):
+            return 0
+        others = np.setdiff1d(np.flatnonzero(table.weight > 0), placed)
+        new, old = (table.position[of] for of in pairs.T)
+        reach_m = SURE * float(np.median(accuracy.sd_m(pairs)))
+        if neighbours_fit(new, old, table.position[others], reach_m, TOLERANCE * noise_m):
+            pairs = pairs[accuracy.suffices(pairs)]
+        return engine.merge_pairs(pairs)
+
+    if engine.refined:
+        merge_doubles(table, engine.merger, merge, noise_m)
+
+
+class _Accuracy:
+    """Whether landmarks that coincide are one: where the map has drifted, they may be neighbours.
+
+    Parameters
+    ----------
+    engine : RelativeMapper
+    seen_in : (m,) int64, optional
+        An iteration in which each landmark was seen: one that is not mapped is as accurate as the
+        pose, if that is in the largest part.
+    """
+
+    def __init__(self, engine: RelativeMapper, seen_in: Ints | None = None) -> None:
+        table, use = engine.table, engine.odometry
+        assert use is not None
+        self._needed_m = spacing_of(table.position[table.weight > 0]) / SURE
+        self._drift = use.drift
+        self._parts = []
+        for refined in engine.refined:
+            problem, d = refined.spread.problem, refined.positions.shape[1]
+            unknown = np.full((len(table), d), NONE)
+            if seen_in is not None and refined is engine.refined[-1]:
+                pose = np.cumsum(np.isfinite(use.poses[:, 0, 0])) - 1
+                unknown = problem.pose[pose[seen_in], -d:]
+            unknown[refined.landmarks] = problem.unknown
+            self._parts.append((Drift(problem, refined.spread.settled), unknown))
+
+    def suffices(self, pairs: Ints) -> Bools:
+        """Return for which pairs (k, 2) of landmarks the map is accurate enough; (k,)."""
+        return self.sd_m(pairs) <= self._needed_m
+
+    def sd_m(self, pairs: Ints) -> Floats:
+        """Return the standard deviations (k,) of the distance of landmarks (k, 2), metres.
+
+        Infinite for landmarks of different parts.
+        """
+        found = np.full(len(pairs), np.inf)
+        for drift, unknown in self._parts:
+            both = (unknown[pairs, 0] != NONE).all(axis=1)
+            found[both] = self._drift * drift.between(unknown[pairs[both]])
+        return found
+
+
 def gather(engine: RelativeMapper) -> None:
     """Merge all landmarks of one object, mapped or not, once the poses are final."""
     table, kept = engine.table, engine.kept
@@ -112,6 +177,9 @@ def gather(engine: RelativeMapper) -> None:
         oldest[became[one]] = one
     pairs = np.column_stack([own, oldest[whole]])
     pairs = pairs[known[whole] & (pairs[:, 0] != pairs[:, 1])]
+    seen_in = np.zeros(len(table), dtype=np.int64)
+    seen_in[own] = [iterations[len(iterations) // 2] for iterations in scans]
+    pairs = pairs[_Accuracy(engine, seen_in).suffices(pairs)]
     table.dynamic[pairs] = False
     table.take_off_map(np.unique(pairs))  # These have no position to average; they are solved for.
     engine.merge_pairs(pairs)

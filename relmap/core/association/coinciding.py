@@ -11,6 +11,7 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.association.base import nearest
 from relmap.core.association.revisits import TOLERANCE
 from relmap.core.refinement.condensing import LENGTH
+from relmap.core.scan import FARTHEST_M
 from relmap.core.state.table import NONE, LandmarkState
 
 APART = 2.5
@@ -19,6 +20,8 @@ SIGMAS, CLEAR_SIGMAS = 4.0, 10.0
 """Largest distance of one landmark mapped twice, and least of any other, in standard deviations."""
 NEIGHBOURS = 2.0
 """Largest distance of any other that counts, in spacings."""
+SHARE = 0.6
+"""Fraction of coinciding landmarks that may also coincide with others after a shift."""
 LEAST = 1e-9
 """Least variance relative to their sum."""
 
@@ -53,6 +56,33 @@ def lying_together(table: LandmarkState, noise_m: float) -> Ints:
     newer = (np.arange(n) != oldest) & ~crowded[place]
     pairs: Ints = np.column_stack([own, own[oldest]])[newer]
     return pairs
+
+
+def neighbours_fit(
+    new: Floats, old: Floats, others: Floats, reach_m: float, tolerance_m: float
+) -> bool:
+    """Return whether landmarks that coincide with older ones also fit neighbours of these.
+
+    Parameters
+    ----------
+    new, old : (k, d) float64, metres
+        Positions of both.
+    others : (m, d) float64, metres
+        Those of all older ones.
+    reach_m : float
+        Possible drift.
+    tolerance_m : float
+        Largest distance of landmarks that coincide.
+    """
+    tree = cKDTree(others)
+    for here, near in zip(old, tree.query_ball_point(old, min(reach_m, FARTHEST_M)), strict=True):
+        shifts = others[near] - here
+        shifts = shifts[np.linalg.norm(shifts, axis=1) > 2 * tolerance_m]
+        apart = nearest(tree, (new + shifts[:, None]).reshape(-1, new.shape[1]))[0]
+        fits = np.sum(apart.reshape(len(shifts), len(new)) <= tolerance_m, axis=1)
+        if (fits > SHARE * len(new)).any():
+            return True
+    return False
 
 
 def compatible(positions: Floats, covariances: Floats) -> Ints:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import islice
+from itertools import islice, pairwise, product
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -35,7 +35,7 @@ MOST = 40
 FARTHEST = 1.5, 4.0, 12.0
 """Largest drift, in standard deviations: each is tried if nothing is found within the one before.
 Errors of real sensors are correlated over time, so chains drift farther than with independent
-errors."""
+errors.  Rivals are searched for within the next one: a lattice has them farther away."""
 TOLERANCE = 5.0
 """Largest distance between the landmarks of a match, in standard deviations of an observation."""
 NEIGHBOUR, USUAL = 4, 3.67
@@ -44,6 +44,9 @@ the median of this distance (of a gamma distribution).  Nearer ones may be the s
 twice."""
 WIDER = 2.0
 """Factor on that distance before the map is refined with the matches."""
+COARSE = 0.125
+"""Distance tried next, relative to that of the neighbours: from one pose, more landmarks are known
+that well."""
 MOST_PAIRS = 800
 """Maximum number of candidate matches in space, the nearest."""
 FINE = 4.0
@@ -83,6 +86,10 @@ class Stretch:
     reach_m: Floats
     sd_m: Floats
     turn_rad: float
+
+    def pairs(self, matches: Ints) -> Ints:
+        """Return the landmarks (k, 2) of matches (k, 2)."""
+        return np.column_stack([self.new[matches[:, 0]], self.old[matches[:, 1]]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,16 +137,21 @@ class RevisitFinder:
 
     def revisits(self) -> list[Revisit]:
         """Return the revisits that are new, the most certain first, without conflicts."""
-        every = (self._within(sigmas) for sigmas in FARTHEST)
-        return next((found for found in every if found), [])
+        fine_m = self._tolerance_m
+        tolerances = sorted({fine_m, max(fine_m, COARSE * self._apart_m)})
+        for farthest, tolerance_m in product(pairwise((*FARTHEST, FARTHEST[-1])), tolerances):
+            self._tolerance_m = tolerance_m
+            found = self._within(*farthest)
+            if found:
+                return found
+        return []
 
-    def _within(self, sigmas: float) -> list[Revisit]:
-        """Return those with a drift of at most so many standard deviations."""
+    def _within(self, sigmas: float, wider: float) -> list[Revisit]:
+        """Return those with a drift of at most so many standard deviations, without rivals."""
         found: list[Revisit] = []
         n_poses = len(self._drift.state.t)
         for pose in range(STRIDE, n_poses + STRIDE - 1, STRIDE):
-            stretch = self._stretch(min(pose, n_poses - 1), sigmas)
-            revisit = self._revisit(stretch) if stretch is not None else None
+            revisit = self._revisit(min(pose, n_poses - 1), sigmas, wider)
             found += [] if revisit is None else [revisit]
         sure, taken = [], np.full(len(self._table), NONE)
         for revisit in sorted(found, key=lambda revisit: revisit.chance):
@@ -171,15 +183,18 @@ class RevisitFinder:
         turn_rad = float(sigmas * turn[old].max())
         return Stretch(pose, new, old, points, there, reach[near], sd_m[old], turn_rad)
 
-    def _revisit(self, stretch: Stretch) -> Revisit | None:
+    def _revisit(self, pose: int, sigmas: float, wider: float) -> Revisit | None:
         """Return the revisit of a stretch; None if there is none, or it is uncertain."""
-        places = _places(stretch, self._tolerance_m)
-        if not places or len(places[0][1]) < FEWEST:
+        stretch = self._stretch(pose, sigmas)
+        places = _places(stretch, self._tolerance_m) if stretch is not None else []
+        if stretch is None or not places or len(places[0][1]) < FEWEST:
             return None
         placement, matches = places[0]
         chance = self._chance(stretch, placement, matches)
         rival = max((_elsewhere(other, matches) for _, other in places[1:]), default=0)
         if chance > BY_CHANCE or rival > CLEAR * len(matches):
+            return None
+        if wider > sigmas and self._has_rival(pose, wider, stretch.pairs(matches)):
             return None
         off_m = np.linalg.norm(
             placement.apply(stretch.points[matches[:, 0]]) - stretch.there[matches[:, 1]], axis=1
@@ -188,17 +203,28 @@ class RevisitFinder:
         new, old = matches[off_m <= max(np.median(off_m), self._tolerance_m / WIDER)].T
         middle = stretch.points[new].mean(axis=0)
         drifted_m = float(np.linalg.norm(placement.apply(middle) - middle))
-        pairs = self._landmarks[np.column_stack([stretch.new[new], stretch.old[old]])]
+        pairs = self._landmarks[stretch.pairs(np.column_stack([new, old]))]
         return Revisit(pairs, chance, drifted_m / float(np.median(stretch.sd_m[old])))
+
+    def _has_rival(self, pose: int, sigmas: float, pairs: Ints) -> bool:
+        """Return whether other matches than these (k, 2) are nearly as many, beyond chance."""
+        stretch = self._stretch(pose, sigmas)
+        return stretch is not None and any(
+            _elsewhere(stretch.pairs(matches), pairs) > CLEAR * len(pairs)
+            and self._chance(stretch, placement, matches) <= 1
+            for placement, matches in _places(stretch, self._tolerance_m)
+        )
 
     def _chance(self, stretch: Stretch, placement: Placement, matches: Ints) -> float:
         """Return the expected number of placements with so many matches by chance, in the map.
 
         Many matches may be within the tolerance, or fewer within a smaller one.  Placements are
         those that can be distinguished within the drift, or in the plane those on which two matches
-        agree, whichever are fewer.
+        agree, whichever are fewer.  Only landmarks near older ones can match.
         """
         n, d = stretch.points.shape
+        nearest_m = nearest(cKDTree(stretch.there), placement.apply(stretch.points))[0][:, 0]
+        overlapping = int(np.sum(nearest_m <= max(self._apart_m, self._tolerance_m)))
         extent_m = float(np.linalg.norm(stretch.points - stretch.points.mean(0), axis=1).max())
         here, there = stretch.points[matches[:, 0]], stretch.there[matches[:, 1]]
         off_m = np.linalg.norm(placement.apply(here) - there, axis=1)
@@ -211,10 +237,10 @@ class RevisitFinder:
             trials *= max(1.0, FINE * turned_m / tolerance_m) ** (2 * d - 3)
             trials *= max(1.0, len(self._own) / n)
             agreeing = int(np.sum(off_m <= tolerance_m))
-            chance.append(trials * float(bdtrc(agreeing - 1, n, share)))
+            chance.append(trials * float(bdtrc(agreeing - 1, overlapping, share)))
             if d == 2:
                 pairs = _pairs_alike(stretch, tolerance_m) * max(1.0, len(self._own) / n)
-                chance.append(pairs * float(bdtrc(agreeing - 3, n - 2, share)))
+                chance.append(pairs * float(bdtrc(agreeing - 3, overlapping - 2, share)))
         return float(len(chance) * min(chance))
 
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 
-from relmap.core.arrays import Floats
+from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.motions import derivatives
 from relmap.core.refinement.chained import Chained, ChainProblem
 from relmap.core.refinement.settling import Settled
@@ -26,15 +28,37 @@ class Drift:
         self._problem, pattern = problem, problem.pattern
         self._factor = problem.equations(self.state, settled.weight, True, 0.0).matrix
         pattern.factorise(self._factor)
-        inverse = pattern.inverse(self._factor)
-        self._own = pattern.parts(inverse, problem.unknown)
-        turns = problem.pose[:, : problem.pose.shape[1] - self.state.t.shape[1]]
-        self._turns, self._own_turn = turns, pattern.parts(inverse, turns)
+        self._turns = problem.pose[:, : problem.pose.shape[1] - self.state.t.shape[1]]
         # Observations are sorted by time.
         chain, self.last = problem.chain, np.zeros(len(problem.unknown), dtype=np.int64)
         self.last[chain.landmark] = chain.iteration
         self.first = np.zeros_like(self.last)
         self.first[chain.landmark[::-1]] = chain.iteration[::-1]
+
+    @cached_property
+    def _own(self) -> tuple[Floats, Floats]:
+        """Covariances of landmarks (m, d, d) and of turns (k, q, q)."""
+        pattern = self._problem.pattern
+        inverse = pattern.inverse(self._factor)
+        return pattern.parts(inverse, self._problem.unknown), pattern.parts(inverse, self._turns)
+
+    def between(self, unknowns: Ints) -> Floats:
+        """Return the standard deviations (k,) of the distance of points that coincide, metres.
+
+        Parameters
+        ----------
+        unknowns : (k, 2, d) int64
+            The unknowns of two landmarks, or of the positions of two poses.
+        """
+        pattern, found = self._problem.pattern, np.zeros(len(unknowns))
+        for k, (one, other) in enumerate(unknowns):
+            columns = np.zeros((len(one), pattern.n_unknowns))
+            each = np.arange(len(one))
+            columns[each, one] += 1.0
+            columns[each, other] -= 1.0
+            solved = np.array([pattern.solve(self._factor, column) for column in columns])
+            found[k] = np.linalg.eigvalsh(solved @ columns.T)[-1]
+        return np.sqrt(found.clip(0))
 
     def from_pose(self, pose: int) -> tuple[Floats, Floats]:
         """Return the standard deviations (m,) of landmarks and of directions, from a pose.
@@ -52,10 +76,11 @@ class Drift:
         by_pose = -derivatives(state.positions - state.t[pose])
         of_pose, mixed = columns[own], columns[problem.unknown]
         across = by_pose @ np.swapaxes(mixed, 1, 2)
-        found = by_pose @ of_pose @ np.swapaxes(by_pose, 1, 2) + self._own
+        own, own_turn = self._own
+        found = by_pose @ of_pose @ np.swapaxes(by_pose, 1, 2) + own
         found = found + across + np.swapaxes(across, 1, 2)
         sd_m = np.sqrt(np.linalg.eigvalsh(found)[:, -1].clip(0))
         q = self._turns.shape[1]
         turned = columns[self._turns[self.last]][:, :, :q]
-        turn = of_pose[:q, :q] + self._own_turn[self.last] - turned - np.swapaxes(turned, 1, 2)
+        turn = of_pose[:q, :q] + own_turn[self.last] - turned - np.swapaxes(turned, 1, 2)
         return sd_m, np.sqrt(np.linalg.eigvalsh(turn)[:, -1].clip(0))
