@@ -194,7 +194,7 @@ class RevisitFinder:
         rival = max((_elsewhere(other, matches) for _, other in places[1:]), default=0)
         if chance > BY_CHANCE or rival > CLEAR * len(matches):
             return None
-        if wider > sigmas and self._has_rival(pose, wider, stretch.pairs(matches)):
+        if wider > sigmas and self._has_rival(pose, wider, stretch.pairs(matches), chance):
             return None
         off_m = np.linalg.norm(
             placement.apply(stretch.points[matches[:, 0]]) - stretch.there[matches[:, 1]], axis=1
@@ -206,12 +206,12 @@ class RevisitFinder:
         pairs = self._landmarks[stretch.pairs(np.column_stack([new, old]))]
         return Revisit(pairs, chance, drifted_m / float(np.median(stretch.sd_m[old])))
 
-    def _has_rival(self, pose: int, sigmas: float, pairs: Ints) -> bool:
-        """Return whether other matches than these (k, 2) are nearly as many, beyond chance."""
+    def _has_rival(self, pose: int, sigmas: float, pairs: Ints, chance: float) -> bool:
+        """Return whether other matches than these (k, 2) are nearly as many and as unlikely."""
         stretch = self._stretch(pose, sigmas)
         return stretch is not None and any(
             _elsewhere(stretch.pairs(matches), pairs) > CLEAR * len(pairs)
-            and self._chance(stretch, placement, matches) <= 1
+            and self._chance(stretch, placement, matches) <= chance**CLEAR
             for placement, matches in _places(stretch, self._tolerance_m)
         )
 
