@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from relmap import PointMapper
 from relmap.core.arrays import Floats
+from relmap.core.association.coinciding import neighbours_fit
 from relmap.core.association.voting_kernels import most_voted
 from relmap.core.geometry.alignment import fit_rigid
 from relmap.core.geometry.motions import derivatives
 from relmap.core.geometry.robust import huber
 from relmap.core.motion_noise import MotionNoise
 from relmap.core.refinement.chained import Chain, Chained, ChainProblem, Sigmas
+from relmap.core.refinement.drift import Drift
+from relmap.core.refinement.settling import Settled
 from relmap.core.revisiting import mergeable
 from relmap.core.state.table import LandmarkState
 
@@ -179,3 +183,30 @@ def test_a_loop_that_drift_left_open_by_metres_is_closed() -> None:
     assert mapper.odometry is not None
     assert mapper.odometry.is_used
     assert mapper.odometry.drift >= 1.0
+
+
+def test_a_lattice_that_drifted_by_a_period_is_ambiguous() -> None:
+    rng = np.random.default_rng(3)
+    lattice = np.stack(np.meshgrid(np.arange(12.0), np.arange(12.0)), axis=-1).reshape(-1, 2)
+    scattered = rng.uniform(0, 12, (144, 2))
+    for others, expected in ((lattice, True), (scattered, False)):
+        old = others[np.linalg.norm(others - 5.5, axis=1) < 2.5]
+        new = old + rng.normal(0, 0.01, old.shape)
+        assert neighbours_fit(new, old, others, 1.5, 0.05) == expected
+    assert not neighbours_fit(new, old, lattice, 0.5, 0.05)
+
+
+def test_distances_vary_as_their_covariances_say() -> None:
+    problem, state = straight_chain(12)
+    weight = np.ones(len(problem.residuals(state)))
+    drift = Drift(problem, Settled(state, weight, True))
+    pattern, matrix = problem.pattern, problem.equations(state, weight, True, 0.0).matrix
+    pattern.factorise(matrix)
+    every = np.array([pattern.solve(matrix, column) for column in np.eye(pattern.n_unknowns)])
+    near, far = problem.unknown[[3, 4]], problem.unknown[[0, 11]]
+    expected = []
+    for one, other in (near, far):
+        across = every[np.ix_(one, other)]
+        expected.append(every[np.ix_(one, one)] + every[np.ix_(other, other)] - across - across.T)
+    assert_allclose(drift.between(np.array([near, far])), expected, rtol=1e-6, atol=1e-12)
+    assert np.trace(expected[1]) > 9 * np.trace(expected[0])

@@ -23,7 +23,13 @@ from relmap.core.refinement.by_submap import refine_submaps
 from relmap.core.refinement.condensing import SegmentRows
 from relmap.core.refinement.extending import extend_submaps
 from relmap.core.refinement.misread import take_off_misread
-from relmap.core.revisiting import close_revisits, gather, merge_doubles_in_place, merge_in_place
+from relmap.core.revisiting import (
+    close_revisits,
+    gather,
+    merge_doubles_in_place,
+    merge_in_place,
+    merge_within_drift,
+)
 from relmap.core.state.table import NONE
 from relmap.core.turns import group_or_found, last_pass, placed_first
 
@@ -82,6 +88,7 @@ def tie(engine: RelativeMapper) -> None:
     if is_bridged(engine):
         close_revisits(engine)
         merge_in_place(engine)
+        merge_within_drift(engine)
         merge_doubles_in_place(engine)
     else:
         _close_loops(engine, rows, noise_m)

@@ -5,9 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.core.association.coinciding import lying_together, neighbours_fit, seen_with_both
+from relmap.core.association.coinciding import (
+    is_alone,
+    lying_together,
+    neighbours_fit,
+    seen_with_both,
+)
 from relmap.core.association.gathering import gathered
 from relmap.core.association.loops import TIED
 from relmap.core.association.merging import merge_doubles
@@ -23,6 +29,8 @@ from relmap.core.state.table import NONE, LandmarkState
 
 SURE = 3.0
 """Standard deviations of the distance of two landmarks within which a neighbour may be."""
+SPACINGS = 2.0
+"""Largest distance of landmarks that may coincide within the drift, in spacings."""
 ROUNDS = 10
 """Maximum number of searches for revisits: each that is closed reduces the drift of others."""
 
@@ -96,7 +104,7 @@ def merge_doubles_in_place(engine: RelativeMapper) -> None:
         pairs = engine.merger.find(placed, table.highest_level[placed], noise_m)
         if not len(pairs):
             return 0
-        others = np.setdiff1d(np.flatnonzero(table.weight > 0), placed)
+        others = np.setdiff1d(np.flatnonzero(table.weight > 0), pairs[:, 0])
         new, old = (table.position[of] for of in pairs.T)
         reach_m = SURE * float(np.median(accuracy.sd_m(pairs)))
         if neighbours_fit(new, old, table.position[others], reach_m, TOLERANCE * noise_m):
@@ -105,6 +113,37 @@ def merge_doubles_in_place(engine: RelativeMapper) -> None:
 
     if engine.refined:
         merge_doubles(table, engine.merger, merge, noise_m)
+
+
+def merge_within_drift(engine: RelativeMapper) -> None:
+    """Merge landmarks that coincide within the drift of the map, if no others might."""
+    table, kept = engine.table, engine.kept
+    own = np.flatnonzero((table.weight > 0) & (table.submap != NONE))
+    if len(own) < 2 or not engine.refined:
+        return
+    seen: dict[int, set[int]] = {one: set() for one in own.tolist()}
+    for one, iteration in zip(table.now(kept.landmark).tolist(), kept.iteration, strict=True):
+        if one in seen:
+            seen[one].add(int(iteration))
+    at, accuracy = table.position, _Accuracy(engine)
+    near = cKDTree(at[own]).query_pairs(SPACINGS * spacing_of(at[own]), output_type="ndarray")
+    pairs = own[near]
+    pairs = pairs[[seen[new].isdisjoint(seen[old]) for new, old in pairs.tolist()]]
+    pairs = pairs[engine.merger.allowed(pairs)]
+    covariances, chosen = accuracy.covariances(pairs), []
+    for pair, covariance in zip(pairs.tolist(), covariances, strict=True):
+        if not np.isfinite(covariance).all():
+            continue
+        others = [
+            at[other] - at[one]
+            for one in pair
+            for other in own.tolist()
+            if other not in pair and seen[one].isdisjoint(seen[other])
+        ]
+        apart = at[pair[0]] - at[pair[1]]
+        if is_alone(apart, np.array(others).reshape(-1, len(apart)), covariance):
+            chosen.append(pair)
+    engine.merge_pairs(mergeable(table, np.array(chosen, dtype=np.int64).reshape(-1, 2)))
 
 
 class _Accuracy:
@@ -138,14 +177,20 @@ class _Accuracy:
         return self.sd_m(pairs) <= self._needed_m
 
     def sd_m(self, pairs: Ints) -> Floats:
-        """Return the standard deviations (k,) of the distance of landmarks (k, 2), metres.
+        """Return the standard deviations (k,) of the distance of landmarks (k, 2), metres."""
+        covariances = self.covariances(pairs)
+        return np.sqrt(np.trace(covariances, axis1=1, axis2=2))
+
+    def covariances(self, pairs: Ints) -> Floats:
+        """Return the covariances (k, d, d) of the difference of landmarks (k, 2), square metres.
 
         Infinite for landmarks of different parts.
         """
-        found = np.full(len(pairs), np.inf)
+        d = self._parts[0][1].shape[1]
+        found = np.tile(np.diag(np.full(d, np.inf)), (len(pairs), 1, 1))
         for drift, unknown in self._parts:
             both = (unknown[pairs, 0] != NONE).all(axis=1)
-            found[both] = self._drift * drift.between(unknown[pairs[both]])
+            found[both] = self._drift**2 * drift.between(unknown[pairs[both]])
         return found
 
 

@@ -85,6 +85,22 @@ def neighbours_fit(
     return False
 
 
+def is_alone(apart: Floats, others: Floats, covariance: Floats) -> bool:
+    """Return whether two landmarks coincide within their covariance, and no others might.
+
+    Parameters
+    ----------
+    apart : (d,) float64, metres
+        Difference of their positions.
+    others : (l, d) float64, metres
+        Differences of either from those that it may also be.
+    covariance : (d, d) float64, square metres
+        Of `apart`.
+    """
+    square, *rivals = _squares(np.vstack([apart, others]), covariance).tolist()
+    return square <= SIGMAS**2 and min(rivals, default=np.inf) > CLEAR_SIGMAS**2
+
+
 def compatible(positions: Floats, covariances: Floats) -> Ints:
     """Return pairs (k, 2) of rows that coincide within their covariances, and with no others.
 
@@ -134,3 +150,8 @@ def seen_with_both(pairs: Ints, landmark: Ints, iteration: Ints, m: int) -> Ints
     seen.data[:] = 1
     with_new, with_old = (((seen[of] @ seen.T) > 0).astype(np.int32) for of in pairs.T)
     return np.asarray(with_new.multiply(with_old).sum(axis=1), dtype=np.int64).ravel()
+
+
+def _squares(apart: Floats, covariance: Floats) -> Floats:
+    """Return the squares (k,) of differences (k, d), in variances."""
+    return np.asarray(np.sum(apart * np.linalg.solve(covariance, apart.T).T, axis=1))

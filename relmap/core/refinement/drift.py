@@ -43,22 +43,22 @@ class Drift:
         return pattern.parts(inverse, self._problem.unknown), pattern.parts(inverse, self._turns)
 
     def between(self, unknowns: Ints) -> Floats:
-        """Return the standard deviations (k,) of the distance of points that coincide, metres.
+        """Return the covariances (k, d, d) of the difference of points that coincide, metres.
 
         Parameters
         ----------
         unknowns : (k, 2, d) int64
             The unknowns of two landmarks, or of the positions of two poses.
         """
-        pattern, found = self._problem.pattern, np.zeros(len(unknowns))
+        pattern, d = self._problem.pattern, unknowns.shape[2]
+        found = np.zeros((len(unknowns), d, d))
         for k, (one, other) in enumerate(unknowns):
-            columns = np.zeros((len(one), pattern.n_unknowns))
-            each = np.arange(len(one))
-            columns[each, one] += 1.0
-            columns[each, other] -= 1.0
+            columns = np.zeros((d, pattern.n_unknowns))
+            columns[np.arange(d), one] += 1.0
+            columns[np.arange(d), other] -= 1.0
             solved = np.array([pattern.solve(self._factor, column) for column in columns])
-            found[k] = np.linalg.eigvalsh(solved @ columns.T)[-1]
-        return np.sqrt(found.clip(0))
+            found[k] = solved @ columns.T
+        return found
 
     def from_pose(self, pose: int) -> tuple[Floats, Floats]:
         """Return the standard deviations (m,) of landmarks and of directions, from a pose.
