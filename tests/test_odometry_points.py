@@ -88,6 +88,16 @@ def test_sparse_landmarks_without_ids_are_distinguished_with_odometry() -> None:
     assert rmse_m(run, mapper.map.positions, of) < 0.3
 
 
+def test_single_landmarks_close_a_loop_if_no_others_might_be_meant() -> None:
+    run = simulate_figure_eight(density=SPARSE, seed=2)
+    mapper, labels = mapped(run, odometry_of(run, 2), known=False)
+    now, true = mapper.landmarks_of(labels), run.log.ids
+    assert true is not None
+    of = [np.bincount(true[now == landmark]).argmax() for landmark in mapper.map.landmark_ids]
+    assert sorted(of) == run.landmark_ids.tolist()
+    assert rmse_m(run, mapper.map.positions, np.array(of)) < 0.1
+
+
 def test_if_landmarks_link_every_scan_odometry_changes_nothing() -> None:
     run = world(DENSE, 120)
     with_it, labels = mapped(run, odometry_of(run, 0), known=False)

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 from relmap import PointMapper
 from relmap.core.arrays import Floats
-from relmap.core.association.coinciding import neighbours_fit
+from relmap.core.association.coinciding import neighbours_fit, within
 from relmap.core.association.voting_kernels import most_voted
 from relmap.core.geometry.alignment import fit_rigid
 from relmap.core.geometry.motions import derivatives
@@ -210,3 +210,8 @@ def test_distances_vary_as_their_covariances_say() -> None:
         expected.append(every[np.ix_(one, one)] + every[np.ix_(other, other)] - across - across.T)
     assert_allclose(drift.between(np.array([near, far])), expected, rtol=1e-6, atol=1e-12)
     assert np.trace(expected[1]) > 9 * np.trace(expected[0])
+
+
+def test_only_the_covariance_says_what_is_near() -> None:
+    apart = np.array([[3.0, 0.0], [0.0, 3.0], [1.0, 1.0]])
+    assert within(apart, np.diag([1.0, 0.01]), 4.0).tolist() == [True, False, False]

@@ -9,10 +9,12 @@ from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.association.coinciding import (
-    is_alone,
+    CLEAR_SIGMAS,
+    SIGMAS,
     lying_together,
     neighbours_fit,
     seen_with_both,
+    within,
 )
 from relmap.core.association.gathering import gathered
 from relmap.core.association.loops import TIED
@@ -121,29 +123,39 @@ def merge_within_drift(engine: RelativeMapper) -> None:
     own = np.flatnonzero((table.weight > 0) & (table.submap != NONE))
     if len(own) < 2 or not engine.refined:
         return
-    seen: dict[int, set[int]] = {one: set() for one in own.tolist()}
-    for one, iteration in zip(table.now(kept.landmark).tolist(), kept.iteration, strict=True):
-        if one in seen:
-            seen[one].add(int(iteration))
-    at, accuracy = table.position, _Accuracy(engine)
-    near = cKDTree(at[own]).query_pairs(SPACINGS * spacing_of(at[own]), output_type="ndarray")
-    pairs = own[near]
-    pairs = pairs[[seen[new].isdisjoint(seen[old]) for new, old in pairs.tolist()]]
+    scans: dict[int, set[int]] = {one: set() for one in own.tolist()}
+    for one, scan in zip(table.now(kept.landmark).tolist(), kept.iteration.tolist(), strict=True):
+        scans.get(one, set()).add(scan)
+    at, chosen = table.position, []
+    pairs = _nearest_pairs(own, at, scans)
     pairs = pairs[engine.merger.allowed(pairs)]
-    covariances, chosen = accuracy.covariances(pairs), []
-    for pair, covariance in zip(pairs.tolist(), covariances, strict=True):
+    for pair, covariance in zip(pairs, _Accuracy(engine).covariances(pairs), strict=True):
         if not np.isfinite(covariance).all():
             continue
-        others = [
-            at[other] - at[one]
-            for one in pair
-            for other in own.tolist()
-            if other not in pair and seen[one].isdisjoint(seen[other])
+        others = np.setdiff1d(own, pair)
+        rivals = [
+            scans[one].isdisjoint(scans[other])
+            for one in pair.tolist()
+            for other in others[within(at[others] - at[one], covariance, CLEAR_SIGMAS)].tolist()
         ]
-        apart = at[pair[0]] - at[pair[1]]
-        if is_alone(apart, np.array(others).reshape(-1, len(apart)), covariance):
+        if within((at[pair[0]] - at[pair[1]])[None], covariance, SIGMAS)[0] and not any(rivals):
             chosen.append(pair)
     engine.merge_pairs(mergeable(table, np.array(chosen, dtype=np.int64).reshape(-1, 2)))
+
+
+def _nearest_pairs(own: Ints, at: Floats, scans: dict[int, set[int]]) -> Ints:
+    """Return pairs (k, 2) of landmarks nearest to each other among those not seen together."""
+    near = cKDTree(at[own]).query_pairs(SPACINGS * spacing_of(at[own]), output_type="ndarray")
+    near = own[near]
+    order = np.argsort(np.linalg.norm(at[near[:, 0]] - at[near[:, 1]], axis=1), kind="stable")
+    found: list[tuple[int, int]] = []
+    taken: set[int] = set()
+    for one, other in near[order].tolist():
+        if scans[one].isdisjoint(scans[other]):
+            if taken.isdisjoint((one, other)):
+                found.append((one, other))
+            taken |= {one, other}
+    return np.array(found, dtype=np.int64).reshape(-1, 2)
 
 
 class _Accuracy:
@@ -179,7 +191,7 @@ class _Accuracy:
     def sd_m(self, pairs: Ints) -> Floats:
         """Return the standard deviations (k,) of the distance of landmarks (k, 2), metres."""
         covariances = self.covariances(pairs)
-        return np.sqrt(np.trace(covariances, axis1=1, axis2=2))
+        return np.asarray(np.sqrt(np.trace(covariances, axis1=1, axis2=2)))
 
     def covariances(self, pairs: Ints) -> Floats:
         """Return the covariances (k, d, d) of the difference of landmarks (k, 2), square metres.

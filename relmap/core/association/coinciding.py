@@ -7,7 +7,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from relmap.core.arrays import Floats, Ints
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.association.base import nearest
 from relmap.core.association.revisits import TOLERANCE
 from relmap.core.refinement.condensing import LENGTH
@@ -85,20 +85,10 @@ def neighbours_fit(
     return False
 
 
-def is_alone(apart: Floats, others: Floats, covariance: Floats) -> bool:
-    """Return whether two landmarks coincide within their covariance, and no others might.
-
-    Parameters
-    ----------
-    apart : (d,) float64, metres
-        Difference of their positions.
-    others : (l, d) float64, metres
-        Differences of either from those that it may also be.
-    covariance : (d, d) float64, square metres
-        Of `apart`.
-    """
-    square, *rivals = _squares(np.vstack([apart, others]), covariance).tolist()
-    return square <= SIGMAS**2 and min(rivals, default=np.inf) > CLEAR_SIGMAS**2
+def within(apart: Floats, covariance: Floats, sigmas: float) -> Bools:
+    """Return which differences (k, d) are within so many deviations of a covariance (d, d)."""
+    squares = np.sum(apart * np.linalg.solve(covariance, apart.T).T, axis=1)
+    return np.asarray(squares <= sigmas**2)
 
 
 def compatible(positions: Floats, covariances: Floats) -> Ints:
@@ -150,8 +140,3 @@ def seen_with_both(pairs: Ints, landmark: Ints, iteration: Ints, m: int) -> Ints
     seen.data[:] = 1
     with_new, with_old = (((seen[of] @ seen.T) > 0).astype(np.int32) for of in pairs.T)
     return np.asarray(with_new.multiply(with_old).sum(axis=1), dtype=np.int64).ravel()
-
-
-def _squares(apart: Floats, covariance: Floats) -> Floats:
-    """Return the squares (k,) of differences (k, d), in variances."""
-    return np.asarray(np.sum(apart * np.linalg.solve(covariance, apart.T).T, axis=1))
