@@ -216,14 +216,14 @@ class Merger:
         if self._index is None or not len(landmarks):
             return
         positions = self._table.position
-        each = self._index.near(positions[landmarks])
-        for new, near in zip(landmarks.tolist(), each, strict=True):
-            if len(near):
-                apart = np.linalg.norm(positions[near] - positions[new], axis=1)
-                near = near[apart <= self._index.cell_m]
-                may_be = [old for old in near.tolist() if self._may_be(new, old)]
-                if may_be:
-                    self._old_near[new] = sorted(may_be)
+        of, near = self._index.near(positions[landmarks])
+        new = landmarks[of]
+        close = np.linalg.norm(positions[near] - positions[new], axis=1) <= self._index.cell_m
+        found: dict[int, list[int]] = {}
+        for one, old in zip(new[close].tolist(), near[close].tolist(), strict=True):
+            if self._may_be(one, old):
+                found.setdefault(one, []).append(old)
+        self._old_near.update((one, sorted(old)) for one, old in found.items())
 
     def _may_be(self, new: int, old: int) -> bool:
         """Return whether a landmark may be an older one: same submap, and never seen with it."""

@@ -7,86 +7,65 @@ import numpy as np
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.state.table import NONE, LandmarkState
 
-SIDE = 2**20
-"""Cells along each axis with keys of their own; more distant cells only share a list."""
-FARTHEST = 2.0**62
-"""Largest index of a cell."""
+BUCKETS = 2**12
+"""Initial number of buckets, a power of two."""
 
 
 class SpatialIndex:
     """Landmarks by grid cell; a query costs as much as a few cells.
 
-    The landmarks of a cell are a linked list in plain arrays: millions of small objects would cause
-    pauses by Python's garbage collector.
+    The cells are hashed into buckets, whose landmarks are linked lists in plain arrays.
 
     Parameters
     ----------
     table : LandmarkState
-        Its columns `cell` and `next_in_cell` are the lists.
+        Its columns `cell` and `next_in_cell` are the key of the cell of each landmark and the next
+        landmark in the bucket.
     cell_m : float
         Side of a cell, metres: the largest query radius.
     """
 
-    _first: dict[int, int]
-    STATE = "cell_m _first"
+    STATE = "cell_m"
 
     def __init__(self, table: LandmarkState, cell_m: float) -> None:
-        dimension = table.dimension
         self.cell_m = cell_m
         self._table = table
-        self._first = {}
-        self._strides = SIDE ** np.arange(dimension)
-        self._around = np.indices((3,) * dimension).reshape(dimension, -1).T - 1
+        self._first = np.full(BUCKETS, NONE)
+        self._n = 0
+
+    def restored(self) -> None:
+        """Link the landmarks of the restored table."""
+        self._link(BUCKETS)
 
     def add(self, landmarks: Ints, positions: Floats) -> None:
         """Enter landmarks (k,) at positions (k, d), replacing earlier positions."""
-        keys = np.array(self._keys(self._cells(positions)), dtype=np.int64)
-        before = self._table.cell[landmarks]
-        for row in np.flatnonzero(keys != before).tolist():
-            landmark, key = int(landmarks[row]), int(keys[row])
-            if before[row] != NONE:
-                self._remove(landmark, int(before[row]))
-            self._table.next_in_cell[landmark] = self._first.get(key, NONE)
-            self._first[key] = landmark
-            self._table.cell[landmark] = key
+        from relmap.core.geometry.spatialindex_kernels import enter
 
-    def near(self, positions: Floats) -> list[Ints]:
-        """Return the landmarks within a cell's side of each position (k, d), and some others."""
-        cells = self._cells(positions)[:, None] + self._around
-        keys, n = self._keys(cells.reshape(-1, cells.shape[2])), len(self._around)
-        each = []
-        for k in range(0, len(keys), n):
-            found = []
-            for key in keys[k : k + n]:
-                landmark = self._first.get(key, NONE)
-                while landmark != NONE:
-                    found.append(landmark)
-                    landmark = int(self._table.next_in_cell[landmark])
-            each.append(np.array(found, dtype=np.int64))
-        return each
+        following, key = self._table.next_in_cell, self._table.cell
+        self._n += enter(self._first, following, key, landmarks, positions, self.cell_m)
+        if self._n > len(self._first):
+            self._link(len(self._first))
+
+    def near(self, positions: Floats) -> tuple[Ints, Ints]:
+        """Return pairs of a row of the positions (k, d) and a landmark, in the order of the rows.
+
+        All landmarks within a cell's side of a position are included, and some others.
+        """
+        from relmap.core.geometry.spatialindex_kernels import near
+
+        following, key = self._table.next_in_cell, self._table.cell
+        return near(self._first, following, key, positions, self.cell_m)
 
     def holds(self, landmarks: Ints) -> Bools:
         """Return which landmarks (k,) are in the index."""
         return np.asarray(self._table.cell[landmarks] != NONE)
 
-    def _remove(self, landmark: int, key: int) -> None:
-        after = int(self._table.next_in_cell[landmark])
-        other = self._first[key]
-        if other == landmark and after == NONE:
-            del self._first[key]
-        elif other == landmark:
-            self._first[key] = after
-        else:
-            while self._table.next_in_cell[other] != landmark:
-                other = int(self._table.next_in_cell[other])
-            self._table.next_in_cell[other] = after
+    def _link(self, n_buckets: int) -> None:
+        """Link all landmarks with at least so many buckets, four times as many as landmarks."""
+        from relmap.core.geometry.spatialindex_kernels import link
 
-    def _cells(self, positions: Floats) -> Ints:
-        with np.errstate(over="ignore"):  # far cells are one
-            cells = np.floor(positions / self.cell_m)
-        return np.clip(cells, -FARTHEST, FARTHEST).astype(np.int64)
-
-    def _keys(self, cells: Ints) -> list[int]:
-        """Return a non-negative key for each cell (k, d)."""
-        keys: list[int] = (cells % SIDE @ self._strides).tolist()
-        return keys
+        n = int(np.sum(self._table.cell != NONE))
+        while n_buckets < 4 * n:
+            n_buckets *= 2
+        self._first = np.full(n_buckets, NONE)
+        self._n = link(self._first, self._table.next_in_cell, self._table.cell)

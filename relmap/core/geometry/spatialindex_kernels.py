@@ -1,0 +1,106 @@
+"""The lists of a spatial index, compiled; see `spatialindex`."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from relmap.core.arrays import Floats, Ints
+from relmap.core.linalg.compiling import compiled, helper
+
+AXIS = 20
+"""Bits of a key for each axis: more distant cells share their keys."""
+FARTHEST = 2.0**62
+"""Largest index of a cell."""
+MIX = 0x1E3779B97F4A7C15
+"""Spreads the keys over the buckets (Knuth, "The Art of Computer Programming", 6.4)."""
+
+
+@helper
+def _cell(place: float, cell_m: float) -> int:
+    return int(min(max(np.floor(place / cell_m), -FARTHEST), FARTHEST))
+
+
+@helper
+def _key(x: int, y: int, z: int) -> int:
+    """Return the key of a cell, not negative."""
+    mask = (1 << AXIS) - 1
+    return (x & mask) | ((y & mask) << AXIS) | ((z & mask) << (2 * AXIS))
+
+
+@helper
+def _bucket(key: int, n: int) -> int:
+    return ((key * MIX) >> 32) & (n - 1)
+
+
+@helper
+def _remove(first: Ints, following: Ints, one: int, bucket: int) -> None:
+    if first[bucket] == one:
+        first[bucket] = following[one]
+        return
+    other = first[bucket]
+    while following[other] != one:
+        other = following[other]
+    following[other] = following[one]
+
+
+@compiled
+def enter(
+    first: Ints, following: Ints, key: Ints, landmarks: Ints, positions: Floats, cell_m: float
+) -> int:
+    """Enter landmarks (k,) at positions (k, d); return how many were not in the index.
+
+    `first` (n,) is the first landmark of each bucket, n a power of two; `following` and `key` (m,)
+    are the next landmark in the bucket of each landmark and the key of its cell; -1 for none.
+    """
+    n_new = 0
+    for k in range(len(landmarks)):
+        one = landmarks[k]
+        x, y = _cell(positions[k, 0], cell_m), _cell(positions[k, 1], cell_m)
+        now = _key(x, y, _cell(positions[k, 2], cell_m) if positions.shape[1] == 3 else 0)
+        if now == key[one]:
+            continue
+        if key[one] >= 0:
+            _remove(first, following, one, _bucket(key[one], len(first)))
+        else:
+            n_new += 1
+        bucket = _bucket(now, len(first))
+        following[one], first[bucket], key[one] = first[bucket], one, now
+    return n_new
+
+
+@compiled
+def link(first: Ints, following: Ints, key: Ints) -> int:
+    """Link all landmarks in the index anew, for another number of buckets; return how many."""
+    n = 0
+    for one in range(len(key)):
+        if key[one] >= 0:
+            bucket = _bucket(key[one], len(first))
+            following[one], first[bucket] = first[bucket], one
+            n += 1
+    return n
+
+
+@compiled
+def near(
+    first: Ints, following: Ints, key: Ints, positions: Floats, cell_m: float
+) -> tuple[Ints, Ints]:
+    """Return the pairs of a position (k, d) and a landmark in its cell or one beside it."""
+    room, n = 64, 0
+    of, found = np.empty(room, dtype=np.int64), np.empty(room, dtype=np.int64)
+    layers = 3 if positions.shape[1] == 3 else 1
+    for k in range(len(positions)):
+        x, y = _cell(positions[k, 0], cell_m), _cell(positions[k, 1], cell_m)
+        z = _cell(positions[k, 2], cell_m) - 1 if layers == 3 else 0
+        for around in range(9 * layers):
+            wanted = _key(x + around % 3 - 1, y + around // 3 % 3 - 1, z + around // 9)
+            one = first[_bucket(wanted, len(first))]
+            while one >= 0:
+                if key[one] == wanted:
+                    if n == room:
+                        fuller = np.empty((2, 2 * room), dtype=np.int64)
+                        for i in range(n):
+                            fuller[0, i], fuller[1, i] = of[i], found[i]
+                        of, found, room = fuller[0], fuller[1], 2 * room
+                    of[n], found[n], n = k, one, n + 1
+                one = following[one]
+    return of[:n], found[:n]
