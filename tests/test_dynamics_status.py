@@ -29,6 +29,7 @@ def relative_map(
         variance=np.array(variance),
         amplified=np.ones(n),
         used=used,
+        n_used=used.sum(axis=1),
     )
 
 

@@ -170,8 +170,10 @@ class RelativeMapper:
     def merge_pairs(self, pairs: Ints) -> int:
         """Merge each pair (k, 2) of a landmark and the older one that it is; return how many."""
         for new, old in pairs.tolist():
-            for part in (self.store, self.table, self.schedule, self.merger):
+            for part in (self.table, self.schedule, self.merger):
                 part.merge(new, old)
+        if len(pairs):
+            self.store.rename(self.table)
         return len(pairs)
 
     def forget(self) -> bool:

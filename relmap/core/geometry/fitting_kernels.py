@@ -35,19 +35,27 @@ def _moments(source: Floats, target: Floats, rows: Bools, means: Floats) -> tupl
     The moments are the cross moment of source and target and the scatter of the source, padded with
     zeros in the plane.
     """
-    moment, scatter, space = np.zeros((3, 3)), np.zeros((3, 3)), source.shape[1] == 3
+    moment, scatter, space = np.empty((3, 3)), np.empty((3, 3)), source.shape[1] == 3
+    xu, xv, xw, yu, yv, yw, zu, zv, zw = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    xx, xy, xz, yy, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    px, py, pz = means[0, 0], means[0, 1], means[0, 2]
+    qx, qy, qz = means[1, 0], means[1, 1], means[1, 2]
     for i in range(len(source)):
         if rows[i]:
-            x, y = source[i, 0] - means[0, 0], source[i, 1] - means[0, 1]
-            z = source[i, 2] - means[0, 2] if space else 0.0
-            for b in range(source.shape[1]):
-                to, own = target[i, b] - means[1, b], source[i, b] - means[0, b]
-                moment[0, b] += x * to
-                moment[1, b] += y * to
-                moment[2, b] += z * to
-                scatter[0, b] += x * own
-                scatter[1, b] += y * own
-                scatter[2, b] += z * own
+            x, y, u, v = source[i, 0] - px, source[i, 1] - py, target[i, 0] - qx, target[i, 1] - qy
+            xu, xv, yu, yv = xu + x * u, xv + x * v, yu + y * u, yv + y * v
+            xx, xy, yy = xx + x * x, xy + x * y, yy + y * y
+            if space:
+                z, w = source[i, 2] - pz, target[i, 2] - qz
+                xw, yw, zu, zv, zw = xw + x * w, yw + y * w, zu + z * u, zv + z * v, zw + z * w
+                xz, yz, zz = xz + x * z, yz + y * z, zz + z * z
+    moment[0, 0], moment[0, 1], moment[0, 2] = xu, xv, xw
+    moment[1, 0], moment[1, 1], moment[1, 2] = yu, yv, yw
+    moment[2, 0], moment[2, 1], moment[2, 2] = zu, zv, zw
+    scatter[0, 0], scatter[1, 1], scatter[2, 2] = xx, yy, zz
+    scatter[0, 1] = scatter[1, 0] = xy
+    scatter[0, 2] = scatter[2, 0] = xz
+    scatter[1, 2] = scatter[2, 1] = yz
     return moment, scatter
 
 

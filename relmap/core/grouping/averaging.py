@@ -128,7 +128,7 @@ class Averaging:
         """
         if len(chart.iterations) < LONG:
             return
-        often = chart.visible.sum(axis=1) >= FEWEST
+        often = chart.common_interval >= FEWEST
         allowed = n_log_n(int(often.sum()))
         rest = np.flatnonzero(often & self._table.dynamic[chart.landmarks])
         together: list[Ints] = []

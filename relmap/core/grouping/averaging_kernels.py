@@ -23,16 +23,14 @@ def place(points: Floats, R: Floats, t: Floats, i: int, placed: Floats) -> None:
 
 
 @helper
-def _averages(placed: Floats, of: Ints, amplified: Floats, mean: Floats) -> Floats:
+def _averages(placed: Floats, of: Ints, counts: Ints, amplified: Floats, mean: Floats) -> Floats:
     """Return the sums of squared deviations (n,) of places (p, d) of landmarks from their means.
 
-    Sums of places (n, d), and of amplified variances (n,), become means.  The largest deviation of
-    each landmark is left out: one bad observation is not a motion.
+    Sums of places (n, d), and of amplified variances (n,), become means, given the counts (n,).
+    The largest deviation of each landmark is left out: one bad observation is not a motion.
     """
     n, d = mean.shape
-    counts, squares, largest = np.zeros(n), np.zeros(n), np.zeros(n)
-    for j in range(len(of)):
-        counts[of[j]] += 1
+    squares, largest = np.zeros(n), np.zeros(n)
     for k in range(n):
         amplified[k] /= counts[k]
         for a in range(d):
@@ -49,52 +47,69 @@ def _averages(placed: Floats, of: Ints, amplified: Floats, mean: Floats) -> Floa
     return squares
 
 
+@helper
+def _by_iteration(block: Floats) -> tuple[Ints, Ints, Floats]:
+    """Return how many landmarks of a block (n, i, d) each iteration shows, which, and their points.
+
+    In the order of the landmarks; (i,), (i, n) and (i, n, d).
+    """
+    n, m, d = block.shape
+    n_seen, seen, points = np.zeros(m, np.int64), np.empty((m, n), np.int64), np.empty((m, n, d))
+    for k in range(n):
+        for i in range(m):
+            if not np.isnan(block[k, i, 0]):
+                j = n_seen[i]
+                seen[i, j], n_seen[i] = k, j + 1
+                for a in range(d):
+                    points[i, j, a] = block[k, i, a]
+    return n_seen, seen, points
+
+
 @compiled
 def place_iterations(
     block: Floats, reference: Floats
-) -> tuple[Floats, Floats, Bools, Floats, Floats, Floats]:
+) -> tuple[Floats, Floats, Bools, Ints, Floats, Floats, Floats]:
     """Fit every iteration of a block (n, i, d) to a reference (n, d) and average; see `complete`.
 
-    Returns R (i, d, d), t (i, d) and which iterations are fixed (i,); then for each landmark (n,),
-    defined if it was ever placed, the mean place (n, d), the sum of squared deviations except the
-    largest, and its variance relative to the noise.
+    Returns R (i, d, d), t (i, d), which observations are placed (n, i), and how many of each
+    landmark (n,); then, defined for landmarks ever placed, the mean place (n, d), the sum of
+    squared deviations except the largest, and its variance relative to the noise.
     """
     n, m, d = block.shape
-    R, t, fixed = np.empty((m, d, d)), np.empty((m, d)), np.zeros(m, dtype=np.bool_)
-    here, there, source = np.empty((n, d)), np.empty((n, d)), np.empty((n, d))
-    rows, seen, swing = np.empty(n, dtype=np.bool_), np.empty(n, dtype=np.int64), np.empty(n)
+    R, t, used = np.empty((m, d, d)), np.empty((m, d)), np.zeros((n, m), dtype=np.bool_)
+    counts = np.zeros(n, dtype=np.int64)
+    n_seen, seen, here = _by_iteration(block)
+    source, there, rows = np.empty((n, d)), np.empty((n, d)), np.empty(n, dtype=np.bool_)
     placed, of, p = np.empty((n * m, d)), np.empty(n * m, dtype=np.int64), 0
-    mean, amplified, guess = np.zeros((n, d)), np.zeros(n), identity(d)
+    mean, amplified, swing, guess = np.zeros((n, d)), np.zeros(n), np.empty(n), identity(d)
     for k in range(n):
         rows[k] = True
     for i in range(m):
-        n_seen, n_fitted = 0, 0
-        for k in range(n):
-            if np.isnan(block[k, i, 0]):
-                continue
-            seen[n_seen], is_fitted = k, not np.isnan(reference[k, 0])
-            for a in range(d):
-                here[n_seen, a] = block[k, i, a]
-                if is_fitted:
-                    source[n_fitted, a], there[n_fitted, a] = block[k, i, a], reference[k, a]
-            n_seen, n_fitted = n_seen + 1, n_fitted + is_fitted
-        turn, shift, fixed[i], scatter, means = fit_rows(
+        n_fitted, own = 0, here[i, : n_seen[i]]
+        for j in range(n_seen[i]):
+            k = seen[i, j]
+            if not np.isnan(reference[k, 0]):
+                for a in range(d):
+                    source[n_fitted, a], there[n_fitted, a] = own[j, a], reference[k, a]
+                n_fitted += 1
+        turn, shift, is_fixed, scatter, means = fit_rows(
             source[:n_fitted], there[:n_fitted], rows, guess
         )
         set_placement(R, t, i, turn, shift)
-        if fixed[i]:
+        if is_fixed:
             guess = turn
-            enter_swings(here[:n_seen], means, float(n_fitted), scatter, swing)
-            place(here[:n_seen], R, t, i, placed[p : p + n_seen])
-            for j in range(n_seen):
-                k, of[p] = seen[j], seen[j]
+            enter_swings(own, means, float(n_fitted), scatter, swing)
+            place(own, R, t, i, placed[p : p + len(own)])
+            for j in range(len(own)):
+                k, of[p] = seen[i, j], seen[i, j]
+                used[k, i], counts[k] = True, counts[k] + 1
                 amplified[k] += swing[j]
                 amplified[k] += 1.0
                 for a in range(d):
                     mean[k, a] += placed[p, a]
                 p += 1
-    squares = _averages(placed, of[:p], amplified, mean)
-    return R, t, fixed, mean, squares, amplified
+    squares = _averages(placed, of[:p], counts, amplified, mean)
+    return R, t, used, counts, mean, squares, amplified
 
 
 @helper

@@ -167,6 +167,19 @@ def _others(free: Bools) -> Ints:
 
 
 @compiled
+def counted(block: Floats) -> tuple[Ints, float]:
+    """Return the number of observations of each row (n,) of a block, and its largest coordinate."""
+    n, m, d = block.shape
+    counts, largest = np.zeros(n, dtype=np.int64), 0.0
+    for k in range(n):
+        for i in range(m):
+            counts[k] += np.isfinite(block[k, i, 0])
+            for a in range(d):  # NaN is never larger
+                largest = abs(block[k, i, a]) if abs(block[k, i, a]) > largest else largest
+    return counts, largest
+
+
+@compiled
 def sort_into_bins(
     block: Floats, free: Bools, priority: Floats, limit: float, fewest: int, size: int, allowed: int
 ) -> tuple[Ints, int]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -49,7 +50,7 @@ class PointChart:
             None if self.variance is None else self.variance[rows],
         )
 
-    @property
+    @cached_property
     def common_interval(self) -> Ints:
         """Number of iterations each landmark shares with the seed; (n,)."""
         return np.asarray(self.visible.sum(axis=1))

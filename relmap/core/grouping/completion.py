@@ -8,7 +8,6 @@ to the relative map by least squares, and its observations are averaged as well.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 
 import numpy as np
 
@@ -31,6 +30,8 @@ class RelativeMap:
         contribution of fitting the iteration to the reference, which grows with the distance.
     used : (n, i) bool
         The averaged observations: landmarks by iterations.
+    n_used : (n,) int64
+        Number of observations behind each position.
     iterations : (i,) int64, ascending
     R : (i, d, d) float64
     t : (i, d) float64, metres
@@ -46,19 +47,17 @@ class RelativeMap:
     variance: Floats
     amplified: Floats
     used: Bools
+    n_used: Ints
     iterations: Ints
     R: Floats
     t: Floats
     common_interval: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     given: Floats | None = None
 
-    @cached_property
-    def n_used(self) -> Ints:
-        """Number of observations behind each position; (n,)."""
-        return np.asarray(self.used.sum(axis=1))
-
     def only(self, rows: Bools) -> RelativeMap:
         """Return the map restricted to some of its landmarks."""
+        if rows.all():
+            return self
         return replace(
             self,
             landmarks=self.landmarks[rows],
@@ -66,6 +65,7 @@ class RelativeMap:
             variance=self.variance[rows],
             amplified=self.amplified[rows],
             used=self.used[rows],
+            n_used=self.n_used[rows],
             given=None if self.given is None else self.given[rows],
         )
 
@@ -89,13 +89,10 @@ def complete(landmarks: Ints, iterations: Ints, block: Floats, reference: Floats
     """
     from relmap.core.grouping.averaging_kernels import place_iterations
 
-    seen = np.isfinite(block[:, :, 0])
-    R, t, fixed, positions, squares, amplified = place_iterations(block, reference)
-    used = seen & fixed
-    there = used.any(axis=1)
-    used, positions, squares = used[there], positions[there], squares[there]
-    freedoms = block.shape[2] * (used.sum(axis=1) - 2)
+    R, t, used, n_used, positions, squares, amplified = place_iterations(block, reference)
+    freedoms = block.shape[2] * (n_used - 2)
     variance = np.divide(squares, freedoms, out=np.full(len(used), np.nan), where=freedoms > 0)
-    return RelativeMap(
-        landmarks[there], positions, variance, amplified[there], used, iterations, R, t
+    whole = RelativeMap(
+        landmarks, positions, variance, amplified, used, n_used, iterations, R, t
     )
+    return whole.only(n_used > 0)

@@ -127,7 +127,9 @@ def rests(relative: RelativeMap, noise_m: float) -> Bools:
 
     The noise is that of most landmarks, or the landmark's own if known.
     """
-    variance = np.array(max(noise_m, _exact(relative.positions)) ** 2)
+    places = relative.positions
+    exact_m = _exact(float(np.nanmax(np.abs(places), initial=0.0)), places.shape[1])
+    variance = np.array(max(noise_m, exact_m) ** 2)
     if relative.given is not None:
         variance = np.maximum(variance, relative.given)
     limit = LIMIT * variance
@@ -146,9 +148,12 @@ class Binning:
     """
 
     def __init__(self, block: Floats, noise_m: float) -> None:
+        from relmap.core.grouping.binning_kernels import counted
+
+        n_seen, largest_m = counted(block)
         self._block = block
-        self._often = np.isfinite(block[:, :, 0]).sum(axis=1) >= FEWEST
-        self._limit = LIMIT * 2 * max(noise_m, _exact(block)) ** 2
+        self._often = n_seen >= FEWEST
+        self._limit = LIMIT * 2 * max(noise_m, _exact(largest_m, block.shape[2])) ** 2
 
     def sort(self, priority: Floats, allowed: float | None = None) -> Bins:
         """Sort landmarks into bins, until half of them, or of the priority, are in one.
@@ -180,6 +185,6 @@ def n_log_n(n: int) -> float:
     return float(n * np.log2(max(n, 2)))
 
 
-def _exact(points: Floats) -> float:
-    """Return the deviation, metres, that rounding alone may cause in points (n, ..., d)."""
-    return EXACT * float(np.sqrt(points.shape[-1]) * np.nanmax(np.abs(points), initial=0.0))
+def _exact(largest_m: float, d: int) -> float:
+    """Return the deviation, metres, that rounding alone may cause, given the largest coordinate."""
+    return EXACT * float(np.sqrt(d) * largest_m)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+
 import numpy as np
 
 from relmap.core.arrays import Bools, Ints
@@ -66,8 +68,7 @@ class GroupLevels:
         self._table.averaged[landmarks] = 0
 
     def _release(self, landmarks: Ints) -> None:
-        groups, users = np.unique(self._table.group[landmarks], return_counts=True)
-        for group, n in zip(groups.tolist(), users.tolist(), strict=True):
+        for group, n in Counter(self._table.group[landmarks].tolist()).items():
             if group != NONE:
                 self._users[group] -= n
                 if self._users[group] == 0:

@@ -34,7 +34,7 @@ BACK = 16
 LEAST = 16
 """Minimum number of segments before the first step, and of segments out of sight for a landmark to
 close a loop."""
-BODIES = 64
+BODIES = 32
 """Maximum number of bodies; beyond it, pairs of consecutive bodies are merged."""
 WHOLE = 400
 """Segments up to which each is a body of its own in the last step, which is not time-critical."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from relmap.core.arrays import Bools, Floats
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.geometry.fitting_kernels import centre_of, fit_rows, set_placement
 from relmap.core.grouping.averaging_kernels import place
 from relmap.core.linalg.compiling import compiled, helper
@@ -110,23 +110,57 @@ def _mean_of(block: Floats, seen: Bools, R: Floats, t: Floats) -> tuple[Floats, 
 
 
 @helper
+def _shared(block: Floats, seen: Bools) -> tuple[Ints, Ints, Floats, Ints]:
+    """Return how many landmarks each iteration shares with others, which, and where; by iteration.
+
+    (k,), (k, n) and (k, n, d); then the number of iterations that see each landmark (n,).
+    """
+    n, k, d = block.shape
+    n_of, of, here = np.zeros(k, np.int64), np.empty((k, n), np.int64), np.empty((k, n, d))
+    counts = np.zeros(n, np.int64)
+    for i in range(n):
+        for m in range(k):
+            counts[i] += seen[i, m]
+        for m in range(k):
+            if seen[i, m] and counts[i] > 1:
+                j = n_of[m]
+                of[m, j], n_of[m] = i, j + 1
+                for a in range(d):
+                    here[m, j, a] = block[i, m, a]
+    return n_of, of, here, counts
+
+
+@helper
 def _settle(block: Floats, seen: Bools, joined: Bools, R: Floats, t: Floats) -> None:
     """Align the iterations of a segment jointly; R and t are updated in place.
 
     Each is fitted to the mean of all, alternately (generalised Procrustes analysis; Gower, 1975).
     """
     n, k, d = block.shape
-    here, rows = np.empty((n, d)), np.empty(n, dtype=np.bool_)
+    n_of, of, here, counts = _shared(block, seen)
+    mean, placed, rows = np.empty((n, d)), np.empty((n, d)), np.empty(n, dtype=np.bool_)
+    for i in range(n):
+        rows[i] = True
     for _ in range(ROUNDS):
-        mean, counts, _ = _mean_of(block, seen, R, t)
+        for i in range(n):
+            for a in range(d):
+                mean[i, a] = 0.0
+        for m in range(k):
+            place(here[m, : n_of[m]], R, t, m, placed)
+            for j in range(n_of[m]):
+                for a in range(d):
+                    mean[of[m, j], a] += placed[j, a]
+        for i in range(n):
+            for a in range(d):
+                mean[i, a] /= max(counts[i], 1)
         for m in range(k):
             if not joined[m]:
                 continue
-            for i in range(n):
-                rows[i] = seen[i, m] and counts[i] > 1
+            for j in range(n_of[m]):
                 for a in range(d):
-                    here[i, a] = block[i, m, a]
-            turn, shift, fixed, _, _ = fit_rows(here, mean, rows, R[m].copy())
+                    placed[j, a] = mean[of[m, j], a]
+            c = n_of[m]
+            turn, shift, fixed, _, _ = fit_rows(here[m, :c], placed[:c], rows[:c], R[m].copy())
             if fixed:
                 set_placement(R, t, m, turn, shift)
 

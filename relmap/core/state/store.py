@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.state.growing import FEW, MANY, GrowingArray
+from relmap.core.state.table import LandmarkState
 
 Rows = dict[str, NDArray[Any]]
 """Columns of observations; each kind has `landmark` and `location`."""
@@ -141,10 +142,10 @@ class ObservationStore:
             self._offsets.drop(n)
             self._stored_from = before
 
-    def merge(self, new: int, old: int) -> None:
-        """Reassign the stored observations of a landmark to an older one."""
+    def rename(self, table: LandmarkState) -> None:
+        """Reassign the stored observations to the landmarks after merging."""
         landmark = self.column("landmark")[self._rows(self._first_iteration, self.n_iterations)[0]]
-        landmark[landmark == new] = old
+        landmark[:] = table.now(landmark)
 
     def part(self, landmark: int, track: int, begin: int, end: int) -> None:
         """Reassign a landmark's stored observations of iterations `begin` to `end` to a track."""
