@@ -38,7 +38,7 @@ def seen_from(x_m: float, person: tuple[float, float] | None) -> Floats:
 def test_points_on_a_person_are_loose_and_those_on_walls_are_not(
     person: tuple[float, float] | None,
 ) -> None:
-    beams = Beams.of(seen_from(0.0, person), np.zeros(2), NO_WALLS)
+    beams = Beams.of(GivenBeams.checked(seen_from(0.0, person), np.zeros(2)), NO_WALLS)
     on = np.zeros(len(beams), dtype=np.bool_)
     if person is not None:
         on = np.hypot(*(beams.points - person).T) < BODY_M + 1e-6

@@ -13,7 +13,7 @@ from relmap.core.arrays import Floats
 from relmap.datasets.scans import ScanLog, SensorView, stored_scans
 from relmap.evaluation.feeding import segment_scan, segmenter_for
 from relmap.evaluation.metrics import ate
-from relmap.planes.beams import NEAR_M, Beams, compared
+from relmap.planes.beams import NEAR_M, Beams, GivenBeams, compared
 from relmap.planes.judging import View
 from relmap.planes.motions import inverse
 from relmap.planes.observation import PlaneObservation, checked_planes
@@ -63,9 +63,7 @@ def searched(
     earlier, later = (observed(cast(corners, pose)) for pose in (first, second))
     tracks = PlaneTracks.begun(np.arange(len(earlier)), earlier)
     tracks.corner_at = np.where(earlier.static[..., None], earlier.ends, np.nan)
-    seen, before = (
-        Beams.of(scan.beams.points, scan.beams.origin, scan.ends) for scan in (later, earlier)
-    )
+    seen, before = (Beams.of(scan.beams, scan.ends) for scan in (later, earlier))
     return Search(tracks, later, seen, [View(before, np.zeros(3))], STILL).found()
 
 
@@ -73,7 +71,7 @@ def test_beams_agree_with_the_true_motion_alone() -> None:
     poses = (0.0, 0.0, 0.1), (0.4, -0.3, -0.2)
     scans = [cast(CORNERS, pose) for pose in poses]
     ends = np.stack([CORNERS, np.roll(CORNERS, -1, axis=0)], axis=1)
-    every = [Beams.of(points, np.zeros(2), ends) for points in scans]
+    every = [Beams.of(GivenBeams.checked(points, np.zeros(2)), ends) for points in scans]
     for beams in every:
         beams.solid[:] = True
     right = motion_between(*poses)
@@ -110,7 +108,7 @@ def test_walls_that_do_not_match_give_no_link() -> None:
     tracks = PlaneTracks.begun(
         np.arange(1), observed(points + np.array([40.0, 0.0])).only(slice(0, 1))
     )
-    beams = Beams.of(scan.beams.points, scan.beams.origin, scan.ends)
+    beams = Beams.of(scan.beams, scan.ends)
     assert Search(tracks, scan, beams, [View(beams, np.zeros(3))], STILL).found() is None
 
 
@@ -118,9 +116,7 @@ def test_another_room_is_not_tied() -> None:
     other = np.array([[2.2, -5], [2.2, 5], [-1.5, 5], [-1.5, -5]])
     earlier, later = observed(cast(CORNERS, (0, 0, 0))), observed(cast(other, (0, 0, 0.4)))
     tracks = PlaneTracks.begun(np.arange(len(earlier)), earlier)
-    seen, before = (
-        Beams.of(scan.beams.points, scan.beams.origin, scan.ends) for scan in (later, earlier)
-    )
+    seen, before = (Beams.of(scan.beams, scan.ends) for scan in (later, earlier))
     assert Search(tracks, later, seen, [View(before, np.zeros(3))], STILL).found() is None
 
 

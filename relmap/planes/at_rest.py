@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.arrays import Bools, Floats
 from relmap.planes.beams import Beams
 from relmap.planes.motions import motion_over
 from relmap.planes.tying import Scans
@@ -52,14 +52,8 @@ def share_at_rest(scans: Scans, is_tied: Bools, most: int = LINKS) -> float:
 
 def _seen_again(earlier: Beams, later: Beams, motion: Floats) -> tuple[int, int]:
     """Return how many points on loose things of one scan are there, and gone, in a later one."""
-    c, s = np.cos(motion[0]), np.sin(motion[0])
-    points = earlier.points[earlier.loose] @ np.array([[c, s], [-s, c]]) + motion[1:]
-    if not (len(points) and len(later)):
+    from relmap.planes.beam_kernels import seen_again
+
+    if not len(later):
         return 0, 0
-    off = np.hypot(*np.moveaxis(points[:, None] - later.points, 2, 0)).min(axis=1)
-    x, y = (points - later.origin).T
-    at: Ints = np.searchsorted(later.bearings, np.arctan2(y, x)).clip(1, len(later) - 1)
-    ranges = np.hypot(*(later.points - later.origin).T)
-    behind = np.minimum(ranges[at], ranges[at - 1]) > np.hypot(x, y) + BEHIND_M
-    there = off < NEAR_M
-    return int(there.sum()), int((behind & ~there).sum())
+    return seen_again(earlier.points[earlier.loose], later.arrays, motion, NEAR_M, BEHIND_M)

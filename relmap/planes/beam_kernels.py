@@ -25,14 +25,25 @@ GAP_RAD = 0.1
 
 
 @helper
-def _surfaces(seen: Fan) -> Floats:
-    """Return what lies between each beam and the one before, (n, 6).
+def _rank(x: float, y: float) -> float:
+    """Return a number that is ordered as the bearings of directions are, -2 to 2, and cheaper."""
+    off = y / (abs(x) + abs(y)) if x != 0 or y != 0 else 0.0
+    if x >= 0:
+        return off
+    return 2 - off if y >= 0 else -2 - off
+
+
+@helper
+def _surfaces(seen: Fan) -> tuple[Floats, Floats]:
+    """Return what lies between each beam and the one before, (n, 6), and the beams' ranks (n,).
 
     The end of the previous beam, the vector from it to the end of this one, the inverse of its
-    squared length or -1 for a gap, and the range of the shorter beam.
+    squared length or -1 for a gap, and the range of the shorter beam, or -1 out of view.
     """
-    points, _, origin, _, _ = seen
-    found = np.zeros((len(points), 6))
+    points, bearings, origin, _, _ = seen
+    found, ranks = np.zeros((len(points), 6)), np.empty(len(points))
+    for j in range(len(points)):
+        ranks[j] = _rank(points[j, 0] - origin[0], points[j, 1] - origin[1])
     for j in range(1, len(points)):
         ax, ay = points[j - 1, 0], points[j - 1, 1]
         ux, uy = points[j, 0] - ax, points[j, 1] - ay
@@ -46,24 +57,26 @@ def _surfaces(seen: Fan) -> Floats:
                 (ax - origin[0]) ** 2 + (ay - origin[1]) ** 2,
             )
         )
-    return found
+        if bearings[j] - bearings[j - 1] > GAP_RAD:
+            found[j, 5] = -1.0
+    return found, ranks
 
 
 @helper
-def _squared_distance(x: float, y: float, surface: Floats) -> float:
+def _squared_distance(x: float, y: float, surfaces: Floats, j: int) -> float:
     """Return the squared distance of a point from a surface, or from the ends of a gap."""
-    x, y = x - surface[0], y - surface[1]
-    ux, uy = surface[2], surface[3]
-    if surface[4] < 0:
-        return float(min(x * x + y * y, (x - ux) ** 2 + (y - uy) ** 2))
-    t = min(max((x * ux + y * uy) * surface[4], 0.0), 1.0)
-    return float((x - t * ux) ** 2 + (y - t * uy) ** 2)
+    x, y = x - surfaces[j, 0], y - surfaces[j, 1]
+    ux, uy, inverse = surfaces[j, 2], surfaces[j, 3], surfaces[j, 4]
+    if inverse < 0:
+        return min(x * x + y * y, (x - ux) ** 2 + (y - uy) ** 2)
+    t = min(max((x * ux + y * uy) * inverse, 0.0), 1.0)
+    return (x - t * ux) ** 2 + (y - t * uy) ** 2
 
 
 @helper
 def _compare(
     seen: Fan,
-    surfaces: Floats,
+    drawn: tuple[Floats, Floats],
     other: Fan,
     motion: Floats,
     near_m: float,
@@ -76,25 +89,26 @@ def _compare(
     `sums` are the points on a surface that was seen, the wall points in front of one, where a beam
     passed through, the undecided ones, and those out of view.
     """
-    _, bearings, origin, _, _ = seen
-    c, s, n, i = math.cos(motion[0]), math.sin(motion[0]), len(bearings), 0
+    _, _, origin, _, _ = seen
+    surfaces, ranks = drawn
+    c, s, n, i = math.cos(motion[0]), math.sin(motion[0]), len(ranks), 0
     for k in range(0, len(other[0]), step):
         if firm and other[4][k]:
             continue
         x = c * other[0][k, 0] - s * other[0][k, 1] + motion[1]
         y = s * other[0][k, 0] + c * other[0][k, 1] + motion[2]
         dx, dy = x - origin[0], y - origin[1]
-        bearing = math.atan2(dy, dx)
-        while i < n and bearings[i] < bearing:  # bearings change slowly from beam to beam
+        rank = _rank(dx, dy)
+        while i < n and ranks[i] < rank:  # bearings change slowly from beam to beam
             i += 1
-        while i > 0 and bearings[i - 1] >= bearing:
+        while i > 0 and ranks[i - 1] >= rank:
             i -= 1
-        if i == 0 or i == n or bearings[i] - bearings[i - 1] > GAP_RAD:
+        if i == 0 or i == n or surfaces[i, 5] < 0:
             sums[3] += 1
             continue
         off = np.inf
         for j in range(max(i - BESIDE, 1), min(i + BESIDE + 1, n)):
-            off = min(off, _squared_distance(x, y, surfaces[j]))
+            off = min(off, _squared_distance(x, y, surfaces, j))
         if off < near_m * near_m:
             sums[0] += 1 - 0.5 * off / (near_m * near_m)
         elif math.sqrt(dx * dx + dy * dy) < surfaces[i, 5] - 2 * near_m:
@@ -124,6 +138,36 @@ def compared(
         _compare(later, after, earlier, motion, near_m, step, firm, sums[k])
         _compare(earlier, before, later, back, near_m, step, firm, sums[k])
     return sums
+
+
+@compiled
+def seen_again(
+    points: Floats, later: Fan, motion: Floats, near_m: float, behind_m: float
+) -> tuple[int, int]:
+    """Return how many points (n, 2), moved into the frame of a later scan, are there, and gone.
+
+    A point is there if one was seen nearer than `near_m`, and otherwise gone if both beams beside
+    it end farther behind it than `behind_m`.
+    """
+    found, bearings, origin, _, _ = later
+    c, s, there, gone = math.cos(motion[0]), math.sin(motion[0]), 0, 0
+    for k in range(len(points)):
+        x = c * points[k, 0] - s * points[k, 1] + motion[1]
+        y = s * points[k, 0] + c * points[k, 1] + motion[2]
+        nearest = np.inf
+        for j in range(len(found)):
+            nearest = min(nearest, (x - found[j, 0]) ** 2 + (y - found[j, 1]) ** 2)
+        if nearest < near_m * near_m:
+            there += 1
+            continue
+        bearing, i = math.atan2(y - origin[1], x - origin[0]), 0
+        while i < len(bearings) and bearings[i] < bearing:
+            i += 1
+        i, range_m = min(max(i, 1), len(bearings) - 1), np.inf
+        for j in (i - 1, i):
+            range_m = min(range_m, math.hypot(found[j, 0] - origin[0], found[j, 1] - origin[1]))
+        gone += range_m > math.hypot(x - origin[0], y - origin[1]) + behind_m
+    return there, gone
 
 
 @compiled

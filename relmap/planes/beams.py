@@ -7,6 +7,7 @@ on surfaces of the other, and contradict where a beam passed through such a surf
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,6 +24,8 @@ LOOSE_M = 0.7
 APART_M, APART = 0.2, 0.05
 """Largest size of what may be a person, and distance of neighbouring points on different things:
 constant, and as a fraction of the range."""
+RECENT = 16
+"""Number of scans whose beams are kept in order: neighbouring scans are compared repeatedly."""
 PER_SCAN = 2000
 """Maximum number of beams kept per scan, by subsampling: a cloud has a hundred thousand."""
 
@@ -51,12 +54,12 @@ class Beams:
     loose: Bools
 
     @classmethod
-    def of(cls, points: NDArray[Any], origin: Floats, ends: Floats) -> Beams:
-        """Return the beams that end at points (n, 2), some of them on walls by ends (m, 2, 2)."""
+    def of(cls, given: GivenBeams, ends: Floats) -> Beams:
+        """Return the beams of a scan, some of them on walls by ends (m, 2, 2)."""
         from relmap.planes.beam_kernels import on_walls
 
-        points, bearings, loose = in_order(points, origin)
-        return cls(points, bearings, origin, on_walls(points, ends, NEAR_M), loose)
+        points, bearings, loose = given.by_bearing
+        return cls(points, bearings, given.origin, on_walls(points, ends, NEAR_M), loose)
 
     def __len__(self) -> int:
         """Return the number of beams."""
@@ -109,6 +112,18 @@ class GivenBeams:
         every = max(-(-len(points) // PER_SCAN), 1)
         return cls(points[::every, :2].astype(np.float32), origin, points.shape[1] == 2)
 
+    @cached_property
+    def by_bearing(self) -> tuple[Floats, Floats, Bools]:
+        """Points (n, 2) by bearing from the sensor, bearings, and which are on loose things."""
+        from relmap.planes.beam_kernels import free_standing
+
+        points = self.points.astype(np.float64)
+        bearings = np.arctan2(points[:, 1] - self.origin[1], points[:, 0] - self.origin[0])
+        order = np.argsort(bearings, kind="stable")
+        points, bearings = points[order], bearings[order]
+        loose = free_standing(points, bearings, self.origin, LOOSE_M, APART_M, APART)
+        return points, bearings, loose
+
     def to_bytes(self) -> bytes:
         """Return the values stored in a journal: order flag, origin and points."""
         about = np.array([self.in_order, *self.origin], dtype="<f8")
@@ -148,6 +163,7 @@ class BeamStore:
         self._offsets.extend(np.zeros(1, dtype=np.int64))
         self._origins: GrowingArray[np.float64] = GrowingArray(np.float64, (2,))
         self._in_order: GrowingArray[np.bool_] = GrowingArray(np.bool_)
+        self._recent: dict[int, tuple[Floats, Beams]] = {}  # by scan, with the ends of its walls
 
     def append(self, given: GivenBeams) -> None:
         """Add the beams of a scan."""
@@ -165,9 +181,17 @@ class BeamStore:
 
         None if they are not ordered, as for a cloud.
         """
+        known = self._recent.get(scan)
+        if known is not None and np.array_equal(known[0], ends):
+            return known[1]
         begin, end = self._offsets.values[scan : scan + 2].tolist()
         end = end if self._in_order.values[scan] else begin
-        return Beams.of(self._points.values[begin:end], self._origins.values[scan], ends)
+        given = GivenBeams(self._points.values[begin:end], self._origins.values[scan], True)
+        found = Beams.of(given, ends)
+        self._recent[scan] = ends, found
+        if len(self._recent) > RECENT:
+            del self._recent[next(iter(self._recent))]
+        return found
 
     def placed(self, poses: Floats, span: tuple[int, int], most: int) -> PlacedBeams:
         """Return begin and end points of the beams of some scans, by their poses.
@@ -206,22 +230,11 @@ def compared(
     return beam_kernels.compared(earlier.arrays, later.arrays, motions, near_m, step, firm)
 
 
-def in_order(points: NDArray[Any], origin: Floats) -> tuple[Floats, Floats, Bools]:
-    """Return points (n, 2) by bearing from the sensor, bearings, and which are on loose things."""
-    from relmap.planes.beam_kernels import free_standing
-
-    points = points.astype(np.float64)
-    bearings = np.arctan2(points[:, 1] - origin[1], points[:, 0] - origin[0])
-    order = np.argsort(bearings, kind="stable")
-    points, bearings = points[order], bearings[order]
-    return points, bearings, free_standing(points, bearings, origin, LOOSE_M, APART_M, APART)
-
-
 def on_loose_things(ends: Floats, given: GivenBeams) -> Bools:
     """Return which walls, by their ends (m, 2, 2), are on small things that stand free."""
     if not given.in_order:
         return np.zeros(len(ends), dtype=np.bool_)
     from relmap.planes.beam_kernels import loose_walls
 
-    points, _, loose = in_order(given.points, given.origin)
+    points, _, loose = given.by_bearing
     return np.asarray(loose_walls(points, loose, ends, NEAR_M, LOOSE_M))

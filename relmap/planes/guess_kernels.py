@@ -60,6 +60,8 @@ def _support(turn: Floats, weight: Floats, chosen: float) -> tuple[float, float]
     for j in range(turn.shape[1]):
         best, off_best = 0.0, 0.0
         for i in range(turn.shape[0]):
+            if weight[i, j] <= best:
+                continue
             off = half_turn(turn[i, j] - chosen)
             near = weight[i, j] * max(1 - (off / ALIKE_RAD) ** 2, 0.0)
             if near > best:

@@ -67,28 +67,35 @@ def agreement(tracks: Tracks, seen: Seen, widened: float) -> Floats:
     angle, offset, ends, sd, corner_at = tracks
     wall_ends, along, normal, size, wall_sd, static = seen
     n, m = len(angle), len(size)
-    found = np.zeros((n, m))
+    found, wall = np.zeros((n, m)), np.empty((m, 5))
+    for j in range(m):
+        ux, uy = along[j, 0], along[j, 1]
+        wall[j, 0] = math.atan2(normal[j, 1], normal[j, 0])
+        wall[j, 1] = 0.5 * (wall_ends[j, 0, 0] + wall_ends[j, 1, 0])
+        wall[j, 2] = 0.5 * (wall_ends[j, 0, 1] + wall_ends[j, 1, 1])
+        wall[j, 3] = ux * wall_ends[j, 0, 0] + uy * wall_ends[j, 0, 1]
+        wall[j, 4] = ux * wall_ends[j, 1, 0] + uy * wall_ends[j, 1, 1]
+    gap_gate = GAP_M * widened
     for i in range(n):
         nx, ny = math.cos(angle[i]), math.sin(angle[i])
         own = math.hypot(ends[i, 1, 0] - ends[i, 0, 0], ends[i, 1, 1] - ends[i, 0, 1])
         for j in range(m):
-            spread = math.hypot(sd[i], wall_sd[j])
-            turn = half_turn(math.atan2(normal[j, 1], normal[j, 0]) - angle[i])
-            blunt = SIGMAS * math.sqrt(12.0) * spread / min(own, size[j])
-            turn_gate = TURN_RAD * widened + min(blunt, WIDEST_TURN_RAD)
-            x = 0.5 * (wall_ends[j, 0, 0] + wall_ends[j, 1, 0])
-            y = 0.5 * (wall_ends[j, 0, 1] + wall_ends[j, 1, 1])
-            across = nx * x + ny * y - offset[i]
-            across_gate = ACROSS_M * widened + SIGMAS * spread
-            ux, uy = along[j, 0], along[j, 1]
-            right = ux * wall_ends[j, 0, 0] + uy * wall_ends[j, 0, 1]
-            left = ux * wall_ends[j, 1, 0] + uy * wall_ends[j, 1, 1]
+            turn = half_turn(wall[j, 0] - angle[i])
+            if abs(turn) >= TURN_RAD * widened + WIDEST_TURN_RAD:
+                continue
+            ux, uy, right, left = along[j, 0], along[j, 1], wall[j, 3], wall[j, 4]
             gap = max(
                 right - (ux * ends[i, 1, 0] + uy * ends[i, 1, 1]),
                 ux * ends[i, 0, 0] + uy * ends[i, 0, 1] - left,
             )
-            gap_gate = GAP_M * widened
-            if abs(turn) >= turn_gate or abs(across) >= across_gate or gap >= gap_gate:
+            if gap >= gap_gate:
+                continue
+            spread = math.hypot(sd[i], wall_sd[j])
+            blunt = SIGMAS * math.sqrt(12.0) * spread / min(own, size[j])
+            turn_gate = TURN_RAD * widened + min(blunt, WIDEST_TURN_RAD)
+            across = nx * wall[j, 1] + ny * wall[j, 2] - offset[i]
+            across_gate = ACROSS_M * widened + SIGMAS * spread
+            if abs(turn) >= turn_gate or abs(across) >= across_gate:
                 continue
             worth = 1 - CLOSE * ((turn / turn_gate) ** 2 + (across / across_gate) ** 2)
             worth -= BEYOND * max(gap / gap_gate, 0.0)

@@ -99,7 +99,7 @@ class ScanLinks(LinkRecord):
         reach_m, views = farthest_m(self._last_links), self._views(seen)
         usual = self.usual
         if views:
-            beams = Beams.of(seen.beams.points, seen.beams.origin, seen.ends)
+            beams = Beams.of(seen.beams, seen.ends)
             firm = not self._rests()
             judged = Search(tracks, seen, beams, views, usual, expected, firm).found()
             return judged if judged and self._confirmed(judged, seen, beams, views, firm) else None
@@ -121,7 +121,7 @@ class ScanLinks(LinkRecord):
         """Return the motion by odometry alone; None if observations contradict it."""
         views = self._views(seen)
         if views:
-            beams = Beams.of(seen.beams.points, seen.beams.origin, seen.ends)
+            beams = Beams.of(seen.beams, seen.ends)
             return Search(tracks, seen, beams, views, self.usual, expected).bridged(expected)
         motion, match = settled(tracks, seen, planar(expected.motion))
         near = expected.off(np.array([[motion.yaw, *motion.t]]))[0] < OTHERWISE

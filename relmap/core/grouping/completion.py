@@ -92,7 +92,5 @@ def complete(landmarks: Ints, iterations: Ints, block: Floats, reference: Floats
     R, t, used, n_used, positions, squares, amplified = place_iterations(block, reference)
     freedoms = block.shape[2] * (n_used - 2)
     variance = np.divide(squares, freedoms, out=np.full(len(used), np.nan), where=freedoms > 0)
-    whole = RelativeMap(
-        landmarks, positions, variance, amplified, used, n_used, iterations, R, t
-    )
+    whole = RelativeMap(landmarks, positions, variance, amplified, used, n_used, iterations, R, t)
     return whole.only(n_used > 0)
