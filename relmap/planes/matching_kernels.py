@@ -62,19 +62,27 @@ def half_turn(angle: float) -> float:
 
 
 @helper
+def _lines(seen: Seen) -> Floats:
+    """Return the bearing of the normal, the middle (x, y) and both ends along each wall; (m, 5)."""
+    ends, along, normal, _, _, _ = seen
+    lines = np.empty((len(along), 5))
+    for j in range(len(along)):
+        ux, uy = along[j, 0], along[j, 1]
+        lines[j, 0] = math.atan2(normal[j, 1], normal[j, 0])
+        lines[j, 1] = 0.5 * (ends[j, 0, 0] + ends[j, 1, 0])
+        lines[j, 2] = 0.5 * (ends[j, 0, 1] + ends[j, 1, 1])
+        lines[j, 3] = ux * ends[j, 0, 0] + uy * ends[j, 0, 1]
+        lines[j, 4] = ux * ends[j, 1, 0] + uy * ends[j, 1, 1]
+    return lines
+
+
+@helper
 def agreement(tracks: Tracks, seen: Seen, widened: float) -> Floats:
     """Return the score of each track with each wall, (n, m); 0 for no match."""
     angle, offset, ends, sd, corner_at = tracks
-    wall_ends, along, normal, size, wall_sd, static = seen
-    n, m = len(angle), len(size)
-    found, wall = np.zeros((n, m)), np.empty((m, 5))
-    for j in range(m):
-        ux, uy = along[j, 0], along[j, 1]
-        wall[j, 0] = math.atan2(normal[j, 1], normal[j, 0])
-        wall[j, 1] = 0.5 * (wall_ends[j, 0, 0] + wall_ends[j, 1, 0])
-        wall[j, 2] = 0.5 * (wall_ends[j, 0, 1] + wall_ends[j, 1, 1])
-        wall[j, 3] = ux * wall_ends[j, 0, 0] + uy * wall_ends[j, 0, 1]
-        wall[j, 4] = ux * wall_ends[j, 1, 0] + uy * wall_ends[j, 1, 1]
+    _, along, _, size, wall_sd, static = seen
+    n, m, wall = len(angle), len(size), _lines(seen)
+    found = np.zeros((n, m))
     gap_gate = GAP_M * widened
     for i in range(n):
         nx, ny = math.cos(angle[i]), math.sin(angle[i])

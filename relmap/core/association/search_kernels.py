@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.geometry.fitting_kernels import fit_rows
+from relmap.core.geometry.fitting_kernels import fit_rows, set_placement
 from relmap.core.linalg.compiling import compiled, helper
-from relmap.core.linalg.small_kernels import identity, square_of
+from relmap.core.linalg.small_kernels import identity, square_of, unset
 
 
 @compiled
@@ -69,8 +69,11 @@ def matched_at(
     of matches. `stretch` (m,) is the largest length of a unit of the metric, metres.
     """
     (n, d), m = source.shape, len(target)
-    owner, nearest = np.full(m, -1), np.full(m, tolerance_m * tolerance_m)
-    match[:] = -1
+    owner, nearest = unset(m), np.empty(m)
+    for k in range(m):
+        nearest[k] = tolerance_m * tolerance_m
+    for i in range(n):
+        match[i] = -1
     placed, apart = np.empty(d), np.empty(d)
     count = 0
     for i in range(n):
@@ -157,7 +160,7 @@ def placements_by_triangles(
                             source, target, turn, shift, tolerance_m, matches[h], metric, stretch
                         )
                         if n_agreeing >= fewest:
-                            R[h], t[h] = turn, shift
+                            set_placement(R, t, h, turn, shift)
                             h += 1
         if tried == most:
             break

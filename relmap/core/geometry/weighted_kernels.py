@@ -35,7 +35,9 @@ def weighted_step(
     factorise(A)
     solve(A, b)
     turn = _turned(b, d)
-    R[:] = product(turn, R)
+    turned = product(turn, R)
+    for k in range(d * d):
+        R[k // d, k % d] = turned[k // d, k % d]
     for a in range(d):
         off[a] = b[q - d + a]
         for c in range(d):

@@ -156,7 +156,8 @@ def reduced_equations(
                 squares += pull[a] * pull[a]
                 pull[a] *= -free[body]
             cost -= free[body] * squares
-        left = np.dot(coupling.T, pull)
+        left = np.empty(len(own))
+        np.dot(coupling.T, pull, left)
         part = np.empty((0, 0))
         if len(values):
             part = _eliminated(coupling, free_here[first[g] : first[g + 1]])
@@ -212,7 +213,11 @@ def eliminated_covariances(
                 unit = np.zeros(q)
                 unit[a] = 1.0
                 solve(root, unit)
-                found[i, a] = unit
+                for b in range(q):
+                    found[i, a, b] = unit[b]
             half = np.dot(found[i], np.dot(root, whitened))
-            found[i] = np.dot(half, np.dot(root.T, found[i]))
+            covariance = np.dot(half, np.dot(root.T, found[i]))
+            for a in range(q):
+                for b in range(q):
+                    found[i, a, b] = covariance[a, b]
     return found

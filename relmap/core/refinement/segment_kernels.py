@@ -131,6 +131,23 @@ def _shared(block: Floats, seen: Bools) -> tuple[Ints, Ints, Floats, Ints]:
 
 
 @helper
+def _middle(
+    here: Floats, n_of: Ints, of: Ints, counts: Ints, R: Floats, t: Floats, placed: Floats
+) -> Floats:
+    """Return the mean positions (n, d) of shared landmarks; see `_shared`."""
+    mean = np.zeros((len(counts), here.shape[2]))
+    for m in range(len(n_of)):
+        place(here[m, : n_of[m]], R, t, m, placed)
+        for j in range(n_of[m]):
+            for a in range(here.shape[2]):
+                mean[of[m, j], a] += placed[j, a]
+    for i in range(len(counts)):
+        for a in range(here.shape[2]):
+            mean[i, a] /= max(counts[i], 1)
+    return mean
+
+
+@helper
 def _settle(block: Floats, seen: Bools, joined: Bools, R: Floats, t: Floats) -> None:
     """Align the iterations of a segment jointly; R and t are updated in place.
 
@@ -138,28 +155,18 @@ def _settle(block: Floats, seen: Bools, joined: Bools, R: Floats, t: Floats) -> 
     """
     n, k, d = block.shape
     n_of, of, here, counts = _shared(block, seen)
-    mean, placed, rows = np.empty((n, d)), np.empty((n, d)), np.empty(n, dtype=np.bool_)
+    placed, rows = np.empty((n, d)), np.empty(n, dtype=np.bool_)
     for i in range(n):
         rows[i] = True
     for _ in range(ROUNDS):
-        for i in range(n):
-            for a in range(d):
-                mean[i, a] = 0.0
-        for m in range(k):
-            place(here[m, : n_of[m]], R, t, m, placed)
-            for j in range(n_of[m]):
-                for a in range(d):
-                    mean[of[m, j], a] += placed[j, a]
-        for i in range(n):
-            for a in range(d):
-                mean[i, a] /= max(counts[i], 1)
+        mean = _middle(here, n_of, of, counts, R, t, placed)
         for m in range(k):
             if not joined[m]:
                 continue
-            for j in range(n_of[m]):
+            c = n_of[m]
+            for j in range(c):
                 for a in range(d):
                     placed[j, a] = mean[of[m, j], a]
-            c = n_of[m]
             turn, shift, fixed, _, _ = fit_rows(here[m, :c], placed[:c], rows[:c], R[m].copy())
             if fixed:
                 set_placement(R, t, m, turn, shift)
