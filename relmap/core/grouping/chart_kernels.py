@@ -14,10 +14,11 @@ def _members_and_columns(
 ) -> tuple[Ints, Ints]:
     """Return the landmarks seen with a seed, the seed first, and when; number them in the slots."""
     columns, members = np.empty(len(offsets) - 1, np.int64), np.empty(len(landmarks) + 1, np.int64)
-    members[0], slots[seed] = seed, 0
-    j, n = 0, 1
+    j, n = 0, 0
+    if seed >= 0:
+        members[0], slots[seed], n = seed, 0, 1
     for i in range(len(offsets) - 1):
-        with_seed = False
+        with_seed = seed < 0
         for row in range(offsets[i], offsets[i + 1]):
             with_seed |= landmarks[row] == seed
         if with_seed:
@@ -45,13 +46,14 @@ def chart_block(
     offsets : (i + 1,) int64
         First observation of each iteration, and the end.
     seed : int
+        -1: the observations of all iterations.
     slots : (m,) int64
         Work space, one entry per landmark, all -1; restored on return.
 
     Returns
     -------
     landmarks : (n,) int64
-        The seed, then the others in order of first observation.
+        The seed, if any, then the others in order of first observation.
     columns : (j,) int64
         Iterations, counted from the first.
     block : (n, j, d) float64

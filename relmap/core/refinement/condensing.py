@@ -156,10 +156,7 @@ class CondensedSegments:
 
         begin, k, d = self.end, end - self.end, store.dimension
         self._make_room(k, d)
-        landmarks, iterations = store.seen(begin, end)
-        present, row = np.unique(landmarks, return_inverse=True)
-        block = np.full((len(present), k, d), np.nan)
-        block[row, iterations - begin] = store.points(begin, end)
+        present, _, block = store.seen_with(-1, begin, end)
         steady = ~dynamic[present]
         own = block if steady.all() else block[steady]
         free = np.isfinite(own[:, :, :1]).sum(axis=(0, 2)) >= 2

@@ -165,10 +165,16 @@ class ObservationStore:
     def seen_with(self, seed: int, begin: int, end: int) -> tuple[Ints, Ints, Floats]:
         """Return all observations of those iterations from `begin` to `end` that show a seed.
 
+        Parameters
+        ----------
+        seed : int
+            -1: those of all iterations.
+        begin, end : int
+
         Returns
         -------
         landmarks : (n,) int64
-            The seed, then the others in order of first observation.
+            The seed, then the others, ascending.
         iterations : (i,) int64, ascending
         block : (n, i, d) float64, robot frame, metres
             NaN where missing.
