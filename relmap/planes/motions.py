@@ -35,17 +35,20 @@ def distinct(
 
 def after(first: Floats, second: Floats) -> Floats:
     """Return the composition of a motion (3,) with each of others (k, 3)."""
-    c, s = np.cos(second[:, 0]), np.sin(second[:, 0])
-    x, y = c * first[1] - s * first[2], s * first[1] + c * first[2]
-    return np.column_stack([first[0] + second[:, 0], x + second[:, 1], y + second[:, 2]])
+    c, s, both = np.cos(second[:, 0]), np.sin(second[:, 0]), np.empty((len(second), 3))
+    both[:, 0] = first[0] + second[:, 0]
+    both[:, 1] = c * first[1] - s * first[2] + second[:, 1]
+    both[:, 2] = s * first[1] + c * first[2] + second[:, 2]
+    return both
 
 
 def motion_over(motions: Floats) -> Floats:
     """Return the composition of motions (k, 3), in order, as one (3,)."""
-    whole = np.zeros(3)
-    for motion in motions:
-        whole = after(whole, motion[None])[0]
-    return whole
+    cosines, sines = np.cos(motions[:, 0]).tolist(), np.sin(motions[:, 0]).tolist()
+    yaw = x = y = 0.0
+    for (turn, ahead, aside), c, s in zip(motions.tolist(), cosines, sines, strict=True):
+        yaw, x, y = yaw + turn, c * x - s * y + ahead, s * x + c * y + aside
+    return np.array([yaw, x, y])
 
 
 def inverse(motion: Floats) -> Floats:

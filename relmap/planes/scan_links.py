@@ -96,14 +96,13 @@ class ScanLinks(LinkRecord):
         self, tracks: PlaneTracks, seen: PlaneObservation, expected: Expected | None
     ) -> Found | None:
         """Return the accepted motion into a scan, and the resulting association."""
-        reach_m, views = farthest_m(self._last_links), self._views(seen)
-        usual = self.usual
+        views, usual = self._views(seen), self.usual
         if views:
             beams = Beams.of(seen.beams, seen.ends)
             firm = not self._rests()
             judged = Search(tracks, seen, beams, views, usual, expected, firm).found()
             return judged if judged and self._confirmed(judged, seen, beams, views, firm) else None
-        found = place(tracks, seen, usual, reach_m)
+        found = place(tracks, seen, usual, farthest_m(self._last_links))
         if found is None or not is_supported(tracks, seen, found, usual):
             return None
         return Found(*found, measured_along(tracks, seen, found[1]), np.inf)
@@ -137,7 +136,8 @@ class ScanLinks(LinkRecord):
     ) -> bool:
         """Return whether the scan before the last one confirms a motion, if that is doubtful."""
         evidence = self._evidence.values[-VARYING:]
-        usual = np.median(np.append(evidence[np.isfinite(evidence)], SURE))
+        known = np.sort(np.append(evidence[np.isfinite(evidence)], SURE))
+        usual = (known[(len(known) - 1) // 2] + known[len(known) // 2]) / 2
         if found.evidence > max(SURE, USUALLY * usual) or len(views) < 2:
             return True
         now, motion = len(self._motions), np.array([found.motion.yaw, *found.motion.t])

@@ -51,11 +51,14 @@ class Body:
         Their positions, frame of the body.
     weight : (n,) float64
         Number of observations of each.
+    n_segments : int
+        Number of segments.
     """
 
     landmark: Ints
     points: Floats
     weight: Floats
+    n_segments: int = 1
 
 
 class LiveRefinement:
@@ -68,7 +71,7 @@ class LiveRefinement:
     """
 
     _bodies: list[Body]
-    STATE = "_bodies _length _most _in_last _begun _noted _back"
+    STATE = "_bodies _length _most _begun _noted _back"
 
     def __init__(self, segments: CondensedSegments, global_map: GlobalMap) -> None:
         self._segments = segments
@@ -77,7 +80,6 @@ class LiveRefinement:
         self._bodies = []
         self._length = 1
         self._most = BODIES
-        self._in_last = 0
         self._begun = LEAST
         self._noted = 0
         self._back = 0
@@ -117,17 +119,20 @@ class LiveRefinement:
         self._noted = rows.n_segments
 
     def _add(self, seen: Body) -> None:
-        """Merge a segment into the last body, or start a new body if that is full or far away."""
-        n_before, together = len(self._bodies), None
-        if n_before and self._in_last < self._length:
-            together = laid_together(self._bodies[-1], seen)
-        if together is None:
-            self._bodies.append(seen)
-            self._in_last = 1
-        else:
-            self._bodies[-1] = together
-            self._in_last += 1
-        if n_before >= self._most:
+        """Add a segment, and merge the last two bodies while they are as long as each other.
+
+        Up to the length of a body; so a segment is merged as often as its body doubles.
+        """
+        self._bodies.append(seen)
+        while len(self._bodies) > 1:
+            one, other = self._bodies[-2:]
+            if one.n_segments != other.n_segments or 2 * one.n_segments > self._length:
+                break
+            together = laid_together(one, other)
+            if together is None:
+                break
+            self._bodies[-2:] = [together]
+        if len(self._bodies) >= self._most:
             self._join()
 
     def _join(self) -> None:
@@ -227,4 +232,4 @@ def laid_together(one: Body, other: Body) -> Body | None:
     placed = np.concatenate([one.points, other.points @ R[0].T + t[0]])
     total = np.bincount(of, weights=weight).astype(np.float64)
     means = sums_each(weight[:, None] * placed, of, len(landmark)) / total[:, None]
-    return Body(landmark, means, total)
+    return Body(landmark, means, total, one.n_segments + other.n_segments)
