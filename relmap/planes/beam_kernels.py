@@ -68,9 +68,9 @@ def _squared_distance(x: float, y: float, surfaces: Floats, j: int) -> float:
     x, y = x - surfaces[j, 0], y - surfaces[j, 1]
     ux, uy, inverse = surfaces[j, 2], surfaces[j, 3], surfaces[j, 4]
     if inverse < 0:
-        return min(x * x + y * y, (x - ux) ** 2 + (y - uy) ** 2)
+        return float(min(x * x + y * y, (x - ux) ** 2 + (y - uy) ** 2))
     t = min(max((x * ux + y * uy) * inverse, 0.0), 1.0)
-    return (x - t * ux) ** 2 + (y - t * uy) ** 2
+    return float((x - t * ux) ** 2 + (y - t * uy) ** 2)
 
 
 @helper

@@ -69,11 +69,8 @@ def matched_at(
     of matches. `stretch` (m,) is the largest length of a unit of the metric, metres.
     """
     (n, d), m = source.shape, len(target)
-    owner, nearest = unset(m), np.empty(m)
-    for k in range(m):
-        nearest[k] = tolerance_m * tolerance_m
-    for i in range(n):
-        match[i] = -1
+    owner, nearest = unset(m), np.full(m, tolerance_m * tolerance_m)
+    match[:] = -1
     placed, apart = np.empty(d), np.empty(d)
     count = 0
     for i in range(n):
