@@ -232,6 +232,14 @@ def test_links_by_parallel_walls_alone_are_weak() -> None:
     assert both.weak_links.tolist() == [1]
 
 
+def test_weak_links_keep_their_motions_in_the_refinement() -> None:
+    alone, measured = [WALLS[:1]] * 3, np.ones(3, dtype=bool)
+    cut = replace(history_of(alone, [["view", "view"]], [[-1, -1]]), measured=measured)
+    np.testing.assert_array_equal(cut.factors(np.arange(3)).both, [[0, 1], [1, 2]])
+    with_corner = replace(history_of(alone, [["view", "corner"]], [[-1, 7]]), measured=measured)
+    assert len(with_corner.factors(np.arange(3))) == 0
+
+
 def test_longest_run() -> None:
     assert longest(np.array([1, 0, 1, 1, 1, 0, 1, 1], dtype=bool)) == (2, 5)
     with pytest.raises(RelmapError, match="no link is weak"):

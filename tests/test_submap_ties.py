@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -60,6 +61,17 @@ def test_beams_that_pass_through_a_wall_contradict() -> None:
     longer = ROOM.copy()
     longer[1:3, 0] = 9.0
     parts = [part_of(0, ROOM, INSIDE), part_of(1, longer, INSIDE, moved=True)]
+    assert len(tied_parts(parts)) == 2
+
+
+def test_bends_of_bare_corridors_are_not_joined() -> None:
+    """Four walls are too few: with the ends of the corridors in view, the same bends are one."""
+    bend = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [8.0, 10.0], [8.0, 2.0], [0.0, 2.0]])
+    inside = np.array([[2.0, 1.0], [9.0, 1.0], [9.0, 8.0]])
+    parts = [part_of(0, bend, inside), part_of(1, bend, inside, moved=True)]
+    assert len(tied_parts(parts)) == 1
+    bare = [0, 1, 3, 4]
+    parts = [replace(part, ends=part.ends[bare], walls=part.walls[bare]) for part in parts]
     assert len(tied_parts(parts)) == 2
 
 
