@@ -52,11 +52,6 @@ class ScanComparison:
         Motion expected from odometry.
     firm : bool
         Whether to leave out walls and beams on small things that stand free.
-
-    Attributes
-    ----------
-    tracks, seen
-        Those that are compared.
     """
 
     def __init__(
@@ -66,25 +61,26 @@ class ScanComparison:
         beams: Beams,
         views: Sequence[View],
         before: PlanarMotion,
-        expected: Expected | None,
-        firm: bool,
+        expected: Expected | None = None,
+        firm: bool = True,
     ) -> None:
-        self._beams, self._views, self._before = beams, views, before
+        self._beams, self._views = beams, views
+        self._before = planar(expected.motion) if expected else before
         self._expected, self._firm = expected, firm
         kept, own = ~(tracks.loose & firm), ~(seen.loose & firm)
         self._rows, self._walls = np.flatnonzero(kept), np.flatnonzero(own)
-        self.tracks, self.seen = tracks.kept(kept), seen.only(own)
+        self._tracks, self._seen = tracks.kept(kept), seen.only(own)
 
     @property
-    def is_empty(self) -> bool:
+    def _is_empty(self) -> bool:
         """Whether there is nothing to compare."""
-        return not min(len(self.tracks), len(self.seen), len(self._beams))
+        return not min(len(self._tracks), len(self._seen), len(self._beams))
 
-    def named(self, match: Match) -> Match:
+    def _named(self, match: Match) -> Match:
         """Return a match with the numbers of all tracks and walls."""
         return Match(self._rows[match.tracks], self._walls[match.walls], match.score)
 
-    def counts(self, motions: Floats, near_m: float = NEAR_M, step: int | None = None) -> Floats:
+    def _counted(self, motions: Floats, near_m: float = NEAR_M, step: int | None = None) -> Floats:
         """Return the number of points of the scan and the last one that agree etc. (k, 4).
 
         See `relmap.planes.beams.compared`; by default with some `JUDGES` of the beams.
@@ -92,9 +88,9 @@ class ScanComparison:
         step = 1 + len(self._beams) // JUDGES if step is None else step
         return self._counts(self._views[0], motions, near_m, step)
 
-    def judged(self, guesses: Sequence[PlanarMotion], rounds: int = ROUNDS) -> Judged:
+    def _judged(self, guesses: Sequence[PlanarMotion], rounds: int = ROUNDS) -> Judged:
         """Fit motions to the walls that match in some rounds, and compare the beams."""
-        tracks, seen = self.tracks, self.seen
+        tracks, seen = self._tracks, self._seen
         found = [settled(tracks, seen, guess, rounds) for guess in guesses]
         motions = np.array([[motion.yaw, *motion.t] for motion, _ in found]).reshape(-1, 3)
         step = 1 + len(self._beams) // JUDGES
@@ -110,14 +106,14 @@ class ScanComparison:
             self._surprise(motions),
         )
 
-    def slid(self, judged: Judged, k: int) -> Judged:
+    def _slid(self, judged: Judged, k: int) -> Judged:
         """Return a motion slid along the longest wall to the best agreement of beams.
 
         With short steps, one near the usual motion with which beams agree clearly better is also
         compared as it is: fitted to walls, a wrong corner may pull it back.
         """
         if not len(judged.matches[k].walls):
-            return self.judged([])
+            return self._judged([])
         n = int(REACH_M / SLIDE_M)
         way_m = SLIDE_M * np.arange(-n, n + 1.0)
         motions, value = self._along(judged, k, way_m)
@@ -129,10 +125,10 @@ class ScanComparison:
         usual = motions[np.maximum(off_m, step_m) < FREE_M]
         lead = self._value(usual, 1) - self._value(judged.motions[k : k + 1], 1)
         usual = usual[lead > BETTER / np.sqrt(len(self._beams))]
-        fitted = self.judged([planar(motion) for motion in motions])
-        return fitted.and_those(self.judged([planar(motion) for motion in usual], 0))
+        fitted = self._judged([planar(motion) for motion in motions])
+        return fitted.and_those(self._judged([planar(motion) for motion in usual], 0))
 
-    def measured(self, judged: Judged, k: int) -> bool:
+    def _measured(self, judged: Judged, k: int) -> bool:
         """Return whether beams agree less if a motion is slid along the longest wall."""
         if not len(judged.matches[k].walls):
             return False
@@ -142,14 +138,14 @@ class ScanComparison:
     def _along(self, judged: Judged, k: int, way_m: Floats) -> tuple[Floats, Floats]:
         """Return a motion slid along the longest wall that matches, and the agreement of beams."""
         walls = judged.matches[k].walls
-        longest = walls[np.argmax(self.seen.size[walls])]
+        longest = walls[np.argmax(self._seen.size[walls])]
         motions = np.tile(judged.motions[k], (len(way_m), 1))
-        motions[:, 1:] += way_m[:, None] * self.seen.along[longest]
+        motions[:, 1:] += way_m[:, None] * self._seen.along[longest]
         return motions, self._value(motions, SLIDE_STEP)
 
     def _value(self, motions: Floats, step: int) -> Floats:
         """Return the agreement of beams along walls for motions (k, 3)."""
-        sums = self.counts(motions, SLIDE_NEAR_M, step)
+        sums = self._counted(motions, SLIDE_NEAR_M, step)
         in_view = np.maximum(sums[:, :3].sum(axis=1), 1.0)
         return np.asarray((sums[:, 0] - CONTRADICTING * sums[:, 1]) / in_view)
 

@@ -12,7 +12,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from relmap.core.arrays import Floats
-from relmap.planes.beams import Beams
 from relmap.planes.judging import (
     MEASURED,
     NO_CANDIDATES,
@@ -20,14 +19,11 @@ from relmap.planes.judging import (
     Candidates,
     Found,
     Judged,
-    View,
 )
 from relmap.planes.motions import distinct, others, planar
-from relmap.planes.observation import PlaneObservation
 from relmap.planes.odometry import OTHERWISE, Expected
 from relmap.planes.placement import STILL, PlanarMotion
 from relmap.planes.scan_comparison import CONTRADICTING, REACH_M, ScanComparison
-from relmap.planes.tracks import PlaneTracks
 
 REACH_RAD = np.deg2rad(120.0)
 """Largest rotation between two scans that are linked."""
@@ -59,38 +55,8 @@ FREE_REACH_M = 1.0
 motion decides."""
 
 
-class Search:
-    """The search for the motion of the tracks' frame into that of one scan.
-
-    Parameters
-    ----------
-    tracks : PlaneTracks
-    seen : PlaneObservation
-    beams : Beams
-        Beams of the same scan.
-    views : sequence of View
-        Earlier scans, the last one first.
-    before : PlanarMotion
-        Usual motion of the robot.
-    expected : Expected, optional
-        Motion expected from odometry.
-    firm : bool
-        Whether to leave out walls and beams on small things that stand free.
-    """
-
-    def __init__(
-        self,
-        tracks: PlaneTracks,
-        seen: PlaneObservation,
-        beams: Beams,
-        views: Sequence[View],
-        before: PlanarMotion,
-        expected: Expected | None = None,
-        firm: bool = True,
-    ) -> None:
-        self._before = planar(expected.motion) if expected else before
-        self._expected = expected
-        self._scans = ScanComparison(tracks, seen, beams, views, self._before, expected, firm)
+class Search(ScanComparison):
+    """The search for the motion of the tracks' frame into that of one scan."""
 
     def found(self) -> Found | None:
         """Find the motion implied by walls and supported by beams.
@@ -100,15 +66,15 @@ class Search:
         Found or None
             None if beams contradict all motions, or a rival comes near.
         """
-        if self._scans.is_empty:
+        if self._is_empty:
             return None
-        every = self._scans.judged([self._before, STILL])
+        every = self._judged([self._before, STILL])
         best = int(np.argmax(every.evidence))
         clear = every.agree[best] > CLEARLY and every.contradict[best] < HARDLY
-        if not clear or not self._scans.measured(every, best):
-            every = every.and_those(self._scans.judged(self._guesses()))
+        if not clear or not self._measured(every, best):
+            every = every.and_those(self._judged(self._guesses()))
             for k in np.argsort(-every.evidence, kind="stable")[:SLID]:
-                every = every.and_those(self._scans.slid(every, k))
+                every = every.and_those(self._slid(every, k))
             best = int(np.argmax(every.evidence))
         if every.evidence[best] < ACCEPTED:
             return None
@@ -117,7 +83,7 @@ class Search:
             return None
         likely = every.evidence > every.evidence[best] - RIVAL
         rivals = likely & others(every.motions, motion)
-        measured = self._scans.measured(every, best)
+        measured = self._measured(every, best)
         if not measured:
             rivals &= np.hypot(*(every.motions[:, 1:] - motion[1:]).T) > FREE_REACH_M
         if rivals.any():
@@ -128,7 +94,7 @@ class Search:
             off_m = np.hypot(*(every.motions[:, 1:] - self._before.t).T)
             best = int(np.argmin(np.where(likely, off_m, np.inf)))
             motion = every.motions[best]
-        match = self._scans.named(every.matches[best])
+        match = self._named(every.matches[best])
         return Found(planar(motion), match, measured, float(every.evidence[best]))
 
     def _explains(self, expected: Expected, motion: Floats) -> bool:
@@ -136,7 +102,7 @@ class Search:
         motions = np.array([expected.motion, motion])
         if expected.off(motions)[1] < OTHERWISE:
             return False
-        sums = self._scans.counts(motions, step=1)
+        sums = self._counted(motions, step=1)
         value = (sums[:, 0] - CONTRADICTING * sums[:, 1]) / np.maximum(sums.sum(axis=1), 1.0)
         return bool(value[0] > value[1] - EXPLAINS)
 
@@ -148,7 +114,7 @@ class Search:
             return None
         best = int(np.argmin(np.where(near > near.max() - RIVAL, off, np.inf)))
         evidence = float(every.evidence[best])
-        match = self._scans.named(every.matches[best])
+        match = self._named(every.matches[best])
         return Found(planar(every.motions[best]), match, False, evidence)
 
     def candidates(self, guesses: Sequence[PlanarMotion] = ()) -> Candidates:
@@ -159,17 +125,17 @@ class Search:
         guesses : sequence of PlanarMotion
             Candidates in addition to those implied by walls.
         """
-        if self._scans.is_empty:
+        if self._is_empty:
             return NO_CANDIDATES
-        every = self._scans.judged([self._before, STILL, *guesses, *self._guesses()])
+        every = self._judged([self._before, STILL, *guesses, *self._guesses()])
         for k in np.argsort(-every.of_pair, kind="stable")[:SLID]:
-            every = every.and_those(self._scans.slid(every, k))
+            every = every.and_those(self._slid(every, k))
         evidence = every.of_pair
         order = np.argsort(-evidence, kind="stable")
         order = order[np.isfinite(evidence[order]) & (evidence[order] > evidence.max() - WITHIN)]
         best = distinct(every.motions, order, CANDIDATES)
-        measured = np.array([self._scans.measured(every, k) for k in best], dtype=np.bool_)
-        matches = [self._scans.named(every.matches[k]) for k in best]
+        measured = np.array([self._measured(every, k) for k in best], dtype=np.bool_)
+        matches = [self._named(every.matches[k]) for k in best]
         evidence = evidence[best] + MEASURED * measured
         return Candidates(every.motions[best], evidence, measured, matches)
 
@@ -185,10 +151,10 @@ class Search:
         stays : bool
             Whether it converges to the given motion.
         """
-        if self._scans.is_empty:
+        if self._is_empty:
             return -np.inf, 0.0, True
-        found = self._scans.judged([planar(motion)])
-        evidence = float(found.of_pair[0]) + MEASURED * self._scans.measured(found, 0)
+        found = self._judged([planar(motion)])
+        evidence = float(found.of_pair[0]) + MEASURED * self._measured(found, 0)
         return evidence, float(found.contradict[0]), not others(found.motions, motion)[0]
 
     def bridged(self, expected: Expected) -> Found | None:
@@ -196,25 +162,25 @@ class Search:
 
         It is refined by walls that match nearby.
         """
-        found = self._scans.judged([planar(expected.motion)])
+        found = self._judged([planar(expected.motion)])
         motions = np.array([expected.motion, found.motions[0]])
-        sums = self._scans.counts(motions)
+        sums = self._counted(motions)
         is_near = expected.off(motions)[1] < OTHERWISE
         by_walls = is_near and sums[1, 0] >= sums[0, 0] and sums[1, 1] <= sums[0, 1]
         if sums[int(by_walls), 1] > CONTRADICTS * sums[0].sum():
             return None
-        match = self._scans.named(found.matches[0]) if by_walls else NO_MATCH
+        match = self._named(found.matches[0]) if by_walls else NO_MATCH
         return Found(planar(motions[int(by_walls)]), match, False, float(found.evidence[0]), True)
 
     def _guesses(self) -> list[PlanarMotion]:
         """Return the motions implied by walls with the best coarse agreement of beams."""
         from relmap.planes.guess_kernels import implied
 
-        tracks = self._scans.tracks
+        tracks = self._tracks
         recent = tracks.kept(tracks.missed == tracks.missed.min(initial=0))
-        walls = recent.arrays, self._scans.seen.arrays
+        walls = recent.arrays, self._seen.arrays
         motions = implied(*walls, 0.0, REACH_M, REACH_RAD, TURNS, EACH)
-        sums = self._scans.counts(motions, ROUGH_M, ROUGH_STEP)
+        sums = self._counted(motions, ROUGH_M, ROUGH_STEP)
         order = np.argsort(sums[:, 1] - sums[:, 0], kind="stable")
         best = distinct(motions, order, CLOSELY, ALIKE_M, ALIKE_RAD)
         return [planar(motion) for motion in motions[best]]
