@@ -99,3 +99,10 @@ def test_a_static_plane_without_a_centre_is_refused(tmp_path: Path) -> None:
     (tmp_path / "planes.csv").write_text(SURFACES.replace(",0,1,1,0.01", ",0,,1,0.01"))
     with pytest.raises(RelmapError, match="plane 1 is static, but its field y is empty"):
         read_result3d(tmp_path)
+
+
+@pytest.mark.parametrize("x", ["0.9", "1e-320", "1e6", "0"])
+def test_a_normal_has_length_1(tmp_path: Path, x: str) -> None:
+    (tmp_path / "planes.csv").write_text(SURFACES.replace("\n1,1,0,0,", f"\n1,{x},0,0,"))
+    with pytest.raises(RelmapError, match="plane 1 is static, but its normal is not of length 1"):
+        read_result3d(tmp_path)

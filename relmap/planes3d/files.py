@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -25,6 +26,8 @@ COLUMNS: dict[str, Kind] = {
     "submap": "int",
     "outline": "corners",
 }
+UNIT = 1e-3
+"""Largest deviation of the length of a normal from 1."""
 COLOURS = np.array(
     [
         [78, 121, 167],
@@ -90,16 +93,22 @@ def read_result3d(folder: Path) -> Plane3dResult:
     """
     table = read_table(folder / PLANES, COLUMNS)
     for name in (*_NORMAL, "offset", *_CENTRE, "area_m2"):
-        empty = np.flatnonzero((table["status"] == "static") & np.isnan(table[name]))
-        if len(empty):
-            which = f"plane {table['plane'][empty[0]]} is static, but its field {name} is empty"
-            raise RelmapError(f"{folder / PLANES}: {which}")
+        _require(folder, table, ~np.isnan(table[name]), f"its field {name} is empty")
     normal, centre = (
         np.column_stack([table.pop(name) for name in names]) for names in (_NORMAL, _CENTRE)
     )
+    length = np.hypot.reduce(normal, axis=1)
+    _require(folder, table, np.abs(length - 1) <= UNIT, "its normal is not of length 1")
     outline = list(table.pop("outline"))
     planes = Plane3dTable(normal=normal, centre=centre, outline=outline, **table)
     return Plane3dResult(**vars(read_result(folder)), planes=planes)
+
+
+def _require(folder: Path, table: dict[str, Any], holds: Bools, problem: str) -> None:
+    wrong = np.flatnonzero((table["status"] == "static") & ~holds)
+    if len(wrong):
+        which = f"plane {table['plane'][wrong[0]]} is static, but {problem}"
+        raise RelmapError(f"{folder / PLANES}: {which}")
 
 
 def _text(outline: Floats) -> str:
