@@ -97,6 +97,21 @@ def tie(engine: RelativeMapper) -> None:
     merger.sightings = None
 
 
+def tie_and_solve(engine: RelativeMapper) -> None:
+    """Tie, and with odometry solve the map again, as long as this merges enough.
+
+    Merging distributes the drift, which lets more landmarks coincide.
+    """
+    more = True
+    while more:
+        before = _extent(engine)[0]
+        tie(engine)
+        after, mapped = _extent(engine)
+        more = is_bridged(engine) and before - after > FEW * mapped
+        if is_bridged(engine) and before != after:
+            bridge_gaps(engine)
+
+
 def _close_loops(engine: RelativeMapper, rows: SegmentRows, noise_m: float) -> None:
     """Close loops that drift has left open, one after the other."""
     finder = LoopFinder(engine.table, noise_m, engine.association.is_blurred)

@@ -180,7 +180,7 @@ class PointMapper(Mapper):
             self.engine.merger.look_again()
         bridge_gaps(self.engine)
         if not self.engine.association.has_ids:
-            afterwards.tie(self.engine)
+            afterwards.tie_and_solve(self.engine)
             afterwards.leave_out_rare(self.engine)
 
     def localise(self, points: ArrayLike) -> Floats:
