@@ -43,7 +43,7 @@ def finished(
 ) -> tuple[PointMapper, Ints]:
     mapper, labels = PointMapper(journal=journal), []
     for k, scan in enumerate(run.log.scans()):
-        motion = None if motions is None else motions[k]
+        motion = None if motions is None or not k else motions[k]
         ids = scan.ids if known else None
         labels.append(mapper.update(scan.points_robot, ids=ids, odometry=motion))
     mapper.finish()
@@ -93,6 +93,15 @@ def test_sparse_landmarks_without_ids_are_distinguished_with_odometry() -> None:
     assert len(own) <= 1.15 * len(set(of.tolist()))
     assert set(np.flatnonzero(np.bincount(true) >= 10)) <= set(of.tolist())
     assert rmse_m(run, mapper.map.positions, of) < 0.3
+
+
+def test_a_single_landmark_is_followed_by_odometry_from_the_first_scan_on() -> None:
+    mapper = PointMapper()
+    labels = [
+        mapper.update([[5.0 - k, 1.0]], odometry=[1.0, 0.0, 0.0] if k else None).item()
+        for k in range(5)
+    ]
+    assert set(labels) == {labels[0]}
 
 
 def test_single_landmarks_close_a_loop_if_no_others_might_be_meant() -> None:

@@ -105,7 +105,7 @@ def _solver(
     mature = to_the_last and not engine.association.has_ids
     roots = None
     if len(engine.weighed) and not engine.association.estimates_covariances:
-        # Observations before the first odometry are not kept.
+        # Observations long before the first odometry are not kept.
         covariance = engine.weighed.covariance[len(engine.weighed) - len(engine.kept) :]
         roots = np.linalg.inv(np.linalg.cholesky(covariance))
     return PartSolver(

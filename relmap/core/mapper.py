@@ -97,6 +97,8 @@ class RelativeMapper:
         iteration = self.store.n_iterations
         if len(seen) or self.association.registration is not None:
             self.association.choose(ids, iteration)
+        if odometry is not None and not len(self.motions) and not self.model.keeps_observations:
+            self._keep_stored(iteration)  # The first motion comes from the scan before.
         self.motions.append(odometry, iteration)
         # Register: match observations to those of earlier scans, untransformed (section II).
         found = self.association.match(seen, ids, odometry, covariances)
@@ -119,6 +121,13 @@ class RelativeMapper:
         # Group landmarks that are due, merge and forget (section III).
         take_turns(self, landmarks, left)
         return found
+
+    def _keep_stored(self, end: int) -> None:
+        """Keep the observations of the stored iterations before `end`."""
+        for i in range(self.store.first_iteration, end):
+            landmarks, _ = self.store.seen(i, i + 1)
+            if len(landmarks):
+                self.kept.append(landmarks, self.store.points(i, i + 1), i)
 
     def group(self, seed: int, level: int) -> Ints:
         """Group a landmark with those seen with it, at level 1, 2 or 3; return the mapped ones."""

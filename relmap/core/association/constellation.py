@@ -186,6 +186,7 @@ class Constellation(Numbered):
         if self._tracks is None or not len(self._tracks):
             if len(begun):
                 self._tracks, self._tracks_since = begun, self._n_scans
+                self.guide.forget()
             self._scale.spacing_m = spacing_of(begun.expected)
             return
         if len(begun) < ENOUGH:
@@ -196,6 +197,7 @@ class Constellation(Numbered):
         if self._tracks.missed.min() > self._max_missed:
             self._tracks, self._tracks_since = self._stray, self._stray_since
             self._stray, self._idle = None, 0
+            self.guide.forget()
             self._scale.allow_noise()
 
     def _links(
