@@ -23,6 +23,7 @@ from relmap.planes.judging import Candidates
 from relmap.planes.motion_factors import MotionFactors
 from relmap.planes.odometry import Expected
 from relmap.planes.placement import Match
+from relmap.planes.steps import Steps, constant_errors
 from relmap.planes.tying import ACCEPTED
 from relmap.simulation import simulate_building
 
@@ -291,6 +292,27 @@ def test_a_motion_that_odometry_rules_out_is_no_rival() -> None:
         best = run.verdict(1).best
         assert_array_equal(best, right)
     assert run.verdict(1).odds(far) > ACCEPTED
+
+
+def test_motions_that_depend_on_odometry_get_its_final_length() -> None:
+    motions, hanging = np.tile([0.1, -0.2, 0.02], (4, 1)), np.array([False, True, True, False])
+    motion = np.tile([0.0, 0.25, 0.0], (4, 1))
+    motion[2] = np.nan  # unknown odometry
+    found = Steps(motion, np.ones((4, 2)), hanging, hanging).lengthened(motions)
+    assert_array_equal(found[[0, 2, 3]], motions[[0, 2, 3]])
+    assert_allclose(found[1], [0.1, *(0.25 * motions[1, 1:] / np.hypot(0.2, 0.02))])
+
+
+def test_jitter_of_poses_does_not_bias_the_scale_of_wheels() -> None:
+    rng = np.random.default_rng(0)
+    poses = np.array([pose_of(x, 0, 0) for x in np.arange(0, 40, 0.1)])
+    measured = np.linalg.inv(poses[:-1]) @ poses[1:]
+    poses[:, :2, 3] += 0.03 * rng.normal(size=(len(poses), 2))
+    steps = np.linalg.inv(poses[:-1]) @ poses[1:]
+    found = constant_errors(steps, measured)
+    assert found is not None
+    assert_allclose(found.scale, 1, atol=0.01)
+    assert constant_errors(steps[:100], measured[:100]) is None
 
 
 def test_factors_have_the_derivatives_of_their_residuals() -> None:

@@ -93,8 +93,13 @@ def torn(summary: dict[str, Any]) -> str:
         )
     if failed:
         message += f"; {failed} of {len(submaps)} submaps could not be refined"
-    if weak := len(summary["weak_links"]):
-        message += f"; links with unmeasured length, for which constant motion was assumed: {weak}"
+    odometry = summary.get("odometry")
+    bridged = odometry["tied_by_it_alone"]["stretches"] if odometry else []
+    weak = [k for k in summary["weak_links"] if not any(a <= k <= b for a, b in bridged)]
+    if weak:
+        message += (
+            f"; links with unmeasured length, for which constant motion was assumed: {len(weak)}"
+        )
     return message + _advice(summary)
 
 

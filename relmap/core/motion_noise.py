@@ -89,27 +89,26 @@ class MotionNoise:
         return np.asarray(is_far | (off_rad > SLIPPED * np.hypot(sigma_rad, sd_rad)))
 
 
-def motion_noise(odometry: Floats, measured: Floats) -> MotionNoise | None:
+def motion_noise(
+    odometry: Floats, measured: Floats, constant: MotionNoise | None = None
+) -> MotionNoise | None:
     """Return errors and noise of odometry from more accurate motions; None if there are too few.
 
     Parameters
     ----------
     odometry, measured : (k, 4, 4) float64
         Pose of the robot in its previous frame; NaN if unknown.
+    constant : MotionNoise, optional
+        The constant errors, if known from longer motions.
     """
     both = np.isfinite(odometry[:, 0, 0]) & np.isfinite(measured[:, 0, 0])
     if both.sum() < FEWEST:
         return None
     odometry, measured = odometry[both], measured[both]
-    t, way = odometry[:, :3, 3], np.linalg.norm(odometry[:, :3, 3], axis=1)
+    way = np.linalg.norm(odometry[:, :3, 3], axis=1)
     goes = way > STILL_M
-    scale = 1.0
-    if goes.sum() >= FEWEST:
-        lacks = (measured[goes, :3, 3] - t[goes]).ravel()
-        scale = 1 + float(_least_deviations(t[goes].reshape(-1, 1), lacks)[0])
-    lacks = _turns(measured) - _turns(odometry)
-    per_m = np.array([_least_deviations(way[:, None], lacks[:, a])[0] for a in range(3)])
-    found = MotionNoise(scale, per_m)
+    found = constant or _constant(odometry, measured, goes)
+    scale, per_m = found.scale, found.turn_per_m
     corrected, axes = found.corrected(odometry), _axes(odometry, measured)
     off = np.abs(corrected[:, :3, 3] - measured[:, :3, 3])[:, :axes]
     rad = _apart(corrected, measured)[1]
@@ -117,6 +116,17 @@ def motion_noise(odometry: Floats, measured: Floats) -> MotionNoise | None:
     off_m = NORMAL * np.median(off[goes] / way[goes, None]) if goes.any() else 0.0
     sigma_rad = NORMAL * float(np.median(rad)) / (1.0 if axes == 2 else np.sqrt(3))
     return MotionNoise(scale, per_m, float(off_m), max(still_m, FLOOR_M), max(sigma_rad, FLOOR_RAD))
+
+
+def _constant(odometry: Floats, measured: Floats, goes: Bools) -> MotionNoise:
+    """Return the constant errors of motions (k, 4, 4); in some, the robot moves (k,)."""
+    t, way, scale = odometry[:, :3, 3], np.linalg.norm(odometry[:, :3, 3], axis=1), 1.0
+    if goes.sum() >= FEWEST:
+        lacks = (measured[goes, :3, 3] - t[goes]).ravel()
+        scale = 1 + float(_least_deviations(t[goes].reshape(-1, 1), lacks)[0])
+    lacks = _turns(measured) - _turns(odometry)
+    per_m = [_least_deviations(way[:, None], lacks[:, a])[0] for a in range(3)]
+    return MotionNoise(scale, np.array(per_m))
 
 
 def _least_deviations(columns: Floats, values: Floats) -> Floats:

@@ -15,7 +15,7 @@ from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.motion_noise import WRONG_SCALE, WRONG_WAY, MotionNoise, motion_noise
 from relmap.core.odometry import Motions, OdometryUse
 from relmap.planes.motions import from_matrices, inverse, matrices
-from relmap.planes.steps import corrected, path_of
+from relmap.planes.steps import constant_errors, corrected, path_of
 from relmap.planes.tracks import wrapped
 
 COMPARED, LONG_AGO = 200, 5000
@@ -151,7 +151,8 @@ class Wheels:
         steps = self.given.between(begin, max(begin, end))[scans - begin]
         there = np.isfinite(steps[:, 0, 0])
         steps, true = steps[there], motions[scans[there]]
-        found = motion_noise(steps, _poses(true))
+        poses = _poses(true)
+        found = motion_noise(steps, poses, constant_errors(steps, poses))
         if found is None:
             return MotionNoise(), True
         off_m = found.sigma_way * float(np.median(np.linalg.norm(steps[:, :2, 3], axis=1)))

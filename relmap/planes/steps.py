@@ -17,6 +17,8 @@ BESIDE = 8
 gradually."""
 WAY_M = 3.0
 """Distance over which the noise of odometry is measured."""
+APART = 4
+"""Minimum number of such distances, one after the other, for its constant errors."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,12 +33,26 @@ class Steps:
     variance : (i, 2) float64
         Variance of the yaw, square radians, and of x and y, square metres.
     needed : (i,) bool
+        Which motions it constrains.
+    hanging : (i,) bool
         Which motions depend on it.
     """
 
     motion: Floats
     variance: Floats
     needed: Bools
+    hanging: Bools
+
+    def lengthened(self, motions: Floats) -> Floats:
+        """Return motions from scan to scan (i, 3), those that depend on odometry as long as it.
+
+        In a run, their length came from what was known then of its scale.
+        """
+        way, found = np.hypot(*self.motion[:, 1:].T), motions.copy()
+        own = np.hypot(*motions[:, 1:].T)
+        rows = np.flatnonzero(self.hanging & np.isfinite(way) & (own > STILL_M))
+        found[rows, 1:] *= (way[rows] / own[rows])[:, None]
+        return found
 
     def between(self, iterations: Ints) -> MotionFactors:
         """Return the needed factors between these iterations (k,) and their successors."""
@@ -95,7 +111,7 @@ def steps_of(
     # The errors of the systematic part are common to all steps, and so add up.
     variance += (way * _together(way, hanging))[:, None] * (sd / length) ** 2 / n
     beside = np.convolve(hanging, np.ones(2 * BESIDE + 1))[BESIDE : BESIDE + len(hanging)] > 0
-    return Steps(steps, variance, beside & known)
+    return Steps(steps, variance, beside & known, hanging)
 
 
 def _compared(
@@ -112,6 +128,22 @@ def _compared(
         )
     over, true = (np.concatenate(each) for each in zip(*pairs, strict=True))
     return over, true
+
+
+def constant_errors(steps: Floats, true: Floats) -> MotionNoise | None:
+    """Return the constant errors of steps (k, 4, 4) with measured motions (k, 4, 4).
+
+    They are compared over `WAY_M`, as if the other steps of the run did not exist: jitter makes
+    single steps longer, and their scale too small.  None if they are too short together.
+    """
+    way = np.cumsum(np.linalg.norm(steps[:, :2, 3], axis=1))
+    if not len(way) or way[-1] < APART * WAY_M:
+        return None
+    end = np.searchsorted(way, way + WAY_M)
+    a = np.flatnonzero(end < len(way))
+    given, measured = (matrices(path_of(from_matrices(of))) for of in (steps, true))
+    over = [np.linalg.inv(path[a]) @ path[end[a]] for path in (given, measured)]
+    return motion_noise(over[0], over[1])
 
 
 def corrected(noise: MotionNoise, steps: Floats) -> Floats:
