@@ -123,21 +123,21 @@ def _constant(odometry: Floats, measured: Floats, goes: Bools) -> MotionNoise:
     t, way, scale = odometry[:, :3, 3], np.linalg.norm(odometry[:, :3, 3], axis=1), 1.0
     if goes.sum() >= FEWEST:
         lacks = (measured[goes, :3, 3] - t[goes]).ravel()
-        scale = 1 + float(_least_deviations(t[goes].reshape(-1, 1), lacks)[0])
+        scale = 1 + _least_deviations(t[goes].ravel(), lacks)
     lacks = _turns(measured) - _turns(odometry)
-    per_m = [_least_deviations(way[:, None], lacks[:, a])[0] for a in range(3)]
+    per_m = [_least_deviations(way, lacks[:, axis]) for axis in range(3)]
     return MotionNoise(scale, np.array(per_m))
 
 
-def _least_deviations(columns: Floats, values: Floats) -> Floats:
-    """Return the coefficients (c,) of columns (n, c) with least absolute deviations."""
-    weight = np.ones(len(values))
-    found: Floats = np.zeros(columns.shape[1])
+def _least_deviations(column: Floats, values: Floats) -> float:
+    """Return the factor of a column (n,) with least absolute deviations from values (n,)."""
+    weight, found = np.ones(len(values)), 0.0
     least = 1e-6 * max(float(np.abs(values).max(initial=0.0)), 1e-12)
     for _ in range(ROUNDS):
-        root = np.sqrt(weight)
-        found = np.asarray(np.linalg.lstsq(root[:, None] * columns, root * values, rcond=None)[0])
-        off = np.abs(values - columns @ found)
+        weighed = weight * column
+        square = float(weighed @ column)
+        found = float(weighed @ values) / square if square > 0 else 0.0
+        off = np.abs(values - column * found)
         # Squares below a typical deviation (Huber, 1964): else the fit stops where one is 0.
         weight = 1 / np.maximum(off, max(NORMAL * float(np.median(off)), least))
     return found
