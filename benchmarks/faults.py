@@ -19,6 +19,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from shared import log_faults as faults
 from speed import on_one_core, table
 
 from relmap import PointMapper
@@ -26,7 +27,7 @@ from relmap.core.arrays import Floats
 from relmap.core.geometry.alignment import fit_rigid
 from relmap.datasets import ObservationLog
 from relmap.evaluation.metrics import majority_ids
-from relmap.simulation import FigureEight, faults, simulate_figure_eight
+from relmap.simulation import FigureEight, simulate_figure_eight
 
 AT, COUNT = 450, 10
 """First iteration of temporary faults, and their duration in iterations."""

@@ -27,13 +27,13 @@ from time import process_time
 from typing import Any
 
 import numpy as np
+from shared.judging import judged, judged_cells
 
 from relmap import PlaneMapper
-from relmap.core.arrays import Floats, Ints
+from relmap.core.arrays import Floats
 from relmap.datasets import open_scans
 from relmap.datasets.odometry import composed
 from relmap.datasets.scans import ScanLog, SensorView, stored_scans
-from relmap.evaluation import metrics
 from relmap.evaluation.corners import match_corners
 from relmap.evaluation.feeding import Fed, feed
 from relmap.evaluation.relations import relation_errors, relations_by_clocks
@@ -59,7 +59,7 @@ LOGS = {
 VARIED = "freiburg-079"
 RELATIONS, CHECKED = f"{CARMEN}/fr079.relations", ("freiburg-079", "fr079")
 """Relations checked by hand, and the logs of the same run."""
-LOST, DISPUTED = 0.1, 0.1
+LOST = 0.1
 MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
 COLUMNS = (
     "log | scans | submaps | largest | right | ATE of the largest [m] | worst ATE [m] "
@@ -233,37 +233,6 @@ WORLDS: dict[str, dict[str, Any]] = {
 """Arguments of `simulate_building`, beside those of a usual laser: steps of 50 and 100 cm, ..."""
 
 
-def judged(mapper: PlaneMapper, log: ScanLog) -> Floats:
-    """Return scans, ATE [m], wrong steps and disputed ones of each submap, the largest first."""
-    assert log.poses is not None
-    rows = []
-    for submap in mapper.submaps:
-        truth = log.poses[slice(*submap.span)]
-        known = np.isfinite(submap.poses).all(axis=(1, 2)) & np.isfinite(truth).all(axis=(1, 2))
-        poses, truth, scan = (
-            submap.poses[known],
-            truth[known],
-            submap.span[0] + np.flatnonzero(known),
-        )
-        ate_m = metrics.ate(poses, truth, planar=True)
-        steps = metrics.wrong_steps(poses, truth).tolist()
-        disputed = [_disputed(log, scan[k - 1 : k + 1], poses[k - 1 : k + 1]) for k in steps]
-        rows.append((len(poses), np.inf if ate_m is None else ate_m, len(steps), sum(disputed)))
-    table = np.array(rows).reshape(-1, 4)
-    return np.asarray(table[np.argsort(-table[:, 0], kind="stable")])
-
-
-def _disputed(log: ScanLog, scans: Ints, poses: Floats) -> bool:
-    """Return whether two scans fit better by the poses (2, 4, 4) given than by those of the log."""
-    assert log.poses is not None
-    before, after = (log.points_of(int(scan)) for scan in scans)
-    own, reference = (
-        metrics.overlap(after, before, np.linalg.inv(T[0]) @ T[1])
-        for T in (poses, log.poses[scans])
-    )
-    return own > reference + DISPUTED
-
-
 def _row(name: str, log: ScanLog, truth: Truth, data: Path) -> str:
     mapper = PlaneMapper()
     fed = feed(mapper, log, "nearest", refine=True, clock=process_time)
@@ -282,20 +251,6 @@ def _row(name: str, log: ScanLog, truth: Truth, data: Path) -> str:
         *times(fed),
     ]
     return " | ".join(cells)
-
-
-def judged_cells(submaps: Floats, n_scans: int) -> list[str]:
-    """Return the cells of the errors of submaps."""
-    if not len(submaps):
-        return ["0 | 0 | 0.0% | - | - | 0 | 0"]
-    scans, ates_m, wrong, disputed = submaps.T
-    worst_m = ates_m[scans >= metrics.FEWEST].max(initial=0.0)
-    return [
-        f"{len(scans)} | {scans[0]:.0f}",
-        f"{metrics.share_right(scans, ates_m, n_scans):.1%}",
-        f"{ates_m[0]:.3f} | {worst_m:.3f}",
-        f"{wrong.sum():.0f} | {disputed.sum():.0f}",
-    ]
 
 
 def times(fed: Fed) -> list[str]:

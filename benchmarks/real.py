@@ -20,13 +20,13 @@ from fnmatch import fnmatch
 from functools import partial
 from pathlib import Path
 
-from laser import LOGS, judged
+from laser import LOGS
+from shared.judging import judged, share_right
 
 from relmap import PlaneMapper, PointMapper
 from relmap.comparison.compare import Compared, in_own_process
 from relmap.comparison.methods.registry import find_method
 from relmap.datasets import open_log, open_scans
-from relmap.evaluation import metrics
 from relmap.evaluation.evaluate import evaluate
 from relmap.evaluation.feeding import Association, feed
 from relmap.evaluation.landmarks import identify, match_landmarks
@@ -80,7 +80,7 @@ def _walls(file: Path) -> str:
     log, mapper = open_scans(file), PlaneMapper()
     feed(mapper, log, "nearest", refine=True, odometry=False)
     submaps = judged(mapper, log)
-    right = metrics.share_right(submaps[:, 0], submaps[:, 1], len(log))
+    right = share_right(submaps[:, 0], submaps[:, 1], len(log))
     others = _others(ICP, FileSource(file, truth=file), "nearest", "ate_m")
     return f"{len(log)} | {len(submaps)} | {right:.0%} | {submaps[0, 1]:.3f} | {others}"
 

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from benchmarks.shared import judging
 from relmap.core.arrays import Floats
 from relmap.evaluation import metrics
 
@@ -125,13 +126,13 @@ def test_steps_are_wrong_by_shift_or_by_turn() -> None:
     # Where the robot only turned it stays where it is: later positions turn with it.
     for k in (4, 5):
         poses[k:, :3, 3] = poses[k - 1, :3, 3] + poses[k - 1, :3, :3] @ [3.0, 3.0, 3.0]
-    assert metrics.wrong_steps(poses, true_poses).tolist() == [2, 4]
-    assert metrics.wrong_steps(poses, true_poses, most_m=1.0).tolist() == [4]
+    assert judging.wrong_steps(poses, true_poses).tolist() == [2, 4]
+    assert judging.wrong_steps(poses, true_poses, most_m=1.0).tolist() == [4]
     turned = Rotation.from_rotvec([0.0, 0.0, 2.0]).as_matrix()
     other = poses.copy()
     other[:, :3] = turned @ other[:, :3]
-    assert metrics.wrong_steps(other, true_poses).tolist() == [2, 4]
-    assert len(metrics.wrong_steps(poses[:1], true_poses[:1])) == 0
+    assert judging.wrong_steps(other, true_poses).tolist() == [2, 4]
+    assert len(judging.wrong_steps(poses[:1], true_poses[:1])) == 0
 
 
 def test_scans_overlap_where_the_motion_is_right() -> None:
@@ -139,18 +140,18 @@ def test_scans_overlap_where_the_motion_is_right() -> None:
     place = rng.uniform(-50, 50, (200, 2))  # far apart: hardly any is near another by chance
     T = poses_at(np.array([[1.0, 2.0, 0.0]]), Rotation.from_euler("z", [[0.5]]))[0]
     seen_before = place @ T[:2, :2].T + T[:2, 3]
-    assert metrics.overlap(place, seen_before, T) == 1.0
-    assert metrics.overlap(place[:100], seen_before[50:], T) == pytest.approx(0.5, abs=0.03)
-    assert metrics.overlap(place, seen_before, np.eye(4)) < 0.05
-    assert metrics.overlap(place[:0], seen_before, T) == 0.0
-    assert metrics.overlap(place, seen_before[:0], T) == 0.0
+    assert judging.overlap(place, seen_before, T) == 1.0
+    assert judging.overlap(place[:100], seen_before[50:], T) == pytest.approx(0.5, abs=0.03)
+    assert judging.overlap(place, seen_before, np.eye(4)) < 0.05
+    assert judging.overlap(place[:0], seen_before, T) == 0.0
+    assert judging.overlap(place, seen_before[:0], T) == 0.0
 
 
 def test_scans_of_wrong_and_of_short_submaps_are_not_right() -> None:
     scans, ates_m = np.array([50.0, 30, 10, 9]), np.array([0.3, 0.31, 0.0, 0.0])
-    assert metrics.share_right(scans, ates_m, 100) == pytest.approx(0.6)
-    assert metrics.share_right(scans, ates_m, 100, most_m=0.4) == pytest.approx(0.9)
-    assert metrics.share_right(scans[:0], ates_m[:0], 100) == 0.0
+    assert judging.share_right(scans, ates_m, 100) == pytest.approx(0.6)
+    assert judging.share_right(scans, ates_m, 100, most_m=0.4) == pytest.approx(0.9)
+    assert judging.share_right(scans[:0], ates_m[:0], 100) == 0.0
 
 
 @given(st.integers(0, 1000))

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks.shared import log_faults as faults
 from relmap import PointMapper
 from relmap.cli import main
 from relmap.core.arrays import Floats, Ints
@@ -20,7 +21,7 @@ from relmap.core.errors import RelmapError
 from relmap.datasets import ObservationLog, write_observation_csv
 from relmap.evaluation.summary import MANY, ends_of
 from relmap.io.results import read_result
-from relmap.simulation import faults, simulate_figure_eight
+from relmap.simulation import simulate_figure_eight
 from tests.worlds import aligned_rmse, random_rotation
 
 WORLD = simulate_figure_eight(density=60, iterations=120, seed=5)

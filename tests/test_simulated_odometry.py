@@ -12,6 +12,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
+from benchmarks.shared.log_faults import big_step
 from relmap.cli import main
 from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
@@ -137,7 +138,7 @@ def test_faults_of_wheels_need_odometry() -> None:
 def test_a_big_step_adds_motions_up() -> None:
     world = simulate_figure_eight(density=20, iterations=12)
     log = replace(world.log, odometry=motions(world.trajectory))
-    far = faults.big_step(log, 4, 3)
+    far = big_step(log, 4, 3)
     kept = world.trajectory[[0, 1, 2, 3, 4, 7, 8, 9, 10, 11]]
     assert far.odometry is not None
     assert_allclose(far.odometry[1:], motions(kept)[1:], atol=1e-12)

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import fit_rigid
@@ -14,10 +13,6 @@ from relmap.core.geometry.alignment import fit_rigid
 NO_COMMON_TIMES = "no ATE and no RPE: no pose of the result has the time of a true one"
 MATCH_S = 0.01
 """Tolerance for matching two stamps (that of the TUM benchmark's tools)."""
-FEWEST = 10
-"""Minimum number of scans of a submap that is evaluated by itself."""
-ON_M = 0.15
-"""Largest distance between points of two scans that count as the same place."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,65 +191,3 @@ def rpe(poses: Floats, true_poses: Floats, instant: NDArray[np.intp]) -> float |
     motion = np.linalg.solve(poses[step], poses[step + 1])
     true_motion = np.linalg.solve(true_poses[step], true_poses[step + 1])
     return rms(np.linalg.solve(true_motion, motion)[:, :3, 3])
-
-
-def wrong_steps(
-    poses: Floats, true_poses: Floats, most_m: float = 0.3, most_rad: float = np.deg2rad(10.0)
-) -> NDArray[np.intp]:
-    """Return the scans of a submap with a wrong pose relative to the previous one.
-
-    Parameters
-    ----------
-    poses, true_poses : (k, 4, 4) float64
-        T_map_robot of consecutive scans of one submap.
-    most_m, most_rad : float
-        Largest error of a correct step, metres and radians.
-
-    Returns
-    -------
-    (n,) int, ascending
-    """
-    step, true_step = (np.linalg.inv(T[:-1]) @ T[1:] for T in (poses, true_poses))
-    off = np.linalg.inv(true_step) @ step
-    turn_rad = np.arccos(np.clip((np.trace(off[:, :3, :3], axis1=1, axis2=2) - 1) / 2, -1, 1))
-    shift_m = np.linalg.norm(off[:, :3, 3], axis=1)
-    return 1 + np.flatnonzero((shift_m > most_m) | (turn_rad > most_rad))
-
-
-def overlap(points: Floats, others: Floats, T: Floats) -> float:
-    """Return the fraction of the points of a scan that lie on those of another scan.
-
-    Parameters
-    ----------
-    points, others : (n, 2), (m, 2) float64, metres
-        Each in the frame of its robot.
-    T : (4, 4) float64
-        Transform from the frame of the points to that of the others.
-
-    Returns
-    -------
-    float
-        Fraction of points within `ON_M` of another.
-    """
-    if not (len(points) and len(others)):
-        return 0.0
-    moved = points @ T[:2, :2].T + T[:2, 3]
-    away = np.asarray(cKDTree(others).query(moved)[0])
-    return float((away <= ON_M).mean())
-
-
-def share_right(scans: Floats, ates_m: Floats, n_scans: int, most_m: float = 0.3) -> float:
-    """Return the fraction of the scans of a log that lie in a correct submap.
-
-    Parameters
-    ----------
-    scans : (s,) float64
-        Scans with a pose in each submap; those of fewer than `FEWEST` do not count.
-    ates_m : (s,) float64
-        ATE of each submap, aligned separately, metres.
-    n_scans : int
-        Number of scans of the log.
-    most_m : float
-        Largest ATE of a correct submap, metres.
-    """
-    return float(scans[(scans >= FEWEST) & (ates_m <= most_m)].sum() / n_scans)

@@ -1,0 +1,125 @@
+"""How right the submaps of a log of laser scans are, against the poses of the log."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from relmap import PlaneMapper
+from relmap.core.arrays import Floats, Ints
+from relmap.datasets.scans import ScanLog
+from relmap.evaluation.metrics import ate
+
+FEWEST = 10
+"""Minimum number of scans of a submap that is evaluated by itself."""
+ON_M = 0.15
+"""Largest distance between points of two scans that count as the same place."""
+DISPUTED = 0.1
+"""Fraction of the points of a scan by which the poses of the map must explain more."""
+
+
+def wrong_steps(
+    poses: Floats, true_poses: Floats, most_m: float = 0.3, most_rad: float = np.deg2rad(10.0)
+) -> NDArray[np.intp]:
+    """Return the scans of a submap with a wrong pose relative to the previous one.
+
+    Parameters
+    ----------
+    poses, true_poses : (k, 4, 4) float64
+        T_map_robot of consecutive scans of one submap.
+    most_m, most_rad : float
+        Largest error of a correct step, metres and radians.
+
+    Returns
+    -------
+    (n,) int, ascending
+    """
+    step, true_step = (np.linalg.inv(T[:-1]) @ T[1:] for T in (poses, true_poses))
+    off = np.linalg.inv(true_step) @ step
+    turn_rad = np.arccos(np.clip((np.trace(off[:, :3, :3], axis1=1, axis2=2) - 1) / 2, -1, 1))
+    shift_m = np.linalg.norm(off[:, :3, 3], axis=1)
+    return 1 + np.flatnonzero((shift_m > most_m) | (turn_rad > most_rad))
+
+
+def overlap(points: Floats, others: Floats, T: Floats) -> float:
+    """Return the fraction of the points of a scan that lie on those of another scan.
+
+    Parameters
+    ----------
+    points, others : (n, 2), (m, 2) float64, metres
+        Each in the frame of its robot.
+    T : (4, 4) float64
+        Transform from the frame of the points to that of the others.
+
+    Returns
+    -------
+    float
+        Fraction of points within `ON_M` of another.
+    """
+    if not (len(points) and len(others)):
+        return 0.0
+    moved = points @ T[:2, :2].T + T[:2, 3]
+    away = np.asarray(cKDTree(others).query(moved)[0])
+    return float((away <= ON_M).mean())
+
+
+def share_right(scans: Floats, ates_m: Floats, n_scans: int, most_m: float = 0.3) -> float:
+    """Return the fraction of the scans of a log that lie in a correct submap.
+
+    Parameters
+    ----------
+    scans : (s,) float64
+        Scans with a pose in each submap; those of fewer than `FEWEST` do not count.
+    ates_m : (s,) float64
+        ATE of each submap, aligned separately, metres.
+    n_scans : int
+        Number of scans of the log.
+    most_m : float
+        Largest ATE of a correct submap, metres.
+    """
+    return float(scans[(scans >= FEWEST) & (ates_m <= most_m)].sum() / n_scans)
+
+
+def judged(mapper: PlaneMapper, log: ScanLog) -> Floats:
+    """Return scans, ATE [m], wrong steps and disputed ones of each submap, the largest first."""
+    assert log.poses is not None
+    rows = []
+    for submap in mapper.submaps:
+        truth = log.poses[slice(*submap.span)]
+        known = np.isfinite(submap.poses).all(axis=(1, 2)) & np.isfinite(truth).all(axis=(1, 2))
+        poses, truth, scan = (
+            submap.poses[known],
+            truth[known],
+            submap.span[0] + np.flatnonzero(known),
+        )
+        ate_m = ate(poses, truth, planar=True)
+        steps = wrong_steps(poses, truth).tolist()
+        disputed = [_disputed(log, scan[k - 1 : k + 1], poses[k - 1 : k + 1]) for k in steps]
+        rows.append((len(poses), np.inf if ate_m is None else ate_m, len(steps), sum(disputed)))
+    table = np.array(rows).reshape(-1, 4)
+    return np.asarray(table[np.argsort(-table[:, 0], kind="stable")])
+
+
+def _disputed(log: ScanLog, scans: Ints, poses: Floats) -> bool:
+    """Return whether two scans fit better by the poses (2, 4, 4) given than by those of the log."""
+    assert log.poses is not None
+    before, after = (log.points_of(int(scan)) for scan in scans)
+    own, reference = (
+        overlap(after, before, np.linalg.inv(T[0]) @ T[1]) for T in (poses, log.poses[scans])
+    )
+    return own > reference + DISPUTED
+
+
+def judged_cells(submaps: Floats, n_scans: int) -> list[str]:
+    """Return the cells of the errors of submaps."""
+    if not len(submaps):
+        return ["0 | 0 | 0.0% | - | - | 0 | 0"]
+    scans, ates_m, wrong, disputed = submaps.T
+    worst_m = ates_m[scans >= FEWEST].max(initial=0.0)
+    return [
+        f"{len(scans)} | {scans[0]:.0f}",
+        f"{share_right(scans, ates_m, n_scans):.1%}",
+        f"{ates_m[0]:.3f} | {worst_m:.3f}",
+        f"{wrong.sum():.0f} | {disputed.sum():.0f}",
+    ]
