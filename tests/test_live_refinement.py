@@ -14,7 +14,7 @@ from relmap.core.refinement import live
 from relmap.core.refinement.condensing import CondensedSegments
 from relmap.core.refinement.equations import FreeLandmarks, Laid
 from relmap.core.refinement.gauss_newton import gauss_newton
-from relmap.core.refinement.rows import JointRows, levels_of
+from relmap.core.refinement.rows import JointRows
 from relmap.core.state.table import LandmarkState
 from relmap.simulation import FigureEight, simulate_figure_eight
 from tests.worlds import aligned_rmse, mapped, random_rotation, walk
@@ -116,8 +116,7 @@ def rows_of(points: Floats, landmark: Ints, body: Ints) -> JointRows:
 
 
 def stepped(rows: JointRows) -> Floats:
-    level = levels_of(rows.begin, rows.landmark, len(rows.landmarks))[1]
-    problem, weight = FreeLandmarks(rows, 5.0, level), np.ones(len(rows.points))
+    problem, weight = FreeLandmarks(rows, 5.0), np.ones(len(rows.points))
     start = Laid(problem.means(rows.points, weight), rows.points)
     return gauss_newton(problem, start, lambda _: weight, 1).state.positions
 

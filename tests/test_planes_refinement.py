@@ -4,72 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
-from relmap.core.arrays import Floats, Ints
-from relmap.core.linalg.cholesky import Pattern
+from relmap.core.arrays import Floats
 from relmap.planes.assembly import WallNumbers, assemble
 from relmap.planes.closing import Loop, votes
 from relmap.planes.equations import WallEquations, Walls
 from relmap.planes.history import PlaneHistory
 from relmap.planes.refinement import SPREAD, WallSystem, wall_residuals
-
-Cliques = tuple[Pattern, list[Ints]]
-
-
-def cliques_of(rng: np.random.Generator, blocks: int) -> Cliques:
-    """Return a pattern of random cliques, and the unknowns of each."""
-    width = rng.integers(1, 5, blocks)
-    cliques = [np.unique(rng.integers(0, blocks, 4)) for _ in range(blocks)]
-    cliques += [np.array([block]) for block in range(blocks)]
-    sizes = np.cumsum([0] + [len(clique) for clique in cliques])
-    pattern = Pattern.of_cliques(width, sizes, np.concatenate(cliques))
-    unknowns = [
-        np.sort(np.concatenate([pattern.first[b] + np.arange(width[b]) for b in clique]))
-        for clique in cliques
-    ]
-    return pattern, unknowns
-
-
-@settings(max_examples=40, deadline=None)
-@given(st.integers(0, 2**32 - 1), st.integers(1, 30))
-def test_sums_of_cliques_are_solved_as_dense_matrices_are(seed: int, blocks: int) -> None:
-    rng = np.random.default_rng(seed)
-    pattern, unknowns = cliques_of(rng, blocks)
-    n = 1 + max(int(part.max()) for part in unknowns)
-    dense, values = np.zeros((n, n)), np.zeros(pattern.size)
-    for part in unknowns:
-        root = rng.normal(size=(len(part), len(part)))
-        own = root @ root.T + 0.1 * np.eye(len(part))
-        dense[np.ix_(part, part)] += own
-        pattern.add(values, part, own)
-    pattern.hold(values, 0.5, 0.25)
-    dense[np.diag_indices(n)] *= 1.5
-    dense[np.diag_indices(n)] += 0.25
-    right = rng.normal(size=n)
-    pattern.factorise(values)
-    np.testing.assert_allclose(
-        pattern.solve(values, right), np.linalg.solve(dense, right), rtol=1e-9, atol=1e-12
-    )
-
-
-def test_a_path_is_eliminated_without_filling() -> None:
-    n = 50
-    pairs = np.column_stack([np.arange(n - 1), np.arange(1, n)])
-    pairs = np.random.default_rng(0).permutation(n)[pairs]
-    pattern = Pattern.of_cliques(np.ones(n, dtype=np.int64), 2 * np.arange(n), pairs.ravel())
-    # The last two stand in one panel, a square.
-    assert pattern.size == 2 * n
-
-
-def test_a_singular_pivot_leaves_its_unknown_unchanged() -> None:
-    pattern = Pattern.of_cliques(np.array([2]), np.array([0, 1]), np.array([0]))
-    values = np.zeros(pattern.size)
-    pattern.add(values, np.arange(2), np.ones((2, 2)))
-    pattern.factorise(values)
-    np.testing.assert_allclose(pattern.solve(values, np.array([3.0, 3.0])), [3.0, 0.0], atol=1e-12)
 
 
 @pytest.fixture(name="room")

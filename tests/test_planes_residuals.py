@@ -7,7 +7,6 @@ import pytest
 
 from relmap import PlaneMapper, PlaneSegmenter, RelmapError
 from relmap.core.arrays import Floats
-from relmap.core.linalg.cholesky import Pattern
 from relmap.simulation import Building, simulate_building
 
 
@@ -94,21 +93,3 @@ def test_walls_never_numbered_are_refused(
         with pytest.raises(RelmapError, match=f"labels holds {label}, which no update"):
             mapper.landmarks_of([0, label])
     assert PlaneMapper().landmarks_of([]).tolist() == []
-
-
-def test_blocks_of_the_inverse() -> None:
-    width, begin = np.array([2, 3, 1]), np.array([0, 2, 4])
-    pattern = Pattern.of_cliques(width, begin, np.array([0, 1, 1, 2]))
-    first, rng = pattern.first, np.random.default_rng(0)
-    matrix, values = np.zeros((6, 6)), np.zeros(pattern.size)
-    for blocks in ([0, 1], [1, 2]):
-        own = np.sort(np.concatenate([first[b] + np.arange(width[b]) for b in blocks]))
-        root = rng.normal(size=(len(own), len(own)))
-        part = root @ root.T
-        matrix[np.ix_(own, own)] += part
-        pattern.add(values, own, part)
-    chosen = np.array([[0, 3], [5, 3], [1, 4]])
-    pattern.factorise(values)
-    found = pattern.parts(pattern.inverse(values), chosen)
-    expected = np.linalg.inv(matrix)[chosen[:, :, None], chosen[:, None, :]]
-    np.testing.assert_allclose(found, expected, rtol=1e-9)

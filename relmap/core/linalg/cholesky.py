@@ -1,11 +1,9 @@
 """Sparse symmetric systems, solved by a panel-wise Cholesky factorisation.
 
 The sparsity pattern of the factor depends only on which unknowns are coupled. It is computed once
-(symbolic factorisation; T. A. Davis, "Direct Methods for Sparse Linear Systems", 2006) by one of
-two orderings. The walls of a scan form a clique of coupled unknowns; a minimum-degree ordering
-keeps the factor of a sum of cliques sparse. Landmarks and placements are ordered by breadth-first
-search, in levels coupled only to their neighbours (Cuthill and McKee, 1969), in time linear in the
-number of rows.
+(symbolic factorisation; T. A. Davis, "Direct Methods for Sparse Linear Systems", 2006). What a scan
+shows forms a clique of coupled unknowns; a minimum-degree ordering keeps the factor of a sum of
+cliques sparse.
 """
 
 from __future__ import annotations
@@ -21,8 +19,6 @@ from relmap.core.arrays import Floats, Ints
 if TYPE_CHECKING:
     from relmap.core.linalg.cholesky_kernels import Layout
 
-WIDE = 48
-"""Maximum width of a panel of a level: wider ones are multiplied by other code."""
 STIFF = 1e9
 """Diagonal entry of a fixed unknown, as a multiple of the other entries."""
 
@@ -80,31 +76,6 @@ class Pattern:
         first, (start, column_of, row_begin, rows, offset) = panels(width, order, tied_begin, tied)
         panel = len(column_of) * np.repeat(np.arange(len(start) - 1), np.diff(row_begin))
         return cls(first, (start, column_of, row_begin, np.sort(panel + rows) - panel, offset))
-
-    @classmethod
-    def of_levels(cls, level: Ints, q: int) -> Pattern:
-        """Return the ordering by levels.
-
-        Parameters
-        ----------
-        level : (n,) int64
-            Level of each node, from 0 without gaps; neighbours are at most one level apart.
-        q : int
-            Number of unknowns of each node.
-        """
-        ends = q * np.cumsum(np.bincount(level))
-        begins, step = np.append(0, ends[:-1]), q * max(WIDE // q, 1)
-        pieces = [np.arange(*of, step) for of in zip(begins, ends, strict=True)]
-        last = np.repeat(np.append(ends[1:], ends[-1]), [len(piece) for piece in pieces])
-        start = np.concatenate([*pieces, ends[-1:]])
-        rows = [np.arange(*of) for of in zip(start[:-1], last, strict=True)]
-        heights, widths = last - start[:-1], np.diff(start)
-        row_begin = np.append(0, np.cumsum(heights))
-        offset = np.append(0, np.cumsum(heights * widths))
-        column_of = np.repeat(np.arange(len(widths)), widths)
-        first = np.empty(len(level), dtype=np.int64)
-        first[np.argsort(level, kind="stable")] = q * np.arange(len(level))
-        return cls(first, (start, column_of, row_begin, np.concatenate(rows), offset))
 
     def add(self, values: Floats, unknowns: Ints, part: Floats) -> None:
         """Add a symmetric part (n, n) over unknowns (n,), ascending and all tied, to a matrix."""

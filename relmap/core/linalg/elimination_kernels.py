@@ -120,9 +120,11 @@ def minimum_degree(width: Ints, clique_begin: Ints, cliques: Ints) -> tuple[Ints
     for v in range(n):
         own = _union(v, begin, end, member, of[first[v] : last[v]], mark, v)
         degree[v] = _total(width, own)
-    stamp = n
+    stamp, left = n, np.sum(width)
     for new in range(m, m + n):
         v = _least(degree)
+        left -= width[v]
+        all_tied = degree[v] == left  # the others too, as none has a smaller degree
         order[new - m], degree[v] = v, NEVER
         tied = _union(v, begin, end, member, of[first[v] : last[v]], mark, stamp)
         for k in range(first[v], last[v]):
@@ -136,7 +138,10 @@ def minimum_degree(width: Ints, clique_begin: Ints, cliques: Ints) -> tuple[Ints
         for u in tied:
             stamp += 1
             _absorb(new, u, first, last, of, gone)
-            own = _union(u, begin, end, member, of[first[u] : last[u]], mark, stamp)
-            degree[u] = _total(width, own)
+            if all_tied:
+                degree[u] = left - width[u]
+            else:
+                own = _union(u, begin, end, member, of[first[u] : last[u]], mark, stamp)
+                degree[u] = _total(width, own)
         stamp += 1
     return order, begin[m:] - len(cliques), member[len(cliques) : used]

@@ -20,13 +20,13 @@ from relmap.core.geometry.alignment import fit_rigid_each, place_each, sums_each
 from relmap.core.geometry.motions import derivatives, rotations
 from relmap.core.linalg.cholesky import Pattern
 from relmap.core.refinement.condensing import LENGTH
-from relmap.core.refinement.rows import JointRows, levels_of, rows_of_each
+from relmap.core.refinement.rows import JointRows, pattern_of, rows_of_each
 from relmap.core.refinement.schur import Elimination, Linearised, NormalEquations
 
-FLOPS_PER_OBSERVATION, FLOPS = 2e4, 2e9
-"""Budget of operations for one placement per iteration, at about half a microsecond each, and in
-all half a second for starting with segments as a whole. The latter are up to 1.4 times less
-accurate where the view changes quickly."""
+FLOPS_PER_OBSERVATION, FLOPS = 1.1e4, 8e8
+"""Budget of operations of a step with one placement per iteration, per observation; and in all if
+segments as a whole are solved first. These are up to 1.4 times less accurate where the view changes
+quickly."""
 HOLD = 1e-9, 1e-6
 """Damping of an unknown, as a fraction of its diagonal entry and in observations, so that poorly
 determined unknowns do not move far."""
@@ -194,15 +194,11 @@ class FreeLandmarks(SegmentProblem):
     ----------
     rows : JointRows
     size : float
-    level : (s,) int64
-        Level of each segment.
     anchor : (segment, bit), optional
         By default the whole first segment.
     """
 
-    def __init__(
-        self, rows: JointRows, size: float, level: Ints, anchor: tuple[int, int] | None = None
-    ) -> None:
+    def __init__(self, rows: JointRows, size: float, anchor: tuple[int, int] | None = None) -> None:
         super().__init__(rows, size)
         d = self._d = rows.points.shape[1]
         segment, bit = (0, None) if anchor is None else anchor
@@ -214,9 +210,8 @@ class FreeLandmarks(SegmentProblem):
         self._seen[own] -= 1
         own_segment = np.full(len(own), len(rows.segments))
         self._placement = np.concatenate([rows.segment, own_segment])
-        levels = level if bit is None else np.append(level, level[segment])
-        self._fixed = len(levels) - 1 if bit is not None else segment
-        self.pattern = Pattern.of_levels(levels, 3 * d - 3)
+        self._fixed = segment if bit is None else len(rows.segments)
+        self.pattern = pattern_of(rows.landmark[self._row], self._placement, 3 * d - 3)
         self._unknown = self.pattern.first[:, None] + np.arange(3 * d - 3)
         begin, entry = rows_of_each(rows.landmark[self._row], len(rows.landmarks))
         scalar = (d * entry[:, None] + np.arange(d)).ravel()
@@ -288,21 +283,23 @@ def segment_problems(
     anchor : (segment, bit)
         The iteration whose placement defines the frame.
     """
-    d = rows.points.shape[1]
-    levels = levels_of(rows.begin, rows.landmark, len(rows.landmarks))
-    pattern = Pattern.of_levels(levels[0], d)
-    flops = exact_flops(rows, pattern)
+    d, flops = rows.points.shape[1], exact_flops(rows)
+    limit, pattern = FLOPS_PER_OBSERVATION * rows.n_seen.sum(), None
+    if flops <= max(limit, FLOPS):  # else ordering the landmarks would not pay either
+        pattern = pattern_of(rows.segment, rows.landmark, d)
+        flops += pattern.flops
     problems: list[FreePlacements | FreeLandmarks] = []
-    if flops > FLOPS_PER_OBSERVATION * rows.n_seen.sum():
-        coarse = FreeLandmarks(rows, size, levels[1], anchor)
+    if flops > limit:
+        coarse = FreeLandmarks(rows, size, anchor)
         problems += [coarse] if flops > coarse.pattern.flops else []
     if not problems or flops <= FLOPS:
+        pattern = pattern or pattern_of(rows.segment, rows.landmark, d)
         problems.append(FreePlacements(rows, size, pattern, anchor))
     return problems
 
 
-def exact_flops(rows: JointRows, pattern: Pattern) -> float:
-    """Return the approximate number of operations to eliminate all placements and solve."""
+def exact_flops(rows: JointRows) -> float:
+    """Return the approximate number of operations to eliminate all placements."""
     d = rows.points.shape[1]
     sizes = d * np.diff(rows.begin).astype(np.float64)
-    return float(pattern.flops + 2 * LENGTH * (3 * d - 3) * np.sum(sizes**2))
+    return float(2 * LENGTH * (3 * d - 3) * np.sum(sizes**2))

@@ -19,7 +19,7 @@ from relmap.core.map.globalmap import GlobalMap
 from relmap.core.refinement.condensing import SEEN, CondensedSegments
 from relmap.core.refinement.equations import FreeLandmarks, Laid
 from relmap.core.refinement.gauss_newton import gauss_newton
-from relmap.core.refinement.rows import JointRows, levels_of, numbered
+from relmap.core.refinement.rows import JointRows, numbered
 from relmap.core.refinement.settling import size_of
 from relmap.core.state.table import NONE
 
@@ -200,8 +200,7 @@ class LiveRefinement:
         rejected.
         """
         positions, members = self._table.position, rows.landmarks
-        level = levels_of(rows.begin, rows.landmark, len(members))[1]
-        problem = FreeLandmarks(rows, size_of(positions[members]), level)
+        problem = FreeLandmarks(rows, size_of(positions[members]))
         start = Laid(problem.means(placed, weight), placed)
         found = gauss_newton(problem, start, lambda _: weight, 1).state
         moves = found.positions - start.positions

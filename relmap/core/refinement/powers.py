@@ -17,11 +17,10 @@ from scipy.special import gammaln
 
 from relmap.core.arrays import Floats
 from relmap.core.geometry.motions import derivatives, rotations
-from relmap.core.linalg.cholesky import Pattern
 from relmap.core.refinement.gauss_newton import gauss_newton
 from relmap.core.refinement.joint import Refined
 from relmap.core.refinement.observations import Observations
-from relmap.core.refinement.rows import levels_of
+from relmap.core.refinement.rows import pattern_of
 from relmap.core.refinement.schur import Elimination, Linearised, NormalEquations
 
 FIRST, LAST = 4, 16
@@ -107,8 +106,7 @@ class PowerProblem:
         d = seen.points.shape[1]
         self.seen, self.power, self._unit = seen, 2, 1.0
         self.freedoms = max(seen.points.size - d * n_landmarks, 1)
-        level = levels_of(seen.begin, seen.landmark, n_landmarks)[0]
-        self.pattern = Pattern.of_levels(level, d)
+        self.pattern = pattern_of(seen.iteration, seen.landmark, d)
         self._unknown = self.pattern.first[:, None] + np.arange(d)
         kept = np.repeat(self._unknown[seen.landmark], d, axis=0)
         rows, every = np.arange(seen.points.size), np.arange(len(seen.iterations))

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.arrays import Floats, Ints
+from relmap.core.linalg.cholesky import Pattern
 from relmap.core.refinement.condensing import SegmentRows
 
 
@@ -70,27 +71,20 @@ def rows_of_each(landmark: Ints, n: int) -> tuple[Ints, Ints]:
     return np.concatenate([[0], np.cumsum(counts)]), np.argsort(landmark, kind="stable")
 
 
-def levels_of(begin: Ints, landmark: Ints, n_landmarks: int) -> tuple[Ints, Ints]:
-    """Return levels of landmarks (m,) and of segments (s,), starting at an outer landmark.
-
-    Neighbours are at most one level apart.
+def pattern_of(body: Ints, kept: Ints, q: int) -> Pattern:
+    """Return the pattern of what is kept when bodies are eliminated.
 
     Parameters
     ----------
-    begin : (s + 1,) int64
-        First row of each segment or iteration.
-    landmark : (n,) int64
-        Landmark of each row, 0 to `n_landmarks` - 1.
-    n_landmarks : int
+    body, kept : (n,) int64
+        The body of each row, and what is kept of it: 0, 1, ... without gaps.
+    q : int
+        Number of unknowns of each.
     """
-    from relmap.core.refinement.levels_kernels import breadth_first
-
-    graph = begin, landmark, *rows_of_each(landmark, n_landmarks)
-    segment = np.repeat(np.arange(len(begin) - 1), np.diff(begin))
-    of_landmark, of_segment = breadth_first(0, *graph, segment)
-    of_landmark, of_segment = breadth_first(int(np.argmax(of_landmark)), *graph, segment)
-    # At the end of a component, its last landmarks may be a level beyond its last segments.
-    return of_landmark, numbered(of_segment)[1]
+    n = int(kept.max()) + 1
+    clique, member = np.divmod(np.unique(body * n + kept), n)
+    begin = np.searchsorted(clique, np.arange(clique[-1] + 2))
+    return Pattern.of_cliques(np.full(n, q), begin, member)
 
 
 def numbered(values: Ints) -> tuple[Ints, Ints]:

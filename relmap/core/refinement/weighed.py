@@ -13,12 +13,11 @@ import numpy as np
 from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import fit_rigid_each
 from relmap.core.geometry.motions import derivatives, rotations
-from relmap.core.linalg.cholesky import Pattern
 from relmap.core.refinement.equations import BARELY, ROUNDING
 from relmap.core.refinement.joint import Refined, Spread
 from relmap.core.refinement.observations import Observations, observations_of
 from relmap.core.refinement.powers import LOOSE, LOOSE_POSE, Placed
-from relmap.core.refinement.rows import levels_of
+from relmap.core.refinement.rows import pattern_of
 from relmap.core.refinement.schur import Elimination, Linearised, NormalEquations
 from relmap.core.refinement.settling import settle, size_of
 from relmap.core.state.weighed import WeighedObservations
@@ -83,8 +82,7 @@ class WeighedProblem:
         self._fixed = d * m + (3 * d - 3) * (k - 1)
         self.freedoms = max(n * d - self._fixed, 1)
         self.rounding = float(np.sum(self._root**2)) * (ROUNDING * size_of(positions)) ** 2
-        level = levels_of(seen.begin, seen.landmark, m)[0]
-        self.pattern = Pattern.of_levels(level, d)
+        self.pattern = pattern_of(seen.iteration, seen.landmark, d)
         self._unknown = self.pattern.first[:, None] + np.arange(d)
         kept = np.repeat(self._unknown[seen.landmark], d, axis=0)
         free_in_matrix = (np.arange(k) != anchor).astype(np.float64)
