@@ -46,7 +46,7 @@ def batch_of(world: Walk) -> Batch:
 def refined(world: Walk, start: Points) -> Refined:
     m = len(world.landmarks)
     everyone, nobody = np.ones(m, dtype=bool), np.zeros(m, dtype=bool)
-    found = refine(condensed(world), start, everyone, np.arange(m), nobody, nobody)
+    found = refine(condensed(world), start, everyone, np.arange(m), nobody)
     assert found is not None
     assert found.landmarks.tolist() == list(range(m))
     return found

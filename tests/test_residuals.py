@@ -26,7 +26,7 @@ def refined_of(scans: Scans, of: Ints, start: Floats) -> Any:
     m = len(of)
     nobody = np.zeros(m, dtype=bool)
     rows = CondensedSegments().with_rest(store, nobody)
-    return refine(rows, start, of == np.arange(m), of, nobody, nobody)
+    return refine(rows, start, of == np.arange(m), of, nobody)
 
 
 def test_residuals_are_about_one_where_noise_explains_all() -> None:

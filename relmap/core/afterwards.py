@@ -318,6 +318,5 @@ def _refine(engine: RelativeMapper, to_the_last: bool = True) -> None:
         return
     kept = engine.store if to_the_last and engine.config.keep_observations else None
     rows = engine.rows if engine.association.has_ids else rows_of_tracks(engine.rows, engine.table)
-    again = bool(engine.refined)
     engine.association.weigh_again(engine.weighed)
-    engine.refined = refine_submaps(engine.map, rows, kept, engine.weighed, again)
+    engine.refined = refine_submaps(engine.map, rows, kept, engine.weighed)

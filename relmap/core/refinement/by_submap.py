@@ -20,7 +20,6 @@ def refine_submaps(
     rows: SegmentRows,
     kept: ObservationStore | None,
     weighed: WeighedObservations,
-    again: bool = False,
 ) -> list[Refined]:
     """Move all landmarks to the joint optimum; return the refined submaps, in order.
 
@@ -32,15 +31,13 @@ def refine_submaps(
         Every observation, to exploit bounded noise.
     weighed : WeighedObservations
         Observations with covariances; bounded noise is then not exploited.
-    again : bool
-        Whether the map was refined before and has changed only partly.
     """
     table = global_map.table
-    of, submaps, moving = table.landmark_of, table.submap, table.dynamic
-    others = (submaps == NONE) & ~moving
+    of, submaps = table.landmark_of, table.submap
+    others = (submaps == NONE) & ~table.dynamic
     found, end = [], 0 if kept is None else kept.n_iterations
     for submap in np.unique(submaps[submaps != NONE]):
-        refined = refine(rows, table.position, submaps == submap, of, others, moving, again)
+        refined = refine(rows, table.position, submaps == submap, of, others)
         if refined is not None and len(weighed):
             refined = refine_weighed(refined, weighed, of)
         elif refined is not None and kept is not None:

@@ -24,9 +24,9 @@ from relmap.core.refinement.rows import JointRows, pattern_of, rows_of_each
 from relmap.core.refinement.schur import Elimination, Linearised, NormalEquations
 
 FLOPS_PER_OBSERVATION, FLOPS = 1.1e4, 8e8
-"""Budget of operations of a step with one placement per iteration, per observation; and in all if
-segments as a whole are solved first. These are up to 1.4 times less accurate where the view changes
-quickly."""
+"""Budget of operations of a step with one placement per iteration, per observation, and in all for
+small maps. Beyond it segments are placed as a whole, which is up to 1.4 times less accurate where
+the view changes quickly."""
 HOLD = 1e-9, 1e-6
 """Damping of an unknown, as a fraction of its diagonal entry and in observations, so that poorly
 determined unknowns do not move far."""
@@ -267,13 +267,10 @@ class FreeLandmarks(SegmentProblem):
         return self._eliminated.covariances(linear, each, BARELY, inverse)
 
 
-def segment_problems(
+def segment_problem(
     rows: JointRows, size: float, anchor: tuple[int, int]
-) -> list[FreePlacements | FreeLandmarks]:
-    """Return the problems to solve in sequence, ending with the exact one.
-
-    If the exact problem is expensive, that of whole segments is solved first; if it is too
-    expensive, instead.
+) -> FreePlacements | FreeLandmarks:
+    """Return the exact problem, or that of whole segments if the exact one is too expensive.
 
     Parameters
     ----------
@@ -283,19 +280,16 @@ def segment_problems(
     anchor : (segment, bit)
         The iteration whose placement defines the frame.
     """
-    d, flops = rows.points.shape[1], exact_flops(rows)
-    limit, pattern = FLOPS_PER_OBSERVATION * rows.n_seen.sum(), None
-    if flops <= max(limit, FLOPS):  # else ordering the landmarks would not pay either
-        pattern = pattern_of(rows.segment, rows.landmark, d)
+    flops, budget = exact_flops(rows), max(FLOPS, FLOPS_PER_OBSERVATION * rows.n_seen.sum())
+    if flops <= budget:
+        pattern = pattern_of(rows.segment, rows.landmark, rows.points.shape[1])
         flops += pattern.flops
-    problems: list[FreePlacements | FreeLandmarks] = []
-    if flops > limit:
+    if flops > budget:
         coarse = FreeLandmarks(rows, size, anchor)
-        problems += [coarse] if flops > coarse.pattern.flops else []
-    if not problems or flops <= FLOPS:
-        pattern = pattern or pattern_of(rows.segment, rows.landmark, d)
-        problems.append(FreePlacements(rows, size, pattern, anchor))
-    return problems
+        if flops > coarse.pattern.flops:
+            return coarse
+        pattern = pattern_of(rows.segment, rows.landmark, rows.points.shape[1])
+    return FreePlacements(rows, size, pattern, anchor)
 
 
 def exact_flops(rows: JointRows) -> float:

@@ -18,7 +18,7 @@ from relmap.core.brief import Brief
 from relmap.core.geometry.alignment import fit_rigid, fixes_rotation, place_each
 from relmap.core.geometry.robust import fit_robust_each
 from relmap.core.refinement.condensing import LENGTH, SegmentRows
-from relmap.core.refinement.equations import Laid, segment_problems
+from relmap.core.refinement.equations import Laid, segment_problem
 from relmap.core.refinement.residuals import (
     MergeResiduals,
     SegmentResiduals,
@@ -26,10 +26,8 @@ from relmap.core.refinement.residuals import (
     segment_residuals,
 )
 from relmap.core.refinement.rows import JointRows
-from relmap.core.refinement.settling import Settled, polished, settle, size_of
+from relmap.core.refinement.settling import Settled, settle, size_of
 
-STEADY = 3.0
-"""Median deviation up to which a landmark keeps its position, relative to the usual deviation."""
 SURELY = 3.0
 """Standard deviations by which a variance must exceed another to count as larger."""
 
@@ -106,13 +104,7 @@ class Refined(Brief):
 
 
 def refine(
-    rows: SegmentRows,
-    positions: Floats,
-    chosen: Bools,
-    of: Ints,
-    others: Bools,
-    suspects: Bools,
-    again: bool = False,
+    rows: SegmentRows, positions: Floats, chosen: Bools, of: Ints, others: Bools
 ) -> Refined | None:
     """Return the joint optimum of the landmarks of one submap over all observations.
 
@@ -127,11 +119,6 @@ def refine(
         The landmark that each number stands for, after merging.
     others : (m,) bool
         Static landmarks that are not mapped; they constrain the landmarks seen with them.
-    suspects : (m,) bool
-        Landmarks considered dynamic. Those that keep their position in the refined map as well as
-        others do were misclassified because of outliers, and are used as well.
-    again : bool
-        Whether the map was refined before and has changed only partly.
 
     Returns
     -------
@@ -139,29 +126,12 @@ def refine(
         None if the observations determine nothing.
     """
     landmark = of[rows.landmark]
-    found, better = None, positions.copy()
-    if not again or not suspects.any():
-        found = _solved(rows, positions, chosen, landmark, others)
-        if found is None or not suspects.any():
-            return found
-        better[found.landmarks] = found.positions
-    cleared = _cleared(rows, better, chosen, landmark, suspects)
-    if found is not None and not cleared.any():
-        return found
-    return _solved(rows, better, chosen, landmark, others | cleared)
-
-
-def _solved(
-    rows: SegmentRows, positions: Floats, chosen: Bools, landmark: Ints, others: Bools
-) -> Refined | None:
     joint, start = joint_rows(rows, positions, chosen, landmark, others)
     anchor = _anchor(joint)
     if anchor is None:
         return None
-    problem, *finer = segment_problems(joint, size_of(start.positions), anchor)
+    problem = segment_problem(joint, size_of(start.positions), anchor)
     settled = settle(problem, start)
-    for problem in finer:
-        settled = polished(problem, settled)
     (refined, placed), weight = settled.state, settled.weight
     explained = (weight == 1).astype(np.float64)
     cost = problem.equations(settled.state, explained, with_matrix=False, damping=0.0).cost
@@ -189,26 +159,6 @@ def _solved(
         Spread(problem, settled, mapped, noise_m * R),
         converged=settled.converged,
     )
-
-
-def _cleared(
-    rows: SegmentRows, positions: Floats, chosen: Bools, landmark: Ints, suspects: Bools
-) -> Bools:
-    """Return which suspects (m,) keep their position from segment to segment as others do."""
-    placed, fixed = laid_on(rows, positions, chosen[landmark], landmark)
-    kept = np.flatnonzero(fixed & chosen[landmark])
-    usual = np.median(_lengths(placed[kept] - positions[landmark[kept]])) if len(kept) else 0.0
-    cleared = np.zeros(len(positions), dtype=bool)
-    rows_of_suspects = np.flatnonzero(fixed & suspects[landmark])
-    for suspect in np.unique(landmark[rows_of_suspects]):
-        places = placed[rows_of_suspects[landmark[rows_of_suspects] == suspect]]
-        apart = np.median(_lengths(places - np.median(places, axis=0)))
-        cleared[suspect] = len(places) > 1 and apart <= STEADY * usual
-    return cleared
-
-
-def _lengths(vectors: Floats) -> Floats:
-    return np.asarray(np.linalg.norm(vectors, axis=1))
 
 
 def laid_on(

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.core.refinement.extending import AGREEING, LEAST_STEADY
-from relmap.core.refinement.joint import STEADY, SURELY
+from relmap.core.refinement.extending import AGREEING, LEAST_STEADY, STEADY
+from relmap.core.refinement.joint import SURELY
 from relmap.core.state.kept import KeptObservations
 
 

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
 from relmap.core.arrays import Floats
 from relmap.core.geometry.robust import EXACT, lenient, limit_of, robust_cost, strict
-from relmap.core.refinement.equations import Laid, SegmentProblem
 from relmap.core.refinement.gauss_newton import SAME, WORSE, Problem, gauss_newton
 
 Weights = Callable[[Floats, float], Floats]
 
-ROUNDS, FEW_ROUNDS = 100, 10
-"""Maximum number of steps, from scratch and starting from the solution of a similar problem."""
+ROUNDS = 100
+"""Maximum number of steps."""
 FAINT = 0.03
 """Gain of a damped step, in squared standard deviations of the whole map, below which to stop."""
 WORTH_SAYING = 1.0
@@ -86,21 +85,6 @@ def settle(problem: Problem[State], start: State) -> Settled[State]:
         return Settled(start, strict(residual, first), converged=False)
     converged = found.converged or found.gain <= WORTH_SAYING
     return Settled(found.state, found.weight, converged)
-
-
-def polished(problem: SegmentProblem, settled: Settled[Laid]) -> Settled[Laid]:
-    """Return the state of least cost near the solution of another problem.
-
-    The residuals are those of whole segments, which this problem need not reduce: only its own cost
-    matters.
-    """
-
-    def cost(state: Laid) -> float:
-        return problem.equations(state, settled.weight, with_matrix=False, damping=0.0).cost
-
-    start, weight = settled.state, settled.weight
-    found = gauss_newton(problem, start, lambda _: weight, FEW_ROUNDS, monotone=False)
-    return replace(settled, state=found.state) if cost(found.state) <= cost(start) else settled
 
 
 def size_of(positions: Floats) -> float:
