@@ -14,6 +14,7 @@ import numpy as np
 from relmap.core.arrays import Floats, Ints
 from relmap.core.config import MapperConfig
 from relmap.core.errors import RelmapError, brief, reason
+from relmap.io.journal.file import stated_size
 from relmap.io.journal.layout import (
     APPLICATION,
     COVARIANCES,
@@ -312,13 +313,3 @@ def _matrices(cursor: sqlite3.Cursor, k: int, n: int, d: int) -> Floats:
     if not np.isnan(list(entries.values())).all():
         raise ValueError("covariances of a planar scan have a height")
     return found
-
-
-def stated_size(path: Path) -> int:
-    """Return the size in bytes of an SQLite file according to its header; 0 if unknown."""
-    with path.open("rb") as stream:
-        head = stream.read(100)
-    if len(head) < 100 or not head.startswith(b"SQLite format 3\0"):
-        return 0
-    page = int.from_bytes(head[16:18], "big")
-    return (65536 if page == 1 else page) * int.from_bytes(head[28:32], "big")

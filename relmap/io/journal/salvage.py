@@ -7,8 +7,8 @@ from contextlib import suppress
 from pathlib import Path
 
 from relmap.core.errors import RelmapError
-from relmap.io.journal.file import BESIDE, create_file, remove
-from relmap.io.journal.reading import JournalReader, stated_size
+from relmap.io.journal.file import BESIDE, create_file, remove, stated_size
+from relmap.io.journal.reading import JournalReader
 from relmap.io.journal.writing import Journal
 
 MOST_MISSING = 1 << 40
