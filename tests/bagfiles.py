@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -134,6 +135,29 @@ class Types:
             )
         header = self.header(t, "laser")
         return self.make("vision_msgs/Detection3DArray", header=header, detections=detections)
+
+
+def compile_once() -> None:
+    """Have rosbags parse and compile the same definitions once, not anew for each file.
+
+    Only for runs over very many bags: the library is changed for the whole process.
+    """
+    typesys = pytest.importorskip("rosbags.typesys")
+    parsed = lru_cache(500)(typesys.get_types_from_msg)
+
+    @lru_cache(500)
+    def executed(code: str) -> dict[str, Any]:
+        names: dict[str, Any] = {}
+        exec(code, names)
+        return names
+
+    def execute(code: str, names: dict[str, Any]) -> None:
+        names.update(executed(code))
+
+    for name in ("rosbags.typesys", "rosbags.highlevel.anyreader"):
+        vars(pytest.importorskip(name))["get_types_from_msg"] = parsed
+    for name in ("rosbags.typesys.store", "rosbags.serde.utils"):
+        vars(pytest.importorskip(name))["exec"] = execute
 
 
 Messages = Iterable[tuple[str, float, Any]]

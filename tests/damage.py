@@ -37,6 +37,8 @@ WORDS = [
     *(b"[" * 100_000, b'{"a":' * 50_000, b"\n" * 1000, b"a" * 70_000, b"../../etc/passwd"),
     *("٣".encode(), "\uff11".encode(), b"static", b"corner", b"{}", b"[]", b"null", b"\r", b'"'),
 ]
+_SEPARATES = np.isin(np.arange(256), list(b" ,\n;=:[]"))
+"""Whether each byte separates words."""
 HEADS = [
     *(
         b"PK\x03\x04",
@@ -87,7 +89,7 @@ def _lines(data: bytes, rng: np.random.Generator) -> bytes:
 def _word(data: bytes, rng: np.random.Generator) -> bytes:
     """Replace the text between two separators, or one byte, by a harmful word."""
     word = WORDS[rng.integers(len(WORDS))]
-    separators = [k for k, byte in enumerate(data) if byte in b" ,\n;=:[]"]
+    separators = np.flatnonzero(_SEPARATES[np.frombuffer(data, np.uint8)]).tolist()
     if not separators:
         at = int(rng.integers(len(data) + 1))
         return data[:at] + word + data[at + 1 :]

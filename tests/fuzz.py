@@ -17,6 +17,7 @@ import signal
 import sys
 import tempfile
 import warnings
+from importlib.util import find_spec
 from pathlib import Path
 from time import process_time
 from types import FrameType
@@ -24,6 +25,7 @@ from types import FrameType
 import numpy as np
 
 from relmap.core.errors import RelmapError
+from tests.bagfiles import compile_once
 from tests.damage import GIB, made_to_harm, mutated, nearly_too_large
 from tests.hostile import Files, Reader, readers
 
@@ -107,6 +109,8 @@ def main() -> int:
     arguments = parser.parse_args()
     warnings.simplefilter("ignore")
     logging.disable()
+    if find_spec("rosbags"):
+        compile_once()
     known = readers()
     signal.signal(signal.SIGVTALRM, _hang)
     with tempfile.TemporaryDirectory(prefix="relmap-fuzz-") as name:

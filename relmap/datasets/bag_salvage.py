@@ -13,7 +13,7 @@ import struct
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from io import BytesIO
 from itertools import islice
 from pathlib import Path
@@ -81,13 +81,19 @@ def salvaged(files: Sequence[Path]) -> tuple[list[Found], Typestore]:
                 size += len(message.raw)
                 if size > MAX_BYTES:
                     break
-    store = get_typestore(Stores.EMPTY) if definitions else known_types()
-    store.register(_types(definitions))
+    store = known_types()
+    if definitions:
+        store = get_typestore(Stores.EMPTY)
+        store.register(_types(definitions))
     return [each for each in found if each.type in store.types], store
 
 
+@cache
 def known_types() -> Typestore:
-    """Return the types of bags without definitions: those of ROS 2 Humble, with vision_msgs 4."""
+    """Return the types of bags without definitions: those of ROS 2 Humble, with vision_msgs 4.
+
+    They are made once, which takes as long as opening a small bag.
+    """
     from rosbags.typesys import Stores, get_typestore
 
     store = get_typestore(Stores.ROS2_HUMBLE)
