@@ -35,9 +35,10 @@ test: lint types
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(TEST_VENV)/bin/python -m pytest \
 		-n $(WORKERS) --maxprocesses 4 --dist worksteal $(ARGS)
 
-# Deprecation warnings of old versions are expected.
+# Deprecation warnings of old versions are expected. The old compiler keeps its code by itself: it
+# cannot read what a newer one, in another environment, writes beside the sources meanwhile.
 lowest: $(LOWEST_VENV)/.ready
-	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(LOWEST_VENV)/bin/python -m pytest \
+	@NUMBA_CACHE_DIR='$(CURDIR)/$(LOWEST_VENV)/numba' OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(LOWEST_VENV)/bin/python -m pytest \
 		-W ignore::DeprecationWarning -n $(WORKERS) --maxprocesses 4 --dist worksteal $(ARGS)
 
 # Takes some minutes and a quiet machine; never part of the tests.
