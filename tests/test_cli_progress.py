@@ -90,6 +90,24 @@ def test_the_time_to_compile_is_not_expected_of_every_step(
     )
 
 
+def test_the_time_to_compile_several_parts_is_not_expected_of_every_step(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By a clock on which four of the first ten of 900 steps take 20 s, and the others 0.1 s."""
+    clock = [100.0]
+    monkeypatch.setattr(console, "monotonic", lambda: clock[0])
+    for k in tracked(range(900), 900, "counting sheep"):
+        clock[0] += 20.0 if k in (0, 1, 5, 9) else 0.1
+        if k == 10:
+            break
+    assert capsys.readouterr().err.splitlines() == [
+        "relmap: counting sheep: 1 of 900",
+        "relmap: counting sheep: 2 of 900",
+        "relmap: counting sheep: 6 of 900",
+        "relmap: counting sheep: 10 of 900, about 89 s left",
+    ]
+
+
 def test_off_a_terminal_progress_is_printed_as_lines(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

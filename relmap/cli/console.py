@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from heapq import nlargest
 from threading import Event, Thread, Timer
 from time import monotonic
 from typing import TYPE_CHECKING, TypeVar
@@ -23,6 +24,8 @@ EVERY_S = 10.0
 """Seconds between two lines of progress if not on a terminal."""
 STEADY_S = 600.0
 """Time over which the speed is averaged to estimate the remaining time."""
+COMPILING = 10
+"""Largest number of steps left out of the estimate of the remaining time: they may compile."""
 WIDEST = 1000
 """Maximum width of a table: it is as wide as needed, independent of the terminal."""
 
@@ -43,7 +46,7 @@ class Counter:
         self._what = what
         self._patience_s = PATIENCE_S if patience_s is None else patience_s
         self._began = self._printed = self._latest = monotonic()
-        self._slowest_s = 0.0
+        self._slowest_s: list[float] = []
         self._before: int | None = None
         self._bar: Progress | None = None
         self._is_terminal: bool | None = None
@@ -51,7 +54,7 @@ class Counter:
     def __call__(self, done: int, total: int) -> None:
         """Show progress."""
         now = monotonic()
-        self._slowest_s = max(self._slowest_s, now - self._latest)
+        self._slowest_s = nlargest(COMPILING, [*self._slowest_s, now - self._latest])
         self._latest = now
         if self._before is None:
             self._before = done - 1
@@ -63,15 +66,16 @@ class Counter:
             self._bar.update(self._bar.task_ids[0], completed=done)
         elif not self._is_terminal and now - self._printed >= EVERY_S and done < total:
             line = f"relmap: {self._what}: {done} of {total}"
-            typer.echo(line + self._left(now, done - self._before, total - done), err=True)
+            typer.echo(line + self._left(now, done - self._before, total - self._before), err=True)
             self._printed = now
 
-    def _left(self, now: float, done: int, left: int) -> str:
-        """Return the estimated remaining time, without the slowest step: it may have compiled."""
-        if done < 2:
+    def _left(self, now: float, done: int, total: int) -> str:
+        """Return the estimated remaining time, without the slowest steps: they may compile."""
+        if done < max(2, total / 100):
             return ""
-        left_s = (now - self._began - self._slowest_s) / (done - 1) * left
-        return f", about {lasting(left_s)} left"
+        slowest_s = self._slowest_s[: max(1, min(done // 2, total // 20))]
+        step_s = (now - self._began - sum(slowest_s)) / (done - len(slowest_s))
+        return f", about {lasting(step_s * (total - done))} left"
 
     def close(self) -> None:
         """Remove the bar."""
