@@ -73,14 +73,16 @@ def parquet() -> bytes:
     return stream.getvalue()
 
 
-def bag(kind: str) -> tuple[str, bytes]:
-    """Return name and content of a bag with scans, odometry, transforms and detections."""
+def bag(kind: str, what: str) -> tuple[str, bytes]:
+    """Return name and content of a bag with odometry, transforms, and scans or detections."""
     types, still = bagfiles.Types(kind), np.eye(4)
     messages = [("/tf_static", 0.5, types.transform(0.5, "base_link", "laser", still))]
     for t in (1.0, 2.0, 3.0):
         messages.append(("/odom", t, types.odometry(t, still)))
-        messages.append(("/scan", t, types.scan(t, [1.0, 2, 3], -1.0, 1.0)))
-        messages.append(("/seen", t, types.boxes(t, [("a", (1, 2, 3)), ("b", (3, 2, 1))])))
+        if what == "scans":
+            messages.append(("/scan", t, types.scan(t, [1.0, 2, 3], -1.0, 1.0)))
+        else:
+            messages.append(("/seen", t, types.boxes(t, [("a", (1, 2, 3)), ("b", (3, 2, 1))])))
     with tempfile.TemporaryDirectory() as folder:
         file = bagfiles.file_of(bagfiles.write_bag(Path(folder), kind, types, messages))
         return f"a{file.suffix}", file.read_bytes()
@@ -193,9 +195,9 @@ def _of_other_programs() -> dict[str, Reader]:
     if find_spec("pyarrow"):
         found["own-table-parquet"] = Reader({"a": parquet()}, "a", _log("a"))
     for kind in bagfiles.KINDS if find_spec("rosbags") else ():
-        file, content = bag(kind)
-        for what, read in (("scans", _scan_log(file)), ("seen", _log(file))):
-            found[f"bag-{kind}-{what}"] = Reader({file: content}, file, read)
+        for what, read in (("scans", _scan_log), ("seen", _log)):
+            file, content = bag(kind, what)
+            found[f"bag-{kind}-{what}"] = Reader({file: content}, file, read(file))
     return found
 
 
