@@ -131,7 +131,7 @@ def evaluate(result: Result, truth: Truth, log: ObservationLog | None = None) ->
     else:
         figures, counts, notes = judge_landmarks(result, truth, log, len(mine))
     if len(truth.stamps_s) and not len(mine):
-        notes.append(metrics.NO_COMMON_TIMES)
+        notes.append(metrics.no_common_times(result.stamps_s, truth.stamps_s))
     relation = relation_errors(result.stamps_s, result.poses, truth.relations)
     if truth.relations and relation is None:
         notes.append("no checked relation lies within the times of the result")

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import fit_rigid
 
-NO_COMMON_TIMES = "no ATE and no RPE: no pose of the result has the time of a true one"
 MATCH_S = 0.01
 """Tolerance for matching two stamps (that of the TUM benchmark's tools)."""
 
@@ -33,6 +32,16 @@ class Matched:
     R: Floats
     t: Floats
     rmse_m: float | None
+
+
+def no_common_times(found_s: Floats, true_s: Floats) -> str:
+    """Return the note that no pose of the result has the time of a true one."""
+    found, true = (
+        f"{stamps_s.min():.10g} to {stamps_s.max():.10g} s" if len(stamps_s) else "none"
+        for stamps_s in (found_s, true_s)
+    )
+    note = "no ATE and no RPE: no pose of the result has the time of a true one"
+    return f"{note} ({found}, true: {true})"
 
 
 def rms(errors: Floats) -> float | None:
