@@ -105,7 +105,7 @@ def _as_floats(path: Path, column: Column, cells: NDArray[Any], first: int) -> F
     try:
         if column.name == "stamp" and all(hasattr(cell, "timestamp") for cell in cells):
             return np.array([cell.timestamp() for cell in cells])  # times in a time zone
-        if cells.dtype.kind not in "biufO":
+        if cells.dtype.kind not in "biufO" or _has_lists(cells):
             raise ValueError(cells.dtype)
         return np.asarray(cells, dtype=np.float64)
     except (TypeError, ValueError):
@@ -114,6 +114,11 @@ def _as_floats(path: Path, column: Column, cells: NDArray[Any], first: int) -> F
             f"{shown(path)}: row {first + wrong}, field {column.name}: "
             f"{quoted(str(cells[wrong]))}, expected {column.expected}"
         ) from None
+
+
+def _has_lists(cells: NDArray[Any]) -> bool:
+    """Return whether a cell is a list; old versions of numpy take one with one number for it."""
+    return cells.dtype.kind == "O" and any(map(np.ndim, cells))
 
 
 def _is_number(cell: object) -> bool:
