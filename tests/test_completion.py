@@ -48,7 +48,7 @@ def naive(block: Points, reference: Points) -> list[list[Points]]:
         shared = np.isfinite(block[:, k, 0]) & np.isfinite(reference[:, 0])
         here, there = np.zeros((shared.sum(), 3)), np.zeros((shared.sum(), 3))
         here[:, :d], there[:, :d] = block[shared, k], reference[shared]
-        # Of nothing, numpy 1.26 raises an error.
+        # Of nothing, old versions of numpy raise an error.
         if not len(here) or np.linalg.matrix_rank(here - here[:1]) < d - 1:
             continue
         a, b = here.mean(axis=0), there.mean(axis=0)
