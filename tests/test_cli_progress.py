@@ -70,41 +70,37 @@ def test_off_a_terminal_loops_print_lines(
     ]
 
 
+@pytest.mark.parametrize(
+    ("n", "compiling", "compile_s", "each_s", "told"),
+    [
+        (100, {0}, 30.0, 5.0, ["1 of 100", "3 of 100, about 8 min left"]),
+        (
+            900,
+            {0, 1, 5, 9},
+            20.0,
+            0.1,
+            [f"{k} of 900" for k in (1, 2, 6)] + ["10 of 900, about 89 s left"],
+        ),
+    ],
+)
 def test_the_time_to_compile_is_not_expected_of_every_step(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    n: int,
+    compiling: set[int],
+    compile_s: float,
+    each_s: float,
+    told: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """By a clock on which the first of 100 steps takes half a minute, and others 5 s."""
+    """By a clock on which some of the first steps take longer, because they compile."""
     clock = [100.0]
     monkeypatch.setattr(console, "monotonic", lambda: clock[0])
-    for k in tracked(range(100), 100, "counting sheep"):
-        clock[0] += 30.0 if k == 0 else 5.0
-        if k == 2:
-            break
-    assert capsys.readouterr().err == "relmap: counting sheep: 1 of 100\n"
-    for k in tracked(range(100), 100, "counting sheep"):
-        clock[0] += 30.0 if k == 0 else 5.0
-        if k == 3:
-            break
-    assert capsys.readouterr().err.splitlines()[-1] == (
-        "relmap: counting sheep: 3 of 100, about 8 min left"
-    )
-
-
-def test_the_time_to_compile_several_parts_is_not_expected_of_every_step(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """By a clock on which four of the first ten of 900 steps take 20 s, and the others 0.1 s."""
-    clock = [100.0]
-    monkeypatch.setattr(console, "monotonic", lambda: clock[0])
-    for k in tracked(range(900), 900, "counting sheep"):
-        clock[0] += 20.0 if k in (0, 1, 5, 9) else 0.1
-        if k == 10:
+    for k in tracked(range(n), n, "counting sheep"):
+        clock[0] += compile_s if k in compiling else each_s
+        if k == max(compiling) + 3:
             break
     assert capsys.readouterr().err.splitlines() == [
-        "relmap: counting sheep: 1 of 900",
-        "relmap: counting sheep: 2 of 900",
-        "relmap: counting sheep: 6 of 900",
-        "relmap: counting sheep: 10 of 900, about 89 s left",
+        f"relmap: counting sheep: {line}" for line in told
     ]
 
 
