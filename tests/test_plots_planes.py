@@ -232,12 +232,18 @@ def test_links_by_parallel_walls_alone_are_weak() -> None:
     assert both.weak_links.tolist() == [1]
 
 
-def test_weak_links_keep_their_motions_in_the_refinement() -> None:
+def test_links_along_one_wall_keep_their_motions_in_the_refinement() -> None:
+    """Weak ones loosely; those with walls that cross not at all."""
     alone, measured = [WALLS[:1]] * 3, np.ones(3, dtype=bool)
     cut = replace(history_of(alone, [["view", "view"]], [[-1, -1]]), measured=measured)
     np.testing.assert_array_equal(cut.factors(np.arange(3)).both, [[0, 1], [1, 2]])
     with_corner = replace(history_of(alone, [["view", "corner"]], [[-1, 7]]), measured=measured)
-    assert len(with_corner.factors(np.arange(3))) == 0
+    factors = with_corner.factors(np.arange(3))
+    np.testing.assert_array_equal(factors.both, [[0, 1], [1, 2]])
+    assert (factors.sd < cut.factors(np.arange(3)).sd).all()
+    crossing = np.array([WALLS[0], WALLS[0] + 0.5, WALLS[1], WALLS[1] + 0.5])
+    room = history_of([crossing] * 3, [["view", "view"]] * 4, [[-1, -1]] * 4)
+    assert len(replace(room, measured=measured).factors(np.arange(3))) == 0
 
 
 def test_longest_run() -> None:

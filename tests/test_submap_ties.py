@@ -34,7 +34,9 @@ def part_of(number: int, corners: Floats, sensors: Floats, moved: bool = False) 
     if moved:
         ends, begins, stops_there = ((each - T) @ R for each in (ends, begins, stops_there))
     beams = PlacedBeams(begins, stops_there, np.repeat(np.arange(len(sensors)), len(bearing)))
-    return MapPart.of(number, ends, 100 * number + np.arange(len(ends)), beams)
+    on_the_way = (sensors - T) @ R if moved else sensors
+    path = np.column_stack([100 * number + np.arange(len(sensors)), on_the_way])
+    return MapPart.of(number, ends, 100 * number + np.arange(len(ends)), beams, path)
 
 
 INSIDE = np.array([[1.0, 1.0], [3.0, 2.0], [5.0, 2.0]])

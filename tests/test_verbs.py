@@ -58,6 +58,9 @@ DRAWN = ("circles", "npz", "graph/a.relations", "clouds")
 MORE_OF_WALLS = ["bench.png", "planes.csv"]
 
 
+WITH_ODOMETRY = "laser/a.scans.csv.gz"
+
+
 @pytest.fixture
 def in_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let `relmap compare` run its methods in this process: it is faster."""
@@ -100,6 +103,10 @@ def test_evaluate_and_compare(
     if truth not in DRAWN:
         monkeypatch.setattr("relmap.cli.compared.draw", lambda *_: None)
     folder = mapped(source)
+    if source == WITH_ODOMETRY:  # compare uses none
+        folder = tmp_path / "map"
+        mapping = ["map", str(logs / source), "-o", str(folder), "--variant", "planes"]
+        assert main([*mapping, "--odometry", "none"]) == 0
     against = ["--truth", str(logs / truth)]
     assert main(["evaluate", str(folder), *against]) == 0
     found = load(folder / "evaluation.json")

@@ -20,8 +20,11 @@ BESIDE = 3
 """Number of beams on either side of a point whose surface it is compared with."""
 GAP_M, GAP = 0.3, 0.1
 """Beams farther apart than this plus so much of the range do not share a surface."""
-GAP_RAD = 0.1
-"""Bearings farther apart than this are outside the field of view."""
+GAP_RAD, MISSING = 0.1, 1.5
+"""Bearings farther apart than this are outside the field of view; if they are so many times farther
+apart than others, a beam is missing, and a gap there may be anything."""
+STRAIGHT, FARTHER = 0.05, 4.0
+"""Points lie on a line up to this fraction of their distance, and this ratio of distances."""
 
 
 @helper
@@ -34,6 +37,27 @@ def _rank(x: float, y: float) -> float:
 
 
 @helper
+def _continues(points: Floats, i: int, j: int, k: int) -> bool:
+    """Return whether the line through two points passes near a third one, beyond the second."""
+    if i < 0 or i >= len(points):
+        return False
+    ux, uy = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1]
+    vx, vy = points[k, 0] - points[j, 0], points[k, 1] - points[j, 1]
+    size, ahead = math.sqrt(ux * ux + uy * uy), math.sqrt(vx * vx + vy * vy)
+    off = abs(ux * vy - uy * vx) / max(size, 1e-9)
+    return bool(ux * vx + uy * vy > 0 and off < STRAIGHT * ahead and ahead < FARTHER * size)
+
+
+@helper
+def _is_on_a_line(points: Floats, j: int) -> bool:
+    """Return whether a point and the one before lie on a line with a neighbour.
+
+    Then they are on a wall that is seen at a grazing angle.
+    """
+    return _continues(points, j - 2, j - 1, j) or _continues(points, j + 1, j, j - 1)
+
+
+@helper
 def _surfaces(seen: Fan) -> tuple[Floats, Floats]:
     """Return what lies between each beam and the one before, (n, 6), and the beams' ranks (n,).
 
@@ -42,6 +66,10 @@ def _surfaces(seen: Fan) -> tuple[Floats, Floats]:
     """
     points, bearings, origin, _, _ = seen
     found, ranks = np.zeros((len(points), 6)), np.empty(len(points))
+    spacing = np.inf
+    for j in range(1, len(points)):
+        if bearings[j] - bearings[j - 1] > 1e-4:
+            spacing = min(spacing, bearings[j] - bearings[j - 1])
     for j in range(len(points)):
         ranks[j] = _rank(points[j, 0] - origin[0], points[j, 1] - origin[1])
     for j in range(1, len(points)):
@@ -57,7 +85,11 @@ def _surfaces(seen: Fan) -> tuple[Floats, Floats]:
                 (ax - origin[0]) ** 2 + (ay - origin[1]) ** 2,
             )
         )
-        if bearings[j] - bearings[j - 1] > GAP_RAD:
+        apart = bearings[j] - bearings[j - 1]
+        missing = apart > MISSING * spacing
+        if gap and not missing and _is_on_a_line(points, j):
+            found[j, 4] = 1.0 / max(length, 1e-12)
+        if apart > GAP_RAD or (gap and missing):
             found[j, 5] = -1.0
     return found, ranks
 
@@ -74,6 +106,15 @@ def _squared_distance(x: float, y: float, surfaces: Floats, j: int) -> float:
 
 
 @helper
+def _squared_nearest(x: float, y: float, surfaces: Floats, i: int) -> float:
+    """Return the squared distance of a point from the nearest surface by a beam."""
+    off = np.inf
+    for j in range(max(i - BESIDE, 1), min(i + BESIDE + 1, len(surfaces))):
+        off = min(off, _squared_distance(x, y, surfaces, j))
+    return off
+
+
+@helper
 def _compare(
     seen: Fan,
     drawn: tuple[Floats, Floats],
@@ -83,11 +124,13 @@ def _compare(
     step: int,
     firm: bool,
     sums: Floats,
+    values: Floats,
 ) -> None:
     """Count the points of `other`, transformed into the frame of `seen`, that agree with its beams.
 
     `sums` are the points on a surface that was seen, the wall points in front of one, where a beam
-    passed through, the undecided ones, and those out of view.
+    passed through, the undecided ones, and those out of view.  Unless empty, `values` are NaN and
+    get the contribution of each point: 0.5 to 1, -1 and 0; those out of view stay NaN.
     """
     _, _, origin, _, _ = seen
     surfaces, ranks = drawn
@@ -106,17 +149,25 @@ def _compare(
         if i == 0 or i == n or surfaces[i, 5] < 0:
             sums[3] += 1
             continue
-        off = np.inf
-        for j in range(max(i - BESIDE, 1), min(i + BESIDE + 1, n)):
-            off = min(off, _squared_distance(x, y, surfaces, j))
+        off, kind, value = _squared_nearest(x, y, surfaces, i), 2, 0.0
         if off < near_m * near_m:
-            sums[0] += 1 - 0.5 * off / (near_m * near_m)
+            kind, value = 0, 1 - 0.5 * off / (near_m * near_m)
         elif math.sqrt(dx * dx + dy * dy) < surfaces[i, 5] - 2 * near_m:
-            sums[1 if other[3][k] else 2] += 1
-        elif firm and (seen[4][i] and seen[4][i - 1]):
-            sums[3] += 1
-        else:
-            sums[2] += 1
+            kind, value = (1, -1.0) if other[3][k] else (2, 0.0)
+        elif firm and seen[4][i] and seen[4][i - 1]:
+            kind, value = 3, np.nan
+        sums[kind] += value if kind == 0 else 1.0
+        if len(values) > 0:
+            values[k] = value
+
+
+@helper
+def _inverse(motion: Floats) -> Floats:
+    """Return the inverse of a motion (3,)."""
+    c, s, back = math.cos(motion[0]), math.sin(motion[0]), np.empty(3)
+    back[0] = -motion[0]
+    back[1], back[2] = -c * motion[1] - s * motion[2], s * motion[1] - c * motion[2]
+    return back
 
 
 @compiled
@@ -127,17 +178,29 @@ def compared(
 
     Shape (k, 4), for each of k motions; the beams are subsampled.
     """
-    sums = np.zeros((len(motions), 4))
+    sums, none = np.zeros((len(motions), 4)), np.empty(0)
     before, after = _surfaces(earlier), _surfaces(later)
     for k in range(len(motions)):
-        motion = motions[k]
-        c, s = math.cos(motion[0]), math.sin(motion[0])
-        x, y = c * motion[1] + s * motion[2], -s * motion[1] + c * motion[2]
-        back = np.empty(3)
-        back[0], back[1], back[2] = -motion[0], -x, -y
-        _compare(later, after, earlier, motion, near_m, step, firm, sums[k])
-        _compare(earlier, before, later, back, near_m, step, firm, sums[k])
+        motion, back = motions[k], _inverse(motions[k])
+        _compare(later, after, earlier, motion, near_m, step, firm, sums[k], none)
+        _compare(earlier, before, later, back, near_m, step, firm, sums[k], none)
     return sums
+
+
+@compiled
+def agreement(earlier: Fan, later: Fan, motions: Floats, near_m: float, firm: bool) -> Floats:
+    """Return the agreement of each point of both scans, of n and m points: (k, n + m).
+
+    0.5 to 1 if it agrees, -1 if it contradicts, 0 if undecided, NaN if out of view or loose.
+    """
+    n, sums = len(earlier[0]), np.zeros(4)
+    values = np.nan * np.ones((len(motions), n + len(later[0])))
+    before, after = _surfaces(earlier), _surfaces(later)
+    for k in range(len(motions)):
+        motion, back, own = motions[k], _inverse(motions[k]), values[k]
+        _compare(later, after, earlier, motion, near_m, 1, firm, sums, own[:n])
+        _compare(earlier, before, later, back, near_m, 1, firm, sums, own[n:])
+    return values
 
 
 @compiled
@@ -214,10 +277,26 @@ def free_standing(
     """Return which points (n,) are on small things with something behind them on both sides.
 
     Neighbours belong to different things if they are farther apart than `gap_m` and a fraction
-    `gap` of the range of the nearer one.
+    `gap` of the range of the nearer one.  On one side, such a small thing may be in front instead.
     """
-    n, first, seen = len(points), 0, (points, bearings, origin)
-    found = np.zeros(n, dtype=np.bool_)
+    found = np.zeros(len(points), dtype=np.bool_)
+    seen, limits = (points, bearings, origin), (size_m, gap_m, gap)
+    _mark_free(seen, limits, found.copy(), found)
+    _mark_free(seen, limits, found.copy(), found)
+    return found
+
+
+@helper
+def _mark_free(
+    seen: tuple[Floats, Floats, Floats],
+    limits: tuple[float, float, float],
+    known: Bools,
+    found: Bools,
+) -> None:
+    """Mark the points on small things with something behind them, or a known one on one side."""
+    points, _, origin = seen
+    size_m, gap_m, gap = limits
+    n, first = len(points), 0
     for k in range(1, n + 1):
         if k < n:
             apart = math.hypot(points[k, 0] - points[k - 1, 0], points[k, 1] - points[k - 1, 1])
@@ -225,11 +304,15 @@ def free_standing(
             range_m = math.hypot(points[k, 0] - origin[0], points[k, 1] - origin[1])
             if apart <= gap_m + gap * min(before_m, range_m):
                 continue
-        free = _is_behind(seen, first, first - 1) and _is_behind(seen, k - 1, k)
+        right, left = _is_behind(seen, first, first - 1), _is_behind(seen, k - 1, k)
+        free = (
+            (right and left)
+            or (right and k < n and known[k])
+            or (left and first > 0 and known[first - 1])
+        )
         if free and _extent(points, first, k - 1) <= size_m:
             found[first:k] = True
         first = k
-    return found
 
 
 @compiled

@@ -230,6 +230,27 @@ def compared(
     return beam_kernels.compared(earlier.arrays, later.arrays, motions, near_m, step, firm)
 
 
+def leads(
+    earlier: Beams, later: Beams, motions: Floats, motion: Floats, near_m: float, firm: bool = True
+) -> tuple[Floats, Floats]:
+    """Return by how much beams agree better with motions (k, 3) than with another one (3,).
+
+    Only points in view by both are compared, one by one: otherwise standing still, which keeps all
+    of them in view, would lead.
+
+    Returns
+    -------
+    lead, sd : (k,) float64
+        Sum of the differences, and its standard deviation if neither motion is better (McNemar).
+    """
+    from relmap.planes import beam_kernels
+
+    both = np.vstack([motion[None], motions])
+    values = beam_kernels.agreement(earlier.arrays, later.arrays, both, near_m, firm)
+    off = np.nan_to_num(values[1:] - values[0])
+    return off.sum(axis=1), np.sqrt((off**2).sum(axis=1))
+
+
 def on_loose_things(ends: Floats, given: GivenBeams) -> Bools:
     """Return which walls, by their ends (m, 2, 2), are on small things that stand free."""
     if not given.in_order:

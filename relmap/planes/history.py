@@ -13,9 +13,10 @@ from relmap.planes.motion_factors import MotionFactors
 from relmap.planes.motions import inverse
 from relmap.planes.steps import Steps
 
-LONG_M = 0.5
-"""Measured motions over longer steps are kept as equations: few walls stay in view, and along a
-corridor these alone leave a map free to stretch. Edmonton's largest submap: 0.348 -> 0.104 m."""
+CROSSINGS = 2.0
+"""Spread of the directions of the walls that two consecutive scans share below which the motion
+between them is kept as an equation: along a corridor, ends of walls seen at a grazing angle would
+determine the motion alone, and they are wrong by up to half a metre."""
 LINK_M, LINK_RAD = 0.07, 0.015
 """Standard deviations of such a motion."""
 WEAK_M, WEAK_RAD = 0.1, 0.05
@@ -82,29 +83,31 @@ class PlaneHistory:
     def factors(self, iterations: Ints) -> MotionFactors:
         """Return the equations for the motions between some iterations (k,).
 
-        They are those of odometry, if there is any, else the measured motions over long steps and
-        those of weak links.
+        They are those of odometry, if there is any, and motions between scans that share few walls
+        that cross.
         """
+        factors = self._links(iterations)
         if self.odometry and self.odometry.needed.any():
-            return self.odometry.between(iterations)
+            return self.odometry.between(iterations).and_those(factors)
+        return factors
+
+    def _links(self, iterations: Ints) -> MotionFactors:
+        """Return the motions between consecutive iterations that share few walls that cross."""
         if self.measured is None:
             return MotionFactors()
         before, after = iterations[:-1], iterations[1:]
-        weak = np.isin(after, self.weak_links)
-        long = (np.hypot(*self.motion[after, 1:].T) > LONG_M) & self.measured[after]
-        known = (long | weak) & (after == before + 1)
+        sure = self.measured[after] & ~np.isin(after, self.weak_links)
+        known = (self._shared[0][after] < CROSSINGS) & (after == before + 1)
+        if self.odometry:
+            known &= ~self.odometry.needed[after]
         pairs = np.flatnonzero(known & (self.submap[before] == self.submap[after]))
         steps = np.array([inverse(motion) for motion in self.motion[after[pairs]]])
-        sd = np.where(long[pairs, None], (LINK_RAD, LINK_M), (WEAK_RAD, WEAK_M))
+        sd = np.where(sure[pairs, None], (LINK_RAD, LINK_M), (WEAK_RAD, WEAK_M))
         return MotionFactors(np.column_stack([pairs, pairs + 1]), steps.reshape(-1, 3), sd)
 
     @cached_property
-    def weak_links(self) -> Ints:
-        """Iterations (k,) whose motion since the previous one relies on the motion model.
-
-        The two scans share no static corner and no two crossing walls; constant motion is assumed
-        in the undetermined direction. There is no link where a submap begins.
-        """
+    def _shared(self) -> tuple[Floats, Bools]:
+        """Spread (i,) of the directions of walls in common with the scan before; common corners."""
         n = self.n_iterations
         n_planes = int(self.plane.max(initial=-1)) + 1
         key = self.iteration * n_planes + self.plane
@@ -114,10 +117,19 @@ class PlaneHistory:
         other, iteration = order[before[row]], self.iteration[row]
         corner = self.corner[row]
         both = ((corner >= 0) & (corner == self.corner[other])).any(axis=1)
-        held = np.bincount(iteration[both], minlength=n) > 0
         along = self.ends[row, 1] - self.ends[row, 0]
         along /= np.linalg.norm(along, axis=1, keepdims=True)
-        weak = ~held & (spread(along, iteration, n) < CROSSING)
+        return spread(along, iteration, n), np.bincount(iteration[both], minlength=n) > 0
+
+    @cached_property
+    def weak_links(self) -> Ints:
+        """Iterations (k,) whose motion since the previous one relies on the motion model.
+
+        The two scans share no static corner and no two crossing walls; constant motion is assumed
+        in the undetermined direction. There is no link where a submap begins.
+        """
+        crossing, held = self._shared
+        weak = ~held & (crossing < CROSSING)
         same = np.diff(self.submap) == 0
         return np.flatnonzero(weak[1:] & same & (self.submap[1:] >= 0)) + 1
 

@@ -59,6 +59,18 @@ class Judged:
     match: Floats
     surprise: Floats
 
+    def only(self, k: int) -> Judged:
+        """Return one of these motions."""
+        row = slice(k, k + 1)
+        return Judged(
+            self.motions[row],
+            self.matches[row],
+            self.agree[row],
+            self.contradict[row],
+            self.match[row],
+            self.surprise[row],
+        )
+
     def and_those(self, more: Judged) -> Judged:
         """Return these motions and others."""
         return Judged(

@@ -30,6 +30,8 @@ VARYING = 20
 """Number of steps from which the variation of the speed is estimated."""
 UNSURE = 0.05
 """Minimum uncertainty of a predicted step, as a fraction of it."""
+SLOWED = 0.5
+"""Fraction of the usual step below which a robot slowed down."""
 VARYING_M = 0.15
 """Steps that vary by more are not bridged if unmeasured."""
 TORN_M = 1.0
@@ -94,6 +96,18 @@ def unsure_m(before: Floats) -> float:
         return np.inf
     low, middle, high = np.quantile(_lengths(before[-VARYING:]), (0.25, 0.5, 0.75))
     return float(max((high - low) / 2 / np.sqrt(STEADY), UNSURE * middle))
+
+
+def slower_m(before: Floats, usual: Floats) -> float:
+    """Return by how much a predicted motion (2,) is shorter than the median of (n, 3), metres.
+
+    0 if it is more than half as long. A robot that turned or stood before a corridor may go on
+    there as usual, unnoticed.
+    """
+    if not len(before):
+        return 0.0
+    middle_m, usual_m = float(np.median(_lengths(before[-USUAL:]))), float(np.hypot(*usual))
+    return middle_m - usual_m if usual_m < SLOWED * middle_m else 0.0
 
 
 def _lengths(motions: Floats) -> Floats:

@@ -203,7 +203,8 @@ class PlaneMapper(LocatingMapper):
         for k in range(len(submaps)):
             table, beams = self.planes_of(k), self.beams_of(k, BEAMS)
             static = table.status == "static"
-            parts.append(MapPart.of(k, table.ends[static], table.plane[static], beams))
+            path = submaps[k].path
+            parts.append(MapPart.of(k, table.ends[static], table.plane[static], beams, path))
         tied = [part for part in tied_parts(parts) if len(part.members) > 1]
         poses = [_in_one_frame(part, submaps, self.history) for part in tied]
         if tied:

@@ -37,6 +37,14 @@ class MotionFactors:
         """Return the number of factors."""
         return len(self.both)
 
+    def and_those(self, more: MotionFactors) -> MotionFactors:
+        """Return these factors and others."""
+        return MotionFactors(
+            np.concatenate([self.both, more.both]),
+            np.concatenate([self.motion, more.motion]),
+            np.concatenate([self.sd, more.sd]),
+        )
+
     @property
     def iteration(self) -> Ints:
         """Iteration of each residual, (6 l,): yaw, x, y of the earlier, then the later."""

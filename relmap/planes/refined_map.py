@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from relmap.core.arrays import Bools, Floats
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.planes.assembly import Assembled, WallNumbers, assemble
 from relmap.planes.closing import walls_seen_again
 from relmap.planes.history import PlaneHistory
@@ -19,13 +20,13 @@ from relmap.planes.joining import join_pairs, join_walls
 from relmap.planes.links import disagreement
 from relmap.planes.solving import refined, refined_to_the_noise
 from relmap.planes.stitching import stitched, with_strays_put_back
-from relmap.planes.submaps import WallSubmap, among_all
+from relmap.planes.submaps import WallSubmap, among_all, torn_in
 
 _LOG = logging.getLogger(__name__)
 
 WIDELY = ((2, 1e4), (1, 300.0), (1, 50.0), (1, 15.0), (2, 5.0))
 """Rounds of solutions for closing loops, for any amount of drift."""
-CLOSELY = ((2, 1e4), (1, 100.0), (1, 20.0), (1, 5.0))
+CLOSELY = ((5, 1e4), (2, 300.0), (1, 100.0), (1, 20.0), (1, 5.0))
 CLOSED = 2
 """The same once a loop is closed, and the maximum number of searches for loops."""
 ROUGHLY = ((1, 8.0), (1, 5.0))
@@ -45,7 +46,7 @@ JOINED = 4
 
 def refined_map(
     history: PlaneHistory, numbers: WallNumbers, chained: WallSubmap, moving: Bools
-) -> tuple[WallSubmap, WallNumbers] | None:
+) -> tuple[WallSubmap, WallNumbers]:
     """Move walls, corners and poses of a submap to the joint optimum of all observations.
 
     Walls that then coincide are joined, which closes loops.
@@ -62,17 +63,20 @@ def refined_map(
 
     Returns
     -------
-    (submap, numbers) or None
-        None if nothing is mapped, or if refinement does not converge or makes the map worse.
+    submap : WallSubmap
+        Not refined if nothing is mapped, or if refinement does not converge or makes the map worse.
+    numbers : WallNumbers
     """
     if chained.assembled is None:
-        return None
+        return chained, numbers
+    torn = list[Ints]()
     for held in HELD:
         found, found_numbers = _solved(history, numbers, chained, moving, held)
         if _better(found, chained, history):
             return found, found_numbers
+        torn.append(torn_in([found], history))
     _LOG.warning("scans %d:%d: refinement tears the submap; it is kept as chained", *chained.span)
-    return None
+    return replace(chained, torn=torn[0]), numbers
 
 
 def _solved(

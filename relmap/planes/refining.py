@@ -52,7 +52,9 @@ def refined_submaps(grouped: GroupedMap, moving: Bools, links: ScanLinks) -> Ref
         submaps, numbers = _refined(grouped, merged, moving)
     history = grouped.history
     for k, submap in enumerate(submaps):
-        submaps[k], numbers, gone = floor_plan(submap, numbers, history, links.beams, moving)
+        plan, numbers, gone = floor_plan(submap, numbers, history, links.beams, moving)
+        # Without beams no link was verified, and the chained map is as good as any part of it.
+        submaps[k] = replace(plan, torn=submap.torn[: len(links.beams)])
         moved.append(gone)
     return RefinedWalls(submaps, numbers, np.concatenate(moved))
 
@@ -63,11 +65,12 @@ def _refined(
     """Return the submaps and the association; `merged` is that of the grouped map."""
     numbers, submaps = grouped.at_rest(grouped.unmerged), grouped.submaps(merged, moving)
     for k, submap in enumerate(grouped.submaps(numbers, moving)):
-        found = refined_map(grouped.history, numbers, submap, moving)
-        if found is None:
-            numbers = grouped.with_those_of(submap.span, numbers, merged)
+        found, own = refined_map(grouped.history, numbers, submap, moving)
+        if found.refined:
+            submaps[k], numbers = found, own
         else:
-            submaps[k], numbers = found
+            submaps[k] = replace(submaps[k], torn=found.torn)
+            numbers = grouped.with_those_of(submap.span, numbers, merged)
     return submaps, numbers
 
 

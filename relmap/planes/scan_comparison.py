@@ -10,8 +10,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from relmap.core.arrays import Floats
-from relmap.planes.beams import NEAR_M, Beams, compared
+from relmap.planes.beams import NEAR_M, Beams, compared, leads
 from relmap.planes.judging import Judged, View
+from relmap.planes.links import spread
 from relmap.planes.motions import after, planar
 from relmap.planes.observation import PlaneObservation
 from relmap.planes.odometry import Expected
@@ -28,9 +29,14 @@ SLIDE_NEAR_M, SLIDE_STEP, CONTRADICTING = 0.15, 6, 4.0
 """Tolerance there, subsampling of beams, and weight of a contradicting beam."""
 USUAL_M, USUAL_RAD = 1.5, np.deg2rad(45.0)
 """Typical difference between consecutive motions."""
-BETTER = 1.25
-"""Lead of a usual motion slid along a wall over the one fitted to walls, as a fraction of points,
-times the root of their number: three standard deviations where a tenth disagrees."""
+COARSE_M, FINE_M = 0.1 * np.arange(-6.0, 7.0), 0.025 * np.arange(-3.0, 4.0)
+"""Corrections of a motion along the longest wall."""
+CROSSINGS = 5.0
+"""Spread of the directions of matching walls from which on these determine a motion well."""
+USUAL_SHARE, USUAL_LEAST_M = 0.15, 0.02
+"""Scale of the differences between consecutive steps, as a share of the step and constant."""
+LIKELIER = 3.0
+"""Log odds of a correction that is applied."""
 FREE_M, FREE = 0.3, 0.01
 """A motion along a wall is undetermined if the beams agree almost as well at this distance."""
 
@@ -107,11 +113,7 @@ class ScanComparison:
         )
 
     def _slid(self, judged: Judged, k: int) -> Judged:
-        """Return a motion slid along the longest wall to the best agreement of beams.
-
-        With short steps, one near the usual motion with which beams agree clearly better is also
-        compared as it is: fitted to walls, a wrong corner may pull it back.
-        """
+        """Return a motion slid along the longest wall to the best agreement of beams."""
         if not len(judged.matches[k].walls):
             return self._judged([])
         n = int(REACH_M / SLIDE_M)
@@ -121,12 +123,45 @@ class ScanComparison:
         peaks = 1 + np.flatnonzero((inner >= value[:-2]) & (inner > value[2:]))
         peaks = peaks[np.argsort(-value[peaks], kind="stable")][:PEAKS]
         motions = motions[peaks[np.abs(way_m[peaks]) > SLIDE_M / 2]]
-        off_m, step_m = np.hypot(*(motions[:, 1:] - self._before.t).T), np.hypot(*self._before.t)
-        usual = motions[np.maximum(off_m, step_m) < FREE_M]
-        lead = self._value(usual, 1) - self._value(judged.motions[k : k + 1], 1)
-        usual = usual[lead > BETTER / np.sqrt(len(self._beams))]
-        fitted = self._judged([planar(motion) for motion in motions])
-        return fitted.and_those(self._judged([planar(motion) for motion in usual], 0))
+        return self._judged([planar(motion) for motion in motions])
+
+    def _corrected(self, judged: Judged, k: int, far: bool = True) -> Judged:
+        """Return a motion, moved along the longest wall if that is clearly likelier.
+
+        Ends of walls seen at a grazing angle pull a fit to walls along them, and in a corridor
+        nothing else may determine the motion. So where few walls cross, the beams and the usual
+        step decide; `far`, also if that is out of the range of the search.
+        """
+        motion, match = judged.motions[k], judged.matches[k]
+        if spread(self._seen.along[match.walls], np.zeros_like(match.walls), 1)[0] >= CROSSINGS:
+            return judged.only(k)
+        usual_m = float((self._before.t - motion[1:]) @ self._along_longest(match))
+        coarse_m = np.append(COARSE_M, usual_m) if far else COARSE_M
+        best_m, _ = self._likeliest(motion, match, coarse_m, usual_m)
+        best_m, best = self._likeliest(motion, match, best_m + FINE_M, usual_m)
+        if best < LIKELIER:
+            return judged.only(k)
+        return self._judged([planar(self._moved(motion, match, np.array([best_m]))[0])], 0)
+
+    def _likeliest(
+        self, motion: Floats, match: Match, way_m: Floats, usual_m: float
+    ) -> tuple[float, float]:
+        """Return the likeliest of some ways (k,) along the longest wall, and its log odds.
+
+        Compared with the motion (3,) itself; `usual_m` leads to the usual step.
+        """
+        lead, sd = self._leads(self._moved(motion, match, way_m), motion)
+        odds = np.sign(lead) * (lead / np.maximum(sd, 1e-9)) ** 2 / 2
+        scale_m = USUAL_SHARE * float(np.hypot(*self._before.t)) + USUAL_LEAST_M
+        odds += np.log1p((usual_m / scale_m) ** 2) - np.log1p(((way_m - usual_m) / scale_m) ** 2)
+        at = int(np.argmax(odds))
+        return float(way_m[at]), float(odds[at])
+
+    def _leads(self, motions: Floats, motion: Floats) -> tuple[Floats, Floats]:
+        """Return by how much beams agree better with motions (k, 3) than with one (3,)."""
+        view = self._views[0]
+        both = after(view.motion, np.vstack([motion[None], motions]))
+        return leads(view.beams, self._beams, both[1:], both[0], NEAR_M, self._firm)
 
     def _measured(self, judged: Judged, k: int) -> bool:
         """Return whether beams agree less if a motion is slid along the longest wall."""
@@ -137,11 +172,20 @@ class ScanComparison:
 
     def _along(self, judged: Judged, k: int, way_m: Floats) -> tuple[Floats, Floats]:
         """Return a motion slid along the longest wall that matches, and the agreement of beams."""
-        walls = judged.matches[k].walls
-        longest = walls[np.argmax(self._seen.size[walls])]
-        motions = np.tile(judged.motions[k], (len(way_m), 1))
-        motions[:, 1:] += way_m[:, None] * self._seen.along[longest]
+        motions = self._moved(judged.motions[k], judged.matches[k], way_m)
         return motions, self._value(motions, SLIDE_STEP)
+
+    def _moved(self, motion: Floats, match: Match, way_m: Floats) -> Floats:
+        """Return a motion (3,) moved along the longest wall that matches by distances (k,)."""
+        motions = np.tile(motion, (len(way_m), 1))
+        motions[:, 1:] += way_m[:, None] * self._along_longest(match)
+        return motions
+
+    def _along_longest(self, match: Match) -> Floats:
+        """Return the direction (2,) of the longest wall that matches; zero if there is none."""
+        if not len(match.walls):
+            return np.zeros(2)
+        return np.asarray(self._seen.along[match.walls[np.argmax(self._seen.size[match.walls])]])
 
     def _value(self, motions: Floats, step: int) -> Floats:
         """Return the agreement of beams along walls for motions (k, 3)."""

@@ -21,6 +21,7 @@ from relmap.planes.links import (
     farthest_m,
     is_supported,
     measured_along,
+    slower_m,
     unsure_m,
     usual_motion,
 )
@@ -44,6 +45,8 @@ FEW = 4.0
 FIRST, AGAIN, LATELY = (10, 20), 50, 50
 """When it is evaluated whether things rest: after so many scans, and at each multiple; and about
 how many links are examined."""
+TURNING = np.deg2rad(2.5)
+"""Rotation from scan to scan from which on a robot is expected to be slow."""
 VIEWS = 2
 """Number of last scans whose beams verify a motion."""
 
@@ -87,6 +90,8 @@ class ScanLinks(LinkRecord):
         if not self._unsure_m:
             self._unsure_each_m = unsure_m(self.motions[self._measured.values])
         self._unsure_m += self._unsure_each_m
+        if abs(found.motion.yaw) < TURNING:
+            self._unsure_m += slower_m(self.motions[self._measured.values], self.usual.t)
         if self._unsure_m > self._bridge_m or self._unsure_each_m > VARYING_M:
             self._unsure_m = 0.0
             return None

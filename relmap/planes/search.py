@@ -83,19 +83,18 @@ class Search(ScanComparison):
             return None
         likely = every.evidence > every.evidence[best] - RIVAL
         rivals = likely & others(every.motions, motion)
-        measured = self._measured(every, best)
+        one = self._corrected(every, best)
+        measured = self._measured(one, 0)
         if not measured:
             rivals &= np.hypot(*(every.motions[:, 1:] - motion[1:]).T) > FREE_REACH_M
         if rivals.any():
             return None
         if not measured and self._expected:
             return self._by_odometry(every, self._expected)
-        if not measured:
-            off_m = np.hypot(*(every.motions[:, 1:] - self._before.t).T)
-            best = int(np.argmin(np.where(likely, off_m, np.inf)))
-            motion = every.motions[best]
-        match = self._named(every.matches[best])
-        return Found(planar(motion), match, measured, float(every.evidence[best]))
+        return self._chosen(one, measured, float(every.evidence[best]))
+
+    def _chosen(self, one: Judged, measured: bool, evidence: float) -> Found:
+        return Found(planar(one.motions[0]), self._named(one.matches[0]), measured, evidence)
 
     def _explains(self, expected: Expected, motion: Floats) -> bool:
         """Return whether beams agree with odometry almost as well as with another motion (3,)."""
@@ -113,9 +112,7 @@ class Search(ScanComparison):
         if near.max() < ACCEPTED:
             return None
         best = int(np.argmin(np.where(near > near.max() - RIVAL, off, np.inf)))
-        evidence = float(every.evidence[best])
-        match = self._named(every.matches[best])
-        return Found(planar(every.motions[best]), match, False, evidence)
+        return self._chosen(self._corrected(every, best), False, float(every.evidence[best]))
 
     def candidates(self, guesses: Sequence[PlanarMotion] = ()) -> Candidates:
         """Return the plausible motions between these scans by walls and beams, likeliest first.
@@ -134,10 +131,11 @@ class Search(ScanComparison):
         order = np.argsort(-evidence, kind="stable")
         order = order[np.isfinite(evidence[order]) & (evidence[order] > evidence.max() - WITHIN)]
         best = distinct(every.motions, order, CANDIDATES)
-        measured = np.array([self._measured(every, k) for k in best], dtype=np.bool_)
-        matches = [self._named(every.matches[k]) for k in best]
-        evidence = evidence[best] + MEASURED * measured
-        return Candidates(every.motions[best], evidence, measured, matches)
+        each = [self._corrected(every, k, False) for k in best]
+        measured = np.array([self._measured(one, 0) for one in each], dtype=np.bool_)
+        matches = [self._named(one.matches[0]) for one in each]
+        motions = np.array([one.motions[0] for one in each]).reshape(-1, 3)
+        return Candidates(motions, evidence[best] + MEASURED * measured, measured, matches)
 
     def judged(self, motion: Floats) -> tuple[float, float, bool]:
         """Return the evidence of the scans for a motion (3,), after local optimisation.

@@ -17,8 +17,9 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.planes.beams import PlacedBeams
+from relmap.planes.links import JUMP, JUMP_M
 from relmap.planes.plan_evidence import BIN_M, LEAST_SINE, Stretches, grid_over
-from relmap.planes.wall_tie import LEAST_M, WallTie, coinciding, wall_ties
+from relmap.planes.wall_tie import LEAST_M, WallTie, coinciding, coinciding_ends, wall_ties
 
 NEAR_M, BEFORE_M = 0.25, 0.2
 """Largest distance of a beam's end from the wall it hits, and distance in front of that at which it
@@ -37,10 +38,14 @@ alignments of submaps, of eight logs and between buildings, right ones had at mo
 0.10 or more."""
 CROSSING_M = 3.0
 """Least length of overlapping wall that prevents sliding along the rest."""
-WALLS = 6
-"""Least number of walls that coincide: a bend of a bare corridor has four, and looks like any other
-bend. Of 27 alignments of submaps in ten logs and worlds, the four wrong ones had at most 4, 21 of
-the right ones at least 10 and two 4."""
+WALLS, ENDS, ENDS_SHARE = 6, 6, 0.5
+"""Least number of walls that coincide, of places where their ends do, and of these for each wall: a
+bend of a bare corridor has four walls, and looks like any other, as do crossings. Of 47 alignments
+of submaps in 22 logs and worlds, the 16 wrong ones had at most 5 such places, and 24 of the right
+ones enough."""
+SYMMETRIC = 0.02
+"""Largest contradicted share if the robot must have been carried, or scans are missing, between
+submaps: a corridor round a building looks the same after half a turn (0.037 and more)."""
 RIVAL = 0.5
 """Largest support of another alignment, as a share of the best."""
 
@@ -61,6 +66,8 @@ class MapPart:
         Number of each wall.
     same : (k, 2) int64
         Pairs of numbers of the same wall in two members.
+    path : (s, 3) float64
+        Number of each scan, and the position of the robot, metres.
     """
 
     members: tuple[tuple[int, Floats], ...]
@@ -69,12 +76,15 @@ class MapPart:
     stops: Floats
     walls: Ints
     same: Ints
+    path: Floats
 
     @classmethod
-    def of(cls, number: int, ends: Floats, walls: Ints, beams: PlacedBeams) -> MapPart:
-        """Return one submap, given its number, its walls and its beams."""
+    def of(
+        cls, number: int, ends: Floats, walls: Ints, beams: PlacedBeams, path: Floats
+    ) -> MapPart:
+        """Return one submap, given its number, its walls, its beams and its path."""
         motion, none = np.eye(4), np.empty((0, 2), dtype=np.int64)
-        return cls(((number, motion),), ends, beams.begins, beams.ends, walls, none)
+        return cls(((number, motion),), ends, beams.begins, beams.ends, walls, none, path)
 
     def with_that(self, other: MapPart, tie: WallTie) -> MapPart:
         """Return this and another part, moved to this frame."""
@@ -92,7 +102,23 @@ class MapPart:
             np.concatenate([self.stops, stops]),
             np.concatenate([self.walls, other.walls]),
             np.concatenate([self.same, other.same, same]),
+            self._both_paths(other, tie),
         )
+
+    def _both_paths(self, other: MapPart, tie: WallTie) -> Floats:
+        """Return the path, and that of another part after a motion."""
+        moved = other.path[:, 1:] @ tie.R.T + tie.t
+        return np.concatenate([self.path, np.column_stack([other.path[:, :1], moved])])
+
+    def jumps_to(self, other: MapPart, tie: WallTie) -> bool:
+        """Return whether an alignment implies a jump between a scan and the next one."""
+        path = self._both_paths(other, tie)
+        order = np.argsort(path[:, 0], kind="stable")
+        steps = np.abs(np.diff(path[order], axis=0))
+        between = np.diff(order >= len(self.path))
+        way_m, scans = np.hypot(*steps[:, 1:].T), np.maximum(steps[:, 0], 1.0)
+        usual_m = float(np.median(way_m[~between])) if not between.all() else 0.0
+        return bool((way_m > JUMP_M + JUMP * usual_m * scans)[between].any())
 
     @cached_property
     def crossing_m(self) -> float:
@@ -183,7 +209,12 @@ def unrivalled(part: MapPart, other: MapPart) -> SubmapTie | None:
     best = judged[0]
     if not best.is_sure or rival_m > RIVAL * best.support_m:
         return None
-    return best if len(coinciding(other.ends, part.ends, best.tie)) >= WALLS else None
+    walls, ends = coinciding_ends(other.ends, part.ends, best.tie)
+    if walls < WALLS or ends < max(ENDS, ENDS_SHARE * walls):
+        return None
+    if best.contradicted > SYMMETRIC and part.jumps_to(other, best.tie):
+        return None
+    return best
 
 
 def _crosses(tie: WallTie) -> bool:

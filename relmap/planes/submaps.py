@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -28,11 +28,14 @@ class WallSubmap(Submap):
         None if no wall was seen often enough.
     refined : bool
         Whether its walls and poses were refined.
+    torn : (t,) int64
+        Scans before which the refinement, if rejected, deviated from the links.
     """
 
     poses: Floats
     assembled: Assembled | None
     refined: bool
+    torn: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
 
     @classmethod
     def of(
@@ -60,11 +63,15 @@ class WallSubmap(Submap):
         return int(np.isfinite(self.poses[:, 0, 3]).sum())
 
     @property
+    def path(self) -> Floats:
+        """Number of each of its scans, and the position of the robot (n, 3)."""
+        known = np.flatnonzero(np.isfinite(self.poses[:, 0, 3]))
+        return np.column_stack([self.first_iteration + known, self.poses[known, :2, 3]])
+
+    @property
     def length_m(self) -> float:
         """Length of the path, metres."""
-        known = np.isfinite(self.poses[:, 0, 3])
-        steps = np.diff(self.poses[known, :2, 3], axis=0)
-        return float(np.linalg.norm(steps, axis=1).sum())
+        return float(np.linalg.norm(np.diff(self.path[:, 1:], axis=0), axis=1).sum())
 
 
 def among_all(poses: Floats, span: tuple[int, int], history: PlaneHistory) -> Floats:
@@ -90,10 +97,14 @@ def chained_poses(paths: list[Floats], span: tuple[int, int], history: PlaneHist
 
 
 def torn_in(submaps: Sequence[WallSubmap], history: PlaneHistory) -> Ints:
-    """Return the scans (t,) before which submaps deviate from the links between scans."""
+    """Return the scans (t,) before which submaps deviate from the links between scans.
+
+    Or did so in a refinement that was rejected.
+    """
     torn, weak = [np.empty(0, dtype=np.int64)], history.weak_links
     for submap in submaps:
         begin, end = submap.span
         own = weak[(weak > begin) & (weak < end)] - begin
         torn.append(begin + torn_links(submap.poses, history.motion[begin:end], own))
-    return np.concatenate(torn)
+        torn.append(submap.torn)
+    return np.unique(np.concatenate(torn))

@@ -90,10 +90,11 @@ class Scans:
     def holds(self, link: Link) -> bool:
         """Return whether a link is measured, or next to a measured one, and steps are steady.
 
-        Not required with odometry.
+        With odometry, whether it is measured or agrees with that.
         """
-        if self.expected(link.earlier, link.later):
-            return True
+        expected = self.expected(link.earlier, link.later)
+        if expected is not None:
+            return link.measured or bool(expected.off(link.motion[None])[0] < OTHERWISE)
         beside = self.measured[[link.earlier, min(link.later + 1, len(self.measured) - 1)]]
         steady = unsure_m(self.motions[self.measured]) <= VARYING_M
         return link.measured or (bool(beside.any()) and steady)
@@ -226,7 +227,9 @@ class _Judged(NamedTuple):
         """
         motion, expected = scans.motions[self.later], scans.expected(self.later - 1, self.later)
         agrees = expected is not None and expected.off(motion[None])[0] < OTHERWISE
-        return self.verdict.odds(motion) < DOUBTED and not agrees
+        best, odds = self.verdict.best, self.verdict.odds(motion)
+        rival = best is not None and self.verdict.odds(best) > odds
+        return (odds < DOUBTED or rival) and not agrees
 
 
 def _accepted(

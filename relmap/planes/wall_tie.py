@@ -38,6 +38,8 @@ RIVAL = 0.7
 """Fraction of it that may overlap elsewhere."""
 COINCIDING = 0.5
 """Fraction of a wall that must lie on another one if both are the same."""
+ENDS_M = 0.15
+"""Largest distance between ends of walls that coincide; twice as far apart, they are two places."""
 ACROSS = 0.1
 """Least fraction of it that must prevent the maps from sliding along the rest."""
 
@@ -234,6 +236,16 @@ def coinciding(ends: Floats, others: Floats, tie: WallTie) -> Ints:
     pairs, counts = np.unique(pairs, axis=0, return_counts=True)
     length = np.bincount(points.wall, minlength=len(ends))
     return np.asarray(pairs[counts >= COINCIDING * length[pairs[:, 0]]])
+
+
+def coinciding_ends(ends: Floats, others: Floats, tie: WallTie) -> tuple[int, int]:
+    """Return the numbers of walls that coincide, moved, and of places where their ends do too."""
+    rows, columns = coinciding(ends, others, tie).T
+    moved = ends[rows] @ tie.R.T + tie.t
+    left, places = moved[np.hypot(*np.moveaxis(moved - others[columns], 2, 0)) < ENDS_M], 0
+    while len(left):
+        left, places = left[np.hypot(*(left - left[0]).T) > 2 * ENDS_M], places + 1
+    return len(rows), places
 
 
 def _stepped(tie: WallTie, at: Floats, normal: Floats, off: Floats) -> WallTie:
