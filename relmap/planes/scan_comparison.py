@@ -31,9 +31,9 @@ USUAL_M, USUAL_RAD = 1.5, np.deg2rad(45.0)
 """Typical difference between consecutive motions."""
 COARSE_M, FINE_M = 0.1 * np.arange(-6.0, 7.0), 0.025 * np.arange(-3.0, 4.0)
 """Corrections of a motion along the longest wall."""
-CROSSINGS = 5.0
+CROSSINGS = 4.0
 """Spread of the directions of matching walls from which on these determine a motion well."""
-USUAL_SHARE, USUAL_LEAST_M = 0.15, 0.02
+USUAL_SHARE, USUAL_LEAST_M = 0.1, 0.02
 """Scale of the differences between consecutive steps, as a share of the step and constant."""
 LIKELIER = 3.0
 """Log odds of a correction that is applied."""
