@@ -32,6 +32,8 @@ DOUBTED = -0.5
 SKIPPED, STEP_M = 2, 0.5
 """Maximum number of consecutive unmatched scans to skip, if the median step is shorter than this:
 over longer ones too little stays in view, and 2 of 8 such links were wrong."""
+BESIDE = 2
+"""Number of links before and after one along walls of which one must be measured."""
 EARLIER = 2
 """Scans before a doubtful one that are evaluated with it."""
 
@@ -88,16 +90,16 @@ class Scans:
         return self.beams.of(scan, self.walls.ends[self.rows(scan)])
 
     def holds(self, link: Link) -> bool:
-        """Return whether a link is measured, or next to a measured one, and steps are steady.
+        """Return whether a link is measured, or one near it is and steps are steady.
 
         With odometry, whether it is measured or agrees with that.
         """
         expected = self.expected(link.earlier, link.later)
         if expected is not None:
             return link.measured or bool(expected.off(link.motion[None])[0] < OTHERWISE)
-        beside = self.measured[[link.earlier, min(link.later + 1, len(self.measured) - 1)]]
+        near = self.measured[max(link.earlier + 1 - BESIDE, 0) : link.later + 1 + BESIDE]
         steady = unsure_m(self.motions[self.measured]) <= VARYING_M
-        return link.measured or (bool(beside.any()) and steady)
+        return link.measured or (bool(near.any()) and steady)
 
     def agree(self, link: Link) -> bool:
         """Return whether the walls of two scans have the numbers that a link implies."""
