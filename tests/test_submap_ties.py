@@ -9,10 +9,13 @@ import numpy as np
 import pytest
 
 from relmap import PlaneMapper
-from relmap.core.arrays import Floats
+from relmap.core.arrays import Floats, Ints
 from relmap.evaluation.metrics import ate
+from relmap.planes import mapper as planes_mapper
 from relmap.planes.beams import PlacedBeams
+from relmap.planes.history import PlaneHistory
 from relmap.planes.submap_ties import MapPart, tied_parts
+from relmap.planes.submaps import WallSubmap, torn_in
 from tests.segments import cast
 from tests.test_scan_links import driven, scans_of
 
@@ -103,6 +106,25 @@ def test_a_place_seen_again_after_a_jump_is_joined(tmp_path: Path) -> None:
     np.testing.assert_array_equal(same.trajectory, mapper.trajectory)
     mapper.refine()
     assert sorted(known_of(mapper)) == [again, list(range(35, 50))]
+
+
+def test_if_a_joined_map_tears_its_parts_are_cut_and_joined_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Cutting the joined map would separate the scans before a tear from all later ones."""
+    (log, scans), (_, foreign) = scans_of(0), scans_of(0, world="panels")
+    mapper, told = driven(log, scans[:35] + foreign[20:35] + scans[5:40]), list[int]()
+
+    def torn_once(submaps: list[WallSubmap], history: PlaneHistory) -> Ints:
+        if told or history.submap[0] != history.submap[-1]:
+            return torn_in(submaps, history)
+        told.append(30)
+        return np.array(told)
+
+    monkeypatch.setattr(planes_mapper, "torn_in", torn_once)
+    mapper.refine()
+    assert told == [30]
+    assert sorted(known_of(mapper)) == [[*range(35), *range(50, 85)], list(range(35, 50))]
 
 
 @pytest.mark.parametrize("seed", [0, 1])

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import deepcopy
 from dataclasses import replace
 from functools import partial
 from itertools import accumulate
+from typing import Any
 
 import numpy as np
 
@@ -57,6 +59,8 @@ class LinkRecord:
         "_motions _submaps _n_submaps submap _unsure_m _unsure_each_m _evidence _measured _bridged "
         "beams same_walls _begun _at_rest"
     )
+    JOINED = "_motions _submaps submap _evidence _measured _bridged same_walls"
+    """What `join` and the refinement of joined submaps change."""
 
     def __init__(self, bridge_m: float) -> None:
         self._bridge_m = bridge_m
@@ -249,6 +253,10 @@ class LinkRecord:
         self.same_walls = np.concatenate([self.same_walls, walls])
         self.submap = int(name[self.submap])
         return name
+
+    def before_join(self) -> dict[str, Any]:
+        """Return a copy of what `join` changes."""
+        return {name: deepcopy(getattr(self, name)) for name in self.JOINED.split()}
 
     def _set_motion(self, scan: int, before: int, poses: Floats) -> None:
         """Set the motion into a scan from its pose and that of one before."""

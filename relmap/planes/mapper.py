@@ -180,13 +180,18 @@ class PlaneMapper(LocatingMapper):
 
     def _refine_and_cut(self) -> None:
         self._refine_until_whole([])
-        before = self.history.submap.copy()
-        if joined := self._join_submaps():
-            self._refine_until_whole(joined)
-            torn = self._joints(before)
+        parts, before = self.history.submap.copy(), self._planes.before_join()
+        joined = self._join_submaps()
+        if joined and len(torn := self._torn(joined)):  # in one of the parts: join these anew
+            self._planes.undo_join(before)
             self._planes.links.cut(torn)
-            if len(torn):
-                self._refine_until_whole(joined)
+            self._refine_until_whole([])
+            parts = self.history.submap.copy()
+            joined = self._join_submaps()
+            self._refine_until_whole(joined)
+        if joined and len(torn := self._joints(parts)):
+            self._planes.links.cut(torn)
+            self._refine_until_whole(joined)
 
     def _joints(self, before: Ints) -> Ints:
         """Return where submaps were joined to one that cannot be refined, given those before."""
@@ -214,14 +219,19 @@ class PlaneMapper(LocatingMapper):
     def _refine_until_whole(self, known: list[Floats]) -> None:
         """Refine all submaps, those with known poses (i, 4, 4) from these; cut the torn ones."""
         for _ in range(CUTS):
-            torn = torn_in(self._refined(known), self.history)
-            if len(torn) and self._planes.links.leave_to_odometry(torn):
-                torn = torn_in(self._refined(known), self.history)
+            torn = self._torn(known)
             if not len(torn):
                 break
             self._planes.links.cut(torn)
         else:
             self._refined(known)
+
+    def _torn(self, known: list[Floats]) -> Ints:
+        """Refine all submaps; return the scans (t,) into which they are torn."""
+        torn = torn_in(self._refined(known), self.history)
+        if len(torn) and self._planes.links.leave_to_odometry(torn):
+            torn = torn_in(self._refined(known), self.history)
+        return torn
 
     def _refined(self, known: list[Floats]) -> list[WallSubmap]:
         self._moved = np.empty(0, dtype=np.int64)

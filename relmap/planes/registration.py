@@ -11,6 +11,7 @@ rest of the algorithm is the same as for points.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -148,6 +149,15 @@ class PlaneRegistration:
         """Join submaps whose maps show the same place; see `ScanLinks.join`."""
         name = self.links.join(poses, walls)
         self._submap_of.values[:] = name[self.submap_of]
+
+    def before_join(self) -> tuple[dict[str, Any], Ints]:
+        """Return what `join` changes, for `undo_join`."""
+        return self.links.before_join(), self.submap_of.copy()
+
+    def undo_join(self, before: tuple[dict[str, Any], Ints]) -> None:
+        """Separate the submaps that were joined since."""
+        links, self._submap_of.values[:] = before
+        vars(self.links).update(links)
 
     def tie(self) -> Ints:
         """Re-evaluate the doubtful links; return the scans (c,) whose links are now rejected."""
