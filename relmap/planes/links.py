@@ -35,8 +35,7 @@ SLOWED = 0.5
 VARYING_M = 0.15
 """Steps that vary by more are not bridged if unmeasured."""
 TORN_M = 1.0
-"""Disagreement of a map with a link, or with consecutive weak links, above which the map is
-torn."""
+"""Disagreement of a map with a link above which the map is torn."""
 
 
 def is_supported(
@@ -131,7 +130,7 @@ def disagreement(poses: Floats, motions: Floats) -> tuple[int, float]:
     return int(torn.sum()), float(off_m[~torn].sum() / max((~torn).sum(), 1))
 
 
-def torn_links(poses: Floats, motions: Floats, weak: Ints) -> Ints:
+def torn_links(poses: Floats, motions: Floats) -> Ints:
     """Return the scans (t,) before which a path deviates from its links.
 
     Parameters
@@ -139,13 +138,9 @@ def torn_links(poses: Floats, motions: Floats, weak: Ints) -> Ints:
     poses : (k, 4, 4) float64
     motions : (k, 3) float64
         yaw, x, y from the previous robot frame to that of each iteration.
-    weak : (w,) int64
-        Links with errors as large as those of a torn map.
     """
     way_m, turn = _off(poses, motions)
-    torn = (way_m > APART_M) | (turn > APART_RAD)
-    torn[weak - 1] = way_m[weak - 1] + LEVER_M * turn[weak - 1] > TORN_M
-    return 1 + np.flatnonzero(torn)
+    return 1 + np.flatnonzero((way_m > APART_M) | (turn > APART_RAD))
 
 
 def _off_m(poses: Floats, motions: Floats) -> Floats:

@@ -40,6 +40,9 @@ ROUGH_M = 0.1
 """The same with odometry, where links may be the only initial information."""
 HELD = 0.0, 1e-4, 1e-3
 """Damping of each step for maps that are torn with less; see `WallSystem`."""
+HELD_M = 100.0
+"""Longest path of a map that is damped: it stays near the chained one, whose error grows with the
+path."""
 JOINED = 4
 """Maximum number of rounds of joining coinciding walls and refining."""
 
@@ -70,7 +73,7 @@ def refined_map(
     if chained.assembled is None:
         return chained, numbers
     torn = list[Ints]()
-    for held in HELD:
+    for held in HELD if chained.length_m < HELD_M else HELD[:1]:
         found, found_numbers = _solved(history, numbers, chained, moving, held)
         if _better(found, chained, history):
             return found, found_numbers

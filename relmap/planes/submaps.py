@@ -101,10 +101,9 @@ def torn_in(submaps: Sequence[WallSubmap], history: PlaneHistory) -> Ints:
 
     Or did so in a refinement that was rejected.
     """
-    torn, weak = [np.empty(0, dtype=np.int64)], history.weak_links
+    torn = [np.empty(0, dtype=np.int64)]
     for submap in submaps:
         begin, end = submap.span
-        own = weak[(weak > begin) & (weak < end)] - begin
-        torn.append(begin + torn_links(submap.poses, history.motion[begin:end], own))
+        torn.append(begin + torn_links(submap.poses, history.motion[begin:end]))
         torn.append(submap.torn)
     return np.unique(np.concatenate(torn))
