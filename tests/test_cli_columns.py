@@ -76,6 +76,15 @@ def test_every_verb_reads_a_table_with_columns(
         assert "--columns applies only to tables of landmarks" in capsys.readouterr().err
 
 
+def test_a_comparison_reports_ignored_columns_once(
+    here: Path, caplog: pytest.LogCaptureFixture, capfd: pytest.CaptureFixture[str]
+) -> None:
+    command = ["compare", "seen.csv", "--methods", "relmap-points,batch", "-o", "compared"]
+    assert main([*command, "--columns", NAMES]) == 0
+    assert caplog.messages == ["seen.csv: other columns are ignored: 'score'"]
+    assert "ignored" not in capfd.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [

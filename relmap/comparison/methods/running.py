@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 from time import process_time
 
@@ -134,9 +135,20 @@ def try_method(
         The reason; empty on success.
     """
     try:
-        return run_method(find_method(name), source.load(), association, sigma_m), ""
+        return run_method(find_method(name), _loaded_again(source), association, sigma_m), ""
     except (RelmapError, RuntimeError, ImportError, np.linalg.LinAlgError) as error:
         return None, "failed: " + " ".join(str(error).split())[:200]
+
+
+def _loaded_again(source: Source) -> Data[Log]:
+    """Load data without the readers' warnings, which were shown when it was loaded first."""
+    log = logging.getLogger("relmap.datasets")
+    before = log.level
+    log.setLevel(logging.ERROR)
+    try:
+        return source.load()
+    finally:
+        log.setLevel(before)
 
 
 def setup_for(data: Data[Log], sigma_m: float | None = None) -> Setup:
