@@ -84,7 +84,7 @@ def test_victoria_park_ids(shared_data: Path) -> None:
     """Every associated detection is found, once, and neighbours in time agree on its place."""
     log = open_log(shared_data / "victoria-park" / "trees_per_scan.csv.gz")
     assert log.ids is not None
-    assert ((log.ids >= 0).sum(), len(np.unique(log.ids))) == (46860, 300)
+    assert (int((log.ids >= 0).sum()), len(np.unique(log.ids))) == (46860, 300)
     scans = list(log.between(1181, 1642).scans())
     moves = []
     for before, after in pairwise(scans):
@@ -116,7 +116,7 @@ def test_slsjf_agrees_with_its_truth(shared_data: Path) -> None:
     log = open_log(shared_data / "slsjf-sim-8240")
     assert log.ids is not None
     # 40524 rows, five of them with a negative range.
-    assert (len(log), len(log.rows), log.rows.max()) == (8240, 40519, 40523)
+    assert (len(log), len(log.rows), int(log.rows.max())) == (8240, 40519, 40523)
     assert (log.first_iteration, len(np.unique(log.ids))) == (0, 612)
     ids, positions, poses = slsjf.read_ground_truth(shared_data / "slsjf-sim-8240")
     assert (len(ids), len(poses)) == (2500, 8241)
@@ -135,7 +135,7 @@ def test_dlr_circles(shared_data: Path) -> None:
     assert (len(counts), len(log.rows), counts.max()) == (3297, 14745, 13)
     assert np.mean(counts >= 4) == pytest.approx(0.696, abs=0.0005)
     # 577 different numbers, -1 among them.
-    assert (len(np.unique(log.ids)), np.sum(log.ids == -1), log.ids.min()) == (577, 436, -1)
+    assert (len(np.unique(log.ids)), np.sum(log.ids == -1), int(log.ids.min())) == (577, 436, -1)
     assert log.points_robot[:, 0].min() > 0
     assert np.linalg.norm(log.points_robot, axis=1).max() < 4.4
 

@@ -257,7 +257,8 @@ def test_movers_are_dynamic_and_the_rest_is_mapped(d: int) -> None:
             mapper.update(block[:, k], np.arange(30))
         mapper.finish()
         found = mapper.landmarks.status
-        lost, n_static = lost + int(np.sum(found[static] != "static")), n_static + static.sum()
-        kept, n_moving = kept + int(np.sum(found[~static] != "dynamic")), n_moving + (~static).sum()
+        lost, n_static = lost + int(np.sum(found[static] != "static")), n_static + int(static.sum())
+        kept += int(np.sum(found[~static] != "dynamic"))
+        n_moving += int((~static).sum())
     assert kept <= 0.01 * n_moving
     assert lost <= 0.04 * n_static

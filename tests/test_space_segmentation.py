@@ -21,7 +21,7 @@ def board(
     a, b = (axis.ravel() for axis in np.meshgrid(*[np.linspace(-0.5, 0.5, n)] * 2))
     across = np.cross(u, v) / np.linalg.norm(np.cross(u, v))
     off = sigma * rng.standard_normal((n * n, 1)) * across
-    return np.array(centre) + a[:, None] * u + b[:, None] * v + off
+    return np.asarray(np.array(centre) + a[:, None] * u + b[:, None] * v + off)
 
 
 def true_planes(world: Storey, k: int) -> Floats:

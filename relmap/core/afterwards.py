@@ -6,7 +6,7 @@ import logging
 
 import numpy as np
 
-from relmap.core.arrays import Bools, Ints
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.association.coinciding import compatible
 from relmap.core.association.loops import LoopFinder
 from relmap.core.association.merging import doubtful, merge_doubles
@@ -263,7 +263,7 @@ def _rare(engine: RelativeMapper) -> Bools:
     """Return which landmarks (m,) are mapped with fewer observations than a group needs."""
     table, n = engine.table, len(engine.table)
     if is_bridged(engine):  # Scans of one or two landmarks are in no segment.
-        seen = np.bincount(table.now(engine.kept.landmark), minlength=n)
+        seen: Ints | Floats = np.bincount(table.now(engine.kept.landmark), minlength=n)
     else:
         rows = rows_of_tracks(engine.rows, table)
         seen = np.bincount(table.now(rows.landmark), rows.n_seen, minlength=n)

@@ -127,7 +127,8 @@ def disagreement(poses: Floats, motions: Floats) -> tuple[int, float]:
     off_m = _off_m(poses, motions)
     off_m = off_m[np.isfinite(off_m)]
     torn = off_m > TORN_M
-    return int(torn.sum()), float(off_m[~torn].sum() / max((~torn).sum(), 1))
+    n_torn = int(torn.sum())
+    return n_torn, float(off_m[~torn].sum() / max(len(off_m) - n_torn, 1))
 
 
 def torn_links(poses: Floats, motions: Floats) -> Ints:

@@ -106,7 +106,7 @@ def plane_table(submaps: list[Submap]) -> Plane3dTable:
 def _rows(part: Submap, rank: int) -> dict[str, Any]:
     order = np.argsort(part.number, kind="stable")
     planes = part.all_planes()
-    rasters = [raster(planes, k) for k in order]
+    rasters = [raster(planes, k) for k in order.tolist()]
     when = np.repeat(part.iteration, [len(match) for match in part.match])
     landmark, scan = np.unique(np.column_stack([np.concatenate(part.match), when]), axis=0).T
     sights = np.bincount(landmark, minlength=len(part))

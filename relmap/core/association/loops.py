@@ -160,7 +160,7 @@ class LoopFinder:
         """
         table = self._table
         middle = table.position[around].mean(axis=0)
-        end = table.since[around].min()
+        end = int(table.since[around].min())
         spread = table.position[together] - table.position[together].mean(axis=0)
         radius_m = float(np.sqrt(np.mean(np.sum(spread**2, axis=1))))
         length = float(np.median(table.last[together] - table.since[together] + 1))

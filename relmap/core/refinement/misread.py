@@ -76,7 +76,7 @@ def _limit(apart: Floats, of: Ints) -> float:
 
 
 def _aliases(
-    positions: Floats, rows: SegmentRows, landmark: Ints, limit_m: float, seen: Ints
+    positions: Floats, rows: SegmentRows, landmark: Ints, limit_m: float, seen: Ints | Floats
 ) -> Ints:
     """Return the landmarks seen (m,) a few times at the position of another one."""
     present = np.flatnonzero(seen)
