@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 from relmap.cli import main
 from relmap.core.errors import RelmapError
 from relmap.evaluation.truth import Variant, read_truth
-from relmap.io.files import write_tum
+from relmap.io.files import read_tum, write_tum
 from relmap.simulation import simulate_figure_eight
 from tests.logs import put
 
@@ -60,7 +60,9 @@ def test_damaged_trajectories(
     assert problem in str(caught.value)
 
 
-def test_evaluate_takes_a_trajectory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_evaluate_takes_a_trajectory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(["simulate", "figure-eight", "-o", "eight", "--iterations", "40"]) == 0
     assert main(["map", "eight", "-o", "out", "--association", "known"]) == 0
@@ -71,3 +73,10 @@ def test_evaluate_takes_a_trajectory(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert figures[0]["ate_m"] == pytest.approx(figures[1]["ate_m"], rel=1e-6)
     assert figures[0]["rpe_m"] == pytest.approx(figures[1]["rpe_m"], rel=1e-6)
     assert figures[1]["landmark_rmse_m"] is None
+    assert "no RPE" not in capsys.readouterr().out
+    stamps_s, poses = read_tum(Path("eight/truth/trajectory.tum"))
+    between_s = np.sort(np.append(stamps_s, stamps_s + 0.5))
+    write_tum(Path("fine.tum"), between_s, np.repeat(poses, 2, axis=0))
+    assert main(["evaluate", "out", "--truth", "fine.tum"]) == 0
+    said = "no RPE: 40 of 40 poses have the times of true ones, and other true poses lie between"
+    assert said in capsys.readouterr().out

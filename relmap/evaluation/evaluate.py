@@ -130,8 +130,11 @@ def evaluate(result: Result, truth: Truth, log: ObservationLog | None = None) ->
         figures = dict(judge_planes(result.planes, truth.faces, poses, true_poses))
     else:
         figures, counts, notes = judge_landmarks(result, truth, log, len(mine))
+    rpe_m = metrics.rpe(poses, true_poses, other)
     if len(truth.stamps_s) and not len(mine):
         notes.append(metrics.no_common_times(result.stamps_s, truth.stamps_s))
+    elif len(mine) > 1 and rpe_m is None:
+        notes.append(metrics.no_steps(len(mine), len(result.stamps_s)))
     relation = relation_errors(result.stamps_s, result.poses, truth.relations)
     if truth.relations and relation is None:
         notes.append("no checked relation lies within the times of the result")
@@ -139,7 +142,7 @@ def evaluate(result: Result, truth: Truth, log: ObservationLog | None = None) ->
     return Evaluation(
         **figures,
         ate_m=metrics.ate(poses, true_poses, result.planar),
-        rpe_m=metrics.rpe(poses, true_poses, other),
+        rpe_m=rpe_m,
         relation_m=relation_m,
         relation_rad=relation_rad,
         counts=counts,
