@@ -113,7 +113,7 @@ class _Watch(event.Listener):
     def on_start(self, event: event.Event) -> None:
         if not self._said:
             self._said = True
-            when = "only on the first run on a machine" if self.keeps else NOT_KEPT
+            when = "only on the first run of its kind on a machine" if self.keeps else NOT_KEPT
             logging.getLogger(__name__).info("compiling, %s: up to half a minute", when)
         if self._depth == 0:
             self._collects = gc.isenabled()
