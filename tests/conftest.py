@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import os
 import signal
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
 
 import relmap
-from relmap.cli import main
+from relmap.cli import console, main
 from tests.commands import GOOD, Check, snapshot
 from tests.everyformat import WALLS, Mapped, write_points, write_walls
 
@@ -56,6 +57,15 @@ def shared_data() -> Path:
     if os.environ.get("CI") == "true":
         pytest.fail(message)
     pytest.skip(message)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def every_s() -> Iterator[float]:
+    """Keep progress, which a busy machine prints, out of compared output; return its interval."""
+    interval_s = console.EVERY_S
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(console, "EVERY_S", 1e6)
+        yield interval_s
 
 
 @pytest.fixture(scope="session")

@@ -18,6 +18,12 @@ CURSOR_BACK = "\x1b[?25h"
 """Written to a terminal when a message has ended: show the cursor again."""
 
 
+@pytest.fixture(autouse=True)
+def interval_of_users(every_s: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Print lines of progress as often as for users, unlike in the other tests."""
+    monkeypatch.setattr(console, "EVERY_S", every_s)
+
+
 @pytest.fixture
 def said(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[[], str]:
     """Pretend that stderr is a terminal and show progress early; return what reads stderr."""

@@ -191,7 +191,8 @@ def test_a_disk_that_is_full_ends_a_run_with_one_line_and_it_can_be_resumed(
     # No file of the child may grow beyond 100 KiB; the operating system reports this to SQLite.
     limit = (
         "import resource, sys\n"
-        "from relmap.cli import main\n"
+        "from relmap.cli import console, main\n"
+        "console.EVERY_S = 1e6\n"
         "from relmap.io.journal import writing\n"
         "writing.INTERVAL_S = 0.0\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (100 * 1024, 100 * 1024))\n"
@@ -215,6 +216,7 @@ def test_a_disk_that_is_full_ends_a_run_with_one_line_and_it_can_be_resumed(
     assert same(tmp_path / "out", eight / "whole")
 
 
+@pytest.mark.usefixtures("eight")  # which compiles what the child runs
 def test_ctrl_c_writes_what_was_mapped_so_far(
     tmp_path: Path, child_env: dict[str, str], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -223,7 +225,8 @@ def test_ctrl_c_writes_what_was_mapped_so_far(
     out, journal = tmp_path / "out", tmp_path / "run.journal"
     early = (
         "import os, signal, sys\n"
-        "from relmap.cli import main\n"
+        "from relmap.cli import console, main\n"
+        "console.EVERY_S = 1e6\n"
         "from relmap.points import PointMapper\n"
         "update = PointMapper.update\n"
         "def stopped(self, *scan, **more):\n"
@@ -263,7 +266,8 @@ def test_ctrl_c_writes_what_was_mapped_so_far(
 def test_ctrl_c_twice_ends_at_once(tmp_path: Path, child_env: dict[str, str]) -> None:
     code = (
         "import os, signal, sys\n"
-        "from relmap.cli import main\n"
+        "from relmap.cli import console, main\n"
+        "console.EVERY_S = 1e6\n"
         "from relmap.points import PointMapper\n"
         "def hang(self, *scan, **more):\n"
         "    for _ in range(2):\n"
