@@ -16,6 +16,7 @@ from relmap.core.landmarks import LandmarkMap, LandmarkTable, Submap
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.scans import ScanLog, SensorView
 from relmap.planes import PlaneMapper
+from relmap.planes3d import Plane3dMapper
 from relmap.points import PointMapper
 from relmap.segmentation import PlaneSegmenter
 
@@ -89,7 +90,7 @@ class Fed:
 
 
 def feed(
-    method: Method,
+    method: Method | Plane3dMapper,
     log: Log,
     association: Association,
     refine: bool = False,
@@ -104,8 +105,8 @@ def feed(
 
     Parameters
     ----------
-    method : Method
-        A plane mapper gets the walls of a scan, every other method its points.
+    method : Method or Plane3dMapper
+        A mapper of planes gets those of a scan, every other method its points.
     log, association, refine, through, segmenter, odometry, progress
         As for `run_mapper`.
     n_seen : int
@@ -126,31 +127,32 @@ def feed(
     if n_seen < len(log):
         scans = log.between(first + n_seen, first + len(log)).scans()
     prepare, stamps_s = preparation(method, log, segmenter), _new_stamps(method, log, n_seen)
-    labels, durations_s = [], []
+    labels: list[Ints] = []
+    durations_s = []
     for scan in through(scans):
         began = clock()
         seen = prepare(scan.points_robot)
         between = clock()
         # The motion to the first scan of a log starts where no scan was taken.
-        more = _known_of(method, scan, odometry and scan.iteration > first)
+        more = _known_of(method, scan, known, odometry and scan.iteration > first)
         if stamps_s is not None:
             more["stamp_s"] = stamps_s[scan.iteration - first]
-        labels.append(method.update(seen, ids=scan.ids if known else None, **more))
+        labels.append(method.update(seen, **more))
         durations_s.append([between - began, clock() - between])
         if progress is not None:
             progress(n_seen + len(labels), len(log))
     over = clock()
     method.finish()
     finished = clock()
-    if refine and isinstance(method, PointMapper | PlaneMapper):
+    if refine and isinstance(method, PointMapper | PlaneMapper | Plane3dMapper):
         method.refine()
     durations = np.array(durations_s).reshape(-1, 2)
     return Fed(labels, durations, finished - over, clock() - finished)
 
 
-def _known_of(method: Method, scan: Any, odometry: bool) -> dict[str, Any]:
+def _known_of(method: Method | Plane3dMapper, scan: Any, ids: bool, odometry: bool) -> dict[str, Any]:
     """Return the additional input of a mapper for a scan."""
-    more = {}
+    more = {"ids": scan.ids} if ids else {}
     if isinstance(method, PlaneMapper):
         more["beams"] = scan.points_robot
     elif isinstance(method, PointMapper) and scan.covariances is not None:
@@ -160,7 +162,7 @@ def _known_of(method: Method, scan: Any, odometry: bool) -> dict[str, Any]:
     return more
 
 
-def _new_stamps(method: Method, log: Log, n_seen: int) -> Floats | None:
+def _new_stamps(method: Method | Plane3dMapper, log: Log, n_seen: int) -> Floats | None:
     """Return the times of the log, if later than those of the scans that a mapper has seen."""
     stamps_s = log.stamps_s
     if stamps_s is None or not isinstance(method, PointMapper | PlaneMapper):
@@ -170,9 +172,11 @@ def _new_stamps(method: Method, log: Log, n_seen: int) -> Floats | None:
 
 
 def preparation(
-    method: Method, log: Log, segmenter: PlaneSegmenter | None = None
+    method: Method | Plane3dMapper, log: Log, segmenter: PlaneSegmenter | None = None
 ) -> Callable[[Floats], Any]:
     """Return the conversion from the points of a scan to the input of the method."""
+    if isinstance(method, Plane3dMapper):
+        return lambda points_robot: method.segmenter.fit(points_robot).patches_
     if not (isinstance(method, PlaneMapper) and isinstance(log, ScanLog)):
         return lambda points_robot: points_robot
     view = log.sensor

@@ -17,7 +17,7 @@ from relmap.core.errors import RelmapError
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.scans import ScanLog
 from relmap.evaluation.feeding import AnyMapper, Association, Log, Method, Progress, Through, feed
-from relmap.evaluation.summary import summary_of, timing
+from relmap.evaluation.summary import completion, summary_of
 from relmap.io.results import Result, Tracks, shifted
 from relmap.planes import PlaneMapper
 from relmap.planes.files import DrawnSubmap, PlaneResult
@@ -101,19 +101,16 @@ def run_mapper(
     """
     offset = log.first_iteration - (mapper.n_iterations - len(seen))
     fed = feed(mapper, log, association, refine, through, len(seen), segmenter, odometry, progress)
-    labels, n_input = [*seen, *fed.labels], len(log)
-    log = log.between(log.first_iteration, log.first_iteration + len(labels))
-    result = result_of(mapper, log, labels, association, offset)
+    labels = [*seen, *fed.labels]
+    done = log.between(log.first_iteration, log.first_iteration + len(labels))
+    result = result_of(mapper, done, labels, association, offset)
     groups = tuple(group.landmarks for group in mapper.groups)
     summary = {
         **(about or {}),
         "configuration": mapper.settings,
         **result.summary,
-        **summary_of(mapper, result, log, offset, len(groups)),
-        "interrupted": len(log) < n_input,
-        "input_iterations": n_input,
-        "refined": refine,
-        "timing": timing(fed.durations_s, fed.refine_s, isinstance(log, ScanLog)),
+        **summary_of(mapper, result, done, offset, len(groups)),
+        **completion(log, done, fed, refine),
     }
     return Run(replace(result, summary=summary), groups)
 

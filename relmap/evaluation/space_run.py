@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -12,8 +11,8 @@ from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.core.landmarks import LandmarkTable
 from relmap.datasets.scans import ScanLog
-from relmap.evaluation.feeding import Progress, Through
-from relmap.evaluation.summary import timing, versions
+from relmap.evaluation.feeding import Progress, Through, feed
+from relmap.evaluation.summary import completion, versions
 from relmap.io.results import Tracks
 from relmap.planes3d import Plane3dMapper
 from relmap.planes3d.files import Plane3dResult
@@ -47,9 +46,9 @@ def run_in_space(
     mapper: Plane3dMapper,
     log: ScanLog,
     about: dict[str, Any],
-    refine: bool = True,
-    through: Through = iter,
-    progress: Progress | None = None,
+    refine: bool,
+    through: Through,
+    progress: Progress,
 ) -> SpaceResult:
     """Map a whole log of clouds.
 
@@ -61,9 +60,9 @@ def run_in_space(
     about : dict
         Additional entries of the summary.
     refine : bool
-    through : callable, optional
+    through : callable
         Wraps the iterable of scans; if it ends early, so does the run.
-    progress : callable, optional
+    progress : callable
         Called after each scan with the number of scans done and the total.
 
     Raises
@@ -75,30 +74,10 @@ def run_in_space(
         raise RelmapError(
             "the log is from a 2-D laser, and planes3d maps clouds: use --variant planes"
         )
-    labels, durations_s = [], []
-    for scan in through(log.scans()):
-        began = perf_counter()
-        seen = mapper.segmenter.fit(scan.points_robot).patches_
-        between = perf_counter()
-        labels.append(mapper.update(seen))
-        durations_s.append([between - began, perf_counter() - between])
-        if progress is not None:
-            progress(len(labels), len(log))
-    mapper.finish()
-    over = perf_counter()
-    if refine:
-        mapper.refine()
-    refine_s, n_input = perf_counter() - over, len(log)
-    log = log.between(log.first_iteration, log.first_iteration + len(labels))
-    entries = {
-        **about,
-        "configuration": mapper.settings,
-        "interrupted": len(log) < n_input,
-        "input_iterations": n_input,
-        "refined": refine,
-        "timing": timing(np.array(durations_s).reshape(-1, 2), refine_s, True),
-    }
-    return _result(mapper, log, labels, entries)
+    fed = feed(mapper, log, "nearest", refine, through, progress=progress)
+    done = log.between(log.first_iteration, log.first_iteration + len(fed.labels))
+    entries = about | {"configuration": mapper.settings} | completion(log, done, fed, refine)
+    return _result(mapper, done, fed.labels, entries)
 
 
 def _result(

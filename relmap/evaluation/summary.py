@@ -18,6 +18,7 @@ from relmap.core.odometry import OdometryUse
 from relmap.core.refinement.joint import Refined
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.scans import ScanLog
+from relmap.evaluation.feeding import AnyMapper, Fed, Log
 from relmap.io.results import Result
 from relmap.planes import PlaneMapper
 from relmap.planes.files import PlaneResult
@@ -34,9 +35,9 @@ MERGE = {name: name for name in ("landmark", "apart_m", "residual")} | {"seen_ag
 
 
 def summary_of(
-    mapper: PointMapper | PlaneMapper,
+    mapper: AnyMapper,
     result: Result,
-    log: ObservationLog | ScanLog,
+    log: Log,
     offset: int,
     n_groups: int,
 ) -> dict[str, Any]:
@@ -230,26 +231,27 @@ def _weakest(table: Any, columns: dict[str, str]) -> list[dict[str, Any]]:
     ]
 
 
-def timing(durations_s: Floats, refine_s: float, segmented: bool) -> dict[str, float | None]:
-    """Return the times for a summary.
+def completion(log: Log, done: Log, fed: Fed, refined: bool) -> dict[str, Any]:
+    """Return how much of a log was mapped, whether the map was refined, and the times."""
+    return {
+        "interrupted": len(done) < len(log),
+        "input_iterations": len(log),
+        "refined": refined,
+        "timing": _timing(fed, isinstance(log, ScanLog)),
+    }
 
-    Parameters
-    ----------
-    durations_s : (k, 2) float64
-        Times to prepare and to map each scan, seconds.
-    refine_s : float
-    segmented : bool
-        Whether preparation was segmentation.
-    """
-    prepare_s, total_s = durations_s[:, 0], durations_s.sum(axis=1)
-    times = timing_of(durations_s[:, 1])
+
+def _timing(fed: Fed, segmented: bool) -> dict[str, float | None]:
+    """Return the times of a run, `segmented` if walls or planes were found in its scans first."""
+    prepare_s, total_s = fed.durations_s[:, 0], fed.durations_s.sum(axis=1)
+    times = timing_of(fed.durations_s[:, 1])
     if segmented:
         times |= {
             "segmentation_median_ms": _median_ms(prepare_s),
             "segmentation_share": float(prepare_s.sum() / total_s.sum()) if len(total_s) else None,
             "scan_median_ms": _median_ms(total_s),
         }
-    return times | {"refine_ms": 1e3 * refine_s}
+    return times | {"refine_ms": 1e3 * fed.refine_s}
 
 
 def timing_of(durations_s: Floats) -> dict[str, float | None]:

@@ -134,11 +134,7 @@ def gauss_newton(
     gained, converged, factor = np.inf, False, None
     while rounds > 0 and damping <= MOST:
         fresh = factor is None
-        equations = problem.equations(state, weight, fresh, damping)
-        if factor is None:
-            factor = equations.matrix
-            problem.pattern.factorise(factor)
-        step = problem.pattern.solve(factor, equations.right)
+        factor, equations, step = _solved(problem, state, weight, factor, damping)
         cost, after = cost_of(residual, weight), problem.stepped(state, equations, step, weight)
         left = residual if after is None else problem.residuals(after)
         highest = WORSE * cost + problem.rounding if monotone else np.inf
@@ -151,11 +147,27 @@ def gauss_newton(
         last, state, residual, weight = state, after, left, weigh(left)
         change, gained = np.abs(weight - old), gain / unit if unit > 0 else 0.0
         enough = max(unsure * unit, problem.rounding)
-        shrinks = min(1.0, gain / before) if np.isfinite(before) else 1.0
-        converged = not damping and shrinks * gain <= enough
+        converged = not damping and _next_gain(gain, before) <= enough
         if (converged and change.max() < same) or (damping and gain <= faint * unit):
             break
         is_slow = not reuse or damping > 0 or gain > SLOW * before or change.mean() > ALIKE
         factor, before = (None, np.inf) if is_slow else (factor, gain)
         damping = damping / MORE if damping > DAMPED else 0.0
     return Solution(state, weight, last, gained, converged)
+
+
+def _solved(
+    problem: Problem[State], state: State, weight: Floats, factor: Floats | None, damping: float
+) -> tuple[Floats, NormalEquations, Floats]:
+    """Return a factor, a new one if none is given, the equations, and their solution."""
+    equations = problem.equations(state, weight, factor is None, damping)
+    if factor is None:
+        factor = equations.matrix
+        problem.pattern.factorise(factor)
+    return factor, equations, problem.pattern.solve(factor, equations.right)
+
+
+def _next_gain(gain: float, before: float) -> float:
+    """Return the expected gain of the next step: gains shrink by a constant factor, at most 1."""
+    shrinks = min(1.0, gain / before) if np.isfinite(before) else 1.0
+    return shrinks * gain
