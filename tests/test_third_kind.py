@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from relmap.core import afterwards, readout
+from relmap.core import afterwards, readout, repairing
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.association import Registration
 from relmap.core.config import MapperConfig
@@ -109,7 +109,7 @@ def test_signs_are_mapped_by_the_engine_as_it_is() -> None:
         found = engine.update(scan, None)
         seen_from += zip(found.tolist(), near.tolist(), strict=True)
     afterwards.finish(engine)
-    afterwards.refine(engine)
+    repairing.refine(engine)
     mapped = readout.landmark_map(engine)
     sign_of = dict(seen_from)
     own = mapped.landmark_ids % 2 == 0

@@ -1,31 +1,24 @@
-"""Operations on the whole map, run when no scan follows for now."""
+"""Operations on the whole map, run when no scan follows for now; `repairing` refines it."""
 
 from __future__ import annotations
-
-import logging
 
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.core.association.coinciding import compatible
 from relmap.core.association.loops import LoopFinder
-from relmap.core.association.merging import doubtful, merge_doubles
+from relmap.core.association.merging import merge_doubles
 from relmap.core.association.sightings import Sightings, rows_of_tracks
 from relmap.core.association.strays import find_strays
 from relmap.core.association.tying import CLEAR, tie_submaps
-from relmap.core.association.undoing import contradicted, nearer_another, pieces, places_of
 from relmap.core.gaps import bridge_gaps, is_bridged
 from relmap.core.grouping.chart import PointChart
 from relmap.core.grouping.dynamics import FEWEST
 from relmap.core.map.bending import bend
 from relmap.core.mapper import RelativeMapper
-from relmap.core.refinement.by_submap import refine_submaps
 from relmap.core.refinement.condensing import SegmentRows
 from relmap.core.refinement.extending import extend_submaps
-from relmap.core.refinement.misread import take_off_misread
 from relmap.core.revisiting import (
     close_revisits,
-    gather,
     merge_doubles_in_place,
     merge_in_place,
     merge_within_drift,
@@ -33,12 +26,8 @@ from relmap.core.revisiting import (
 from relmap.core.state.table import NONE
 from relmap.core.turns import group_or_found, last_pass, placed_first
 
-logger = logging.getLogger(__name__)
-
 SEEDS = 20
 """Number of landmarks for which a late group is tried, most observed first."""
-ROUNDS = 8
-"""Maximum number of rounds of repairing and refining the map again."""
 FEW = 0.01
 """Fraction of the landmarks that must change in a round, after the second, for another round to
 follow: rounds that undo and repeat the same merges need not terminate."""
@@ -84,7 +73,7 @@ def tie(engine: RelativeMapper) -> None:
     rows = rows_of_tracks(engine.rows, engine.table)
     merger.sightings = Sightings(rows, engine.table)
     for _ in tie_submaps(engine.map, noise_m):
-        merge_doubles(engine.table, merger, engine.merge, noise_m)
+        merge_doubles(merger, engine.merge, noise_m)
     if is_bridged(engine):
         close_revisits(engine)
         merge_in_place(engine)
@@ -93,7 +82,7 @@ def tie(engine: RelativeMapper) -> None:
     else:
         _close_loops(engine, rows, noise_m)
         if engine.refined:  # Before that, coinciding landmarks may be distinct.
-            merge_doubles(engine.table, merger, engine.merge, noise_m)
+            merge_doubles(merger, engine.merge, noise_m)
     merger.sightings = None
 
 
@@ -104,9 +93,9 @@ def tie_and_solve(engine: RelativeMapper) -> None:
     """
     more = True
     while more:
-        before = _extent(engine)[0]
+        before = extent(engine)[0]
         tie(engine)
-        after, mapped = _extent(engine)
+        after, mapped = extent(engine)
         more = is_bridged(engine) and before - after > FEW * mapped
         if is_bridged(engine) and before != after:
             bridge_gaps(engine)
@@ -120,7 +109,7 @@ def _close_loops(engine: RelativeMapper, rows: SegmentRows, noise_m: float) -> N
         if len(pairs) > CLEAR * len(loop.pairs):
             bend(engine.map, rows, pairs, loop.placement.R, loop.placement.t)
             engine.merge_pairs(pairs)
-            merge_doubles(engine.table, engine.merger, engine.merge, engine.averaging.noise.sigma_m)
+            merge_doubles(engine.merger, engine.merge, engine.averaging.noise.sigma_m)
 
 
 def find_again(engine: RelativeMapper) -> None:
@@ -135,131 +124,13 @@ def find_again(engine: RelativeMapper) -> None:
             found |= engine.merge_pairs(pairs[merger.allowed(pairs)]) > 0
 
 
-def refine(engine: RelativeMapper) -> None:
-    """Move all landmarks to the joint least-squares solution over all observations.
-
-    Without ids, merges that the refined map contradicts are undone, remaining loops are closed,
-    landmarks that coincide with compatible older ones are merged, and the map is refined again.
-    With the paper's registration only coinciding landmarks are merged, once.
-    """
-    engine.refined, association = [], engine.association
-    may_repair = association.unique_share is not None  # else many tracks mix several landmarks
-    _refine(engine, to_the_last=not may_repair)
-    more = False
-    if may_repair:
-        _repair(engine)
-    elif association.is_known:
-        more = _extend_by_ids(engine)
-    elif not association.has_ids:
-        more = merge_doubles(
-            engine.table, engine.merger, engine.merge, engine.averaging.noise.sigma_m
-        )
-    if more:
-        _refine(engine)
-    for refined in engine.refined:
-        if not refined.converged:
-            logger.warning(
-                "refinement of %d landmarks did not converge: the map is the best that was "
-                "found, and its standard deviations may be wrong",
-                len(refined.landmarks),
-            )
-    engine.merger.look_again()
-
-
-def _extend_by_ids(engine: RelativeMapper) -> bool:
-    """Extend the submaps of a refined map with known ids; return whether the map has changed."""
-    misread = take_off_misread(engine.map, engine.rows)
-    others = ~np.isin(np.arange(len(engine.table)), misread)
-    grew = extend_submaps(engine.map, engine.rows, others)
-    if grew:
-        take_off_misread(engine.map, engine.rows)
-    return grew or len(misread) > 0
-
-
-def _repair(engine: RelativeMapper) -> None:
-    """Repair a refined map and refine it again, as long as this changes enough."""
-    grouped = engine.table.weight > 0
-    for k in range(ROUNDS):
-        before = _extent(engine)[0]
-        found, (after, mapped) = _look_over(engine), _extent(engine)
-        if not found or (k > 1 and before - after <= FEW * mapped):
-            break
-    undone = undo(engine)
-    if is_bridged(engine):
-        _refine(engine, to_the_last=False)
-        merge_in_place(engine, at_last=True)
-        _refine(engine)
-        gather(engine)
-    elif undone:  # Coinciding without the others that were merged with them, they may be one.
-        _refine(engine, to_the_last=False)
-        found = _merge_compatible(engine, at_last=True)
-        undone = _merge_coinciding(engine) or found or engine.config.keep_observations
-    rare = _rare(engine)
-    wrong = doubtful(engine.table, rare, engine.averaging.noise.sigma_m)
-    if engine.association.is_blurred or engine.association.estimates_covariances:
-        wrong |= Sightings(rows_of_tracks(engine.rows, engine.table), engine.table).seldom(rare)
-    rare &= ~grouped | (wrong & (not is_bridged(engine)))
-    engine.table.take_off_map(np.flatnonzero(rare))
-    if undone or rare.any() or engine.config.keep_observations or is_bridged(engine):
-        _refine(engine)
-
-
-def _merge_coinciding(engine: RelativeMapper) -> bool:
-    """Merge landmarks that coincide in the refined map; return whether there were any."""
-    merger = engine.merger
-    merger.sightings = Sightings(rows_of_tracks(engine.rows, engine.table), engine.table)
-    merged = merge_doubles(engine.table, merger, engine.merge, engine.averaging.noise.sigma_m)
-    merger.sightings = None
-    return merged
-
-
-def _merge_compatible(engine: RelativeMapper, at_last: bool = False) -> bool:
-    """Merge landmarks of unequal noise that coincide within the covariances of the refined map.
-
-    With `at_last`, also those that were found to be distinct before but still coincide. Returns
-    whether there were any.
-    """
-    merged = 0
-    if not engine.association.estimates_covariances:
-        return False
-    sightings = Sightings(rows_of_tracks(engine.rows, engine.table), engine.table)
-    for refined in engine.refined:
-        pairs = refined.landmarks[compatible(refined.positions, refined.covariances)]
-        later = engine.table.first[pairs[:, 0]] < engine.table.first[pairs[:, 1]]
-        pairs[later] = pairs[later, ::-1]
-        if not at_last:
-            pairs = pairs[engine.merger.allowed(pairs)]
-        apart = [not sightings.together(new, old) for new, old in pairs.tolist()]
-        merged += engine.merge_pairs(pairs[np.array(apart, dtype=bool)])
-    return merged > 0
-
-
-def _look_over(engine: RelativeMapper) -> bool:
-    """Undo merges that a refined map contradicts and find new ones; return whether any are new."""
-    if undo(engine):  # Otherwise wrong merges look right on the map that they have distorted.
-        _refine(engine, to_the_last=False)
-    before = _extent(engine)
-    _merge_compatible(engine)
-    tie(engine)
-    find_again(engine)
-    found = _extent(engine) != before
-    if found:
-        _refine(engine, to_the_last=False)
-    return found
-
-
-def _extent(engine: RelativeMapper) -> tuple[int, int]:
-    """Return the number of landmarks, and how many of them are mapped."""
-    return int(engine.table.is_own.sum()), int((engine.table.weight > 0).sum())
-
-
 def leave_out_rare(engine: RelativeMapper) -> None:
     """Unmap landmarks that odometry placed but that have fewer observations than a group needs."""
     if is_bridged(engine):
-        engine.table.take_off_map(np.flatnonzero(_rare(engine)))
+        engine.table.take_off_map(np.flatnonzero(rarely_seen(engine)))
 
 
-def _rare(engine: RelativeMapper) -> Bools:
+def rarely_seen(engine: RelativeMapper) -> Bools:
     """Return which landmarks (m,) are mapped with fewer observations than a group needs."""
     table, n = engine.table, len(engine.table)
     if is_bridged(engine):  # Scans of one or two landmarks are in no segment.
@@ -270,53 +141,6 @@ def _rare(engine: RelativeMapper) -> Bools:
     return np.asarray((table.weight > 0) & (seen < engine.config.group_after))
 
 
-def undo(engine: RelativeMapper) -> int:
-    """Undo the merges that the refined map contradicts; return the number of changes.
-
-    A submap that is no longer connected is split.
-    """
-    table = engine.table
-    rows = rows_of_tracks(engine.rows, table)
-    usual = np.inf if is_bridged(engine) else 1.0
-    each = [contradicted(refined, table, rows, usual) for refined in engine.refined]
-    if not is_bridged(engine):
-        sightings = Sightings(rows, table)
-        each += [nearer_another(refined, table, rows, sightings) for refined in engine.refined]
-    tracks = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *each]))
-    if len(tracks):
-        _part(engine, rows, tracks)
-    changes = len(tracks)
-    for submap in np.unique(table.submap[table.submap != NONE]).tolist():
-        for piece in pieces(table, rows, submap)[1:]:
-            table.submap[piece] = engine.map.new_submap()
-            changes += 1
-    return changes
-
-
-def _part(engine: RelativeMapper, rows: SegmentRows, tracks: Ints) -> None:
-    """Make merged tracks (k,) landmarks of their own again, mapped where they were seen."""
-    table = engine.table
-    places, seen = places_of(table, rows, tracks)
-    # From now on, the landmark and the time of a row no longer determine its track.
-    engine.segments.rename(rows.landmark)
-    for track, place, weight in zip(tracks.tolist(), places, seen.tolist(), strict=True):
-        landmark = int(table.landmark_of[track])
-        stretch = int(table.track_begin[track]), int(table.track_end[track]) + 1
-        others = [number for number in table.members(landmark) if number != track]
-        table.part(track)
-        engine.store.part(landmark, track, *stretch)
-        engine.merger.keep_apart(track, others)
-        submap = int(table.submap[landmark])
-        if weight > 0:
-            at, of = np.array([track]), np.array([weight])
-            engine.map.place(submap, at, place[None], of)
-
-
-def _refine(engine: RelativeMapper, to_the_last: bool = True) -> None:
-    """Refine the map, exploiting bounded noise if requested."""
-    if bridge_gaps(engine, to_the_last):
-        return
-    kept = engine.store if to_the_last and engine.config.keep_observations else None
-    rows = engine.rows if engine.association.has_ids else rows_of_tracks(engine.rows, engine.table)
-    engine.association.weigh_again(engine.weighed)
-    engine.refined = refine_submaps(engine.map, rows, kept, engine.weighed)
+def extent(engine: RelativeMapper) -> tuple[int, int]:
+    """Return the number of landmarks, and how many of them are mapped."""
+    return int(engine.table.is_own.sum()), int((engine.table.weight > 0).sum())

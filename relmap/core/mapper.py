@@ -1,7 +1,7 @@
 """The engine: `update` runs the paper's steps, in the paper's order, one scan at a time.
 
-`turns` decides which landmark is grouped in which iteration; `afterwards` contains the operations
-on the whole map.
+`turns` decides which landmark is grouped in which iteration; `afterwards` and `repairing` contain
+the operations on the whole map.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from relmap.core import afterwards
+from relmap.core import afterwards, repairing
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association.placement import Placement
 from relmap.core.association.recognition import PlaceFinder
@@ -163,7 +163,7 @@ class PointMapper(Mapper):
         """
         with self._guard.change():
             self._note_call("refine")
-            afterwards.refine(self.engine)
+            repairing.refine(self.engine)
 
     def finish(self) -> None:
         """Finish the map: map the rest, distribute the drift, and without ids join submaps.

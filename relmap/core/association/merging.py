@@ -237,14 +237,11 @@ class Merger:
         return bool(later and not self._are_apart(new, old) and self._model.may_be(table, new, old))
 
 
-def merge_doubles(
-    table: LandmarkState, merger: Merger, merge: Callable[[Ints], int], noise_m: float
-) -> bool:
+def merge_doubles(merger: Merger, merge: Callable[[Ints], int], noise_m: float) -> bool:
     """Merge landmarks that coincide at their current positions; return whether there were any.
 
     Parameters
     ----------
-    table : LandmarkState
     merger : Merger
     merge : callable
         Merges landmarks (k,) with older ones and returns how many.
