@@ -6,8 +6,8 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.fitting_kernels import fit_rows, set_placement
-from relmap.core.linalg.compiling import compiled, helper
-from relmap.core.linalg.small_kernels import identity, square_of, unset
+from relmap.core.linalg.compiling import compiled
+from relmap.core.linalg.small_kernels import identity, square_between, square_of, unset
 
 
 @compiled
@@ -43,15 +43,6 @@ def _allowances(target: Floats, tolerance_m: float, metric: Floats | None) -> Fl
     return allowed
 
 
-@helper
-def _square(x: Floats) -> float:
-    """Return the squared length of a vector (d,)."""
-    square = 0.0
-    for a in range(len(x)):
-        square += x[a] * x[a]
-    return square
-
-
 @compiled
 def matched_at(
     source: Floats,
@@ -83,9 +74,7 @@ def matched_at(
             limit = best if stretch is None else best * stretch[k] ** 2
             square = (placed[0] - target[k, 0]) ** 2
             if square < limit:
-                for a in range(d):
-                    apart[a] = placed[a] - target[k, a]
-                square = _square(apart) if metric is None else square_of(metric[k], apart)
+                square = square_between(placed, target[k], metric, k, apart)
                 if square < best:
                     best, at = square, k
         if at >= 0 and best < nearest[at]:
@@ -117,14 +106,10 @@ def placements_by_triangles(
         Rows of the source points.
     tolerance_m : float
         Largest difference between two sides that agree, and largest distance of a match.
-    fewest : int
-        Minimum number of matches of a returned placement.
-    most : int
-        Maximum number of triangle matches tried.
-    metric : (m, d, d) float64, optional
-        Of the targets; the tolerance is in its units.
-    stretch : (m,) float64, optional
-        Largest length of a unit of the metric, metres.
+    fewest, most : int
+        Minimum number of matches of a placement, and maximum number of triangle matches tried.
+    metric, stretch : optional
+        As for `matched_at`; the tolerance is in units of the metric.
 
     Returns
     -------

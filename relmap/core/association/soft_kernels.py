@@ -6,7 +6,7 @@ import numpy as np
 
 from relmap.core.arrays import Floats
 from relmap.core.linalg.compiling import compiled, helper
-from relmap.core.linalg.small_kernels import square_of
+from relmap.core.linalg.small_kernels import square_between
 
 
 @helper
@@ -68,13 +68,7 @@ def soft_matches(
         total = 0.0
         for i in range(n):
             share[i, j] = 0.0
-            square = 0.0
-            for a in range(d):
-                apart[a] = target[j, a] - placed[i, a]
-                square += apart[a] * apart[a]
-            if metric is not None:
-                square = square_of(metric[j], apart)
-            square /= variance[i]
+            square = square_between(target[j], placed[i], metric, j, apart) / variance[i]
             if square < furthest:
                 share[i, j] = np.exp(-square / 2) / (2 * np.pi * variance[i]) ** (d / 2)
                 if peak is not None:

@@ -44,6 +44,19 @@ def square_of(A: Floats, x: Floats) -> float:
 
 
 @helper
+def square_between(x: Floats, y: Floats, metric: Floats | None, k: int, apart: Floats) -> float:
+    """Return the squared distance of two points (d,), in metric k of (m, d, d) if there are any.
+
+    Their difference is entered in `apart` (d,).
+    """
+    square = 0.0
+    for a in range(len(apart)):
+        apart[a] = x[a] - y[a]
+        square += apart[a] * apart[a]
+    return square if metric is None else square_of(metric[k], apart)
+
+
+@helper
 def product(A: Floats, B: Floats) -> Floats:
     """Return the product (n, k) of two matrices (n, m) and (m, k)."""
     result = np.empty((len(A), B.shape[1]))
