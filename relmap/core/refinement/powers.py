@@ -87,6 +87,11 @@ class Placed(NamedTuple):
     R: Floats
     t: Floats
 
+    def moved(self, by: Floats, placements: Floats) -> Placed:
+        """Return the state after steps of the landmarks (m, d) and of the poses (k, p)."""
+        turn, shift = np.split(placements, [-self.t.shape[1]], axis=1)
+        return Placed(self.positions + by, rotations(turn) @ self.R, self.t + shift)
+
 
 class PowerProblem:
     """Residuals of single observations, per axis of the robot frame; a `Problem`.
@@ -168,9 +173,7 @@ class PowerProblem:
 
     def _moved(self, state: Placed, share: float, step: Floats, placements: Floats) -> Placed:
         share /= self.power - 1
-        turn, shift = np.split(share * placements, [-self.seen.points.shape[1]], axis=1)
-        positions = state.positions + share * step[self._unknown]
-        return Placed(positions, rotations(turn) @ state.R, state.t + shift)
+        return state.moved(share * step[self._unknown], share * placements)
 
 
 @dataclass(frozen=True, eq=False)

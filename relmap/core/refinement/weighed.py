@@ -12,7 +12,7 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import fit_rigid_each
-from relmap.core.geometry.motions import derivatives, rotations
+from relmap.core.geometry.motions import derivatives
 from relmap.core.refinement.equations import BARELY, ROUNDING
 from relmap.core.refinement.joint import Refined, Spread
 from relmap.core.refinement.observations import Observations, observations_of
@@ -124,10 +124,7 @@ class WeighedProblem:
         self, state: Placed, equations: NormalEquations, step: Floats, weight: Floats
     ) -> Placed:
         """Return the state after a step."""
-        d = state.positions.shape[1]
-        turn, shift = np.split(equations.eliminated_steps(step), [-d], axis=1)
-        positions = state.positions + step[self._unknown]
-        return Placed(positions, rotations(turn) @ state.R, state.t + shift)
+        return state.moved(step[self._unknown], equations.eliminated_steps(step))
 
     def covariances(self, state: Placed, weight: Floats) -> Floats:
         """Return the covariances (m, d, d) of the landmarks, trusting the given ones."""

@@ -8,14 +8,8 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.state.growing import GrowingArray
 
 
-class KeptObservations:
-    """Every observation of a run with odometry, by the number under which it was made.
-
-    Scans with too few landmarks to be condensed count too.  An observation takes 32 bytes in the
-    plane and 40 in space.
-    """
-
-    STATE = "_landmark _location _iteration"
+class SingleObservations:
+    """Observations one by one, by the number under which they were made."""
 
     def __init__(self) -> None:
         self._landmark: GrowingArray[np.int64] = GrowingArray(np.int64)
@@ -26,8 +20,7 @@ class KeptObservations:
         """Return the number of observations."""
         return len(self._landmark)
 
-    def append(self, landmark: Ints, location: Floats, iteration: int) -> None:
-        """Add n observations of landmarks (n,) at (n, d), robot frame, metres."""
+    def _add(self, landmark: Ints, location: Floats, iteration: int) -> None:
         if not len(self):
             self._location = GrowingArray(np.float64, location.shape[1:])
         self._landmark.extend(landmark)
@@ -48,3 +41,17 @@ class KeptObservations:
     def location(self) -> Floats:
         """Position of each observation (n, d), robot frame, metres."""
         return self._location.values
+
+
+class KeptObservations(SingleObservations):
+    """Every observation of a run with odometry.
+
+    Scans with too few landmarks to be condensed count too.  An observation takes 32 bytes in the
+    plane and 40 in space.
+    """
+
+    STATE = "_landmark _location _iteration"
+
+    def append(self, landmark: Ints, location: Floats, iteration: int) -> None:
+        """Add n observations of landmarks (n,) at (n, d), robot frame, metres."""
+        self._add(landmark, location, iteration)

@@ -6,9 +6,10 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.state.growing import GrowingArray
+from relmap.core.state.kept import SingleObservations
 
 
-class WeighedObservations:
+class WeighedObservations(SingleObservations):
     """Every observation of a run that comes with covariances; empty in other runs.
 
     Segments cannot represent covariances that differ between observations.  An observation takes
@@ -18,14 +19,8 @@ class WeighedObservations:
     STATE = "_landmark _location _covariance _iteration"
 
     def __init__(self) -> None:
-        self._landmark: GrowingArray[np.int64] = GrowingArray(np.int64)
-        self._location: GrowingArray[np.float64] = GrowingArray(np.float64, (0,))
+        super().__init__()
         self._covariance: GrowingArray[np.float64] = GrowingArray(np.float64, (0, 0))
-        self._iteration: GrowingArray[np.int64] = GrowingArray(np.int64)
-
-    def __len__(self) -> int:
-        """Return the number of observations."""
-        return len(self._landmark)
 
     def append(self, landmark: Ints, location: Floats, covariance: Floats, iteration: int) -> None:
         """Add n observations of landmarks (n,) at (n, d), robot frame, metres.
@@ -39,13 +34,9 @@ class WeighedObservations:
         iteration : int
         """
         if not len(self):
-            d = location.shape[1]
-            self._location = GrowingArray(np.float64, (d,))
-            self._covariance = GrowingArray(np.float64, (d, d))
-        self._landmark.extend(landmark)
-        self._location.extend(location)
+            self._covariance = GrowingArray(np.float64, covariance.shape[1:])
+        self._add(landmark, location, iteration)
         self._covariance.extend(covariance)
-        self._iteration.extend(np.full(len(landmark), iteration))
 
     def variances(self, landmarks: Ints, begin: int, end: int, landmark_of: Ints) -> Floats:
         """Return the mean variance (k,) of a coordinate of landmarks (k,), square metres.
@@ -68,21 +59,6 @@ class WeighedObservations:
         counts = np.bincount(at, minlength=len(landmarks))
         total = np.bincount(at, each, minlength=len(landmarks))
         return np.asarray(total / np.maximum(counts, 1))
-
-    @property
-    def landmark(self) -> Ints:
-        """Landmark of each observation (n,), as numbered when it was seen."""
-        return self._landmark.values
-
-    @property
-    def iteration(self) -> Ints:
-        """Iteration of each observation (n,), ascending."""
-        return self._iteration.values
-
-    @property
-    def location(self) -> Floats:
-        """Position of each observation (n, d), robot frame, metres."""
-        return self._location.values
 
     @property
     def covariance(self) -> Floats:
