@@ -22,7 +22,6 @@ from tests.logs import PLAIN, TREES, failure, put
 from tests.scanlogs import LASER_COMMENT, LASER_HEADER, planar
 
 Poses = Floats
-IN_SPACE = "iteration,x,y,z,qx,qy,qz,qw"
 FLAT = "iteration,x,y\n3,1,2\n5,1,2\n6,1,2\n"
 MOTIONS = "iteration,x,y,yaw\n6,1,0.5,0.25\n4,2,0,0\n9,1,1,1\n2,5,5,5\n5,0,0,-1\n"
 

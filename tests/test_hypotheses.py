@@ -9,12 +9,12 @@ from relmap.core.arrays import Floats
 from relmap.planes.hypotheses import LATER, MOST, Hypotheses, Judge
 from relmap.planes.judging import Candidates
 from relmap.planes.motions import after, distinct, inverse, motion_over, others
+from relmap.planes.odometry import Expected
 from relmap.planes.placement import Match
 from relmap.planes.tying import ACCEPTED
 
 STEP = np.array([0.0, -0.5, 0.0])
 FARTHER = np.array([0.0, -0.9, 0.0])
-NO_MOTION = np.full(3, np.nan)
 
 
 def candidates(*motions: Floats, evidence: float = 2.0) -> Candidates:
@@ -106,3 +106,12 @@ def test_distinct_motions_are_the_first_of_those_alike() -> None:
     order = np.array([3, 0, 4, 1, 2])
     assert distinct(motions, order, 9).tolist() == [3, 4, 2]
     assert distinct(motions, order, 2).tolist() == [3, 4]
+
+
+def test_a_motion_that_odometry_rules_out_is_no_rival() -> None:
+    near, far = STEP, np.array([0.0, -1.5, 0.0])
+    for expected, right in ((None, near), (Expected(far, 0.05, 0.02), far)):
+        run = Hypotheses(near)
+        run.go_on(candidates(near, far), near, None, expected)
+        np.testing.assert_array_equal(run.verdict(1).best, right)
+    assert odds(run, 1, far) > ACCEPTED

@@ -60,7 +60,7 @@ def test_showing_takes_little_of_the_time(tmp_path: Path, monkeypatch: pytest.Mo
     assert shown == [1, 41, 81]
 
 
-def test_usage_data_stays_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_usage_data_stays_here(monkeypatch: pytest.MonkeyPatch) -> None:
     """What is started sees the variable that turns analytics off; afterwards it is as before."""
     rerun = pytest.importorskip("rerun")
     monkeypatch.delenv("CI", raising=False)

@@ -146,7 +146,7 @@ def test_a_log_is_added_to_a_map_of_walls(
 
 
 def test_a_log_of_another_place_is_a_separate_submap(
-    part: Path, capsys: pytest.CaptureFixture[str], mapped: Mapped, logs: Path
+    part: Path, capsys: pytest.CaptureFixture[str], logs: Path
 ) -> None:
     out = part / "apart"
     asked = ["map", str(logs / "npz"), "-o", str(out), "--variant", "planes"]
@@ -159,7 +159,7 @@ def test_a_log_of_another_place_is_a_separate_submap(
 
 
 def test_scans_are_localised_and_drawn_in_a_map_of_walls(
-    part: Path, oblique: Building, capsys: pytest.CaptureFixture[str]
+    part: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     before = (part / "part" / "mapper.npz").read_bytes()
     asked = ["localise", str(part / "scans.npz"), "--map", str(part / "part")]

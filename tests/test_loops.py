@@ -19,12 +19,12 @@ from tests.worlds import random_rotation
 SIGMA = 0.02
 
 
-def seen_twice(shift_m: float, seed: int = 0) -> tuple[LandmarkState, int]:
+def seen_twice(shift_m: float) -> tuple[LandmarkState, int]:
     """Return a road of landmarks whose end is its beginning again, mapped elsewhere; and its size.
 
     Each landmark is in view for ten iterations, one after the other.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     n = 120
     road = np.column_stack([np.arange(n) * 1.0, rng.uniform(-5, 5, n)])
     again = road[:40] + [shift_m, 0.0] + SIGMA * rng.standard_normal((40, 2))

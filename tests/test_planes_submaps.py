@@ -127,7 +127,7 @@ def test_a_map_that_refining_tears_stays_as_chained(monkeypatch: pytest.MonkeyPa
     assert [submap.refined for submap in mapper.submaps] == [False]
 
 
-def test_steps_of_refinement_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_steps_of_refinement_are_bounded() -> None:
     """A poorly connected part is not moved beyond the map."""
     from relmap.planes.equations import WallEquations
 

@@ -21,8 +21,8 @@ RANGE_M = 8.0
 FIELDS = ("midpoint", "normal", "ends", "size", "z_extent", "noise", "n_points")
 
 
-def segmented(scan: BuildingScan, method: str | None = None) -> PlaneSegmenter:
-    return PlaneSegmenter(method, view_rad=VIEW_RAD, range_m=RANGE_M).fit(scan.points)
+def segmented(scan: BuildingScan) -> PlaneSegmenter:
+    return PlaneSegmenter(view_rad=VIEW_RAD, range_m=RANGE_M).fit(scan.points)
 
 
 def matches(scan: BuildingScan, labels: Ints) -> list[tuple[int, int]]:

@@ -150,7 +150,9 @@ def feed(
     return Fed(labels, durations, finished - over, clock() - finished)
 
 
-def _known_of(method: Method | Plane3dMapper, scan: Any, ids: bool, odometry: bool) -> dict[str, Any]:
+def _known_of(
+    method: Method | Plane3dMapper, scan: Any, ids: bool, odometry: bool
+) -> dict[str, Any]:
     """Return the additional input of a mapper for a scan."""
     more = {"ids": scan.ids} if ids else {}
     if isinstance(method, PlaneMapper):

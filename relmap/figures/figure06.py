@@ -99,7 +99,6 @@ class PartialWall:
 def run_partial_wall(
     points: int = 1000,
     sigma: float = 0.0,
-    seed: int = 0,
     beside: int = BESIDE,
     through: Through = iter,
 ) -> PartialWall:
@@ -111,7 +110,6 @@ def run_partial_wall(
         Points of a scan.
     sigma : float
         Standard deviation of each coordinate, metres.
-    seed : int
     beside : int
         Scans before and after those with only the wall in view.
     through : callable, optional
@@ -121,9 +119,7 @@ def run_partial_wall(
     -------
     PartialWall
     """
-    building = simulate_building(
-        points, sigma, seed=seed, world="long-wall", sample_ends=sigma == 0.0
-    )
+    building = simulate_building(points, sigma, world="long-wall", sample_ends=sigma == 0.0)
     part = _beside_the_wall(building, beside)
     scans = [building.scans[k].points for k in part]
     offsets = np.cumsum([0, *map(len, scans)])

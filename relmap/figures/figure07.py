@@ -20,7 +20,7 @@ NOISE = 0.3
 
 
 def run_noisy_maps(
-    spacing_m: float = SPACING_M, noise: float = NOISE, seed: int = 0, iterations: int | None = None
+    spacing_m: float = SPACING_M, seed: int = 0, iterations: int | None = None
 ) -> BothMaps:
     """Map fixed points on the walls of a building as planes, and as points.
 
@@ -28,8 +28,6 @@ def run_noisy_maps(
     ----------
     spacing_m : float
         Of the points on the walls, metres.
-    noise : float
-        Sigma in units of the spacing.
     seed : int
     iterations : int, optional
         Scans; one loop if omitted.
@@ -38,7 +36,7 @@ def run_noisy_maps(
     -------
     BothMaps
     """
-    return both_maps(wall_points(spacing_m, noise, seed, iterations))
+    return both_maps(wall_points(spacing_m, NOISE, seed, iterations))
 
 
 def _judge(maps: BothMaps) -> Outcome:

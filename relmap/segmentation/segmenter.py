@@ -158,7 +158,7 @@ class PlaneSegmenter:
             self._checked += 1
         xy = np.ascontiguousarray(xyz[:, :2])
         if len(xy) < 2 or not np.ptp(xy, axis=0).any():
-            sharp = meet(_no_walls(xy, self.noise), max(len(xy), 1))
+            sharp = meet(_no_walls(self.noise), max(len(xy), 1))
             labels = np.full(len(xy), -1)
         else:
             sharp, labels = self._segment(method, xyz, xy)
@@ -278,8 +278,7 @@ def walls_of_labels(xy: Floats, labels: Ints, sigma: float) -> WallMixture:
     return WallMixture(walls, sigma, 0.0, scan_area(xy, sigma))
 
 
-def _no_walls(xy: Floats, noise: float | None) -> WallMixture:
-
+def _no_walls(noise: float | None) -> WallMixture:
     return WallMixture(np.zeros((0, WALL)), noise or 0.0, 1.0, 1.0)
 
 

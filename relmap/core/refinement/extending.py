@@ -17,7 +17,7 @@ from relmap.core.geometry.alignment import place_each, sums_each
 from relmap.core.geometry.robust import fit_robust_each
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.refinement.condensing import SegmentRows
-from relmap.core.state.table import NONE, LandmarkState
+from relmap.core.state.table import NONE
 
 TIERS = (3.0, 10.0, 100.0)
 """Largest variance of a position from a segment, relative to an observation, by stage."""
@@ -83,7 +83,7 @@ def _extend(
             break
         laid = lay(rows, landmark, table.position, known[landmark])
         chosen = np.flatnonzero(wanted[landmark] & (laid.variance <= TIERS[tier]))
-        placed = _placed(table, rows, landmark, chosen, laid, SURE if suspects else 1)
+        placed = _placed(rows, landmark, chosen, laid, SURE if suspects else 1)
         if not len(placed[0]):
             tier += 1
             continue
@@ -145,7 +145,7 @@ def _variances(rows: SegmentRows, fitted: Ints, n: int) -> Floats:
 
 
 def _placed(
-    table: LandmarkState, rows: SegmentRows, landmark: Ints, chosen: Ints, laid: _Laid, sure: int
+    rows: SegmentRows, landmark: Ints, chosen: Ints, laid: _Laid, sure: int
 ) -> tuple[Ints, Floats, Floats]:
     """Return landmarks (k,), positions (k, d) and weights (k,) on which segments agree."""
     chosen = chosen[np.argsort(landmark[chosen], kind="stable")]
