@@ -5,10 +5,13 @@ from __future__ import annotations
 import csv
 import gzip
 import json
+import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
+
+from relmap.cli import main
 
 RESULT_FILES = [
     "landmarks.csv",
@@ -31,6 +34,18 @@ GOOD = "iteration,x,y,z\n" + "".join(
 )
 
 Check = Callable[..., str]
+
+
+def run_process(command: Sequence[str], **more: Any) -> subprocess.CompletedProcess[str]:
+    """Run a command to its end; return its exit code and what it printed."""
+    return subprocess.run(
+        command, capture_output=True, text=True, timeout=PATIENCE_S, check=False, **more
+    )
+
+
+def run_relmap(*arguments: object) -> None:
+    """Run `relmap` in this process; it must succeed."""
+    assert main([str(argument) for argument in arguments]) == 0
 
 
 def names(folder: Path) -> list[str]:

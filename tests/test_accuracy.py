@@ -18,17 +18,9 @@ from relmap.datasets.victoria_park import read_reference_map
 from relmap.evaluation.metrics import majority_ids
 from relmap.evaluation.metrics import purity as purity_of
 from relmap.simulation import simulate_figure_eight
-from tests.worlds import aligned_rmse
+from tests.worlds import aligned_rmse, driven
 
 SEEDS = range(10)
-
-
-def map_log(log: ObservationLog) -> PointMapper:
-    mapper = PointMapper()
-    for scan in log.scans():
-        mapper.update(scan.points_robot, scan.ids)
-    mapper.finish()
-    return mapper
 
 
 def rmse(result: LandmarkMap, ids: Ints, truth: Floats) -> float:
@@ -49,7 +41,7 @@ def test_chained_groups_are_no_worse_than_frame_to_map(density: float) -> None:
     ours, theirs = [], []
     for seed in SEEDS:
         world = simulate_figure_eight(density=density, seed=seed)
-        mapper = map_log(world.log)
+        mapper = driven(world.log)
         assert share_mapped(mapper, world.log) >= 0.97
         truth = (world.landmark_ids, world.landmarks_map)
         ours.append(rmse(mapper.map, *truth))
@@ -60,7 +52,7 @@ def test_chained_groups_are_no_worse_than_frame_to_map(density: float) -> None:
 @pytest.mark.parametrize("noise", ["gaussian", "uniform"])
 def test_the_eight_is_exact_without_noise(noise: str) -> None:
     world = simulate_figure_eight(noise=noise, sigma=0.0, iterations=1000)  # type: ignore[arg-type]
-    mapper = map_log(world.log)
+    mapper = driven(world.log)
     assert len(mapper.map.landmark_ids) == len(world.landmark_ids)
     assert rmse(mapper.map, world.landmark_ids, world.landmarks_map) < 1e-9
 
@@ -69,7 +61,7 @@ def test_the_eight_is_exact_without_noise(noise: str) -> None:
 def test_mrpt_logs_are_mapped_to_a_centimetre(shared_data: Path, name: str) -> None:
     path = shared_data / "mrpt-kf-slam" / f"{name}.observations.csv.gz"
     log = open_log(path)
-    mapper = map_log(log)
+    mapper = driven(log)
     ids, positions, _ = read_ground_truth(path)
     assert share_mapped(mapper, log) >= 0.97
     assert rmse(mapper.map, ids, positions) <= 0.012
@@ -99,7 +91,7 @@ def test_static_tracks_are_pure_among_moving_landmarks() -> None:
 @pytest.mark.parametrize("dynamic", [0.4, 0.65])
 def test_moving_landmarks_are_detected(dynamic: float) -> None:
     world = simulate_figure_eight(density=100, dynamic=dynamic, seed=0)
-    mapper = map_log(world.log)
+    mapper = driven(world.log)
     table = mapper.landmarks
     often = table.observations >= 30
     found = table.status[often] == "dynamic"

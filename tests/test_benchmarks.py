@@ -11,20 +11,15 @@ from pathlib import Path
 import pytest
 
 from benchmarks.document import write_all
-from tests.commands import PATIENCE_S
+from tests.commands import PATIENCE_S, run_process
 
 
 def tables_of(
     repo_root: Path, child_env: dict[str, str], *command: str
 ) -> dict[str, list[dict[str, str]]]:
     """Run a benchmark; return the rows of each table that it prints, by the line above it."""
-    done = subprocess.run(
-        [sys.executable, str(repo_root / "benchmarks" / command[0]), *command[1:]],
-        env=child_env,
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
+    done = run_process(
+        [sys.executable, str(repo_root / "benchmarks" / command[0]), *command[1:]], env=child_env
     )
     assert done.returncode == 0, done.stderr
     tables: dict[str, list[dict[str, str]]] = {}

@@ -6,13 +6,12 @@ import errno
 import gzip
 import os
 import resource
-import subprocess
 from pathlib import Path
 
 import pytest
 
 from relmap.cli import main
-from tests.commands import GOOD, PATIENCE_S, RELMAP, Check, shown, snapshot
+from tests.commands import GOOD, RELMAP, Check, run_process, shown, snapshot
 
 
 @pytest.mark.parametrize(
@@ -179,14 +178,10 @@ def run(
         if most_bytes is not None:
             resource.setrlimit(resource.RLIMIT_FSIZE, (most_bytes, most_bytes))
 
-    done = subprocess.run(
+    done = run_process(
         [*RELMAP, *arguments],
         cwd=folder,
         env=env | {"PYTHONDONTWRITEBYTECODE": "1"},
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
         preexec_fn=limit,
     )
     return done.returncode, done.stderr

@@ -15,7 +15,7 @@ import relmap
 from relmap.cli import main
 from relmap.datasets import FORMATS, write_observation_csv
 from relmap.simulation import simulate_figure_eight
-from tests.commands import PATIENCE_S, RELMAP, RESULT_FILES, load, names
+from tests.commands import PATIENCE_S, RELMAP, RESULT_FILES, load, names, run_process
 
 USUAL = re.compile(r"relmap: .*(so far|left|half a minute|\d of \d+)")
 """A busy machine prints progress, and a new one that it compiles."""
@@ -27,14 +27,7 @@ def unusual(said: str) -> list[str]:
 
 def test_demo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, child_env: dict[str, str]) -> None:
     monkeypatch.chdir(tmp_path)
-    done = subprocess.run(
-        [*RELMAP, "demo"],
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-        env=child_env,
-    )
+    done = run_process([*RELMAP, "demo"], env=child_env)
     assert (done.returncode, unusual(done.stderr)) == (0, [])
     assert done.stdout.splitlines()[-1] == "wrote index.html and the files behind it to relmap-demo"
     folder = tmp_path / "relmap-demo"
@@ -51,15 +44,7 @@ def test_demo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, child_env: dict[s
 def run(
     arguments: list[str], folder: Path, env: dict[str, str]
 ) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [*RELMAP, *arguments],
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-        env=env,
-        cwd=folder,
-    )
+    return run_process([*RELMAP, *arguments], env=env, cwd=folder)
 
 
 @pytest.mark.parametrize("home", [None, os.path.join(os.devnull, "home")])

@@ -23,7 +23,7 @@ from relmap.comparison.methods.registry import METHODS, find_method
 from relmap.comparison.methods.running import run_method
 from relmap.evaluation.feeding import Association
 from relmap.evaluation.sources import Data, EightSource, Source
-from tests.commands import GOOD, PATIENCE_S, RELMAP, Check, names, table
+from tests.commands import GOOD, PATIENCE_S, RELMAP, Check, names, run_process, table
 
 ASSOCIATIONS: tuple[Association, ...] = ("known", "nearest")
 SHORT = ["compare", "--simulate", "figure-eight", "--iterations", "60"]
@@ -34,14 +34,8 @@ def compared(tmp_path_factory: pytest.TempPathFactory, child_env: dict[str, str]
     """A comparison as a user makes it; stdout and stderr are beside it."""
     folder = tmp_path_factory.mktemp("compare")
     chosen = "relmap-points,ekf"
-    done = subprocess.run(
-        [*RELMAP, *SHORT, "--methods", chosen, "-o", "out"],
-        cwd=folder,
-        env=child_env,
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
+    done = run_process(
+        [*RELMAP, *SHORT, "--methods", chosen, "-o", "out"], cwd=folder, env=child_env
     )
     assert done.returncode == 0, done.stderr
     progress = [line.endswith(" so far") for line in done.stderr.splitlines()]

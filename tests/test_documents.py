@@ -6,7 +6,6 @@ import re
 import runpy
 import shlex
 import shutil
-import subprocess
 import tomllib
 from collections.abc import Iterator
 from contextlib import chdir, redirect_stdout
@@ -19,7 +18,7 @@ import pytest
 
 import relmap
 from relmap.cli import main
-from tests.commands import PATIENCE_S
+from tests.commands import run_process
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -78,13 +77,7 @@ def _relmap(line: str) -> str:
 
 
 def _others(lines: str) -> str:
-    done = subprocess.run(
-        ["/bin/sh", "-e", "-c", lines],
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-    )
+    done = run_process(["/bin/sh", "-e", "-c", lines])
     assert done.returncode == 0, f"{lines}{done.stderr}"
     return done.stdout
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import subprocess
 import zipfile
 from pathlib import Path
 
@@ -16,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from relmap.cli import main
 from relmap.evaluation import metrics
 from relmap.io.files import read_tum, write_tum
-from tests.commands import PATIENCE_S, load
+from tests.commands import load, run_process
 
 APE, RPE = shutil.which("evo_ape"), shutil.which("evo_rpe")
 pytestmark = pytest.mark.skipif(
@@ -29,14 +28,10 @@ def evo(program: str | None, folder: Path, truth: Path, found: Path, *more: str)
     """Return the RMSE that evo finds between two TUM files."""
     result = folder / "evo.zip"
     result.unlink(missing_ok=True)
-    done = subprocess.run(
+    done = run_process(
         [str(program), "tum", str(truth), str(found), *more, "--save_results", str(result)],
         env=os.environ | {"HOME": str(folder), "MPLBACKEND": "Agg"},
         cwd=folder,
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
     )
     assert done.returncode == 0, done.stdout + done.stderr
     with zipfile.ZipFile(result) as archive:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from tests.commands import PATIENCE_S
+from tests.commands import run_process
 
 FOLDER = Path(__file__).resolve().parents[1] / "examples"
 EXAMPLES = sorted(FOLDER.glob("*.py"))
@@ -16,15 +15,7 @@ EXAMPLES = sorted(FOLDER.glob("*.py"))
 
 def run_file(path: Path, env: dict[str, str], folder: Path) -> None:
     """Run a Python file in a folder, in an interpreter of its own; fail with what it said."""
-    done = subprocess.run(
-        [sys.executable, str(path)],
-        env=env,
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-    )
+    done = run_process([sys.executable, str(path)], env=env, cwd=folder)
     assert done.returncode == 0, f"{path.name} failed:\n{done.stdout}{done.stderr}"
 
 

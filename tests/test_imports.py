@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import json
-import subprocess
 import sys
 from dataclasses import dataclass
 from graphlib import TopologicalSorter
@@ -12,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.commands import PATIENCE_S
+from tests.commands import run_process
 
 HEAVY = {"matplotlib", "numba", "open3d", "sklearn", "typer"}
 SLOW = {"scipy.optimize", "scipy.signal", "scipy.stats"}
@@ -74,15 +73,7 @@ KERNELS = "kernels"
 
 def run_python(code: str, env: dict[str, str], folder: Path) -> str:
     """Run code in a fresh interpreter and return what it prints."""
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        env=env,
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-    )
+    done = run_process([sys.executable, "-c", code], env=env, cwd=folder)
     assert done.returncode == 0, done.stderr
     return done.stdout
 

@@ -6,7 +6,6 @@ import copy
 import importlib
 import inspect
 import operator
-import subprocess
 import sys
 import threading
 from collections.abc import Callable, Sequence
@@ -20,7 +19,7 @@ import pytest
 from relmap import MapperConfig, Plane3dMapper, PlaneMapper, PointMapper, RelmapError
 from relmap.io.journal import writing
 from relmap.simulation import simulate_building
-from tests.commands import PATIENCE_S
+from tests.commands import run_process
 from tests.worlds import walk
 
 AnyMapper = PointMapper | PlaneMapper
@@ -116,14 +115,10 @@ def test_every_mapper_reports_interrupts_or_continues_to_the_same_map(
     child_env: dict[str, str], repo_root: Path
 ) -> None:
     kinds = ["points-odometry", "walls-onto", "planes3d"]
-    done = subprocess.run(
+    done = run_process(
         [sys.executable, "-m", "tests.interrupting", "--every", "1500", *kinds],
         env=child_env | {"OMP_NUM_THREADS": "1"},
         cwd=repo_root,
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
     )
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout.count("'reported': ") == len(kinds)

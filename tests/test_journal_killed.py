@@ -19,7 +19,7 @@ from relmap.io.journal.layout import POINTS
 from relmap.plots import bench as plots_bench
 from relmap.plots.bench_recorder import BenchFrame
 from relmap.simulation import simulate_building, simulate_figure_eight
-from tests.commands import PATIENCE_S, load, names, table
+from tests.commands import PATIENCE_S, load, names, run_process, table
 from tests.journals import end_after
 
 SAME = ["landmarks.csv", "map.ply", "mapper.npz", "submaps.csv", "tracks.csv.gz", "trajectory.tum"]
@@ -28,14 +28,10 @@ SAME = ["landmarks.csv", "map.ply", "mapper.npz", "submaps.csv", "tracks.csv.gz"
 def test_runs_killed_at_random_moments_end_as_if_nothing_had_happened(
     tmp_path: Path, child_env: dict[str, str], repo_root: Path
 ) -> None:
-    done = subprocess.run(
+    done = run_process(
         [sys.executable, "-m", "tests.killing", str(tmp_path), "25"],
         env=child_env | {"OMP_NUM_THREADS": "1"},
         cwd=repo_root,
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
     )
     assert done.returncode == 0, done.stderr
     told = json.loads(done.stdout)
@@ -199,15 +195,7 @@ def test_a_disk_that_is_full_ends_a_run_with_one_line_and_it_can_be_resumed(
         "sys.exit(main(sys.argv[1:]))\n"
     )
     command = [sys.executable, "-c", limit, "map", "log.csv", "-o", str(tmp_path / "out")]
-    done = subprocess.run(
-        [*command, "--journal", str(journal)],
-        env=child_env,
-        cwd=eight,
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-    )
+    done = run_process([*command, "--journal", str(journal)], env=child_env, cwd=eight)
     assert done.returncode == 2
     assert done.stderr.startswith(f"relmap: error: journal {journal} cannot be written: ")
     assert done.stderr.count("\n") == 1
@@ -217,9 +205,7 @@ def test_a_disk_that_is_full_ends_a_run_with_one_line_and_it_can_be_resumed(
 
 
 @pytest.mark.usefixtures("eight")  # which compiles what the child runs
-def test_ctrl_c_writes_what_was_mapped_so_far(
-    tmp_path: Path, child_env: dict[str, str], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_ctrl_c_writes_what_was_mapped_so_far(tmp_path: Path, child_env: dict[str, str]) -> None:
     log = tmp_path / "observations.csv"
     write_observation_csv(log, simulate_figure_eight(seed=1, iterations=400).log)
     out, journal = tmp_path / "out", tmp_path / "run.journal"
@@ -236,14 +222,10 @@ def test_ctrl_c_writes_what_was_mapped_so_far(
         "PointMapper.update = stopped\n"
         "sys.exit(main(sys.argv[1:]))\n"
     )
-    done = subprocess.run(
+    done = run_process(
         [sys.executable, "-c", early, "map", str(log), "-o", str(out), "--journal", str(journal)],
-        capture_output=True,
-        text=True,
         env=child_env,
         cwd=tmp_path,
-        timeout=PATIENCE_S,
-        check=False,
     )
     said = done.stdout
     assert (done.returncode, done.stderr) == (130, "relmap: interrupted\n")
@@ -277,14 +259,10 @@ def test_ctrl_c_twice_ends_at_once(tmp_path: Path, child_env: dict[str, str]) ->
         "sys.exit(main(sys.argv[1:]))\n"
     )
     (tmp_path / "log.csv").write_text("iteration,x,y\n0,1,2\n1,1,2\n")
-    done = subprocess.run(
+    done = run_process(
         [sys.executable, "-c", code, "map", "log.csv", "-o", "out"],
         env=child_env | {"PYTHONDONTWRITEBYTECODE": "1"},
         cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
     )
     assert (done.returncode, done.stderr, done.stdout) == (130, "relmap: interrupted\n", "")
     assert names(tmp_path) == ["log.csv"]

@@ -21,7 +21,7 @@ from relmap.merging.walls import joined_walls, moved
 from relmap.planes.files import read_any, read_planes, write_planes
 from relmap.planes.table import PlaneTable
 from relmap.planes.wall_tie import wall_ties
-from tests.commands import load, table
+from tests.commands import load, run_relmap, table
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -109,31 +109,27 @@ def test_walls_move_with_their_fronts() -> None:
     np.testing.assert_allclose(turned.normal, [[-1.0, 0.0]], atol=1e-15)
 
 
-def run(*arguments: object) -> None:
-    assert main([str(argument) for argument in arguments]) == 0
-
-
 @pytest.fixture(scope="module")
 def halves(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two logs of one building and two of one figure eight, mapped apart."""
     folder = tmp_path_factory.mktemp("halves")
     laser = ["--sampling", "laser", "--points", "181", "--sigma", "0.01"]
-    run("simulate", "building", "-o", folder / "lab", *laser)
-    run("simulate", "figure-eight", "-o", folder / "eight", "--iterations", "300")
+    run_relmap("simulate", "building", "-o", folder / "lab", *laser)
+    run_relmap("simulate", "figure-eight", "-o", folder / "eight", "--iterations", "300")
     planes = ["--variant", "planes"]
     for name, scans in (("a", "0:170"), ("b", "120:282")):
-        run("map", folder / "lab", "-o", folder / f"lab-{name}", *planes, "--scans", scans)
+        run_relmap("map", folder / "lab", "-o", folder / f"lab-{name}", *planes, "--scans", scans)
     for name, scans in (("a", "0:180"), ("b", "120:300")):
-        run("map", folder / "eight", "-o", folder / f"eight-{name}", "--scans", scans)
+        run_relmap("map", folder / "eight", "-o", folder / f"eight-{name}", "--scans", scans)
     return folder
 
 
 def test_a_building_in_two_halves_is_the_building(halves: Path) -> None:
     out = halves / "lab-both"
-    run("merge", halves / "lab-a", halves / "lab-b", "-o", out)
-    run("evaluate", out, "--truth", halves / "lab")
+    run_relmap("merge", halves / "lab-a", halves / "lab-b", "-o", out)
+    run_relmap("evaluate", out, "--truth", halves / "lab")
     whole = load(out / "evaluation.json")
-    run("evaluate", halves / "lab-a", "--truth", halves / "lab")
+    run_relmap("evaluate", halves / "lab-a", "--truth", halves / "lab")
     half = load(halves / "lab-a" / "evaluation.json")
     assert half["wall_recall"] < 0.75
     assert whole["wall_recall"] > 0.95
@@ -150,7 +146,7 @@ def test_a_building_in_two_halves_is_the_building(halves: Path) -> None:
 
 
 def test_the_path_of_the_second_goes_on_where_the_first_was(halves: Path) -> None:
-    run("merge", halves / "lab-a", halves / "lab-b", "-o", halves / "path")
+    run_relmap("merge", halves / "lab-a", halves / "lab-b", "-o", halves / "path")
     one, other = (read_tum(halves / "path" / f"trajectory{name}.tum") for name in ("", "-2"))
     common, mine, theirs = np.intersect1d(one[0], other[0], return_indices=True)
     assert len(common) == 50
@@ -159,11 +155,11 @@ def test_the_path_of_the_second_goes_on_where_the_first_was(halves: Path) -> Non
 
 def test_points_in_two_halves_are_all_points(halves: Path) -> None:
     out = halves / "eight-both"
-    run("merge", halves / "eight-a", halves / "eight-b", "-o", out)
+    run_relmap("merge", halves / "eight-a", halves / "eight-b", "-o", out)
     merged = read_result(out).landmarks
     places = merged.position[np.isfinite(merged.position[:, 0])]
     # As many as the whole log has: a landmark that both saw stands there once.
-    run("map", halves / "eight", "-o", halves / "eight-whole")
+    run_relmap("map", halves / "eight", "-o", halves / "eight-whole")
     whole = read_result(halves / "eight-whole")
     assert len(places) == whole.mapped.sum()
     target = whole.landmarks.position[whole.mapped]
@@ -179,7 +175,7 @@ def test_points_in_two_halves_are_all_points(halves: Path) -> None:
 
 def test_a_map_merged_with_itself_is_that_map(halves: Path) -> None:
     for name in ("lab-a", "eight-a"):
-        run("merge", halves / name, halves / name, "-o", halves / "self")
+        run_relmap("merge", halves / name, halves / name, "-o", halves / "self")
         before, after = read_any(halves / name), read_any(halves / "self")
         np.testing.assert_allclose(
             after.landmarks.position[after.mapped],
@@ -190,30 +186,30 @@ def test_a_map_merged_with_itself_is_that_map(halves: Path) -> None:
 
 
 def test_a_merged_map_is_exported(halves: Path, tmp_path: Path) -> None:
-    run("merge", halves / "lab-a", halves / "lab-b", "-o", tmp_path / "both")
+    run_relmap("merge", halves / "lab-a", halves / "lab-b", "-o", tmp_path / "both")
     for to in ("dxf", "grid", "geojson"):
-        run("export", tmp_path / "both", "--to", to, "-o", tmp_path)
+        run_relmap("export", tmp_path / "both", "--to", to, "-o", tmp_path)
     assert len([row for row in table(tmp_path / "both" / "planes.csv") if row["x0"]]) > 60
 
 
 def test_a_merged_map_of_points_is_evaluated_by_place(
     halves: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    run("merge", halves / "eight-a", halves / "eight-b", "-o", tmp_path / "both")
+    run_relmap("merge", halves / "eight-a", halves / "eight-b", "-o", tmp_path / "both")
     capsys.readouterr()
-    run("evaluate", tmp_path / "both", "--truth", halves / "eight")
+    run_relmap("evaluate", tmp_path / "both", "--truth", halves / "eight")
     printed = capsys.readouterr().out
     assert "the map was merged" in printed
     assert "--log" not in printed
     whole = load(tmp_path / "both" / "evaluation.json")
-    run("evaluate", halves / "eight-a", "--truth", halves / "eight")
+    run_relmap("evaluate", halves / "eight-a", "--truth", halves / "eight")
     half = load(halves / "eight-a" / "evaluation.json")
     assert whole["counts"]["matched_landmarks"] > 1.3 * half["counts"]["matched_landmarks"]
     assert 0 < whole["landmark_rmse_m"] < 2 * half["landmark_rmse_m"]
     apart = tmp_path / "apart"
     shutil.copytree(halves / "eight" / "truth", apart)
     (apart / "trajectory.tum").unlink()
-    run("evaluate", tmp_path / "both", "--truth", apart)
+    run_relmap("evaluate", tmp_path / "both", "--truth", apart)
     assert "too little is known" in capsys.readouterr().out
 
 
@@ -235,12 +231,12 @@ def test_maps_without_an_alignment_are_refused(
     said: str,
 ) -> None:
     if other == "twin":  # another world
-        run("simulate", "figure-eight", "-o", tmp_path, "--iterations", "100", "--seed", "5")
-        run("map", tmp_path, "-o", halves / other)
+        run_relmap("simulate", "figure-eight", "-o", tmp_path, "--iterations", "100", "--seed", "5")
+        run_relmap("map", tmp_path, "-o", halves / other)
     if other == "corridor":
         laser = ["--sampling", "laser", "--points", "181", "--iterations", "60"]
-        run("simulate", "building", "--world", "corridor", "-o", tmp_path, *laser)
-        run("map", tmp_path, "-o", halves / other, "--variant", "planes")
+        run_relmap("simulate", "building", "--world", "corridor", "-o", tmp_path, *laser)
+        run_relmap("map", tmp_path, "-o", halves / other, "--variant", "planes")
     capsys.readouterr()
     out = tmp_path / "out"
     assert main(["merge", str(halves / one), str(halves / other), "-o", str(out)]) == 2
@@ -268,8 +264,8 @@ def test_an_ambiguous_alignment_is_refused(
 def test_freiburg_079_in_two_parts(shared_data: Path, tmp_path: Path) -> None:
     log = shared_data / "carmen-laser2d" / "freiburg-079-corrected.log.gz"
     for name, scans in (("a", "0:900"), ("b", "600:1500")):
-        run("map", log, "-o", tmp_path / name, "--variant", "planes", "--scans", scans)
-    run("merge", tmp_path / "a", tmp_path / "b", "-o", tmp_path / "both")
+        run_relmap("map", log, "-o", tmp_path / name, "--variant", "planes", "--scans", scans)
+    run_relmap("merge", tmp_path / "a", tmp_path / "b", "-o", tmp_path / "both")
     one, other = (read_tum(tmp_path / "both" / f"trajectory{name}.tum") for name in ("", "-2"))
     _, mine, theirs = np.intersect1d(one[0], other[0], return_indices=True)
     assert len(mine) > 250

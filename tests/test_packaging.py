@@ -18,7 +18,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.commands import PATIENCE_S
+from tests.commands import run_process
 
 LINKS = ("planes", "points", "segmentation")
 DIST_INFO = {
@@ -114,12 +114,8 @@ def built(
     if request.param == "no links":
         unlink_root(source)
     before = {path for path in source.rglob("*") if path.is_file()}
-    done = subprocess.run(
-        [sys.executable, "-m", "build", "--no-isolation", "--outdir", str(out), str(source)],
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
+    done = run_process(
+        [sys.executable, "-m", "build", "--no-isolation", "--outdir", str(out), str(source)]
     )
     assert done.returncode == 0, f"{done.stdout}{done.stderr}"
     for path in {path for path in source.rglob("*") if path.is_file()} - before:
@@ -175,14 +171,8 @@ def test_wheel_runs(built: Built, child_env: dict[str, str], tmp_path: Path) -> 
     with zipfile.ZipFile(built.wheel) as archive:
         archive.extractall(site)
     code = "import relmap, relmap.cli; assert callable(relmap.cli.main); print(relmap.__file__)"
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        env=child_env | {"PYTHONPATH": str(site)},
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
+    done = run_process(
+        [sys.executable, "-c", code], env=child_env | {"PYTHONPATH": str(site)}, cwd=tmp_path
     )
     assert done.returncode == 0, done.stderr
     assert Path(done.stdout.strip()) == site / "relmap" / "__init__.py"

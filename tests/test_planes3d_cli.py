@@ -14,7 +14,7 @@ from relmap.cli import main
 from relmap.datasets import open_scans
 from relmap.io.files import read_tum
 from relmap.planes3d.files import COLUMNS
-from tests.commands import names
+from tests.commands import names, run_relmap
 
 FILES = [
     "landmarks.csv",
@@ -26,10 +26,6 @@ FILES = [
     "tracks.csv.gz",
     "trajectory.tum",
 ]
-
-
-def run_relmap(*arguments: object) -> None:
-    assert main([str(argument) for argument in arguments]) == 0
 
 
 @pytest.fixture(scope="module")

@@ -9,21 +9,17 @@ from pathlib import Path
 
 import pytest
 
-from relmap.cli import main
 from relmap.datasets import open_scans
 from relmap.evaluation import metrics
 from relmap.evaluation.run import run_mapper
 from relmap.planes import PlaneMapper
 from relmap.planes.files import read_planes
 from relmap.segmentation import PlaneSegmenter
+from tests.commands import run_relmap
 
 CONTRACT = (
     "plane,x0,y0,x1,y1,z0,z1,nx,ny,nz,end0,end1,observations,first_iteration,last_iteration,status"
 )
-
-
-def run_relmap(*arguments: object) -> None:
-    assert main([str(argument) for argument in arguments]) == 0
 
 
 @pytest.fixture(scope="module")

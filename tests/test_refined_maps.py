@@ -7,22 +7,17 @@ import pytest
 
 from relmap import PointMapper
 from relmap.comparison.baselines.batch import Batch, batch_least_squares
-from relmap.core.arrays import Floats
 from relmap.simulation import simulate_figure_eight
-from tests.worlds import aligned_rmse, mapped, walk
+from tests.worlds import aligned_rmse, driven, mapped, walk
 
 both_dimensions = pytest.mark.parametrize("d", [2, 3])
-Points = Floats
 
 
 def test_mapper_refines_to_the_limit() -> None:
     for seed in (20, 21):
         world = simulate_figure_eight(seed=seed)
         assert world.log.ids is not None
-        mapper = PointMapper()
-        for scan in world.log.scans():
-            mapper.update(scan.points_robot, scan.ids)
-        mapper.finish()
+        mapper = driven(world.log)
         mapper.refine()
         observations = Batch(world.log.points_robot, world.log.iteration, world.log.ids)
         limit = batch_least_squares(observations, world.landmarks_map)

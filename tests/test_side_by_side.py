@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -12,7 +11,7 @@ import pytest
 
 from relmap import PointMapper
 from relmap.simulation import simulate_figure_eight
-from tests.commands import PATIENCE_S
+from tests.commands import run_process
 
 
 def a_map(seed: int) -> str:
@@ -44,14 +43,8 @@ def test_ten_processes_give_the_maps_of_one(
         "with multiprocessing.get_context('fork').Pool(10) as pool:\n"
         "    print(json.dumps(pool.map(a_map, [1, 2] * 5, chunksize=1)))\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        env=child_env | {"OMP_NUM_THREADS": "1"},
-        cwd=repo_root,
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
+    done = run_process(
+        [sys.executable, "-c", code], env=child_env | {"OMP_NUM_THREADS": "1"}, cwd=repo_root
     )
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout) == alone * 5

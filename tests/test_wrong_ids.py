@@ -19,7 +19,7 @@ from relmap.core.refinement.equations import Laid
 from relmap.core.refinement.gauss_newton import Solution
 from relmap.datasets import ObservationLog
 from relmap.simulation import FigureEight, WorldSpec, simulate_figure_eight, simulate_world
-from tests.worlds import aligned_rmse, mapped, walk
+from tests.worlds import aligned_rmse, driven, mapped, walk
 
 Wrong = Callable[[ObservationLog, int, int], ObservationLog]
 
@@ -57,14 +57,6 @@ def limit(seed: int) -> float:
     return aligned_rmse(
         batch_least_squares(Batch(log.points_robot, log.iteration, log.ids), truth), truth
     )
-
-
-def driven(log: ObservationLog) -> PointMapper:
-    mapper = PointMapper()
-    for scan in log.scans():
-        mapper.update(scan.points_robot, scan.ids)
-    mapper.finish()
-    return mapper
 
 
 def error(mapper: PointMapper, truth: Floats) -> float:

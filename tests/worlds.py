@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from relmap import PointMapper
 from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import fit_rigid
+from relmap.datasets.base import ObservationLog
 
 Scans = list[tuple[Ints, Floats]]
 
@@ -50,6 +51,15 @@ def walk(dimension: int, seed: int, sigma: float = 0.0, iterations: int = 120) -
         poses.append((R, t))
     R0, t0 = poses[0]
     return Walk((road - t0) @ R0, poses, scans)
+
+
+def driven(log: ObservationLog) -> PointMapper:
+    """Map a log, with its ids if it has any."""
+    mapper = PointMapper()
+    for scan in log.scans():
+        mapper.update(scan.points_robot, scan.ids)
+    mapper.finish()
+    return mapper
 
 
 def mapped(scans: list[tuple[Ints, Floats]]) -> PointMapper:
