@@ -156,7 +156,7 @@ class Mapper(Mapped):
 
     @classmethod
     def load(cls, path: PathLike[str] | str) -> Self:
-        """Load a mapper that `save` saved; by `Mapper` of whatever variant it is.
+        """Load a mapper that `save` wrote; `Mapper.load` accepts every variant.
 
         No code in the file is executed, but its values are not verified: load only trusted files.
 

@@ -1,4 +1,4 @@
-"""How a mapper is displayed and saved: as text, as a picture, as a folder."""
+"""How a mapper is shown and saved: as text, as a picture, as a result folder."""
 
 from __future__ import annotations
 

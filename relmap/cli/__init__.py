@@ -97,7 +97,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        Exit status: 0, 2 for bad input, 130 after Ctrl-C, 1 if the reader of the output is gone.
+        Exit status: 0, 2 for bad input, 130 after Ctrl-C, 1 if the reader of the output has closed
+        it.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
     _announce()
@@ -132,7 +133,7 @@ class _Stderr(logging.Handler):
 
 
 def _announce() -> None:
-    # Where it cannot write into the home folder, it warns in several lines, and works all the same.
+    # matplotlib warns in several lines if it cannot write into the home folder, but works.
     logging.getLogger("matplotlib").setLevel(logging.ERROR)
     log = logging.getLogger("relmap.core.linalg.compiling")
     if not any(isinstance(handler, _Stderr) for handler in log.handlers):
@@ -153,6 +154,6 @@ def _usage_line(error: Any) -> str:
 
 
 def _leave_pipe() -> int:
-    # The reader of our output is gone; prevent Python from flushing to it at exit.
+    # The reader of the output has closed it; prevent Python from flushing to it at exit.
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return UNHEARD

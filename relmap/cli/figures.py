@@ -31,8 +31,8 @@ It writes into DIR
   verdicts.csv   figure, value and verdict
 
 Figure 17 needs real data: the folder of Victoria Park, or its parent with the name victoria-park,
-given with --data. Figures 14 and 15 measure times: run them on a quiet machine. Each figure is
-written when it is done, and is kept if a later one fails or Ctrl-C ends the run.
+given with --data. Figures 14 and 15 measure run times: use an otherwise idle machine. Each figure
+is written when it is done, and is kept if a later one fails or Ctrl-C ends the run.
 
 \b
 Examples:

@@ -172,7 +172,7 @@ def _taken_up(
 
 
 def _note_tie(run: Run, mapper: AnyMapper, log: Log) -> None:
-    """Enter in the summary where `finish` tied a log of walls to an earlier map."""
+    """Record in the summary where `finish` tied a log of walls to an earlier map."""
     from relmap.planes import PlaneMapper
 
     if isinstance(mapper, PlaneMapper) and mapper.tied_at is not None:

@@ -1,4 +1,4 @@
-"""``relmap simulate world``: landmarks that are hard to tell apart."""
+"""``relmap simulate world``: landmarks that are hard to associate."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ Examples:
   relmap sweep noise.toml -o noise --dask tcp://192.168.0.1:8786
 
 On a cluster relmap is installed on every machine; 'dask scheduler' and 'dask worker ADDRESS' start
-the two sides (pip install 'relmap[cluster]'). Work of a failed machine is given to the others.
+them (pip install 'relmap[cluster]'). Work of a failed machine is given to the others.
 """
 
 T = TypeVar("T")

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-# Written out: saved states look into these, and `NDArray` is of another kind from numpy 2.5 on.
+# Written out because saved states inspect these types, and `NDArray` differs from numpy 2.5 on.
 Floats = np.ndarray[tuple[Any, ...], np.dtype[np.float64]]
 Ints = np.ndarray[tuple[Any, ...], np.dtype[np.int64]]
 Bools = np.ndarray[tuple[Any, ...], np.dtype[np.bool_]]

@@ -22,7 +22,7 @@ WITH_WALLS = dict.fromkeys(
 
 @dataclass(frozen=True, kw_only=True)
 class MapperConfig:
-    """What a user may set; the defaults work on all data the project is measured on.
+    """Settings of a mapper; the benchmarks use the defaults for all data.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class MapperConfig:
         Raises
         ------
         RelmapError
-            Names the key, the value and what would be right.
+            Names the key, the value and what is expected.
         """
         second, third = ("second_pass", 2), ("third_pass", 3)
         for key, lowest in (("group_after", 1), second, third, ("max_missed", 0)):

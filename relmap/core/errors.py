@@ -9,8 +9,8 @@ from collections.abc import Collection
 class RelmapError(Exception):
     """Input that relmap cannot use.
 
-    The message is one line: what is wrong, where (file, line, field or argument), and what would
-    be right.  The command line prints it as it stands and exits with 2.
+    The message is one line: what is wrong, where (file, line, field or argument), and what is
+    expected.  The command line prints it unchanged and exits with status 2.
     """
 
 

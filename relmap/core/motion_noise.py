@@ -19,7 +19,7 @@ FEWEST = 8
 NORMAL = 1.4826
 """Ratio of the standard deviation to the median absolute deviation of a normal distribution."""
 ROUNDS = 10
-"""Steps of weighted least squares for the least absolute deviations (Schlossmacher, 1973)."""
+"""Steps of weighted least squares towards least absolute deviations (Schlossmacher, 1973)."""
 SLIPPED = 6.0
 """Standard deviations beyond which a step of odometry is wrong."""
 WRONG_SCALE, WRONG_WAY = 0.3, 0.5

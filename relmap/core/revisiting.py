@@ -30,7 +30,7 @@ from relmap.core.refinement.resting import at_rest, by_landmark, placed_observat
 from relmap.core.state.table import NONE, LandmarkState
 
 SURE = 3.0
-"""Standard deviations of the distance of two landmarks within which a neighbour may be."""
+"""Standard deviations of the distance between two landmarks within which a neighbour may lie."""
 SPACINGS = 2.0
 """Largest distance of landmarks that may coincide within the drift, in spacings."""
 ROUNDS = 10

@@ -25,8 +25,8 @@ TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 FIXED_FRAMES = ("map", "odom", "world", "earth")
 """World frames (REP 105), which are not part of the robot."""
 CORRECTED_FRAMES = ("map", "world", "earth")
-"""Frames whose poses are corrected, and so are not odometry (REP 105)."""
-NO_ODOMETRY = "its odometry is in a frame of the map, which something corrects"
+"""Frames whose poses are corrected and are thus not odometry (REP 105)."""
+NO_ODOMETRY = "its odometry is in a map frame, whose poses are corrected"
 STILL = 1e-6
 """Largest variation of a static transform."""
 
@@ -132,7 +132,7 @@ class Driven:
             return None
         if self.base is not None and frame != self.base:
             _LOG.warning(
-                "%s: no static transform from %s to %s: they are taken for one frame",
+                "%s: no static transform from %s to %s: they are treated as one frame",
                 shown(where),
                 quoted(frame),
                 quoted(self.base),

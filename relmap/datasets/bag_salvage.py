@@ -215,7 +215,7 @@ def _mcap_records(stream: BinaryIO) -> Generator[Any, None, None]:
 
 
 def _truncated_chunk(stream: BinaryIO) -> bytes:
-    """Return what is there of the chunk with which a file ends; b"" if that is no chunk."""
+    """Return the available part of the chunk with which a file ends; b"" if that is no chunk."""
     at, opcode, size = _MCAP_MAGIC_BYTES, 0, stream.seek(0, os.SEEK_END)
     while at + _RECORD.size <= size:
         stream.seek(at)

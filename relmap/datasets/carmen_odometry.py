@@ -1,7 +1,7 @@
 """Distinguishes odometry from corrected poses in CARMEN logs.
 
 Programs that correct a log often write the corrected pose into every field, including odometry;
-using it would use the answer. So a pose counts as odometry only with evidence:
+a map that used it would use the solution. So a pose counts as odometry only with evidence:
 
 * another pose of the scan deviates from it during the log (``FLASER`` has two, ``VERTEX2`` is one):
   then that one is corrected and this one is not; or

@@ -147,7 +147,7 @@ def _header_end(data: bytes) -> int | None:
 
 
 def _pcd(header: list[list[str]]) -> _Layout:
-    """Read a header of PCD; ValueError, KeyError or IndexError if invalid."""
+    """Read a PCD header; ValueError, KeyError or IndexError if invalid."""
     entries = {line[0]: line[1:] for line in header if not line[0].startswith("#")}
     counts = [int(text) for text in entries.get("COUNT", ["1"] * len(entries["FIELDS"]))]
     if not all(0 < count <= _MOST_NUMBERS for count in counts):
@@ -165,7 +165,7 @@ def _pcd(header: list[list[str]]) -> _Layout:
 
 
 def _ply(header: list[list[str]]) -> _Layout:
-    """Read a header of PLY; ValueError, KeyError or IndexError if invalid."""
+    """Read a PLY header; ValueError, KeyError or IndexError if invalid."""
     lines = [line for line in header[1:-1] if line[0] not in ("comment", "obj_info")]
     order = _PLY_ORDER[lines[0][1]]
     if lines[1][:2] != ["element", "vertex"]:

@@ -44,7 +44,7 @@ def log_of_frame(frame: Any, columns: Mapping[str, str] | None = None) -> Observ
     Raises
     ------
     RelmapError
-        If it is no data frame, a column is missing or a value is invalid: with 0-based row and
+        If it is not a data frame, a column is missing or a value is invalid: with 0-based row and
         column.
     """
     path = Path("data frame")
@@ -117,7 +117,7 @@ def _as_floats(path: Path, column: Column, cells: NDArray[Any], first: int) -> F
 
 
 def _has_lists(cells: NDArray[Any]) -> bool:
-    """Return whether a cell is a list; old versions of numpy take one with one number for it."""
+    """Return whether a cell is a list; old versions of numpy convert one with a single number."""
     return cells.dtype.kind == "O" and any(map(np.ndim, cells))
 
 

@@ -2,9 +2,9 @@
 
 Header ``iteration,x,y[,z][,id][,stamp]`` in any order, rows in any order; robot frame, metres;
 ``id`` is a known association, negative or empty if there is none; ``stamp`` is the time of the
-iteration, seconds. Without ``z`` the world is planar. Semicolons and tabs separate as commas do.
-``cxx,cxy,cyy``, and with ``z`` also ``cxz,cyz,czz``, are the covariance of the position, robot
-frame, square metres: all of them or none.
+iteration, seconds. Without ``z`` the world is planar. Columns are separated by commas, semicolons
+or tabs. ``cxx,cxy,cyy``, and with ``z`` also ``cxz,cyz,czz``, are the covariance of the position,
+robot frame, square metres: all of them or none.
 """
 
 from __future__ import annotations

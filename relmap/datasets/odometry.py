@@ -40,7 +40,7 @@ GAP = 10.0
 """Multiple of the usual time between two poses above which there is a gap."""
 
 LEAST_GAP_S = 2.0
-"""Least time between two speeds that is a gap: they may be logged only when they change."""
+"""Minimum time between two speeds that is a gap: they may be logged only when they change."""
 
 Log = TypeVar("Log", ObservationLog, ScanLog)
 

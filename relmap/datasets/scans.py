@@ -64,7 +64,7 @@ class SensorView:
     range_m : float or None
         Greatest horizontal range, metres.
     x_m, y_m, yaw_rad : float
-        Where it is on the robot.
+        Pose on the robot.
     """
 
     view_rad: float | None = None
@@ -247,7 +247,7 @@ def require_rotations(file: Path, poses: Floats) -> None:
     off = np.abs(R @ R.swapaxes(1, 2) - np.eye(3)).max(axis=(1, 2))
     wrong = np.flatnonzero(~(off <= _ROUNDING) | (np.linalg.det(R) < 0))
     if len(wrong):
-        problem = f"the rotation of pose {wrong[0]} is none, expected orthogonal rows of length 1"
+        problem = f"pose {wrong[0]} has no rotation, expected orthogonal rows of length 1"
         raise RelmapError(f"{shown(file)}: {problem}")
 
 

@@ -104,7 +104,7 @@ def _stretches(numbers: Ints) -> list[list[int]]:
 
 
 def _largest_sd(result: Result) -> float | None:
-    """Return the standard deviation of the landmark that is known worst; None if none is known."""
+    """Return the standard deviation of the least certain landmark; None if none is known."""
     sd = np.empty(0) if isinstance(result, PlaneResult) else result.landmarks.sd
     known = sd[np.isfinite(sd)]
     return float(known.max()) if len(known) else None

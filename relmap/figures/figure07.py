@@ -1,4 +1,4 @@
-"""Figure 7: planes can be mapped under noise at which points cannot."""
+"""Figure 7: planes can be mapped under noise under which points cannot."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ HALF_WINDOW = 25
 FLAT = 1.2
 """Growth of the time per visible landmark that still counts as none."""
 MANY = 100.0
-"""Minimum number of visible landmarks from which the growth of the run time is measured."""
+"""Number of visible landmarks above which the growth of the run time is measured."""
 MACHINE = "(milliseconds of one machine: compare ratios)"
 
 

@@ -144,7 +144,7 @@ def _judge(data: list[Crossing]) -> Outcome:
 
 
 def _said(data: Crossing) -> str:
-    """Describe where planes overtake points."""
+    """Describe above which noise planes have the better map."""
     lowest, highest = data.noise[[0, -1]]
 
     def at(begin: float | None, last: float = highest) -> str:
@@ -207,10 +207,10 @@ FIGURE = PaperFigure(
         "(this picture is not in the paper)."
     ),
     criterion=(
-        "at every spacing of the points there is a noise from which on planes have the better map, "
+        "at every spacing of the points there is a noise above which planes have the better map, "
         "and one at which points lose half of it; partly where one of the two holds"
     ),
-    unit="noise over spacing from which on planes have the better map",
+    unit="noise over spacing above which planes have the better map",
     run=_run,
     judge=_judge,
     draw=_plot,

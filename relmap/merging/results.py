@@ -72,7 +72,8 @@ def merge_results(one: Path, other: Path) -> Merged:
             "walls" if wall else f"points in {'the plane' if of.planar else 'space'}"
             for of, wall in zip((a, b), walls, strict=True)
         ]
-        raise RelmapError(f"{one} is a map of {kinds[0]} and {other} of {kinds[1]}: not alike")
+        found = f"{one} is a map of {kinds[0]} and {other} of {kinds[1]}"
+        raise RelmapError(f"{found}; they must be of one kind")
     if isinstance(a, PlaneResult) and isinstance(b, PlaneResult):
         motion, record = _tie_of_walls(a.planes, b.planes, f"{other} and {one}")
     else:

@@ -12,7 +12,7 @@ from relmap.planes.history import PlaneHistory
 
 FLAT_M = 0.003
 SHARP_M = 0.01
-"""Least standard deviations of a wall and of its corner, with noisy data: no real wall is perfectly
+"""Minimum standard deviations of a wall and of its corner, with noisy data: no real wall is perfectly
 flat or sharp."""
 BLUNT = 3.0
 """Initial ratio of the standard deviation of a corner to that of its wall."""
@@ -50,7 +50,7 @@ class WallNumbers:
 
 
 def first_of(n: int, pairs: Ints) -> Ints:
-    """Return for each of n walls the first of those joined to it by pairs (k, 2)."""
+    """Return for each of n walls the first wall joined to it by pairs (k, 2)."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 

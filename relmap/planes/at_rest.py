@@ -1,4 +1,4 @@
-"""Whether small free-standing things stay where they are, or walk about."""
+"""Whether small free-standing objects stay in place, or walk about as people do."""
 
 from __future__ import annotations
 
@@ -12,18 +12,19 @@ from relmap.planes.tying import Scans
 LINKS = 200
 """Approximate number of links that are examined."""
 APART_M, MOST_APART = 1.0, 10
-"""Way between two scans that are compared, and maximum number of scans: people walk meanwhile."""
+"""Distance travelled between two compared scans, during which people walk on, and maximum number of
+scans."""
 NEAR_M, BEHIND_M = 0.2, 0.4
 """An object is still there if a point was seen nearer than this, and gone if a beam ended farther
-behind."""
+behind it."""
 UNKNOWN = 20
 """Points added to those that are gone: few points do not prove rest."""
 OFTEN = 0.5
-"""Share of the points above which such things are used like all others."""
+"""Share of the points above which such objects are used like all others."""
 
 
 def share_at_rest(scans: Scans, is_tied: Bools, most: int = LINKS) -> float:
-    """Return the share of the points on small free-standing things that are still there later.
+    """Return the share of the points on small free-standing objects that are still there later.
 
     Parameters
     ----------
@@ -51,7 +52,7 @@ def share_at_rest(scans: Scans, is_tied: Bools, most: int = LINKS) -> float:
 
 
 def _seen_again(earlier: Beams, later: Beams, motion: Floats) -> tuple[int, int]:
-    """Return how many points on loose things of one scan are there, and gone, in a later one."""
+    """Return how many points on loose objects of one scan are there, and gone, in a later one."""
     from relmap.planes.beam_kernels import seen_again
 
     if not len(later):

@@ -1,8 +1,8 @@
 """Agreement of the beams of two scans for a motion between them, compiled.
 
 A scan is `points` (n, 2), robot frame, sorted by their `bearings` (n,) from `origin` (2,), where
-the sensor is; `solid` (n,) marks those on walls, and `loose` (n,) those on small things that stand
-free.  A motion is yaw, x, y from the frame of the earlier scan into that of the later one.
+the sensor is; `solid` (n,) marks those on walls, and `loose` (n,) those on small free-standing
+objects.  A motion is yaw, x, y from the frame of the earlier scan into that of the later one.
 """
 
 from __future__ import annotations
@@ -274,10 +274,10 @@ def _is_behind(seen: tuple[Floats, Floats, Floats], k: int, other: int) -> bool:
 def free_standing(
     points: Floats, bearings: Floats, origin: Floats, size_m: float, gap_m: float, gap: float
 ) -> Bools:
-    """Return which points (n,) are on small things with something behind them on both sides.
+    """Return which points (n,) are on small objects with something behind them on both sides.
 
-    Neighbours belong to different things if they are farther apart than `gap_m` and a fraction
-    `gap` of the range of the nearer one.  On one side, such a small thing may be in front instead.
+    Neighbours belong to different objects if they are farther apart than `gap_m` and a fraction
+    `gap` of the range of the nearer one.  On one side, another such object may be in front instead.
     """
     found = np.zeros(len(points), dtype=np.bool_)
     seen, limits = (points, bearings, origin), (size_m, gap_m, gap)
@@ -293,7 +293,7 @@ def _mark_free(
     known: Bools,
     found: Bools,
 ) -> None:
-    """Mark the points on small things with something behind them, or a known one on one side."""
+    """Mark the points on small objects with something behind them, or a known one on one side."""
     points, _, origin = seen
     size_m, gap_m, gap = limits
     n, first = len(points), 0
@@ -317,7 +317,7 @@ def _mark_free(
 
 @compiled
 def loose_walls(points: Floats, loose: Bools, ends: Floats, near_m: float, size_m: float) -> Bools:
-    """Return which walls, given their ends (m, 2, 2), lie on free-standing things."""
+    """Return which walls, given their ends (m, 2, 2), lie on free-standing objects."""
     found = np.zeros(len(ends), dtype=np.bool_)
     for j in range(len(ends)):
         ax, ay = ends[j, 0, 0], ends[j, 0, 1]

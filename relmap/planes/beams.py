@@ -22,7 +22,7 @@ NEAR_M = 0.12
 """A point nearer to a surface agrees with it; one twice as far in front of it contradicts it."""
 LOOSE_M = 0.7
 APART_M, APART = 0.2, 0.05
-"""Largest size of what may be a person, and distance of neighbouring points on different things:
+"""Largest size of what may be a person, and distance of neighbouring points on different objects:
 constant, and as a fraction of the range."""
 RECENT = 16
 """Number of scans whose beams are kept in order: neighbouring scans are compared repeatedly."""
@@ -44,7 +44,7 @@ class Beams:
     solid : (n,) bool
         Which points are on walls: people and clutter may have moved.
     loose : (n,) bool
-        Which points are on small things that stand free, such as people; not compared.
+        Which points are on small free-standing objects, such as people; these are not compared.
     """
 
     points: Floats
@@ -67,7 +67,7 @@ class Beams:
 
     @property
     def arrays(self) -> Any:
-        """What the kernels know of it."""
+        """The arrays that the kernels use."""
         return self.points, self.bearings, self.origin, self.solid, self.loose
 
 
@@ -114,7 +114,7 @@ class GivenBeams:
 
     @cached_property
     def by_bearing(self) -> tuple[Floats, Floats, Bools]:
-        """Points (n, 2) by bearing from the sensor, bearings, and which are on loose things."""
+        """Points (n, 2) by bearing from the sensor, bearings, and which are on loose objects."""
         from relmap.planes.beam_kernels import free_standing
 
         points = self.points.astype(np.float64)
@@ -236,7 +236,7 @@ def leads(
     """Return by how much beams agree better with motions (k, 3) than with another one (3,).
 
     Only points in view by both are compared, one by one: otherwise standing still, which keeps all
-    of them in view, would lead.
+    of them in view, is favoured.
 
     Returns
     -------
@@ -252,7 +252,7 @@ def leads(
 
 
 def on_loose_things(ends: Floats, given: GivenBeams) -> Bools:
-    """Return which walls, by their ends (m, 2, 2), are on small things that stand free."""
+    """Return which walls, by their ends (m, 2, 2), are on small free-standing objects."""
     if not given.in_order:
         return np.zeros(len(ends), dtype=np.bool_)
     from relmap.planes.beam_kernels import loose_walls

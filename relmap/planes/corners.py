@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from relmap.core.arrays import Bools, Floats, Ints
 
 CUT, CORNER, UNKNOWN, LOOSE = 0, 1, 2, 4
-"""Kinds of ends: of the visible part, of the wall itself, unknown; and what is added for a small
-thing that stands free."""
+"""Kinds of ends: of the visible part, of the wall itself, unknown; and the flag of a small
+free-standing object."""
 INTERVAL = 12
 """Iterations over which pairs are compared."""
 STEADY = 1.6

@@ -20,9 +20,8 @@ determine the motion alone, and they are wrong by up to half a metre."""
 LINK_M, LINK_RAD = 0.07, 0.015
 """Standard deviations of such a motion."""
 WEAK_M, WEAK_RAD = 0.1, 0.05
-"""The same for a weak link. Otherwise a run of them can shrink or grow without limit: a simulated
-building with 15 people was off by 0.64 m, and now by 0.03 m; of edmonton 94 % of the scans are
-right instead of 89 %."""
+"""The same for a weak link. Otherwise a run of them can shrink or grow without limit (a simulated
+building with 15 people was off by 0.64 m instead of 0.03 m)."""
 
 
 @dataclass(frozen=True, eq=False)

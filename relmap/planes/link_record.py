@@ -159,7 +159,7 @@ class LinkRecord:
         self._submaps.extend(np.array([self.submap if is_tied else -1]))
 
     def leave_to_odometry(self, scans: Ints) -> bool:
-        """Let odometry replace links into scans (t,) where it agrees; return if any changed.
+        """Leave links into scans (t,) to odometry where it agrees; return whether any changed.
 
         These are links that the map contradicts.
         """
@@ -196,7 +196,7 @@ class LinkRecord:
         scans, share = self._scans, share_at_rest(self._scans, is_tied)
         links, cut = judged_links(replace(scans, firm=share <= OFTEN), is_tied, in_doubt)
         self._take(links, name)
-        if share > OFTEN:  # the remaining breaks without small things, as some may have moved
+        if share > OFTEN:  # the remaining breaks without small objects, as some may have moved
             is_tied, _ = self._known()
             in_doubt = ~is_tied
             in_doubt[:1] = False
@@ -207,7 +207,7 @@ class LinkRecord:
         return name, np.array(cut, dtype=np.int64)
 
     def _take(self, links: Sequence[Link], name: Ints) -> None:
-        """Enter links that were accepted later; `name` (s,) becomes the new number of submaps."""
+        """Add links that were accepted later; `name` (s,) becomes the new number of submaps."""
         for link in links:
             between = motion_over(self.motions[link.earlier + 1 : link.later])
             self.motions[link.later] = after(inverse(between), link.motion[None])[0]

@@ -85,7 +85,7 @@ class PlaneObservation:
 
     @property
     def loose(self) -> Bools:
-        """Which walls (m,) are on small things that stand free, such as people."""
+        """Which walls (m,) are on small free-standing objects, such as people."""
         return np.asarray((self.kind >= LOOSE).any(axis=1))
 
     @property

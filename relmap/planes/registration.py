@@ -233,7 +233,7 @@ class PlaneRegistration:
         self._since.values[walls] = len(self.links)
 
     def _name(self, wall: int, end: int, corner: int) -> None:
-        """Enter which corner an end of a wall was throughout the last interval."""
+        """Record the corner that an end of a wall was throughout the last interval."""
         now = len(self.links)
         begin = max(int(self._since.values[wall]), now - INTERVAL, 0)
         rows, _ = self.links.store.between(min(begin, now), now)

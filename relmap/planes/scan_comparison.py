@@ -32,11 +32,11 @@ USUAL_M, USUAL_RAD = 1.5, np.deg2rad(45.0)
 COARSE_M, FINE_M = 0.1 * np.arange(-6.0, 7.0), 0.025 * np.arange(-3.0, 4.0)
 """Corrections of a motion along the longest wall."""
 CROSSINGS = 4.0
-"""Spread of the directions of matching walls from which on these determine a motion well."""
+"""Spread of the directions of matching walls above which they determine a motion well."""
 USUAL_SHARE, USUAL_LEAST_M = 0.1, 0.02
 """Scale of the differences between consecutive steps, as a share of the step and constant."""
 LIKELIER = 3.0
-"""Log odds of a correction that is applied."""
+"""Minimum log odds of a correction."""
 FREE_M, FREE = 0.3, 0.01
 """A motion along a wall is undetermined if the beams agree almost as well at this distance."""
 
@@ -57,7 +57,7 @@ class ScanComparison:
     expected : Expected, optional
         Motion expected from odometry.
     firm : bool
-        Whether to leave out walls and beams on small things that stand free.
+        Whether to leave out walls and beams on small free-standing objects.
     """
 
     def __init__(
@@ -130,7 +130,7 @@ class ScanComparison:
 
         Ends of walls seen at a grazing angle pull a fit to walls along them, and in a corridor
         nothing else may determine the motion. So where few walls cross, the beams and the usual
-        step decide; `far`, also if that is out of the range of the search.
+        step decide. With `far`, the usual step may lie out of the range of the search.
         """
         motion, match = judged.motions[k], judged.matches[k]
         if spread(self._seen.along[match.walls], np.zeros_like(match.walls), 1)[0] >= CROSSINGS:
@@ -146,7 +146,7 @@ class ScanComparison:
     def _likeliest(
         self, motion: Floats, match: Match, way_m: Floats, usual_m: float
     ) -> tuple[float, float]:
-        """Return the likeliest of some ways (k,) along the longest wall, and its log odds.
+        """Return the likeliest of some shifts (k,) along the longest wall, and its log odds.
 
         Compared with the motion (3,) itself; `usual_m` leads to the usual step.
         """

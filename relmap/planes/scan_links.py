@@ -43,10 +43,10 @@ TOGETHER = 5.0
 FEW = 4.0
 """Number of unmatched walls and corners on either side that contradict odometry."""
 FIRST, AGAIN, LATELY = (10, 20), 50, 50
-"""When it is evaluated whether things rest: after so many scans, and at each multiple; and about
-how many links are examined."""
+"""Numbers of scans after which it is evaluated whether small objects stay in place, then the
+interval; and the approximate number of links examined."""
 TURNING = np.deg2rad(2.5)
-"""Rotation from scan to scan from which on a robot is expected to be slow."""
+"""Rotation from scan to scan above which a robot is expected to be slow."""
 VIEWS = 2
 """Number of last scans whose beams verify a motion."""
 
@@ -113,7 +113,7 @@ class ScanLinks(LinkRecord):
         return Found(*found, measured_along(tracks, seen, found[1]), np.inf)
 
     def _rests(self) -> bool:
-        """Whether small free-standing things stayed in place so far; evaluated now and then."""
+        """Whether small free-standing objects stayed in place so far; evaluated at intervals."""
         now = len(self)
         if now in FIRST or now % AGAIN == 0:
             self._at_rest = share_at_rest(self._scans, self._known()[0], LATELY) > OFTEN

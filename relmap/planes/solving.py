@@ -13,7 +13,7 @@ from relmap.planes.equations import WallEquations
 from relmap.planes.refinement import WallSystem
 
 EXACT_M = 1e-7
-"""Least standard deviation of walls for noise-free data."""
+"""Minimum standard deviation of walls for noise-free data."""
 SHARPER = 0.1
 """Factor by which the least noise is lowered at a time, down to that of the observations."""
 MEDIAN = 1.4826

@@ -18,7 +18,7 @@ gradually."""
 WAY_M = 3.0
 """Distance over which the noise of odometry is measured."""
 APART = 4
-"""Minimum number of such distances, one after the other, for its constant errors."""
+"""Minimum number of such distances in a path that determines constant errors."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,9 +44,9 @@ class Steps:
     hanging: Bools
 
     def lengthened(self, motions: Floats) -> Floats:
-        """Return motions from scan to scan (i, 3), those that depend on odometry as long as it.
+        """Return motions (i, 3) from scan to scan, as long as odometry where they depend on it.
 
-        In a run, their length came from what was known then of its scale.
+        During the run, their length was computed with the scale estimated until then.
         """
         way, found = np.hypot(*self.motion[:, 1:].T), motions.copy()
         own = np.hypot(*motions[:, 1:].T)
@@ -133,8 +133,8 @@ def _compared(
 def constant_errors(steps: Floats, true: Floats) -> MotionNoise | None:
     """Return the constant errors of steps (k, 4, 4) with measured motions (k, 4, 4).
 
-    They are compared over `WAY_M`, as if the other steps of the run did not exist: jitter makes
-    single steps longer, and their scale too small.  None if they are too short together.
+    They are compared over paths of `WAY_M`, joined from these steps only: jitter lengthens single
+    steps, which biases the scale. None if the whole path is too short.
     """
     way = np.cumsum(np.linalg.norm(steps[:, :2, 3], axis=1))
     if not len(way) or way[-1] < APART * WAY_M:

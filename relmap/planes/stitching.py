@@ -17,7 +17,7 @@ from relmap.planes.motions import matrices
 from relmap.planes.placement import LEVER_M
 
 FEW, ASTRAY_M = 5, 0.3
-"""So few consecutive scans, so far from the others, are misplaced."""
+"""Maximum number of consecutive misplaced scans, and minimum distance from the others."""
 
 
 def stitched(submaps: Sequence[Floats], motions: Floats) -> Floats:

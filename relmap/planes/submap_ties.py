@@ -37,9 +37,9 @@ SUPPORTED_M, CONTRADICTED = 5.0, 0.06
 alignments of submaps, of eight logs and between buildings, right ones had at most 0.06, wrong ones
 0.10 or more."""
 CROSSING_M = 3.0
-"""Least length of overlapping wall that prevents sliding along the rest."""
+"""Minimum length of overlapping wall that prevents sliding along the rest."""
 WALLS, ENDS, ENDS_SHARE = 6, 6, 0.5
-"""Least number of walls that coincide, of places where their ends do, and of these for each wall: a
+"""Minimum number of walls that coincide, of places where their ends do, and of these for each wall: a
 bend of a bare corridor has four walls, and looks like any other, as do crossings. Of 47 alignments
 of submaps in 22 logs and worlds, the 16 wrong ones had at most 5 such places, and 24 of the right
 ones enough."""

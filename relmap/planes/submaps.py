@@ -99,7 +99,7 @@ def chained_poses(paths: list[Floats], span: tuple[int, int], history: PlaneHist
 def torn_in(submaps: Sequence[WallSubmap], history: PlaneHistory) -> Ints:
     """Return the scans (t,) before which submaps deviate from the links between scans.
 
-    Or did so in a refinement that was rejected.
+    Deviations in a rejected refinement count too.
     """
     torn = [np.empty(0, dtype=np.int64)]
     for submap in submaps:

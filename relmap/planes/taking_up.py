@@ -140,7 +140,7 @@ class Placements:
     T_run_robot : (n, 4, 4) float64
         Poses of the scans in the frame of the run.
     of : (c,) int64, ascending
-        Which of the scans each placement places.
+        Index of the scan of each placement.
     T_map_robot : (c, 4, 4) float64
     """
 

@@ -44,7 +44,7 @@ class PlaneTracks(Tracks):
     seen : (n,) int64
         How often it was seen.
     loose : (n,) bool
-        Whether it was on a small thing that stands free when it was first seen.
+        Whether it was on a small free-standing object when it was first seen.
     """
 
     plane: Ints

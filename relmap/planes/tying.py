@@ -60,7 +60,7 @@ class Scans:
     begun : (b,) int64
         First scans of further runs.
     firm : bool
-        Whether to leave out what is on small things that stand free.
+        Whether to leave out walls and beams on small free-standing objects.
     """
 
     walls: PlaneObservation
@@ -225,7 +225,7 @@ class _Judged(NamedTuple):
     def is_doubted(self, scans: Scans) -> bool:
         """Return whether the previously accepted motion is now rejected.
 
-        Never one that odometry agrees with.
+        A motion that agrees with odometry never is.
         """
         motion, expected = scans.motions[self.later], scans.expected(self.later - 1, self.later)
         agrees = expected is not None and expected.off(motion[None])[0] < OTHERWISE

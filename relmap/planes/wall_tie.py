@@ -41,7 +41,7 @@ COINCIDING = 0.5
 ENDS_M = 0.15
 """Largest distance between ends of walls that coincide; twice as far apart, they are two places."""
 ACROSS = 0.1
-"""Least fraction of it that must prevent the maps from sliding along the rest."""
+"""Minimum fraction of it that must prevent the maps from sliding along the rest."""
 
 
 @dataclass(frozen=True, eq=False)

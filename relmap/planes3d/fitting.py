@@ -22,7 +22,7 @@ estimated."""
 BENT_RAD = 1e-4
 """Standard deviation of the bend of the map."""
 DOUBTFUL = 4.0
-"""Standard deviations from which a match counts less."""
+"""Standard deviations above which the weight of a match decreases."""
 ROUNDS, SETTLED, ROUNDING = 8, 1e-7, 1e-13
 """Maximum number of steps of a fit, and the step that ends it, or the last one: metres, radians."""
 WEAK, OPEN = 0.015, 0.1
@@ -181,7 +181,7 @@ def directed(axis: Floats) -> Floats:
 
 
 def _weakest(H: Floats, n: Floats) -> tuple[Floats, float]:
-    """Return the direction in which the position is known worst, and its deviation, metres.
+    """Return the direction in which the position is least certain, and its deviation, metres.
 
     If the normals (m, 3) span two directions only, it is infinite: planes that are parallel but for
     their noise would determine it by chance.

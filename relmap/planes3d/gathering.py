@@ -22,11 +22,11 @@ from relmap.segmentation.space.voxels import ROUNDING, moments_of, principal, un
 SIZES = (0.5, 1.0)
 """Sizes of voxels, by those of the segmenter."""
 KNOWN_CELLS, KNOWN_SD, PIECE_SD = 1.5, 3.0, 6.0
-"""Points within so many cells of the surface of a plane, and so many standard deviations, belong to
-it. Planes with half of their points within the last value are its noise."""
+"""Points within this many cells of the surface of a plane, and this many standard deviations,
+belong to it. Planes with half of their points within the last value are its noise."""
 TRIMMED, TRIM_SD = 12, 2.0
-"""Number of times that the points of a plane are chosen, within so many standard deviations: other
-points in its voxels would tilt it."""
+"""Number of times that the points of a plane are chosen, and standard deviations within which they
+are: other points in its voxels would tilt it."""
 WIDE = 0.25
 """Minimum standard deviation of the points of a plane along its width, by the size of voxels."""
 FEWEST, FEWEST_SCANS = 24, 3

@@ -1,4 +1,4 @@
-"""Placement of a scan in the map: hypotheses are fitted, judged by surfaces, and compared."""
+"""Placement of a scan in the map: hypotheses are fitted, scored by surfaces, and compared."""
 
 from __future__ import annotations
 

@@ -74,7 +74,7 @@ def unsure_steps(part: Submap) -> dict[int, Floats]:
     Returns
     -------
     dict of int to (3,) float64
-        The direction in which the translation is known worst, sensor frame.
+        The direction in which the translation is least certain, sensor frame.
     """
     share = SYSTEMATIC if part.share is None else part.share
     covariance = step_covariances(sightings(part), scene(part), share)

@@ -8,7 +8,8 @@ from relmap.core.arrays import Floats, Ints
 from relmap.planes3d.adjustment import PlaneAdjustment, Scene, Sightings
 
 AROUND, AT_ONCE = 12, 12
-"""Scans before and after a step that its covariance is computed from, and steps done at once."""
+"""Scans before and after a step from which its covariance is computed, and steps processed at
+once."""
 LOOSE, LOOSE_PLANE = 1e-11, 1e-9
 """Damping that keeps undetermined poses and planes finite, as a fraction of the diagonal."""
 

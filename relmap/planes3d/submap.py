@@ -183,7 +183,7 @@ class Submap:
         return part
 
     def take_over(self, other: Submap) -> None:
-        """Copy what is known of the steps of another submap of the same scans."""
+        """Copy the results for the steps of another submap of the same scans."""
         self.weak, self.held, self.share = dict(other.weak), set(other.held), other.share
         self.unsure = dict(other.unsure)
 

@@ -127,7 +127,7 @@ class BenchRecorder:
         self._stamps_s += [math.nan] * n_before
 
     def watch(self, scans: Iterable[PointScan]) -> Iterator[PointScan]:
-        """Yield the scans of a run; record a frame at intervals, after the scan was mapped."""
+        """Yield the scans of a run; record a frame at intervals, once the scan is mapped."""
         for scan in scans:
             yield scan
             self._scan = scan

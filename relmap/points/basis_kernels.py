@@ -20,7 +20,7 @@ def _scale(axis: Floats) -> None:
 
 @helper
 def _axes(block: Floats, i: int, basis: Ints, axes: Floats) -> None:
-    """Enter the axes (d, d) of one iteration's basis."""
+    """Write the axes (d, d) of one iteration's basis."""
     d, first, last, along = len(axes), axes[0], axes[len(axes) - 1], 0.0
     for a in range(d):
         first[a] = block[basis[0], i, a] - block[basis[1], i, a]

@@ -102,7 +102,8 @@ def simulate_building(
     Parameters
     ----------
     points : int
-        Points of a scan; with `rays` and `laser` the number of beams, of which some return none.
+        Points of a scan; with `rays` and `laser` the number of beams, some of which return no
+        point.
     sigma : float
         Standard deviation, metres: of each coordinate with `surface`, of the range otherwise.
     noise : "gaussian" or "uniform"

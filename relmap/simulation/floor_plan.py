@@ -26,10 +26,10 @@ World = Literal[
 FIELD_M = 12.0
 FIELD_LOOP_M = 7.0
 FIELD_PANELS = 40
-"""Panels in the open, within `FIELD_M` of the middle of a round way."""
+"""Panels in the open, within `FIELD_M` of the middle of a circular path."""
 LONG_WALL = np.array([8.0, -1.6, 26.0, -1.6])
 LONG_LOOP = np.array([0.0, 0.0, 32.0, 9.0])
-"""Beside one side of this round way a long wall stands alone, ..."""
+"""Beside one side of this closed path a long wall stands alone, ..."""
 LONG_BARE = np.array([7.0, -8.0, 27.0, 6.4])
 """... with nothing else in this rectangle; around it, and beyond, are panels."""
 LONG_FIELD = np.array([-7.0, -8.0, 39.0, 17.0])

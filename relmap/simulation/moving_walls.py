@@ -70,7 +70,7 @@ def make_moving(
     plan : FloorPlan
     world : "building", "panels" or "long-wall"
     count : int
-        Number; fewer if there is less space for doors, or fewer panels.
+        Number; fewer doors if there is less space, fewer panels if there are fewer.
     rng : numpy.random.Generator
 
     Returns

@@ -61,7 +61,7 @@ def streets(length_m: float, spacing_m: float, rng: np.random.Generator) -> Plac
 
 
 def corridor(length_m: float, spacing_m: float, rng: np.random.Generator) -> Place:
-    """Return a straight way there and back."""
+    """Return a straight path, driven there and back."""
     end = length_m / 2
     return _along(np.array([[0.0, 0, 0], [end, 0, 0], [end, 2, 0], [0, 2, 0]]), spacing_m, rng)
 
@@ -141,7 +141,7 @@ KINDS: dict[str, Callable[[float, float, np.random.Generator], Place]] = {
 
 
 def raised(place: Place, rng: np.random.Generator) -> Place:
-    """Return a planar place in space: landmarks at all heights, a way that goes up and down."""
+    """Return a planar place in space: landmarks at all heights, and a path up and down."""
     landmarks, way = place.landmarks_map.copy(), sampled(place.way, FINE_M)
     landmarks[:, 2] = rng.uniform(-TALL_M, TALL_M, len(landmarks))
     way[:, 2] = 1.0 * np.sin(np.arange(len(way)) * FINE_M / 15.0)

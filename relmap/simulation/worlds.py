@@ -34,7 +34,7 @@ class WorldSpec:
     kind : str
         One of `relmap.simulation.places.KINDS`.
     length_m : float
-        Length of the way, metres.
+        Length of the path, metres.
     iterations : int
         Scans along it.
     spacing_m : float

@@ -53,7 +53,7 @@ def batch_least_squares(observations: Batch, start_map: Floats, iterations: int 
     ------
     RelmapError
         If a pose is not fixed by what it sees, a landmark is not seen, the observations do not
-        connect into one map, or the solution does not settle.
+        connect into one map, or the solution does not converge.
     """
     landmarks = start_map.copy()
     _require_one_map(observations, len(landmarks))

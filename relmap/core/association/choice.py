@@ -85,7 +85,7 @@ class DataAssociation:
 
     @property
     def estimates_covariances(self) -> bool:
-        """Whether observations are weighed by covariances that were estimated here."""
+        """Whether observations are weighted by covariances that were estimated here."""
         registration = self.registration
         return isinstance(registration, Constellation) and registration.estimates_covariances
 

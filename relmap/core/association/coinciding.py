@@ -15,7 +15,7 @@ from relmap.core.scan import FARTHEST_M
 from relmap.core.state.table import NONE, LandmarkState
 
 APART = 2.5
-"""Least distance of any other landmark, relative to that of landmarks that are merged in place."""
+"""Minimum distance of any other landmark, relative to that of landmarks that are merged in place."""
 SIGMAS, CLEAR_SIGMAS = 4.0, 10.0
 """Largest distance of one landmark mapped twice, and least of any other, in standard deviations."""
 NEIGHBOURS = 2.0
@@ -23,7 +23,7 @@ NEIGHBOURS = 2.0
 SHARE = 0.6
 """Fraction of coinciding landmarks that may also coincide with others after a shift."""
 LEAST = 1e-9
-"""Least variance relative to their sum."""
+"""Minimum variance relative to their sum."""
 
 
 def lying_together(table: LandmarkState, noise_m: float) -> Ints:

@@ -30,7 +30,7 @@ YOUNG = 3
 NEAR = 0.3
 """Largest distance of a landmark from its prediction by odometry, in spacings."""
 TINY_M = 1e-6
-"""Least noise of matches when weighed against odometry."""
+"""Minimum noise of matches when weighed against odometry."""
 
 
 class Constellation(Numbered):
@@ -101,7 +101,7 @@ class Constellation(Numbered):
 
     @property
     def estimates_covariances(self) -> bool:
-        """Whether the noise is unequal, and observations are weighed by what is estimated."""
+        """Whether the noise is unequal, and observations are weighted by its estimate."""
         return self._estimated.is_in_use
 
     def expect(self, landmarks: Ints, points_robot: Floats) -> None:
@@ -132,7 +132,7 @@ class Constellation(Numbered):
         return [scan for scan in self._alone if scan != waits]
 
     def _continue(self, points_robot: Floats, landmarks: Ints) -> LiveTracks | None:
-        """Enter the landmark of each point that continues a track; return the predicted tracks."""
+        """Set the landmark of each point that continues a track; return the predicted tracks."""
         metric = self._scale.rays.metric(points_robot)
         for tracks, since in ((self._tracks, self._tracks_since), (self._stray, self._stray_since)):
             if tracks is None:

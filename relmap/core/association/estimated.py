@@ -15,7 +15,7 @@ LONGEST = 20 * WAIT
 
 
 class EstimatedCovariances:
-    """Weighs observations by the estimated noise if that differs by direction or distance.
+    """Weights observations by the estimated noise if that differs by direction or distance.
 
     The first scans wait until there are enough residuals to decide; if the noise is isotropic and
     constant, nothing is kept of them.
@@ -41,7 +41,7 @@ class EstimatedCovariances:
         rays: RayNoise,
         weighed: WeighedObservations,
     ) -> None:
-        """Add the observations of a scan to those that are weighed, if any are.
+        """Add the observations of a scan to the weighted ones if the noise is unequal.
 
         Parameters
         ----------

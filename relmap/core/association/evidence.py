@@ -57,7 +57,7 @@ class Evidence:
         return np.searchsorted(self.first, self.last[pairs[:, 1]], side="right") >= ENOUGH
 
     def is_unlike_chance(self, pairs: Ints, log_placements: float = 0.0) -> bool:
-        """Return whether so many pairs (k, 2) consistent with one placement exceed chance."""
+        """Return whether more pairs (k, 2) agree on one placement than chance explains."""
         later = len(self.first) - np.searchsorted(self.first, self.last[pairs[:, 1]].min(), "right")
         n = max(int(later), len(pairs))
         return log_chance(n, len(pairs), self.share, log_placements) <= LOG_CHANCE

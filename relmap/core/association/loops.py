@@ -46,7 +46,7 @@ class Loop:
 
 
 class LoopFinder:
-    """Finds loops in a map, one at a time; each landmark is tried once.
+    """Finds loops in a map, one at a time; each landmark is tried as a starting point once.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ class LoopFinder:
     def _by_places(
         self, finder: PlaceFinder, own: Ints, around: Ints, together: Ints, before: Bools
     ) -> Loop | None:
-        """Return the loop to landmarks seen before by the place at which others lie."""
+        """Return the loop from landmarks in view to older ones that form the same place."""
         table, points = self._table, self._table.position[around]
         places = finder.places(points, before)
         if not places:

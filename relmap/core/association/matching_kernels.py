@@ -15,7 +15,7 @@ CELL, MARGIN = 4.0, 0.2501
 
 @compiled
 def claims(wanted: Ints, distance: Floats, n: int) -> Bools:
-    """Return which rows are the nearest among those that want the same of n targets.
+    """Return which rows are the nearest among those that claim the same of n targets.
 
     Ties go to the first row; rows at infinite distance are ignored.
     """

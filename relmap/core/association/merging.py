@@ -27,7 +27,7 @@ TOLERANCE = 3.0
 """Largest difference between two positions of one landmark, in standard deviations of an
 observation."""
 EXACT = 1e-3
-"""Least tolerance, as a fraction of that reach, for noise-free data."""
+"""Minimum tolerance, as a fraction of that reach, for noise-free data."""
 SLICE = 500
 """Landmarks re-entered at a time after the map has moved."""
 LAST = 2**62

@@ -33,9 +33,9 @@ CHI2_MEDIAN = 0.455
 OUTLIER = 16.0
 """Largest squared residual, in variances: a larger one is a wrong match."""
 LEAST = 1e-4
-"""Least variance, relative to the largest coefficient."""
+"""Minimum variance, relative to the largest coefficient."""
 TINY = 1e-100
-"""Least variance of a fit: divided by it, no term overflows where residuals are 0."""
+"""Minimum variance of a fit: divided by it, no term overflows where residuals are 0."""
 TYPICAL = (0.1, 0.9)
 """Quantiles of the distance between which the noise is compared."""
 TERMS = 3

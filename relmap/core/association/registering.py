@@ -22,7 +22,7 @@ from relmap.core.association.tracks import LiveTracks
 ENOUGH = 3
 """Minimum number of matches: two distances agree by chance now and then, three rarely."""
 PLENTY = 6
-"""Number of matches whose agreement is never chance."""
+"""Number of matches whose agreement is never due to chance."""
 NEAR_SHARE = 0.8
 """Fraction of the nearest neighbours that must agree to skip the wider search."""
 DECIDABLE = 8
@@ -46,7 +46,7 @@ BLURRED = (0.1, 0.2, 0.35)
 ASIDE = 2.0
 """Largest shift of a rival of a placement found, in spacings."""
 LEAST_MISFIT = 0.25
-"""Least variance of matches relative to that assumed: with too much noise assumed, a rival nearby
+"""Minimum variance of matches relative to that assumed: with too much noise assumed, a rival nearby
 would not differ."""
 LOG_CLEAR = float(np.log(1 / 20))
 """Log of the likelihood of chance, or of a rival, relative to the most likely placement."""
@@ -95,7 +95,7 @@ class TrackPlacing:
     ) -> bool:
         """Return whether the mirror image of a scan fits better than the scan at a large motion.
 
-        Of a mirrored scan those points fit that lie near a plane.
+        In a mirrored scan, points near a plane fit all the same.
         """
         possible = min(int(np.sum(tracks.missed == 0)), len(points), SEARCH)
         is_wide = self.scale.noise_m is None
@@ -109,7 +109,7 @@ class TrackPlacing:
         return fits_mirrored(tracks.expected[known], points[seen], tolerance_m, least, own)
 
     def is_unique(self, placement: Placement, tracks: LiveTracks, points: Floats) -> bool:
-        """Return whether chance alone brings tracks onto points (n, d) so well in no placement."""
+        """Return whether tracks fit points (n, d) better than chance explains in any placement."""
         chance = self._log_chance(placement.n_agreeing, tracks.expected, points)
         if self.scale.is_blurred:
             d, extent_m = points.shape[1], float(np.ptp(points, axis=0).max())

@@ -218,9 +218,9 @@ class RevisitFinder:
     def _chance(self, stretch: Stretch, placement: Placement, matches: Ints) -> float:
         """Return the expected number of placements with so many matches by chance, in the map.
 
-        Many matches may be within the tolerance, or fewer within a smaller one.  Placements are
-        those that can be distinguished within the drift, or in the plane those on which two matches
-        agree, whichever are fewer.  Only landmarks near older ones can match.
+        There may be many matches within the tolerance, or fewer within a smaller one. The number of
+        placements is that of those distinguishable within the drift or, in the plane, of those on
+        which two matches agree, whichever is smaller.  Only landmarks near older ones can match.
         """
         n, d = stretch.points.shape
         nearest_m = nearest(cKDTree(stretch.there), placement.apply(stretch.points))[0][:, 0]

@@ -21,11 +21,11 @@ SHARP = 0.16
 WIDEST = 0.5
 """Largest tolerance, in spacings."""
 EXACT = 1e-3
-"""Least tolerance, in spacings, for noise-free data."""
+"""Minimum tolerance, in spacings, for noise-free data."""
 FAINT = 0.01
-"""Least noise, in spacings, tried when the estimate may be too small."""
+"""Minimum noise, in spacings, tried when the estimate may be too small."""
 FEW = 3
-"""So few links give no noise estimate."""
+"""Maximum number of links that give no noise estimate."""
 SLOWNESS = 0.1
 """Weight of the latest iteration in the estimates of spacing and noise."""
 CHI2_MEDIAN = {2: 1.386, 3: 2.366}

@@ -54,7 +54,7 @@ def matched_at(
     metric: Floats | None = None,
     stretch: Floats | None = None,
 ) -> int:
-    """Enter the target point (m, d) nearest to each placed source point (n, d), or -1.
+    """Write the target point (m, d) nearest to each placed source point (n, d), or -1.
 
     Each target is matched at most once, to the nearest in its metric (m, d, d); returns the number
     of matches. `stretch` (m,) is the largest length of a unit of the metric, metres.

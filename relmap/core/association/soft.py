@@ -28,7 +28,7 @@ SOURCES = 30
 FURTHEST = 16.0
 """Largest squared distance of a possible match, in variances."""
 GATE = 11.0
-"""The same of a link."""
+"""The same for a link."""
 COARSE = 4.0
 """Factor of the variance when many starts are compared."""
 SHIFTS = 1000
@@ -42,7 +42,7 @@ ROUNDS = 12
 SETTLED = 0.01
 """Change of the log likelihood ratio that ends them."""
 LEAST = 0.02
-"""Least probability of a match that takes part in a fit."""
+"""Minimum probability of a match that takes part in a fit."""
 MOVED = 2.0
 """Mean difference of the points, in standard deviations, that makes two placements distinct."""
 CORNERS = 4.0

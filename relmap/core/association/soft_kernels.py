@@ -36,7 +36,7 @@ def soft_matches(
     metric: Floats | None = None,
     peak: Floats | None = None,
 ) -> float:
-    """Enter the probability that each target (m, d) belongs to each placed source point (n, d).
+    """Write the probability that each target (m, d) belongs to each placed source point (n, d).
 
     Parameters
     ----------

@@ -57,7 +57,7 @@ def most_voted(
 def _cells_of(
     points: Floats, there: Floats, reach_m: Floats, angle: float, cell_m: float, at: Ints
 ) -> int:
-    """Enter the cell (2,) of each shift that is within reach; return how many there are."""
+    """Write the cell (2,) of each shift that is within reach; return how many there are."""
     cos, sin, most_m, count = np.cos(angle), np.sin(angle), reach_m.max(), 0
     for i in range(len(points)):
         x = cos * points[i, 0] - sin * points[i, 1]
@@ -82,7 +82,7 @@ def _add(cells: Ints, at: Ints, count: int, votes: int) -> None:
 
 @helper
 def _largest(cells: Ints, at: Ints, count: int, best: Ints, rank: int) -> int:
-    """Enter the cell with the most votes, the second away from the first; return its votes."""
+    """Write the cell with the most votes, the second away from the first; return its votes."""
     most, side = 0, len(cells)
     best[rank, 0], best[rank, 1] = -9, -9
     for c in range(count):

@@ -99,7 +99,7 @@ def swings(points: Floats, rows: Bools) -> Floats:
 def enter_swings(
     points: Floats, means: Floats, count: float, scatter: Floats, swing: Floats
 ) -> None:
-    """Enter the result of `swings` for points (n, d), given the fit; the scatter is overwritten."""
+    """Write the result of `swings` for points (n, d), given the fit; the scatter is overwritten."""
     n, d = points.shape
     x, y, z = means[0, 0], means[0, 1], means[0, 2]
     trace = scatter[0, 0] + scatter[1, 1] + scatter[2, 2]
@@ -122,7 +122,7 @@ def enter_swings(
 
 @helper
 def set_placement(R: Floats, t: Floats, i: int, turn: Floats, shift: Floats) -> None:
-    """Enter rotation and translation as the i-th of placements R (m, d, d) and t (m, d)."""
+    """Store rotation and translation as the i-th of placements R (m, d, d) and t (m, d)."""
     for a in range(len(shift)):
         t[i, a] = shift[a]
         for b in range(len(shift)):
@@ -131,7 +131,7 @@ def set_placement(R: Floats, t: Floats, i: int, turn: Floats, shift: Floats) -> 
 
 @helper
 def _misfits(source: Floats, target: Floats, R: Floats, t: Floats, misfit: Floats) -> None:
-    """Enter the distance of each placed point (n,) from its target (n, d)."""
+    """Write the distance of each placed point (n,) from its target (n, d)."""
     n, d = source.shape
     for i in range(n):
         square = 0.0

@@ -35,10 +35,10 @@ def limit_of(residual: Floats, dimension: int, size: float) -> float:
 
 
 def huber(residual: Floats, limit: float) -> Floats:
-    """Return weights (n,), 1 up to the limit, whose pull stays the same beyond it (Huber, 1964).
+    """Return weights (n,), 1 up to the limit, of constant influence beyond it (Huber, 1964).
 
-    A loop that closes metres off bends under them.  Where pulls fall, a chain tears at its weakest
-    link instead.
+    A chain whose loop closes metres off bends under them. If the influence decreases, it tears at
+    its weakest link instead.
     """
     return np.asarray(limit / np.maximum(residual, limit))
 

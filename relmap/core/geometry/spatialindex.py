@@ -38,7 +38,7 @@ class SpatialIndex:
         self._link(BUCKETS)
 
     def add(self, landmarks: Ints, positions: Floats) -> None:
-        """Enter landmarks (k,) at positions (k, d), replacing earlier positions."""
+        """Insert landmarks (k,) at positions (k, d), replacing earlier positions."""
         from relmap.core.geometry.spatialindex_kernels import enter
 
         following, key = self._table.next_in_cell, self._table.cell

@@ -22,7 +22,7 @@ def _cell(place: float, cell_m: float) -> int:
 
 @helper
 def _key(x: int, y: int, z: int) -> int:
-    """Return the key of a cell, not negative."""
+    """Return the key of a cell, 0 or more."""
     mask = (1 << AXIS) - 1
     return (x & mask) | ((y & mask) << AXIS) | ((z & mask) << (2 * AXIS))
 
@@ -47,7 +47,7 @@ def _remove(first: Ints, following: Ints, one: int, bucket: int) -> None:
 def enter(
     first: Ints, following: Ints, key: Ints, landmarks: Ints, positions: Floats, cell_m: float
 ) -> int:
-    """Enter landmarks (k,) at positions (k, d); return how many were not in the index.
+    """Insert landmarks (k,) at positions (k, d); return how many were not in the index.
 
     `first` (n,) is the first landmark of each bucket, n a power of two; `following` and `key` (m,)
     are the next landmark in the bucket of each landmark and the key of its cell; -1 for none.

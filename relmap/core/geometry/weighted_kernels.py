@@ -50,7 +50,7 @@ def weighted_step(
 
 @helper
 def _enter(J: Floats, off: Floats, R: Floats, t: Floats, source: Floats, target: Floats) -> None:
-    """Enter the derivative of a placed point by the rotation, and its distance to the target."""
+    """Write the derivative of a placed point by the rotation, and its distance to the target."""
     d = len(off)
     for a in range(d):
         off[a] = t[a]

@@ -13,7 +13,7 @@ from relmap.core.linalg.small_kernels import identity
 
 @helper
 def place(points: Floats, R: Floats, t: Floats, i: int, placed: Floats) -> None:
-    """Transform points (n, d) of iteration i, and enter their places (n, d)."""
+    """Transform points (n, d) of iteration i, and store their places (n, d)."""
     d = points.shape[1]
     for a in range(d):  # a coordinate at a time: faster than a point at a time
         x, y, z, shift = R[i, a, 0], R[i, a, 1], R[i, a, d - 1], t[i, a]
@@ -114,7 +114,7 @@ def place_iterations(
 
 @helper
 def _radial_variances(block: Floats, inner: Bools, variance: Floats) -> None:
-    """Enter the variance (g,) of the distances of a group's members from its inner centre."""
+    """Write the variance (g,) of the distances of a group's members from its inner centre."""
     g, m, d = block.shape
     centre, radius, h = np.zeros((m, d)), np.empty(m), 0
     for k in range(g):

@@ -38,7 +38,7 @@ class GroupLevels:
         return list(self._groups.values())
 
     def better(self, landmarks: Ints, reached: Ints, n_averaged: Ints) -> Bools:
-        """Return whose best position a group provides, given the levels (n,) it allows."""
+        """Return whose best position a group provides, given the levels (n,) that it reaches."""
         before = self._table.level[landmarks]
         more = n_averaged > self._table.averaged[landmarks]
         return np.asarray(more & (reached >= before) | (reached > before) & (n_averaged > 0))

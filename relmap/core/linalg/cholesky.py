@@ -78,7 +78,7 @@ class Pattern:
         return cls(first, (start, column_of, row_begin, np.sort(panel + rows) - panel, offset))
 
     def add(self, values: Floats, unknowns: Ints, part: Floats) -> None:
-        """Add a symmetric part (n, n) over unknowns (n,), ascending and all tied, to a matrix."""
+        """Add a symmetric part (n, n) over coupled unknowns (n,), ascending, to a matrix."""
         from relmap.core.linalg.cholesky_kernels import add_part
 
         add_part(self.layout, unknowns, part, values, np.empty_like(self.layout[1]))

@@ -88,7 +88,7 @@ def panels(width: Ints, order: Ints, begin: Ints, tied: Ints) -> tuple[Ints, Lay
 
 @helper
 def _place(layout: Layout, p: int, place: Ints) -> None:
-    """Enter into `place` (u,) which row of panel p each of its unknowns is."""
+    """Write into `place` (u,) which row of panel p each of its unknowns is."""
     row_begin, rows = layout[2], layout[3]
     for r in range(row_begin[p], row_begin[p + 1]):
         place[rows[r]] = r - row_begin[p]
@@ -116,7 +116,7 @@ def add_part(layout: Layout, unknowns: Ints, part: Floats, values: Floats, place
 
 @helper
 def take_part(layout: Layout, unknowns: Ints, values: Floats, part: Floats, place: Ints) -> None:
-    """Enter a symmetric part (n, n) over unknowns (n,), ascending, into the pattern."""
+    """Add a symmetric part (n, n) over unknowns (n,), ascending, to the pattern."""
     start, column_of, _, _, offset = layout
     last = -1
     for b in range(len(unknowns)):

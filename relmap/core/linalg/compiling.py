@@ -80,8 +80,8 @@ class _AsPart(FunctionPass):
 class _PartCompiler(CompilerBase):
     def define_pipelines(self) -> list[Any]:
         passes = cast("Any", DefaultPassBuilder).define_nopython_pipeline(self.state)
-        # Typed by now with the same options as its callers, with which it shares what numba
-        # compiles of its own, as `np.empty`.
+        # Typed with the same options as its callers, so that they share functions that numba itself
+        # compiles, such as `np.empty`.
         passes.add_pass_after(_AsPart, NopythonRewrites)
         passes.finalize()
         return [passes]

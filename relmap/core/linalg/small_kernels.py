@@ -47,7 +47,7 @@ def square_of(A: Floats, x: Floats) -> float:
 def square_between(x: Floats, y: Floats, metric: Floats | None, k: int, apart: Floats) -> float:
     """Return the squared distance of two points (d,), in metric k of (m, d, d) if there are any.
 
-    Their difference is entered in `apart` (d,).
+    Their difference is written to `apart` (d,).
     """
     square = 0.0
     for a in range(len(apart)):

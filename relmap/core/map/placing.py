@@ -1,4 +1,4 @@
-"""Entering a group's relative map into the global map."""
+"""Adding a group's relative map to the global map."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from relmap.core.state.store import ObservationStore
 
 
 class Placing:
-    """Enters groups into the map, and ends the intervals of landmarks that left the view.
+    """Adds groups to the map, and ends the intervals of landmarks that left the view.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ class Placing:
         self._levels = levels
 
     def place(self, submap: int, level: int, placed: Floats, relative: RelativeMap) -> Ints:
-        """Enter a relative map for the landmarks for which it is the best group.
+        """Add a relative map for the landmarks for which it is the best group.
 
         Parameters
         ----------
@@ -98,7 +98,7 @@ class Placing:
         return int(waited[np.argmax(self._table.in_interval[waited])]) if len(waited) else None
 
     def needs_last_pass(self, landmarks: Ints) -> Bools:
-        """Return whose interval has enough stored observations for a group and is static; (n,).
+        """Return which landmarks are static and have enough stored observations for a group; (n,).
 
         A short remainder of an interval that was split needs no group of its own.
         """

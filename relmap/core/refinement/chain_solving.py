@@ -38,7 +38,8 @@ def settled_chain(
     ----------
     chain : Chain
     step_sd : tuple of (k - 1,) float64
-        Standard deviations of the way and the turn of each step of odometry, as in `ChainProblem`.
+        Standard deviations of the distance and the turn of each step of odometry, as in
+        `ChainProblem`.
     state : Chained
         Where to start.
     anchor : int

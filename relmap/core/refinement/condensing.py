@@ -171,7 +171,7 @@ class CondensedSegments:
             fitted = 3 * d - 3
             n_seen, n_points = SEEN[visible].sum(), (visible > 0).sum()
             freedoms = d * (n_seen - n_points) - fitted * (joined.sum() - 1)
-            if not np.isfinite(squares):  # gross outliers drove the iterations apart
+            if not np.isfinite(squares):  # gross outliers displaced the iterations
                 squares = freedoms = 0
             self._squares.extend(np.array([squares]))
             self._freedoms.extend(np.array([freedoms]))
@@ -185,7 +185,7 @@ class CondensedSegments:
     def _enter(
         self, begin: int, landmarks: Ints, points: Floats, visible: NDArray[np.uint8]
     ) -> None:
-        """Enter rows of the latest segment."""
+        """Append rows of the latest segment."""
         there = (visible > 0) & np.isfinite(points).all(axis=1)
         self._landmark.extend(landmarks[there])
         self._segment.extend(np.full(there.sum(), len(self._squares) - 1))

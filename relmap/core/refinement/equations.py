@@ -64,7 +64,7 @@ class SegmentProblem:
         self.rounding = n * (ROUNDING * size) ** 2
 
     def laid(self, positions: Floats, weight: Floats) -> Laid:
-        """Lay each segment on positions as it fits best, by observations of weights (n,)."""
+        """Place each segment where it fits the positions best, given weights (n,) of the rows."""
         rows, there = self.rows, positions[self.rows.landmark]
         R, t, _ = fit_rigid_each(
             rows.points, there, weight * rows.n_seen, rows.segment, len(rows.segments)

@@ -121,7 +121,7 @@ class LiveRefinement:
     def _add(self, seen: Body) -> None:
         """Add a segment, and merge the last two bodies while they are as long as each other.
 
-        Up to the length of a body; so a segment is merged as often as its body doubles.
+        Up to the length of a body. So a segment is merged again only when its body doubles.
         """
         self._bodies.append(seen)
         while len(self._bodies) > 1:

@@ -24,7 +24,7 @@ def placed_observations(kept: KeptObservations, poses: Floats) -> Floats:
 
 
 def scattered(landmark: Ints, places: Floats, m: int) -> Floats:
-    """Return how far from its median place each landmark (m,) is seen, metres; NaN if nowhere.
+    """Return the typical distance of each landmark (m,) from its median place, metres; or NaN.
 
     Parameters
     ----------

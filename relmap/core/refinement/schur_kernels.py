@@ -47,9 +47,9 @@ def _hold(matrix: Floats, along: Floats, share: float) -> None:
 def _whitened(
     rows: Rows, bodies: Bodies, i: int, hold: float, root: Floats, coupling: Floats, pull: Floats
 ) -> None:
-    """Enter the Cholesky factor (q, q) of a body's matrix.
+    """Write the Cholesky factor (q, q) of a body's matrix.
 
-    Also enter its coupling to the unknowns of its stretch (q, u) and its right-hand side (q,), both
+    Also write its coupling to the unknowns of its stretch (q, u) and its right-hand side (q,), both
     multiplied by the inverse of the factor.
     """
     off, by_eliminated, by_kept, weight, number = rows

@@ -1,8 +1,8 @@
 """Walls by expectation maximisation: the mixture whose component is the shape of a wall.
 
-Gaussian in the direction of the noise, along the wall the sensor's own density between two unsharp
-ends, plus a uniform class of points of no wall.  A Gaussian mixture splits a wall,
-because a wall is not Gaussian along itself; this one does not.
+A component is Gaussian in the direction of the noise; along the wall it has the density of the
+sensor's points, between two blurred ends. A uniform class holds the points of no wall. A Gaussian
+mixture splits a wall, because a wall is not Gaussian along itself; this one does not.
 """
 
 from __future__ import annotations

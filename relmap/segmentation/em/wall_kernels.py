@@ -156,7 +156,7 @@ def expect(
 ) -> tuple[Floats, Floats]:
     """Return the density (k, n) of each point under each wall, and of all together (n,).
 
-    Gaussian in the direction of the noise, along the wall even between two unsharp ends: the
+    Gaussian in the direction of the noise, along the wall uniform between two blurred ends: the
     convolution of a box with a Gaussian is a difference of two normal distribution functions.
     `beam` is the angle between beams, 0 where points lie evenly on the walls. `rest` (n,) is the
     density of everything but these walls.

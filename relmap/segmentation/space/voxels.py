@@ -23,7 +23,7 @@ BINS = 8
 ROUNDING = 1e-6
 """Noise below this fraction of the range is rounding, as of float32."""
 GRAZING = 0.3
-"""Least fraction of the noise along a ray that is across a plane: directions have errors, too."""
+"""Minimum fraction of the noise along a ray that is across a plane: directions have errors, too."""
 NEAR = 0.1
 """Voxels have the same size below this fraction of the median range."""
 AROUND = np.array([a for a in itertools.product((-1, 0, 1), repeat=3) if any(a)])
