@@ -123,7 +123,7 @@ def purity(landmark: Ints, true_id: Ints) -> float | None:
 
 
 def seen_often(true_id: Ints, iteration: Ints, iterations: int = 10) -> Ints:
-    """Return the true ids that were seen in at least so many iterations, ascending.
+    """Return the true ids that were seen in at least a number of iterations, ascending.
 
     Parameters
     ----------

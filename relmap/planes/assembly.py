@@ -12,7 +12,7 @@ from relmap.planes.history import PlaneHistory
 
 FLAT_M = 0.003
 SHARP_M = 0.01
-"""Minimum standard deviations of a wall and of its corner, with noisy data: no real wall is perfectly
+"""Minimum standard deviations of a wall and of its corner, with noisy data: no real wall is exactly
 flat or sharp."""
 BLUNT = 3.0
 """Initial ratio of the standard deviation of a corner to that of its wall."""

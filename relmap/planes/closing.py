@@ -25,7 +25,7 @@ LONG_AGO_M = 15.0
 """Distance travelled after which a place counts as revisited."""
 VISIT_M = 5.0
 VISITS = 4
-"""One scan per so much distance is compared, for so many visits."""
+"""Distance per compared scan, and number of visits."""
 NEAR_M = 4.0
 TURNED_RAD = np.deg2rad(50.0)
 """Largest distance between two compared scans, according to the map."""

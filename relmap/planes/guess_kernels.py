@@ -214,7 +214,7 @@ def implied(
     n_turns: int,
     each: int,
 ) -> Floats:
-    """Return the motions (k, 3) implied by walls and corners of a scan, so many per rotation."""
+    """Return the motions (k, 3) implied by walls and corners, at most `each` per rotation."""
     motions, count = np.empty((n_turns * each, 3)), 0
     for yaw in turns(tracks, seen, before, reach_m, reach_rad, n_turns):
         ways = _places(tracks, seen, yaw, reach_m)

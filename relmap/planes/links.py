@@ -19,7 +19,7 @@ SUPPORTED = 0.375
 EXPECTED, NEAR_M, NEAR_RAD = 0.3, 0.25, np.deg2rad(5.0)
 """The same for a motion close to the usual one."""
 JUMP_M, JUMP = 0.5, 3.0
-"""A step longer than this and so many usual ones is a jump."""
+"""A step longer than this, and than this multiple of the usual one, is a jump."""
 USUAL, KNOWN = 200, 5
 """Number of last steps that define the usual step, and the minimum number."""
 CROSSING = np.sin(np.deg2rad(10.0)) ** 2

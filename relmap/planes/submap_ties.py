@@ -33,13 +33,13 @@ OFTEN = 3
 AGAINST = 5.0
 """Weight of contradicted length."""
 SUPPORTED_M, CONTRADICTED = 5.0, 0.06
-"""Least supported length, less that against it, and largest share that is contradicted. Of 436
-alignments of submaps, of eight logs and between buildings, right ones had at most 0.06, wrong ones
-0.10 or more."""
+"""Minimum supported length, less the contradicted one, and largest share that is contradicted. Of
+436 alignments of submaps, of eight logs and between buildings, right ones had at most 0.06, wrong
+ones 0.10 or more."""
 CROSSING_M = 3.0
 """Minimum length of overlapping wall that prevents sliding along the rest."""
 WALLS, ENDS, ENDS_SHARE = 6, 6, 0.5
-"""Minimum number of walls that coincide, of places where their ends do, and of these for each wall: a
+"""Minimum number of walls that coincide, of places where their ends do, and of these per wall: a
 bend of a bare corridor has four walls, and looks like any other, as do crossings. Of 47 alignments
 of submaps in 22 logs and worlds, the 16 wrong ones had at most 5 such places, and 24 of the right
 ones enough."""

@@ -31,7 +31,7 @@ APART_M = 0.5
 NEAR_M, NEAR_RAD = 0.3, np.deg2rad(4.0)
 """Two placements of a submap agree within this distance and angle, ..."""
 DRIFT, DRIFT_RAD = 0.03, np.deg2rad(0.3)
-"""... plus so much per metre of the path between the scans."""
+"""... plus this per metre of the path between the scans."""
 STRETCH_M, AGREE = 7.0, 0.5
 """Length of the path along which so large a share of the scans must agree: over less, a laser sees
 the same surfaces all the time."""

@@ -169,7 +169,7 @@ class Submap:
         return self.planes(np.arange(len(self)))
 
     def recent(self, iteration: int, max_missed: int) -> Bools:
-        """Return which landmarks (l,) were missed in at most so many scans before an iteration."""
+        """Return which landmarks (l,) an iteration may continue; see `Plane3dMapper`."""
         return np.asarray(self.last >= iteration - 1 - max_missed)
 
     def again(self, poses: list[Pose], name: dict[int, int]) -> Submap:

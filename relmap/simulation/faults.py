@@ -40,7 +40,7 @@ def reversed_odometry(log: Log) -> Log:
 
 
 def stale_odometry(log: Log, late: float) -> Log:
-    """Delay the odometry by so many seconds, or iterations if the log has no clock.
+    """Delay the odometry by a number of seconds, or of iterations if the log has no clock.
 
     Motions before the begin of the log, and next to unknown motions, are unknown.
     """

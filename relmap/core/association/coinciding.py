@@ -15,7 +15,7 @@ from relmap.core.scan import FARTHEST_M
 from relmap.core.state.table import NONE, LandmarkState
 
 APART = 2.5
-"""Minimum distance of any other landmark, relative to that of landmarks that are merged in place."""
+"""Minimum distance of any other landmark, relative to that of landmarks merged in place."""
 SIGMAS, CLEAR_SIGMAS = 4.0, 10.0
 """Largest distance of one landmark mapped twice, and least of any other, in standard deviations."""
 NEIGHBOURS = 2.0
@@ -86,7 +86,7 @@ def neighbours_fit(
 
 
 def within(apart: Floats, covariance: Floats, sigmas: float) -> Bools:
-    """Return which differences (k, d) are within so many deviations of a covariance (d, d)."""
+    """Return which differences (k, d) are within a number of deviations of a covariance (d, d)."""
     squares = np.sum(apart * np.linalg.solve(covariance, apart.T).T, axis=1)
     return np.asarray(squares <= sigmas**2)
 

@@ -155,8 +155,8 @@ class LoopFinder:
     def _drift_m(self, around: Ints, together: Ints, begin: int) -> float:
         """Return the possible drift of the map between an iteration and landmarks seen later.
 
-        A random walk of the heading: each time the landmarks in view have been replaced, the
-        heading is transferred by so many landmarks, with so many observations.
+        A random walk of the heading: each time the landmarks in view have been replaced, these
+        landmarks transfer the heading, with the accuracy of their observations.
         """
         table = self._table
         middle = table.position[around].mean(axis=0)

@@ -14,7 +14,7 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.association.base import middle
 
 EVERY, SETTLED = 4, 150
-"""Interval of updates, in scans, after so many scans of one each."""
+"""Interval of updates, in scans, and number of first scans that are all used."""
 RARELY = 16
 """Interval of updates, in scans, while the noise is isotropic and constant."""
 ENOUGH, RECENT = 200, 400

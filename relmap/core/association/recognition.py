@@ -129,7 +129,7 @@ class PlaceFinder:
         return np.take_along_axis(far, first, 1)[:, 0], np.take_along_axis(landmark, first, 1)[:, 0]
 
     def by_chance(self, n: int, n_agreeing: int, elsewhere: int, trials: int) -> float:
-        """Return the probability that so many of n points are found in a wrong place.
+        """Return the probability that as many of n points are found in a wrong place.
 
         Not counting the three of the triangle. Landmarks may lie at random or on a lattice; in the
         latter case many are found in other places too.

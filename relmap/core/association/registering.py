@@ -218,7 +218,7 @@ class TrackPlacing:
     def _log_chance(
         self, n_agreeing: int, here: Floats, there: Floats, moved_m: float | None = None
     ) -> float:
-        """Return the log of the expected number of placements that match so many tracks by chance.
+        """Return the log of the expected number of placements that match as many tracks by chance.
 
         Placements are counted in steps of the tolerance: those with no larger motion, or all.
         """

@@ -101,7 +101,7 @@ class Revisit:
     pairs : (k, 2) int64
         Landmarks of one visit, and the same ones of the other.
     chance : float
-        Expected number of revisits with so many matches by chance, over the whole map.
+        Expected number of revisits with as many matches by chance, over the whole map.
     surprise : float
         Drift of the map, in standard deviations.
     """
@@ -147,7 +147,7 @@ class RevisitFinder:
         return []
 
     def _within(self, sigmas: float, wider: float) -> list[Revisit]:
-        """Return those with a drift of at most so many standard deviations, without rivals."""
+        """Return those with a drift of at most `sigmas` standard deviations, without rivals."""
         found: list[Revisit] = []
         n_poses = len(self._drift.state.t)
         for pose in range(STRIDE, n_poses + STRIDE - 1, STRIDE):
@@ -216,7 +216,7 @@ class RevisitFinder:
         )
 
     def _chance(self, stretch: Stretch, placement: Placement, matches: Ints) -> float:
-        """Return the expected number of placements with so many matches by chance, in the map.
+        """Return the expected number of placements with as many matches by chance, in the map.
 
         There may be many matches within the tolerance, or fewer within a smaller one. The number of
         placements is that of those distinguishable within the drift or, in the plane, of those on
@@ -231,7 +231,7 @@ class RevisitFinder:
         reach_m, turned_m = stretch.reach_m.max(), min(stretch.turn_rad, np.pi) * extent_m
         chance = []
         for tolerance_m in (self._tolerance_m, self._tolerance_m / WIDER):
-            # Half of the landmarks have so many others within `apart_m`.
+            # Half of the landmarks have this many others within `apart_m`.
             share = min(0.5, USUAL * (tolerance_m / self._apart_m) ** d)
             trials = max(1.0, FINE * reach_m / tolerance_m) ** d
             trials *= max(1.0, FINE * turned_m / tolerance_m) ** (2 * d - 3)

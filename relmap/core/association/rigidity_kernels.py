@@ -27,7 +27,7 @@ def matched(
 ) -> tuple[Ints, Ints, Floats, Floats]:
     """Return the rows (k,) in two ascending lists of the ids in both, and a sample of the points.
 
-    The sample contains at most so many pairs of landmarks (n, d) and of the scan (m, d).
+    The sample contains at most `most` pairs of landmarks (n, d) and of the scan (m, d).
     """
     n, m, d = len(ids), len(scan_ids), points.shape[1]
     rows, shared = np.empty(min(n, m), dtype=np.int64), np.empty(min(n, m), dtype=np.int64)

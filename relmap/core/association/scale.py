@@ -81,7 +81,7 @@ class Scale:
     def variances(self, n_seen: Ints) -> Floats:
         """Return the variances (n,) of a coordinate's difference, square metres.
 
-        Between tracks with so many observations and the next observation.
+        Between tracks, given their numbers of observations (n,), and the next observation.
         """
         share = (1 + 1 / np.minimum(n_seen, MEMORY)) / (1 + 1 / MEMORY)
         return np.asarray(share * (self.noise_m or 0.0) ** 2)

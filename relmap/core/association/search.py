@@ -27,7 +27,7 @@ RIVALS = 4
 
 
 def log_chance(n: int, n_agreeing: int, share: float, log_placements: float) -> float:
-    """Return the log of the expected number of placements with so many matches by chance.
+    """Return the log of the expected number of placements with as many matches by chance.
 
     Parameters
     ----------

@@ -13,7 +13,7 @@ from relmap.core.arrays import Bools, Floats, Ints
 MEMORY = 8
 """Approximate number of observations averaged in the prediction of a track."""
 CAREFUL = 5
-"""A track seen moving counts as static again after so many iterations without motion."""
+"""Iterations without motion after which a track seen moving counts as static again."""
 
 
 class Tracks:

@@ -8,7 +8,7 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.linalg.compiling import compiled, helper
 
 SIDE = 4096
-"""Most cells counted along each axis; shifts that are so many cells apart share their votes."""
+"""Maximum number of cells along each axis; shifts that differ by this number share their votes."""
 
 
 @compiled

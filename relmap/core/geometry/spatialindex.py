@@ -61,7 +61,7 @@ class SpatialIndex:
         return np.asarray(self._table.cell[landmarks] != NONE)
 
     def _link(self, n_buckets: int) -> None:
-        """Link all landmarks with at least so many buckets, four times as many as landmarks."""
+        """Link all landmarks anew, with four times as many buckets as landmarks or more."""
         from relmap.core.geometry.spatialindex_kernels import link
 
         n = int(np.sum(self._table.cell != NONE))

@@ -31,7 +31,7 @@ class GlobalMap:
         self._n_submaps = 0
 
     def submaps_of(self, landmarks: Ints, at_least: int = 1) -> Ints:
-        """Return the submaps that contain so many of the landmarks, the oldest first."""
+        """Return the submaps that contain enough of the landmarks, the oldest first."""
         own = self.table.submap[landmarks]
         own = own[own != NONE]
         if len(own) and (own == own[0]).all():

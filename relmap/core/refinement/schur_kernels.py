@@ -94,7 +94,7 @@ def _add_rows(rows: Rows, bodies: Bodies, i: int, right: Floats, part: Floats) -
 
 @helper
 def _eliminated(coupling: Floats, free: Floats) -> Floats:
-    """Return what eliminated bodies, so many of each free (n,), add to the matrix (u, u).
+    """Return what eliminated bodies add to the matrix (u, u), given how many of each are free (n,).
 
     The coupling, multiplied by the inverse factor (n * q, u), is overwritten.
     """

@@ -111,7 +111,7 @@ class GroupingSchedule:
         return np.where(level > self._table.level[landmarks], level, 0)
 
     def waited(self, iteration: int) -> Ints:
-        """Return the landmarks due at level 3 because they left the view so long ago; (k,)."""
+        """Return the landmarks due at level 3 because they left the view long ago; (k,)."""
         gone, last = self.gone, self._table.last
         if not len(gone) or iteration - last[gone[0]] < self._wait:
             return gone[:0]
