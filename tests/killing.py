@@ -35,7 +35,7 @@ def mapped(mapper: PointMapper, scans: list[Floats], acknowledged: Path) -> str:
 
 
 def killed_after(seconds: float, journal: Path, scans: list[Floats]) -> bool:
-    """Begin or go on with a run in a process of its own; return whether it was killed in time.
+    """Begin or continue a run in a separate process; return whether it was killed in time.
 
     The time is that of the processor, so that it is the same moment on a busy machine; 0: never.
     """

@@ -57,7 +57,7 @@ def test_half_way_along_the_long_wall_nothing_else_is_in_view(seed: int) -> None
     assert 40 <= max(map(len, twice.split("."))) <= 70
 
 
-def test_panels_have_two_sides_and_stand_free() -> None:
+def test_panels_are_free_standing_and_have_two_sides() -> None:
     walls = make_floor_plan("panels", np.random.default_rng(0)).walls
     assert len(walls) >= 40
     np.testing.assert_array_equal(walls[::2, :4], walls[1::2][:, [2, 3, 0, 1]])

@@ -172,7 +172,7 @@ def test_a_bug_shows_its_traceback(place: Path, monkeypatch: pytest.MonkeyPatch)
 def run(
     arguments: list[str], folder: Path, env: dict[str, str], most_bytes: int | None = None
 ) -> tuple[int, str]:
-    """Run the command line in a process of its own, perhaps with a limit to its files' sizes."""
+    """Run the command line in a separate process, perhaps with a limit to its files' sizes."""
 
     def limit() -> None:
         if most_bytes is not None:

@@ -94,7 +94,7 @@ def test_outliers_and_movers_are_left_out() -> None:
     assert np.linalg.norm(moved) > 0.2
 
 
-def test_iterations_that_share_too_little_make_segments_of_their_own() -> None:
+def test_iterations_that_share_too_little_make_separate_segments() -> None:
     rng = np.random.default_rng(0)
     here, there = rng.normal(0, 5, (6, 3)), rng.normal(0, 5, (5, 3))
     scans: Scans = [(np.arange(6), here), (np.arange(6), here)]

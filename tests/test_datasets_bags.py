@@ -145,7 +145,7 @@ def test_invalid_poses_are_refused(tmp_path: Path) -> None:
     assert "expected finite numbers and a unit quaternion" in message
 
 
-def test_classes_are_no_ids(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_classes_are_not_ids(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     types = Types("mcap")
     seen = types.boxes(1.0, [("tree", (1, 1, 1)), ("tree", (2, 2, 2))])
     log = open_log(write_bag(tmp_path, "mcap", types, [("/seen", 1.0, seen)]))

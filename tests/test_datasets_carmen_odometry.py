@@ -51,7 +51,7 @@ def test_carmen_odometry_is_taken_where_there_is_evidence(tmp_path: Path, lines:
         [WHEELS, *(line.replace("FLASER 2 3.5 80 0.2", "FLASER 2 3.5 80 0") for line in RAW[:1])],
     ],
 )
-def test_carmen_corrected_paths_are_no_odometry(tmp_path: Path, lines: list[str]) -> None:
+def test_carmen_corrected_paths_are_not_odometry(tmp_path: Path, lines: list[str]) -> None:
     log = open_scans(put(tmp_path, carmen(*lines), "a.log"))
     assert log.odometry is None
     assert "corrected path" in log.no_odometry

@@ -160,7 +160,7 @@ def test_a_cloud_in_the_other_order_of_bytes(tmp_path: Path) -> None:
     assert points_of(open_scans(path)) == [CLOUD[:2].tolist()]
 
 
-def test_a_result_of_a_run_is_no_log(tmp_path: Path) -> None:
+def test_a_result_of_a_run_is_not_a_log(tmp_path: Path) -> None:
     (tmp_path / "map.ply").write_bytes(ply(CLOUD))
     put(tmp_path, "{}", "summary.json")
     assert "the folder holds no log of point scans" in failure(tmp_path)

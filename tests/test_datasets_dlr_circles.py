@@ -95,6 +95,6 @@ def test_mutated_bytes_give_a_log_or_one_error(tmp_path: Path) -> None:
                     assert np.isfinite(open_log(path, format).points_robot).all()
 
 
-def test_pipe_in_a_folder_is_no_log(tmp_path: Path) -> None:
+def test_pipe_in_a_folder_is_not_a_log(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "map.circles")
     assert not DlrCircles().recognises(tmp_path)

@@ -52,7 +52,7 @@ def test_graph_log(tmp_path: Path) -> None:
     bearing = np.array([-1.5, -1.0])
     expected = np.array([1.0, 2.0])[:, None] * np.column_stack([np.cos(bearing), np.sin(bearing)])
     np.testing.assert_allclose(first, expected + np.array([0.2, 0]))
-    # The laser stands where the robot does, turned a little to the right; 0 is no return.
+    # The laser stands where the robot does, turned a little to the right; 0 is not a return.
     bearing = np.array([-1.5, -0.5]) + 1.5 - np.pi / 2
     expected = np.array([1.0, 49.0])[:, None] * np.column_stack([np.cos(bearing), np.sin(bearing)])
     np.testing.assert_allclose(second, expected, atol=1e-12)
@@ -150,7 +150,7 @@ def test_messages_do_not_list_hundreds_of_beams(tmp_path: Path) -> None:
     ("text", "old", "new"),
     [(CORRECTED, "81.8 ", "-1 "), (GRAPH, "60 0 0.2", "-1 0 0.2"), (LASER, "1,80,3", "1,-1,3")],
 )
-def test_a_range_below_zero_is_no_return(
+def test_a_range_below_zero_is_not_a_return(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, text: str, old: str, new: str
 ) -> None:
     whole = points_of(open_scans(put(tmp_path, text, "whole")))

@@ -105,7 +105,7 @@ def test_without_a_landmark_there_is_no_log(robots: Path) -> None:
         read_truth(robots)
 
 
-def test_robots_of_other_days_are_no_one_log(robots: Path) -> None:
+def test_robots_of_other_days_are_not_one_log(robots: Path) -> None:
     put(robots, gzip.compress(b"-200000 81 2 0\n"), "Robot2_Measurement.dat.gz")
     assert "robots are days apart" in failure(robots)
 

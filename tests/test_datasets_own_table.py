@@ -107,7 +107,7 @@ def test_times_may_be_in_a_time_zone(frames: Any) -> None:
     assert log.stamps_s.tolist() == [0, 1, 2]
 
 
-def test_what_is_no_frame_is_refused() -> None:
+def test_other_objects_than_frames_are_refused() -> None:
     with pytest.raises(RelmapError, match="expected a DataFrame of pandas or polars, got a dict"):
         log_of_frame({"x": [1.0], "y": [2.0]})
 

@@ -14,7 +14,7 @@ EXAMPLES = sorted(FOLDER.glob("*.py"))
 
 
 def run_file(path: Path, env: dict[str, str], folder: Path) -> None:
-    """Run a Python file in a folder, in an interpreter of its own; fail with what it said."""
+    """Run a Python file in a folder, in a separate interpreter; fail with what it said."""
     done = run_process([sys.executable, str(path)], env=env, cwd=folder)
     assert done.returncode == 0, f"{path.name} failed:\n{done.stdout}{done.stderr}"
 

@@ -33,7 +33,7 @@ SOME = 60
 
 @pytest.fixture
 def quiet() -> Iterator[None]:
-    """Let warnings of numpy pass: they are no traceback, and the command line turns them off."""
+    """Let warnings of numpy pass: they are not tracebacks, and the command line turns them off."""
     logging.disable()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

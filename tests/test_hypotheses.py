@@ -108,7 +108,7 @@ def test_distinct_motions_are_the_first_of_those_alike() -> None:
     assert distinct(motions, order, 2).tolist() == [3, 4]
 
 
-def test_a_motion_that_odometry_rules_out_is_no_rival() -> None:
+def test_a_motion_that_odometry_rules_out_is_not_a_rival() -> None:
     near, far = STEP, np.array([0.0, -1.5, 0.0])
     for expected, right in ((None, near), (Expected(far, 0.05, 0.02), far)):
         run = Hypotheses(near)

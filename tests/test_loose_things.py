@@ -1,4 +1,4 @@
-"""Small things that stand free, such as people: they link scans only if they stay in place."""
+"""Small free-standing objects, such as people: they link scans only if they stay in place."""
 
 from __future__ import annotations
 

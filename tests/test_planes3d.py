@@ -47,7 +47,7 @@ def test_poses_without_noise_are_exact() -> None:
     mapper = mapped(world.scans)
     assert len(mapper.submaps) == 1
     assert not mapper.weak_links
-    # A patch may hold points of another plane that lie within rounding of its own.
+    # A patch may hold points of another plane that lie on its own within rounding.
     assert np.abs(mapper.trajectory - from_first(world.trajectory)).max() < 1e-5
     mapper.refine()
     assert np.abs(mapper.trajectory - from_first(world.trajectory)).max() < 1e-9

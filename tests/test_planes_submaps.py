@@ -85,7 +85,7 @@ def test_an_implausible_jump_is_rejected() -> None:
         assert steps.max(initial=0.0) < 0.5
 
 
-def test_stop_and_go_along_a_wall_is_no_bridge_for_long() -> None:
+def test_stop_and_go_along_a_wall_is_not_bridged_for_long() -> None:
     """Where the speed varied before, it is not known along a single partial wall."""
     mapper, x = PlaneMapper(), -1.0
     for k in range(120):

@@ -127,7 +127,7 @@ def bench() -> BenchRecorder:
     return recorder
 
 
-def test_a_frame_is_kept_now_and_then(bench: BenchRecorder) -> None:
+def test_a_frame_is_kept_at_intervals(bench: BenchRecorder) -> None:
     assert [frame.iteration for frame in bench.frames] == [4, 9, 14, 19, 24, 29, 34, 39]
     assert frame_step(281) == 4
     assert frame_step(3) == 1

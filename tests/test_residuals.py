@@ -87,7 +87,7 @@ def test_the_summary_lists_weak_places() -> None:
     assert run_mapper(PointMapper(), log, "nearest").result.summary["refinement"] is None
 
 
-def test_rounding_is_no_weak_place() -> None:
+def test_rounding_is_not_a_weak_place() -> None:
     log = simulate_figure_eight(iterations=60, sigma=0.0).log
     result = run_mapper(PointMapper(), log, "nearest", refine=True).result
     told = result.summary["refinement"]

@@ -64,7 +64,7 @@ def test_a_step_turns_the_rest_of_a_chain_as_a_whole() -> None:
     left = problem.residuals(problem.stepped(state, equations, step, weight))
     seen, way, turns = problem.parts
     at = problem.chain.iteration
-    # Beyond the knee nothing is stretched, as shifts of their own would: by 12 % of each way.
+    # Beyond the knee nothing is stretched, as independent shifts would: by 12 % of each way.
     assert left[seen][at > knee].max() < 1e-6
     assert np.delete(left[way], knee - 1).max() < 1e-6
     assert np.flatnonzero(left[turns] > 1e-6).tolist() == [knee - 1]
@@ -75,7 +75,7 @@ def test_the_pull_of_hubers_weights_stays_the_same() -> None:
     assert (huber(residual, 2.0) * residual).tolist() == [0.5, 2.0, 2.0, 2.0]
 
 
-def test_what_is_measured_badly_is_no_slip() -> None:
+def test_what_is_measured_badly_is_not_a_slip() -> None:
     noise = MotionNoise(sigma_way=0.01, sigma_m=0.001, sigma_rad=0.001)
     odometry, measured = motion(1.0, 0.0)[None], motion(1.0, 0.05)[None]
     assert noise.slipped(odometry, measured).tolist() == [True]

@@ -80,7 +80,7 @@ def test_a_changed_file_is_reported(tmp_path: Path, change: Any) -> None:
         ),
         (
             lambda a, h: h["values"].update({"association/registration/alone": [0.5]}),
-            "is no list of int",
+            "is not a list of int",
         ),
         (
             lambda a, h: a.update({"landmarks/weight": a["landmarks/weight"].astype(np.float32)}),

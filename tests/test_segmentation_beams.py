@@ -85,7 +85,7 @@ def test_the_angle_between_columns_is_found() -> None:
     assert beam_angle(xy) == pytest.approx(BEAM)
 
 
-def test_a_single_column_is_no_wall() -> None:
+def test_a_single_column_is_not_a_wall() -> None:
     rng = np.random.default_rng(4)
     near = np.column_stack([np.full(30, 2.0), np.full(30, 2.0 * np.tan(20 * BEAM))])
     xyz = np.zeros((230, 3))

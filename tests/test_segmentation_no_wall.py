@@ -51,7 +51,7 @@ def planes_of(ranges: Floats) -> Planes:
 
 
 def test_pieces_of_a_curve_hardly_have_corners() -> None:
-    """How little they bow is lost in noise now and then; else all of their ends are corners."""
+    """How little they bow is sometimes lost in noise; else all of their ends are corners."""
     inside = -np.cos(BEARING) + np.sqrt(9.0 - np.sin(BEARING) ** 2)  # a round room
     rooms = [
         planes_of(inside + np.random.default_rng(seed).normal(0, NOISE_M, len(BEARING)))

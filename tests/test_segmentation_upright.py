@@ -64,7 +64,7 @@ def test_simulated_walls_are_upright(world: World, sampling: Sampling, sigma: fl
     assert max(shares) < 0.5 * MOST_SHARE
 
 
-def test_what_has_no_height_is_no_floor() -> None:
+def test_what_has_no_height_is_not_a_floor() -> None:
     scan = building_scene(0, 361, 0.01, sampling="laser").points
     for height_m in (0.0, 0.01, 0.1):
         z = np.random.default_rng(0).uniform(0, 1, len(scan)) * height_m

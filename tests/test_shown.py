@@ -133,7 +133,7 @@ def test_saved_results_are_those_of_the_command_line(
     assert table(tmp_path / "new" / "tracks.csv.gz") == []
 
 
-def test_what_is_no_log_is_not_mapped() -> None:
+def test_other_objects_than_logs_are_not_mapped() -> None:
     frame: Any = {"x": [1.0]}
     with pytest.raises(RelmapError, match="got a dict, expected a log"):
         relmap.map_log(frame)
@@ -148,7 +148,7 @@ def test_mappers_of_nothing_are_saved(tmp_path: Path) -> None:
         PointMapper().save_results(blocked)
 
 
-def test_rooms_are_there_without_an_import_of_their_own(child_env: dict[str, str]) -> None:
+def test_packages_are_there_without_a_separate_import(child_env: dict[str, str]) -> None:
     code = (
         "import sys, relmap; assert 'relmap.simulation' not in sys.modules;"
         "print(relmap.simulation.simulate_figure_eight, relmap.datasets.open_log, dir(relmap));"

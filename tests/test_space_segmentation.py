@@ -147,6 +147,6 @@ def test_clutter_shows_no_plane() -> None:
     ("points", "wrong"),
     [(np.ones((9, 2)), "2 columns"), (np.full((9, 3), np.nan), "finite"), ("abc", "array")],
 )
-def test_what_is_no_cloud_is_refused(points: object, wrong: str) -> None:
+def test_other_arrays_than_clouds_are_refused(points: object, wrong: str) -> None:
     with pytest.raises(RelmapError, match=wrong):
         PatchSegmenter().fit(points)  # type: ignore[arg-type]

@@ -67,7 +67,7 @@ def expected() -> str:
 def sweep(
     spec: Path, out: Path, env: dict[str, str], *more: str, begin: str = ""
 ) -> subprocess.Popen[str]:
-    """Sweep in a process of its own, which first executes some code."""
+    """Sweep in a separate process, which first executes some code."""
     code = f"{begin}\nimport sys\nfrom relmap.cli import main\nsys.exit(main(sys.argv[1:]))"
     return subprocess.Popen(
         [sys.executable, "-c", code, "sweep", str(spec), "-o", str(out), *more],

@@ -83,7 +83,7 @@ def test_a_wrong_kind_of_input_is_refused_in_one_line(
         ("map npz --variant planes --onto of-points -o out", "holds a PointMapper"),
     ],
 )
-def test_errors_say_what_would_be_right(
+def test_errors_say_what_is_expected(
     wrong: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],

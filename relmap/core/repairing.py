@@ -162,7 +162,7 @@ def _undo(engine: RelativeMapper) -> int:
 
 
 def _part(engine: RelativeMapper, rows: SegmentRows, tracks: Ints) -> None:
-    """Make merged tracks (k,) landmarks of their own again, mapped where they were seen."""
+    """Make merged tracks (k,) separate landmarks again, mapped where they were seen."""
     table = engine.table
     places, seen = places_of(table, rows, tracks)
     # From now on, the landmark and the time of a row no longer determine its track.

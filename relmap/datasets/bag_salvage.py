@@ -47,7 +47,7 @@ _MCAP_MAGIC_BYTES, _MCAP_CHUNK, _CHUNK_SIZE_BYTES = 8, 6, 8
 _RECORD = struct.Struct("<BQ")
 """Kind and length of a record of MCAP."""
 _CHUNK_HEAD = struct.Struct("<QQQII")
-"""Begin of a chunk: times, size, checksum, and length of the name of its compression."""
+"""Start of a chunk: times, size, checksum, and length of the name of its compression."""
 
 
 @dataclass(frozen=True)
@@ -215,7 +215,7 @@ def _mcap_records(stream: BinaryIO) -> Generator[Any, None, None]:
 
 
 def _truncated_chunk(stream: BinaryIO) -> bytes:
-    """Return the available part of the chunk with which a file ends; b"" if that is no chunk."""
+    """Return the available part of the chunk with which a file ends; b"" if that is not a chunk."""
     at, opcode, size = _MCAP_MAGIC_BYTES, 0, stream.seek(0, os.SEEK_END)
     while at + _RECORD.size <= size:
         stream.seek(at)

@@ -26,7 +26,7 @@ from relmap.points import PointMapper
 from relmap.segmentation import PlaneSegmenter
 
 FEWEST_DRAWN = 10
-"""Minimum scans of a submap with files of its own; smaller ones are only listed."""
+"""Minimum scans of a submap with separate files; smaller ones are only listed."""
 POINTS_DRAWN = 100_000
 """Maximum number of points in a picture of a submap."""
 

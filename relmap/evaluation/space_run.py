@@ -21,7 +21,7 @@ from relmap.planes3d.table import Plane3dTable
 
 VARIANT = "planes3d"
 LEAST_SCANS = 10
-"""Minimum scans of a submap with a file of its own."""
+"""Minimum scans of a submap with a separate file."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)

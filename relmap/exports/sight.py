@@ -25,7 +25,7 @@ from relmap.points import PointMapper
 MOST = 5_000_000
 """Maximum number of beams, by subsampling."""
 Lines = tuple[Floats, Floats]
-"""Begin and end points of lines, (n, 2) each, map frame, metres."""
+"""Start and end points of lines, (n, 2) each, map frame, metres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +46,7 @@ class Sightings:
 
 
 def sight_lines(folder: Path, content: MapContent, log: Path | None) -> Lines | None:
-    """Return begin and end points of beams; for points, lines from poses to landmarks.
+    """Return start and end points of beams; for points, lines from poses to landmarks.
 
     Parameters
     ----------

@@ -142,7 +142,7 @@ def run_partial_wall(
 
 
 def longest(held: Bools) -> tuple[int, int]:
-    """Return begin and end of the longest run of true (k,).
+    """Return start and end of the longest run of true values (k,).
 
     Raises
     ------

@@ -27,7 +27,7 @@ DENSITIES = (12, 25, 50, 100, 200, 400, 700, 1200, 1900)
 QUICK_DENSITIES = (12, 50, 150, 500)
 ITERATIONS, QUICK_ITERATIONS = 900, 300
 BEGINNING = 25
-"""Iterations in which a map begins, excluded from the comparison of begin and end of a loop."""
+"""Iterations in which a map begins, excluded from the comparison of start and end of a loop."""
 HALF_WINDOW = 25
 """Half width of the window of running medians and means."""
 FLAT = 1.2

@@ -114,7 +114,7 @@ class ChartedRun:
 
     @property
     def visits(self) -> list[tuple[int, int, int]]:
-        """Landmark, begin and end of every visit well within the run."""
+        """Landmark, start and end of every visit well within the run."""
         landmarks, iterations = self.store.seen(0, self.store.n_iterations)
         order = np.argsort(landmarks, kind="stable")
         bounds = np.searchsorted(landmarks[order], np.arange(landmarks.max(initial=-1) + 2))

@@ -194,7 +194,7 @@ class BeamStore:
         return found
 
     def placed(self, poses: Floats, span: tuple[int, int], most: int) -> PlacedBeams:
-        """Return begin and end points of the beams of some scans, by their poses.
+        """Return start and end points of the beams of some scans, by their poses.
 
         Parameters
         ----------

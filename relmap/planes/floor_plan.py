@@ -117,7 +117,7 @@ def _small_gaps(walls: Stretches, there: Bools, known: Bools) -> Bools:
 
 
 def _runs(mask: Bools) -> tuple[Ints, Ints]:
-    """Return begin and end of each run of True."""
+    """Return start and end of each run of True."""
     edges = np.flatnonzero(np.diff(mask, prepend=False, append=False))
     return edges[::2], edges[1::2]
 

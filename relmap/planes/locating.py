@@ -84,7 +84,7 @@ class LocatingMapper(MappedWalls):
     def take_up(self, points: Any, beams: ArrayLike | None = None) -> bool:
         """Begin another log with the next scan, which may be taken anywhere in the map.
 
-        The log has submaps of its own until `finish`. A submap then becomes part of the map if,
+        The log has separate submaps until `finish`. A submap then becomes part of the map if,
         along 7 m of its path, half of the scans, 0.5 m apart, fit in the map at the same placement
         of the submap, and no other placement agrees with half as many scans; see `tied_at`. Further
         calls change nothing until `finish`.

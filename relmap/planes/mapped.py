@@ -73,7 +73,7 @@ class MappedWalls(Mapper):
         return plane_table(self.history, numbers, assembled, self._moving)
 
     def beams_of(self, number: int, most: int) -> PlacedBeams:
-        """Return begin and end points of beams of a submap, in its frame.
+        """Return start and end points of beams of a submap, in its frame.
 
         Parameters
         ----------
@@ -85,7 +85,7 @@ class MappedWalls(Mapper):
         Returns
         -------
         PlacedBeams
-            Begin and end points, metres, and the scan of each beam.
+            Start and end points, metres, and the scan of each beam.
         """
         submap = self.submaps[number]
         return self._planes.links.beams.placed(submap.poses, submap.span, most)

@@ -38,7 +38,7 @@ class Stretches:
     base, normal, along : (w, 2) float64
         A point on each wall, and unit vectors to its front and from its right to its left.
     low : (w,) float64, metres
-        Begin of the first stretch, along the wall.
+        Start of the first stretch, along the wall.
     first : (w + 1,) int64
         The first stretch of each wall.
     seen : (b,) int64

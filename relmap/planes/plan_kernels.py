@@ -69,7 +69,7 @@ def beams_on_walls(
     Parameters
     ----------
     beams : origin and end (n, 2)
-    lines : of each wall a point and the normal (w, 2), and its begin and end (w,)
+    lines : of each wall a point and the normal (w, 2), and its start and end (w,)
     bins : first bin of each wall (w + 1,), and their size in metres
     grid : its corner (2,), size of a cell, cells along x and y (2,), where the walls of each cell
         begin (c + 1,), and the walls

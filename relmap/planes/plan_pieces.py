@@ -34,7 +34,7 @@ class Pieces:
     wall : (n,) int64
         Compact number of the wall.
     reach : (n, 2) float64, metres
-        Begin and end along the wall.
+        Start and end along the wall.
     corner : (n, 2) int64
         Compact number of the corner at either end; -1 for none.
     """

@@ -40,7 +40,7 @@ UNSURE = 1e-2
 REST = 0.03
 """Steps longer than this, metres and radians, indicate that the solution does not converge."""
 USUAL = 3.0
-"""A residual below this multiple of the typical one, of all or of its scan, is no outlier."""
+"""A residual below this multiple of the typical one, of all or of its scan, is not an outlier."""
 
 Seen = tuple[Floats, Ints, Ints, Ints]
 

@@ -51,7 +51,7 @@ CONTRADICTS = 0.1
 SLID = 2
 """Number of motions slid along a wall."""
 FREE_REACH_M = 1.0
-"""Motions nearer than this are no rivals if the motion along a wall is undetermined: the previous
+"""Motions nearer than this are not rivals if the motion along a wall is undetermined: the previous
 motion decides."""
 
 

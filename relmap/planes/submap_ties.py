@@ -159,7 +159,7 @@ class MapPart:
         return BIN_M * float(support.sum()), BIN_M * float(contradict.sum())
 
     def beams_from(self, ends: Floats) -> tuple[Floats, Floats]:
-        """Return begins and stops of the beams from within the extent of walls (w, 2, 2)."""
+        """Return start and end points of the beams from within the extent of walls (w, 2, 2)."""
         low, high = ends.min(axis=(0, 1)), ends.max(axis=(0, 1))
         there = np.flatnonzero(((self.begins >= low) & (self.begins <= high)).all(axis=1))
         there = there[:: 1 + len(there) // MOST_BEAMS]

@@ -15,7 +15,7 @@ JUMP = 5.0
 AROUND = 5
 """Number of steps before and after with which each is compared."""
 USUAL = 0.9
-"""Steps up to `GAP` times this quantile of all steps are no jumps."""
+"""Steps up to `GAP` times this quantile of all steps are not jumps."""
 
 
 def broken_at_gaps(stamps_s: Floats, position: Floats) -> Floats:

@@ -1,6 +1,6 @@
 """A wall is a row of `WALL` numbers.
 
-A point on it and its direction (metres, robot frame), its begin and end along that direction, and
+A point on it and its direction (metres, robot frame), its start and end along that direction, and
 its fraction of the scan's points.
 """
 

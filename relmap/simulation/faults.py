@@ -42,7 +42,7 @@ def reversed_odometry(log: Log) -> Log:
 def stale_odometry(log: Log, late: float) -> Log:
     """Delay the odometry by a number of seconds, or of iterations if the log has no clock.
 
-    Motions before the begin of the log, and next to unknown motions, are unknown.
+    Motions before the start of the log, and next to unknown motions, are unknown.
     """
     odometry = _odometry(log)
     at = np.arange(float(len(log))) if log.stamps_s is None else log.stamps_s

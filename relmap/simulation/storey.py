@@ -26,7 +26,7 @@ FARTHEST_M = 30.0
 SQUARE_M = 0.1
 """Size of the squares in which the area that was seen is counted."""
 DOOR = 3.0, 3.9, 2.0
-"""Begin and end of the door along the wall between the rooms, and its height, metres."""
+"""Start and end of the door along the wall between the rooms, and its height, metres."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -1,6 +1,6 @@
 """Landmarks of a solved map with odometry that belong to the same object.
 
-An object that is detected now and then has many tracks of few observations, and one whose shape
+An object that is rarely detected has many tracks of few observations, and one whose shape
 differs from side to side has several landmarks next to each other.  No scan shows two of them.
 """
 

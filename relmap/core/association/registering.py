@@ -20,7 +20,7 @@ from relmap.core.association.soft import SoftMatching
 from relmap.core.association.tracks import LiveTracks
 
 ENOUGH = 3
-"""Minimum number of matches: two distances agree by chance now and then, three rarely."""
+"""Minimum number of matches: two distances agree by chance occasionally, three rarely."""
 PLENTY = 6
 """Number of matches whose agreement is never due to chance."""
 NEAR_SHARE = 0.8
@@ -229,7 +229,7 @@ class TrackPlacing:
             moved_m = extent_of(there)
             placements = (2 * d - 3) * np.log(2 * np.pi)
         placements += self._log_placements(d, moved_m)
-        # The volume of a gate relative to that of a sphere, in the mean of the points.
+        # The volume of a gate relative to that of a sphere, on average over the points.
         volume = 1.0 if self.metric is None else float(np.mean(1 / np.linalg.det(self.metric)))
         share = min(np.log(2) * volume * (tolerance_m / self.scale.spacing_m) ** d, 0.5)
         return chance_of(max(min(len(here), len(there)), n_agreeing), n_agreeing, share, placements)

@@ -171,7 +171,7 @@ def triangles_of(points: Floats, least_m: float) -> Ints:
 def fits_mirrored(
     source: Floats, target: Floats, tolerance_m: float, least: float, metric: Floats | None
 ) -> bool:
-    """Return whether `least` points fit the mirror image of others, but not that of their own.
+    """Return whether `least` points fit the mirror image of others, but not their own.
 
     Parameters
     ----------

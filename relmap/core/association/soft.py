@@ -3,7 +3,7 @@
 Most single matches are then ambiguous, but a scan of many points still has only one likely
 placement.  Each point belongs to any nearby track, with the probability that the noise implies, or
 to none; the placement that maximises the likelihood is found by expectation maximisation from many
-starts (Granger and Pennec, "Multi-scale EM-ICP", ECCV 2002). In the mean over random placements the
+starts (Granger and Pennec, "Multi-scale EM-ICP", ECCV 2002). On average over random placements the
 likelihood ratio to unrelated points is 1, so a placement is accepted if its ratio exceeds the
 number of possible placements and no other placement comes near.
 """

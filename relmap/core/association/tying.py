@@ -81,7 +81,7 @@ def _found_elsewhere(
             continue
         other = int(in_submaps[0][0])
         rivals = [place for place, of in zip(places, in_submaps, strict=True) if other in of]
-        # What looks like another place of its own submap may be a third one.
+        # What looks like another place in the same submap may be a third one.
         elsewhere = finder.elsewhere(points, rivals)
         elsewhere = max(elsewhere, back.elsewhere(points, back.places(points)))
         sure = finder.by_chance(len(points), len(hits[0]), elsewhere, trials) <= BY_CHANCE

@@ -133,7 +133,7 @@ def _radial_variances(block: Floats, inner: Bools, variance: Floats) -> None:
             mean += radius[i] / m
         for i in range(m):
             squares += (radius[i] - mean) ** 2
-        # The centre contains 1/h of the noise of each of its own members, correlated with theirs.
+        # The centre contains 1/h of the noise of each of its members, correlated with theirs.
         variance[k] = squares / (m - 1) * (h / (h - 1) if inner[k] else h / (h + 1))
 
 

@@ -64,7 +64,7 @@ def ordered(values: Floats) -> Ints:
 
 @helper
 def _in_sets(of: Ints, values: Floats) -> tuple[Ints, Floats]:
-    """Return the begin of each set 0, 1, ..., and the values (n,) ordered by set."""
+    """Return the start of each set 0, 1, ..., and the values (n,) ordered by set."""
     n = 0
     for k in of:
         n = max(n, k + 1)

@@ -100,7 +100,7 @@ class Placing:
     def needs_last_pass(self, landmarks: Ints) -> Bools:
         """Return which landmarks are static and have enough stored observations for a group; (n,).
 
-        A short remainder of an interval that was split needs no group of its own.
+        A short remainder of an interval that was split needs no separate group.
         """
         mapped = self._table.weight[landmarks] > 0
         enough = np.where(mapped, self._schedule.group_after, FEWEST)

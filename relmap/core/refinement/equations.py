@@ -188,7 +188,7 @@ class FreePlacements(SegmentProblem):
 class FreeLandmarks(SegmentProblem):
     """Keeps one placement per segment; the landmarks are eliminated.
 
-    The anchor iteration, which defines the frame, has a fixed placement of its own.
+    The anchor iteration, which defines the frame, has a separate, fixed placement.
 
     Parameters
     ----------

@@ -37,7 +37,7 @@ close a loop."""
 BODIES = 32
 """Maximum number of bodies; beyond it, pairs of consecutive bodies are merged."""
 WHOLE = 400
-"""Segments up to which each is a body of its own in the last step, which is not time-critical."""
+"""Segments up to which each is a separate body in the last step, which is not time-critical."""
 
 
 @dataclass(frozen=True, eq=False)

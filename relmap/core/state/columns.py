@@ -41,7 +41,7 @@ class Column(NamedTuple):
 
 
 COLUMNS = {
-    # identity: a new row is a landmark of its own
+    # identity: a new row is a separate landmark
     "landmark_of": Column(np.int64, NONE, "old"),
     # first and last iteration seen under its own number, and observation count
     "track_begin": Column(np.int64, 0, "old"),

@@ -217,7 +217,7 @@ class StateReader:
             values = self._take(name)
             allowed = PLAIN[of[0]]
             if type(values) is not list or any(type(value) not in allowed for value in values):
-                raise ValueError(f"{name} is no list of {of[0].__name__}")
+                raise ValueError(f"{name} is not a list of {of[0].__name__}")
             return values
         n = self._plain(name, int)
         if kind is tuple and n != len(of):

@@ -1,7 +1,7 @@
 """The landmark table: one row per landmark.
 
 The parts of the engine are functions of its columns, or thin views on them (see `columns`); none
-keeps per-landmark arrays of its own.
+keeps separate per-landmark arrays.
 """
 
 from __future__ import annotations
@@ -232,7 +232,7 @@ class LandmarkState:
         return [landmark, *self._merged_into.get(landmark, [])]
 
     def part(self, track: int) -> None:
-        """Make a track that was merged into a landmark a landmark of its own again, unmapped."""
+        """Make a track that was merged into a landmark a separate landmark again, unmapped."""
         landmark = int(self.landmark_of[track])
         self._merged_into[landmark].remove(track)
         self.landmark_of[track] = track

@@ -37,7 +37,7 @@ class Sharpened:
     ----------
     mixture : WallMixture
     spread : (k, 2) float64, metres
-        Standard deviation of the begin and end of each wall along itself.
+        Standard deviation of the start and end of each wall along itself.
     joined : (k, 2) bool
         Whether the end is in a corner with another wall.
     hidden : (k, 2) bool or None

@@ -29,7 +29,7 @@ BOWED, EXPLAINED = 2.0, 0.4
 """Bow of the pieces of a curve, in standard deviations, and allowed difference between turn and
 bow."""
 NEXT = 2
-"""Largest difference of point numbers between the end of a piece and the begin of the next."""
+"""Largest difference of point numbers between the end of a piece and the start of the next."""
 NOISE_AT_LEAST_M = 0.005
 """Minimum deviation of real walls from flatness."""
 
@@ -144,7 +144,7 @@ def hidden_ends(xy: Floats, labels: Ints) -> Bools:
 
 
 def on_curves(mixture: WallMixture, xy: Floats, labels: Ints) -> Bools:
-    """Return which ends (k, 2) of walls are no corners because the surface continues as a curve.
+    """Return which ends (k, 2) of walls are not corners because the surface continues as a curve.
 
     Where a curve is cut into straight pieces depends on the point of view.
     """

@@ -8,7 +8,7 @@ from relmap.core.linalg.compiling import compiled
 
 @compiled
 def add_moments(points: Floats, of: Ints, weight: Floats, moments: Floats) -> None:
-    """Add the moments of points (n, 3) to those of their groups (v, 10); negative is no group."""
+    """Add the moments of points (n, 3) to those of their groups (v, 10); negative: none."""
     for i in range(len(points)):
         g = of[i]
         if g < 0:
