@@ -33,7 +33,8 @@ Formats of INPUT:
 
 \b
 With --variant planes INPUT is a log of point scans, and walls are mapped:
-  scans-npz        scans.npz as 'relmap simulate building' writes it, or its folder
+  scans-npz        scans.npz with points (n, 2) or (n, 3) in the frame of the sensor, iteration
+                   (n,) and stamps_s, as 'relmap simulate building' writes it, or its folder
   carmen-log       2-D laser scans of CARMEN, .log or .log.gz
   mrpt-laser2d     2-D laser scans of MRPT's simulation, *.scans.csv.gz
   point-clouds     a folder of .pcd or .ply files, one per scan

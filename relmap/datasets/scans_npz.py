@@ -1,9 +1,10 @@
 """The project's own log of point scans: ``scans.npz``.
 
-``points`` (n, 3) or, of a 2-D laser, (n, 2): robot frame, metres. ``iteration`` (n,): the scan of
-each point, from 0; the points of a scan keep their order. ``stamps_s`` (iterations,): the time of
-every scan, seconds, ascending; a scan without points is empty. ``view_rad`` and ``range_m``
-(optional numbers): the sensor's horizontal field of view and range.
+``points`` (n, 3) or, of a 2-D laser, (n, 2): metres, in the frame of the sensor, which serves as
+the robot frame. ``iteration`` (n,): the scan of each point, from 0; the points of a scan keep their
+order. ``stamps_s`` (iterations,): the time of every scan, seconds, ascending; a scan without points
+is empty. ``view_rad`` and ``range_m`` (optional numbers): the sensor's horizontal field of view and
+range.
 """
 
 from __future__ import annotations
