@@ -99,7 +99,7 @@ class Counter:
 def tracked(
     items: Iterable[T], total: int, what: str, patience_s: float | None = None
 ) -> Iterator[T]:
-    """Yield the items; show progress on stderr if it takes long, see `Counter`."""
+    """Yield the `total` items; show progress on stderr if it takes long, see `Counter`."""
     counter = Counter(what, patience_s)
     try:
         for done, item in enumerate(items, 1):

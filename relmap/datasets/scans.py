@@ -161,7 +161,13 @@ def stored_scans(
 ) -> ScanLog:
     """Make a log of points (n, 2) or (n, 3) in memory.
 
-    Scan `i` is the rows from ``offsets[i]`` to ``offsets[i + 1]``; see `ScanLog` for the rest.
+    Parameters
+    ----------
+    points_robot : (n, 2) or (n, 3) float64, robot frame, metres
+    offsets : (k + 1,) int64
+        Scan `i` is the rows from ``offsets[i]`` to ``offsets[i + 1]``.
+    stamps_s, poses, sensor
+        As for `ScanLog`.
     """
     return ScanLog(
         points_robot.shape[1],
@@ -173,7 +179,7 @@ def stored_scans(
 
 
 def require_memory(where: str, scans: int, beams: int) -> None:
-    """Check that a laser log does not exceed the limits of scans and beams."""
+    """Raise a `RelmapError` if a laser log exceeds the limits of scans or beams."""
     if scans > MAX_SCANS or beams > MAX_BEAMS:
         problem = f"more than {MAX_SCANS} scans or {MAX_BEAMS} beams, expected at most that"
         raise RelmapError(f"{where}: {problem}")

@@ -43,7 +43,21 @@ class MatchedCorners(Matched):
 def judge_corners(
     planes: PlaneTable, truth: Truth, poses: Floats, true_poses: Floats
 ) -> tuple[dict[str, float | None], dict[str, int], list[str]]:
-    """Evaluate a map of walls; see `relmap.evaluation.landmarks.judge_landmarks`."""
+    """Evaluate a map of walls.
+
+    Parameters
+    ----------
+    planes : PlaneTable
+        The mapped walls, map frame, metres.
+    truth : Truth
+    poses, true_poses : (k, 4, 4) float64
+        ``T_map_robot`` of the same instants, as mapped and true.
+
+    Returns
+    -------
+    figures, counts, notes
+        As returned by `relmap.evaluation.landmarks.judge_landmarks`.
+    """
     counts = {
         "planes": len(planes.plane),
         "mapped_planes": int((planes.status == "static").sum()),
@@ -91,6 +105,11 @@ def match_corners(
     """Pair mapped corners with true ones and align the two, starting from the paths.
 
     A corner is paired with the nearest true one at the same end of a wall that faces the same way.
+
+    Parameters
+    ----------
+    planes, truth, poses, true_poses
+        As for `judge_corners`.
 
     Returns
     -------

@@ -63,6 +63,15 @@ def judge_landmarks(
 ) -> tuple[dict[str, float | None], dict[str, int], list[str]]:
     """Evaluate a map of points.
 
+    Parameters
+    ----------
+    result : Result
+    truth : Truth
+    log : ObservationLog or None
+        The log that was mapped; its ids are the true association.
+    n_poses : int
+        Number of poses of the result with a true pose.
+
     Returns
     -------
     figures : dict

@@ -195,7 +195,23 @@ def read_log(
     columns: Mapping[str, str] | None = None,
     topics: Sequence[str] = (),
 ) -> Log:
-    """Read iterations of a log, or all, for a variant; see `open_log`, `open_scans`.
+    """Read a log for a variant of the mapper.
+
+    Parameters
+    ----------
+    path : Path
+        A file or folder.
+    variant : "points" or "planes"
+    log_format : str, optional
+        Recognised by the content if omitted.
+    scans : tuple of two int, optional
+        The iterations to read: the first, and one after the last.
+    columns, topics : optional
+        As for `relmap.datasets.open_log`.
+
+    Returns
+    -------
+    ObservationLog or ScanLog
 
     Raises
     ------

@@ -55,7 +55,15 @@ class SurfacePoints:
 def wall_points(
     spacing_m: float, noise: float, seed: int, iterations: int | None = None
 ) -> SurfacePoints:
-    """Return a drive through a building past fixed points; see `scan_surface_points`."""
+    """Return a drive through a building past fixed points.
+
+    Parameters
+    ----------
+    spacing_m, noise, seed
+        As for `scan_surface_points`; the seed is also that of the building.
+    iterations : int, optional
+        Number of scans; one loop if omitted.
+    """
     building = simulate_building(points=1, sigma=0.0, seed=seed, iterations=iterations)
     return scan_surface_points(building, spacing_m, noise, seed)
 

@@ -149,7 +149,7 @@ class LinkRecord:
     ) -> None:
         """Record the motion into a scan, whether it belongs to the submap, and its source.
 
-        The source is a match, or odometry if it `goes_on`.
+        Without a match (`found`), the source is odometry if the submap `goes_on`.
         """
         self._evidence.extend(np.array([found.evidence if found else np.nan]))
         self._measured.extend(np.array([found is not None and found.measured]))

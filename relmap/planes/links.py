@@ -47,6 +47,16 @@ def is_supported(
     """Return whether enough of the expected and of the observed walls agree on a motion.
 
     A single disagreeing wall is tolerated: it may be clutter, or have just come into view.
+
+    Parameters
+    ----------
+    tracks : PlaneTracks
+        The expected walls.
+    seen : PlaneObservation
+    found : (PlanarMotion, Match)
+        The motion from the frame of the tracks to that of the scan, and the matching walls.
+    usual : PlanarMotion
+        Recent motion of the robot.
     """
     motion, match = found
     recent = tracks.missed == tracks.missed.min(initial=0)

@@ -23,7 +23,24 @@ def others(
 def distinct(
     motions: Floats, order: Ints, most: int, apart_m: float = APART_M, apart_rad: float = APART_RAD
 ) -> Ints:
-    """Return the first distinct motions in a given order, up to a maximum."""
+    """Return the first distinct motions in a given order, up to a maximum.
+
+    Parameters
+    ----------
+    motions : (n, 3) float64
+        yaw, x, y: radians and metres.
+    order : (n,) int64
+        Rows of the motions, the preferred first.
+    most : int
+        Maximum number of motions.
+    apart_m, apart_rad : float
+        Motions that differ by more are distinct.
+
+    Returns
+    -------
+    (k,) int64
+        Rows of the motions.
+    """
     kept: list[int] = []
     for k in order.tolist():
         if all(others(motions[kept], motions[k], apart_m, apart_rad)):

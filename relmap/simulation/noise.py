@@ -16,7 +16,16 @@ Noise = Literal["gaussian", "uniform"]
 def draw_noise(
     noise: Noise, sigma: float, shape: tuple[int, ...], rng: np.random.Generator
 ) -> Floats:
-    """Draw independent errors with mean 0 and standard deviation `sigma`."""
+    """Draw independent errors with mean 0 and standard deviation `sigma`.
+
+    Parameters
+    ----------
+    noise : "gaussian" or "uniform"
+    sigma : float
+    shape : tuple of int
+        Shape of the result.
+    rng : numpy.random.Generator
+    """
     if noise == "gaussian":
         return rng.normal(0.0, sigma, shape)
     half_width = np.sqrt(3) * sigma

@@ -120,6 +120,17 @@ def walking(
 ) -> Floats:
     """Simulate people who walk along the corridor, into rooms and out again.
 
+    Parameters
+    ----------
+    plan : FloorPlan
+    count : int
+        Number of people.
+    stamps_s : (k,) float64
+        Time of each scan, seconds.
+    trajectory : (k, 4, 4) float64
+        ``T_map_robot`` at each scan; people keep a distance from the robot.
+    rng : numpy.random.Generator
+
     Returns
     -------
     (k, count, 3) float64, map frame, metres

@@ -63,7 +63,18 @@ class DataAssociation:
         motion: Floats | None = None,
         covariances: Floats | None = None,
     ) -> Ints:
-        """Return the landmark of each observation (n,) of an iteration; negative if unknown."""
+        """Return the landmark of each observation (n,) of an iteration; negative if unknown.
+
+        Parameters
+        ----------
+        seen : sequence of n observations of the model's kind, robot frame
+        ids : (n,) int64 or None
+            Known association.
+        motion : (4, 4) float64, optional
+            Odometry since the previous iteration.
+        covariances : (n, d, d) float64, optional
+            Of the observations, robot frame, square metres.
+        """
         if self.registration is None:
             return np.empty(0, dtype=np.int64)
         if isinstance(self.registration, Constellation):

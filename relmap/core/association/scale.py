@@ -104,7 +104,17 @@ class Scale:
             self.noise_m = max(self.noise_m, FAINT * self.spacing_m)
 
     def learn(self, expected: Floats, found: Floats, n_seen: Ints, metric: Floats | None) -> None:
-        """Update the noise of a coordinate's difference from links of static landmarks."""
+        """Update the noise of a coordinate's difference from links of static landmarks.
+
+        Parameters
+        ----------
+        expected, found : (n, d) float64, robot frame, metres
+            Predicted and observed positions.
+        n_seen : (n,) int64
+            Number of earlier observations of each landmark.
+        metric : (n, d, d) float64 or None
+            Of the observations.
+        """
         n, d = expected.shape
         if n <= FEW:
             return

@@ -104,7 +104,20 @@ def settled(
 ) -> Placement | None:
     """Fit a placement of points (n, d) to all that it brings onto others (m, d).
 
-    None if there are too few.
+    Parameters
+    ----------
+    source, target : (n, d), (m, d) float64, metres
+    placement : Placement
+        Where to start.
+    tolerance_m : float
+        Largest distance between the points of a match.
+    metric : (m, d, d) float64, optional
+        Of the targets; the tolerance is in its units.
+
+    Returns
+    -------
+    Placement or None
+        None if there are too few matches.
     """
     from relmap.core.association.search_kernels import matched_at
 

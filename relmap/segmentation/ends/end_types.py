@@ -34,6 +34,16 @@ def sensor_limits(
     The edge of the view is the largest bearing of an end (m, 2, 2), as the view is centred ahead.
     The range is only determined if two or more ends, not in corners, have the same maximum
     distance.
+
+    Parameters
+    ----------
+    ends : (m, 2, 2) float64, robot frame, metres
+    spread : (m, 2) float64, metres
+        Standard deviation of each end along its wall.
+    joined : (m, 2) bool
+        Whether the end is in a corner with another wall.
+    view_rad, range_m : float or None
+        The field of view, radians, and the range, if known.
     """
     if view_rad is None:
         half = float(np.abs(bearings(ends)).max(initial=0.0))
