@@ -50,7 +50,7 @@ def finish(engine: RelativeMapper) -> None:
 
 
 def found_late(engine: RelativeMapper, begin: int, end: int) -> None:
-    """Start a submap from iterations that are still stored and of which no group placed any.
+    """Start a submap from the stored iterations if no group placed any of them.
 
     If landmarks stay in view only briefly, none is due before it leaves.
     """

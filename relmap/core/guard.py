@@ -71,7 +71,7 @@ class ChangeGuard:
         Raises
         ------
         RelmapError
-            If one did: what was read since may be of two states.
+            If one did: the data read since then may be of two states.
         """
         if self.latest is not latest:
             raise RelmapError(BUSY)

@@ -145,7 +145,7 @@ class RelativeMapper:
         return np.empty(0, dtype=np.int64)
 
     def chart(self, seed: int) -> PointChart:
-        """Chart what was seen together with a landmark in its current interval (Figs 9, 10)."""
+        """Chart the landmarks seen together with one in its current interval (Figs 9, 10)."""
         begin = max(self.table.begin[seed], self.store.first_iteration)
         chart = PointChart.around(seed, self.store, begin, self.store.n_iterations)
         if not len(self.weighed):

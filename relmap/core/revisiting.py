@@ -227,7 +227,7 @@ def gather(engine: RelativeMapper) -> None:
     known, total = np.zeros(len(table), dtype=bool), np.zeros(len(table), dtype=np.int64)
     np.logical_or.at(known, whole, mapped[own])
     np.add.at(total, whole, counts)
-    # Landmarks of which none was mapped may belong to a moving object.
+    # Landmarks may belong to a moving object if none of them was mapped.
     known |= at_rest(became[landmark], places, mapped) & (total >= engine.config.group_after)
     oldest = np.arange(len(table))
     for one in own[np.argsort(-table.first[own], kind="stable")].tolist():

@@ -12,7 +12,7 @@ FARTHEST_M = 1e9
 """Upper limit of a valid coordinate: larger than the range of any sensor."""
 
 TINY = 1e-30
-"""Smaller values are zero: their squares underflow, and what is divided by these overflows."""
+"""Smaller values are zero: their squares underflow, and divisions by these overflow."""
 SMALLEST_M2, LARGEST_M2 = 1e-30, 1e30
 """Limits of a valid variance; beyond them the squares of weighted values overflow."""
 ASYMMETRY = 1e-6

@@ -205,6 +205,7 @@ def _found_instead(path: Path, what: str, formats: Sequence[str]) -> str:
     if what == _LANDMARK_LOG and len(head.columns) > 1:
         raise RelmapError(
             f"{shown(path)}: {found}, expected iteration,x,y[,z][,id] or, for columns of other "
-            f"names, --columns iteration=...,x=...,y=...; formats: {', '.join(formats)}"
+            "names, --columns iteration=...,x=...,y=... (stamp=... for times); formats: "
+            f"{', '.join(formats)}"
         )
     return found

@@ -152,7 +152,7 @@ def evaluate(result: Result, truth: Truth, log: ObservationLog | None = None) ->
 
 
 def variant_of(result: Result) -> Judged:
-    """Return what was mapped."""
+    """Return the mapped variant."""
     if isinstance(result, Plane3dResult):
         return "planes3d"
     return "planes" if isinstance(result, PlaneResult) else "points"

@@ -162,7 +162,7 @@ class FileSource:
         return Data(log, read_truth(truth, variant) if truth else None)
 
     def _holds_scans(self) -> bool:
-        """Return whether the log is one of point scans."""
+        """Return whether the log contains point scans."""
         if self.columns is not None:
             return False
         if self.format is not None:

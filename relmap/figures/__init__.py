@@ -1,1 +1,1 @@
-"""The paper's figures from runs of this software, beside what the paper claims with them."""
+"""The paper's figures from runs of this software, beside the claims of the paper."""

@@ -117,8 +117,8 @@ def _judge(data: Comparisons) -> Outcome:
         ratio,
         f"Up to {PAPERS_SHARE:.0%} moving, the median world takes at most {ratio:.2f} n log₂ n "
         f"comparisons, and the static bin is right in {found:.0%} of the worlds. Beyond, relmap "
-        "never takes n² comparisons: it stops at n log₂ n, and what suffers is how often the bin "
-        f"is right ({beyond}).",
+        "never takes n² comparisons: it stops at n log₂ n, and the static bin is right less often "
+        f"({beyond}).",
         judged(ratio <= 1.0, found >= OFTEN),
     )
 

@@ -163,7 +163,7 @@ def _said(data: Crossing) -> str:
 
 
 def _plot(data: list[Crossing]) -> Figure:
-    """Draw errors and what is mapped over the noise: a row for each spacing of the points."""
+    """Draw errors and mapped fractions over the noise: a row for each spacing of the points."""
     figure = blank(13.5, 0.9 + 3.7 * len(data))
     grid = figure.subplots(len(data), len(PANELS), squeeze=False)
     for row, each in zip(grid, data, strict=True):

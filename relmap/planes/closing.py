@@ -42,7 +42,7 @@ DRIFT_RAD = np.deg2rad(4.0)
 """Largest difference between agreeing drifts."""
 
 CLOSED = np.zeros(3), np.empty((0, 2), dtype=np.int64)
-"""For two scans that already share walls: no drift, and nothing new to join."""
+"""The result for two scans that already share walls: no drift, and no walls to join."""
 
 Loop = tuple[float, float, Floats, Ints]
 """A later and an earlier scan, by distance travelled in metres; the drift between them; and the

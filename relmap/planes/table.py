@@ -152,7 +152,7 @@ def corner_table(
     moving: Ints,
     spread: Floats | None,
 ) -> LandmarkTable:
-    """Return the table of all corners, except those that turned out to be none.
+    """Return the table of all corners, except ends that turned out not to be corners.
 
     Parameters
     ----------

@@ -33,7 +33,7 @@ SKIPPED, STEP_M = 2, 0.5
 """Maximum number of consecutive unmatched scans to skip, if the median step is shorter than this:
 over longer ones too little stays in view, and 2 of 8 such links were wrong."""
 BESIDE = 2
-"""Number of links before and after one along walls of which one must be measured."""
+"""Number of links before and after a link along walls; one of these must be measured."""
 EARLIER = 2
 """Scans before a doubtful one that are evaluated with it."""
 

@@ -159,7 +159,7 @@ def fitted(
     axes, centre = seen.axes[rows], seen.centre[rows]
     for _ in range(ROUNDS):
         H, g = placement_equations(R, t, axes, centre, there, root, DOUBTFUL)
-        # Damps what is undetermined.
+        # Damps undetermined directions.
         hold = np.repeat([np.trace(H[:3, :3]), np.trace(H[3:, 3:])], 3) * 1e-12 + 1e-30
         step = -np.linalg.solve(H + np.diag(hold), g)
         R, t = Rotation.from_rotvec(step[:3]).as_matrix() @ R, t + step[3:]

@@ -30,9 +30,9 @@ OVERLAP = 1.5
 LEAST = 0.35
 """Minimum fraction of the scan's surfaces on surfaces of the map, of an accepted placement."""
 RIVAL, RIVAL_LESS_ONE = 0.9, 0.6
-"""A rival is a placement that explains at least this fraction of what the best one does; the second
-value holds if at most `FEW` planes match, or if the best one is a leap, and the rival misses one of
-them, which may be new or match by chance: three planes at right angles match any others."""
+"""A rival is a placement that explains at least this fraction of what the best one explains; the
+second value holds if at most `FEW` planes match, or if the best one is a leap, and the rival misses
+one of them, which may be new or match by chance: three planes at right angles match any others."""
 FEW = 4
 APART_RAD, APART = np.deg2rad(8.0), 0.05
 """Tolerance of placements that are the same: rotation, and translation over the range."""

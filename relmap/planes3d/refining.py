@@ -67,9 +67,9 @@ def refined(part: Submap, number: int) -> tuple[Submap, dict[int, int]]:
 def unsure_steps(part: Submap) -> dict[int, Floats]:
     """Return the iterations whose step from the scan before is poorly determined.
 
-    A step is unsure if in some direction the standard deviation of the translation, or of what the
-    rotation moves at the range, exceeds 1.25 % of the range; or if three of them exceed 1.5 % and
-    it is two and a half times the usual one.
+    A step is unsure if in some direction the standard deviation of the translation, or of the
+    displacement by the rotation at the range, exceeds 1.25 % of the range; or if three of them
+    exceed 1.5 % and it is two and a half times the usual one.
 
     Returns
     -------

@@ -20,13 +20,13 @@ DOOR_M = (0.9, 1.3)
 POST_M = 0.8
 """Minimum length of the wall on either side of a door."""
 FRAME_M = 0.15
-"""Of a pane, on either side."""
+"""The same for a pane."""
 MOST_PANELS = 2
 """Maximum number of free-standing panels in a room."""
 PIECES = (2, 5)
 """Minimum number of pieces of furniture on a floor, and one more than the maximum."""
 SHEAR, TAPER = (0.15, 0.35), (0.05, 0.15)
-"""By how much walls lean, and converge over half the building."""
+"""Lean of walls, and their convergence over half the building."""
 
 
 def building(rng: np.random.Generator, glass: bool = False) -> FloorPlan:

@@ -23,7 +23,7 @@ from relmap.core.state.table import NONE, LandmarkState
 NEIGHBOURHOOD = 20
 """Number of landmarks in a neighbourhood."""
 OVERLAP = 3
-"""Of this many landmarks one starts a neighbourhood even if it lies within another."""
+"""One in this many landmarks starts a neighbourhood even if it lies within another."""
 BY_CHANCE = 1e-3
 """Accepted expected number of false matches of random landmarks, over a whole map."""
 CLEAR = 0.6

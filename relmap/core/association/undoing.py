@@ -43,8 +43,8 @@ def contradicted(
     """Return the merged tracks (k,) that a refined map contradicts.
 
     Those farther from their landmarks than noise explains, and those that began in segments with
-    such residuals: such a segment is misplaced. The noise is that of the median segment, because
-    wrong merges raise that of the map.
+    such residuals: such a segment is misplaced. The noise is taken from the median segment, because
+    wrong merges increase the noise estimate of the map.
 
     Parameters
     ----------

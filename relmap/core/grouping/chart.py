@@ -36,7 +36,7 @@ class PointChart:
 
     @classmethod
     def around(cls, seed: int, store: ObservationStore, begin: int, end: int) -> PointChart:
-        """Chart what was visible together with `seed` in iterations `begin` to `end` (Fig. 9)."""
+        """Chart the landmarks visible with `seed` in iterations `begin` to `end` (Fig. 9)."""
         landmarks, iterations, block = store.seen_with(seed, begin, end)
         return cls(landmarks, iterations, block, np.isfinite(block[:, :, 0]))
 

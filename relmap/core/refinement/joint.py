@@ -94,7 +94,7 @@ class Refined(Brief):
     )
 
     def __getstate__(self) -> dict[str, object]:
-        """Copy the covariances, not what they are computed from."""
+        """Copy the covariances, not the data from which they are computed."""
         return self.__dict__ | {"covariances": self.covariances, "spread": None}
 
     @cached_property

@@ -72,12 +72,12 @@ def rows_of_each(landmark: Ints, n: int) -> tuple[Ints, Ints]:
 
 
 def pattern_of(body: Ints, kept: Ints, q: int) -> Pattern:
-    """Return the pattern of what is kept when bodies are eliminated.
+    """Return the pattern of the kept unknowns when bodies are eliminated.
 
     Parameters
     ----------
     body, kept : (n,) int64
-        The body of each row, and what is kept of it: 0, 1, ... without gaps.
+        The body and the kept block of each row: 0, 1, ... without gaps.
     q : int
         Number of unknowns of each.
     """

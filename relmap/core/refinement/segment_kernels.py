@@ -41,7 +41,7 @@ def _is_tied(here: Floats, rows: Bools, scatter: Floats) -> bool:
 
 @helper
 def _fullest(seen: Bools) -> int:
-    """Return the first column of those with most of what is seen (n, k)."""
+    """Return the first of the columns in which most landmarks are seen (n, k)."""
     counts = np.zeros(seen.shape[1])
     fullest = 0
     for i in range(len(seen)):

@@ -5,7 +5,7 @@ of the tables.
 
 ``meta``
     ``key`` and ``value``, a text in JSON: ``variant`` ("points" or "planes"), ``configuration`` of
-    the mapper, ``versions`` of relmap and what it is built on, and ``run``: the arguments of the
+    the mapper, ``versions`` of relmap and of its dependencies, and ``run``: the arguments of the
     command line, null if a library user keeps the journal. ``end`` has the number of ``scans`` and
     the ``checksum`` at the end; it changes with each transaction.
 ``scans``

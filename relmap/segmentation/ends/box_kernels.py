@@ -141,8 +141,8 @@ def fit_ends(
 ) -> None:
     """Move both ends of a wall to where its weighted points make them most likely.
 
-    The density is in points per `measure`; where points lie by beams, what it is at each end is
-    seen from them.
+    The density is in points per `measure`; with beams, that at each end is estimated from the beams
+    there.
     """
     n, least, points, w = 0, LEAST if beam > 0 else 1e-6, np.empty((len(xy), 2)), np.empty(len(xy))
     for i in range(len(xy)):

@@ -8,7 +8,7 @@ from relmap.core.arrays import Floats
 from relmap.segmentation.wall import BEGIN, END, corners
 
 HIDDEN = 0.7
-"""Fraction of a wall's view in front of which no other wall can be."""
+"""Fraction of the smaller wall's view in which two walls cannot both be seen: walls are opaque."""
 FLUSH = 4.0
 """Standard deviations within which a wall in front of another is the same one."""
 PARALLEL_SINE = 0.3

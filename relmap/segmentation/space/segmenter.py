@@ -36,7 +36,7 @@ REFITS = 2
 SCALES = (1.0, 2.5, 5.0)
 """Sizes of voxels: larger ones find noisy or sparse planes in the points that are left."""
 THIN = 1 / 3
-"""Of the points on no plane one is kept in each voxel of this size, as a fraction of the usual."""
+"""Size of the voxels in which one of the points on no plane is kept, as a fraction of the usual."""
 SPARSE, COARSER, COARSEST = 30, 1.5, 0.2
 """If voxels have fewer points in the median they are enlarged by this factor, up to a fraction of
 the median range."""

@@ -13,8 +13,8 @@ from relmap.core.scan import TINY
 FEWEST = 6
 """Minimum number of points of a voxel that define a plane."""
 FLAT, WIDE = 0.12, 0.1
-"""Of a flat voxel: largest thickness of its points over four times their width, and least width by
-the size of the voxel. Noise is estimated, and planes grow, from flat voxels."""
+"""Largest thickness of the points of a flat voxel, as a fraction of four times their width, and
+minimum width, as a fraction of its size. Noise is estimated, and planes grow, from flat voxels."""
 QUANTILE = 0.7
 """Quantile of the thickness of flat voxels that is the noise: surfaces are rough, and ranges have
 steps."""
