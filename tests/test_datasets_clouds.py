@@ -67,7 +67,7 @@ def test_poses_beside_the_clouds(tmp_path: Path) -> None:
     put(tmp_path, "\n".join(rows[:1] + rows[2:] + rows[:1]), "alidarPose.csv")
     assert "alidarPose.csv: not 4 rows a pose" in failure(tmp_path)
     put(tmp_path, "\n".join([*rows[:8], rows[9], rows[8], *rows[10:]]), "alidarPose.csv")
-    assert "alidarPose.csv: the rotation of pose 1 is none" in failure(tmp_path)
+    assert "alidarPose.csv: pose 1 has no rotation" in failure(tmp_path)
     put(tmp_path, "\n".join(rows).replace("6.0,", "six,", 1), "alidarPose.csv")
     assert "alidarPose.csv: line 3" in failure(tmp_path)
 
