@@ -149,7 +149,7 @@ def observed_places(seed: int, largest: int) -> tuple[Floats, Bools]:
 
 
 def block_of(n: int, share: float, pool: Floats, static: Bools, seed: int) -> tuple[Floats, Bools]:
-    """Return n of the landmarks, a share of them dynamic, with noise; and which are static."""
+    """Return n of the landmarks, a fraction of them dynamic, with noise; and which are static."""
     rng = np.random.default_rng([seed, n, round(100 * share)])
     n_dynamic = round(share * n)
     chosen = [rng.permutation(np.flatnonzero(~static))[:n_dynamic]]

@@ -20,11 +20,11 @@ behind it."""
 UNKNOWN = 20
 """Points added to those that are gone: few points do not prove rest."""
 OFTEN = 0.5
-"""Share of the points above which such objects are used like all others."""
+"""Fraction of the points above which such objects are used like all others."""
 
 
 def share_at_rest(scans: Scans, is_tied: Bools, most: int = LINKS) -> float:
-    """Return the share of the points on small free-standing objects that are still there later.
+    """Return the fraction of the points on small free-standing objects that are still there later.
 
     Parameters
     ----------

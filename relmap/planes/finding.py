@@ -23,11 +23,11 @@ NEAR_M = 0.1
 BEYOND_M, RIM_M = 0.3, 0.1
 """A beam that continues this far behind a wall, away from the ends of the wall, contradicts it."""
 LEAST_M, SHARE = 3.0, 0.5
-"""Length of wall, and share of the walls of the scan, that must lie on walls of the map."""
+"""Length of wall, and fraction of the walls of the scan, that must lie on walls of the map."""
 EXPLAINED = 0.7
-"""Minimum share of beams that end on walls, minus the share that go through one."""
+"""Minimum fraction of beams that end on walls, minus the fraction that go through one."""
 RIVAL = 0.6
-"""Maximum score of another placement, as a share of the best."""
+"""Maximum score of another placement, as a fraction of the best."""
 
 
 class WallFinder:
@@ -83,7 +83,8 @@ class WallFinder:
         return ties, explained + overlap_m / length_m, fits
 
     def _explained(self, tie: WallTie, seen: PlaneObservation) -> float:
-        """Return the share of beams that end on walls, minus the share that go through one."""
+        """Return the fraction of beams that end on walls, minus the fraction that go through
+        one."""
         from relmap.planes.beam_kernels import on_walls
 
         every = 1 + len(seen.beams.points) // BEAMS

@@ -73,7 +73,7 @@ class Verdict:
     motions : (h, 3) float64
         Motions of the hypotheses; NaN for a break.
     share : (h,) float64
-        Share of the total likelihood.
+        Fraction of the total likelihood.
     """
 
     motions: Floats

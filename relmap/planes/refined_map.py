@@ -33,7 +33,7 @@ ROUGHLY = ((1, 8.0), (1, 5.0))
 """Rounds of solutions for joining walls; see `relmap.planes.solving.refined`."""
 WORSE, WORSE_M, WORSE_SHARE, WORSE_SD = 2.0, 0.001, 0.1, 30.0
 """Largest error of a refined map at the links, relative to the chained map, and absolute: in
-metres, or, where it is more, as a share of the usual step, but no more than a multiple of the
+metres, or, where it is more, as a fraction of the usual step, but no more than a multiple of the
 standard deviation of a wall. Links are approximate with noise, the more the longer they are, and
 almost exact without."""
 ROUGH_M = 0.1

@@ -34,7 +34,7 @@ COARSE_M, FINE_M = 0.1 * np.arange(-6.0, 7.0), 0.025 * np.arange(-3.0, 4.0)
 CROSSINGS = 4.0
 """Spread of the directions of matching walls above which they determine a motion well."""
 USUAL_SHARE, USUAL_LEAST_M = 0.1, 0.02
-"""Scale of the differences between consecutive steps, as a share of the step and constant."""
+"""Scale of the differences between consecutive steps, as a fraction of the step and constant."""
 LIKELIER = 3.0
 """Minimum log odds of a correction."""
 FREE_M, FREE = 0.3, 0.01

@@ -33,9 +33,9 @@ OFTEN = 3
 AGAINST = 5.0
 """Weight of contradicted length."""
 SUPPORTED_M, CONTRADICTED = 5.0, 0.06
-"""Minimum supported length, less the contradicted one, and largest share that is contradicted. Of
-436 alignments of submaps, of eight logs and between buildings, right ones had at most 0.06, wrong
-ones 0.10 or more."""
+"""Minimum supported length, less the contradicted one, and largest fraction that is contradicted.
+Of 436 alignments of submaps, of eight logs and between buildings, right ones had at most 0.06,
+wrong ones 0.10 or more."""
 CROSSING_M = 3.0
 """Minimum length of overlapping wall that prevents sliding along the rest."""
 WALLS, ENDS, ENDS_SHARE = 6, 6, 0.5
@@ -44,10 +44,10 @@ bend of a bare corridor has four walls, and looks like any other, as do crossing
 of submaps in 22 logs and worlds, the 16 wrong ones had at most 5 such places, and 24 of the right
 ones enough."""
 SYMMETRIC = 0.02
-"""Largest contradicted share if the robot must have been carried, or scans are missing, between
+"""Largest contradicted fraction if the robot must have been carried, or scans are missing, between
 submaps: a corridor round a building looks the same after half a turn (0.037 and more)."""
 RIVAL = 0.5
-"""Largest support of another alignment, as a share of the best."""
+"""Largest support of another alignment, as a fraction of the best."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,10 +33,10 @@ NEAR_M, NEAR_RAD = 0.3, np.deg2rad(4.0)
 DRIFT, DRIFT_RAD = 0.03, np.deg2rad(0.3)
 """... plus this per metre of the path between the scans."""
 STRETCH_M, AGREE = 7.0, 0.5
-"""Length of the path along which so large a share of the scans must agree: over less, a laser sees
+"""Length of the path along which this fraction of the scans must agree: over less, a laser sees
 the same surfaces all the time."""
 RIVAL = 0.5
-"""Maximum number of scans that agree on another placement, as a share of the best."""
+"""Maximum number of scans that agree on another placement, as a fraction of the best."""
 
 
 class Taken(NamedTuple):

@@ -15,7 +15,7 @@ from relmap.plots.path import broken_at_gaps, broken_at_jumps
 from relmap.plots.sheet import BLUE, GREY, ORANGE, RED, Sheet, to_png
 
 USUAL, LONGEST = 0.04, 0.12
-"""Length of a typical arrow and of the longest, as shares of the extent of the picture."""
+"""Length of a typical arrow and of the longest, as fractions of the extent of the picture."""
 STEPS = (1.0, 2.0, 5.0)
 
 

@@ -19,7 +19,7 @@ from relmap.planes import PlaneMapper
 from relmap.plots.path import broken_at_jumps
 
 SHARE = 0.1
-"""Approximate share of the time spent on the view."""
+"""Approximate fraction of the time spent on the view."""
 MAP, PATH, SCAN = "map", "path", "scan"
 """Names of the entities in the viewer."""
 COLOURS = {MAP: (51, 51, 51), PATH: (138, 138, 138), SCAN: (217, 130, 43)}

@@ -15,7 +15,7 @@ RARELY = 0.25
 """Largest fraction of the scans of a double landmark that show the other one too: where the noise
 is large, a new track may take over while the old one is still continued by a neighbour."""
 SELDOM = 0.25
-"""Minimum share of the scans showing its neighbours that must show a landmark too."""
+"""Minimum fraction of the scans showing its neighbours that must show a landmark too."""
 
 
 class Sightings:
