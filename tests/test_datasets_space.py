@@ -60,7 +60,7 @@ def test_poses_of_kitti(tmp_path: Path) -> None:
     assert poses[:, :3, 3].tolist() == [[5, 6, 7], [1, 2, 3]]
     assert poses[1, :2, :2].tolist() == [[0, -1], [1, 0]]
     put(tmp_path, "1 0 0 5 0 1 0 6 0 0 1 7\n0 1 0 1 1 0 0 2 0 0 1 3\n", "poses.txt")
-    assert "the rotation of pose 1 is none" in failure(tmp_path)
+    assert "pose 1 has no rotation" in failure(tmp_path)
     put(tmp_path, "1 0 0 5 0 1 0 6 0 0 1 7\n", "poses.txt")
     assert "1 poses, expected one for each of 2 clouds" in failure(tmp_path)
 
@@ -94,7 +94,7 @@ def test_depth_images_come_out_ahead_left_and_up(tmp_path: Path) -> None:
     poses = open_scans(tmp_path).poses
     assert poses is not None
     for wrong, rows in {
-        "the rotation of pose 0 is none": "0 1 0 6\n1 0 0 5\n0 0 1 7\n0 0 0 1\n",
+        "pose 0 has no rotation": "0 1 0 6\n1 0 0 5\n0 0 1 7\n0 0 0 1\n",
         "the last row is not 0 0 0 1": "1 0 0 5\n0 1 0 6\n0 0 0 1\n0 0 1 7\n",
     }.items():
         put(tmp_path, rows, "frame-000009.pose.txt")

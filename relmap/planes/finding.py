@@ -83,8 +83,7 @@ class WallFinder:
         return ties, explained + overlap_m / length_m, fits
 
     def _explained(self, tie: WallTie, seen: PlaneObservation) -> float:
-        """Return the fraction of beams that end on walls, minus the fraction that go through
-        one."""
+        """Return the fraction of beams that end on walls, minus that of beams through one."""
         from relmap.planes.beam_kernels import on_walls
 
         every = 1 + len(seen.beams.points) // BEAMS
