@@ -53,8 +53,9 @@ def share_at_rest(scans: Scans, is_tied: Bools, most: int = LINKS) -> float:
 
 def _seen_again(earlier: Beams, later: Beams, motion: Floats) -> tuple[int, int]:
     """Return how many points on loose objects of one scan are there, and gone, in a later one."""
-    from relmap.planes.beam_kernels import seen_again
+    from relmap.planes.at_rest_kernels import seen_again
 
     if not len(later):
         return 0, 0
-    return seen_again(earlier.points[earlier.loose], later.arrays, motion, NEAR_M, BEHIND_M)
+    seen = later.points, later.bearings, later.origin
+    return seen_again(earlier.points[earlier.loose], seen, motion, NEAR_M, BEHIND_M)

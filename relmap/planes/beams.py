@@ -56,7 +56,7 @@ class Beams:
     @classmethod
     def of(cls, given: GivenBeams, ends: Floats) -> Beams:
         """Return the beams of a scan, some of them on walls by ends (m, 2, 2)."""
-        from relmap.planes.beam_kernels import on_walls
+        from relmap.planes.loose_kernels import on_walls
 
         points, bearings, loose = given.by_bearing
         return cls(points, bearings, given.origin, on_walls(points, ends, NEAR_M), loose)
@@ -65,10 +65,13 @@ class Beams:
         """Return the number of beams."""
         return len(self.points)
 
-    @property
+    @cached_property
     def arrays(self) -> Any:
         """The arrays that the kernels use."""
-        return self.points, self.bearings, self.origin, self.solid, self.loose
+        from relmap.planes.beam_kernels import surfaces
+
+        lines, ranks = surfaces(self.points, self.bearings, self.origin)
+        return self.points, self.origin, self.solid, self.loose, lines, ranks
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +118,7 @@ class GivenBeams:
     @cached_property
     def by_bearing(self) -> tuple[Floats, Floats, Bools]:
         """Points (n, 2) by bearing from the sensor, bearings, and which are on loose objects."""
-        from relmap.planes.beam_kernels import free_standing
+        from relmap.planes.loose_kernels import free_standing
 
         points = self.points.astype(np.float64)
         bearings = np.arctan2(points[:, 1] - self.origin[1], points[:, 0] - self.origin[0])
@@ -255,7 +258,7 @@ def on_loose_things(ends: Floats, given: GivenBeams) -> Bools:
     """Return which walls, by their ends (m, 2, 2), are on small free-standing objects."""
     if not given.in_order:
         return np.zeros(len(ends), dtype=np.bool_)
-    from relmap.planes.beam_kernels import loose_walls
+    from relmap.planes.loose_kernels import loose_walls
 
     points, _, loose = given.by_bearing
     return np.asarray(loose_walls(points, loose, ends, NEAR_M, LOOSE_M))

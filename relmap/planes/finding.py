@@ -84,7 +84,7 @@ class WallFinder:
 
     def _explained(self, tie: WallTie, seen: PlaneObservation) -> float:
         """Return the fraction of beams that end on walls, minus that of beams through one."""
-        from relmap.planes.beam_kernels import on_walls
+        from relmap.planes.loose_kernels import on_walls
 
         every = 1 + len(seen.beams.points) // BEAMS
         points = seen.beams.points[::every].astype(np.float64) @ tie.R.T + tie.t

@@ -1,0 +1,118 @@
+"""Which points of a scan lie on walls, and which on small free-standing objects, compiled.
+
+Points are in the robot frame, sorted by their bearings from the sensor.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from relmap.core.arrays import Bools, Floats
+from relmap.core.linalg.compiling import compiled, helper
+
+UNSEEN_RAD = 0.1
+"""Bearings farther apart than this are outside the field of view."""
+
+
+@compiled
+def on_walls(points: Floats, ends: Floats, near_m: float) -> Bools:
+    """Return which points (n, 2) lie on walls, given their ends (m, 2, 2)."""
+    solid = np.zeros(len(points), dtype=np.bool_)
+    for j in range(len(ends)):
+        ax, ay = ends[j, 0, 0], ends[j, 0, 1]
+        ux, uy = ends[j, 1, 0] - ax, ends[j, 1, 1] - ay
+        size = math.hypot(ux, uy)
+        for k in range(len(points)):
+            x, y = points[k, 0] - ax, points[k, 1] - ay
+            along = (x * ux + y * uy) / size
+            if abs(x * uy - y * ux) / size < near_m and -near_m < along < size + near_m:
+                solid[k] = True
+    return solid
+
+
+@helper
+def _extent(points: Floats, first: int, last: int) -> float:
+    """Return the diagonal of the box around points first to last."""
+    low_x, low_y, high_x, high_y = np.inf, np.inf, -np.inf, -np.inf
+    for k in range(first, last + 1):
+        low_x, high_x = min(low_x, points[k, 0]), max(high_x, points[k, 0])
+        low_y, high_y = min(low_y, points[k, 1]), max(high_y, points[k, 1])
+    return math.hypot(high_x - low_x, high_y - low_y)
+
+
+@helper
+def _is_behind(seen: tuple[Floats, Floats, Floats], k: int, other: int) -> bool:
+    """Return whether a neighbour of a point is farther from the sensor, or was not seen."""
+    points, bearings, origin = seen
+    if other < 0 or other >= len(points):
+        return False
+    own_m = math.hypot(points[k, 0] - origin[0], points[k, 1] - origin[1])
+    other_m = math.hypot(points[other, 0] - origin[0], points[other, 1] - origin[1])
+    return bool(other_m > own_m or abs(bearings[other] - bearings[k]) > UNSEEN_RAD)
+
+
+@compiled
+def free_standing(
+    points: Floats, bearings: Floats, origin: Floats, size_m: float, gap_m: float, gap: float
+) -> Bools:
+    """Return which points (n,) are on small objects with something behind them on both sides.
+
+    Neighbours belong to different objects if they are farther apart than `gap_m` and a fraction
+    `gap` of the range of the nearer one.  On one side, another such object may be in front instead.
+    """
+    found = np.zeros(len(points), dtype=np.bool_)
+    seen, limits = (points, bearings, origin), (size_m, gap_m, gap)
+    _mark_free(seen, limits, found.copy(), found)
+    _mark_free(seen, limits, found.copy(), found)
+    return found
+
+
+@helper
+def _mark_free(
+    seen: tuple[Floats, Floats, Floats],
+    limits: tuple[float, float, float],
+    known: Bools,
+    found: Bools,
+) -> None:
+    """Mark the points on small objects with something behind them, or a known one on one side."""
+    points, _, origin = seen
+    size_m, gap_m, gap = limits
+    n, first = len(points), 0
+    for k in range(1, n + 1):
+        if k < n:
+            apart = math.hypot(points[k, 0] - points[k - 1, 0], points[k, 1] - points[k - 1, 1])
+            before_m = math.hypot(points[k - 1, 0] - origin[0], points[k - 1, 1] - origin[1])
+            range_m = math.hypot(points[k, 0] - origin[0], points[k, 1] - origin[1])
+            if apart <= gap_m + gap * min(before_m, range_m):
+                continue
+        right, left = _is_behind(seen, first, first - 1), _is_behind(seen, k - 1, k)
+        free = (
+            (right and left)
+            or (right and k < n and known[k])
+            or (left and first > 0 and known[first - 1])
+        )
+        if free and _extent(points, first, k - 1) <= size_m:
+            found[first:k] = True
+        first = k
+
+
+@compiled
+def loose_walls(points: Floats, loose: Bools, ends: Floats, near_m: float, size_m: float) -> Bools:
+    """Return which walls, given their ends (m, 2, 2), lie on free-standing objects."""
+    found = np.zeros(len(ends), dtype=np.bool_)
+    for j in range(len(ends)):
+        ax, ay = ends[j, 0, 0], ends[j, 0, 1]
+        ux, uy = ends[j, 1, 0] - ax, ends[j, 1, 1] - ay
+        size, on, of_those = math.hypot(ux, uy), 0, 0
+        if size > size_m:
+            continue
+        for k in range(len(points)):
+            x, y = points[k, 0] - ax, points[k, 1] - ay
+            along = (x * ux + y * uy) / size
+            if abs(x * uy - y * ux) / size < near_m and -near_m < along < size + near_m:
+                on += 1
+                of_those += loose[k]
+        found[j] = 2 * of_those > on
+    return found
