@@ -81,10 +81,11 @@ class TrackPlacing:
     def placement(self, tracks: LiveTracks, points: Floats) -> Placement | None:
         """Return the placement that brings tracks onto points (n, d); None if none is certain."""
         learnt = self.scale.noise_m
-        found = self._found(tracks, points)
+        found, is_ambiguous = self._found(tracks, points)
         if self.scale.is_blurred:
             found = self._likely(tracks, points, found)
-        found = self._found_of_unknown_noise(tracks, points) if found is None else found
+        if found is None:
+            found = self._found_of_unknown_noise(tracks, points, is_ambiguous)
         if found is None or learnt is None or not self._is_mirrored(found, learnt, tracks, points):
             return found
         self.scale.noise_m, self.scale.wider = learnt, 1.0
@@ -97,7 +98,7 @@ class TrackPlacing:
 
         In a mirrored scan, points near a plane fit all the same.
         """
-        possible = min(int(np.sum(tracks.missed == 0)), len(points), SEARCH)
+        possible = self._possible(tracks, points)
         is_wide = self.scale.noise_m is None
         is_certain = not is_wide and found.n_agreeing >= SHARE * possible
         if is_certain or _moved_m(found, tracks.expected) <= self.scale.spacing_m:
@@ -146,8 +147,11 @@ class TrackPlacing:
         expected, spacing_m = tracks.expected[known], self.scale.spacing_m
         return SoftMatching(expected, variance, points[seen], spacing_m, metric)
 
-    def _found(self, tracks: LiveTracks, points: Floats) -> Placement | None:
-        """Find the placement of the tracks' frame in the scan with the most matches."""
+    def _found(self, tracks: LiveTracks, points: Floats) -> tuple[Placement | None, bool]:
+        """Find the placement of the tracks' frame in the scan with the most matches.
+
+        Also returns whether it is None because several placements explain most of the scan.
+        """
         from relmap.core.association.matching_kernels import claims, nearest_of_sample
 
         (n, d), metric = points.shape, self.metric
@@ -155,7 +159,7 @@ class TrackPlacing:
             points, tracks.expected, tracks.missed, SAMPLE
         )
         if not len(sample):
-            return None
+            return None, False
         missed = int(tracks.missed[sample[0]])
         self.scale.see_spacing(spacing_m)
         distance[distance > self.scale.spacing_m] = np.inf
@@ -168,20 +172,21 @@ class TrackPlacing:
         if near is not None:
             is_usual = is_sharp and not missed and self._is_usual(near, *matched, own)
             if is_usual and near.n_agreeing >= max(PLENTY, share):
-                return near
+                return near, False
             alone = near.n_agreeing == len(rows) == d == 2
             if alone and self._is_familiar_pair(tracks, rows, distance[claimed]):
-                return near
+                return near, False
             here = tracks.expected[sample]
             near = settled(here, points, near, tolerance_m, metric)
             if near is not None and not self._is_unlike_chance(near, here, points, missed):
                 near = None
         if near is not None and is_usual and near.n_agreeing >= share:
-            return near
+            return near, False
         far, n_far, has_rivals = self._search(tracks, points)
-        if near is None or not is_sharp or n_far > near.n_agreeing:
-            return far
-        return far if has_rivals and near.n_agreeing < share else near
+        if near and is_sharp and n_far <= near.n_agreeing:
+            far = far if has_rivals and near.n_agreeing < share else near
+        explains = n_far >= SHARE * self._possible(tracks, points)
+        return far, far is None and has_rivals and explains
 
     def _is_usual(
         self, placement: Placement, here: Floats, there: Floats, metric: Floats | None
@@ -243,26 +248,39 @@ class TrackPlacing:
         known = (tracks.seen[rows] >= FAMILIAR).all() and (tracks.missed[rows] == 0).all()
         return bool(known and distance.max() <= NEARBY * self.scale.spacing_m)
 
-    def _found_of_unknown_noise(self, tracks: LiveTracks, points: Floats) -> Placement | None:
-        """Retry as if the noise were unknown: it may have grown, as when a robot starts moving."""
-        scale, possible = self.scale, min(int(np.sum(tracks.missed == 0)), len(points))
+    def _found_of_unknown_noise(
+        self, tracks: LiveTracks, points: Floats, is_ambiguous: bool
+    ) -> Placement | None:
+        """Retry as if the noise were unknown: it may have grown, as when a robot starts moving.
+
+        If several placements explain the scan, more noise would only hide that.
+        """
+        widest_m = self.scale.tolerance_m if is_ambiguous else np.inf
+        scale, possible = self.scale, self._possible(tracks, points)
         learnt, scale.noise_m = scale.noise_m, None
         for scale.wider in WIDER if possible >= PLENTY else ():
-            if scale.wider != 1 if learnt is None else scale.tolerance_m > SIGMAS * learnt:
-                placement = self._found(tracks, points)
-                if placement is not None and placement.n_agreeing >= SHARE * min(possible, SEARCH):
+            is_new = scale.wider != 1 if learnt is None else scale.tolerance_m > SIGMAS * learnt
+            if is_new and scale.tolerance_m < widest_m:
+                placement, is_ambiguous = self._found(tracks, points)
+                if placement is not None and placement.n_agreeing >= SHARE * possible:
                     return placement
+                widest_m = scale.tolerance_m if is_ambiguous else widest_m
         scale.wider = 1.0
         scale.noise_m = learnt
         may_be_blurred = learnt is None or scale.is_blurred
         for share in BLURRED if possible >= PLENTY and may_be_blurred else ():
             scale.noise_m = share * scale.spacing_m
-            if scale.is_blurred and scale.noise_m >= (learnt or 0):
+            is_new = scale.noise_m >= (learnt or 0) and SIGMAS * scale.noise_m < widest_m
+            if scale.is_blurred and is_new:
                 matching, placement = self._soft(tracks, points), self._likely(tracks, points, None)
                 if placement is not None and matching.misfit(placement) >= LEAST_MISFIT:
                     return placement
         scale.noise_m = learnt
         return None
+
+    def _possible(self, tracks: LiveTracks, points: Floats) -> int:
+        """Return the number of matches that a search may find."""
+        return min(int(np.sum(tracks.missed == 0)), len(points), SEARCH)
 
     def _crowd(self, tracks: LiveTracks, points: Floats, most: int = SEARCH) -> tuple[Ints, Ints]:
         """Return the tracks (k,) and points (l,) used by the wider search."""
