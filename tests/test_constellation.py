@@ -268,3 +268,22 @@ def test_new_tracks_that_are_missed_did_not_stray() -> None:
     tracks = LiveTracks.begun(np.arange(3), np.zeros((3, 2)))
     tracks.missed += 1
     assert tracks.restless.tolist() == [0, 0, 0]
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_scans_in_a_tunnel_of_equal_rings_are_not_matched_one_ring_off(seed: int) -> None:
+    """Where one ring appears as another leaves, a motion of one period matches more points."""
+    rng = np.random.default_rng(seed)
+    rings = [(5.0 * k, 2 * np.cos(a), 2 * np.sin(a)) for k in range(26) for a in (0.3, 1.57, 2.84)]
+    marks = np.array(rings) + rng.normal(0, 0.02, (78, 3))
+    tracks, owner, wrong = Constellation(MISSED), dict[int, int](), 0
+    for x in np.arange(0.0, 100.0, 0.8):
+        off = marks - [x, 0.0, -1.0]
+        bearing = np.abs(np.arctan2(off[:, 1], off[:, 0]))
+        seen = np.flatnonzero((np.linalg.norm(off, axis=1) < 16) & (bearing < np.pi / 3))
+        seen = seen[rng.random(len(seen)) > 0.05]
+        labels = tracks.match(off[seen] + rng.normal(0, 0.03, (len(seen), 3)), None)
+        for label, mark in zip(labels.tolist(), seen.tolist(), strict=True):
+            wrong += owner.setdefault(label, mark) != mark
+    assert wrong == 0
+    assert len(owner) < 400  # within a period tracks go on

@@ -12,11 +12,12 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association.base import UNIDENTIFIED, Numbered
+from relmap.core.association.chance import ENOUGH
 from relmap.core.association.estimated import EstimatedCovariances
 from relmap.core.association.guiding import OdometryGuide
 from relmap.core.association.metric import rows_of, stretch_of
 from relmap.core.association.placement import Placement
-from relmap.core.association.registering import ENOUGH, TrackPlacing
+from relmap.core.association.registering import TrackPlacing
 from relmap.core.association.scale import Scale, spacing_of
 from relmap.core.association.soft import likely_links
 from relmap.core.association.tracks import LiveTracks

@@ -7,22 +7,26 @@ accepted if so many matches are unlikely by chance and no rival comes near.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
+from relmap.core.association.chance import (
+    ENOUGH,
+    LOG_CHANCE,
+    LOG_CHANCE_NEAR,
+    PLENTY,
+    Chance,
+    moved_m,
+)
 from relmap.core.association.metric import rows_of
 from relmap.core.association.placement import Placement, trimmed_fit
 from relmap.core.association.scale import CHI2_MEDIAN, EXACT, SIGMAS, WIDER, Scale
 from relmap.core.association.search import fits_mirrored, search, settled
-from relmap.core.association.search import log_chance as chance_of
 from relmap.core.association.soft import SoftMatching
 from relmap.core.association.tracks import LiveTracks
 
-ENOUGH = 3
-"""Minimum number of matches: two distances agree by chance occasionally, three rarely."""
-PLENTY = 6
-"""Number of matches whose agreement is never due to chance."""
 NEAR_SHARE = 0.8
 """Fraction of the nearest neighbours that must agree to skip the wider search."""
 DECIDABLE = 8
@@ -33,8 +37,6 @@ decides."""
 MISFIT = 2.0
 """Largest variance of their matches to skip it, relative to the usual one: if landmarks stand on a
 lattice, the nearest neighbours may agree one period away, but less closely."""
-FAR_SHARE = 0.3
-"""Fraction of possible matches that must agree after a large motion."""
 SAMPLE = 32
 """Maximum number of tracks used to fit a placement; more would not improve it."""
 SEARCH = 30
@@ -52,12 +54,22 @@ LOG_CLEAR = float(np.log(1 / 20))
 """Log of the likelihood of chance, or of a rival, relative to the most likely placement."""
 CROWD = 60
 """Maximum number of points of a scan used by the wider search, the nearest."""
-LOG_CHANCE, LOG_CHANCE_NEAR = float(np.log(1e-3)), float(np.log(1e-2))
-"""Log of the accepted rate of wrong placements, in general and after little motion."""
 FAMILIAR = 5
 """Observations of a landmark required if only two landmarks determine a planar scan."""
 NEARBY = 0.2
 """Largest motion of these two, in spacings."""
+
+
+class _Searched(NamedTuple):
+    """The placement found by a search, None if uncertain, and the matches of the best one.
+
+    `is_doubtful` if that has rivals or fits less closely than usual.
+    """
+
+    placement: Placement | None
+    n_agreeing: int
+    is_doubtful: bool = False
+    has_rivals: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +89,10 @@ class TrackPlacing:
     scale: Scale
     idle: int
     metric: Floats | None
+
+    @property
+    def _chance(self) -> Chance:
+        return Chance(self.scale, self.idle, self.metric)
 
     def placement(self, tracks: LiveTracks, points: Floats) -> Placement | None:
         """Return the placement that brings tracks onto points (n, d); None if none is certain."""
@@ -101,7 +117,7 @@ class TrackPlacing:
         possible = self._possible(tracks, points)
         is_wide = self.scale.noise_m is None
         is_certain = not is_wide and found.n_agreeing >= SHARE * possible
-        if is_certain or _moved_m(found, tracks.expected) <= self.scale.spacing_m:
+        if is_certain or moved_m(found, tracks.expected) <= self.scale.spacing_m:
             return False
         known, seen = self._crowd(tracks, points)
         tolerance_m = min(self.scale.tolerance_m, SIGMAS * learnt)
@@ -111,10 +127,10 @@ class TrackPlacing:
 
     def is_unique(self, placement: Placement, tracks: LiveTracks, points: Floats) -> bool:
         """Return whether tracks fit points (n, d) better than chance explains in any placement."""
-        chance = self._log_chance(placement.n_agreeing, tracks.expected, points)
+        chance = self._chance.log(placement.n_agreeing, tracks.expected, points)
         if self.scale.is_blurred:
             d, extent_m = points.shape[1], float(np.ptp(points, axis=0).max())
-            chance = (2 * d - 3) * np.log(2 * np.pi) + self._log_placements(d, extent_m)
+            chance = (2 * d - 3) * np.log(2 * np.pi) + self._chance.log_placements(d, extent_m)
             chance -= self._soft(tracks, points).fitted(placement.R, placement.t)[1]
         return bool(chance <= LOG_CHANCE)
 
@@ -124,16 +140,16 @@ class TrackPlacing:
         """Return the most likely placement, near that found if there is one; None if uncertain."""
         matching, spacing_m = self._soft(tracks, points), self.scale.spacing_m
         here = matching.source
-        if found is None or _moved_m(found, here) > spacing_m:
+        if found is None or moved_m(found, here) > spacing_m:
             best = matching.found(*matching.by_triangles())
         else:
             best = matching.found(*matching.by_shifts(ASIDE * spacing_m, found))
         if best is None:
             return None
         placement, score, rival = best
-        moved_m = _moved_m(placement, here)
-        chance = self._log_placements(here.shape[1], moved_m) - score
-        if chance > (LOG_CLEAR if moved_m <= spacing_m else LOG_CHANCE_NEAR):
+        far_m = moved_m(placement, here)
+        chance = self._chance.log_placements(here.shape[1], far_m) - score
+        if chance > (LOG_CLEAR if far_m <= spacing_m else LOG_CHANCE_NEAR):
             return None
         if rival > min(score + LOG_CLEAR, CLEAR * score):
             return None
@@ -178,15 +194,16 @@ class TrackPlacing:
                 return near, False
             here = tracks.expected[sample]
             near = settled(here, points, near, tolerance_m, metric)
-            if near is not None and not self._is_unlike_chance(near, here, points, missed):
+            if near is not None and not self._chance.is_exceeded(near, here, points, missed):
                 near = None
         if near is not None and is_usual and near.n_agreeing >= share:
             return near, False
-        far, n_far, has_rivals = self._search(tracks, points)
-        if near and is_sharp and n_far <= near.n_agreeing:
-            far = far if has_rivals and near.n_agreeing < share else near
-        explains = n_far >= SHARE * self._possible(tracks, points)
-        return far, far is None and has_rivals and explains
+        far = self._search(tracks, points)
+        is_best = is_sharp and near is not None and far.n_agreeing <= near.n_agreeing
+        if near and is_best and (near.n_agreeing >= share or not far.is_doubtful):
+            return near, False
+        explains = far.n_agreeing >= SHARE * self._possible(tracks, points)
+        return far.placement, far.placement is None and far.has_rivals and explains
 
     def _is_usual(
         self, placement: Placement, here: Floats, there: Floats, metric: Floats | None
@@ -200,48 +217,6 @@ class TrackPlacing:
         variance = middle_square(here, there, R, t, tolerance_m, metric) / CHI2_MEDIAN[len(t)]
         usual_m = max(self.scale.noise_m, EXACT / SIGMAS * self.scale.spacing_m)
         return bool(variance <= MISFIT * usual_m**2)
-
-    def _is_unlike_chance(
-        self, placement: Placement, here: Floats, there: Floats, missed: int
-    ) -> bool:
-        """Return whether a placement of tracks (n, d) on points (m, d) exceeds chance.
-
-        After failed attempts and nearly empty scans, more matches are required.
-        """
-        enough = ENOUGH + max(missed, min(missed + self.idle, PLENTY - ENOUGH))
-        moved_m = _moved_m(placement, here)
-        if placement.n_agreeing < enough:
-            return False
-        if moved_m <= self.scale.spacing_m:
-            return self._log_chance(placement.n_agreeing, here, there, moved_m) <= LOG_CHANCE_NEAR
-        if placement.n_agreeing < FAR_SHARE * min(len(here), len(there)):
-            return False
-        doublings = 1 + np.log2(moved_m / self.scale.spacing_m)
-        chance = self._log_chance(placement.n_agreeing, here, there, moved_m)
-        return bool(chance + np.log(doublings) <= LOG_CHANCE)
-
-    def _log_chance(
-        self, n_agreeing: int, here: Floats, there: Floats, moved_m: float | None = None
-    ) -> float:
-        """Return the log of the expected number of placements that match as many tracks by chance.
-
-        Placements are counted in steps of the tolerance: those with no larger motion, or all.
-        """
-        from relmap.core.association.rigidity_kernels import extent_of
-
-        tolerance_m, d, placements = self.scale.tolerance_m, here.shape[1], 0.0
-        if moved_m is None:
-            moved_m = extent_of(there)
-            placements = (2 * d - 3) * np.log(2 * np.pi)
-        placements += self._log_placements(d, moved_m)
-        # The volume of a gate relative to that of a sphere, on average over the points.
-        volume = 1.0 if self.metric is None else float(np.mean(1 / np.linalg.det(self.metric)))
-        share = min(np.log(2) * volume * (tolerance_m / self.scale.spacing_m) ** d, 0.5)
-        return chance_of(max(min(len(here), len(there)), n_agreeing), n_agreeing, share, placements)
-
-    def _log_placements(self, d: int, moved_m: float) -> float:
-        """Return the log of the number of placements that move no point farther."""
-        return float(d * (d + 1) / 2 * np.log(1 + 2 * moved_m / self.scale.tolerance_m))
 
     def _is_familiar_pair(self, tracks: LiveTracks, rows: Ints, distance: Floats) -> bool:
         """Return whether two matches in the plane suffice: well known, just seen, hardly moved."""
@@ -292,35 +267,29 @@ class TrackPlacing:
         known = known[np.argsort(-tracks.seen[known], kind="stable")[:most]]
         return known, np.flatnonzero(away <= within_m)
 
-    def _search(self, tracks: LiveTracks, points: Floats) -> tuple[Placement | None, int, bool]:
+    def _search(self, tracks: LiveTracks, points: Floats) -> _Searched:
         """Search for the tracks in the scan, for any motion of the robot.
 
         If there are many, only those near the robot are used. Between rivals with similar numbers
-        of matches the likelihood decides, if the noise is known. Returns the placement, None if it
-        is uncertain, the number of matches of the best one, and whether it has rivals.
+        of matches the likelihood decides, if the noise is known.
         """
         missed, (known, seen) = int(tracks.missed.min()), self._crowd(tracks, points)
         here, there = tracks.expected[known], points[seen]
         found = search(here, there, self.scale.tolerance_m, ENOUGH, rows_of(self.metric, seen))
         if found is None:
-            return None, 0, False
+            return _Searched(None, 0)
         placement, rival = found
-        if not self._is_unlike_chance(placement, here, there, missed):
-            return None, placement.n_agreeing, False
+        if not self._chance.is_exceeded(placement, here, there, missed):
+            return _Searched(None, placement.n_agreeing)
         is_decidable = self.scale.noise_m is not None
         is_decidable &= min(len(here), len(there)) >= DECIDABLE
         # Matches that chance produces in some placement explain nothing.
-        is_clear = rival <= CLEAR * placement.n_agreeing or self._log_chance(rival, here, there) > 0
-        if is_clear and is_decidable:
-            is_clear = self._soft(tracks, points).misfit(placement) <= MISFIT
-        if is_clear:
-            return placement, placement.n_agreeing, False
+        is_clear = rival <= CLEAR * placement.n_agreeing or self._chance.log(rival, here, there) > 0
+        if is_clear and (
+            not is_decidable or self._soft(tracks, points).misfit(placement) <= MISFIT
+        ):
+            return _Searched(placement, placement.n_agreeing)
         likely = self._likely(tracks, points, None) if is_decidable else None
         if likely is not None and likely.n_agreeing < SHARE * min(len(here), len(there)):
             likely = None  # the best one may not be among those suggested
-        return likely, placement.n_agreeing, True
-
-
-def _moved_m(placement: Placement, points: Floats) -> float:
-    """Return the largest distance by which a placement moves points (n, d), metres."""
-    return float(np.linalg.norm(placement.apply(points) - points, axis=1).max())
+        return _Searched(likely, placement.n_agreeing, True, not is_clear)

@@ -1,0 +1,86 @@
+"""How many placements would match as well by chance (Desolneux, Moisan and Morel, 2000)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from relmap.core.arrays import Floats
+from relmap.core.association.placement import Placement
+from relmap.core.association.scale import Scale
+from relmap.core.association.search import log_chance
+
+ENOUGH = 3
+"""Minimum number of matches: two distances agree by chance occasionally, three rarely."""
+PLENTY = 6
+"""Number of matches whose agreement is never due to chance."""
+FAR_SHARE = 0.3
+"""Fraction of possible matches that must agree after a large motion."""
+LOG_CHANCE, LOG_CHANCE_NEAR = float(np.log(1e-3)), float(np.log(1e-2))
+"""Log of the accepted rate of wrong placements, in general and after little motion."""
+
+
+@dataclass(frozen=True, eq=False)
+class Chance:
+    """The matches that chance produces between tracks and the points of a scan.
+
+    Attributes
+    ----------
+    scale : Scale
+        Scale of the scans so far.
+    idle : int
+        Nearly empty scans since the tracks were seen.
+    metric : (n, d, d) float64 or None
+        Of the points of the scan.
+    """
+
+    scale: Scale
+    idle: int
+    metric: Floats | None
+
+    def is_exceeded(self, placement: Placement, here: Floats, there: Floats, missed: int) -> bool:
+        """Return whether a placement of tracks (n, d) on points (m, d) is better than by chance.
+
+        After failed attempts and nearly empty scans, more matches are required.
+        """
+        enough = ENOUGH + max(missed, min(missed + self.idle, PLENTY - ENOUGH))
+        far_m = moved_m(placement, here)
+        if placement.n_agreeing < enough:
+            return False
+        if far_m <= self.scale.spacing_m:
+            return self.log(placement.n_agreeing, here, there, far_m) <= LOG_CHANCE_NEAR
+        if placement.n_agreeing < FAR_SHARE * min(len(here), len(there)):
+            return False
+        doublings = 1 + np.log2(far_m / self.scale.spacing_m)
+        chance = self.log(placement.n_agreeing, here, there, far_m)
+        return bool(chance + np.log(doublings) <= LOG_CHANCE)
+
+    def log(
+        self, n_agreeing: int, here: Floats, there: Floats, far_m: float | None = None
+    ) -> float:
+        """Return the log of the expected number of placements that match as many tracks by chance.
+
+        Placements are counted in steps of the tolerance: those with no larger motion, or all.
+        """
+        from relmap.core.association.rigidity_kernels import extent_of
+
+        tolerance_m, d, placements = self.scale.tolerance_m, here.shape[1], 0.0
+        if far_m is None:
+            far_m = extent_of(there)
+            placements = (2 * d - 3) * np.log(2 * np.pi)
+        placements += self.log_placements(d, far_m)
+        # The volume of a gate relative to that of a sphere, on average over the points.
+        volume = 1.0 if self.metric is None else float(np.mean(1 / np.linalg.det(self.metric)))
+        share = min(np.log(2) * volume * (tolerance_m / self.scale.spacing_m) ** d, 0.5)
+        n = max(min(len(here), len(there)), n_agreeing)
+        return log_chance(n, n_agreeing, share, placements)
+
+    def log_placements(self, d: int, far_m: float) -> float:
+        """Return the log of the number of placements that move no point farther."""
+        return float(d * (d + 1) / 2 * np.log(1 + 2 * far_m / self.scale.tolerance_m))
+
+
+def moved_m(placement: Placement, points: Floats) -> float:
+    """Return the largest distance by which a placement moves points (n, d), metres."""
+    return float(np.linalg.norm(placement.apply(points) - points, axis=1).max())
