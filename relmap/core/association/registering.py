@@ -21,7 +21,7 @@ from relmap.core.association.chance import (
     moved_m,
 )
 from relmap.core.association.metric import rows_of
-from relmap.core.association.placement import Placement, trimmed_fit
+from relmap.core.association.placement import DISTINCT, Placement, trimmed_fit
 from relmap.core.association.scale import CHI2_MEDIAN, EXACT, SIGMAS, WIDER, Scale
 from relmap.core.association.search import fits_mirrored, search, settled
 from relmap.core.association.soft import SoftMatching
@@ -63,13 +63,14 @@ NEARBY = 0.2
 class _Searched(NamedTuple):
     """The placement found by a search, None if uncertain, and the matches of the best one.
 
-    `is_doubtful` if that has rivals or fits less closely than usual.
+    `is_doubtful` if that has rivals or fits less closely than usual, `is_ambiguous` if another one
+    is almost as good.
     """
 
     placement: Placement | None
     n_agreeing: int
     is_doubtful: bool = False
-    has_rivals: bool = False
+    is_ambiguous: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,7 +204,7 @@ class TrackPlacing:
         if near and is_best and (near.n_agreeing >= share or not far.is_doubtful):
             return near, False
         explains = far.n_agreeing >= SHARE * self._possible(tracks, points)
-        return far.placement, far.placement is None and far.has_rivals and explains
+        return far.placement, far.placement is None and far.is_ambiguous and explains
 
     def _is_usual(
         self, placement: Placement, here: Floats, there: Floats, metric: Floats | None
@@ -236,10 +237,9 @@ class TrackPlacing:
         for scale.wider in WIDER if possible >= PLENTY else ():
             is_new = scale.wider != 1 if learnt is None else scale.tolerance_m > SIGMAS * learnt
             if is_new and scale.tolerance_m < widest_m:
-                placement, is_ambiguous = self._found(tracks, points)
+                placement, _ = self._found(tracks, points)
                 if placement is not None and placement.n_agreeing >= SHARE * possible:
                     return placement
-                widest_m = scale.tolerance_m if is_ambiguous else widest_m
         scale.wider = 1.0
         scale.noise_m = learnt
         may_be_blurred = learnt is None or scale.is_blurred
@@ -292,4 +292,5 @@ class TrackPlacing:
         likely = self._likely(tracks, points, None) if is_decidable else None
         if likely is not None and likely.n_agreeing < SHARE * min(len(here), len(there)):
             likely = None  # the best one may not be among those suggested
-        return _Searched(likely, placement.n_agreeing, True, not is_clear)
+        comes_near = not is_clear and rival > DISTINCT * placement.n_agreeing
+        return _Searched(likely, placement.n_agreeing, True, comes_near)
