@@ -14,7 +14,9 @@ from relmap.core.errors import RelmapError
 from relmap.evaluation.truth import Variant, read_truth
 from relmap.io.files import read_tum, write_tum
 from relmap.simulation import simulate_figure_eight
+from tests.commands import table
 from tests.logs import put
+from tests.scanlogs import CORRECTED
 
 POSES = simulate_figure_eight(density=1, iterations=20).trajectory
 
@@ -80,3 +82,28 @@ def test_evaluate_takes_a_trajectory(
     assert main(["evaluate", "out", "--truth", "fine.tum"]) == 0
     said = "no RPE: 40 of 40 poses have the times of true ones, and other true poses lie between"
     assert said in capsys.readouterr().out
+
+
+def test_compare_takes_a_trajectory_for_walls(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    world = ["simulate", "building", "-o", "drive", "--beams", "181", "--iterations", "12"]
+    assert main(world) == 0
+    run = ["compare", "drive", "--methods", "relmap-planes", "-o"]
+    assert main([*run, "whole"]) == 0
+    assert main([*run, "path", "--truth", "drive/truth/trajectory.tum"]) == 0
+    (whole,), (path,) = (table(Path(name, "comparison.csv")) for name in ("whole", "path"))
+    for name in ("ate_m", "rpe_m"):
+        assert float(path[name]) == pytest.approx(float(whole[name]), rel=1e-6)
+    assert not path["corner_rmse_m"]
+
+
+def test_a_log_that_is_its_own_truth_warns_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    put(tmp_path, CORRECTED.replace("5.5 host", "3.5 host"), "a.log")
+    run = ["compare", "a.log", "--truth", "./a.log", "--methods", "relmap-planes", "-o", "out"]
+    assert main(run) == 0
+    assert caplog.messages == ["a.log: 1 scans out of order: all are sorted by time"]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import logging
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, Literal, Protocol, TypeVar, cast
@@ -159,7 +161,10 @@ class FileSource:
         if truth is None and (folder / "truth").is_dir():
             truth = folder
         log = read_log(self.path, variant, self.format, self.scans, self.columns, self.topics)
-        return Data(log, read_truth(truth, variant) if truth else None)
+        if truth is None:
+            return Data(log, None)
+        with silent_readers() if truth.resolve() == self.path.resolve() else nullcontext():
+            return Data(log, read_truth(truth, variant))
 
     def _holds_scans(self) -> bool:
         """Return whether the log contains point scans."""
@@ -185,6 +190,18 @@ class FileSource:
         """A short description."""
         part = f", iterations {self.scans[0]}:{self.scans[1]}" if self.scans else ""
         return f"{self.path.name or self.path}{part}"
+
+
+@contextmanager
+def silent_readers() -> Iterator[None]:
+    """Suppress warnings about data that are read again: they were shown the first time."""
+    log = logging.getLogger("relmap.datasets")
+    before = log.level
+    log.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        log.setLevel(before)
 
 
 def read_log(

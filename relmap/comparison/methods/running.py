@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from dataclasses import dataclass
 from time import process_time
 
@@ -20,7 +19,7 @@ from relmap.evaluation.evaluate import evaluate
 from relmap.evaluation.feeding import Association, Fed, Log, feed
 from relmap.evaluation.landmarks import identify, match_landmarks
 from relmap.evaluation.run import result_of
-from relmap.evaluation.sources import Data, Source
+from relmap.evaluation.sources import Data, Source, silent_readers
 from relmap.evaluation.summary import timing_of
 from relmap.io.results import Result
 from relmap.planes.files import PlaneResult
@@ -135,20 +134,11 @@ def try_method(
         The reason; empty on success.
     """
     try:
-        return run_method(find_method(name), _loaded_again(source), association, sigma_m), ""
+        with silent_readers():  # the warnings were shown when the data were loaded first
+            data = source.load()
+        return run_method(find_method(name), data, association, sigma_m), ""
     except (RelmapError, RuntimeError, ImportError, np.linalg.LinAlgError) as error:
         return None, "failed: " + " ".join(str(error).split())[:200]
-
-
-def _loaded_again(source: Source) -> Data[Log]:
-    """Load data without the readers' warnings, which were shown when it was loaded first."""
-    log = logging.getLogger("relmap.datasets")
-    before = log.level
-    log.setLevel(logging.ERROR)
-    try:
-        return source.load()
-    finally:
-        log.setLevel(before)
 
 
 def setup_for(data: Data[Log], sigma_m: float | None = None) -> Setup:
