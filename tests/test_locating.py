@@ -189,6 +189,25 @@ def test_scans_that_fit_in_several_places_are_counted(
     assert "10 fit in more than one place and were refused" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(("found", "warned"), [(0, False), (1, True), (2, False)])
+def test_a_map_of_places_that_look_alike_is_warned_of(
+    found: int,
+    warned: bool,
+    part: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    there = [Place(np.eye(4), 1)] * found + [Place(np.full((4, 4), np.nan), 2)] * (4 - found)
+    told = iter(there)
+    monkeypatch.setattr(PlaneMapper, "locate", lambda *_, **__: next(told))
+    asked = ["localise", str(part / "scans.npz"), "--map", str(part / "part")]
+    assert main([*asked, "-o", str(tmp_path), "--scans", "100:104"]) == 0
+    printed = capsys.readouterr().out
+    assert printed.startswith(f"found {found} of 4 scans in the map; {4 - found} fit in more than ")
+    assert ("WARNING: more scans fit in several places" in printed) == warned
+
+
 def test_what_was_saved_is_loaded_whatever_its_variant(mapped: Mapped) -> None:
     points, walls = mapped("csv/observations.csv"), mapped("npz")
     assert type(Mapper.load(points / "mapper.npz")) is PointMapper

@@ -31,6 +31,11 @@ Example:
   relmap localise eight/observations.csv --map result -o where
 """
 
+ALIKE = (
+    "WARNING: more scans fit in several places than in one: many places of the map look alike, and "
+    "a place outside the map that looks like one inside is taken for it"
+)
+
 
 def localise_command(
     source: LogPath,
@@ -60,10 +65,13 @@ def localise_command(
     with staged_folder(out) as staging:
         places = _places(mapper, log)
         _write(staging, mapper, log, places)
-    message = f"found {sum(p.n_places == 1 for p in places)} of {len(log)} scans in the map"
-    if several := sum(place.n_places > 1 for place in places):
+    found, several = (sum(place.n_places == n for place in places) for n in (1, 2))
+    message = f"found {found} of {len(log)} scans in the map"
+    if several:
         message += f"; {several} fit in more than one place and were refused"
     typer.echo(f"{message}; wrote 2 files to {out}")
+    if 0 < found < several:
+        typer.echo(ALIKE)
 
 
 def _places(mapper: AnyMapper, log: Log) -> list[Place]:
