@@ -118,6 +118,8 @@ def test_salvage_recovers_the_scans_before_the_damage(tmp_path: Path) -> None:
     assert finished(run(resumed, scans[n:])) == whole
     with pytest.raises(RelmapError, match=r"damaged already exists"):
         salvage(path)
+    with pytest.raises(RelmapError, match="was recovered before: resume it without --salvage"):
+        salvage(path)
 
 
 def test_salvage_that_was_killed_before_its_last_step_is_ended(tmp_path: Path) -> None:

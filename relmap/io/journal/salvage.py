@@ -40,7 +40,10 @@ def salvage(path: Path) -> int:
         with JournalReader(path) as reader:
             return sum(1 for _ in reader.scans())
     if damaged.exists():
-        raise RelmapError(f"{damaged} already exists: move it away first")
+        raise RelmapError(
+            f"{damaged} already exists: {path} was recovered before: resume it without --salvage, "
+            f"or move {damaged} away first"
+        )
     if not path.is_file():
         raise RelmapError(f"there is no journal {path}")
     try:
