@@ -85,6 +85,29 @@ def test_a_kill_between_two_files_leaves_no_mixture_that_counts_as_a_result(
     assert (at == 5) == (texts.get("summary.json") == "new")
 
 
+def test_a_kill_between_two_moves_leaves_no_old_file_beside_a_new_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    moved: list[set[str]] = []
+    replace = Path.replace
+
+    def watched(self: Path, target: Path) -> Path:
+        moved.append({path.read_text() for path in tmp_path.glob("*.*") if path.is_file()})
+        return replace(self, target)
+
+    def write(text: str, *written: str) -> None:
+        with staged_folder(tmp_path) as staging:
+            for name in written:
+                (staging / name).write_text(text)
+
+    write("old", "a.csv", "b.csv", "c.csv")
+    monkeypatch.setattr(Path, "replace", watched)
+    write("new", "a.csv", "b.csv", "c.csv")
+    assert moved == [set(), {"new"}, {"new"}]
+    write("alone", "a.csv")
+    assert moved[3:] == [{"new"}]
+
+
 def test_of_two_results_for_one_folder_all_files_are_of_the_later(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

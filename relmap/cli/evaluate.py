@@ -145,7 +145,7 @@ def evaluate_folder(folder: Path, truth: Path, log: Path | None = None) -> Evalu
     from relmap.evaluation.evaluate import evaluate, match_walls
     from relmap.evaluation.space_run import VARIANT
     from relmap.evaluation.truth import read_space_truth, read_truth
-    from relmap.io.files import atomic_write
+    from relmap.io.files import atomic_write, staged_folder
     from relmap.io.results import EVALUATION, MAP_PNG, json_text
     from relmap.planes.files import PlaneResult, read_any
     from relmap.planes3d.files import read_result3d
@@ -159,9 +159,10 @@ def evaluate_folder(folder: Path, truth: Path, log: Path | None = None) -> Evalu
         known = read_truth(truth, "planes" if walls else "points")
     no_ids = walls or in_space
     evaluation = evaluate(result, known, None if no_ids else find_log(result, truth, log))
-    atomic_write(folder / EVALUATION, json_text(evaluation.as_dict()))
-    if isinstance(result, PlaneResult) and (matched := match_walls(result, known)):
-        write_planes_png(folder / MAP_PNG, result.planes, result.poses, (known, matched))
+    with staged_folder(folder) as staging:
+        atomic_write(staging / EVALUATION, json_text(evaluation.as_dict()))
+        if isinstance(result, PlaneResult) and (matched := match_walls(result, known)):
+            write_planes_png(staging / MAP_PNG, result.planes, result.poses, (known, matched))
     return evaluation
 
 

@@ -118,15 +118,16 @@ def _sweep_into(
 def _write(out: Path, cells: Sequence[Cell], rows: Sequence[Finished]) -> None:
     """Write the tables."""
     from relmap.comparison.sweep import accuracy_csv, times_csv, write_parquet
-    from relmap.io.files import atomic_write
+    from relmap.io.files import atomic_write, staged_folder
 
-    atomic_write(out / "sweep.csv", accuracy_csv(cells, rows))
-    atomic_write(out / "timing.csv", times_csv(cells, rows))
-    _draw(out, cells, rows)
-    try:
-        write_parquet(out / "sweep.parquet", cells, rows)
-    except RelmapError as error:
-        typer.echo(f"relmap: {error}", err=True)
+    with staged_folder(out) as staging:
+        atomic_write(staging / "sweep.csv", accuracy_csv(cells, rows))
+        atomic_write(staging / "timing.csv", times_csv(cells, rows))
+        _draw(staging, cells, rows)
+        try:
+            write_parquet(staging / "sweep.parquet", cells, rows)
+        except RelmapError as error:
+            typer.echo(f"relmap: {error}", err=True)
 
 
 def _draw(out: Path, cells: Sequence[Cell], rows: Sequence[Finished]) -> None:

@@ -30,8 +30,9 @@ from relmap.datasets.textfile import (
 from relmap.io.tables import MAX_RESULT_M
 
 WHOLE = "summary.json"
-"""A folder without this file is not read as a result: it is moved last, so that a kill between two
-files leaves no result of old and new files."""
+"""A folder without this file is not read as a result: it is deleted first and moved last, so that a
+kill between two files leaves no result of old and new files. Where there is none, all old files are
+deleted first."""
 MAX_TEXT = 1 << 26
 """Maximum number of characters of a text; JSON needs twenty times as much memory."""
 
@@ -126,7 +127,8 @@ def _move_files(staging: Path, folder: Path, stale: Sequence[str]) -> None:
         with (staging / name).open("rb") as stream:
             os.fsync(stream.fileno())
     written = {path.name for path in staging.iterdir()}
-    first = [WHOLE] if WHOLE in written else []
+    old = names if len(names) > 1 else []
+    first = [Path(WHOLE)] if WHOLE in written else old
     for stale_name in [*first, *set(stale).difference(written)]:
         (folder / stale_name).unlink(missing_ok=True)
     names.sort(key=lambda name: name == Path(WHOLE))
