@@ -240,6 +240,44 @@ def test_parquet_holds_the_same_table(tmp_path: Path) -> None:
     assert columns["method"] == [row["method"] for row in rows]
 
 
+@pytest.fixture
+def swept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with old tables, beside a sweep of one cell."""
+    pytest.importorskip("pyarrow.parquet", reason="no pyarrow: relmap[parquet]")
+    monkeypatch.chdir(tmp_path)
+    Path("one.toml").write_text('method = ["relmap-points"]\niterations = [20]\n')
+    Path("out").mkdir()
+    for name in ("sweep.csv", "sweep.parquet"):
+        Path("out", name).write_text("old")
+    return tmp_path / "out"
+
+
+def test_without_pyarrow_no_old_parquet_is_left(
+    swept: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    assert main(["sweep", "one.toml", "-o", "out", "--workers", "1"]) == 0
+    assert "no sweep.parquet: pyarrow is not installed" in capsys.readouterr().err
+    assert names(swept) == ["cells", "sweep.csv", "sweep.png", "timing.csv"]
+
+
+def test_a_parquet_that_cannot_be_written_is_an_error(
+    swept: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write = sweep_module.atomic_write
+
+    def full(path: Path, content: str) -> None:
+        if path.suffix == ".parquet":
+            raise RelmapError(f"cannot write {path}: No space left on device")
+        write(path, content)
+
+    monkeypatch.setattr(sweep_module, "atomic_write", full)
+    assert main(["sweep", "one.toml", "-o", "out", "--workers", "1"]) == 2
+    said = "relmap: error: cannot write out/sweep.parquet: No space left on device\n"
+    assert capsys.readouterr().err.endswith(said)
+    assert {(swept / name).read_text() for name in ("sweep.csv", "sweep.parquet")} == {"old"}
+
+
 def test_a_killed_worker_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     def killed(number: int, cell: Cell) -> None:
         os.kill(os.getpid(), signal.SIGKILL)

@@ -120,13 +120,16 @@ def _write(out: Path, cells: Sequence[Cell], rows: Sequence[Finished]) -> None:
     from relmap.comparison.sweep import accuracy_csv, times_csv, write_parquet
     from relmap.io.files import atomic_write, staged_folder
 
-    with staged_folder(out) as staging:
+    parquet = "sweep.parquet"
+    with staged_folder(out, [parquet]) as staging:
         atomic_write(staging / "sweep.csv", accuracy_csv(cells, rows))
         atomic_write(staging / "timing.csv", times_csv(cells, rows))
         _draw(staging, cells, rows)
         try:
-            write_parquet(staging / "sweep.parquet", cells, rows)
+            write_parquet(staging / parquet, cells, rows)
         except RelmapError as error:
+            if not isinstance(error.__cause__, ImportError):
+                raise
             typer.echo(f"relmap: {error}", err=True)
 
 
