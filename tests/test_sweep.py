@@ -27,6 +27,7 @@ from relmap.comparison.sweep import (
 )
 from relmap.comparison.sweep_spec import KEYS, Cell, cells_of, varying
 from relmap.core.errors import RelmapError
+from relmap.io.files import atomic_write
 from tests.commands import PATIENCE_S, Check, names, table
 
 SPEC = """
@@ -264,14 +265,12 @@ def test_without_pyarrow_no_old_parquet_is_left(
 def test_a_parquet_that_cannot_be_written_is_an_error(
     swept: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    write = sweep_module.atomic_write
-
     def full(path: Path, content: str) -> None:
         if path.suffix == ".parquet":
             raise RelmapError(f"cannot write {path}: No space left on device")
-        write(path, content)
+        atomic_write(path, content)
 
-    monkeypatch.setattr(sweep_module, "atomic_write", full)
+    monkeypatch.setattr("relmap.comparison.sweep.atomic_write", full)
     assert main(["sweep", "one.toml", "-o", "out", "--workers", "1"]) == 2
     said = "relmap: error: cannot write out/sweep.parquet: No space left on device\n"
     assert capsys.readouterr().err.endswith(said)

@@ -129,8 +129,8 @@ def _move_files(staging: Path, folder: Path, stale: Sequence[str]) -> None:
     written = {path.name for path in staging.iterdir()}
     old = names if len(names) > 1 else []
     first = [Path(WHOLE)] if WHOLE in written else old
-    for stale_name in [*first, *set(stale).difference(written)]:
-        (folder / stale_name).unlink(missing_ok=True)
+    for gone in [*first, *map(Path, set(stale).difference(written))]:
+        (folder / gone).unlink(missing_ok=True)
     names.sort(key=lambda name: name == Path(WHOLE))
     for name in names:
         (staging / name).replace(folder / name)
