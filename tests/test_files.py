@@ -108,6 +108,36 @@ def test_a_kill_between_two_moves_leaves_no_old_file_beside_a_new_one(
     assert moved[3:] == [{"new"}]
 
 
+@pytest.mark.parametrize("whole", ["summary.json", "c.csv"])
+@pytest.mark.parametrize("call", ["unlink", "replace"])
+@pytest.mark.parametrize("at", [1, 2])
+def test_if_a_move_fails_the_old_files_are_put_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: str, at: int, whole: str
+) -> None:
+    for name in ("a.csv", whole, "stale.csv"):
+        (tmp_path / name).write_text("old")
+    whole_call, calls = getattr(Path, call), 0
+
+    def failing(self: Path, *arguments: object, **more: object) -> object:
+        nonlocal calls
+        calls += 1
+        if calls == at:
+            raise OSError(errno.EIO, "Input/output error")
+        return whole_call(self, *arguments, **more)
+
+    def write() -> None:
+        with staged_folder(tmp_path, ["stale.csv"]) as staging:
+            for name in ("a.csv", "b.csv", whole):
+                (staging / name).write_text("new")
+            monkeypatch.setattr(Path, call, failing)
+
+    with pytest.raises(RelmapError, match="Input/output"):
+        write()
+    monkeypatch.undo()
+    assert names(tmp_path) == sorted(["a.csv", whole, "stale.csv"])
+    assert {path.read_text() for path in tmp_path.iterdir()} == {"old"}
+
+
 def test_of_two_results_for_one_folder_all_files_are_of_the_later(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

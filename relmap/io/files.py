@@ -6,7 +6,7 @@ import os
 import shutil
 import tempfile
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -129,11 +129,35 @@ def _move_files(staging: Path, folder: Path, stale: Sequence[str]) -> None:
     written = {path.name for path in staging.iterdir()}
     old = names if len(names) > 1 else []
     first = [Path(WHOLE)] if WHOLE in written else old
-    for gone in [*first, *map(Path, set(stale).difference(written))]:
-        (folder / gone).unlink(missing_ok=True)
+    gone = [*first, *map(Path, set(stale).difference(written))]
     names.sort(key=lambda name: name == Path(WHOLE))
-    for name in names:
-        (staging / name).replace(folder / name)
+    with _restored_on_error(folder, {*names, *gone}, staging / ".old"):
+        for name in gone:
+            (folder / name).unlink(missing_ok=True)
+        for name in names:
+            (staging / name).replace(folder / name)
+
+
+@contextmanager
+def _restored_on_error(folder: Path, names: Collection[Path], aside: Path) -> Iterator[None]:
+    """Put files of a folder back if the disk fails, where the file system has hard links."""
+    old = [name for name in names if (folder / name).is_file()]
+    try:
+        for name in old:
+            (aside / name).parent.mkdir(parents=True, exist_ok=True)
+            (aside / name).hardlink_to(folder / name)
+    except OSError:
+        yield
+        return
+    try:
+        yield
+    except OSError:
+        with suppress(OSError):
+            for name in old:
+                (aside / name).replace(folder / name)
+            for name in set(names).difference(old):
+                (folder / name).unlink(missing_ok=True)
+        raise
 
 
 def read_text(path: Path) -> str:
