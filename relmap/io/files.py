@@ -141,7 +141,7 @@ def _move_files(staging: Path, folder: Path, stale: Sequence[str]) -> None:
 @contextmanager
 def _restored_on_error(folder: Path, names: Collection[Path], aside: Path) -> Iterator[None]:
     """Put files of a folder back if the disk fails, where the file system has hard links."""
-    old = [name for name in names if (folder / name).is_file()]
+    old = sorted(name for name in names if (folder / name).is_file())
     try:
         for name in old:
             (aside / name).parent.mkdir(parents=True, exist_ok=True)
