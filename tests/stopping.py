@@ -30,7 +30,7 @@ from tests.tracing import SPACE, traced
 NUMBERS = re.compile(rb"([0-9a-f]{64}|-?\d+(?:\.\d+)?(?:e[-+]?\d+)?|null)")
 JOURNAL, DAMAGED, SUMMARY = Path("j"), Path("j.damaged"), "out/summary.json"
 OTHER_LINES = re.compile("relmap: (compiling|mapping|[0-9]+ of)|.*(is skipped|borne out)")
-"""Lines on the standard error that are no errors."""
+"""Lines on the standard error that are not errors."""
 FINE = re.compile("^(old|new|in part), then new|^no error, new|^one line, old")
 Files = dict[str, bytes]
 

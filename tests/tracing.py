@@ -1,4 +1,4 @@
-"""Runs a function in a process of its own that is stopped before each call that changes files.
+"""Runs a function in a separate process that is stopped before each call that changes files.
 
 For Linux on x86-64.  A filter in the kernel picks the calls, so that others take no time.
 """
