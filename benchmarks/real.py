@@ -7,9 +7,9 @@ no odometry (as with `--odometry none`) and no ids, unless the row names them. K
 small_gicp (``relmap[peers]``) get the same scans; batch least squares, and an EKF as MRPT ships it,
 are given the ids.
 
-  usable  of walls: share of the scans that are in submaps of ten scans or more with an ATE of
+  usable  of walls and clouds: share of the scans that are in submaps of ten scans or more with an ATE of
           at most 0.3 m each; of points: share of the landmarks seen ten times that are in the map
-  error   of walls: ATE of the largest submap, of other methods of the whole path; of points: RMSE
+  error   of walls and clouds: ATE of the largest submap, of other methods of the whole path; of points: RMSE
           of the mapped landmarks seen ten times
 """
 
@@ -20,10 +20,13 @@ from fnmatch import fnmatch
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 from laser import LOGS
 from shared.judging import judged, share_right
+from space import BLOCKS, HALL, KITCHEN, ate_of, ate_of_peer, read
 
-from relmap import PlaneMapper, PointMapper
+from relmap import Plane3dMapper, PlaneMapper, PointMapper
+from relmap.comparison.baselines.icp import KissIcp, SmallGicp
 from relmap.comparison.compare import Compared, in_own_process
 from relmap.comparison.methods.registry import find_method
 from relmap.datasets import open_log, open_scans
@@ -53,6 +56,8 @@ DRIVEN: dict[str, tuple[str, Association]] = {
     "MRCLAM 6, odometry, ids": (MRCLAM, "known"),
 }
 """Logs mapped with their odometry: file or folder, and association."""
+SPACE = {"hall, lidar": HALL, "kitchen, depth camera": KITCHEN, "AirSim blocks, lidar": BLOCKS}
+"""Clouds mapped as planes in space."""
 ICP = ("kiss-icp", "small-gicp")
 TOLD = ("batch", "ekf-mrpt")
 
@@ -66,13 +71,15 @@ def main() -> None:
     data = given.data
     print("| log | scans | submaps | usable | relmap, error [m] | other methods, error [m] |")
     print("|---|---|---|---|---|---|")
-    for name in filter(partial(fnmatch, pat=given.log), (*LOGS, *POINTS, *DRIVEN)):
+    for name in filter(partial(fnmatch, pat=given.log), (*LOGS, *SPACE, *POINTS, *DRIVEN)):
         print(f"| {name} | {_row(data, name)} |", flush=True)
 
 
 def _row(data: Path, name: str) -> str:
     if name in LOGS:
         return _walls(data / LOGS[name])
+    if name in SPACE:
+        return _space(data, SPACE[name])
     return _points(data, name) if name in POINTS else _driven(data, *DRIVEN[name])
 
 
@@ -83,6 +90,25 @@ def _walls(file: Path) -> str:
     right = share_right(submaps[:, 0], submaps[:, 1], len(log))
     others = _others(ICP, FileSource(file, truth=file), "nearest", "ate_m")
     return f"{len(log)} | {len(submaps)} | {right:.0%} | {submaps[0, 1]:.3f} | {others}"
+
+
+def _space(data: Path, folder: str) -> str:
+    clouds, mapper = read(data, folder), Plane3dMapper()
+    for cloud in clouds.points:
+        mapper.update(mapper.segmenter.fit(cloud).patches_)
+    mapper.finish()
+    mapper.refine()
+    scans = np.array([len(part.iteration) for part in mapper.submaps])
+    ates = np.array([ate_of(part, clouds.poses) for part in mapper.submaps])
+    right = share_right(scans, ates, len(clouds.points))
+    peers = zip(ICP, (KissIcp, SmallGicp), strict=True)
+    others = [
+        f"{name} {ate_of_peer(peer, clouds):.3f}"
+        for name, peer in peers
+        if not find_method(name).missing
+    ]
+    row = f"{len(clouds.points)} | {len(scans)} | {right:.0%} | {ates[0]:.3f}"
+    return f"{row} | {', '.join(others) or '-'}"
 
 
 def _points(data: Path, name: str) -> str:

@@ -179,7 +179,7 @@ def _row(clouds: Clouds) -> list[str]:
     mapper.refine()
     last_s, parts = perf_counter() - began, mapper.submaps
     ms = 1000 * np.median(spent, axis=0)
-    ates = np.array([_ate(part, clouds.poses) for part in parts])
+    ates = np.array([ate_of(part, clouds.poses) for part in parts])
     scans = np.array([len(part.iteration) for part in parts])
     weak = mapper.weak_links
     wrong, turns = _steps(parts, clouds.poses, set(weak))
@@ -204,7 +204,8 @@ def _found(mapper: Plane3dMapper, clouds: Clouds) -> str:
     return f"{found['plane_recall'] or 0:.2f}, {found['plane_precision'] or 0:.2f}"
 
 
-def _ate(part: Submap, poses: Array) -> float:
+def ate_of(part: Submap, poses: Array) -> float:
+    """Return the ATE of a submap, metres."""
     return float(metrics.ate(part.trajectory, poses[part.iteration], False) or 0.0)
 
 
@@ -224,12 +225,17 @@ def _steps(parts: list[Submap], poses: Array, weak: set[int]) -> tuple[int, Arra
 
 
 def _peer(peer: type[KissIcp] | type[SmallGicp], clouds: Clouds) -> str:
-    farthest = max(float(np.linalg.norm(cloud, axis=1).max()) for cloud in clouds.points)
-    method, began = peer(farthest), perf_counter()
+    began = perf_counter()
+    ate = ate_of_peer(peer, clouds)
+    return f"{ate:.3f}, {1000 * (perf_counter() - began) / len(clouds.points):.0f}"
+
+
+def ate_of_peer(peer: type[KissIcp] | type[SmallGicp], clouds: Clouds) -> float:
+    """Return the ATE of another method, metres."""
+    method = peer(max(float(np.linalg.norm(cloud, axis=1).max()) for cloud in clouds.points))
     for cloud in clouds.points:
         method.update(cloud)
-    ms = 1000 * (perf_counter() - began) / len(clouds.points)
-    return f"{metrics.ate(method.trajectory, clouds.poses, False):.3f}, {ms:.0f}"
+    return float(metrics.ate(method.trajectory, clouds.poses, False) or 0.0)
 
 
 if __name__ == "__main__":
