@@ -7,10 +7,10 @@ no odometry (as with `--odometry none`) and no ids, unless the row names them. K
 small_gicp (``relmap[peers]``) get the same scans; batch least squares, and an EKF as MRPT ships it,
 are given the ids.
 
-  usable  of walls and clouds: share of the scans that are in submaps of ten scans or more with an ATE of
-          at most 0.3 m each; of points: share of the landmarks seen ten times that are in the map
-  error   of walls and clouds: ATE of the largest submap, of other methods of the whole path; of points: RMSE
-          of the mapped landmarks seen ten times
+  usable  of walls and clouds: fraction of the scans in submaps of ten scans or more with an ATE of
+          at most 0.3 m each; of points: fraction of the landmarks seen ten times that are mapped
+  error   of walls and clouds: ATE of the largest submap, of other methods of the whole path; of
+          points: RMSE of the mapped landmarks seen ten times
 """
 
 from __future__ import annotations
