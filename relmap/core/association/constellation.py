@@ -12,7 +12,7 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association.base import UNIDENTIFIED, Numbered
-from relmap.core.association.chance import ENOUGH
+from relmap.core.association.chance import ENOUGH, Chance
 from relmap.core.association.estimated import EstimatedCovariances
 from relmap.core.association.guiding import OdometryGuide
 from relmap.core.association.metric import rows_of, stretch_of
@@ -138,7 +138,7 @@ class Constellation(Numbered):
         for tracks, since in ((self._tracks, self._tracks_since), (self._stray, self._stray_since)):
             if tracks is None:
                 continue
-            placing = TrackPlacing(self._scale, self._idle, metric)
+            placing = TrackPlacing(Chance(self._scale, self._idle, metric))
             seen = len(points_robot) and len(tracks)
             placement = placing.placement(tracks, points_robot) if seen else None
             if placement is not None:

@@ -79,21 +79,21 @@ class TrackPlacing:
 
     Attributes
     ----------
-    scale : Scale
-        Scale of the scans so far, updated with each scan.
-    idle : int
-        Nearly empty scans since the tracks were seen.
-    metric : (n, d, d) float64 or None
-        Of the points of the scan.
+    chance : Chance
+        With the scale of the scans so far, which each scan updates.
     """
 
-    scale: Scale
-    idle: int
-    metric: Floats | None
+    chance: Chance
 
     @property
-    def _chance(self) -> Chance:
-        return Chance(self.scale, self.idle, self.metric)
+    def scale(self) -> Scale:
+        """Scale of the scans so far."""
+        return self.chance.scale
+
+    @property
+    def metric(self) -> Floats | None:
+        """Metric of the points of the scan (n, d, d)."""
+        return self.chance.metric
 
     def placement(self, tracks: LiveTracks, points: Floats) -> Placement | None:
         """Return the placement that brings tracks onto points (n, d); None if none is certain."""
@@ -128,10 +128,10 @@ class TrackPlacing:
 
     def is_unique(self, placement: Placement, tracks: LiveTracks, points: Floats) -> bool:
         """Return whether tracks fit points (n, d) better than chance explains in any placement."""
-        chance = self._chance.log(placement.n_agreeing, tracks.expected, points)
+        chance = self.chance.log(placement.n_agreeing, tracks.expected, points)
         if self.scale.is_blurred:
             d, extent_m = points.shape[1], float(np.ptp(points, axis=0).max())
-            chance = (2 * d - 3) * np.log(2 * np.pi) + self._chance.log_placements(d, extent_m)
+            chance = (2 * d - 3) * np.log(2 * np.pi) + self.chance.log_placements(d, extent_m)
             chance -= self._soft(tracks, points).fitted(placement.R, placement.t)[1]
         return bool(chance <= LOG_CHANCE)
 
@@ -149,7 +149,7 @@ class TrackPlacing:
             return None
         placement, score, rival = best
         far_m = moved_m(placement, here)
-        chance = self._chance.log_placements(here.shape[1], far_m) - score
+        chance = self.chance.log_placements(here.shape[1], far_m) - score
         if chance > (LOG_CLEAR if far_m <= spacing_m else LOG_CHANCE_NEAR):
             return None
         if rival > min(score + LOG_CLEAR, CLEAR * score):
@@ -195,7 +195,7 @@ class TrackPlacing:
                 return near, False
             here = tracks.expected[sample]
             near = settled(here, points, near, tolerance_m, metric)
-            if near is not None and not self._chance.is_exceeded(near, here, points, missed):
+            if near is not None and not self.chance.is_exceeded(near, here, points, missed):
                 near = None
         if near is not None and is_usual and near.n_agreeing >= share:
             return near, False
@@ -279,12 +279,12 @@ class TrackPlacing:
         if found is None:
             return _Searched(None, 0)
         placement, rival = found
-        if not self._chance.is_exceeded(placement, here, there, missed):
+        if not self.chance.is_exceeded(placement, here, there, missed):
             return _Searched(None, placement.n_agreeing)
         is_decidable = self.scale.noise_m is not None
         is_decidable &= min(len(here), len(there)) >= DECIDABLE
         # Matches that chance produces in some placement explain nothing.
-        is_clear = rival <= CLEAR * placement.n_agreeing or self._chance.log(rival, here, there) > 0
+        is_clear = rival <= CLEAR * placement.n_agreeing or self.chance.log(rival, here, there) > 0
         if is_clear and (
             not is_decidable or self._soft(tracks, points).misfit(placement) <= MISFIT
         ):
