@@ -14,8 +14,8 @@ prints one table in markdown; DATA is a folder of the real data sets.  Settings 
   recall   of the true planes over 0.25 m2 that two scans saw, the fraction that is mapped, and the
            fraction of mapped ones that are true; of simulated logs (`relmap.evaluation.space`)
   double   fraction of the area of planes that another plane of the map covers
-  ms       median times of the segmentation and of the placement of a scan; `last` is the time of
-           `finish` and `refine`, seconds
+  ms       median processor times of the segmentation and of the placement of a scan; `last` is
+           that of `finish` and `refine`, seconds
 
 With ``--peers`` KISS-ICP and small_gicp (``relmap[peers]``) get the clouds of the logs themselves;
 the last columns are their ATE in metres and their time, ms a scan.
@@ -30,7 +30,7 @@ from functools import partial
 from importlib.util import find_spec
 from itertools import pairwise
 from pathlib import Path
-from time import perf_counter
+from time import process_time
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -169,15 +169,15 @@ def main() -> None:
 def _row(clouds: Clouds) -> list[str]:
     mapper, spent = Plane3dMapper(), []
     for cloud in clouds.points:
-        began = perf_counter()
+        began = process_time()
         seen = mapper.segmenter.fit(cloud).patches_
-        between = perf_counter()
+        between = process_time()
         mapper.update(seen)
-        spent.append([between - began, perf_counter() - between])
-    began = perf_counter()
+        spent.append([between - began, process_time() - between])
+    began = process_time()
     mapper.finish()
     mapper.refine()
-    last_s, parts = perf_counter() - began, mapper.submaps
+    last_s, parts = process_time() - began, mapper.submaps
     ms = 1000 * np.median(spent, axis=0)
     ates = np.array([ate_of(part, clouds.poses) for part in parts])
     scans = np.array([len(part.iteration) for part in parts])
@@ -225,9 +225,9 @@ def _steps(parts: list[Submap], poses: Array, weak: set[int]) -> tuple[int, Arra
 
 
 def _peer(peer: type[KissIcp] | type[SmallGicp], clouds: Clouds) -> str:
-    began = perf_counter()
+    began = process_time()
     ate = ate_of_peer(peer, clouds)
-    return f"{ate:.3f}, {1000 * (perf_counter() - began) / len(clouds.points):.0f}"
+    return f"{ate:.3f}, {1000 * (process_time() - began) / len(clouds.points):.0f}"
 
 
 def ate_of_peer(peer: type[KissIcp] | type[SmallGicp], clouds: Clouds) -> float:

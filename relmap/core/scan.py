@@ -47,9 +47,8 @@ def checked_points(points: ArrayLike, dimension: int) -> Floats:
             f"points has {array.shape[1]} columns; earlier scans had {dimension}, "
             "and all scans of a map must agree"
         )
-    near = np.abs(array) <= FARTHEST_M
-    if not near.all():
-        row = int(np.argmin(near.all(axis=1)))
+    if not np.abs(array).max() <= FARTHEST_M:
+        row = int(np.argmin((np.abs(array) <= FARTHEST_M).all(axis=1)))
         raise RelmapError(
             f"points row {row} is {array[row].tolist()}; it must be finite, in metres, and at most "
             f"{FARTHEST_M:g}"

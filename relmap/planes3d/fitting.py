@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import cKDTree
-from scipy.spatial.transform import Rotation
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.planes3d.hypotheses import SKEW, Held
+from relmap.planes3d.hypotheses import SKEW, Held, Motions
 from relmap.segmentation.space import Patches
 
-LOOKED_AT = 800
+LOOKED_AT = 400
 """Number of cells of a scan from which overlapping planes are found."""
 NEAR = 3.0
 """Largest distance, in cells, of cells of overlapping surfaces."""
@@ -32,27 +30,69 @@ exceeded."""
 
 
 class Surfaces:
-    """Planes of the map with a search tree of the cells where they were seen.
+    """Planes of the map with a grid of the cells where they were seen.
 
     Parameters
     ----------
     planes : Patches
         In the frame of the map.
-
-    Attributes
-    ----------
-    tree : cKDTree
-        Of their cells.
     """
 
     def __init__(self, planes: Patches) -> None:
-        self.planes = planes
-        self.tree = cKDTree(planes.cells)
+        from relmap.core.geometry.spatialindex_kernels import link
+        from relmap.planes3d.nearest_kernels import keys_of
 
-    def near(self, points: Floats, reach: float) -> Ints:
+        self.planes = planes
+        # Cubes as large as the longest search are fastest.
+        side_m = 2 * NEAR * planes.cell_m
+        keys = keys_of(np.ascontiguousarray(planes.cells), side_m)
+        order = np.argsort(keys, kind="stable")
+        key, begin = np.unique(keys[order], return_index=True)
+        first = np.full(1 << (2 * len(key) + 1).bit_length(), -1)
+        following = np.full(len(key), -1)
+        link(first, following, key)
+        begin = np.append(begin, len(order))
+        self._grid = first, following, key, begin, planes.cells[order], side_m
+        self._plane = np.append(planes.cell_patch[order], -1)
+
+    def nearest(self, points: Floats, reach_m: float, count: int) -> Ints:
+        """Return the planes (n, count) of the cells nearest to points (n, 3); -1 out of reach."""
+        from relmap.planes3d.nearest_kernels import nearest
+
+        cell = nearest(self._grid, np.ascontiguousarray(points), reach_m, count)
+        return np.asarray(self._plane[cell])
+
+    def shares(
+        self,
+        motions: Motions,
+        seen: Patches,
+        cells: Floats,
+        of: Ints,
+        weight: Floats,
+        hopeless: float,
+    ) -> Floats:
+        """Return the weight (h,) of cells of a scan near surfaces that face the same way.
+
+        Parameters
+        ----------
+        motions : Motions
+        seen : Patches
+            Planes of the scan, robot frame.
+        cells : (s, 3) float64, of : (s,) int64, weight : (s,) float64
+            Cells of the scan, and their planes.
+        hopeless : float
+            Motions below this fraction of the largest weight may be given less.
+        """
+        from relmap.planes3d.nearest_kernels import shares
+
+        facing = self.planes.normal[self._plane[:-1]]
+        reach_m = NEAR * max(self.planes.cell_m, seen.cell_m)
+        scan = motions.R, motions.t, cells, seen.normal[of], weight
+        return shares(self._grid, facing, *scan, reach_m, SIDE, hopeless)
+
+    def near(self, points: Floats, reach_m: float) -> Ints:
         """Return the plane (n,) of the cell nearest to each point (n, 3); -1 out of reach."""
-        cell = self.tree.query(points, distance_upper_bound=reach)[1]
-        return np.asarray(np.append(self.planes.cell_patch, -1)[cell])
+        return self.nearest(points, reach_m, 1)[:, 0]
 
 
 def matched(
@@ -96,9 +136,8 @@ def overlapping(R: Floats, t: Floats, seen: Patches, there: Surfaces) -> Bools:
     rows = np.arange(0, len(seen.cells), max(len(seen.cells) // LOOKED_AT, 1))
     points, of = seen.cells[rows] @ R.T + t, seen.cell_patch[rows]
     reach = 2 * NEAR * max(planes.cell_m, seen.cell_m)
-    away, cell = there.tree.query(points, k=4, distance_upper_bound=reach)
-    plane = np.append(planes.cell_patch, 0)[cell]
-    hit = np.isfinite(away)
+    plane = there.nearest(points, reach, 4)
+    hit = plane >= 0
     near[np.broadcast_to(of[:, None], plane.shape)[hit], plane[hit]] = True
     return near
 
@@ -150,22 +189,17 @@ def fitted(
     free : (3,) float64 or None, is_held : bool
         See `Placed`.
     """
-    from relmap.planes3d.fitting_kernels import placement_equations
+    from relmap.planes3d.fitting_kernels import fit_placement
 
     rows = np.flatnonzero(match >= 0)
     n = planes.normal[match[rows]]
     there = np.column_stack([n, planes.offset[match[rows]]])
     root = np.sqrt(_information(seen, rows, planes, match))
-    axes, centre = seen.axes[rows], seen.centre[rows]
-    for _ in range(ROUNDS):
-        H, g = placement_equations(R, t, axes, centre, there, root, DOUBTFUL)
-        # Damps undetermined directions.
-        hold = np.repeat([np.trace(H[:3, :3]), np.trace(H[3:, 3:])], 3) * 1e-12 + 1e-30
-        step = -np.linalg.solve(H + np.diag(hold), g)
-        R, t = Rotation.from_rotvec(step[:3]).as_matrix() @ R, t + step[3:]
-        if np.abs(step).max() < (ROUNDING if last else SETTLED):
-            break
-    free, sd_m = _weakest(H + np.diag(hold), n)
+    scan = np.ascontiguousarray(seen.axes[rows]), seen.centre[rows]
+    settled = ROUNDING if last else SETTLED
+    first = np.ascontiguousarray(R), t
+    R, t, H = fit_placement(*first, *scan, there, root, DOUBTFUL, ROUNDS, settled)
+    free, sd_m = _weakest(H, n)
     weak_m, open_m = (share * seen.reach_m for share in (WEAK, OPEN)) if last else (np.inf,) * 2
     if sd_m <= weak_m and sd_m < np.inf:
         return R, t, None, False

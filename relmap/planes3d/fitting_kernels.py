@@ -1,12 +1,14 @@
-"""Compiled loops of `relmap.planes3d.hypotheses` and `relmap.planes3d.fitting`."""
+"""Compiled loops of `relmap.planes3d.fitting`."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from relmap.core.arrays import Floats, Ints
+from relmap.core.arrays import Floats
+from relmap.core.geometry.rotation_kernels import turned_by
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import medians
+from relmap.core.linalg.small_kernels import factorise, product, solve
 
 
 @helper
@@ -36,8 +38,8 @@ def _add_row(
         off[0] -= plane[3] * root
 
 
-@compiled
-def placement_equations(
+@helper
+def _equations(
     R: Floats,
     t: Floats,
     axes: Floats,
@@ -46,22 +48,7 @@ def placement_equations(
     root: Floats,
     doubtful: float,
 ) -> tuple[Floats, Floats]:
-    """Return the normal equations of a rotation and a translation, (6, 6) and (6,).
-
-    Parameters
-    ----------
-    R : (3, 3) float64, t : (3,) float64
-        Current estimate.
-    axes : (r, 3, 3) float64, centre : (r, 3) float64
-        Axes and centres of patches, robot frame.
-    planes : (r, 4) float64
-        Normals and offsets of the planes that they match, map frame.
-    root : (r, 3) float64
-        Square roots of the information of the tilt along the first two axes, and of the distance.
-    doubtful : float
-        Residual, in standard deviations, at which the weight is halved (Cauchy); or twice the
-        median residual if that is larger.
-    """
+    """Return the normal equations of a rotation and a translation, (6, 6) and (6,)."""
     n_rows = len(centre)
     off, J = np.zeros((n_rows, 3)), np.zeros((n_rows, 3, 6))
     size = np.zeros(n_rows)
@@ -78,69 +65,65 @@ def placement_equations(
         for k in range(3):
             for a in range(6):
                 g[a] += weight * J[r, k, a] * off[r, k]
-                for b in range(6):
+                for b in range(a + 1):
                     H[a, b] += weight * J[r, k, a] * J[r, k, b]
     return H, g
 
 
 @helper
-def _way_of_two(
-    a: Floats, b: Floats, off_a: float, off_b: float, held: Floats, area: float, way: Floats
-) -> None:
-    """Set the translation (3,) closest to the predicted one that satisfies two matches."""
-    cosine = 0.0
-    for d in range(3):
-        off_a -= a[d] * held[d]
-        off_b -= b[d] * held[d]
-        cosine += a[d] * b[d]
-    along_a, along_b = (off_a - cosine * off_b) / area, (off_b - cosine * off_a) / area
-    for d in range(3):
-        way[d] = held[d] + along_a * a[d] + along_b * b[d]
+def _damp(H: Floats) -> None:
+    """Complete a symmetric matrix (6, 6) given below its diagonal, and damp free directions."""
+    for part in range(0, 6, 3):
+        hold = (H[part, part] + H[part + 1, part + 1] + H[part + 2, part + 2]) * 1e-12 + 1e-30
+        for a in range(part, part + 3):
+            H[a, a] += hold
+    for a in range(6):
+        for b in range(a):
+            H[b, a] = H[a, b]
 
 
 @compiled
-def crossings(
-    normal: Floats, off: Floats, of: Ints, held: Floats, least_three: float, least_two: float
-) -> Floats:
-    """Return the translations (w, 3) that satisfy three matches, and those that satisfy two.
+def fit_placement(
+    R: Floats,
+    t: Floats,
+    axes: Floats,
+    centre: Floats,
+    planes: Floats,
+    root: Floats,
+    doubtful: float,
+    rounds: int,
+    settled: float,
+) -> tuple[Floats, Floats, Floats]:
+    """Fit a pose to matches; return its rotation, its translation and the normal matrix (6, 6).
 
     Parameters
     ----------
-    normal : (p, 3) float64, off : (p,) float64
-        A match requires ``normal @ translation == off``.
-    of : (p,) int64
-        Plane of the scan of each match; two matches of one plane are not combined.
-    held : (3,) float64
-        Predicted translation, used in the direction that two matches leave open.
-    least_three, least_two : float
-        Least volume and area that the normals of three and two matches span.
+    R : (3, 3) float64, t : (3,) float64
+        First estimate.
+    axes : (r, 3, 3) float64, centre : (r, 3) float64
+        Axes and centres of patches, robot frame.
+    planes : (r, 4) float64
+        Normals and offsets of the planes that they match, map frame.
+    root : (r, 3) float64
+        Square roots of the information of the tilt along the first two axes, and of the distance.
+    doubtful : float
+        Residual, in standard deviations, at which the weight is halved (Cauchy); or twice the
+        median residual if that is larger.
+    rounds : int, settled : float
+        Maximum number of steps, and the step that ends the fit: metres, radians.
     """
-    count, found = len(of), 0
-    ways = np.empty((count * (count - 1) // 2 + count * (count - 1) * (count - 2) // 6, 3))
-    for i in range(count):
-        for j in range(i + 1, count):
-            if of[i] == of[j]:
-                continue
-            a, b = normal[i], normal[j]
-            cx, cy = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2]
-            cz = a[0] * b[1] - a[1] * b[0]
-            area = cx * cx + cy * cy + cz * cz
-            if area > least_two**2:
-                _way_of_two(a, b, off[i], off[j], held, area, ways[found])
-                found += 1
-            for k in range(j + 1, count):
-                if of[k] == of[i] or of[k] == of[j]:
-                    continue
-                c = normal[k]
-                volume = cx * c[0] + cy * c[1] + cz * c[2]
-                if abs(volume) <= least_three:
-                    continue
-                for d in range(3):
-                    e, f = (d + 1) % 3, (d + 2) % 3
-                    ways[found, d] = (
-                        off[i] * (b[e] * c[f] - b[f] * c[e])
-                        + off[j] * (c[e] * a[f] - c[f] * a[e])
-                        + off[k] * (a[e] * b[f] - a[f] * b[e])
-                    ) / volume
-                found += 1
-    return ways[:found]
+    t, H = t.copy(), np.empty((6, 6))
+    for _ in range(rounds):
+        H, step = _equations(R, t, axes, centre, planes, root, doubtful)
+        _damp(H)
+        L, largest = H.copy(), 0.0
+        factorise(L)
+        solve(L, step)
+        for a in range(3):
+            largest = max(largest, abs(step[a]), abs(step[3 + a]))
+            t[a] -= step[3 + a]
+            step[a] = -step[a]
+        R = product(turned_by(step[:3]), R)
+        if largest < settled:
+            break
+    return R, t, H

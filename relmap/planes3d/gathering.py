@@ -74,10 +74,9 @@ def gathered(part: Submap, number: int) -> Submap | None:
 def _nearby(points: Floats, planes: Patches) -> tuple[Ints, Floats]:
     """Return planes near points (n, 8), and the distances from them in standard deviations."""
     reach_m = KNOWN_CELLS * planes.cell_m
-    cell = Surfaces(planes).tree.query(points, k=8, distance_upper_bound=reach_m)[1]
-    of = np.append(planes.cell_patch, len(planes))[cell]
+    of = Surfaces(planes).nearest(points, reach_m, 8)
     # One column for each plane of a point.
-    of = np.sort(of, axis=1)
+    of = np.sort(np.where(of < 0, len(planes), of), axis=1)
     of[:, 1:][of[:, 1:] == of[:, :-1]] = len(planes)
     normal, offset = np.vstack([planes.normal, np.zeros(3)]), np.append(planes.offset, np.inf)
     noise = np.append(planes.spread[:, 2], 1.0) + ROUNDING * planes.reach_m

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.arrays import Floats, Ints
 from relmap.segmentation.space import Patches
 
 SKEW = np.sin(np.deg2rad(20.0))
@@ -77,20 +77,44 @@ def motions(seen: Patches, there: Patches, held: Held) -> Motions:
     -------
     Motions
     """
-    weight = importance(seen)
-    mine, others = leaders(seen), leaders(there, 2 * LEADERS)
-    near = seen.normal[mine], there.normal[others]
-    found: list[tuple[Floats, Floats, float]] = []
-    for R in _distinct(*_turns(*near), near, weight[mine]):
-        a, b = np.nonzero(_parallel(R, *near))
-        order = np.argsort(-weight[mine[a]], kind="stable")[:PAIRS]
-        pairs = np.column_stack([mine[a], others[b]])[order]
-        for t, support in _ways(seen, there, pairs, held.place, weight):
-            found.append((R, t, support))
-    found.sort(key=lambda each: -each[2])
-    if not found:
+    from relmap.planes3d.hypothesis_kernels import distinct_turns
+
+    weight, mine, others = importance(seen), leaders(seen), leaders(there, 2 * LEADERS)
+    a, b = seen.normal[mine], there.normal[others]
+    parallel = np.cos(ALIKE_RAD)
+    turns = distinct_turns(_turns(a, b), a, b, weight[mine], parallel, SAME_TURN, SKEW, TURNS)
+    found = [_ways(R, seen, there, mine, others, held, weight) for R in turns]
+    count = [len(support) for _, support in found]
+    if not sum(count):
         return Motions(np.empty((0, 3, 3)), np.empty((0, 3)))
-    return Motions(np.array([R for R, _, _ in found]), np.array([t for _, t, _ in found]))
+    R, t = np.repeat(turns, count, axis=0), np.concatenate([ways for ways, _ in found])
+    order = np.argsort(-np.concatenate([support for _, support in found]), kind="stable")
+    return Motions(R[order], t[order])
+
+
+def _ways(
+    R: Floats,
+    seen: Patches,
+    there: Patches,
+    mine: Ints,
+    others: Ints,
+    held: Held,
+    weight: Floats,
+) -> tuple[Floats, Floats]:
+    """Return the best translations (k, 3) with a rotation, and their supports (k,).
+
+    Three matches of parallel planes determine a translation; two do together with the predicted
+    position.
+    """
+    from relmap.planes3d.hypothesis_kernels import best_ways
+
+    a, b = np.nonzero((seen.normal[mine] @ R.T) @ there.normal[others].T > np.cos(ALIKE_RAD))
+    order = np.argsort(-weight[mine[a]], kind="stable")[:PAIRS]
+    i, j = mine[a[order]], others[b[order]]
+    gate, off = tolerance(seen, i), there.offset[j] - seen.offset[i]
+    apart_m = 2 * float(np.median(gate)) if len(gate) else 0.0
+    limits = (FLAT_CORNER, SKEW), apart_m, PER_TURN
+    return best_ways(there.normal[j], off, i, gate, weight, held.place, *limits)
 
 
 def importance(seen: Patches) -> Floats:
@@ -114,16 +138,16 @@ def tolerance(patches: Patches, rows: Ints) -> Floats:
     return np.asarray(OFF_M * patches.spread[rows, 2] + OFF_SHARE * away)
 
 
-def _turns(a: Floats, b: Floats) -> tuple[Floats, int]:
-    """Return the rotations (h, 3, 3) that bring two of the normals a onto two of b, and h."""
+def _turns(a: Floats, b: Floats) -> Floats:
+    """Return the rotations (h, 3, 3) that bring two of the normals a onto two of b."""
     i = np.array(list(itertools.combinations(range(len(a)), 2)), dtype=np.int64).reshape(-1, 2)
     j = np.array(list(itertools.permutations(range(len(b)), 2)), dtype=np.int64).reshape(-1, 2)
     frame_a, angle_a = _frames(a, i)
     frame_b, angle_b = _frames(b, j)
     if not len(frame_a) or not len(frame_b):
-        return np.empty((0, 3, 3)), 0
+        return np.empty((0, 3, 3))
     p, q = np.nonzero(np.abs(angle_a[:, None] - angle_b) < ALIKE_RAD)
-    return frame_b[q] @ frame_a[p].transpose(0, 2, 1), len(p)
+    return frame_b[q] @ frame_a[p].transpose(0, 2, 1)
 
 
 def _frames(normal: Floats, pairs: Ints) -> tuple[Floats, Floats]:
@@ -139,64 +163,3 @@ def _frames(normal: Floats, pairs: Ints) -> tuple[Floats, Floats]:
     z = across / sine[:, None]
     frame = np.stack([x, np.cross(z, x), z], axis=2)
     return frame, np.arctan2(sine, (first * second).sum(axis=1))
-
-
-def _parallel(R: Floats, a: Floats, b: Floats) -> Bools:
-    """Return which normals a (m, 3), rotated, are parallel to which normals b (k, 3)."""
-    return np.asarray((a @ R.T) @ b.T > np.cos(ALIKE_RAD))
-
-
-def _distinct(
-    turns: Floats, count: int, near: tuple[Floats, Floats], weight: Floats
-) -> list[Floats]:
-    """Return distinct rotations, each fitted to the normals it makes parallel; best first."""
-    if not count:
-        return []
-    a, b = near
-    cosine = np.einsum("hij,mj,ki->hmk", turns, a, b, optimize=True)
-    support = np.round((cosine.max(axis=2) > np.cos(ALIKE_RAD)) @ weight, 9)
-    chosen: list[Floats] = []
-    left = np.argsort(-support, kind="stable")
-    while len(left) and len(chosen) < TURNS:
-        R = _fitted(turns[left[0]], a, b, weight)
-        chosen.append(R)
-        apart = (np.einsum("hij,ij->h", turns[left], turns[left[0]]) - 1) / 2 < SAME_TURN
-        left = left[apart]
-    return chosen
-
-
-def _fitted(R: Floats, a: Floats, b: Floats, weight: Floats) -> Floats:
-    """Return the rotation that fits best the normals that are parallel already."""
-    i, j = np.nonzero(_parallel(R, a, b))
-    u, _, vt = np.linalg.svd((b[j] * weight[i, None]).T @ a[i])
-    sign = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
-    # Normals of one direction do not determine a rotation: the one from two planes is kept.
-    return R if np.linalg.matrix_rank(a[i], SKEW) < 2 else np.asarray(u @ sign @ vt)
-
-
-def _ways(
-    seen: Patches, there: Patches, pairs: Ints, held: Floats, weight: Floats
-) -> list[tuple[Floats, float]]:
-    """Return translations from candidate matches (p, 2) of parallel planes, and their supports.
-
-    Three matches determine a translation; two do together with the predicted position.
-    """
-    from relmap.planes3d.fitting_kernels import crossings
-
-    i, j = pairs.T
-    normal, off = there.normal[j], there.offset[j] - seen.offset[i]
-    ways, gate = crossings(normal, off, i, held, FLAT_CORNER, SKEW), tolerance(seen, i)
-    fits = np.abs(ways @ normal.T - off) < gate
-    # A plane of the scan counts once, however many planes of the map it may match.
-    own, place = np.unique(i, return_inverse=True)
-    counted = np.zeros((len(ways), len(own)), dtype=bool)
-    for column, row in enumerate(place):
-        counted[:, row] |= fits[:, column]
-    support = np.round(counted @ weight[own], 9)
-    kept: list[tuple[Floats, float]] = []
-    left = np.argsort(-support, kind="stable")
-    while len(left) and len(kept) < PER_TURN:
-        kept.append((ways[left[0]], float(support[left[0]])))
-        away = ((ways[left] - ways[left[0]]) ** 2).sum(axis=1)
-        left = left[away > (2 * np.median(gate)) ** 2]
-    return kept

@@ -8,8 +8,6 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.planes3d.fitting import (
-    NEAR,
-    SIDE,
     Surfaces,
     fitted,
     fixes_turn,
@@ -40,6 +38,8 @@ CLOSE, SETTLES = 0.3, 0.85
 """A hypothesis this close to a placement, as a fraction of `APART`, is not fitted if the placement
 explains at least the second value. So must a leap, unless more planes match than `BOX`: a room that
 is a box, with something in it, looks much the same after half a turn."""
+ARRIVED = 0.05
+"""A hypothesis that a fit brings this close to a placement, as a fraction of `APART`, is it."""
 BOX = 8
 CLEARLY = 0.5
 """The step to the chosen placement is at most this fraction of the step to any other rival."""
@@ -111,7 +111,7 @@ def place(
     for R, t in tried if last is None else [*tried, last]:
         if any(other.share > SETTLES and _same(R, t, other, seen, CLOSE) for other in best):
             continue
-        placed = _settled(R, t, seen, there, held)
+        placed = _settled(R, t, seen, there, held, best)
         if placed is not None:
             best.append(placed)
     best.sort(key=lambda each: -each.share)
@@ -167,25 +167,27 @@ def _sample(seen: Patches, most: int) -> tuple[Floats, Ints, Floats]:
 def _promising(tried: Motions, seen: Patches, there: Surfaces) -> list[tuple[Floats, Floats]]:
     """Return the hypotheses with most surfaces of a scan near surfaces that face the same way."""
     cells, of, weight = _sample(seen, ROUGHLY)
-    points = np.einsum("hij,cj->hci", tried.R, cells) + tried.t[:, None]
-    normal = np.einsum("hij,cj->hci", tried.R, seen.normal[of])
-    reach = NEAR * max(there.planes.cell_m, seen.cell_m)
-    plane = there.near(points.reshape(-1, 3), reach).reshape(points.shape[:2])
-    side = np.einsum("hci,hci->hc", normal, there.planes.normal[plane]) > SIDE
-    share = np.round(((plane >= 0) & side) @ weight, 9)
+    share = np.round(there.shares(tried, seen, cells, of, weight, HOPELESS), 9)
     order = np.argsort(-share, kind="stable")[:JUDGED]
     order = order[share[order] >= HOPELESS * share.max(initial=0.0)]
     return [(tried.R[k], tried.t[k]) for k in order]
 
 
-def _settled(R: Floats, t: Floats, seen: Patches, there: Surfaces, held: Held) -> Placed | None:
-    """Fit a hypothesis to its matches, three times, and judge it; None if it is undetermined."""
+def _settled(
+    R: Floats, t: Floats, seen: Patches, there: Surfaces, held: Held, known: list[Placed]
+) -> Placed | None:
+    """Fit a hypothesis to its matches, three times, and judge it.
+
+    None if it is undetermined, or leads to one of the known placements.
+    """
     planes, near = there.planes, overlapping(R, t, seen, there)
     match, _ = matched(R, t, seen, planes, near, loose=4.0)
     for loose in (2.0, 1.0):
         if not fixes_turn(planes.normal[match[match >= 0]]):
             return None
         R, t, *_ = fitted(R, t, seen, planes, match, held)
+        if any(_same(R, t, other, seen, ARRIVED) for other in known):
+            return None
         # After the first fit the pose hardly changes.
         near = overlapping(R, t, seen, there) if loose > 1.0 else near
         match, off = matched(R, t, seen, planes, near, loose)

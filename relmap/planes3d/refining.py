@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Floats
 from relmap.planes3d.adjustment import PlaneAdjustment, Scene, Sightings, systematic_share
@@ -148,9 +149,11 @@ def _doubles(part: Submap) -> dict[int, int]:
 def _covered(surfaces: Surfaces) -> Floats:
     """Return the fraction (l, l) of the cells of each landmark that are at a cell of another."""
     of, count = surfaces.planes.cell_patch, len(surfaces.planes)
-    near = surfaces.tree.query_pairs(surfaces.planes.cell_m, output_type="ndarray")
-    near = np.concatenate([near, near[:, ::-1]])
-    cell, other = np.unique(np.column_stack([near[:, 0], of[near[:, 1]]]), axis=0).T
-    covered = np.zeros((count, count))
-    np.add.at(covered, (of[cell], other), 1.0)
+    tree, cell_m = cKDTree(surfaces.planes.cells), surfaces.planes.cell_m
+    pairs = tree.query_pairs(cell_m, output_type="ndarray")
+    pairs = pairs[of[pairs[:, 0]] != of[pairs[:, 1]]]
+    cell, other = np.concatenate([pairs, pairs[:, ::-1]]).T
+    # A cell counts once for each other landmark.
+    cell, other = np.divmod(np.unique(cell * count + of[other]), count)
+    covered = np.bincount(of[cell] * count + other, minlength=count**2).reshape(count, count)
     return covered / np.maximum(np.bincount(of, minlength=count), 1)[:, None]

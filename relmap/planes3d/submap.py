@@ -64,14 +64,16 @@ class Submap:
         self._cells = np.empty((0, 3))
         self._cell_of = np.empty(0, dtype=np.int64)
         self._untransformed: list[tuple[Floats, Ints]] = []
-        self._known: set[tuple[int, ...]] = set()
-        self._loose: dict[tuple[int, ...], int] = {}
+        self._known: set[tuple[int, int]] = set()
+        self._loose: dict[int, int] = {}
 
     def __len__(self) -> int:
         """Return the number of landmarks."""
         return len(self.last)
 
-    def add(self, iteration: int, seen: Patches, pose: Pose, number: Ints) -> None:
+    def add(
+        self, iteration: int, seen: Patches, pose: Pose, number: Ints, sparse: bool = False
+    ) -> None:
         """Add a scan.
 
         Parameters
@@ -83,6 +85,8 @@ class Submap:
             ``T_submap_robot``.
         number : (m,) int64
             Number of the landmark of each patch in the mapper.
+        sparse : bool
+            Whether the points on no plane are few enough already.
         """
         R, t = pose
         match = np.array([self._row.setdefault(k, len(self._row)) for k in number.tolist()], int)
@@ -99,8 +103,9 @@ class Submap:
         self._untransformed.append((seen.cells[fresh], seen.cell_patch[fresh]))
         self.iteration.append(iteration)
         self.poses.append(pose)
-        loose = seen.loose[self._sparse(seen.loose @ R.T + t, seen.cell_m)]
-        self.seen.append(replace(seen, cells=NOWHERE, cell_patch=NOTHING, loose=loose))
+        if not sparse:
+            seen = replace(seen, loose=seen.loose[self._sparse(seen.loose @ R.T + t, seen.cell_m)])
+        self.seen.append(replace(seen, cells=NOWHERE, cell_patch=NOTHING))
         self.match.append(match)
 
     def scan(self, k: int) -> Patches:
@@ -110,9 +115,10 @@ class Submap:
 
     def _add_cells(self, cells: Floats, of: Ints, cell_m: float) -> list[int]:
         """Add cells (c, 3) of landmarks (c,); return those that are new."""
-        keys = np.column_stack([of, np.floor(cells / cell_m).astype(np.int64)])
-        fresh = []
-        for row, key in enumerate(map(tuple, keys.tolist())):
+        from relmap.planes3d.nearest_kernels import keys_of
+
+        fresh, keys = [], keys_of(cells, cell_m)
+        for row, key in enumerate(zip(of.tolist(), keys.tolist(), strict=True)):
             if key not in self._known:
                 self._known.add(key)
                 fresh.append(row)
@@ -122,9 +128,10 @@ class Submap:
 
     def _sparse(self, points: Floats, cell_m: float) -> list[int]:
         """Return which points (n, 3) on no plane lie in cells of the map with few such points."""
+        from relmap.planes3d.nearest_kernels import keys_of
+
         few = []
-        keys = np.floor(2 * points / cell_m).astype(np.int64)
-        for row, key in enumerate(map(tuple, keys.tolist())):
+        for row, key in enumerate(keys_of(points, cell_m / 2).tolist()):
             count = self._loose.get(key, 0)
             if count < MOST_LOOSE:
                 self._loose[key] = count + 1
@@ -178,8 +185,9 @@ class Submap:
         for k, iteration in enumerate(self.iteration):
             numbers = self.number[self.match[k]].tolist()
             renamed = np.array([name.get(number, number) for number in numbers], dtype=np.int64)
-            part.add(iteration, self.scan(k), poses[k], renamed)
+            part.add(iteration, self.scan(k), poses[k], renamed, sparse=True)
         part.take_over(self)
+        part._loose = dict(self._loose)
         return part
 
     def take_over(self, other: Submap) -> None:

@@ -16,19 +16,21 @@ MIX = 0x1E3779B97F4A7C15
 
 
 @helper
-def _cell(place: float, cell_m: float) -> int:
+def cell_at(place: float, cell_m: float) -> int:
+    """Return the index of the cell of a coordinate, along one axis."""
     return int(min(max(np.floor(place / cell_m), -FARTHEST), FARTHEST))
 
 
 @helper
-def _key(x: int, y: int, z: int) -> int:
+def key_of(x: int, y: int, z: int) -> int:
     """Return the key of a cell, 0 or more."""
     mask = (1 << AXIS) - 1
     return (x & mask) | ((y & mask) << AXIS) | ((z & mask) << (2 * AXIS))
 
 
 @helper
-def _bucket(key: int, n: int) -> int:
+def bucket_of(key: int, n: int) -> int:
+    """Return the bucket of a key, of n, a power of two."""
     return ((key * MIX) >> 32) & (n - 1)
 
 
@@ -55,15 +57,15 @@ def enter(
     n_new = 0
     for k in range(len(landmarks)):
         one = landmarks[k]
-        x, y = _cell(positions[k, 0], cell_m), _cell(positions[k, 1], cell_m)
-        now = _key(x, y, _cell(positions[k, 2], cell_m) if positions.shape[1] == 3 else 0)
+        x, y = cell_at(positions[k, 0], cell_m), cell_at(positions[k, 1], cell_m)
+        now = key_of(x, y, cell_at(positions[k, 2], cell_m) if positions.shape[1] == 3 else 0)
         if now == key[one]:
             continue
         if key[one] >= 0:
-            _remove(first, following, one, _bucket(key[one], len(first)))
+            _remove(first, following, one, bucket_of(key[one], len(first)))
         else:
             n_new += 1
-        bucket = _bucket(now, len(first))
+        bucket = bucket_of(now, len(first))
         following[one], first[bucket], key[one] = first[bucket], one, now
     return n_new
 
@@ -74,7 +76,7 @@ def link(first: Ints, following: Ints, key: Ints) -> int:
     n = 0
     for one in range(len(key)):
         if key[one] >= 0:
-            bucket = _bucket(key[one], len(first))
+            bucket = bucket_of(key[one], len(first))
             following[one], first[bucket] = first[bucket], one
             n += 1
     return n
@@ -89,11 +91,11 @@ def near(
     of, found = np.empty(room, dtype=np.int64), np.empty(room, dtype=np.int64)
     layers = 3 if positions.shape[1] == 3 else 1
     for k in range(len(positions)):
-        x, y = _cell(positions[k, 0], cell_m), _cell(positions[k, 1], cell_m)
-        z = _cell(positions[k, 2], cell_m) - 1 if layers == 3 else 0
+        x, y = cell_at(positions[k, 0], cell_m), cell_at(positions[k, 1], cell_m)
+        z = cell_at(positions[k, 2], cell_m) - 1 if layers == 3 else 0
         for around in range(9 * layers):
-            wanted = _key(x + around % 3 - 1, y + around // 3 % 3 - 1, z + around // 9)
-            one = first[_bucket(wanted, len(first))]
+            wanted = key_of(x + around % 3 - 1, y + around // 3 % 3 - 1, z + around // 9)
+            one = first[bucket_of(wanted, len(first))]
             while one >= 0:
                 if key[one] == wanted:
                     if n == room:

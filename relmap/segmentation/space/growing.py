@@ -49,6 +49,8 @@ def grown(voxels: Voxels, flat: Bools, sigma: Floats) -> Ints:
     sigma : (v,) float64, metres
         Noise of their points across planes.
     """
+    from relmap.segmentation.space.growing_kernels import grow_regions
+
     toward = -np.sign((voxels.normal * voxels.centre).sum(axis=1))
     normal = voxels.normal * toward[:, None]
     planes = np.column_stack([normal, (normal * voxels.centre).sum(axis=1)])
@@ -57,51 +59,16 @@ def grown(voxels: Voxels, flat: Bools, sigma: Floats) -> Ints:
     reach = REACH * sigma * np.sqrt(1 / points + 0.25)
     # The flattest first, relative to the noise.
     seeds = np.flatnonzero(may)[np.argsort((voxels.thickness / sigma)[may], kind="stable")]
-    label, found, grown = _regions(seeds, planes[seeds], voxels, normal, may.copy(), reach)
+    rest = voxels.moments, TURN, reach, voxels.around, voxels.centre, normal
+    label, limits = np.full(len(may), -1), (REGROWN, FEWEST_VOXELS)
+    found, grown = grow_regions(seeds, planes[seeds], *rest, may.copy(), label, *limits)
     # Then the largest first: a bent part of a plane that grew before it is taken back.
     order = np.argsort(-np.bincount(label[label >= 0], minlength=len(found)), kind="stable")
     seeds = np.concatenate([found[order], seeds])
     planes = np.concatenate([grown[order], planes[seeds[len(found) :]]])
-    return _regions(seeds, planes, voxels, normal, may, reach)[0]
-
-
-def _regions(
-    seeds: Ints, planes: Floats, voxels: Voxels, normal: Floats, may: Bools, reach: Floats
-) -> tuple[Ints, Ints, Floats]:
-    """Grow planes (s, 4) from seeds (s,) in this order, over voxels that may belong to one.
-
-    Returns
-    -------
-    label : (v,) int64
-        The region of each voxel, -1 for none.
-    seeds : (r,) int64, planes : (r, 4) float64
-        Of the regions.
-    """
-    from relmap.segmentation.space.growing_kernels import grow
-
-    label, queue = np.full(len(may), -1), np.empty(len(may), dtype=np.int64)
-    found: list[int] = []
-    fitted: list[Floats] = []
-    for seed, plane in zip(seeds.tolist(), planes, strict=True):
-        if label[seed] >= 0 or not may[seed]:
-            continue
-        size, mine, plane = 0, queue[:0], np.append(plane, TURN)
-        for _ in range(REGROWN):
-            label[mine] = -1
-            rest = voxels.around, voxels.centre, normal, may, label, queue
-            count = grow(seed, len(found), plane, reach, *rest)
-            mine = queue[:count].copy()
-            if count <= 1.1 * size or count < FEWEST_VOXELS:
-                break
-            size = count
-            plane[:4] = planes_of(voxels.moments[mine].sum(axis=0)[None])[0]
-        if count < FEWEST_VOXELS:
-            label[mine] = -1
-            may[seed] = False
-        else:
-            found.append(seed)
-            fitted.append(plane[:4])
-    return label, np.array(found, dtype=np.int64), np.array(fitted).reshape(-1, 4)
+    label[:] = -1
+    grow_regions(seeds, planes, *rest, may, label, *limits)
+    return label
 
 
 def joined(sums: Floats, noise: Floats) -> Ints:
@@ -114,28 +81,11 @@ def joined(sums: Floats, noise: Floats) -> Ints:
     noise : (m,) float64
         Mean square of the noise of each plane; changed.
     """
+    from relmap.segmentation.space.growing_kernels import join_same
+
     own = np.arange(len(sums))
-    for a, b in _alike(sums, noise).tolist():
-        a, b = own[a], own[b]
-        if a == b:
-            continue
-        pair = sums[[a, b]]
-        plane = planes_of(pair.sum(axis=0)[None])[0]
-        thin = np.maximum(noise[[a, b]], ALIKE**-2 * principal(pair)[1][:, 0])
-        if (_square_off(pair, plane) < ALIKE**2 * thin).all():
-            a, b = min(a, b), max(a, b)
-            own[own == b] = a
-            noise[a] = (noise[[a, b]] * sums[[a, b], 0]).sum() / sums[[a, b], 0].sum()
-            sums[a] += sums[b]
+    join_same(_alike(sums, noise), sums, noise, ALIKE, own)
     return np.append(np.unique(own, return_inverse=True)[1], -1)
-
-
-def _square_off(moments: Floats, plane: Floats) -> Floats:
-    """Return the mean square distance (m,) of points, known by their moments, from a plane."""
-    x, y, z, d = plane
-    products = np.array([x * x, 2 * x * y, 2 * x * z, y * y, 2 * y * z, z * z])
-    ahead = moments[:, 1:4] @ plane[:3]
-    return np.asarray((moments[:, 4:] @ products - 2 * d * ahead) / moments[:, 0] + d * d)
 
 
 def _alike(sums: Floats, noise: Floats) -> Ints:

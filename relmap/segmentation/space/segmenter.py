@@ -103,7 +103,7 @@ class PatchSegmenter:
         points = checked_points(points, 0)
         if points.shape[1] != 3:
             raise RelmapError("points has 2 columns; planes in space need x, y and z")
-        range_m = np.linalg.norm(points, axis=1)
+        range_m = np.sqrt(np.einsum("ij,ij->i", points, points))
         self.labels_, self.noise_m_ = np.full(len(points), -1), np.ones(len(points))
         self.patches_ = no_patches(1.0)
         left = np.flatnonzero(range_m > 0)
@@ -111,26 +111,26 @@ class PatchSegmenter:
             return self
         middle_m = float(np.median(range_m))
         cells, of = [np.empty((0, 3))], [np.empty(0, dtype=np.int64)]
-        size_m, keys, of_points = self._cells(points[left], range_m[left], middle_m)
+        near, away = _rows(points, range_m, left)
+        size_m, keys, of_points = self._cells(near, away, middle_m)
         for scale in SCALES:
-            near, away = points[left], range_m[left]
             if scale != 1:
+                near, away = _rows(points, range_m, left)
                 keys, of_points = cells_of(near, away, scale * size_m, middle_m)
             voxels = voxels_of(near, keys, of_points, scale * size_m, middle_m)
             found, noise_m, labels = self._planes_in(near, away, voxels)
             first = int(self.labels_.max(initial=-1)) + 1
             self.noise_m_[left] = noise_m
             self.labels_[left] = np.where(found >= 0, first + found, -1)
-            mine = labels >= 0
-            cells.append(voxels.centre[mine])
-            of.append(first + labels[mine])
+            cells.append(voxels.centre[labels >= 0])
+            of.append(first + labels[labels >= 0])
             left = left[found < 0]
             if len(left) < self.min_points:
                 break
         self._condense(points, np.concatenate(cells), np.concatenate(of), size_m)
-        of_points = cells_of(points[left], range_m[left], THIN * size_m, middle_m)[1]
-        loose = points[left[np.unique(of_points, return_index=True)[1]]]
-        self.patches_ = replace(self.patches_, loose=loose)
+        near, away = _rows(points, range_m, left)
+        thin = np.unique(cells_of(near, away, THIN * size_m, middle_m)[1], return_index=True)[1]
+        self.patches_ = replace(self.patches_, loose=near[thin])
         return self
 
     def _cells(self, points: Floats, range_m: Floats, middle_m: float) -> tuple[float, Ints, Ints]:
@@ -138,8 +138,8 @@ class PatchSegmenter:
         size_m = self.voxel_m or VOXEL * middle_m
         while True:
             keys, of = cells_of(points, range_m, size_m, middle_m)
-            larger_m = size_m * COARSER
-            enough = np.median(np.bincount(of)[of]) >= SPARSE
+            larger_m, number = size_m * COARSER, np.bincount(of)
+            enough = 2 * number[number >= SPARSE].sum() >= len(points)
             if self.voxel_m or enough or larger_m >= COARSEST * middle_m:
                 return size_m, keys, of
             size_m = larger_m
@@ -160,19 +160,17 @@ class PatchSegmenter:
         square = np.bincount(label[mine], (sigma**2 * number)[mine], len(sums))
         label = joined(sums, square / np.maximum(sums[:, 0], 1))[label]
         planes = planes_of(moments_by(voxels.moments, label))
-        found = np.full(len(points), -1)
+        found, steepness = np.full(len(points), -1), np.ones(len(points))
         for _ in range(REFITS):
             if not len(planes):
                 break
             around = voxels.of, noise_m, GATE, GRAZING, voxels.around
-            label_points(points, *around, label, planes, found)
+            label_points(points, *around, label, planes, found, steepness)
             keep = np.bincount(found + 1, minlength=len(planes) + 1)[1:] >= self.min_points
             name = np.append(np.where(keep, np.cumsum(keep) - 1, -1), -1)
             label, found = name[label], name[found]
-            planes = planes_of(moments_of(points, found, int(keep.sum()), noise_m**-2))
-        along = np.abs((points * planes[found, :3]).sum(axis=1)) / range_m if len(planes) else 1.0
-        across = np.where(found >= 0, np.maximum(along, GRAZING), 1.0)
-        return found, noise_m * across, label
+            planes = planes_of(moments_of(points, found, int(keep.sum()), noise_m))
+        return found, noise_m * np.where(found >= 0, steepness, 1.0), label
 
     def _condense(self, points: Floats, cells: Floats, cell_of: Ints, size_m: float) -> None:
         """Join planes that are the same, and set `labels_` and `patches_`, most points first."""
@@ -188,10 +186,9 @@ class PatchSegmenter:
         name[order] = np.arange(len(order))
         name = np.append(name[own[:-1]], -1)
         self.labels_, cell_of, number = name[self.labels_], name[cell_of], number[order]
-        middle = _means(points, self.labels_, number)
+        middle = moments_of(points, self.labels_, len(order))[:, 1:4] / number[:, None]
         # About their own mean, so that rounding errors do not grow with the range.
-        near = points - middle[self.labels_] if len(order) else points
-        sums = moments_of(near, self.labels_, len(order), self.noise_m_**-2)
+        sums = moments_of(points, self.labels_, len(order), self.noise_m_, middle)
         shift, variance, axes = principal(sums)
         weight, centre = sums[:, 0], middle + shift
         axes = axes[:, ::-1]
@@ -210,10 +207,9 @@ class PatchSegmenter:
         )
 
 
-def _means(points: Floats, label: Ints, number: Ints) -> Floats:
-    mine = label >= 0
-    sums = [np.bincount(label[mine], column[mine], len(number)) for column in points.T]
-    return np.column_stack(sums) / number[:, None]
+def _rows(points: Floats, range_m: Floats, rows: Ints) -> tuple[Floats, Floats]:
+    """Return points (n, 3) and their ranges, not copied if all are chosen."""
+    return (points, range_m) if len(rows) == len(points) else (points[rows], range_m[rows])
 
 
 def _cells(cells: Floats, of: Ints, centre: Floats, normal: Floats) -> tuple[Floats, Ints]:

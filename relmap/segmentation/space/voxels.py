@@ -27,7 +27,8 @@ GRAZING = 0.3
 NEAR = 0.1
 """Voxels have the same size below this fraction of the median range."""
 AROUND = np.array([a for a in itertools.product((-1, 0, 1), repeat=3) if any(a)])
-_BITS = 21
+BITS = 21
+"""Bits of the key of a voxel for each axis."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +45,8 @@ class Voxels:
         Number, sum and sums of products (xx, xy, xz, yy, yz, zz) of its points.
     centre, normal : (v, 3) float64
     thickness, width : (v,) float64, metres
-        Standard deviations of its points in the directions of smallest and middle spread.
+        Standard deviations of its points in the directions of smallest and middle spread. These and
+        the normal are 0 where the points are too few.
     range_m : (v,) float64
     size_m : (v,) float64
     """
@@ -78,39 +80,51 @@ class Voxels:
             return np.ones(1), np.ones(1)
         order = np.argsort(range_m)
         parts = np.array_split(order, min(BINS, max(len(order) // 20, 1)))
-        at = np.array([np.median(range_m[part]) for part in parts])
-        sigma = np.array([np.quantile(thick[part], QUANTILE) for part in parts])
+        at = np.array([_quantile(range_m[part], 0.5) for part in parts])
+        sigma = np.array([_quantile(np.sort(thick[part]), QUANTILE) for part in parts])
         return at, np.maximum.accumulate(np.maximum(sigma, ROUNDING * at + TINY))
 
 
+def _quantile(values: Floats, q: float) -> float:
+    """Return a quantile of ascending values, interpolated; numpy's takes longer for few values."""
+    place = q * (len(values) - 1)
+    low, high = values[int(place)], values[min(int(place) + 1, len(values) - 1)]
+    return float(low + (high - low) * (place % 1))
+
+
 def cells_of(points: Floats, range_m: Floats, size_m: float, middle_m: float) -> tuple[Ints, Ints]:
-    """Return the keys (v,) of the voxels of points (n, 3), and the voxel (n,) of each.
+    """Return the keys (v,), ascending, of the voxels of points (n, 3), and the voxel (n,) of each.
 
     Their size grows with the square root of the range, because the spacing of points and the noise
     grow; `size_m` is the size at the median range.
     """
-    scale = np.sqrt(middle_m / np.maximum(range_m, NEAR * middle_m)) / size_m
-    cell = np.floor(points * scale[:, None]).astype(np.int64) + (1 << (_BITS - 1))
-    key = (cell[:, 0] << (2 * _BITS)) | (cell[:, 1] << _BITS) | cell[:, 2]
-    keys, of = np.unique(key, return_inverse=True)
-    return keys, of
+    from relmap.segmentation.space.voxel_kernels import numbered_cells
+
+    keys, of = numbered_cells(points, range_m, size_m, middle_m, NEAR)
+    order = np.argsort(keys)
+    number = np.empty(len(keys), dtype=np.int64)
+    number[order] = np.arange(len(keys))
+    return keys[order], number[of]
 
 
 def voxels_of(points: Floats, keys: Ints, of: Ints, size_m: float, middle_m: float) -> Voxels:
     """Return the voxels of points (n, 3), robot frame, metres; see `cells_of`."""
-    step = AROUND @ np.array([1 << (2 * _BITS), 1 << _BITS, 1])
+    step = AROUND @ np.array([1 << (2 * BITS), 1 << BITS, 1])
     there = keys[:, None] + step
     place = np.minimum(np.searchsorted(keys, there), len(keys) - 1)
     around = np.where(keys[place] == there, place, -1)
     moments = moments_of(points, of, len(keys))
-    centre, spread, axes = principal(moments)
     n = moments[:, 0]
+    centre, spread = moments[:, 1:4] / n[:, None], np.zeros((len(keys), 3))
+    normal, full = np.zeros((len(keys), 3)), n >= FEWEST
+    _, spread[full], axes = principal(moments[full])
+    normal[full] = axes[:, 0]
     # A fitted plane has three degrees of freedom.
     scale = np.sqrt(n / np.maximum(n - 3, 1))
     thickness, width = np.sqrt(spread[:, 0]) * scale, np.sqrt(spread[:, 1])
     away = np.linalg.norm(centre, axis=1)
     size = size_m * np.sqrt(np.maximum(away / middle_m, NEAR))
-    return Voxels(of, around, moments, centre, axes[:, 0], thickness, width, away, size)
+    return Voxels(of, around, moments, centre, normal, thickness, width, away, size)
 
 
 def uniform_voxels(points: Floats, size_m: float) -> Voxels:
@@ -120,12 +134,22 @@ def uniform_voxels(points: Floats, size_m: float) -> Voxels:
     return replace(voxels, size_m=np.full(len(keys), size_m))
 
 
-def moments_of(points: Floats, of: Ints, count: int, weight: Floats | None = None) -> Floats:
-    """Return the moments (count, 10) of points (n, 3) by group; see `Voxels`."""
+def moments_of(
+    points: Floats,
+    of: Ints,
+    count: int,
+    sigma: Floats | None = None,
+    middle: Floats | None = None,
+) -> Floats:
+    """Return the moments (count, 10) of points (n, 3) by group; see `Voxels`.
+
+    They are weighted by the noise (n,) of the points, and about a middle (count, 3) of each group,
+    if these are given.
+    """
     from relmap.segmentation.space.growing_kernels import add_moments
 
     moments = np.zeros((count, 10))
-    add_moments(points, of, np.ones(len(points)) if weight is None else weight, moments)
+    add_moments(points, of, sigma, middle, moments)
     return moments
 
 
