@@ -60,6 +60,26 @@ def test_covariances_are_those_of_the_whole_least_squares() -> None:
         assert np.abs(found[k] - expected)[:3, :3].max() < 1e-3 * scale[:3, :3].max()
 
 
+def test_planes_known_in_some_directions_only_do_no_harm() -> None:
+    seen, truth = room()
+    alone, rng = step_covariances(seen, truth, 0.0), np.random.default_rng(0)
+    least = 1e-6 * np.trace(alone, axis1=1, axis2=2)[:, None]
+    for _ in range(200):
+        # Long and thin, near or far, and seen once.
+        one = {name: getattr(seen, name)[:1] for name in ("scan", "axes", "spread")}
+        one["information"] = seen.information[:1] * 10 ** rng.uniform(-12, 12, 3)
+        one["centre"] = seen.centre[:1] * 10 ** rng.uniform(0, 3)
+        one["plane"] = np.array([len(truth.normal)])
+        both = {name: np.concatenate([one[name], getattr(seen, name)]) for name in one}
+        planes = {
+            name: np.concatenate([getattr(truth, name), getattr(truth, name)[:1]])
+            for name in ("normal", "base", "off")
+        }
+        found = step_covariances(replace(seen, **both), replace(truth, **planes), 0.0)
+        assert (np.linalg.eigvalsh(alone - found) > -least).all()
+        assert (np.linalg.eigvalsh(found) > 0).all()
+
+
 def wall(axis: int, at: float, span: tuple[float, float] = (-2.0, 2.0)) -> Floats:
     """Return points (n, 3) of a wall across an axis; `span` is where along the next axis."""
     u, v = (x.ravel() for x in np.meshgrid(np.linspace(*span, 60), np.linspace(-1.0, 1.0, 30)))

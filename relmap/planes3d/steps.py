@@ -61,9 +61,9 @@ def _reduced(scan: Ints, plane: Ints, by_pose: Floats, by_plane: Floats, count: 
     np.add.at(mixed, (number, scan), np.einsum("nki,nkj->nij", by_pose, by_plane))
     trace = np.trace(planes, axis1=1, axis2=2)
     planes += LOOSE_PLANE * trace[:, None, None] * np.eye(3)
-    root = np.linalg.cholesky(np.linalg.inv(planes))
-    eliminated = (mixed.reshape(len(planes), -1, 3) @ root).transpose(1, 0, 2)
-    eliminated = eliminated.reshape(6 * count, -1)
+    # The inverse of a strip, whose tilt is hardly determined, may not be positive definite.
+    root, right = np.linalg.cholesky(planes), mixed.reshape(len(planes), -1, 3).transpose(0, 2, 1)
+    eliminated = np.linalg.solve(root, right).transpose(2, 0, 1).reshape(6 * count, -1)
     whole = poses.transpose(0, 2, 1, 3).reshape(6 * count, -1)
     return np.asarray(whole - eliminated @ eliminated.T)
 

@@ -230,7 +230,7 @@ def join_same(pairs: Ints, sums: Floats, noise: Floats, alike: float, own: Ints)
 def _planes_around(around: Ints, label: Ints) -> tuple[Ints, Ints]:
     """Return the planes of each voxel (v,), or if it has none those of the voxels around it.
 
-    They are in one array, voxel by voxel; the second one (v + 1,) tells where each voxel begins.
+    They are in one array, voxel by voxel; the second one (v + 1,) holds the first of each voxel.
     """
     choice = np.empty(len(label) * around.shape[1], dtype=np.int64)
     first, n = np.zeros(len(label) + 1, dtype=np.int64), 0
