@@ -5,15 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.planes3d.hypotheses import SKEW, Held, Motions
+from relmap.planes3d.hypotheses import SKEW, Held
+from relmap.planes3d.surfaces import SIDE
 from relmap.segmentation.space import Patches
 
-LOOKED_AT = 400
-"""Number of cells of a scan from which overlapping planes are found."""
-NEAR = 3.0
-"""Largest distance, in cells, of cells of overlapping surfaces."""
-SIDE = np.cos(np.deg2rad(12.0))
-"""Tolerance of the normals of one plane (cosine)."""
 SYSTEMATIC = 0.5
 """Error that the points of a plane have in common, as a fraction of their noise, until it is
 estimated."""
@@ -29,72 +24,6 @@ range. The prediction is used there if it is more accurate, or if the second fra
 exceeded."""
 
 
-class Surfaces:
-    """Planes of the map with a grid of the cells where they were seen.
-
-    Parameters
-    ----------
-    planes : Patches
-        In the frame of the map.
-    """
-
-    def __init__(self, planes: Patches) -> None:
-        from relmap.core.geometry.spatialindex_kernels import link
-        from relmap.planes3d.nearest_kernels import keys_of
-
-        self.planes = planes
-        # Cubes as large as the longest search are fastest.
-        side_m = 2 * NEAR * planes.cell_m
-        keys = keys_of(np.ascontiguousarray(planes.cells), side_m)
-        order = np.argsort(keys, kind="stable")
-        key, begin = np.unique(keys[order], return_index=True)
-        first = np.full(1 << (2 * len(key) + 1).bit_length(), -1)
-        following = np.full(len(key), -1)
-        link(first, following, key)
-        begin = np.append(begin, len(order))
-        self._grid = first, following, key, begin, planes.cells[order], side_m
-        self._plane = np.append(planes.cell_patch[order], -1)
-
-    def nearest(self, points: Floats, reach_m: float, count: int) -> Ints:
-        """Return the planes (n, count) of the cells nearest to points (n, 3); -1 out of reach."""
-        from relmap.planes3d.nearest_kernels import nearest
-
-        cell = nearest(self._grid, np.ascontiguousarray(points), reach_m, count)
-        return np.asarray(self._plane[cell])
-
-    def shares(
-        self,
-        motions: Motions,
-        seen: Patches,
-        cells: Floats,
-        of: Ints,
-        weight: Floats,
-        hopeless: float,
-    ) -> Floats:
-        """Return the weight (h,) of cells of a scan near surfaces that face the same way.
-
-        Parameters
-        ----------
-        motions : Motions
-        seen : Patches
-            Planes of the scan, robot frame.
-        cells : (s, 3) float64, of : (s,) int64, weight : (s,) float64
-            Cells of the scan, and their planes.
-        hopeless : float
-            Motions below this fraction of the largest weight may be given less.
-        """
-        from relmap.planes3d.nearest_kernels import shares
-
-        facing = self.planes.normal[self._plane[:-1]]
-        reach_m = NEAR * max(self.planes.cell_m, seen.cell_m)
-        scan = motions.R, motions.t, cells, seen.normal[of], weight
-        return shares(self._grid, facing, *scan, reach_m, SIDE, hopeless)
-
-    def near(self, points: Floats, reach_m: float) -> Ints:
-        """Return the plane (n,) of the cell nearest to each point (n, 3); -1 out of reach."""
-        return self.nearest(points, reach_m, 1)[:, 0]
-
-
 def matched(
     R: Floats, t: Floats, seen: Patches, planes: Patches, near: Bools, loose: float
 ) -> tuple[Ints, Floats]:
@@ -107,7 +36,7 @@ def matched(
     seen, planes : Patches
         Planes of the scan, robot frame, and of the map, map frame.
     near : (m, k) bool
-        Which planes overlap; see `overlapping`.
+        Which planes overlap; see `Surfaces.overlapping`.
     loose : float
         Tolerance, as a multiple of the usual one.
 
@@ -128,18 +57,6 @@ def matched(
     best = ratio.argmin(axis=1) if ratio.shape[1] else np.zeros(len(seen), dtype=np.int64)
     least = ratio.min(axis=1, initial=np.inf)
     return np.where(least <= 1.0, best, -1), least
-
-
-def overlapping(R: Floats, t: Floats, seen: Patches, there: Surfaces) -> Bools:
-    """Return which planes of a scan were seen near which planes of the map: (m, k)."""
-    planes, near = there.planes, np.zeros((len(seen), len(there.planes)), dtype=bool)
-    rows = np.arange(0, len(seen.cells), max(len(seen.cells) // LOOKED_AT, 1))
-    points, of = seen.cells[rows] @ R.T + t, seen.cell_patch[rows]
-    reach = 2 * NEAR * max(planes.cell_m, seen.cell_m)
-    plane = there.nearest(points, reach, 4)
-    hit = plane >= 0
-    near[np.broadcast_to(of[:, None], plane.shape)[hit], plane[hit]] = True
-    return near
 
 
 def distances(R: Floats, t: Floats, seen: Patches, planes: Patches) -> Floats:
@@ -191,14 +108,11 @@ def fitted(
     """
     from relmap.planes3d.fitting_kernels import fit_placement
 
-    rows = np.flatnonzero(match >= 0)
-    n = planes.normal[match[rows]]
-    there = np.column_stack([n, planes.offset[match[rows]]])
-    root = np.sqrt(_information(seen, rows, planes, match))
-    scan = np.ascontiguousarray(seen.axes[rows]), seen.centre[rows]
+    scan = seen.axes, seen.centre, seen.spread, seen.information
+    there, errors = (planes.axes, planes.centre, planes.spread), (SYSTEMATIC, BENT_RAD, DOUBTFUL)
     settled = ROUNDING if last else SETTLED
-    first = np.ascontiguousarray(R), t
-    R, t, H = fit_placement(*first, *scan, there, root, DOUBTFUL, ROUNDS, settled)
+    R, t, H = fit_placement(R, t, *scan, *there, match, *errors, ROUNDS, settled)
+    n = planes.normal[match[match >= 0]]
     free, sd_m = _weakest(H, n)
     weak_m, open_m = (share * seen.reach_m for share in (WEAK, OPEN)) if last else (np.inf,) * 2
     if sd_m <= weak_m and sd_m < np.inf:
@@ -226,16 +140,3 @@ def _weakest(H: Floats, n: Floats) -> tuple[Floats, float]:
     reduced = H[3:, 3:] - H[3:, :3] @ np.linalg.solve(H[:3, :3], H[:3, 3:])
     least, across = np.linalg.eigh(reduced)
     return across[:, 0], float(least[0] ** -0.5) if least[0] > 0 else np.inf
-
-
-def _information(seen: Patches, rows: Ints, planes: Patches, match: Ints) -> Floats:
-    """Return the information (r, 3) of matches, from the noise of patches and of planes of the map.
-
-    Points of a plane have some of their errors in common, and the map may be bent.
-    """
-    spread, range_m = seen.spread[rows], np.linalg.norm(seen.centre[rows], axis=1)
-    shared = SYSTEMATIC * np.hypot(spread[:, 2], planes.spread[match[rows], 2])
-    off = np.hypot(shared, BENT_RAD * range_m)
-    tilt = np.hypot(shared[:, None] / np.maximum(spread[:, :2], 1e-9), BENT_RAD)
-    variance = 1 / np.maximum(seen.information[rows], 1e-12)
-    return np.asarray(1 / (variance + np.column_stack([tilt, off]) ** 2))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from relmap.core.arrays import Floats
+from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.rotation_kernels import turned_by
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import medians
@@ -44,17 +44,18 @@ def _equations(
     t: Floats,
     axes: Floats,
     centre: Floats,
+    rows: Ints,
     planes: Floats,
     root: Floats,
     doubtful: float,
 ) -> tuple[Floats, Floats]:
     """Return the normal equations of a rotation and a translation, (6, 6) and (6,)."""
-    n_rows = len(centre)
+    n_rows = len(rows)
     off, J = np.zeros((n_rows, 3)), np.zeros((n_rows, 3, 6))
     size = np.zeros(n_rows)
     for r in range(n_rows):
         for k in range(3):
-            arm = axes[r, k] if k < 2 else centre[r]
+            arm = axes[rows[r], k] if k < 2 else centre[rows[r]]
             _add_row(R, t, arm, planes[r], root[r, k], k == 2, off[r, k : k + 1], J[r, k])
             size[r] += off[r, k] ** 2
         size[r] = np.sqrt(size[r])
@@ -82,14 +83,43 @@ def _damp(H: Floats) -> None:
             H[b, a] = H[a, b]
 
 
+@helper
+def _root_information(
+    spread: Floats,
+    information: Floats,
+    centre: Floats,
+    map_noise_m: float,
+    systematic: float,
+    bent: float,
+    root: Floats,
+) -> None:
+    """Set the square roots of the information (3,) of a match.
+
+    Points of a plane have some of their errors in common, and the map may be bent.
+    """
+    square = systematic**2 * (spread[2] ** 2 + map_noise_m**2)
+    for k in range(3):
+        if k < 2:
+            shared = square / max(spread[k], 1e-9) ** 2 + bent**2
+        else:
+            shared = square + bent**2 * (centre[0] ** 2 + centre[1] ** 2 + centre[2] ** 2)
+        root[k] = 1 / np.sqrt(1 / max(information[k], 1e-12) + shared)
+
+
 @compiled
 def fit_placement(
     R: Floats,
     t: Floats,
     axes: Floats,
     centre: Floats,
-    planes: Floats,
-    root: Floats,
+    spread: Floats,
+    information: Floats,
+    map_axes: Floats,
+    map_centre: Floats,
+    map_spread: Floats,
+    match: Ints,
+    systematic: float,
+    bent: float,
     doubtful: float,
     rounds: int,
     settled: float,
@@ -100,21 +130,37 @@ def fit_placement(
     ----------
     R : (3, 3) float64, t : (3,) float64
         First estimate.
-    axes : (r, 3, 3) float64, centre : (r, 3) float64
-        Axes and centres of patches, robot frame.
-    planes : (r, 4) float64
-        Normals and offsets of the planes that they match, map frame.
-    root : (r, 3) float64
-        Square roots of the information of the tilt along the first two axes, and of the distance.
+    axes, centre, spread, information : float64
+        Of the m patches of the scan, robot frame.
+    map_axes, map_centre, map_spread : float64
+        Of those of the map, map frame.
+    match : (m,) int64
+        Patch of the map that each of the scan matches; -1 for none.
+    systematic, bent : float
+        Error that the points of a plane have in common, as a fraction of their noise, and bend of
+        the map, radians.
     doubtful : float
         Residual, in standard deviations, at which the weight is halved (Cauchy); or twice the
         median residual if that is larger.
     rounds : int, settled : float
         Maximum number of steps, and the step that ends the fit: metres, radians.
     """
-    t, H = t.copy(), np.empty((6, 6))
+    count, n = len(match), 0
+    rows, planes, root = np.empty(count, np.int64), np.empty((count, 4)), np.empty((count, 3))
+    for i in range(count):
+        j = match[i]
+        if j < 0:
+            continue
+        rows[n], planes[n, 3] = i, 0.0
+        for a in range(3):
+            planes[n, a] = map_axes[j, 2, a]
+            planes[n, 3] += map_axes[j, 2, a] * map_centre[j, a]
+        noise_m = map_spread[j, 2]
+        _root_information(spread[i], information[i], centre[i], noise_m, systematic, bent, root[n])
+        n += 1
+    rows, t, H = rows[:n], t.copy(), np.empty((6, 6))
     for _ in range(rounds):
-        H, step = _equations(R, t, axes, centre, planes, root, doubtful)
+        H, step = _equations(R, t, axes, centre, rows, planes, root, doubtful)
         _damp(H)
         L, largest = H.copy(), 0.0
         factorise(L)

@@ -13,8 +13,8 @@ import numpy as np
 from relmap.core.arrays import Floats, Ints
 from relmap.core.scan import TINY
 from relmap.planes3d.adjustment import NORMAL, across
-from relmap.planes3d.fitting import Surfaces
 from relmap.planes3d.submap import Submap
+from relmap.planes3d.surfaces import Surfaces
 from relmap.segmentation.space import Patches
 from relmap.segmentation.space.growing import grown, planes_of
 from relmap.segmentation.space.voxels import ROUNDING, moments_of, principal, uniform_voxels

@@ -14,11 +14,11 @@ from relmap.core.errors import RelmapError
 from relmap.core.guard import ChangeGuard, reads_whole
 from relmap.core.scan import checked_labels
 from relmap.core.stamps import Stamps
-from relmap.planes3d.fitting import Surfaces
 from relmap.planes3d.hypotheses import Held
 from relmap.planes3d.placing import Placed, place
 from relmap.planes3d.refining import refined, unsure_steps
 from relmap.planes3d.submap import Submap
+from relmap.planes3d.surfaces import Surfaces
 from relmap.planes3d.table import Plane3dTable, plane_table
 from relmap.segmentation.space import Patches, PatchSegmenter
 

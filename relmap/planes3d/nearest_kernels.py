@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from relmap.core.arrays import Floats, Ints
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.geometry.spatialindex_kernels import bucket_of, cell_at, key_of
 from relmap.core.linalg.compiling import compiled, helper
 
@@ -90,6 +90,43 @@ def nearest(grid: Grid, points: Floats, reach_m: float, count: int) -> Ints:
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         _nearest_to(grid, x, y, z, reach_m, found[i], square)
     return found
+
+
+@compiled
+def mark_near(
+    grid: Grid,
+    plane: Ints,
+    R: Floats,
+    t: Floats,
+    cells: Floats,
+    of: Ints,
+    step: int,
+    reach_m: float,
+    near: Bools,
+) -> None:
+    """Mark which planes of a scan have cells near which planes of the map, in an array (m, k).
+
+    Parameters
+    ----------
+    plane : (c,) int64
+        Plane of each cell of the map.
+    R : (3, 3) float64, t : (3,) float64
+        Pose of the scan.
+    cells : (s, 3) float64, of : (s,) int64
+        Of the scan, and their planes; every `step`-th is looked at.
+    reach_m : float
+        Largest distance; the four nearest cells count.
+    """
+    x, chosen, square = np.empty(3), np.empty(4, dtype=np.int64), np.empty(4)
+    for i in range(0, len(cells), step):
+        for a in range(3):
+            x[a] = t[a]
+            for b in range(3):
+                x[a] += R[a, b] * cells[i, b]
+        _nearest_to(grid, x[0], x[1], x[2], reach_m, chosen, square)
+        for k in chosen:
+            if plane[k] >= 0:
+                near[of[i], plane[k]] = True
 
 
 @compiled

@@ -8,13 +8,12 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.planes3d.fitting import (
-    Surfaces,
     fitted,
     fixes_turn,
     matched,
-    overlapping,
 )
 from relmap.planes3d.hypotheses import Held, Motions, importance, motions
+from relmap.planes3d.surfaces import Surfaces
 from relmap.segmentation.space import Patches
 
 JUDGED = 10
@@ -180,7 +179,7 @@ def _settled(
 
     None if it is undetermined, or leads to one of the known placements.
     """
-    planes, near = there.planes, overlapping(R, t, seen, there)
+    planes, near = there.planes, there.overlapping(R, t, seen)
     match, _ = matched(R, t, seen, planes, near, loose=4.0)
     for loose in (2.0, 1.0):
         if not fixes_turn(planes.normal[match[match >= 0]]):
@@ -189,7 +188,7 @@ def _settled(
         if any(_same(R, t, other, seen, ARRIVED) for other in known):
             return None
         # After the first fit the pose hardly changes.
-        near = overlapping(R, t, seen, there) if loose > 1.0 else near
+        near = there.overlapping(R, t, seen) if loose > 1.0 else near
         match, off = matched(R, t, seen, planes, near, loose)
     if not fixes_turn(planes.normal[match[match >= 0]]):
         return None

@@ -8,17 +8,15 @@ from scipy.spatial import cKDTree
 from relmap.core.arrays import Floats
 from relmap.planes3d.adjustment import PlaneAdjustment, Scene, Sightings, systematic_share
 from relmap.planes3d.fitting import (
-    SIDE,
     SYSTEMATIC,
     WEAK,
-    Surfaces,
     directed,
     distances,
-    overlapping,
 )
 from relmap.planes3d.gathering import gathered
 from relmap.planes3d.steps import step_covariances
 from relmap.planes3d.submap import Submap
+from relmap.planes3d.surfaces import SIDE, Surfaces
 
 ROUNDS = 10
 """Maximum number of rounds of adjusting and joining."""
@@ -132,7 +130,7 @@ def _doubles(part: Submap) -> dict[int, int]:
     bent_m = BENT * float(np.median([seen.reach_m for seen in part.seen]))
     # The smaller must lie on the larger: at the larger's ends the smaller's plane is inaccurate.
     size = np.bincount(planes.cell_patch, minlength=len(planes))
-    one = (off < ONE * noise) & overlapping(still, origin, planes, surfaces)
+    one = (off < ONE * noise) & surfaces.overlapping(still, origin, planes)
     one &= size[:, None] <= size
     one |= (off < ONE * noise + bent_m) & (_covered(surfaces) > COVERED)
     one &= planes.normal @ planes.normal.T > SIDE

@@ -191,7 +191,7 @@ class PatchSegmenter:
         sums = moments_of(points, self.labels_, len(order), self.noise_m_, middle)
         shift, variance, axes = principal(sums)
         weight, centre = sums[:, 0], middle + shift
-        axes = axes[:, ::-1]
+        axes = axes[:, ::-1].copy()
         axes[:, 2] *= np.where((axes[:, 2] * centre).sum(axis=1) > 0, -1.0, 1.0)[:, None]
         axes[:, 0] = np.cross(axes[:, 1], axes[:, 2])
         variance = variance[:, ::-1]

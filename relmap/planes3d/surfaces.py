@@ -1,0 +1,93 @@
+"""Surfaces of the map: where planes were seen, and what lies near them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from relmap.core.arrays import Bools, Floats, Ints
+from relmap.planes3d.hypotheses import Motions
+from relmap.segmentation.space import Patches
+
+LOOKED_AT = 400
+"""Number of cells of a scan from which overlapping planes are found."""
+NEAR = 3.0
+"""Largest distance, in cells, of cells of overlapping surfaces."""
+SIDE = np.cos(np.deg2rad(12.0))
+"""Tolerance of the normals of one plane (cosine)."""
+
+
+class Surfaces:
+    """Planes of the map with a grid of the cells where they were seen.
+
+    Parameters
+    ----------
+    planes : Patches
+        In the frame of the map.
+    """
+
+    def __init__(self, planes: Patches) -> None:
+        from relmap.core.geometry.spatialindex_kernels import link
+        from relmap.planes3d.nearest_kernels import keys_of
+
+        self.planes = planes
+        # Cubes as large as the longest search are fastest.
+        side_m = 2 * NEAR * planes.cell_m
+        keys = keys_of(np.ascontiguousarray(planes.cells), side_m)
+        order = np.argsort(keys, kind="stable")
+        key, begin = np.unique(keys[order], return_index=True)
+        first = np.full(1 << (2 * len(key) + 1).bit_length(), -1)
+        following = np.full(len(key), -1)
+        link(first, following, key)
+        begin = np.append(begin, len(order))
+        self._grid = first, following, key, begin, planes.cells[order], side_m
+        self._plane = np.append(planes.cell_patch[order], -1)
+
+    def nearest(self, points: Floats, reach_m: float, count: int) -> Ints:
+        """Return the planes (n, count) of the cells nearest to points (n, 3); -1 out of reach."""
+        from relmap.planes3d.nearest_kernels import nearest
+
+        cell = nearest(self._grid, np.ascontiguousarray(points), reach_m, count)
+        return np.asarray(self._plane[cell])
+
+    def overlapping(self, R: Floats, t: Floats, seen: Patches) -> Bools:
+        """Return which planes of a scan were seen near which planes of the map: (m, k)."""
+        from relmap.planes3d.nearest_kernels import mark_near
+
+        near = np.zeros((len(seen), len(self.planes)), dtype=bool)
+        step = max(len(seen.cells) // LOOKED_AT, 1)
+        reach_m = 2 * NEAR * max(self.planes.cell_m, seen.cell_m)
+        scan = seen.cells, seen.cell_patch, step
+        mark_near(self._grid, self._plane, R, t, *scan, reach_m, near)
+        return near
+
+    def shares(
+        self,
+        motions: Motions,
+        seen: Patches,
+        cells: Floats,
+        of: Ints,
+        weight: Floats,
+        hopeless: float,
+    ) -> Floats:
+        """Return the weight (h,) of cells of a scan near surfaces that face the same way.
+
+        Parameters
+        ----------
+        motions : Motions
+        seen : Patches
+            Planes of the scan, robot frame.
+        cells : (s, 3) float64, of : (s,) int64, weight : (s,) float64
+            Cells of the scan, and their planes.
+        hopeless : float
+            Motions below this fraction of the largest weight may be given less.
+        """
+        from relmap.planes3d.nearest_kernels import shares
+
+        facing = self.planes.normal[self._plane[:-1]]
+        reach_m = NEAR * max(self.planes.cell_m, seen.cell_m)
+        scan = motions.R, motions.t, cells, seen.normal[of], weight
+        return shares(self._grid, facing, *scan, reach_m, SIDE, hopeless)
+
+    def near(self, points: Floats, reach_m: float) -> Ints:
+        """Return the plane (n,) of the cell nearest to each point (n, 3); -1 out of reach."""
+        return self.nearest(points, reach_m, 1)[:, 0]
