@@ -125,8 +125,10 @@ def _constant(odometry: Floats, measured: Floats, goes: Bools) -> MotionNoise:
         lacks = (measured[goes, :3, 3] - t[goes]).ravel()
         scale = 1 + _least_deviations(t[goes].ravel(), lacks)
     lacks = _turns(measured) - _turns(odometry)
-    per_m = [_least_deviations(way, lacks[:, axis]) for axis in range(3)]
-    return MotionNoise(scale, np.array(per_m))
+    per_m = np.zeros(3)
+    for axis in range(3) if _axes(odometry, measured) == 3 else (2,):
+        per_m[axis] = _least_deviations(way, lacks[:, axis])
+    return MotionNoise(scale, per_m)
 
 
 def _least_deviations(column: Floats, values: Floats) -> float:

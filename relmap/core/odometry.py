@@ -39,9 +39,9 @@ def checked_odometry(odometry: ArrayLike) -> Floats:
     array = numbers(odometry, "odometry", WANTED)
     if array.shape not in ((3,), (7,), (4, 4)):
         raise RelmapError(f"odometry has shape {array.shape}; it must be {WANTED}")
-    if np.isnan(array).all():
-        return np.full((4, 4), np.nan)
     if not (np.abs(array) <= FARTHEST_M).all():
+        if np.isnan(array).all():
+            return np.full((4, 4), np.nan)
         raise RelmapError(
             f"odometry is {array.tolist()}; it must be finite, in metres and radians, and at most "
             f"{FARTHEST_M:g}"
@@ -167,8 +167,14 @@ def _of_numbers(array: Floats) -> Floats:
 
 
 def _of_matrix(array: Floats) -> Floats:
-    R = array[:3, :3]
-    rigid = np.abs(R @ R.T - np.eye(3)).max() <= RIGID and np.linalg.det(R) > 0
-    if not rigid or np.abs(array[3] - [0, 0, 0, 1]).max() > RIGID:
+    # In every scan: numpy's functions for a single small matrix would take most of the time.
+    (a, b, c, _), (d, e, f, _), (g, h, i, _), last = array.tolist()
+    far = (
+        *(a * a + b * b + c * c - 1, d * d + e * e + f * f - 1, g * g + h * h + i * i - 1),
+        *(a * d + b * e + c * f, a * g + b * h + c * i, d * g + e * h + f * i),
+        *(last[0], last[1], last[2], last[3] - 1),
+    )
+    determinant = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
+    if determinant <= 0 or max(map(abs, far)) > RIGID:
         raise RelmapError(f"odometry is {array.tolist()}; it must be a rotation and a translation")
     return array

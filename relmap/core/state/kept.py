@@ -25,7 +25,7 @@ class SingleObservations:
             self._location = GrowingArray(np.float64, location.shape[1:])
         self._landmark.extend(landmark)
         self._location.extend(location)
-        self._iteration.extend(np.full(len(landmark), iteration))
+        self._iteration.resize(len(self._landmark), iteration)
 
     @property
     def landmark(self) -> Ints:
