@@ -18,6 +18,7 @@ from relmap.datasets.scans import SensorView
 from relmap.evaluation.feeding import segment_scan, segmenter_for
 from relmap.evaluation.metrics import ate
 from relmap.simulation import simulate_building
+from relmap.simulation.odometry import LASER_WHEELS, wheel_odometry
 
 Array = Floats
 
@@ -124,6 +125,25 @@ def test_a_bare_corridor_is_one_submap_and_as_long_as_wheels_tell(seed: int) -> 
     first, last = 14, len(poses) - 1
     hanging = len(use_of(mapper).hanging)
     # By chance, and as the scale is known no better than by the noise of the other steps.
+    noise_m = 0.01 * 0.25 * np.sqrt(hanging + hanging**2 / (len(poses) - hanging))
+    found = length_m(mapper.trajectory, first, last)
+    assert abs(found - length_m(poses, first, last)) < 3 * noise_m
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_long_corridor_with_bays_stays_whole(seed: int) -> None:
+    bays = (np.add(BAY, [x, 0]) for x in (55, 40, 20, 5, 1))
+    corners = np.concatenate([[[0, -1.3], [60, -1.3], [60, 1.3]], *bays, [[0, 1.3]]])
+    poses = np.array([pose_of(x, 0, 0) for x in np.arange(0.5, 58, 0.25)])
+    odometry = wheel_odometry(poses, LASER_WHEELS, np.random.default_rng(seed))
+    mapper = mapped(scans_from(corners, poses, seed), odometry)
+    # No motion is moved far from odometry where beams tell little.
+    motions = np.diff(mapper.trajectory[:, :2, 3], axis=0)
+    assert_allclose(np.linalg.norm(motions, axis=1), 0.25, atol=0.15)
+    mapper.refine()
+    assert [submap.refined for submap in mapper.submaps] == [True]
+    first, last = 14, len(poses) - 1
+    hanging = len(use_of(mapper).hanging)
     noise_m = 0.01 * 0.25 * np.sqrt(hanging + hanging**2 / (len(poses) - hanging))
     found = length_m(mapper.trajectory, first, last)
     assert abs(found - length_m(poses, first, last)) < 3 * noise_m

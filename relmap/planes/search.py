@@ -112,7 +112,10 @@ class Search(ScanComparison):
         if near.max() < ACCEPTED:
             return None
         best = int(np.argmin(np.where(near > near.max() - RIVAL, off, np.inf)))
-        return self._chosen(self._corrected(every, best), False, float(every.evidence[best]))
+        one = self._corrected(every, best)
+        if expected.off(one.motions)[0] >= OTHERWISE:  # Beams may prefer any place along a wall.
+            one = every.only(best)
+        return self._chosen(one, False, float(every.evidence[best]))
 
     def candidates(self, guesses: Sequence[PlanarMotion] = ()) -> Candidates:
         """Return the plausible motions between these scans by walls and beams, likeliest first.
