@@ -159,7 +159,7 @@ def _stretch(problem: Problem, m: int) -> State:
         for i in range(max(begin, 1), end):
             state.poses[i] = _moved(state.poses[i - 1], problem.motion[i], state.constant)
         part = problem.between(0, end)
-        landmarks = _placed(part, state)
+        landmarks = placed(part, state)
         found = solved(
             part, State(state.poses[:end], landmarks, state.constant), None, ROUGH, CONVEX
         )
@@ -176,7 +176,7 @@ def _moved(pose: Floats, motion: Floats, constant: Floats) -> Floats:
     return np.append(pose[:2] + ahead, pose[2] + turn)
 
 
-def _placed(problem: Problem, state: State) -> Floats:
+def placed(problem: Problem, state: State) -> Floats:
     """Return the landmarks, new ones at their first observation."""
     R = _rotations(state.poses[problem.pose, 2])
     seen = np.einsum("nij,nj->ni", R, problem.points) + state.poses[problem.pose, :2]
