@@ -9,6 +9,8 @@ from relmap.planes3d.hypotheses import SKEW, Held
 from relmap.planes3d.surfaces import SIDE
 from relmap.segmentation.space import Patches
 
+THICKER = 10.0
+"""Largest noise of a plane of the map that counts, as a multiple of that of a plane of the scan."""
 SYSTEMATIC = 0.5
 """Error that the points of a plane have in common, as a fraction of their noise, until it is
 estimated."""
@@ -48,7 +50,9 @@ def matched(
         Residual as a fraction of the tolerance.
     """
     off = distances(R, t, seen, planes)
-    noise = np.hypot(seen.spread[:, None, 2], planes.spread[:, 2])
+    own = seen.spread[:, None, 2]
+    # Clutter that passed for a plane, half a metre thick, would match every plane within it.
+    noise = np.hypot(own, np.minimum(planes.spread[:, 2], THICKER * own))
     away = np.linalg.norm(seen.centre, axis=1)[:, None]
     ratio = off / (loose * (2.0 * noise + 0.003 * away))
     turned = (seen.normal @ R.T) @ planes.normal.T

@@ -14,6 +14,7 @@ from relmap.core.errors import RelmapError
 from relmap.core.guard import ChangeGuard, reads_whole
 from relmap.core.scan import checked_labels
 from relmap.core.stamps import Stamps
+from relmap.planes3d.doubting import is_doubtful, is_tied_doubtfully
 from relmap.planes3d.hypotheses import Held
 from relmap.planes3d.placing import Placed, place
 from relmap.planes3d.refining import refined, unsure_steps
@@ -25,8 +26,6 @@ from relmap.segmentation.space import Patches, PatchSegmenter
 Span = tuple[int, int]
 LEAST_SCANS, MOST_TIED = 3, 12
 """Minimum number of scans of a submap that is tied, and number of submaps tried, the largest."""
-LEAST_SHARED = 5
-"""Minimum number of shared planes of two submaps: three at right angles match any others."""
 STEADY = 6
 """Number of poses whose mean step predicts the next one in a direction that planes leave open."""
 
@@ -131,7 +130,8 @@ class Plane3dMapper:
     def finish(self) -> None:
         """Tie submaps that share at least five planes in only one way, and find uncertain steps.
 
-        Only the 12 largest submaps of at least three scans are tried.
+        Only the 12 largest submaps of at least three scans are tried. Submaps far apart in time
+        must share most of their planes or surfaces.
         """
         failed: set[tuple[Span, Span]] = set()
         with self._guard.change():
@@ -246,8 +246,11 @@ class Plane3dMapper:
         chosen = np.flatnonzero(part.recent(iteration, self.max_missed))
         if not len(chosen):
             return None
-        placed = place(seen, Surfaces(part.planes(chosen)), part.poses[-1], _going_on(part))
-        return placed and placed.named(part.number[chosen])
+        planes, gap = part.planes(chosen), iteration - part.iteration[-1]
+        placed = place(seen, Surfaces(planes), part.poses[-1], _going_on(part))
+        if placed is None or is_doubtful(placed, seen, planes, part, gap):
+            return None
+        return placed.named(part.number[chosen])
 
     def _tied_two(self, failed: set[tuple[Span, Span]]) -> bool:
         """Tie two submaps, if any two can be tied that did not fail before; return whether."""
@@ -263,10 +266,9 @@ class Plane3dMapper:
 
     def _tie(self, part: Submap, other: Submap) -> bool:
         """Tie a submap to another if they show the same place; return whether they do."""
-        placed = place(
-            part.all_planes(), Surfaces(other.all_planes()), None, Held(np.zeros(3), np.inf)
-        )
-        if placed is None or placed.free is not None or placed.n_planes < LEAST_SHARED:
+        there, nowhere = Surfaces(other.all_planes()), Held(np.zeros(3), np.inf)
+        placed = place(part.all_planes(), there, None, nowhere)
+        if placed is None or is_tied_doubtfully(placed, part, other):
             return False
         match = placed.named(other.number).match.tolist()
         name = {a: b for a, b in zip(part.number.tolist(), match, strict=True) if b >= 0}

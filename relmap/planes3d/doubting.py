@@ -1,0 +1,100 @@
+"""Placements that fit and are wrong all the same: seen through, or too far for the time."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from relmap.core.arrays import Floats
+from relmap.planes3d.placing import LEAP, Placed
+from relmap.planes3d.submap import Pose, Submap
+from relmap.segmentation.space import Patches
+
+SAMPLE, FEWEST = 1500, 40
+"""Number of cells of the map that are looked at, and of those in view, below which more are assumed
+to be."""
+FACING, BESIDE = 0.3, 0.7
+"""Minimum cosine at which a surface is seen, and largest distance of a ray from the nearest cell of
+the scan, in cells."""
+THROUGH = 0.1
+"""Largest fraction of the surfaces in view that a scan may see through: things move."""
+FASTER = 2.0
+"""A leap, or the step between submaps that are tied, is at most as many times the fastest step."""
+SEVERAL = 6
+"""Minimum number of scans of a submap that show how fast the sensor moves."""
+LEAST_SHARED = 5
+"""Minimum number of shared planes of two submaps: three at right angles match any others."""
+SOON, PLANES, SURFACES = 2, 0.7, 0.8
+"""Submaps more scans apart than the first value are tied only if one shows at least this fraction
+of the planes or of the surfaces of the other: halls look much the same from both ends."""
+
+
+def is_doubtful(placed: Placed, seen: Patches, planes: Patches, part: Submap, gap: int) -> bool:
+    """Return whether a scan, `gap` scans after the last one of a submap, cannot be there.
+
+    Parameters
+    ----------
+    placed : Placed
+    seen, planes : Patches
+        Of the scan, robot frame, and of the map, map frame.
+    part : Submap
+    gap : int
+    """
+    way_m = moved_m(part.poses[-1], (placed.R, placed.t), seen.reach_m)
+    leap = len(part.poses) >= SEVERAL and way_m > LEAP * seen.reach_m
+    if leap and way_m > FASTER * gap * fastest_m(part):
+        return True
+    return seen_through(placed.R, placed.t, seen, planes) > THROUGH
+
+
+def is_tied_doubtfully(placed: Placed, part: Submap, other: Submap) -> bool:
+    """Return whether a submap, placed in another, is not there for certain."""
+    if placed.free is not None or placed.n_planes < LEAST_SHARED:
+        return True
+    apart = np.abs(np.subtract.outer(part.iteration, other.iteration))
+    k, m = np.unravel_index(apart.argmin(), apart.shape)
+    R, t = part.poses[k]
+    there = placed.R @ R, placed.R @ t + placed.t
+    way_m = moved_m(other.poses[m], there, part.seen[k].reach_m)
+    gap = int(apart[k, m])
+    if way_m > FASTER * gap * max(fastest_m(part), fastest_m(other)):
+        return True
+    return gap > SOON and placed.share < SURFACES and placed.n_planes < PLANES * len(part)
+
+
+def moved_m(a: Pose, b: Pose, reach_m: float) -> float:
+    """Return the length of a step; a rotation counts by how far it moves points at the range."""
+    cosine = (np.trace(a[0] @ b[0].T) - 1) / 2
+    turn = np.arccos(np.clip(cosine, -1.0, 1.0))
+    return float(turn * reach_m + np.linalg.norm(b[1] - a[1]))
+
+
+def fastest_m(part: Submap) -> float:
+    """Return the longest step of a submap from scan to scan; infinite if it has none."""
+    steps = zip(part.poses, part.poses[1:], part.seen[1:], np.diff(part.iteration), strict=False)
+    return max((moved_m(a, b, seen.reach_m) / gap for a, b, seen, gap in steps), default=np.inf)
+
+
+def seen_through(R: Floats, t: Floats, seen: Patches, planes: Patches) -> float:
+    """Return the fraction of the surfaces of a map in view of a scan that it sees through.
+
+    Parameters
+    ----------
+    R : (3, 3) float64, t : (3,) float64
+        Pose of the scan.
+    seen, planes : Patches
+        Of the scan, robot frame, and of the map, map frame.
+    """
+    rows = np.linspace(0, len(planes.cells) - 1, min(SAMPLE, len(planes.cells))).astype(np.int64)
+    cells = (planes.cells[rows] - t) @ R
+    away = np.linalg.norm(cells, axis=1)
+    ray = cells / away[:, None]
+    facing = np.abs(np.einsum("ci,ci->c", ray, planes.normal[planes.cell_patch[rows]] @ R))
+    range_m = np.linalg.norm(seen.cells, axis=1)
+    beside, cell = cKDTree(seen.cells / range_m[:, None]).query(ray)
+    in_view = (facing > FACING) & (beside * range_m[cell] < BESIDE * seen.cell_m)
+    plane = seen.cell_patch[cell]
+    # Normals face the sensor.
+    ahead = np.einsum("ci,ci->c", cells - seen.centre[plane], seen.normal[plane])
+    nearer = (ahead > max(seen.cell_m, planes.cell_m)) & (away < range_m[cell] - seen.cell_m)
+    return float((in_view & nearer).sum() / max(in_view.sum(), FEWEST))

@@ -1,0 +1,78 @@
+"""Planes in space: placements that fit and are wrong all the same are not accepted."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from relmap import Plane3dMapper
+from relmap.core.arrays import Floats
+from relmap.planes3d.doubting import is_doubtful, is_tied_doubtfully, seen_through
+from relmap.planes3d.fitting import matched
+from relmap.planes3d.placing import Placed
+from relmap.planes3d.submap import Submap
+from tests.test_planes3d_steps import part_of, patches, wall
+
+STILL, ORIGIN = np.eye(3), np.zeros(3)
+
+
+def placed(yaw: float, share: float = 1.0) -> Placed:
+    R = Rotation.from_rotvec([0.0, 0.0, yaw]).as_matrix()
+    return Placed(R, ORIGIN, np.arange(6), share, None, False)
+
+
+def carried(count: int, first: int = 0) -> Submap:
+    """Return a submap of scans that turn by 0.1 rad each, and of eight planes."""
+    sides = [wall(axis, at) for axis in range(3) for at in (-3.0, 3.0)]
+    part, seen = Submap(), patches(*sides, wall(0, 1.0, (2.0, 3.0)), wall(1, 1.0, (2.0, 3.0)))
+    for k in range(first, first + count):
+        R = Rotation.from_rotvec([0.0, 0.0, 0.1 * k]).as_matrix()
+        part.add(k, seen, (R, ORIGIN), np.arange(8))
+    return part
+
+
+@pytest.mark.parametrize(("yaw", "doubtful"), [(0.8, False), (np.pi, True)])
+def test_a_leap_far_beyond_the_fastest_step_is_not_accepted(yaw: float, doubtful: bool) -> None:
+    part = carried(7)
+    assert is_doubtful(placed(yaw), part.scan(0), part.all_planes(), part, 1) is doubtful
+    # How fast the sensor turns is not known yet.
+    part = carried(3)
+    assert not is_doubtful(placed(np.pi), part.scan(0), part.all_planes(), part, 1)
+
+
+@pytest.mark.parametrize(
+    ("first", "yaw", "share", "doubtful"),
+    [(4, 0.0, 0.6, False), (4, np.pi, 1.0, True), (9, 0.0, 0.6, True), (9, 0.0, 0.9, False)],
+)
+def test_submaps_are_tied_near_in_time_or_if_they_show_the_same(
+    first: int, yaw: float, share: float, doubtful: bool
+) -> None:
+    part = replace(placed(yaw, share), match=np.array([0, 1, 2, 3, 4, -1, -1, -1]))
+    assert is_tied_doubtfully(part, carried(4, first), carried(4)) is doubtful
+
+
+@pytest.mark.parametrize(("at", "least", "most"), [(3.0, 0, 0), (4.0, 0, 0), (1.5, 0.6, 1)])
+def test_a_scan_sees_no_surface_through_another(at: float, least: float, most: float) -> None:
+    there = part_of((patches(wall(0, at)), [0])).all_planes()
+    assert least <= seen_through(STILL, ORIGIN, patches(wall(0, 3.0)), there) <= most
+
+
+def test_a_scan_that_sees_through_the_map_begins_a_submap() -> None:
+    sides: list[Floats] = [wall(0, 3.0), wall(1, 3.0), wall(2, 3.0)]
+    screen = wall(0, 2.0, (-1.5, 1.5))
+    mapper = Plane3dMapper()
+    for _ in range(3):
+        mapper.update(patches(*sides, screen))
+    mapper.update(patches(*sides))
+    assert [len(part.iteration) for part in mapper.submaps] == [3, 1]
+
+
+def test_clutter_that_passed_for_a_plane_does_not_take_planes_within_it() -> None:
+    planes = part_of((patches(wall(0, 3.012)), [0]), (patches(wall(0, 3.1)), [1])).all_planes()
+    planes.spread[1, 2] = 0.2
+    near = np.ones((1, 2), dtype=bool)
+    match, _ = matched(STILL, ORIGIN, patches(wall(0, 3.0)), planes, near, loose=1.0)
+    assert match.tolist() == [0]
