@@ -54,6 +54,18 @@ def test_submaps_are_tied_near_in_time_or_if_they_show_the_same(
     assert is_tied_doubtfully(part, carried(4, first), carried(4)) is doubtful
 
 
+@pytest.mark.parametrize(("shared", "doubtful"), [(11, True), (12, False)])
+def test_a_jump_between_submaps_needs_more_planes(shared: int, doubtful: bool) -> None:
+    seen = patches(*(wall(axis, at) for axis in range(3) for at in (-3.0, 3.0)))
+    parts = Submap(), Submap()
+    for k in range(6):
+        R = Rotation.from_rotvec([0.0, 0.0, 0.5 * k]).as_matrix()
+        parts[k // 3].add(k, seen, (R, np.array([0.2 * k, 0.0, 0.0])), np.arange(6))
+    for way, expected in ((0.0, False), (1.0, doubtful)):
+        there = Placed(STILL, np.array([way, 0.0, 0.0]), np.arange(shared), 1.0, None, False)
+        assert is_tied_doubtfully(there, parts[1], parts[0]) is expected
+
+
 @pytest.mark.parametrize(("at", "least", "most"), [(3.0, 0, 0), (4.0, 0, 0), (1.5, 0.6, 1)])
 def test_a_scan_sees_no_surface_through_another(at: float, least: float, most: float) -> None:
     there = part_of((patches(wall(0, at)), [0])).all_planes()

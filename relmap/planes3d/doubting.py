@@ -22,8 +22,11 @@ FASTER = 2.0
 """A leap, or the step between submaps that are tied, is at most as many times the fastest step."""
 SEVERAL = 6
 """Minimum number of scans of a submap that show how fast the sensor moves."""
-LEAST_SHARED = 5
-"""Minimum number of shared planes of two submaps: three at right angles match any others."""
+LEAST_SHARED, MANY_SHARED = 5, 12
+"""Minimum number of shared planes of two submaps: three at right angles match any others. The
+second value holds if a jump is implied, as between the equal bays of a hall."""
+JUMP = 3.0
+"""A jump is a translation of at least this many times the longest one of both submaps."""
 SOON, PLANES, SURFACES = 2, 0.7, 0.8
 """Submaps more scans apart than the first value are tied only if one shows at least this fraction
 of the planes or of the surfaces of the other: halls look much the same from both ends."""
@@ -59,6 +62,10 @@ def is_tied_doubtfully(placed: Placed, part: Submap, other: Submap) -> bool:
     gap = int(apart[k, m])
     if way_m > FASTER * gap * max(fastest_m(part), fastest_m(other)):
         return True
+    way_m = moved_m(other.poses[m], there, 0.0)
+    jumps = way_m > JUMP * gap * max(fastest_m(part, 0.0), fastest_m(other, 0.0))
+    if jumps and placed.n_planes < MANY_SHARED:
+        return True
     return gap > SOON and placed.share < SURFACES and placed.n_planes < PLANES * len(part)
 
 
@@ -69,10 +76,14 @@ def moved_m(a: Pose, b: Pose, reach_m: float) -> float:
     return float(turn * reach_m + np.linalg.norm(b[1] - a[1]))
 
 
-def fastest_m(part: Submap) -> float:
-    """Return the longest step of a submap from scan to scan; infinite if it has none."""
+def fastest_m(part: Submap, turns: float = 1.0) -> float:
+    """Return the longest step of a submap from scan to scan; infinite if it has none.
+
+    Rotations count as in `moved_m`, times `turns`.
+    """
     steps = zip(part.poses, part.poses[1:], part.seen[1:], np.diff(part.iteration), strict=False)
-    return max((moved_m(a, b, seen.reach_m) / gap for a, b, seen, gap in steps), default=np.inf)
+    lengths = (moved_m(a, b, turns * seen.reach_m) / gap for a, b, seen, gap in steps)
+    return max(lengths, default=np.inf)
 
 
 def seen_through(R: Floats, t: Floats, seen: Patches, planes: Patches) -> float:

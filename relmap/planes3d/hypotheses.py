@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from relmap.core.arrays import Floats, Ints
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.segmentation.space import Patches
 
 SKEW = np.sin(np.deg2rad(20.0))
@@ -79,11 +79,14 @@ def motions(seen: Patches, there: Patches, held: Held) -> Motions:
     """
     from relmap.planes3d.hypothesis_kernels import distinct_turns
 
-    weight, mine, others = importance(seen), leaders(seen), leaders(there, 2 * LEADERS)
-    a, b = seen.normal[mine], there.normal[others]
+    size, mine, others = importance(seen), leaders(seen), leaders(there, 2 * LEADERS)
+    # The largest first: if there are too many matches theirs are used.
+    mine = mine[np.argsort(-size[mine], kind="stable")]
+    a, b, weight = seen.normal[mine], there.normal[others], size[mine]
+    off, gate = (seen.offset[mine], there.offset[others]), tolerance(seen, mine)
     parallel = np.cos(ALIKE_RAD)
-    turns = distinct_turns(_turns(a, b), a, b, weight[mine], parallel, SAME_TURN, SKEW, TURNS)
-    found = [_ways(R, seen, there, mine, others, held, weight) for R in turns]
+    turns = distinct_turns(_turns(a, b), a, b, weight, parallel, SAME_TURN, SKEW, TURNS)
+    found = [_ways((a @ R.T) @ b.T > parallel, b, off, gate, weight, held.place) for R in turns]
     count = [len(support) for _, support in found]
     if not sum(count):
         return Motions(np.empty((0, 3, 3)), np.empty((0, 3)))
@@ -93,28 +96,24 @@ def motions(seen: Patches, there: Patches, held: Held) -> Motions:
 
 
 def _ways(
-    R: Floats,
-    seen: Patches,
-    there: Patches,
-    mine: Ints,
-    others: Ints,
-    held: Held,
+    match: Bools,
+    normal: Floats,
+    offsets: tuple[Floats, Floats],
+    gate: Floats,
     weight: Floats,
+    held: Floats,
 ) -> tuple[Floats, Floats]:
-    """Return the best translations (k, 3) with a rotation, and their supports (k,).
+    """Return the best translations (k, 3), given matches (m, n) of planes, and their supports (k,).
 
     Three matches of parallel planes determine a translation; two do together with the predicted
     position.
     """
     from relmap.planes3d.hypothesis_kernels import best_ways
 
-    a, b = np.nonzero((seen.normal[mine] @ R.T) @ there.normal[others].T > np.cos(ALIKE_RAD))
-    order = np.argsort(-weight[mine[a]], kind="stable")[:PAIRS]
-    i, j = mine[a[order]], others[b[order]]
-    gate, off = tolerance(seen, i), there.offset[j] - seen.offset[i]
-    apart_m = 2 * float(np.median(gate)) if len(gate) else 0.0
-    limits = (FLAT_CORNER, SKEW), apart_m, PER_TURN
-    return best_ways(there.normal[j], off, i, gate, weight, held.place, *limits)
+    i, j = (each[:PAIRS] for each in np.nonzero(match))
+    apart_m = 2 * float(np.median(gate[i])) if len(i) else 0.0
+    off, limits = offsets[1][j] - offsets[0][i], ((FLAT_CORNER, SKEW), apart_m, PER_TURN)
+    return best_ways(normal[j], off, i, gate[i], weight, held, *limits)
 
 
 def importance(seen: Patches) -> Floats:

@@ -141,6 +141,7 @@ def shares(
     reach_m: float,
     side: float,
     hopeless: float,
+    most: int,
 ) -> Floats:
     """Return the weight (h,) of the cells of a scan that a motion brings near cells of the map.
 
@@ -153,10 +154,11 @@ def shares(
         Of the scan.
     reach_m, side : float
         Largest distance, and least cosine between the normals.
-    hopeless : float
-        Motions with less than this fraction of the largest weight are not followed to the end.
+    hopeless : float, most : int
+        Motions with less than this fraction of the largest weight, or not among so many of the
+        largest ones, are not followed to the end.
     """
-    total, best = np.zeros(len(R)), 0.0
+    total, best = np.zeros(len(R)), np.zeros(most)
     x, n = np.empty(3), np.empty(3)
     chosen, square = np.empty(1, dtype=np.int64), np.empty(1)
     for h in range(len(R)):
@@ -173,7 +175,10 @@ def shares(
             if k < len(facing):
                 cosine = n[0] * facing[k, 0] + n[1] * facing[k, 1] + n[2] * facing[k, 2]
                 total[h] += weight[i] if cosine > side else 0.0
-            if total[h] + rest < hopeless * best:
+            if total[h] + rest < max(hopeless * best[0], best[most - 1]):
                 break
-        best = max(best, total[h])
+        place = most - 1
+        while place > 0 and best[place - 1] < total[h]:
+            best[place], place = best[place - 1], place - 1
+        best[place] = max(best[place], total[h])
     return total

@@ -166,7 +166,7 @@ def _sample(seen: Patches, most: int) -> tuple[Floats, Ints, Floats]:
 def _promising(tried: Motions, seen: Patches, there: Surfaces) -> list[tuple[Floats, Floats]]:
     """Return the hypotheses with most surfaces of a scan near surfaces that face the same way."""
     cells, of, weight = _sample(seen, ROUGHLY)
-    share = np.round(there.shares(tried, seen, cells, of, weight, HOPELESS), 9)
+    share = np.round(there.shares(tried, seen, cells, of, weight, HOPELESS, JUDGED), 9)
     order = np.argsort(-share, kind="stable")[:JUDGED]
     order = order[share[order] >= HOPELESS * share.max(initial=0.0)]
     return [(tried.R[k], tried.t[k]) for k in order]

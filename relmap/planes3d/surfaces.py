@@ -68,6 +68,7 @@ class Surfaces:
         of: Ints,
         weight: Floats,
         hopeless: float,
+        most: int,
     ) -> Floats:
         """Return the weight (h,) of cells of a scan near surfaces that face the same way.
 
@@ -78,15 +79,16 @@ class Surfaces:
             Planes of the scan, robot frame.
         cells : (s, 3) float64, of : (s,) int64, weight : (s,) float64
             Cells of the scan, and their planes.
-        hopeless : float
-            Motions below this fraction of the largest weight may be given less.
+        hopeless : float, most : int
+            Motions below this fraction of the largest weight, or not among so many of the largest,
+            may be given less.
         """
         from relmap.planes3d.nearest_kernels import shares
 
         facing = self.planes.normal[self._plane[:-1]]
         reach_m = NEAR * max(self.planes.cell_m, seen.cell_m)
         scan = motions.R, motions.t, cells, seen.normal[of], weight
-        return shares(self._grid, facing, *scan, reach_m, SIDE, hopeless)
+        return shares(self._grid, facing, *scan, reach_m, SIDE, hopeless, most)
 
     def near(self, points: Floats, reach_m: float) -> Ints:
         """Return the plane (n,) of the cell nearest to each point (n, 3); -1 out of reach."""

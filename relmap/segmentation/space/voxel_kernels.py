@@ -39,3 +39,28 @@ def numbered_cells(
             v, last = slot[at] - 1, key
         of[i] = v
     return keys[:found], of
+
+
+@compiled
+def neighbours(keys: Ints, steps: Ints) -> Ints:
+    """Return the voxels (v, s) whose keys differ from those of each by the steps; -1 for none.
+
+    Parameters
+    ----------
+    keys : (v,) int64, ascending
+    steps : (s,) int64, ascending
+        With each step there is its negative.
+    """
+    count, last = len(keys), len(steps) - 1
+    around = np.full((count, len(steps)), -1)
+    for k in range(len(steps)):
+        if steps[k] < 0:
+            continue
+        j = 0
+        for i in range(count):
+            while j < count and keys[j] < keys[i] + steps[k]:
+                j += 1
+            if j < count and keys[j] == keys[i] + steps[k]:
+                around[i, k] = j
+                around[j, last - k] = i
+    return around

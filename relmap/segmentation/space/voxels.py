@@ -109,10 +109,9 @@ def cells_of(points: Floats, range_m: Floats, size_m: float, middle_m: float) ->
 
 def voxels_of(points: Floats, keys: Ints, of: Ints, size_m: float, middle_m: float) -> Voxels:
     """Return the voxels of points (n, 3), robot frame, metres; see `cells_of`."""
-    step = AROUND @ np.array([1 << (2 * BITS), 1 << BITS, 1])
-    there = keys[:, None] + step
-    place = np.minimum(np.searchsorted(keys, there), len(keys) - 1)
-    around = np.where(keys[place] == there, place, -1)
+    from relmap.segmentation.space.voxel_kernels import neighbours
+
+    around = neighbours(keys, AROUND @ np.array([1 << (2 * BITS), 1 << BITS, 1]))
     moments = moments_of(points, of, len(keys))
     n = moments[:, 0]
     centre, spread = moments[:, 1:4] / n[:, None], np.zeros((len(keys), 3))
