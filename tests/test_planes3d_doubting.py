@@ -10,10 +10,13 @@ from scipy.spatial.transform import Rotation
 
 from relmap import Plane3dMapper
 from relmap.core.arrays import Floats
+from relmap.evaluation.space_run import submap_row
 from relmap.planes3d.doubting import is_doubtful, is_tied_doubtfully, seen_through
 from relmap.planes3d.fitting import matched
 from relmap.planes3d.placing import Placed
 from relmap.planes3d.submap import Submap
+from relmap.planes3d.table import plane_table
+from relmap.plots.planes3d import plot_planes3d
 from tests.test_planes3d_steps import part_of, patches, wall
 
 STILL, ORIGIN = np.eye(3), np.zeros(3)
@@ -88,3 +91,15 @@ def test_clutter_that_passed_for_a_plane_does_not_take_planes_within_it() -> Non
     near = np.ones((1, 2), dtype=bool)
     match, _ = matched(STILL, ORIGIN, patches(wall(0, 3.0)), planes, near, loose=1.0)
     assert match.tolist() == [0]
+
+
+def test_the_way_between_two_parts_of_a_path_is_not_drawn_nor_counted() -> None:
+    seen = patches(*(wall(axis, at) for axis in range(3) for at in (-3.0, 3.0)))
+    part = Submap()
+    for k, x in [(0, 0.0), (1, 0.1), (2, 0.2), (9, 1.7), (10, 1.8), (11, 1.9)]:
+        part.add(k, seen, (STILL, np.array([x, 0.0, 0.0])), np.arange(6))
+    assert submap_row(part, 0)["metres"] == pytest.approx(0.4)
+    stamps_s, weak = np.array(part.iteration, dtype=np.float64), np.array([], dtype=np.int64)
+    figure = plot_planes3d(plane_table([part]), part.trajectory, stamps_s, weak)
+    drawn = [line.get_xdata() for line in figure.axes[1].lines]
+    assert max(np.nanmax(np.abs(np.diff(x)), initial=0.0) for x in drawn) < 0.2

@@ -71,7 +71,7 @@ def _write(folder: Path, result: SpaceResult) -> None:
     for number, (stamps_s, poses) in enumerate(result.paths[1:], start=1):
         if len(poses) >= LEAST_SCANS:
             write_tum(folder / f"submap-{number}.tum", stamps_s, poses)
-    write_planes3d_png(folder / MAP_PNG, table, result.poses, result.weak)
+    write_planes3d_png(folder / MAP_PNG, table, result.poses, result.stamps_s, result.weak)
 
 
 def _message(job: Job, result: SpaceResult, n_files: int) -> str:

@@ -109,7 +109,7 @@ def _result(
             "planes_static": int((table.status == "static").sum()),
             "iterations_without_pose": len(log) - len(poses),
         },
-        "submaps": [_submap_row(part, first) for part in parts],
+        "submaps": [submap_row(part, first) for part in parts],
         "weak_links": [first + k for k in weak],
         "weak_directions": [free.tolist() for free in weak.values()],
     }
@@ -142,8 +142,11 @@ def _landmarks(table: Plane3dTable) -> LandmarkTable:
     )
 
 
-def _submap_row(part: Submap, first: int) -> dict[str, Any]:
-    steps = np.diff(part.trajectory[:, :3, 3], axis=0)
+def submap_row(part: Submap, first: int) -> dict[str, Any]:
+    """Return the entry of a submap in `summary.json`; `first` is the first iteration of the run."""
+    # Scans in between may be in another submap: the way is not known there.
+    known = np.diff(part.iteration) == 1
+    steps = np.diff(part.trajectory[:, :3, 3], axis=0)[known]
     return {
         "planes": len(part),
         "iterations": [first + part.iteration[0], first + part.iteration[-1]],

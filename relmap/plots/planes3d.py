@@ -13,6 +13,7 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from relmap.core.arrays import Floats, Ints
 from relmap.planes3d.files import COLOURS
 from relmap.planes3d.table import Plane3dTable
+from relmap.plots.path import broken_at_gaps
 from relmap.plots.sheet import (
     BLUE,
     RED,
@@ -28,7 +29,7 @@ LIGHT = np.array([0.3, 0.5, 0.81])
 """Direction of a light: planes facing it are brighter."""
 
 
-def plot_planes3d(table: Plane3dTable, poses: Floats, weak: Ints) -> Figure:
+def plot_planes3d(table: Plane3dTable, poses: Floats, stamps_s: Floats, weak: Ints) -> Figure:
     """Draw the outlines of mapped planes and the path of the sensor.
 
     Parameters
@@ -36,6 +37,8 @@ def plot_planes3d(table: Plane3dTable, poses: Floats, weak: Ints) -> Figure:
     table : Plane3dTable
     poses : (k, 4, 4) float64
         ``T_map_sensor``.
+    stamps_s : (k,) float64
+        Their times; the path is interrupted in gaps.
     weak : (w,) int64
         Indices in `poses` of poses that are partly undetermined; marked.
 
@@ -58,7 +61,8 @@ def plot_planes3d(table: Plane3dTable, poses: Floats, weak: Ints) -> Figure:
     )
     # Its automatic limits would include uninitialised padding of outlines of different length.
     space.add_collection(surfaces, autolim=False)
-    space.plot(*way.T, color=BLUE, linewidth=1.5)
+    path = broken_at_gaps(stamps_s, way)
+    space.plot(*path.T, color=BLUE, linewidth=1.5)
     space.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
     space.set_box_aspect(np.maximum(high - low, 1e-3))
     space.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
@@ -68,7 +72,7 @@ def plot_planes3d(table: Plane3dTable, poses: Floats, weak: Ints) -> Figure:
     flat = [outlines[k][:, :2] for k in order]
     style: dict[str, Any] = {"edgecolors": "k", "linewidths": 0.5, "alpha": 0.45}
     above.add_collection(PolyCollection(flat, facecolors=colours[order], **style))
-    above.plot(*way[:, :2].T, color=BLUE, linewidth=1.5, label="path of the sensor")
+    above.plot(*path[:, :2].T, color=BLUE, linewidth=1.5, label="path of the sensor")
     above.plot(*way[weak, :2].T, "o", color=RED, markersize=4, label="pose partly undetermined")
     draw_limits(above, (low[:2], high[:2]))
     finish(above, "from above", "x [m]", "y [m]")
