@@ -37,9 +37,9 @@ CLOSE, SETTLES = 0.3, 0.85
 """A hypothesis this close to a placement, as a fraction of `APART`, is not fitted if the placement
 explains at least the second value. So must a leap, unless more planes match than `BOX`: a room that
 is a box, with something in it, looks much the same after half a turn."""
+BOX = 8
 ARRIVED = 0.05
 """A hypothesis that a fit brings this close to a placement, as a fraction of `APART`, is it."""
-BOX = 8
 CLEARLY = 0.5
 """The step to the chosen placement is at most this fraction of the step to any other rival."""
 LEAP = 1.0
