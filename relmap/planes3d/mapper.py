@@ -130,8 +130,9 @@ class Plane3dMapper:
     def finish(self) -> None:
         """Tie submaps that share at least five planes in only one way, and find uncertain steps.
 
-        Only the 12 largest submaps of at least three scans are tried. Submaps far apart in time
-        must share most of their planes or surfaces.
+        Only the 12 largest submaps of at least three scans are tried. If the tie implies a jump,
+        they must share twelve planes, and if they are far apart in time most of their planes or
+        surfaces.
         """
         failed: set[tuple[Span, Span]] = set()
         with self._guard.change():

@@ -5,11 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
+from relmap.core.geometry.spatialindex_kernels import bucket_of
 from relmap.core.linalg.compiling import compiled
 from relmap.segmentation.space.voxels import BITS
-
-MIX = 0x1E3779B97F4A7C15
-"""Spreads the keys over the slots (Knuth, "The Art of Computer Programming", 6.4)."""
 
 
 @compiled
@@ -29,7 +27,7 @@ def numbered_cells(
         for a in range(3):
             key = (key << BITS) | (int(np.floor(points[i, a] * scale)) + half)
         if key != last:
-            at = ((key * MIX) >> 32) & (slots - 1)
+            at = bucket_of(key, slots)
             # A slot holds the number of its voxel plus one, 0 if it is empty.
             while slot[at] > 0 and keys[slot[at] - 1] != key:
                 at = (at + 1) & (slots - 1)
