@@ -106,21 +106,36 @@ def _root_information(
         root[k] = 1 / np.sqrt(1 / max(information[k], 1e-12) + shared)
 
 
+@helper
+def _set_plane(axes: Floats, centre: Floats, plane: Floats) -> None:
+    """Set the normal and offset (4,) of a patch."""
+    plane[3] = 0.0
+    for a in range(3):
+        plane[a] = axes[2, a]
+        plane[3] += axes[2, a] * centre[a]
+
+
+@helper
+def _stepped(R: Floats, t: Floats, H: Floats, step: Floats) -> tuple[Floats, float]:
+    """Solve the normal equations and move the translation; return the rotation, and the step."""
+    L, largest = H.copy(), 0.0
+    factorise(L)
+    solve(L, step)
+    for a in range(3):
+        largest = max(largest, abs(step[a]), abs(step[3 + a]))
+        t[a] -= step[3 + a]
+        step[a] = -step[a]
+    return product(turned_by(step[:3]), R), largest
+
+
 @compiled
 def fit_placement(
     R: Floats,
     t: Floats,
-    axes: Floats,
-    centre: Floats,
-    spread: Floats,
-    information: Floats,
-    map_axes: Floats,
-    map_centre: Floats,
-    map_spread: Floats,
+    scan: tuple[Floats, Floats, Floats, Floats],
+    there: tuple[Floats, Floats, Floats],
     match: Ints,
-    systematic: float,
-    bent: float,
-    doubtful: float,
+    errors: tuple[float, float, float],
     rounds: int,
     settled: float,
 ) -> tuple[Floats, Floats, Floats]:
@@ -130,46 +145,35 @@ def fit_placement(
     ----------
     R : (3, 3) float64, t : (3,) float64
         First estimate.
-    axes, centre, spread, information : float64
-        Of the m patches of the scan, robot frame.
-    map_axes, map_centre, map_spread : float64
-        Of those of the map, map frame.
+    scan : tuple
+        Axes, centres, spreads and information of the m patches of the scan, robot frame.
+    there : tuple
+        Axes, centres and spreads of those of the map, map frame.
     match : (m,) int64
         Patch of the map that each of the scan matches; -1 for none.
-    systematic, bent : float
-        Error that the points of a plane have in common, as a fraction of their noise, and bend of
-        the map, radians.
-    doubtful : float
-        Residual, in standard deviations, at which the weight is halved (Cauchy); or twice the
-        median residual if that is larger.
+    errors : tuple of float
+        Error that the points of a plane have in common, as a fraction of their noise; bend of the
+        map, radians; and the residual, in standard deviations, at which the weight is halved
+        (Cauchy), or twice the median residual if that is larger.
     rounds : int, settled : float
         Maximum number of steps, and the step that ends the fit: metres, radians.
     """
+    axes, centre, spread, information = scan
+    systematic, bent, doubtful = errors
     count, n = len(match), 0
     rows, planes, root = np.empty(count, np.int64), np.empty((count, 4)), np.empty((count, 3))
     for i in range(count):
-        j = match[i]
-        if j < 0:
+        if match[i] < 0:
             continue
-        rows[n], planes[n, 3] = i, 0.0
-        for a in range(3):
-            planes[n, a] = map_axes[j, 2, a]
-            planes[n, 3] += map_axes[j, 2, a] * map_centre[j, a]
-        noise_m = map_spread[j, 2]
+        rows[n], noise_m = i, there[2][match[i], 2]
+        _set_plane(there[0][match[i]], there[1][match[i]], planes[n])
         _root_information(spread[i], information[i], centre[i], noise_m, systematic, bent, root[n])
         n += 1
     rows, t, H = rows[:n], t.copy(), np.empty((6, 6))
     for _ in range(rounds):
         H, step = _equations(R, t, axes, centre, rows, planes, root, doubtful)
         _damp(H)
-        L, largest = H.copy(), 0.0
-        factorise(L)
-        solve(L, step)
-        for a in range(3):
-            largest = max(largest, abs(step[a]), abs(step[3 + a]))
-            t[a] -= step[3 + a]
-            step[a] = -step[a]
-        R = product(turned_by(step[:3]), R)
+        R, largest = _stepped(R, t, H, step)
         if largest < settled:
             break
     return R, t, H
