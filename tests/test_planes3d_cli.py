@@ -12,6 +12,7 @@ import pytest
 
 from relmap.cli import main
 from relmap.datasets import open_scans
+from relmap.datasets.trajectories import read_trajectory
 from relmap.io.files import read_tum
 from relmap.planes3d.files import COLUMNS
 from tests.commands import names, run_relmap
@@ -84,6 +85,20 @@ def test_path_is_that_of_the_truth(storey: Path, capsys: pytest.CaptureFixture[s
     assert evaluation["plane_rmse_m"] < 0.003
     assert evaluation["doubled_area"] < 0.02
     assert "plane recall" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("kitti", [False, True])
+def test_the_truth_may_be_a_trajectory(storey: Path, tmp_path: Path, kitti: bool) -> None:
+    stamps_s, poses = read_trajectory(storey / "world" / "truth" / "trajectory.tum")
+    truth = tmp_path / "poses.txt"
+    np.savetxt(truth, poses[:, :3].reshape(-1, 12))
+    np.savetxt(tmp_path / "times.txt", stamps_s)
+    truth = truth if kitti else storey / "world" / "truth" / "trajectory.tum"
+    run_relmap("evaluate", storey / "result", "--truth", truth)
+    evaluation = json.loads((storey / "result" / "evaluation.json").read_text())
+    (storey / "result" / "evaluation.json").unlink()
+    assert evaluation["ate_m"] < 0.003
+    assert evaluation["counts"] == {"poses": 10}
 
 
 def test_scans_and_voxel(storey: Path, tmp_path: Path) -> None:

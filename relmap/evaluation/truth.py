@@ -144,8 +144,8 @@ def read_space_truth(path: Path) -> Truth:
     Parameters
     ----------
     path : Path
-        A folder of ``relmap simulate storey``, with ``truth/faces.csv``, or a log of scans with
-        poses.
+        A folder of ``relmap simulate storey``, with ``truth/faces.csv``; a trajectory in TUM or
+        KITTI format; or a log of scans with poses.
 
     Raises
     ------
@@ -158,6 +158,9 @@ def read_space_truth(path: Path) -> Truth:
             stamps_s, poses = read_tum(folder / TRAJECTORY)
             faces = _read_faces(folder / FACES) if (folder / FACES).is_file() else None
             return Truth(stamps_s=stamps_s, poses=poses, faces=faces)
+    if is_trajectory(path):
+        stamps_s, poses = read_trajectory(path)
+        return Truth(stamps_s=stamps_s, poses=poses)
     return _read_path(path)
 
 

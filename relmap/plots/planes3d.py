@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from relmap.core.arrays import Floats, Ints
@@ -53,7 +54,8 @@ def plot_planes3d(table: Plane3dTable, poses: Floats, stamps_s: Floats, weak: In
     way = poses[:, :3, 3] @ up.T
     bright = np.abs(table.normal[rows] @ up.T @ LIGHT)[:, None] if rows else np.empty((0, 1))
     colours = COLOURS[table.plane[rows] % len(COLOURS)] / 255 * (0.55 + 0.45 * bright)
-    figure = blank(12.0, 6.0)
+    # Room for the label of the vertical axis, which the layout does not know.
+    figure = blank(12.0, 6.0, layout=ConstrainedLayoutEngine(wspace=0.12))
     low, high = limits_of(np.concatenate([*outlines, way]), way, 0.2)
     space: Any = figure.add_subplot(1, 2, 1, projection="3d")
     surfaces = Poly3DCollection(
