@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association.pairing import Motion
@@ -26,9 +25,8 @@ def lying_on(ends: Floats, others: Floats) -> Floats:
     if not (len(ends) and len(others)):
         return length_m
     points, among = WallPoints.of(ends), WallPoints.of(others)
-    tree = cKDTree(among.at)
-    still = WallTie(np.eye(2), np.zeros(2), 0.0)
-    on, other = lying(points, among, tree, still, NEAR_M)[:2]
+    other, _ = lying(points, among, WallTie(np.eye(2), np.zeros(2), 0.0), NEAR_M)
+    on = other >= 0
     np.add.at(length_m, (points.wall[on], among.wall[other[on]]), SAMPLE_M)
     return length_m
 

@@ -8,12 +8,15 @@ wall.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
-from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.arrays import Floats, Ints
+from relmap.core.state.table import NONE
 
 SAMPLE_M = 0.1
 """Spacing of the points along a wall."""
@@ -24,8 +27,9 @@ TURNS, SHIFTS = 8, 6
 """Number of candidate rotations, and of translations for each."""
 BIN_RAD, APART_RAD = np.deg2rad(1.0), np.deg2rad(4.0)
 """Bins of the histogram of rotations, and least distance between two peaks."""
-NEAR_M, TURN = 0.1, np.cos(np.deg2rad(5.0))
-"""Largest distance and rotation (cosine) of a point that lies on a wall."""
+NEAR_M, LIMITS = 0.1, np.array([SAMPLE_M, np.cos(np.deg2rad(5.0))])
+"""Largest distance of a point from the wall that it lies on, distance along it to the nearest point
+of the wall, and rotation (cosine)."""
 EXACTLY, LEAST_NEAR_M = 3.0, 0.005
 """Rivals are compared within this multiple of the best deviation, and at least this distance."""
 ROUNDS, FIRST = 8, 4.0
@@ -81,6 +85,17 @@ class WallPoints:
         """Direction of the front of each, radians."""
         return np.arctan2(self.normal[:, 1], self.normal[:, 0])
 
+    @cached_property
+    def near(self) -> Any:
+        """The points in a grid, as the kernels use them."""
+        from relmap.core.geometry.spatialindex_kernels import enter
+
+        n, cell_m = len(self.at), FIRST * NEAR_M + SAMPLE_M
+        first = np.full(1 << (2 * n).bit_length(), NONE)
+        following, key = np.full(n, NONE), np.full(n, NONE)
+        enter(first, following, key, np.arange(n), self.at, cell_m)
+        return self.at, self.normal, first, following, key, cell_m
+
 
 @dataclass(frozen=True, eq=False)
 class WallTie:
@@ -103,27 +118,30 @@ class WallTie:
     across: float = 0.0
     rms_m: float = np.inf
 
+    @property
+    def motion(self) -> Floats:
+        """Cosine and sine of the rotation, and the translation; (4,)."""
+        return np.array([self.R[0, 0], self.R[1, 0], *self.t])
+
 
 def wall_ties(ends: Floats, others: Floats) -> list[WallTie]:
     """Return candidate alignments of walls (w, 2, 2) to others (v, 2, 2), by overlap."""
     points, among = WallPoints.of(ends), WallPoints.of(others)
     if not (len(points.at) and len(among.at)):
         return []
-    tree = cKDTree(among.at)
     found: list[WallTie] = []
-    for turn in _turns(points, among):
-        for guess in _shifts(points, among, turn):
-            fitted = _fitted(points, among, tree, guess)
-            if not any(_alike(points, fitted, other) for other in found):
-                found.append(fitted)
-    if not found:
-        return []
+    corners, moved = ends.reshape(-1, 2), np.empty((0, 2 * len(ends), 2))
+    for guess in _guesses(points, among):
+        fitted = _fitted(points, among, guess)
+        there = corners @ fitted.R.T + fitted.t
+        if not (np.hypot(*np.moveaxis(moved - there, 2, 0)).max(axis=1) <= ALIKE_M).any():
+            found, moved = [*found, fitted], np.concatenate([moved, there[None]])
     best = max(found, key=lambda tie: tie.length_m)
     # Walls that only look alike coincide less exactly than identical ones.
     near_m = float(np.clip(EXACTLY * best.rms_m, LEAST_NEAR_M, NEAR_M))
     judged = [
         replace(
-            tie, length_m=SAMPLE_M * np.count_nonzero(lying(points, among, tree, tie, near_m)[0])
+            tie, length_m=SAMPLE_M * np.count_nonzero(lying(points, among, tie, near_m)[0] >= 0)
         )
         for tie in found
     ]
@@ -147,91 +165,86 @@ def _turns(points: WallPoints, among: WallPoints) -> list[float]:
     return [float(k * BIN_RAD) for k in order if peaks[k]]
 
 
-def _shifts(points: WallPoints, among: WallPoints, turn: float) -> list[WallTie]:
-    """Return the translations, after a rotation, that bring most points into matching cells."""
+def _guesses(points: WallPoints, among: WallPoints) -> Iterator[WallTie]:
+    """Yield the motions that bring most points into cells of others with the same direction."""
     from scipy.ndimage import maximum_filter
-    from scipy.signal import fftconvolve  # slow to load
 
-    c, s = np.cos(turn), np.sin(turn)
-    R = np.array([[c, -s], [s, c]])
-    turned = points.moved(R, np.zeros(2))
-    low, base = turned.at.min(axis=0), among.at.min(axis=0)
-    score = np.zeros(1)
-    for direction in range(DIRECTIONS):
-        here = _cells(turned, low, direction, 0)
-        there = maximum_filter(_cells(among, base, direction, 1) > 0, 3).astype(np.float64)
-        score = score + fftconvolve(there, here[::-1, ::-1])
-    size = round(2 * ALIKE_M / CELL_M) + 1
-    peaks = np.flatnonzero(score == maximum_filter(score, size))
-    peaks = peaks[np.argsort(-score.ravel()[peaks], kind="stable")][:SHIFTS]
-    shape = _shape(turned, low)
-    at = np.column_stack(np.unravel_index(peaks, score.shape)) - (np.array(shape) - 1)
-    return [WallTie(R, base - low + CELL_M * cell, 0.0) for cell in at]
+    from relmap.planes.wall_tie_kernels import votes
 
-
-def _shape(points: WallPoints, low: Floats) -> tuple[int, int]:
-    columns, rows = np.floor((points.at.max(axis=0) - low) / CELL_M).astype(int) + 1
-    return int(columns), int(rows)
+    base = among.at.min(axis=0)
+    there, _ = _cells(among, base, 1)
+    begin = np.searchsorted(there[:, 0], np.arange(DIRECTIONS + 1))
+    for turn in _turns(points, among):
+        c, s = np.cos(turn), np.sin(turn)
+        R = np.array([[c, -s], [s, c]])
+        turned = points.moved(R, np.zeros(2))
+        low = turned.at.min(axis=0)
+        here, counts = _cells(turned, low, 0)
+        last = here[:, 1:].max(axis=0)
+        score = votes(here, counts, there, begin, there[:, 1:].max(axis=0) + last + 1)
+        peaks = np.flatnonzero(score == maximum_filter(score, round(2 * ALIKE_M / CELL_M) + 1))
+        peaks = peaks[np.argsort(-score.ravel()[peaks], kind="stable")][:SHIFTS]
+        for shift in np.column_stack(np.unravel_index(peaks, score.shape)) - last:
+            yield WallTie(R, base - low + CELL_M * shift, 0.0)
 
 
-def _cells(points: WallPoints, low: Floats, direction: int, beside: int) -> Floats:
-    """Return the number of points per cell whose fronts have a direction, or an adjacent one."""
-    off = np.round(points.angle / (2 * np.pi / DIRECTIONS)).astype(int) - direction
-    off = (off + DIRECTIONS // 2) % DIRECTIONS - DIRECTIONS // 2
-    cells = np.zeros(_shape(points, low))
-    at = np.floor((points.at[np.abs(off) <= beside] - low) / CELL_M).astype(int)
-    np.add.at(cells, tuple(at.T), 1.0)
-    return cells
+def _cells(points: WallPoints, low: Floats, beside: int) -> tuple[Ints, Ints]:
+    """Return the direction, column and row of cells with points, and the number of points in each.
+
+    From the lowest coordinates, in order; points count in so many adjacent directions and cells.
+    """
+    direction = np.round(points.angle / (2 * np.pi / DIRECTIONS))
+    at = np.column_stack([direction, (points.at - low) // CELL_M]).astype(np.int64)
+    around = np.indices((2 * beside + 1,) * 3).reshape(3, -1).T - beside
+    at = (at[:, None] + around).reshape(-1, 3)
+    at[:, 0] %= DIRECTIONS
+    at = at[(at[:, 1:] >= 0).all(axis=1)]
+    shape = (DIRECTIONS, *(at[:, 1:].max(axis=0) + 1))
+    cells, counts = np.unique(np.ravel_multi_index(at.T, shape), return_counts=True)
+    return np.column_stack(np.unravel_index(cells, shape)), counts
 
 
-def _fitted(points: WallPoints, among: WallPoints, tree: cKDTree, guess: WallTie) -> WallTie:
+def _fitted(points: WallPoints, among: WallPoints, guess: WallTie) -> WallTie:
     """Fit a motion to the walls that coincide, alternating with matching."""
-    tie = guess
-    for k in range(ROUNDS):
-        near_m = NEAR_M * max(FIRST / 2**k, 1.0)
-        on, other, off = lying(points, among, tree, tie, near_m)
-        if np.count_nonzero(on) < 3:
-            return replace(tie, length_m=0.0, across=0.0)
-        at = points.at[on] @ tie.R.T + tie.t
-        tie = _stepped(tie, at, among.normal[other[on]], off[on])
-    return tie
+    from relmap.planes.wall_tie_kernels import fit
+
+    motion = guess.motion
+    near_m = NEAR_M * np.maximum(FIRST / 2.0 ** np.arange(ROUNDS), 1.0)
+    n, across, rms_m = fit(points.at, points.normal, among.near, motion, near_m, LIMITS)
+    c, s, *t = motion.tolist()
+    return WallTie(np.array([[c, -s], [s, c]]), np.array(t), SAMPLE_M * n, across, rms_m)
 
 
 def lying(
-    points: WallPoints, among: WallPoints, tree: cKDTree, tie: WallTie, near_m: float
-) -> tuple[Bools, Ints, Floats]:
-    """Return which points lie on walls after a motion.
+    points: WallPoints, among: WallPoints, tie: WallTie, near_m: float
+) -> tuple[Ints, Floats]:
+    """Return on which of other points each point lies after a motion.
 
     Parameters
     ----------
     points, among : WallPoints
-    tree : cKDTree
-        Tree of `among`.
     tie : WallTie
     near_m : float
-        Largest distance.
+        Largest distance from a wall.
 
     Returns
     -------
-    on : (n,) bool
     other : (n,) int64
-        Row of the nearest of `among`.
+        Row of the nearest of `among`; -1 if it is not on the same wall.
     off : (n,) float64
         Distance of each point in front of it.
     """
-    moved = points.moved(tie.R, tie.t)
-    distance, other = tree.query(moved.at)
-    normal = among.normal[other]
-    off = np.einsum("ni,ni->n", among.at[other] - moved.at, normal)
-    on = (distance <= near_m + SAMPLE_M) & (np.abs(off) <= near_m)
-    on &= np.einsum("ni,ni->n", normal, moved.normal) >= TURN
-    return on, np.asarray(other, dtype=np.int64), off
+    from relmap.planes import wall_tie_kernels
+
+    own = points.at, points.normal
+    return wall_tie_kernels.lying(*own, among.near, tie.motion, near_m, LIMITS)
 
 
 def coinciding(ends: Floats, others: Floats, tie: WallTie) -> Ints:
     """Return pairs (k, 2) of walls (w, 2, 2) and others (v, 2, 2) on which they lie, moved."""
     points, among = WallPoints.of(ends), WallPoints.of(others)
-    on, other, _ = lying(points, among, cKDTree(among.at), tie, NEAR_M)
+    other, _ = lying(points, among, tie, NEAR_M)
+    on = other >= 0
     pairs = np.column_stack([points.wall[on], among.wall[other[on]]])
     pairs, counts = np.unique(pairs, axis=0, return_counts=True)
     length = np.bincount(points.wall, minlength=len(ends))
@@ -246,26 +259,3 @@ def coinciding_ends(ends: Floats, others: Floats, tie: WallTie) -> tuple[int, in
     while len(left):
         left, places = left[np.hypot(*(left - left[0]).T) > 2 * ENDS_M], places + 1
     return len(rows), places
-
-
-def _stepped(tie: WallTie, at: Floats, normal: Floats, off: Floats) -> WallTie:
-    """Return a motion after one least-squares step on point-to-line distances."""
-    centre = at.mean(axis=0)
-    arm = at - centre
-    lever = arm[:, 0] * normal[:, 1] - arm[:, 1] * normal[:, 0]
-    reach = max(float(np.sqrt((arm**2).sum(axis=1).mean())), 1e-9)
-    J = np.column_stack([normal, lever / reach])
-    information = J.T @ J
-    step = np.linalg.lstsq(information, J.T @ off, rcond=1e-9)[0]
-    turn = step[2] / reach
-    c, s = np.cos(turn), np.sin(turn)
-    R = np.array([[c, -s], [s, c]])
-    across = float(np.linalg.eigvalsh(normal.T @ normal / len(normal))[0])
-    t = R @ (tie.t - centre) + centre + step[:2]
-    rms_m = float(np.sqrt((off**2).mean()))
-    return WallTie(R @ tie.R, t, SAMPLE_M * len(at), across, rms_m)
-
-
-def _alike(points: WallPoints, one: WallTie, other: WallTie) -> bool:
-    apart = points.at @ (one.R - other.R).T + one.t - other.t
-    return bool(np.hypot(*apart.T).max() <= ALIKE_M)
