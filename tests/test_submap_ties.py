@@ -16,6 +16,8 @@ from relmap.planes.beams import PlacedBeams
 from relmap.planes.history import PlaneHistory
 from relmap.planes.submap_ties import MapPart, tied_parts
 from relmap.planes.submaps import WallSubmap, torn_in
+from relmap.planes.wall_tie import LIMITS, WallPoints
+from relmap.planes.wall_tie_kernels import fit
 from tests.segments import cast
 from tests.test_scan_links import driven, scans_of
 
@@ -78,6 +80,18 @@ def test_bends_of_bare_corridors_are_not_joined() -> None:
     bare = [0, 1, 3, 4]
     parts = [replace(part, ends=part.ends[bare], walls=part.walls[bare]) for part in parts]
     assert len(tied_parts(parts)) == 2
+
+
+def test_along_a_bare_corridor_a_fit_does_not_slide() -> None:
+    # It is narrower in the other map, and narrows by 0.3 degrees: 20 m away it would fit exactly.
+    ends = np.array([[[0.0, -1.0], [20.0, -1.0]], [[20.0, 1.0], [0.0, 1.0]]])
+    bent = ends + np.array([[[0.0, 0.0], [0.0, 0.05]], [[0.0, -0.05], [0.0, 0.0]]])
+    points, among = WallPoints.of(ends), WallPoints.of(bent)
+    motion = np.array([1.0, 0.0, 0.0, 0.0])
+    n, across, _ = fit(points.at, points.normal, among.near, motion, np.full(9, 0.3), LIMITS)
+    assert n == len(points.at)
+    assert across < 0.01
+    assert np.abs(motion[2:]).max() < 0.2
 
 
 def known_of(mapper: PlaneMapper) -> list[list[int]]:

@@ -30,6 +30,8 @@ YOUNG = 3
 
 NEAR = 0.3
 """Largest distance of a landmark from its prediction by odometry, in spacings."""
+BLIND = 8
+"""Nearly empty scans after which tracks end: any place may follow, also one that looks alike."""
 TINY_M = 1e-6
 """Minimum noise of matches when weighed against odometry."""
 
@@ -192,6 +194,8 @@ class Constellation(Numbered):
             return
         if len(begun) < ENOUGH:
             self._idle += 1
+            if self._idle > BLIND:
+                self._tracks, self._stray, self._idle = None, None, 0
             return
         self._tracks.missed += 1
         self._stray, self._stray_since = begun, self._n_scans
