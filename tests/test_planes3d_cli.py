@@ -59,6 +59,32 @@ def test_result_folder_is_complete(storey: Path) -> None:
     assert summary["weak_links"] == []
 
 
+def test_a_broken_run_says_so_with_advice(
+    storey: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scans = np.load(storey / "world" / "scans.npz")
+    points, iteration, stamps_s = (scans[k] for k in ("points", "iteration", "stamps_s"))
+    kept = iteration < 8
+    np.savez(  # and on into a larger storey
+        tmp_path / "both.npz",
+        points=np.concatenate([points, 1.6 * points[kept]]),
+        iteration=np.concatenate([iteration, iteration[kept] + 10]),
+        stamps_s=np.concatenate([stamps_s, stamps_s[:8] + stamps_s[-1] + 1]),
+    )
+    capsys.readouterr()
+    run_relmap("map", tmp_path / "both.npz", "-o", tmp_path / "map", "--variant", "planes3d")
+    summary = json.loads((tmp_path / "map" / "summary.json").read_text())
+    assert [part["scans"] for part in summary["submaps"]] == [10, 8]
+    _, poses = read_tum(tmp_path / "map" / "trajectory.tum")
+    way = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
+    assert summary["submaps"][0]["metres"] == pytest.approx(way.sum())
+    assert 0 < summary["steps"]["median_m"] <= way.max()
+    said = capsys.readouterr().out
+    assert "broke into 2 submaps" in said
+    assert f"shorter steps (here {summary['steps']['median_m']:.2f} m" in said
+    assert "odometry" not in said
+
+
 def test_mesh_holds_rectangles_on_the_planes(storey: Path) -> None:
     lines = (storey / "result" / "map.ply").read_text().splitlines()
     begin = lines.index("end_header") + 1

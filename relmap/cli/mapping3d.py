@@ -75,7 +75,7 @@ def _write(folder: Path, result: SpaceResult) -> None:
 
 
 def _message(job: Job, result: SpaceResult, n_files: int) -> str:
-    from relmap.cli.outcome import each
+    from relmap.cli.outcome import advice, broken, each
 
     summary = result.summary
     counts, submaps = summary["counts"], summary["submaps"]
@@ -88,11 +88,7 @@ def _message(job: Job, result: SpaceResult, n_files: int) -> str:
     )
     if not submaps:
         return f"{message}; no plane was found: the clouds show none, or are not in metres"
-    if len(submaps) > 1:
-        message += (
-            f"; the run broke into {len(submaps)} unconnected submaps: the "
-            f"largest, of {submaps[0]['scans']} scans and {submaps[0]['metres']:.1f} m, is the map"
-        )
+    message += broken(submaps)
     if weak := len(summary["weak_links"]):
         message += f"; scans whose position is poorly determined in some direction: {weak}"
-    return message
+    return message + advice(summary)

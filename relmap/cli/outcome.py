@@ -84,13 +84,7 @@ def torn(summary: dict[str, Any]) -> str:
     """Return the submaps of a broken run of walls, and its weak links: the end of a message."""
     submaps = summary["submaps"]
     failed = sum(not submap["refined"] for submap in submaps) if summary["refined"] else 0
-    message = ""
-    if len(submaps) > 1:
-        scans, metres = submaps[0]["scans"], submaps[0]["metres"]
-        message += (
-            f"; the run broke into {len(submaps)} submaps: the largest, of {scans} "
-            f"scans and {metres:.1f} m, is the map"
-        )
+    message = broken(submaps)
     if failed:
         message += f"; {failed} of {len(submaps)} submaps could not be refined"
     odometry = summary.get("odometry")
@@ -100,10 +94,21 @@ def torn(summary: dict[str, Any]) -> str:
         message += (
             f"; links with unmeasured length, for which constant motion was assumed: {len(weak)}"
         )
-    return message + _advice(summary)
+    return message + advice(summary)
 
 
-def _advice(summary: dict[str, Any]) -> str:
+def broken(submaps: list[dict[str, Any]]) -> str:
+    """Return that a run broke into submaps, as part of a message; nothing if it did not."""
+    if len(submaps) < 2:
+        return ""
+    scans, metres = submaps[0]["scans"], submaps[0]["metres"]
+    return (
+        f"; the run broke into {len(submaps)} submaps: the largest, of {scans} "
+        f"scans and {metres:.1f} m, is the map"
+    )
+
+
+def advice(summary: dict[str, Any]) -> str:
     """Return advice for a run that broke into submaps, as the end of a message."""
     scans = [submap["scans"] for submap in summary["submaps"]]
     steps = summary["steps"]
@@ -114,8 +119,8 @@ def _advice(summary: dict[str, Any]) -> str:
     return (
         f". More overlap between scans helps: shorter steps (here "
         f"{steps['median_m']:.2f} m and {steps['median_deg']:.0f} degrees in the median) or a "
-        f"wider view{view}; odometry, if available, bridges breaks"
-    )
+        f"wider view{view}"
+    ) + ("; odometry, if available, bridges breaks" if summary["variant"] == "planes" else "")
 
 
 def doubted(trust: dict[str, Any]) -> str:

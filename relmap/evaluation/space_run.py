@@ -12,7 +12,7 @@ from relmap.core.errors import RelmapError
 from relmap.core.landmarks import LandmarkTable
 from relmap.datasets.scans import ScanLog
 from relmap.evaluation.feeding import Progress, Through, feed
-from relmap.evaluation.summary import completion, versions
+from relmap.evaluation.summary import completion, steps_of, versions
 from relmap.io.results import Tracks
 from relmap.planes3d import Plane3dMapper
 from relmap.planes3d.files import Plane3dResult
@@ -110,6 +110,7 @@ def _result(
             "iterations_without_pose": len(log) - len(poses),
         },
         "submaps": [submap_row(part, first) for part in parts],
+        "steps": steps_of([path for part in parts for path in consecutive(part)]),
         "weak_links": [first + k for k in weak],
         "weak_directions": [free.tolist() for free in weak.values()],
     }
@@ -142,15 +143,18 @@ def _landmarks(table: Plane3dTable) -> LandmarkTable:
     )
 
 
+def consecutive(part: Submap) -> list[Floats]:
+    """Return the poses of a submap, apart where scans in between may be in another submap."""
+    return np.split(part.trajectory, np.flatnonzero(np.diff(part.iteration) != 1) + 1)
+
+
 def submap_row(part: Submap, first: int) -> dict[str, Any]:
     """Return the entry of a submap in `summary.json`; `first` is the first iteration of the run."""
-    # Scans in between may be in another submap: the way is not known there.
-    known = np.diff(part.iteration) == 1
-    steps = np.diff(part.trajectory[:, :3, 3], axis=0)[known]
+    ways = (np.diff(path[:, :3, 3], axis=0) for path in consecutive(part))
     return {
         "planes": len(part),
         "iterations": [first + part.iteration[0], first + part.iteration[-1]],
         "scans": len(part.iteration),
-        "metres": float(np.linalg.norm(steps, axis=1).sum()),
+        "metres": sum(float(np.linalg.norm(way, axis=1).sum()) for way in ways),
         "systematic_share": part.share,
     }

@@ -73,7 +73,9 @@ def summary_of(
     summary["odometry"] = _odometry(mapper.odometry, result, offset)
     if isinstance(mapper, PlaneMapper):
         weak = (mapper.weak_links + offset).tolist()
-        return summary | {"weak_links": weak, "steps": _steps(mapper.submaps, log)}
+        view_rad = log.sensor.view_rad if isinstance(log, ScanLog) else None
+        steps = steps_of([submap.poses for submap in mapper.submaps], view_rad)
+        return summary | {"weak_links": weak, "steps": steps}
     summary["rejected_iterations"] = ends_of(mapper.rejected + offset, "iterations")
     summary["rejected_observations"] = ends_of(_rejected_rows(mapper, log, offset), "rows")
     return summary
@@ -159,21 +161,28 @@ def _submap_row(submap: Submap, offset: int) -> dict[str, Any]:
     return row
 
 
-def _steps(submaps: Sequence[WallSubmap], log: ObservationLog | ScanLog) -> dict[str, float | None]:
-    """Return the median step between scans of a submap, and the width of the sensor's view.
+def steps_of(paths: Sequence[Floats], view_rad: float | None = None) -> dict[str, float | None]:
+    """Return the median step between scans, and the width of the sensor's view.
 
     None if unknown; metres and degrees.
+
+    Parameters
+    ----------
+    paths : sequence of (k, d + 1, d + 1) float64
+        Poses of consecutive scans; NaN if unknown.
+    view_rad : float, optional
     """
-    steps = [np.linalg.inv(s.poses[:-1]) @ s.poses[1:] for s in submaps if len(s.poses) > 1]
-    view_rad = log.sensor.view_rad if isinstance(log, ScanLog) else None
     view_deg = None if view_rad is None else float(np.rad2deg(view_rad))
-    if not any(np.isfinite(T[:, 0, 3]).any() for T in steps):
+    steps = [np.linalg.inv(poses[:-1]) @ poses[1:] for poses in paths if len(poses) > 1]
+    T = np.concatenate(steps) if steps else np.empty((0, 3, 3))
+    T = T[np.isfinite(T[:, 0, -1])]
+    if not len(T):
         return {"median_m": None, "median_deg": None, "view_deg": view_deg}
-    T = np.concatenate(steps)
-    T = T[np.isfinite(T[:, 0, 3])]
-    turn_rad = np.abs(np.arctan2(T[:, 1, 0], T[:, 0, 0]))
+    R, d = T[:, :-1, :-1], T.shape[1] - 1
+    half_sine = np.linalg.norm(R - np.eye(d), axis=(1, 2)) / np.sqrt(8)
+    turn_rad = 2 * np.arcsin(np.minimum(half_sine, 1.0))
     return {
-        "median_m": float(np.median(np.hypot(T[:, 0, 3], T[:, 1, 3]))),
+        "median_m": float(np.median(np.linalg.norm(T[:, :-1, -1], axis=1))),
         "median_deg": float(np.rad2deg(np.median(turn_rad))),
         "view_deg": view_deg,
     }
