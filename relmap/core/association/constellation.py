@@ -17,7 +17,7 @@ from relmap.core.association.estimated import EstimatedCovariances
 from relmap.core.association.guiding import OdometryGuide
 from relmap.core.association.metric import rows_of, stretch_of
 from relmap.core.association.placement import Placement
-from relmap.core.association.registering import TrackPlacing
+from relmap.core.association.registering import BLIND, TrackPlacing
 from relmap.core.association.scale import Scale, spacing_of
 from relmap.core.association.soft import likely_links
 from relmap.core.association.tracks import LiveTracks
@@ -30,8 +30,6 @@ YOUNG = 3
 
 NEAR = 0.3
 """Largest distance of a landmark from its prediction by odometry, in spacings."""
-BLIND = 8
-"""Nearly empty scans after which tracks end: any place may follow, also one that looks alike."""
 TINY_M = 1e-6
 """Minimum noise of matches when weighed against odometry."""
 
@@ -184,8 +182,10 @@ class Constellation(Numbered):
     def _begin_anew(self, begun: LiveTracks) -> None:
         """Defer a scan that could not be matched to the tracks: the next one may match either.
 
-        A nearly empty scan does not end the tracks.
+        A nearly empty scan does not end the tracks; another place after many of them does.
         """
+        if self._idle > BLIND and len(begun) >= ENOUGH:
+            self._tracks, self._stray, self._idle = None, None, 0
         if self._tracks is None or not len(self._tracks):
             if len(begun):
                 self._tracks, self._tracks_since = begun, self._n_scans
@@ -194,8 +194,6 @@ class Constellation(Numbered):
             return
         if len(begun) < ENOUGH:
             self._idle += 1
-            if self._idle > BLIND:
-                self._tracks, self._stray, self._idle = None, None, 0
             return
         self._tracks.missed += 1
         self._stray, self._stray_since = begun, self._n_scans

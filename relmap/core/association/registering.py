@@ -58,6 +58,8 @@ FAMILIAR = 5
 """Observations of a landmark required if only two landmarks determine a planar scan."""
 NEARBY = 0.2
 """Largest motion of these two, in spacings."""
+BLIND = 8
+"""Nearly empty scans after which any place may follow, also one that looks alike."""
 
 
 class _Searched(NamedTuple):
@@ -103,10 +105,23 @@ class TrackPlacing:
             found = self._likely(tracks, points, found)
         if found is None:
             found = self._found_of_unknown_noise(tracks, points, is_ambiguous)
-        if found is None or learnt is None or not self._is_mirrored(found, learnt, tracks, points):
+        if found is None or not self._is_elsewhere(found, learnt, tracks, points):
             return found
         self.scale.noise_m, self.scale.wider = learnt, 1.0
         return None
+
+    def _is_elsewhere(
+        self, found: Placement, learnt: float | None, tracks: LiveTracks, points: Floats
+    ) -> bool:
+        """Return whether the scan may show another place than the tracks.
+
+        After many nearly empty scans, only if it shows nearly all tracks in place it does not.
+        """
+        if self.chance.idle > BLIND:
+            share = NEAR_SHARE * min(len(tracks), len(points))
+            has_moved = moved_m(found, tracks.expected) > self.scale.spacing_m
+            return has_moved or found.n_agreeing < share
+        return learnt is not None and self._is_mirrored(found, learnt, tracks, points)
 
     def _is_mirrored(
         self, found: Placement, learnt: float, tracks: LiveTracks, points: Floats
