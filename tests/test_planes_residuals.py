@@ -11,10 +11,12 @@ from relmap.simulation import Building, simulate_building
 
 
 def mapped(seed: int) -> tuple[Building, PlaneMapper]:
-    building = simulate_building(points=800, sigma=0.05, seed=seed, iterations=150)
+    """Map a building from clouds, or if there is a seed from laser scans."""
+    sampling = {"points": 361, "sampling": "laser"} if seed else {"points": 400}
+    building = simulate_building(sigma=0.05, seed=seed, iterations=150, **sampling)
     mapper = PlaneMapper(segmenter=PlaneSegmenter())
     for scan in building.scans:
-        mapper.update(scan.points)
+        mapper.update(scan.points[:, :2] if seed else scan.points)
     mapper.finish()
     return building, mapper
 

@@ -38,7 +38,7 @@ are after rigid alignment; coverage is the fraction of the landmarks seen at lea
 are mapped; purity is 1 where every observation is assigned to the right landmark. Reports to pan,
 zoom and replay: <a href="report.html">with ids</a>, <a href="nearest/report.html">without</a>.</p>
 """
-SPACING_M, ITERATIONS = 0.3, 80
+SPACING_M, ITERATIONS = 0.3, 50
 NOISES = {"little": 0.05, "much": 0.3}
 """Noise of the points on walls, in units of their spacing."""
 Rows = Sequence[Sequence[str]]
