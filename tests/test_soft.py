@@ -13,6 +13,8 @@ from relmap.core.association.registering import CLEAR
 from relmap.core.association.scale import spacing_of
 from relmap.core.association.soft import SoftMatching, likely_links
 from relmap.evaluation.metrics import purity
+from relmap.evaluation.surface_points import wall_points
+from relmap.evaluation.variants import map_of
 from relmap.simulation import WorldSpec, simulate_world
 
 FIELD_M = 24.0
@@ -127,3 +129,11 @@ def test_columns_on_a_lattice_are_not_taken_for_their_neighbours(
     assert found is not None
     assert found > 0.99
     assert len(np.unique(labels)) < 2 * len(np.unique(ids))
+
+
+@pytest.mark.parametrize("iterations", [50, 100])
+def test_points_on_walls_do_not_slip_along_them(iterations: int) -> None:
+    _, run = map_of("points", wall_points(0.3, 0.05, 0, iterations))
+    assert run.map_rmse_m is not None
+    assert run.map_rmse_m < 0.02
+    assert run.coverage > 0.95

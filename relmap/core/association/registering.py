@@ -62,6 +62,10 @@ BLIND = 8
 """Nearly empty scans after which any place may follow, also one that looks alike."""
 
 
+Scored = tuple[Placement, float, float]
+"""A placement, and the log likelihood ratios of it and of a rival."""
+
+
 class _Searched(NamedTuple):
     """The placement found by a search, None if uncertain, and the matches of the best one.
 
@@ -158,6 +162,9 @@ class TrackPlacing:
         here = matching.source
         if found is None or moved_m(found, here) > spacing_m:
             best = matching.found(*matching.by_triangles())
+            near = matching.found(*matching.by_shifts(ASIDE * spacing_m))
+            if near and self._is_clear(near, best, matching):
+                best = near  # triangles are those of a few tracks only
         else:
             best = matching.found(*matching.by_shifts(ASIDE * spacing_m, found))
         if best is None:
@@ -172,6 +179,13 @@ class TrackPlacing:
         if self.scale.is_blurred:  # otherwise it is learnt from the links
             self.scale.learn_misfit(matching.misfit(placement))
         return placement
+
+    @staticmethod
+    def _is_clear(near: Scored, best: Scored | None, matching: SoftMatching) -> bool:
+        """Return whether a placement is clearly more likely than another, or explains the scan."""
+        if best is None:
+            return near[0].n_agreeing >= SHARE * min(len(matching.source), len(matching.target))
+        return CLEAR * near[1] > best[1]
 
     def _soft(self, tracks: LiveTracks, points: Floats) -> SoftMatching:
         known, seen = self._crowd(tracks, points, len(tracks))
