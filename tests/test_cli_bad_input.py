@@ -95,6 +95,12 @@ def test_bad_command(refused: Check, arguments: list[str], message: str) -> None
     assert message in refused(*arguments)
 
 
+def test_a_result_that_is_only_read_is_not_overwritten(place: Path, refused: Check) -> None:
+    (place / "link").symlink_to("out")
+    for out in ("out", "truth/../out", "link"):
+        assert "give another folder" in refused("localise", "log.csv", "--map", "out", "-o", out)
+
+
 @pytest.mark.parametrize(
     "scans",
     ["", "5", "5:", ":5", "a:b", "5:5", "6:5", "-1:5", "1:2:3", "\u0663:\u0665", " 1:2", "50:60"],

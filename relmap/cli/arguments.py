@@ -135,6 +135,19 @@ def refuse(is_wrong: object, message: str) -> None:
         raise RelmapError(message)
 
 
+def refuse_to_write_into(out: Path, *results: Path) -> None:
+    """Raise an error if the output folder is a result folder that is only read.
+
+    Raises
+    ------
+    RelmapError
+        If it is one of `results`, whatever it is called.
+    """
+    for result in results:
+        same = out.exists() and result.exists() and out.samefile(result)
+        refuse(same, f"--out is {out}, an input, which is not changed: give another folder")
+
+
 def read_config(
     path: Path | None,
     registration: str | None = None,
