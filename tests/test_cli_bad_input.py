@@ -99,6 +99,8 @@ def test_a_result_that_is_only_read_is_not_overwritten(place: Path, refused: Che
     (place / "link").symlink_to("out")
     for out in ("out", "truth/../out", "link"):
         assert "give another folder" in refused("localise", "log.csv", "--map", "out", "-o", out)
+        assert "give another folder" in refused("merge", "out", "truth", "-o", out)
+        assert "give another folder" in refused("merge", "truth", "out", "-o", out)
 
 
 @pytest.mark.parametrize(
