@@ -103,6 +103,12 @@ def test_a_result_that_is_only_read_is_not_overwritten(place: Path, refused: Che
         assert "give another folder" in refused("merge", "truth", "out", "-o", out)
 
 
+@pytest.mark.parametrize("name", ["landmarks.csv", "bench.gif", "submap-3.tum"])
+def test_a_journal_among_the_results_has_another_name(refused: Check, name: str) -> None:
+    said = refused("map", "log.csv", "-o", "new", "--journal", f"truth/../new/{name}")
+    assert "give it another name" in said
+
+
 @pytest.mark.parametrize(
     "scans",
     ["", "5", "5:", ":5", "a:b", "5:5", "6:5", "-1:5", "1:2:3", "\u0663:\u0665", " 1:2", "50:60"],
