@@ -25,7 +25,7 @@ from relmap.datasets.kitti_bin import KittiBin
 from relmap.datasets.mrclam import Mrclam
 from relmap.datasets.mrpt_landmarks import MrptLandmarks
 from relmap.datasets.mrpt_laser import MrptLaser
-from relmap.datasets.observation_csv import ObservationCsv, write_observation_csv
+from relmap.datasets.observation_csv import OTHER_NAMES, ObservationCsv, write_observation_csv
 from relmap.datasets.odometry import with_odometry_beside
 from relmap.datasets.own_table import OwnTable
 from relmap.datasets.point_clouds import PointClouds
@@ -204,8 +204,7 @@ def _found_instead(path: Path, what: str, formats: Sequence[str]) -> str:
     found = f"line {head.line}: {quoted(','.join(head.columns))} does not start a {what}"
     if what == _LANDMARK_LOG and len(head.columns) > 1:
         raise RelmapError(
-            f"{shown(path)}: {found}, expected iteration,x,y[,z][,id] or, for columns of other "
-            "names, --columns iteration=...,x=...,y=... (stamp=... for times); formats: "
-            f"{', '.join(formats)}"
+            f"{shown(path)}: {found}, expected iteration,x,y[,z][,id] or, {OTHER_NAMES}; "
+            f"formats: {', '.join(formats)}"
         )
     return found
