@@ -48,6 +48,7 @@ def test_no_log(place: Path, refused: Check) -> None:
     (place / "empty").mkdir()
     assert "does not exist" in refused("map", "none.csv", "-o", "out")
     assert "holds no landmark log" in refused("map", "empty", "-o", "out")
+    assert "'INPUT': it is empty" in refused("map", "", "-o", "out")
     assert "not known" in refused("map", "log.csv", "-o", "out", "--format", "cassette")
     assert "does not exist" in refused("evaluate", "out", "--truth", "truth", "--log", "none")
 

@@ -58,6 +58,13 @@ def columns(text: str) -> dict[str, str]:
     return found
 
 
+def log(text: str) -> Path:
+    """Return the file or folder of a log; typer.BadParameter if it is empty, as for `folder`."""
+    if not text:
+        raise typer.BadParameter("it is empty, expected the name of a file or folder")
+    return Path(text)
+
+
 def folder(text: str) -> Path:
     """Return the folder given by an option.
 
@@ -71,7 +78,9 @@ def folder(text: str) -> Path:
     return Path(text)
 
 
-Log = Annotated[Path, typer.Argument(metavar="INPUT", help="The log: a file or a folder.")]
+Log = Annotated[
+    Path, typer.Argument(metavar="INPUT", parser=log, help="The log: a file or a folder.")
+]
 Out = Annotated[
     Path, typer.Option("--out", "-o", metavar="DIR", parser=folder, help="Folder to write to.")
 ]

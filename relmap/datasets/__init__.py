@@ -15,7 +15,7 @@ from relmap.core.errors import RelmapError
 from relmap.datasets.bag_detections import BagDetections
 from relmap.datasets.bag_scans import BagScans
 from relmap.datasets.base import Dataset, ObservationLog, Scan
-from relmap.datasets.carmen_log import CarmenLog
+from relmap.datasets.carmen_log import CarmenLog, carmen_logs
 from relmap.datasets.depth_images import DepthImages
 from relmap.datasets.dlr_circles import DlrCircles
 from relmap.datasets.foreign import foreign_at
@@ -194,6 +194,11 @@ def _found_instead(path: Path, what: str, formats: Sequence[str]) -> str:
                 f"{shown(path)}: is a {other} ({dataset.name}), expected a {what}; "
                 f"'relmap map --variant {variant}' maps these"
             )
+    if path.is_dir() and what == _SCAN_LOG and (logs := carmen_logs(path)):
+        raise RelmapError(
+            f"{shown(path)}: holds {len(logs)} log{'s' * (len(logs) > 1)} of CARMEN, expected the "
+            f"name of one of them: {', '.join(shown(file.name) for file in logs)}"
+        )
     foreign = foreign_at(path)
     if path.is_dir():
         return f"the folder holds no {what}" + (f" but {foreign}" if foreign else "")
