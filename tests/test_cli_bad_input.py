@@ -70,6 +70,10 @@ def test_no_log(place: Path, refused: Check) -> None:
         (["map", "log.csv", "-o", "out", "--variant", "lines"], "'points', 'planes'"),
         (["map", "log.csv", "-o", "out", "--config", "none.toml"], "does not exist"),
         (["map", "log.csv", "-o", "out", "--config", "truth"], "is a folder"),
+        (
+            ["map", "log.csv", "-o", "out", "--range-sigma", "-1", "--bearing-sigma", "1"],
+            "--range-sigma is -1.0",
+        ),
         (["simulate"], "Missing command"),
         (["simulate", "figure-nine", "-o", "new"], "No such command"),
         (["simulate", "figure-eight"], "Missing option '--out'"),

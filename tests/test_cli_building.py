@@ -108,6 +108,7 @@ def test_bad_options_change_nothing(refused: Check) -> None:
         ("--sampling", "sonar", "'surface', 'rays', 'laser'"),
         ("--beams", "0", "points"),
         ("--view", "360", "view"),
+        ("--view", "400", "--view is 400.0"),
         ("--range", "0", "range"),
         ("--step", "0", "step"),
         ("--people", "1", "sampling must be laser"),

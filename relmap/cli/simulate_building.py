@@ -101,6 +101,8 @@ def building_command(
     from relmap.simulation import simulate_building
     from relmap.simulation.sensor import sensor_of
 
+    wrong = view is not None and not 0 < view < 360
+    refuse(wrong, f"--view is {view}; it must be above 0 and below 360 degrees")
     options = wheels.OdometryOptions(odometry, odometry_bias, odometry_fault)
     options.wheels()
     if beams is not None:
