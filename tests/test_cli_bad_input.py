@@ -48,6 +48,7 @@ def test_no_log(place: Path, refused: Check) -> None:
     (place / "empty").mkdir()
     assert "does not exist" in refused("map", "none.csv", "-o", "out")
     assert "holds no landmark log" in refused("map", "empty", "-o", "out")
+    assert "'INPUT': it is empty" in refused("map", "", "-o", "out")
     assert "not known" in refused("map", "log.csv", "-o", "out", "--format", "cassette")
     assert "does not exist" in refused("evaluate", "out", "--truth", "truth", "--log", "none")
 
@@ -69,6 +70,10 @@ def test_no_log(place: Path, refused: Check) -> None:
         (["map", "log.csv", "-o", "out", "--variant", "lines"], "'points', 'planes'"),
         (["map", "log.csv", "-o", "out", "--config", "none.toml"], "does not exist"),
         (["map", "log.csv", "-o", "out", "--config", "truth"], "is a folder"),
+        (
+            ["map", "log.csv", "-o", "out", "--range-sigma", "-1", "--bearing-sigma", "1"],
+            "--range-sigma is -1.0",
+        ),
         (["simulate"], "Missing command"),
         (["simulate", "figure-nine", "-o", "new"], "No such command"),
         (["simulate", "figure-eight"], "Missing option '--out'"),
@@ -93,6 +98,20 @@ def test_no_log(place: Path, refused: Check) -> None:
 )
 def test_bad_command(refused: Check, arguments: list[str], message: str) -> None:
     assert message in refused(*arguments)
+
+
+def test_a_result_that_is_only_read_is_not_overwritten(place: Path, refused: Check) -> None:
+    (place / "link").symlink_to("out")
+    for out in ("out", "truth/../out", "link"):
+        assert "give another folder" in refused("localise", "log.csv", "--map", "out", "-o", out)
+        assert "give another folder" in refused("merge", "out", "truth", "-o", out)
+        assert "give another folder" in refused("merge", "truth", "out", "-o", out)
+
+
+@pytest.mark.parametrize("name", ["landmarks.csv", "bench.gif", "submap-3.tum"])
+def test_a_journal_among_the_results_has_another_name(refused: Check, name: str) -> None:
+    said = refused("map", "log.csv", "-o", "new", "--journal", f"truth/../new/{name}")
+    assert "give it another name" in said
 
 
 @pytest.mark.parametrize(

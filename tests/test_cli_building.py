@@ -76,7 +76,7 @@ def test_a_laser_writes_planar_scans(tmp_path: Path) -> None:
 
 def test_a_laser_has_the_given_beams_view_and_steps(tmp_path: Path) -> None:
     options = ["--beams", "90", "--view", "270", "--range", "5", "--step", "0.5"]
-    simulate(tmp_path, *OPTIONS, *options, "--people", "3", "--clutter", "0.1")
+    simulate(tmp_path, *OPTIONS[2:], *options, "--people", "3", "--clutter", "0.1")
     log = open_scans(tmp_path)
     assert log.sensor.view_rad == pytest.approx(np.deg2rad(270))
     assert log.sensor.range_m == 5.0
@@ -108,6 +108,7 @@ def test_bad_options_change_nothing(refused: Check) -> None:
         ("--sampling", "sonar", "'surface', 'rays', 'laser'"),
         ("--beams", "0", "points"),
         ("--view", "360", "view"),
+        ("--view", "400", "--view is 400.0"),
         ("--range", "0", "range"),
         ("--step", "0", "step"),
         ("--people", "1", "sampling must be laser"),
@@ -115,6 +116,12 @@ def test_bad_options_change_nothing(refused: Check) -> None:
         ("--world", "glass", "sampling must be laser"),
     ):
         assert expected in refused("simulate", "building", "-o", "new", option, value)
+
+
+@pytest.mark.parametrize("more", ["--points 50", "--sampling rays"])
+def test_beams_replace_other_options(refused: Check, more: str) -> None:
+    building = ["simulate", "building", "-o", "new", "--beams", "100"]
+    assert "omit these" in refused(*building, *more.split())
 
 
 def test_the_picture_shows_every_wall_and_the_whole_path() -> None:

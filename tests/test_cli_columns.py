@@ -90,6 +90,7 @@ def test_a_comparison_reports_ignored_columns_once(
     [
         (["--columns", "x"], "--columns is 'x': it must be pairs like x=px"),
         (["--columns", "x=a,x=b"], "it must be pairs like x=px"),
+        (["--columns", "x=px,y=px"], "columns: 'px' is given twice"),
         (["--columns", "w=a"], "columns: 'w', expected some of iteration"),
         (["--columns", "x=far"], "no column 'far', expected one; there are 'frame'"),
         (

@@ -141,6 +141,7 @@ def test_same_figures_same_bytes(made: Path, tmp_path: Path) -> None:
         (["17"], "figure 17 needs the Victoria Park data"),
         (["9", "17", "--data", "nowhere"], "nowhere"),
         (["9", "17", "--data", "truth"], "truth"),
+        (["9", "--data", "truth"], "--data is for figure 17"),
     ],
 )
 def test_what_cannot_be_drawn_is_refused(arguments: list[str], said: str, refused: Check) -> None:

@@ -119,6 +119,23 @@ def test_the_reader_of_the_output_is_gone(tmp_path: Path, child_env: dict[str, s
     assert child.returncode in (0, 1)
 
 
+@pytest.mark.parametrize("module", ["typer", "relmap.cli.sweep"])
+def test_an_interrupt_while_modules_are_loaded_is_one_line(
+    tmp_path: Path, child_env: dict[str, str], module: str
+) -> None:
+    code = (
+        "import sys\n"
+        "class Pressed:\n"
+        "    def find_spec(self, name, *_):\n"
+        f"        if name == {module!r}: raise KeyboardInterrupt\n"
+        "sys.meta_path.insert(0, Pressed())\n"
+        "from relmap.cli import main\n"
+        "sys.exit(main(['--version']))\n"
+    )
+    done = run_process([sys.executable, "-c", code], env=child_env, cwd=tmp_path)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "relmap: interrupted\n")
+
+
 def test_progress_on_a_terminal_leaves_no_trace_behind(
     tmp_path: Path, child_env: dict[str, str]
 ) -> None:

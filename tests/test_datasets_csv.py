@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import random
+import re
 from contextlib import suppress
 from pathlib import Path
 
@@ -47,6 +48,8 @@ def test_without_z_and_id_the_world_is_planar_and_association_unknown(tmp_path: 
         "\ufeff" + PLAIN,
         "# from a robot\n\n#\n" + PLAIN,
         PLAIN.replace(",", " , "),
+        re.sub(r"[^,\n]+", r'"\g<0>"', PLAIN),
+        re.sub(r"[a-z]+", r'"\g<0>"', PLAIN),
         "id,z,x,iteration,y\n7,.25,1.5,0,-2\n8,5e0,+3,0.0,4\n7,3,1,2,2\n",
     ],
 )
@@ -118,7 +121,9 @@ def test_order_of_rows_does_not_matter(tmp_path: Path, seed: int) -> None:
         ("iteration,x,y\n0,1_0,2\n", ["line 2, field x", "'1_0' is not a number"]),
         ("iteration,x,y\n0,\u0661,2\n", ["line 2, field x", "is not a number"]),
         ("iteration,x,y\n0,0x10,2\n", ["line 2, field x", "'0x10' is not a number"]),
-        ('iteration,x,y\n0,"1",2\n', ["line 2, field x", "is not a number"]),
+        ('iteration,x,y\n0,"1,2\n', ["line 2, field x", "'\"1' is not a number"]),
+        ('iteration,x,y\n0,"1"",2\n', ["line 2, field x", "is not a number"]),
+        ("Iteration,X,Y\n0,1,2\n", ["missing columns iteration, x, y", "--columns iteration=..."]),
         ("iteration,x,y\n0,1,2\n0,1\n0,1,2\n", ["line 3", "2 fields in '0,1'", "expected 3"]),
         ("iteration,x,y\n0,1,2\n# note\n", ["line 3", "1 fields in '# note'", "expected 3"]),
         ("iteration,x,y\n0,1,2,3\n", ["line 2", "4 fields", "expected 3: iteration,x,y"]),

@@ -34,6 +34,14 @@ def test_corrected_log(tmp_path: Path) -> None:
     np.testing.assert_allclose(log.poses[0, :2, 0], [np.cos(0.5), np.sin(0.5)])
 
 
+def test_a_folder_of_logs_names_them(tmp_path: Path) -> None:
+    put(tmp_path, CORRECTED, "a.log")
+    put(tmp_path, gzip.compress(CORRECTED.encode()), "b.log.gz")
+    put(tmp_path, "something else", "c.log")
+    expected = "holds 2 logs of CARMEN, expected the name of one of them: a.log, b.log.gz"
+    assert failure(tmp_path).endswith(expected)
+
+
 def test_full_scale_counts_only_where_it_is_reached(tmp_path: Path) -> None:
     text = CORRECTED.replace("81.91", "70")
     assert points_of(open_scans(put(tmp_path, text.replace("81.8", "60"), "a.log")))[1][2] == [

@@ -192,6 +192,18 @@ def test_a_merged_map_is_exported(halves: Path, tmp_path: Path) -> None:
     assert len([row for row in table(tmp_path / "both" / "planes.csv") if row["x0"]]) > 60
 
 
+def test_a_merged_map_of_points_has_no_observations_to_export(
+    halves: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    both = str(tmp_path / "both")
+    run_relmap("merge", halves / "eight-a", halves / "eight-b", "-o", both)
+    g2o = ["export", both, "--to", "g2o", "-o", str(tmp_path / "a.g2o")]
+    capsys.readouterr()
+    assert main([*g2o, "--log", str(halves / "eight")]) == 2
+    assert "export without --log" in capsys.readouterr().err
+    run_relmap(*g2o)
+
+
 def test_a_merged_map_of_points_is_evaluated_by_place(
     halves: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -127,6 +127,18 @@ def test_the_truth_may_be_a_trajectory(storey: Path, tmp_path: Path, kitti: bool
     assert evaluation["counts"] == {"poses": 10}
 
 
+def test_planes_in_space_are_neither_exported_nor_merged(
+    storey: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    result, out = str(storey / "result"), str(tmp_path / "out")
+    for verb in (["export", result, "--to", "ply"], ["merge", result, result]):
+        assert main([*verb, "-o", out]) == 2
+        printed = capsys.readouterr().err
+        assert f"{result} is a map of planes in space: only points and walls" in printed
+        assert printed.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
 def test_scans_and_voxel(storey: Path, tmp_path: Path) -> None:
     arguments = ["--variant", "planes3d", "--scans", "6:9", "--voxel", "0.3", "--no-refine"]
     run_relmap("map", storey / "world", "-o", tmp_path / "part", *arguments)

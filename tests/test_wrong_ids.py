@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from relmap import PointMapper
-from relmap.cli import app
+from relmap.cli.program import app
 from relmap.comparison.baselines.batch import Batch, batch_least_squares
 from relmap.core.arrays import Floats
 from relmap.core.refinement import settling

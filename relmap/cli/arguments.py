@@ -58,6 +58,13 @@ def columns(text: str) -> dict[str, str]:
     return found
 
 
+def log(text: str) -> Path:
+    """Return the file or folder of a log; typer.BadParameter if it is empty, as for `folder`."""
+    if not text:
+        raise typer.BadParameter("it is empty, expected the name of a file or folder")
+    return Path(text)
+
+
 def folder(text: str) -> Path:
     """Return the folder given by an option.
 
@@ -71,7 +78,9 @@ def folder(text: str) -> Path:
     return Path(text)
 
 
-Log = Annotated[Path, typer.Argument(metavar="INPUT", help="The log: a file or a folder.")]
+Log = Annotated[
+    Path, typer.Argument(metavar="INPUT", parser=log, help="The log: a file or a folder.")
+]
 Out = Annotated[
     Path, typer.Option("--out", "-o", metavar="DIR", parser=folder, help="Folder to write to.")
 ]
@@ -133,6 +142,19 @@ def refuse(is_wrong: object, message: str) -> None:
     """
     if is_wrong:
         raise RelmapError(message)
+
+
+def refuse_to_write_into(out: Path, *results: Path) -> None:
+    """Raise an error if the output folder is a result folder that is only read.
+
+    Raises
+    ------
+    RelmapError
+        If it is one of `results`, whatever it is called.
+    """
+    for result in results:
+        same = out.exists() and result.exists() and out.samefile(result)
+        refuse(same, f"--out is {out}, an input, which is not changed: give another folder")
 
 
 def read_config(

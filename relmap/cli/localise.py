@@ -8,7 +8,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from relmap.cli.arguments import Columns, Format, Out, Scans, Topics, Variant, refuse
+from relmap.cli.arguments import (
+    Columns,
+    Format,
+    Out,
+    Scans,
+    Topics,
+    Variant,
+    refuse,
+    refuse_to_write_into,
+)
 from relmap.cli.arguments import Log as LogPath
 from relmap.cli.console import tracked
 
@@ -56,6 +65,7 @@ def localise_command(
     from relmap.planes import PlaneMapper
     from relmap.points import PointMapper
 
+    refuse_to_write_into(out, result)
     mapper = Mapper.load(result / MAPPER)
     assert isinstance(mapper, PointMapper | PlaneMapper)
     variant: Variant = "planes" if isinstance(mapper, PlaneMapper) else "points"

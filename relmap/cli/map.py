@@ -104,13 +104,15 @@ def _sigmas(
     planes: bool, range_m: float | None, bearing_rad: float | None, elevation_rad: float | None
 ) -> tuple[float, ...] | None:
     """Return the noise of range, bearing and, if given, elevation."""
-    given = [sigma for sigma in (range_m, bearing_rad, elevation_rad) if sigma is not None]
+    names = ("--range-sigma", "--bearing-sigma", "--elevation-sigma")
+    sigmas = dict(zip(names, (range_m, bearing_rad, elevation_rad), strict=True))
+    given = {name: sigma for name, sigma in sigmas.items() if sigma is not None}
     args.refuse(given and planes, "the noise of walls is estimated: omit --range-sigma")
     one = given and (range_m is None or bearing_rad is None)
     args.refuse(one, "--range-sigma and --bearing-sigma must be given together")
-    for sigma in given:
-        args.refuse(not 0 < sigma < float("inf"), f"a sigma is {sigma}; it must be above 0")
-    return tuple(given) or None
+    for name, sigma in given.items():
+        args.refuse(not 0 < sigma < float("inf"), f"{name} is {sigma}; it must be above 0")
+    return tuple(given.values()) or None
 
 
 def _settings(

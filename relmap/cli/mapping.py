@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, closing
 from functools import partial
@@ -55,10 +56,26 @@ def map_log(job: Job) -> tuple[Run, int]:
     """
     from relmap.io.files import staged_folder
 
-    out, log = job.at(job.out), _log_of(job)
+    out = job.at(job.out)
+    _check_journal(job.journal, out)
+    log = _log_of(job)
     with staged_folder(out, stale_files(out)) as staging:
         run = _mapped_into(staging, job, log)
         return run, len(list(staging.iterdir()))
+
+
+def _check_journal(journal: Path | None, out: Path) -> None:
+    """Raise an error if the run would overwrite or remove its own journal."""
+    from relmap.io import results
+
+    if journal is None or os.path.realpath(journal.parent) != os.path.realpath(out):
+        return
+    names = {results.LANDMARKS, results.TRACKS, results.TRAJECTORY, results.SUBMAPS}
+    names |= {results.MAP_PLY, MAP_PNG, results.SUMMARY, MAPPER, *stale_files(out)}
+    if journal.name in names or journal.match("submap-*.tum"):
+        raise RelmapError(
+            f"journal {journal} would be overwritten by the result: give it another name"
+        )
 
 
 def _log_of(job: Job) -> Log:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from relmap.cli.arguments import Out
+from relmap.cli.arguments import Out, refuse_to_write_into
 from relmap.cli.console import busy
 
 SECOND = "trajectory-2.tum"
@@ -43,6 +43,7 @@ def merge_command(
     from relmap.plots.planes import write_planes_png
     from relmap.plots.run import write_map_png
 
+    refuse_to_write_into(out, one, other)
     with busy("merging"):
         merged = merge_results(one, other)
         result = merged.result

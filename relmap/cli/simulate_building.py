@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import typer
 
 from relmap.cli import wheels
-from relmap.cli.arguments import Noise, Out, Seed
+from relmap.cli.arguments import Noise, Out, Seed, refuse
 from relmap.cli.console import busy
 from relmap.cli.worldfiles import write_building
 
@@ -38,17 +38,18 @@ World = Literal[
     "curved",
 ]
 _Points = Annotated[
-    int, typer.Option(help="Points per scan; with rays or laser, the number of beams.")
+    int | None,
+    typer.Option(help="Points per scan, 2000 by default; with rays or laser, the number of beams."),
 ]
 _Sigma = Annotated[
     float,
     typer.Option(help="Standard deviation of each coordinate, or of the range of beams, metres."),
 ]
 _Sampling = Annotated[
-    Sampling,
+    Sampling | None,
     typer.Option(
-        help="Points uniform on the visible surface, on a grid of beams, or on the beams of a "
-        "2-D laser."
+        help="Points uniform on the visible surface (the default), on a grid of beams, or on the "
+        "beams of a 2-D laser."
     ),
 ]
 _Iterations = Annotated[
@@ -76,10 +77,10 @@ _Clutter = Annotated[
 
 def building_command(
     out: Out,
-    points: _Points = 2000,
+    points: _Points = None,
     sigma: _Sigma = 0.05,
     noise: Noise = "gaussian",
-    sampling: _Sampling = "surface",
+    sampling: _Sampling = None,
     iterations: _Iterations = None,
     loops: _Loops = 1,
     world: _World = "building",
@@ -100,10 +101,15 @@ def building_command(
     from relmap.simulation import simulate_building
     from relmap.simulation.sensor import sensor_of
 
+    wrong = view is not None and not 0 < view < 360
+    refuse(wrong, f"--view is {view}; it must be above 0 and below 360 degrees")
     options = wheels.OdometryOptions(odometry, odometry_bias, odometry_fault)
     options.wheels()
     if beams is not None:
+        message = "--beams is short for --sampling laser --points: omit these"
+        refuse(points is not None or sampling not in (None, "laser"), message)
         points, sampling = beams, "laser"
+    points, sampling = 2000 if points is None else points, sampling or "surface"
     with staged_folder(out) as staging, busy("simulating"):
         building = simulate_building(
             points,

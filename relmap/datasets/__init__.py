@@ -15,7 +15,7 @@ from relmap.core.errors import RelmapError
 from relmap.datasets.bag_detections import BagDetections
 from relmap.datasets.bag_scans import BagScans
 from relmap.datasets.base import Dataset, ObservationLog, Scan
-from relmap.datasets.carmen_log import CarmenLog
+from relmap.datasets.carmen_log import CarmenLog, carmen_logs
 from relmap.datasets.depth_images import DepthImages
 from relmap.datasets.dlr_circles import DlrCircles
 from relmap.datasets.foreign import foreign_at
@@ -25,7 +25,7 @@ from relmap.datasets.kitti_bin import KittiBin
 from relmap.datasets.mrclam import Mrclam
 from relmap.datasets.mrpt_landmarks import MrptLandmarks
 from relmap.datasets.mrpt_laser import MrptLaser
-from relmap.datasets.observation_csv import ObservationCsv, write_observation_csv
+from relmap.datasets.observation_csv import OTHER_NAMES, ObservationCsv, write_observation_csv
 from relmap.datasets.odometry import with_odometry_beside
 from relmap.datasets.own_table import OwnTable
 from relmap.datasets.point_clouds import PointClouds
@@ -194,6 +194,11 @@ def _found_instead(path: Path, what: str, formats: Sequence[str]) -> str:
                 f"{shown(path)}: is a {other} ({dataset.name}), expected a {what}; "
                 f"'relmap map --variant {variant}' maps these"
             )
+    if path.is_dir() and what == _SCAN_LOG and (logs := carmen_logs(path)):
+        raise RelmapError(
+            f"{shown(path)}: holds {len(logs)} log{'s' * (len(logs) > 1)} of CARMEN, expected the "
+            f"name of one of them: {', '.join(shown(file.name) for file in logs)}"
+        )
     foreign = foreign_at(path)
     if path.is_dir():
         return f"the folder holds no {what}" + (f" but {foreign}" if foreign else "")
@@ -204,8 +209,7 @@ def _found_instead(path: Path, what: str, formats: Sequence[str]) -> str:
     found = f"line {head.line}: {quoted(','.join(head.columns))} does not start a {what}"
     if what == _LANDMARK_LOG and len(head.columns) > 1:
         raise RelmapError(
-            f"{shown(path)}: {found}, expected iteration,x,y[,z][,id] or, for columns of other "
-            "names, --columns iteration=...,x=...,y=... (stamp=... for times); formats: "
-            f"{', '.join(formats)}"
+            f"{shown(path)}: {found}, expected iteration,x,y[,z][,id] or, {OTHER_NAMES}; "
+            f"formats: {', '.join(formats)}"
         )
     return found

@@ -30,6 +30,7 @@ from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
 from relmap.datasets.carmen_odometry import Hints, odometry_of
+from relmap.datasets.headers import members_of
 from relmap.datasets.number_rows import NumberRows, finite_numbers
 from relmap.datasets.scans import (
     ScanLog,
@@ -70,6 +71,12 @@ class _Scan:
     stamp_s: float
     limit_m: float
     speeds: list[float] = field(default_factory=list)
+
+
+def carmen_logs(folder: Path) -> list[Path]:
+    """Return the logs in a folder."""
+    files = members_of(folder, (".log", ".log.gz"))
+    return [file for file in files if CarmenLog().recognises(file)]
 
 
 class CarmenLog:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple, TextIO
@@ -47,6 +48,7 @@ def members_of(folder: Path, endings: tuple[str, ...]) -> list[Path]:
 
 SEPARATORS = ",;\t"
 """Possible separators of a table; the most frequent one in the header is used."""
+_QUOTED = re.compile('"[^"]*"')
 
 
 class Head(NamedTuple):
@@ -56,6 +58,12 @@ class Head(NamedTuple):
     columns: tuple[str, ...]
     line: int
     separator: str
+
+
+def cells_of(text: str, separator: str) -> list[str]:
+    """Return the cells of a line, without white space and double quotes around them."""
+    cells = map(str.strip, text.split(separator))
+    return [cell[1:-1].strip() if _QUOTED.fullmatch(cell) else cell for cell in cells]
 
 
 def read_head(path: Path, stream: TextIO) -> Head:
@@ -72,8 +80,7 @@ def read_head(path: Path, stream: TextIO) -> Head:
             comments.append(text.lstrip("#").strip())
         elif text:
             separator = max(SEPARATORS, key=text.count)
-            cells = tuple(cell.strip() for cell in text.split(separator))
-            return Head(tuple(comments), cells, number, separator)
+            return Head(tuple(comments), tuple(cells_of(text, separator)), number, separator)
     problem = "holds no header" if number else "is empty"
     raise RelmapError(f"{shown(path)}: {problem}, expected a table with a header line")
 

@@ -3,8 +3,8 @@
 Header ``iteration,x,y[,z][,id][,stamp]`` in any order, rows in any order; robot frame, metres;
 ``id`` is a known association, negative or empty if there is none; ``stamp`` is the time of the
 iteration, seconds. Without ``z`` the world is planar. Columns are separated by commas, semicolons
-or tabs. ``cxx,cxy,cyy``, and with ``z`` also ``cxz,cyz,czz``, are the covariance of the position,
-robot frame, square metres: all of them or none.
+or tabs; cells may be in double quotes. ``cxx,cxy,cyy``, and with ``z`` also ``cxz,cyz,czz``, are
+the covariance of the position, robot frame, square metres: all of them or none.
 """
 
 from __future__ import annotations
@@ -54,6 +54,12 @@ _GZIP_LEVEL = 4
 _ROWS_AT_ONCE = 50_000
 
 
+OTHER_NAMES = (
+    "for columns of other names, --columns iteration=...,x=...,y=... (stamp=... for times)"
+)
+"""Advice for a table with another header."""
+
+
 class ObservationCsv:
     """Reads ``observations.csv``, or a folder that contains it."""
 
@@ -76,7 +82,7 @@ class ObservationCsv:
     def load(self, path: Path) -> ObservationLog:
         """Read the log."""
         file = only_one(path, _members(path), "observation log", " or ".join(FILE_NAMES))
-        table = read_table(file, COLUMNS)
+        table = read_table(file, COLUMNS, "; " + OTHER_NAMES)
         ids = table.integers("id") if "id" in table.columns else None
         points = points_of(table)
         noise = covariances_of(table, points)

@@ -31,10 +31,14 @@ Numbers = tuple[list[Column], Floats, Ints, str, tuple[str, ...] | None]
 
 
 def check_columns(columns: Mapping[str, str]) -> None:
-    """Raise a `RelmapError` for columns that the observation log does not have."""
+    """Raise a `RelmapError` for columns that the observation log does not have, or one in two."""
     unknown = [quoted(name) for name in columns if name not in BY_NAME]
     if unknown:
         raise RelmapError(f"columns: {', '.join(unknown)}, expected some of {', '.join(BY_NAME)}")
+    names = list(columns.values())
+    twice = [quoted(name) for name in names if names.count(name) > 1]
+    if twice:
+        raise RelmapError(f"columns: {twice[0]} is given twice, expected different columns")
 
 
 def chosen(path: Path, there: list[str], columns: Mapping[str, str]) -> dict[str, str]:

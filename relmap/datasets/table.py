@@ -11,7 +11,7 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
-from relmap.datasets.headers import Head, read_head
+from relmap.datasets.headers import Head, cells_of, read_head
 from relmap.datasets.number_rows import parse_number, too_many
 from relmap.datasets.textfile import open_text, quoted, require_utf8, shown
 
@@ -73,12 +73,12 @@ class Table:
         raise RelmapError(f"{shown(self.path)}: {where}: {problem}")
 
 
-def read_table(path: Path, columns: Sequence[Column]) -> Table:
+def read_table(path: Path, columns: Sequence[Column], advice: str = "") -> Table:
     """Read a CSV file whose header names some of the columns, in any order.
 
     Empty lines are skipped, and so are lines above the header that start with ``#``. Cells are
-    separated as in the header, by commas, semicolons or tabs; between semicolons numbers may have
-    a decimal comma.
+    separated as in the header, by commas, semicolons or tabs, and may be quoted; between semicolons
+    numbers may have a decimal comma. The `advice` ends the message about a wrong header.
 
     Raises
     ------
@@ -88,7 +88,7 @@ def read_table(path: Path, columns: Sequence[Column]) -> Table:
     parts, count = [], 0
     with open_text(path) as stream:
         head = read_head(path, stream)
-        found = _columns_in_file(path, head, columns)
+        found = _columns_in_file(path, head, columns, advice)
         line = head.line + 1
         while batch := stream.readlines(_BATCH_CHARACTERS):
             values, lines = _parsed(path, batch, line, found, head.separator)
@@ -133,7 +133,9 @@ def _names(columns: Sequence[Column], comma: str) -> str:
     return comma.join(names[:_MOST_NAMES] + ["..."] * (len(names) > _MOST_NAMES))
 
 
-def _columns_in_file(path: Path, head: Head, columns: Sequence[Column]) -> list[Column]:
+def _columns_in_file(
+    path: Path, head: Head, columns: Sequence[Column], advice: str
+) -> list[Column]:
     """Return the columns in the order of the file's header."""
     known = {column.name: column for column in columns}
     missing = [c.name for c in columns if c.required and c.name not in head.columns]
@@ -148,6 +150,7 @@ def _columns_in_file(path: Path, head: Head, columns: Sequence[Column]) -> list[
         raise RelmapError(
             f"{shown(path)}: line {head.line}: {' and '.join(problems)}; "
             f"expected the header {header_text(columns)} (known columns: {_names(columns, ', ')})"
+            f"{advice}"
         )
     return [known[cell] for cell in head.columns]
 
@@ -167,7 +170,7 @@ def _parsed(
         ]
         values = np.array(rows, dtype=np.float64).reshape(-1, len(columns))
     for row, k, problem in _first_outside(values, columns):
-        cell = batch[row].split(separator)[k]
+        cell = cells_of(batch[row], separator)[k]
         raise _wrong_cell(path, int(lines[row]), columns[k], cell, problem)
     return values, lines
 
@@ -177,14 +180,14 @@ def _exact(
 ) -> list[float]:
     """Return the numbers in a line."""
     require_utf8(path, line, text)
-    cells = text.split(separator)
+    cells = cells_of(text, separator)
     if len(cells) != len(columns):
         raise RelmapError(
             f"{shown(path)}: line {line}: {len(cells)} fields in {quoted(text)}, "
             f"expected {len(columns)}: {_names(columns, ',')}"
         )
     row = []
-    for column, cell in zip(columns, map(str.strip, cells), strict=True):
+    for column, cell in zip(columns, cells, strict=True):
         if not cell and column.empty is not None:
             row.append(column.empty)
             continue

@@ -9,8 +9,9 @@ from typing import TypeVar
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats
+from relmap.core.errors import RelmapError
 from relmap.core.landmarks import LandmarkTable
-from relmap.io.results import Result
+from relmap.io.results import MAP_PLY, Result
 from relmap.planes.files import PlaneResult, read_any
 from relmap.planes.table import PlaneTable
 from relmap.plots.path import broken_at_jumps
@@ -71,6 +72,11 @@ def read_content(folder: Path) -> MapContent:
         If a file is missing or was not written by `relmap map`.
     """
     result = read_any(folder)
+    if result.summary.get("variant") == "planes3d":
+        raise RelmapError(
+            f"{folder} is a map of planes in space: only points and walls (variants points and "
+            f"planes) are exported; its mesh is {folder / MAP_PLY}"
+        )
     walls = None
     if isinstance(result, PlaneResult):
         walls = _rows(result.planes, np.isfinite(result.planes.ends[:, 0, 0]))

@@ -18,7 +18,7 @@ from relmap.evaluation.run import stamps_of
 from relmap.evaluation.sources import read_again
 from relmap.evaluation.truth import Variant
 from relmap.exports.content import MapContent
-from relmap.io.results import MAPPER, SUMMARY, TRAJECTORY
+from relmap.io.results import MAPPER, SUMMARY, TRACKS, TRAJECTORY
 from relmap.planes import PlaneMapper
 from relmap.points import PointMapper
 
@@ -97,6 +97,11 @@ def sightings(folder: Path, content: MapContent, log: Path | None) -> Sightings 
     if isinstance(read, ObservationLog):
         row = _positions(read.rows, tracks.row)
     known = (pose >= 0) & (landmark >= 0) & (row >= 0)
+    if log is not None and len(content.landmarks.landmark) and not known.any():
+        raise RelmapError(
+            f"{folder / TRACKS} names no observation of {log}: give the log that was mapped; of a "
+            "merged map, whose tracks are empty, export without --log"
+        )
     points = read.points_robot[row[known]] if isinstance(read, ObservationLog) else None
     return Sightings(pose[known], landmark[known], points)
 

@@ -85,10 +85,12 @@ def check_data(figures: Sequence[PaperFigure[Any]], data: Path | None) -> None:
     Raises
     ------
     RelmapError
-        If the data are missing or damaged, or nothing can be run without them.
+        If the data are missing, damaged or not used, or nothing can be run without them.
     """
     names = [figure.name for figure in figures]
-    if data is not None and NEEDS_DATA in names:
+    if data is not None:
+        if NEEDS_DATA not in names:
+            raise RelmapError(f"--data is for figure {NEEDS_DATA}, which is not among those given")
         figure17.victoria_park(data)
     elif names == [NEEDS_DATA]:
         raise RelmapError(f"figure {NEEDS_DATA} {NO_DATA}")

@@ -65,7 +65,7 @@ def merge_results(one: Path, other: Path) -> Merged:
     RelmapError
         If a folder is not a result, they are of different kinds, or have no unique alignment.
     """
-    a, b = read_any(one), read_any(other)
+    a, b = (_read(folder) for folder in (one, other))
     walls = isinstance(a, PlaneResult), isinstance(b, PlaneResult)
     if len({(a.planar, walls[0]), (b.planar, walls[1])}) > 1:
         kinds = [
@@ -81,6 +81,16 @@ def merge_results(one: Path, other: Path) -> Merged:
     record |= {"first": str(one), "second": str(other)}
     result, motion = _joined(a, b, motion, record)
     return Merged(result, b.stamps_s, motion.matrix @ b.poses)
+
+
+def _read(folder: Path) -> Result:
+    result = read_any(folder)
+    if result.summary.get("variant") == "planes3d":
+        raise RelmapError(
+            f"{folder} is a map of planes in space: only points and walls (variants points and "
+            "planes) are merged"
+        )
+    return result
 
 
 def _joined(a: Result, b: Result, motion: Motion, record: Record) -> tuple[Result, Motion]:

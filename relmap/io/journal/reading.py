@@ -121,8 +121,8 @@ class JournalReader:
             size, whole = path.stat().st_size, stated_size(path)
             if size < whole:
                 raise RelmapError(
-                    f"journal {path} is truncated, {size} of {whole} bytes: the rest can be "
-                    "recovered: relmap resume --salvage does it"
+                    f"journal {path} is truncated, {size} of {whole} bytes: its beginning can be "
+                    "recovered by relmap resume --salvage if its header is undamaged"
                 ) from error
             raise RelmapError(
                 f"{path} is not a journal, or its header is damaged, so that nothing of it can be "
