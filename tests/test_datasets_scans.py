@@ -62,6 +62,15 @@ def test_limits_of_the_sensor_must_be_positive_numbers(tmp_path: Path) -> None:
         message = failure(npz(tmp_path / "scans.npz", range_m=wrong))
         assert "array range_m" in message
         assert "expected one positive number" in message
+    degrees = failure(npz(tmp_path / "scans.npz", view_rad=np.float64(180)))
+    assert "array view_rad: 180, expected radians" in degrees
+    assert open_scans(npz(tmp_path / "scans.npz", view_rad=np.float32(2 * np.pi)))
+
+
+def test_the_range_of_the_sensor_reaches_its_points(tmp_path: Path) -> None:
+    assert open_scans(npz(tmp_path / "scans.npz", range_m=np.float64(9)))
+    near = failure(npz(tmp_path / "scans.npz", range_m=np.float64(1)))
+    assert "array range_m: 1, but there are points up to 9.22 m away" in near
 
 
 def test_scans_come_in_the_order_of_time(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

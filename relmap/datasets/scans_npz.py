@@ -40,6 +40,8 @@ _DIRECTORY_BYTES, _COMMENT_BYTES = 1 << 16, 1 << 16
 _KINDS = {"points": "f", "iteration": "iu", "stamps_s": "fiu"}
 _LIMITS = ("view_rad", "range_m")
 """Optional values about the sensor."""
+_BEYOND = 1.2
+"""Multiple of the stated range above which a point is not noise: the stated range is wrong."""
 
 
 class ScansNpz:
@@ -64,6 +66,7 @@ class ScansNpz:
         limits = {name: _limit(file, name, arrays[name]) for name in _LIMITS if name in arrays}
         _check_shapes(file, arrays)
         _check_values(file, arrays)
+        _check_view(file, arrays["points"], **limits)
         points, iteration, stamps_s = (arrays[name] for name in _KINDS)
         in_time, stamps_s = in_time_order(file, stamps_s.astype(np.float64))
         iteration = np.argsort(in_time)[iteration]
@@ -158,6 +161,20 @@ def _limit(file: Path, name: str, array: NDArray[Any]) -> float:
     if array.shape == () and array.dtype.kind in "fiu" and 0 < float(array) < np.inf:
         return float(array)
     raise RelmapError(f"{shown(file)}: array {name}: {array!r}, expected one positive number")
+
+
+def _check_view(file: Path, points: Floats, view_rad: float = 0.0, range_m: float = np.inf) -> None:
+    """Check that a view is an angle, and that a range reaches the points (n, 2) or (n, 3)."""
+    if view_rad > 2 * np.pi + 1e-3:  # rounded
+        raise RelmapError(
+            f"{shown(file)}: array view_rad: {view_rad:g}, expected radians, 2 pi at most"
+        )
+    farthest_m = np.hypot(points[:, 0], points[:, 1]).max()
+    if farthest_m > _BEYOND * range_m:
+        raise RelmapError(
+            f"{shown(file)}: array range_m: {range_m:g}, but there are points up to "
+            f"{farthest_m:.4g} m away, expected the greatest range of the sensor, metres"
+        )
 
 
 def _check_shapes(file: Path, arrays: dict[str, NDArray[Any]]) -> None:
