@@ -18,7 +18,10 @@ OFTEN = 10
 """Observations that make a landmark worth mapping."""
 WHOLE = 0.9
 """Minimum fraction of the scans in the largest submap of an unbroken run."""
-NOTHING = "; nothing is mapped: a map needs landmarks that are seen together in at least four scans"
+NOTHING = (
+    "; nothing is mapped: a map needs landmarks that are seen together in at least four scans, "
+    "three in the plane and four in space"
+)
 
 
 def report(job: Job) -> None:
