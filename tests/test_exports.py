@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Any
@@ -198,7 +199,7 @@ def test_a_folder_or_a_file_and_the_same_bytes_again(
         ("out --to dxf -o a.svg", "--to dxf writes .dxf, and a.svg ends otherwise"),
         ("out --to dxf -o a.dxf --resolution 0.1", "--resolution is for --to grid"),
         ("out --to ply -o a.ply --log log.csv", "--log is for --to grid and g2o"),
-        ("out --to png -o a.png", "'png' is not one of 'grid', 'dxf'"),
+        ("out --to png -o a.png", "value for '--to': 'png' is not one of 'grid', 'dxf'"),
         ("truth --to dxf -o a.dxf", "truth is not a result folder"),
         ("gone --to dxf -o new/a", "gone is not a result folder"),
         ("out --to g2o -o new/a.g2o --log gone.csv", "gone.csv"),
@@ -216,3 +217,4 @@ def test_a_log_that_was_not_mapped_is_refused(place: Path, refused: Any) -> None
     (place / "short.csv").write_text("\n".join(lines[:-20]) + "\n")
     said = refused("export", "out", "--to", "g2o", "-o", "a.g2o", "--log", "short.csv")
     assert "the log is not the one that was mapped: 5 poses" in said
+    assert re.search(r"the first at \d+ s$", said)
