@@ -48,7 +48,9 @@ class ScansNpz:
     """Reads ``scans.npz``, or a folder that contains it."""
 
     name = "scans-npz"
-    description = f"{FILE_NAME} with points (n, 3), iteration (n,) and stamps_s (iterations,)"
+    description = (
+        f"{FILE_NAME} with points (n, 3) or (n, 2), iteration (n,) and stamps_s (iterations,)"
+    )
 
     def recognises(self, path: Path) -> bool:
         """Return whether it is a zip file with arrays, as .npz files are, or a damaged one.
@@ -184,11 +186,16 @@ def _check_shapes(file: Path, arrays: dict[str, NDArray[Any]]) -> None:
         "iteration": iteration.shape == (len(np.atleast_1d(points)),),
         "stamps_s": stamps_s.ndim == 1 and len(stamps_s) > 0,
     }
+    expected = {
+        "points": "floating-point numbers (n, 3) or (n, 2), with at least one point",
+        "iteration": f"whole numbers ({len(np.atleast_1d(points))},), one for each point",
+        "stamps_s": "one number for each scan, seconds",
+    }
     for name, kinds in _KINDS.items():
         if not fits[name] or arrays[name].dtype.kind not in kinds:
             raise RelmapError(
                 f"{shown(file)}: array {name}: {arrays[name].dtype} {arrays[name].shape}, "
-                f"expected {ScansNpz.description}, with at least one point"
+                f"expected {expected[name]}"
             )
 
 
