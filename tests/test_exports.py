@@ -136,6 +136,22 @@ def test_g2o_of_points_in_space(mapped: Mapped, logs: Path, tmp_path: Path) -> N
     assert {edge[2] for edge in rows["EDGE_SE3_TRACKXYZ"]} == {rows["PARAMS_SE3OFFSET"][0][0]}
 
 
+def test_only_what_was_written_is_reported(
+    mapped: Mapped, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    walls, points = mapped("npz"), mapped("flat")
+    static = [row for row in table(walls / "planes.csv") if row["status"] == "static"]
+    for to, result, said in (
+        ("g2o", walls, "16 poses\n"),
+        ("g2o", points, "12 landmarks, a path of 30 poses, 360 observations computed from"),
+        ("ply", walls, f"{len(static)} walls\n"),
+        ("ply", points, "12 landmarks\n"),
+    ):
+        capsys.readouterr()
+        export(result, to, tmp_path / f"a.{to}")
+        assert f"a.{to}: {said}" in capsys.readouterr().out
+
+
 def test_g2o_of_walls_is_a_pose_graph(mapped: Mapped, tmp_path: Path) -> None:
     export(mapped("npz"), "g2o", tmp_path / "a.g2o")
     rows = rows_of(tmp_path / "a.g2o")
