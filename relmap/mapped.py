@@ -130,7 +130,8 @@ class Mapped(Shown, ABC):
 
         The others began new tracks, and possibly new submaps. Rival placements are searched for
         only where nearest neighbours do not agree, so this does not show that the matches are
-        correct. None with known association, for walls, and for other registrations.
+        correct. Empty scans do not count; None with known association, for walls, for other
+        registrations, and with fewer than two scans that show any point.
         """
         return self.engine.association.tied_share
 
@@ -138,7 +139,7 @@ class Mapped(Shown, ABC):
     def unique_share(self) -> float | None:
         """Fraction of scans whose matches exceed what chance produces in any placement.
 
-        None unless points are mapped without ids. It does not reveal perceptual aliasing.
+        None where `tied_share` is. It does not reveal perceptual aliasing.
         """
         return self.engine.association.unique_share
 

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 M = TypeVar("M", bound="Mapper")
 
+_MAPS = {"PointMapper": "a map of points", "PlaneMapper": "a map of walls"}
+
 
 class Place(NamedTuple):
     """The place of a scan in a map.
@@ -178,7 +180,8 @@ class Mapper(Mapped):
             name = header["mapper"]
             kind = next((kind for kind in _kinds(cls) if kind.__name__ == name), None)
             if kind is None:
-                raise RelmapError(f"{path} holds a {name!s:.20}, not a {cls.__name__}")
+                found, wanted = (_MAPS.get(of, f"a {of}") for of in (f"{name!s:.20}", cls.__name__))
+                raise RelmapError(f"{path} holds {found}, not {wanted}")
             made.append(kind(MapperConfig.from_mapping(header["configuration"])))
             return made[0]._parts
 

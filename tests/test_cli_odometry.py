@@ -69,7 +69,7 @@ def test_a_corrected_path_is_reported_once(
     (tmp_path / "a.log").write_text("".join(lines))
     assert main(["map", "a.log", "-o", "out", "--variant", "planes"]) == 0
     told_by_default = capsys.readouterr().err
-    assert "a.log: mapped without odometry: its odometry field contains" in told_by_default
+    assert "a.log: mapped without odometry: its odometry field may contain" in told_by_default
     assert main(["map", "a.log", "-o", "out", "--variant", "planes", "--odometry", "none"]) == 0
     assert "odometry" not in capsys.readouterr().err
 

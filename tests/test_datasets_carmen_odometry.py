@@ -58,6 +58,21 @@ def test_carmen_corrected_paths_are_not_odometry(tmp_path: Path, lines: list[str
     assert log.between(0, 1).no_odometry == log.no_odometry
 
 
+@pytest.mark.parametrize(
+    ("lines", "reason"),
+    [
+        (RAW, "its odometry field may contain a corrected path: it has no wheel speeds"),
+        (RAW[:1], "its odometry field holds no motion"),
+        (["NEFF 10\n", *RAW], "its odometry field contains a corrected path: a particle filter"),
+    ],
+)
+def test_only_what_was_found_out_is_said_of_the_odometry_field(
+    tmp_path: Path, lines: list[str], reason: str
+) -> None:
+    log = open_scans(put(tmp_path, carmen(*lines), "a.log"))
+    assert log.no_odometry.startswith(reason)
+
+
 def graph(vertices: list[str], speeds: str) -> str:
     """Return a graph log of a robot that goes ahead by 1 m from scan to scan."""
     lines = []

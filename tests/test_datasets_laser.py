@@ -89,6 +89,8 @@ def test_a_log_without_vertices_gives_the_pose_of_its_scans(tmp_path: Path) -> N
         ("FLASER 2", "FLASER 99999", "line 4"),
         ("FLASER 2", "FLASER \u0662", "line 4"),
         ("5.5 host 9\n", "5.5 ho", "line 6"),
+        ("5.5 host 9\n", "", "host t: cut off after 11 of 14 fields"),
+        ("FLASER 3 1 2 81.8 1 2 0.5 1 2 0.5 5.5 host 9\n", "FLASER", "cut off after field 1"),
         ("FLASER", "RLASER", "holds no scan, expected a CARMEN log"),
     ],
 )

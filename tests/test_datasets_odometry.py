@@ -142,6 +142,12 @@ def test_a_trajectory_in_space_beside_a_planar_log_is_in_the_plane(tmp_path: Pat
         ("odometry.csv", "iteration,x,y,yaw,id\n3,1,2,0,1\n", "unknown column 'id'"),
         ("odometry.csv", MOTIONS + "5,1,1,1\n", "line 7, field iteration: 5 occurs twice"),
         ("odometry.csv", MOTIONS + "7,nan,1,1\n", "line 7, field x: 'nan' is not finite"),
+        ("odometry.csv", "iteration,x,y,yaw\n70,1,1,1\n80,1,1,1\n", "70 to 80, .* log, 3 to 6"),
+        (
+            "odometry.tum",
+            "1 0 0 0 0 0 0 1\n2.5 0 0 0 0 0 0 1\n",
+            "times 1 to 2.5, expected some within those of the log, 3 to 6",
+        ),
         ("odometry.csv", MOTIONS + "7,1,1,\n", "line 7, field yaw: '' is empty"),
         (
             "odometry.csv",

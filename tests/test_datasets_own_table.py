@@ -158,6 +158,11 @@ def test_scans_out_of_order_are_sorted_by_time(
     assert caplog.messages == [f"{path}: 1 scans out of order: all are sorted by time"]
 
 
+def test_an_iteration_does_not_last_into_another_one(tmp_path: Path) -> None:
+    rows = "iteration,x,y,stamp\n0,1,1,5\n1,2,2,6\n0,3,3,6.5\n0,3,3,7\n"
+    assert "line 4, field stamp: 6.5 is later than" in failure(put(tmp_path, rows))
+
+
 def test_times_of_an_observation_log(tmp_path: Path) -> None:
     log = open_log(put(tmp_path, "iteration,x,y,stamp\n1,1,1,10\n3,2,2,11\n"))
     assert log.stamps_s is not None

@@ -62,6 +62,15 @@ def test_limits_of_the_sensor_must_be_positive_numbers(tmp_path: Path) -> None:
         message = failure(npz(tmp_path / "scans.npz", range_m=wrong))
         assert "array range_m" in message
         assert "expected one positive number" in message
+    degrees = failure(npz(tmp_path / "scans.npz", view_rad=np.float64(180)))
+    assert "array view_rad: 180, expected radians" in degrees
+    assert open_scans(npz(tmp_path / "scans.npz", view_rad=np.float32(2 * np.pi)))
+
+
+def test_the_range_of_the_sensor_reaches_its_points(tmp_path: Path) -> None:
+    assert open_scans(npz(tmp_path / "scans.npz", range_m=np.float64(9)))
+    near = failure(npz(tmp_path / "scans.npz", range_m=np.float64(1)))
+    assert "array range_m: 1, but there are points up to 9.22 m away" in near
 
 
 def test_scans_come_in_the_order_of_time(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -90,8 +99,11 @@ def test_rows_may_come_in_any_order_and_as_float32(tmp_path: Path) -> None:
         ({"points": np.zeros((3, 3), dtype=complex)}, "array points: complex"),
         ({"points": np.array([[0, 0, 0], [0, np.nan, 0], [0, 0, 0]])}, "points, row 1: is not fin"),
         ({"points": np.full((3, 3), 1e12)}, "row 0: is not finite or out of range"),
-        ({"iteration": np.zeros(3)}, "array iteration: float64"),
-        ({"iteration": np.zeros(2, int)}, r"array iteration: int64 \(2,\)"),
+        ({"iteration": np.zeros(3)}, r"array iteration: float64 \(3,\), expected whole numbers"),
+        (
+            {"iteration": np.zeros(2, int)},
+            r"array iteration: int64 \(2,\), expected .* \(3,\), one",
+        ),
         ({"iteration": np.array([0, 1, 2])}, "iteration, row 2: is not a scan, expected 0 to 1"),
         ({"iteration": np.array([0, -1, 1])}, "iteration, row 1"),
         ({"stamps_s": np.array([1.0, 1.0])}, "stamps_s, row 1: is not a later time"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Any
@@ -135,6 +136,22 @@ def test_g2o_of_points_in_space(mapped: Mapped, logs: Path, tmp_path: Path) -> N
     assert {edge[2] for edge in rows["EDGE_SE3_TRACKXYZ"]} == {rows["PARAMS_SE3OFFSET"][0][0]}
 
 
+def test_only_what_was_written_is_reported(
+    mapped: Mapped, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    walls, points = mapped("npz"), mapped("flat")
+    static = [row for row in table(walls / "planes.csv") if row["status"] == "static"]
+    for to, result, said in (
+        ("g2o", walls, "16 poses\n"),
+        ("g2o", points, "12 landmarks, a path of 30 poses, 360 observations computed from"),
+        ("ply", walls, f"{len(static)} walls\n"),
+        ("ply", points, "12 landmarks\n"),
+    ):
+        capsys.readouterr()
+        export(result, to, tmp_path / f"a.{to}")
+        assert f"a.{to}: {said}" in capsys.readouterr().out
+
+
 def test_g2o_of_walls_is_a_pose_graph(mapped: Mapped, tmp_path: Path) -> None:
     export(mapped("npz"), "g2o", tmp_path / "a.g2o")
     rows = rows_of(tmp_path / "a.g2o")
@@ -198,7 +215,7 @@ def test_a_folder_or_a_file_and_the_same_bytes_again(
         ("out --to dxf -o a.svg", "--to dxf writes .dxf, and a.svg ends otherwise"),
         ("out --to dxf -o a.dxf --resolution 0.1", "--resolution is for --to grid"),
         ("out --to ply -o a.ply --log log.csv", "--log is for --to grid and g2o"),
-        ("out --to png -o a.png", "'png' is not one of 'grid', 'dxf'"),
+        ("out --to png -o a.png", "value for '--to': 'png' is not one of 'grid', 'dxf'"),
         ("truth --to dxf -o a.dxf", "truth is not a result folder"),
         ("gone --to dxf -o new/a", "gone is not a result folder"),
         ("out --to g2o -o new/a.g2o --log gone.csv", "gone.csv"),
@@ -216,3 +233,4 @@ def test_a_log_that_was_not_mapped_is_refused(place: Path, refused: Any) -> None
     (place / "short.csv").write_text("\n".join(lines[:-20]) + "\n")
     said = refused("export", "out", "--to", "g2o", "-o", "a.g2o", "--log", "short.csv")
     assert "the log is not the one that was mapped: 5 poses" in said
+    assert re.search(r"the first at \d+ s$", said)

@@ -137,6 +137,13 @@ def test_the_share_of_tied_scans_falls_where_a_scan_fits_nothing() -> None:
     assert broken.tied_share == pytest.approx(1 - 1 / 29)
     assert whole.unique_share == 1
     assert broken.unique_share == pytest.approx(1 - 1 / 29)
+    broken.update(np.empty((0, 2)))
+    assert broken.tied_share == broken.unique_share == pytest.approx(1 - 1 / 29)
+    single = PointMapper()
+    for points in (scans[0], np.empty((0, 2))):
+        single.update(points)
+        assert single.tied_share is None
+        assert single.unique_share is None
     with_ids = PointMapper()
     with_ids.update(scans[0], np.arange(len(scans[0])))
     assert with_ids.tied_share is None

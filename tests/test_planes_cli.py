@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -44,6 +45,17 @@ def test_result_folder_is_complete(building: Path) -> None:
     assert summary["counts"]["iterations"] == 80
     names = ("landmarks.csv", "tracks.csv.gz", "trajectory.tum", "map.ply", "map.png")
     assert all((building / "result" / name).stat().st_size > 0 for name in names)
+
+
+def test_an_empty_map_says_what_is_needed(
+    building: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    few = ["--variant", "planes", "--scans", "0:2"]
+    run_relmap("map", building / "world", "-o", tmp_path / "result", *few)
+    printed = capsys.readouterr().out
+    assert "nothing is mapped: a map needs walls that are seen in at least four scans" in printed
+    assert re.search(r"metres: here the farthest point is [78]\.\d* m away\n", printed)
+    assert "could not be refined" not in printed
 
 
 def test_figures_against_the_truth(building: Path) -> None:

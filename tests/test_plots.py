@@ -104,6 +104,9 @@ def test_nothing_at_all_is_still_a_picture(tmp_path: Path) -> None:
     empty = Result(result.landmarks, result.tracks, np.empty(0), np.empty((0, 4, 4)), {})
     write_map_png(tmp_path / "map.png", empty)
     assert (tmp_path / "map.png").stat().st_size > 0
+    noted = [text.get_text() for text in plot_run(empty).axes[0].texts]
+    assert noted == ["nothing is mapped"]
+    assert not plot_run(make_result(5)).axes[0].texts
 
 
 @pytest.mark.parametrize("sd", [np.nan, 0.0, 0.5])

@@ -90,7 +90,7 @@ def test_the_same_state_gives_the_same_bytes(tmp_path: Path) -> None:
 
 def test_saved_maps_of_another_kind_are_refused(tmp_path: Path) -> None:
     path = saved_map(tmp_path)
-    with pytest.raises(RelmapError, match="holds a PointMapper, not a PlaneMapper"):
+    with pytest.raises(RelmapError, match="holds a map of points, not a map of walls"):
         PlaneMapper.load(path)
     with pytest.raises(RelmapError, match="there is no saved map"):
         PointMapper.load(tmp_path / "none.npz")

@@ -65,3 +65,11 @@ def test_a_building_is_mapped_with_one_beam_a_degree() -> None:
     error = ate(mapper.trajectory, building.trajectory, planar=True)
     assert error is not None
     assert error < 0.06
+
+
+def test_points_that_are_repeated_change_nothing() -> None:
+    points = building_scene(0, ONE_DEGREE, 0.01, sampling="laser").points[:, :2]
+    once, twice = (PlaneSegmenter().fit(np.repeat(points, n, axis=0)) for n in (1, 2))
+    assert len(once.planes_.ends) > 3
+    np.testing.assert_array_equal(twice.planes_.ends, once.planes_.ends)
+    np.testing.assert_array_equal(twice.labels_, np.repeat(once.labels_, 2))

@@ -186,7 +186,21 @@ def test_a_map_of_too_few_scans_says_what_is_needed(
     assert main(["map", str(log), "-o", str(tmp_path / "result")]) == 0
     printed = capsys.readouterr().out
     assert ("nothing is mapped: a map needs landmarks" in printed) == (n_scans == 3)
+    assert ("three in the plane and four in space" in printed) == (n_scans == 3)
     assert ("4 of 4 landmarks mapped" in printed) == (n_scans == 4)
+
+
+def test_points_that_are_repeated_in_a_scan_count_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    points = np.array([[1.0, 2.0], [3.0, 1.0], [2.0, 4.0], [5.0, 5.0]])
+    rows = [f"{k},{x + 0.1 * k},{y}" for k in range(5) for x, y in points.tolist()]
+    log = tmp_path / "observations.csv"
+    log.write_text("\n".join(["iteration,x,y", *rows, *rows]) + "\n", encoding="utf-8")
+    assert main(["map", str(log), "-o", str(tmp_path / "result")]) == 0
+    printed = capsys.readouterr()
+    assert "20 points left out that repeat another one of their scan exactly" in printed.err
+    assert "4 of 4 landmarks mapped from 20 observations" in printed.out
 
 
 def test_the_closing_line_counts_landmarks_seen_often(

@@ -80,7 +80,10 @@ def test_a_wrong_kind_of_input_is_refused_in_one_line(
         ("compare carmen/a.log.gz --format mrpt-laser2d -o out", "a.log.gz"),
         ("localise csv --map empty -o out", "expected one that 'relmap map' wrote"),
         ("localise csv --map of-walls -o out", "is a landmark log"),
-        ("map npz --variant planes --onto of-points -o out", "holds a PointMapper"),
+        (
+            "map npz --variant planes --onto of-points -o out",
+            "holds a map of points, not a map of walls",
+        ),
     ],
 )
 def test_errors_say_what_is_expected(

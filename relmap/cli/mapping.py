@@ -89,7 +89,7 @@ def _log_of(job: Job) -> Log:
         raise RelmapError(f"--association known needs ids, and {source} has none")
     if job.odometry == "auto" and log.odometry is None and log.no_odometry:
         typer.echo(f"relmap: {source}: mapped without odometry: {log.no_odometry}", err=True)
-    log = _level(job, log)
+    log = _level(job, log) if job.association == "known" else _each_once(job, _level(job, log))
     return log if job.sigmas is None else _with_noise(log, job.sigmas)
 
 
@@ -106,6 +106,20 @@ def _level(job: Job, log: Log) -> Log:
     message = "clouds are levelled by their floor and walls, and reduced to 2-D scans of the walls"
     typer.echo(f"relmap: {job.source}: {message}", err=True)
     return levelled(log)
+
+
+def _each_once(job: Job, log: Log) -> Log:
+    """Return a log without points that repeat another one of their scan exactly."""
+    from relmap.datasets.base import ObservationLog
+
+    if not isinstance(log, ObservationLog):
+        return log
+    once = log.each_once()
+    n_again = len(log.rows) - len(once.rows)
+    if n_again:
+        message = f"{n_again} points left out that repeat another one of their scan exactly"
+        typer.echo(f"relmap: {job.source}: {message}", err=True)
+    return once
 
 
 def _with_noise(log: Log, sigmas: tuple[float, ...]) -> Log:

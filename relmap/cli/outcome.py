@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from time import monotonic
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import typer
 
@@ -13,12 +13,16 @@ from relmap.cli.mapping import map_log
 
 if TYPE_CHECKING:
     from relmap.io.results import Result
+    from relmap.planes.files import PlaneResult
 
 OFTEN = 10
 """Observations that make a landmark worth mapping."""
 WHOLE = 0.9
 """Minimum fraction of the scans in the largest submap of an unbroken run."""
-NOTHING = "; nothing is mapped: a map needs landmarks that are seen together in at least four scans"
+NOTHING = (
+    "; nothing is mapped: a map needs landmarks that are seen together in at least four scans, "
+    "three in the plane and four in space"
+)
 
 
 def report(job: Job) -> None:
@@ -42,7 +46,7 @@ def report(job: Job) -> None:
         message += (
             f"{counts['planes_static']} walls with {counts['corners_static']} corners mapped in "
             f"{iterations} iterations, {each(timing['scan_median_ms'])}{took}{hanging}"
-            f"{torn(summary)}"
+            f"{torn(summary) if counts['planes_static'] else bare(run.result) + advice(summary)}"
         )
     else:
         message += (
@@ -95,6 +99,19 @@ def torn(summary: dict[str, Any]) -> str:
             f"; links with unmeasured length, for which constant motion was assumed: {len(weak)}"
         )
     return message + advice(summary)
+
+
+def bare(result: Result) -> str:
+    """Return that no wall is mapped, and the range of the scans, as part of a message."""
+    import numpy as np
+
+    first = cast("PlaneResult", result).drawn[0]
+    from_scan = first.points - first.poses[first.point_scan, :2, 3]
+    farthest_m = np.hypot(*from_scan.T).max(initial=0.0)
+    return (
+        "; nothing is mapped: a map needs walls that are seen in at least four scans, "
+        f"and coordinates in metres: here the farthest point is {farthest_m:.4g} m away"
+    )
 
 
 def broken(submaps: list[dict[str, Any]]) -> str:

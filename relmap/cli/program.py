@@ -136,7 +136,7 @@ def _complain(message: str) -> int:
 
 
 def _usage_line(error: Any) -> str:
-    message = error.format_message().rstrip(".")
+    message = error.format_message().rstrip(".").replace("Value error, ", "")
     return f"{message}; see '{error.ctx.command_path} --help'" if error.ctx else message
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from relmap.core.afterwards import FEW, extent, find_again, rarely_seen, tie
 from relmap.core.arrays import Ints
+from relmap.core.association import Constellation
 from relmap.core.association.coinciding import compatible
 from relmap.core.association.merging import doubtful, merge_doubles
 from relmap.core.association.sightings import Sightings, rows_of_tracks
@@ -35,7 +36,8 @@ def refine(engine: RelativeMapper) -> None:
     With the paper's registration only coinciding landmarks are merged, once.
     """
     engine.refined, association = [], engine.association
-    may_repair = association.unique_share is not None  # else many tracks mix several landmarks
+    # Of other registrations, many tracks mix several landmarks.
+    may_repair = isinstance(association.registration, Constellation)
     _refine(engine, to_the_last=not may_repair)
     more = False
     if may_repair:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -78,17 +77,20 @@ def assemble_log(
     )
 
 
-def with_stamps(path: Path, log: ObservationLog, stamps_s: Floats) -> ObservationLog:
-    """Return a log with the times of its rows (n,), seconds, in order of time.
+def with_stamps(table: Table, log: ObservationLog) -> ObservationLog:
+    """Return a log with the times of the rows of its table, in order of time.
 
     The time of an iteration is that of its earliest row; that of an iteration without a row is
     interpolated. If times contradict the iteration numbers, the iterations are renumbered in order
-    of time, with a warning.
+    of time, with a warning; RelmapError if an iteration lasts into another one.
     """
+    stamps_s = table.columns["stamp"][log.rows]
     numbers, begin, which = np.unique(log.iteration, return_index=True, return_inverse=True)
-    order, ascending = in_time_order(path, np.minimum.reduceat(stamps_s, begin))
-    later = np.empty_like(order)
-    later[order] = np.arange(len(order))
+    begins_s = np.minimum.reduceat(stamps_s, begin)
+    order, ascending = in_time_order(table.path, begins_s)
+    later = np.argsort(order)
+    following_s = np.append(begins_s[order], np.inf)[later + 1]
+    _check_apart(table, log.rows[stamps_s > following_s[which]])
     rows = np.argsort(later[which], kind="stable")
     every = np.arange(log.first_iteration, log.end_iteration)
     return replace(
@@ -100,6 +102,18 @@ def with_stamps(path: Path, log: ObservationLog, stamps_s: Floats) -> Observatio
         covariances=None if log.covariances is None else log.covariances[rows],
         stamps_s=np.interp(every, numbers, ascending),
     )
+
+
+def _check_apart(table: Table, late: Ints) -> None:
+    """Check that no rows (n,) of an iteration are later than the start of the following one."""
+    if len(late):
+        row = int(late.min())
+        table.fail(
+            row,
+            "stamp",
+            f"{table.columns['stamp'][row]:.10g} is later than the first of another iteration, "
+            "expected the rows of an iteration to have one time",
+        )
 
 
 def _check_span(table: Table, name: str, ascending: Ints, order: Ints) -> None:

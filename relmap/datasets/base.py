@@ -137,16 +137,28 @@ class ObservationLog(Brief):
         rows = slice(*np.searchsorted(self.iteration, [first, last]))
         steps = slice(first - self.first_iteration, last - self.first_iteration)
         return replace(
+            self._only(rows),
+            first_iteration=first,
+            end_iteration=last,
+            stamps_s=None if self.stamps_s is None else self.stamps_s[steps],
+            odometry=None if self.odometry is None else self.odometry[steps],
+        )
+
+    def each_once(self) -> ObservationLog:
+        """Return the log without points that repeat another one of their scan exactly."""
+        table = np.column_stack([self.iteration, self.points_robot])
+        order = np.lexsort(table.T)
+        again = order[1:][(np.diff(table[order], axis=0) == 0).all(axis=1)]
+        return self._only(np.delete(np.arange(len(table)), again)) if len(again) else self
+
+    def _only(self, rows: Ints | slice) -> ObservationLog:
+        return replace(
             self,
             points_robot=self.points_robot[rows],
             iteration=self.iteration[rows],
             rows=self.rows[rows],
-            first_iteration=first,
-            end_iteration=last,
             ids=None if self.ids is None else self.ids[rows],
-            stamps_s=None if self.stamps_s is None else self.stamps_s[steps],
             covariances=None if self.covariances is None else self.covariances[rows],
-            odometry=None if self.odometry is None else self.odometry[steps],
         )
 
 

@@ -204,7 +204,9 @@ class _Line:
 
     def count(self, at: int, least: int = 1) -> int:
         """Return the number of beams or remissions in a cell."""
-        cell = self.cells[at] if at < len(self.cells) else ""
+        if at >= len(self.cells):
+            raise self.wrong(self.cells, f": cut off after field {len(self.cells)}")
+        cell = self.cells[at]
         count = int(cell) if _DIGITS.fullmatch(cell) else -1
         if not least <= count <= _MOST_BEAMS:
             raise self.wrong(self.cells)
@@ -213,6 +215,8 @@ class _Line:
     def numbers(self, cells: list[str], count: int, words: int) -> list[float]:
         """Return `count` finite numbers from a line with the given number of words."""
         values = finite_numbers(cells)
+        if len(self.cells) < words:
+            raise self.wrong(self.cells, f": cut off after {len(self.cells)} of {words} fields")
         if len(values) != count or len(self.cells) != words:
             of_right_length = len(self.cells) == words
             culprits = [cell for cell in cells if not finite_numbers([cell])]
@@ -231,6 +235,7 @@ class _Line:
             )
         return ranges
 
-    def wrong(self, cells: list[str]) -> RelmapError:
+    def wrong(self, cells: list[str], why: str = "") -> RelmapError:
         found, expected = quoted(" ".join(cells[:8])), _FORMS[self.cells[0]]
-        return RelmapError(f"{shown(self.path)}: line {self.number}: {found}, expected {expected}")
+        where = f"{shown(self.path)}: line {self.number}"
+        return RelmapError(f"{where}: {found}, expected {expected}{why}")

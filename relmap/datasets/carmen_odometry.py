@@ -25,10 +25,6 @@ from relmap.datasets.scans import FIXED, planar_poses
 OFFSET = "robot_frontlaser_offset"
 SAME, MOST = 10 * FIXED, 0.9
 """Fraction of poses that must agree this well for two paths to be equal; some are rounded."""
-CORRECTED = (
-    "its odometry field contains a corrected path: it has no wheel speeds, or a "
-    "particle filter wrote it"
-)
 
 
 @dataclass(frozen=True)
@@ -87,7 +83,18 @@ def odometry_of(
     mounted = np.linalg.norm((counted[0] @ T_robot_frame - poses[0])[:2, 3]) <= SAME
     if hints.moved and not hints.filtered and (mounted or hints.offset_m is None):
         return motions(poses), ""
-    return None, CORRECTED
+    return None, _why_not(counted, hints)
+
+
+def _why_not(counted: Floats, hints: Hints) -> str:
+    """Return the reason why poses (k, 4, 4) are not used as odometry."""
+    if hints.filtered:
+        return "its odometry field contains a corrected path: a particle filter wrote it"
+    if hints.moved:
+        return f"its odometry field contains a corrected path: the laser is not at {OFFSET}"
+    if np.abs(counted - counted[0]).max() <= SAME:
+        return "its odometry field holds no motion"
+    return "its odometry field may contain a corrected path: it has no wheel speeds"
 
 
 def _same_path(a: Floats, b: Floats) -> bool:

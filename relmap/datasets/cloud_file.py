@@ -182,6 +182,8 @@ def _ply(header: list[list[str]]) -> _Layout:
 
 def _points(layout: _Layout, data: bytes, begin: int) -> Floats:
     """Return x, y and z of all points (n, 3); ValueError if some are missing."""
+    if missing := [axis for axis in "xyz" if axis not in layout.names]:
+        raise ValueError(f"no field {', '.join(missing)}")
     axes = [layout.names.index(axis) for axis in "xyz"]
     if layout.count <= 0:
         return np.empty((0, 3))

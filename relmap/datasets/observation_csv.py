@@ -87,8 +87,7 @@ class ObservationCsv:
         points = points_of(table)
         noise = covariances_of(table, points)
         log = assemble_log(table, "iteration", points, ids, noise)
-        stamps_s = table.columns.get("stamp")
-        return log if stamps_s is None else with_stamps(file, log, stamps_s[log.rows])
+        return with_stamps(table, log) if "stamp" in table.columns else log
 
 
 def points_of(table: Table) -> Floats:

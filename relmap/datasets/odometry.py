@@ -192,6 +192,12 @@ def _read_motions(file: Path, log: ObservationLog | ScanLog) -> Floats:
     if len(again):
         row = int(order[again[0] + 1])
         table.fail(row, "iteration", f"{iteration[row]} occurs twice, expected each once")
+    _require_common(
+        file,
+        "iterations",
+        iteration,
+        np.array([log.first_iteration, log.first_iteration + len(log) - 1]),
+    )
     odometry = np.full((len(log), 4, 4), np.nan)
     index = iteration - log.first_iteration
     there = (index >= 0) & (index < len(log))
@@ -242,7 +248,17 @@ def _read_trajectory(file: Path, log: ObservationLog | ScanLog) -> Floats:
     at_s = log.stamps_s
     if at_s is None:
         at_s = log.first_iteration + np.arange(len(log), dtype=np.float64)
+    _require_common(file, "times", stamps_s, at_s)
     return motions(poses_at(stamps_s, poses, at_s))
+
+
+def _require_common(file: Path, what: str, own: Ints | Floats, of_log: Ints | Floats) -> None:
+    """Check that iterations or times of odometry reach into those of its log."""
+    if len(own) and (own.max() < of_log.min() or own.min() > of_log.max()):
+        raise RelmapError(
+            f"{shown(file)}: {what} {own.min():.10g} to {own.max():.10g}, expected some within "
+            f"those of the log, {of_log.min():.10g} to {of_log.max():.10g}"
+        )
 
 
 def poses_at(stamps_s: Floats, poses: Floats, at_s: Floats) -> Floats:

@@ -124,5 +124,5 @@ def log_of(path: Path, numbers: Numbers) -> ObservationLog:
     ids = table.integers("id") if "id" in table.columns else None
     points = points_of(table)
     log = assemble_log(table, "iteration", points, ids, covariances_of(table, points))
-    log = log if stamps_s is None else with_stamps(path, log, stamps_s[log.rows])
+    log = log if stamps_s is None else with_stamps(table, log)
     return replace(log, names=names)

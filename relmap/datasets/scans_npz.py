@@ -40,13 +40,17 @@ _DIRECTORY_BYTES, _COMMENT_BYTES = 1 << 16, 1 << 16
 _KINDS = {"points": "f", "iteration": "iu", "stamps_s": "fiu"}
 _LIMITS = ("view_rad", "range_m")
 """Optional values about the sensor."""
+_BEYOND = 1.2
+"""Multiple of the stated range above which a point is not noise: the stated range is wrong."""
 
 
 class ScansNpz:
     """Reads ``scans.npz``, or a folder that contains it."""
 
     name = "scans-npz"
-    description = f"{FILE_NAME} with points (n, 3), iteration (n,) and stamps_s (iterations,)"
+    description = (
+        f"{FILE_NAME} with points (n, 3) or (n, 2), iteration (n,) and stamps_s (iterations,)"
+    )
 
     def recognises(self, path: Path) -> bool:
         """Return whether it is a zip file with arrays, as .npz files are, or a damaged one.
@@ -64,6 +68,7 @@ class ScansNpz:
         limits = {name: _limit(file, name, arrays[name]) for name in _LIMITS if name in arrays}
         _check_shapes(file, arrays)
         _check_values(file, arrays)
+        _check_view(file, arrays["points"], **limits)
         points, iteration, stamps_s = (arrays[name] for name in _KINDS)
         in_time, stamps_s = in_time_order(file, stamps_s.astype(np.float64))
         iteration = np.argsort(in_time)[iteration]
@@ -160,6 +165,20 @@ def _limit(file: Path, name: str, array: NDArray[Any]) -> float:
     raise RelmapError(f"{shown(file)}: array {name}: {array!r}, expected one positive number")
 
 
+def _check_view(file: Path, points: Floats, view_rad: float = 0.0, range_m: float = np.inf) -> None:
+    """Check that a view is an angle, and that a range reaches the points (n, 2) or (n, 3)."""
+    if view_rad > 2 * np.pi + 1e-3:  # rounded
+        raise RelmapError(
+            f"{shown(file)}: array view_rad: {view_rad:g}, expected radians, 2 pi at most"
+        )
+    farthest_m = np.hypot(points[:, 0], points[:, 1]).max()
+    if farthest_m > _BEYOND * range_m:
+        raise RelmapError(
+            f"{shown(file)}: array range_m: {range_m:g}, but there are points up to "
+            f"{farthest_m:.4g} m away, expected the greatest range of the sensor, metres"
+        )
+
+
 def _check_shapes(file: Path, arrays: dict[str, NDArray[Any]]) -> None:
     points, iteration, stamps_s = (arrays[name] for name in _KINDS)
     fits = {
@@ -167,11 +186,16 @@ def _check_shapes(file: Path, arrays: dict[str, NDArray[Any]]) -> None:
         "iteration": iteration.shape == (len(np.atleast_1d(points)),),
         "stamps_s": stamps_s.ndim == 1 and len(stamps_s) > 0,
     }
+    expected = {
+        "points": "floating-point numbers (n, 3) or (n, 2), with at least one point",
+        "iteration": f"whole numbers ({len(np.atleast_1d(points))},), one for each point",
+        "stamps_s": "one number for each scan, seconds",
+    }
     for name, kinds in _KINDS.items():
         if not fits[name] or arrays[name].dtype.kind not in kinds:
             raise RelmapError(
                 f"{shown(file)}: array {name}: {arrays[name].dtype} {arrays[name].shape}, "
-                f"expected {ScansNpz.description}, with at least one point"
+                f"expected {expected[name]}"
             )
 
 

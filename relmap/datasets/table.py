@@ -46,7 +46,7 @@ class Column:
         """Describe the allowed cells."""
         kind = "an integer" if self.integer else "a number"
         unit = f" of {self.unit}" if self.unit else ""
-        return f"{kind}{unit} from {self.low:.10g} to {self.high:.16g}"
+        return f"{kind}{unit} from {self.low:.16g} to {self.high:.16g}"
 
 
 @dataclass(frozen=True, eq=False)

@@ -107,11 +107,20 @@ def _svg(path: Path, content: MapContent, order: Order) -> Rendered:
 
 
 def _g2o(path: Path, content: MapContent, order: Order) -> Rendered:
-    seen = sightings(order.result, content, order.log) if content.walls is None else None
+    if content.walls is not None:
+        return {path.name: g2o_text(content, None)}, f"{len(content.result.poses)} poses"
+    seen = sightings(order.result, content, order.log)
     description = "" if seen is None else f", {len(seen.pose)} observations"
     if seen is not None and seen.points_robot is None:
         description += " computed from the map: give --log LOG for the measured ones"
     return {path.name: g2o_text(content, seen)}, content.description + description
+
+
+def _ply(path: Path, content: MapContent, order: Order) -> Rendered:
+    things = f"{len(content.landmarks.landmark)} landmarks"
+    if content.walls is not None:
+        things = f"{len(content.walls.plane)} walls"
+    return {path.name: ply_text(content)}, things
 
 
 def _grid(path: Path, content: MapContent, order: Order) -> Rendered:
@@ -137,5 +146,5 @@ FORMATS = {
     "svg": Format((".svg",), _svg),
     "geojson": Format((".geojson", ".json"), _text(geojson_text)),
     "g2o": Format((".g2o",), _g2o),
-    "ply": Format((".ply",), _text(ply_text)),
+    "ply": Format((".ply",), _ply),
 }

@@ -152,7 +152,7 @@ def _scans(content: MapContent, log: Log) -> Ints:
         missing = stamps_s[np.setdiff1d(np.arange(len(stamps_s)), mine)[0]]
         raise RelmapError(
             f"the log is not the one that was mapped: {len(stamps_s) - len(mine)} poses of the "
-            f"result have no scan of their time in it, the first at {missing!r}"
+            f"result have no scan of their time in it, the first at {missing:.16g} s"
         )
     return scan.astype(np.int64)
 

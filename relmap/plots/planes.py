@@ -26,6 +26,7 @@ from relmap.plots.sheet import (
     draw_limits,
     legend_below,
     limits_of,
+    note_empty,
     to_png,
 )
 from relmap.simulation import Building
@@ -95,6 +96,8 @@ def _draw_submap(axes: Axes, submap: DrawnSubmap) -> tuple[int, int]:
     points, at = submap.points, submap.poses[:, :2, 3]
     axes.plot(*points.T, ",", color=POINT, zorder=1.5, rasterized=True)
     counts = _draw_map(axes, submap.planes, submap.poses)
+    if not counts[0]:
+        note_empty(axes)
     axes.plot(*at[0], "o", color=INK, markersize=5, zorder=7, label="start", linestyle="")
     axes.plot(*at[-1], "s", color=INK, markersize=5, zorder=7, label="end", linestyle="")
     if len(submap.weak):

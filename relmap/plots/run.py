@@ -16,7 +16,7 @@ from relmap.core.arrays import Floats, Ints
 from relmap.evaluation.landmarks import Overlay
 from relmap.io.results import Result
 from relmap.plots.path import broken_at_gaps, broken_at_jumps
-from relmap.plots.sheet import BLUE, RED, Sheet, to_png
+from relmap.plots.sheet import BLUE, RED, Sheet, note_empty, to_png
 
 GROUP = "#7f7f7f"
 ODOMETRY = "#8e44ad"
@@ -66,6 +66,8 @@ def plot_run(
     if dots is not None:
         sheet.add_colours(dots, "standard deviation of a landmark [m]")
     mapped, known = len(positions), len(result.landmarks.landmark)
+    if not mapped:
+        note_empty(sheet.views[0][0])
     apart = len(result.submaps) - 1
     submaps = f", {apart} separate submaps" if apart > 0 else ""
     sheet.finish(title or f"{mapped} of {known} landmarks mapped{submaps}")

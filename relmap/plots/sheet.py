@@ -95,6 +95,12 @@ def limits_of(places: Floats, way: Floats, rim_m: float = 0.0) -> Limits:
     return way.min(axis=0) - rim_m, way.max(axis=0) + rim_m
 
 
+def note_empty(axes: Axes) -> None:
+    """Write into a panel that nothing is mapped."""
+    style: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 14, "color": RED}
+    axes.text(0.5, 0.5, "nothing is mapped", transform=axes.transAxes, **style)
+
+
 def draw_limits(axes: Axes, limits: Limits) -> None:
     """Set the limits (2,), (2,) of a panel, with equal scale for both axes."""
     low, high = limits

@@ -191,11 +191,13 @@ class PlaneSegmenter:
         from relmap.segmentation.scanline import lines
 
         if method == "scanlines":
+            once = np.append(True, (np.diff(xy, axis=0) != 0).any(axis=1))
+            every, xy = np.cumsum(once) - 1, xy[once]
             mixture, labels = lines.scan_walls(xy, self.noise)
             sharp = meet(lines.extend_to_beams(mixture, xy, labels), len(xy))
             curved = lines.on_curves(mixture, xy, labels)
             hidden = lines.hidden_ends(xy, labels) | curved
-            return replace(sharp, joined=sharp.joined & ~curved, hidden=hidden), labels
+            return replace(sharp, joined=sharp.joined & ~curved, hidden=hidden), labels[every]
         rng = np.random.default_rng(self.random_state)
         if method == "em":
             mixture = search.fit_walls(xy, self.noise, rng)

@@ -50,8 +50,8 @@ class Constellation(Numbered):
     _tracks_since: int | None
     _stray_since: int | None
     STATE = (
-        "n_landmarks _tracks _stray _scale _idle _n_scans _n_open _n_unique _alone _tracks_since "
-        "_stray_since guide _estimated"
+        "n_landmarks _tracks _stray _scale _idle _n_scans _n_empty _n_open _n_unique _alone "
+        "_tracks_since _stray_since guide _estimated"
     )
 
     def __init__(self, max_missed: int) -> None:
@@ -60,7 +60,7 @@ class Constellation(Numbered):
         self._tracks = self._stray = None
         self._scale = Scale()
         self._idle = 0
-        self._n_scans = self._n_open = self._n_unique = 0
+        self._n_scans = self._n_empty = self._n_open = self._n_unique = 0
         self._alone = []
         self._tracks_since = self._stray_since = None
         self.guide = OdometryGuide()
@@ -84,6 +84,7 @@ class Constellation(Numbered):
             self._tracks_since = None
             self.guide.forget()
         self._n_scans += 1
+        self._n_empty += not len(points_robot)
         return landmarks
 
     def weigh(self, covariances: Floats | None) -> None:
@@ -112,14 +113,25 @@ class Constellation(Numbered):
         self._scale.spacing_m = spacing_of(points_robot)
 
     @property
-    def tied_share(self) -> float:
-        """Fraction of the scans after the first that were matched to the tracks at once."""
-        return 1 - max(self._n_open - 1, 0) / max(self._n_scans - 1, 1)
+    def tied_share(self) -> float | None:
+        """Fraction of the scans after the first that were matched to the tracks at once.
+
+        Empty scans do not count; None if there is no second scan.
+        """
+        return 1 - max(self._n_open - 1, 0) / self._n_later if self._n_later else None
 
     @property
-    def unique_share(self) -> float:
-        """Fraction of the scans after the first whose matches exceed chance in any placement."""
-        return self._n_unique / max(self._n_scans - 1, 1)
+    def unique_share(self) -> float | None:
+        """Fraction of the scans after the first whose matches exceed chance in any placement.
+
+        Empty scans do not count; None if there is no second scan.
+        """
+        return self._n_unique / self._n_later if self._n_later else None
+
+    @property
+    def _n_later(self) -> int:
+        """Number of scans after the first that are not empty."""
+        return max(self._n_scans - self._n_empty - 1, 0)
 
     @property
     def is_blurred(self) -> bool:
