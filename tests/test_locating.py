@@ -212,7 +212,7 @@ def test_what_was_saved_is_loaded_whatever_its_variant(mapped: Mapped) -> None:
     points, walls = mapped("csv/observations.csv"), mapped("npz")
     assert type(Mapper.load(points / "mapper.npz")) is PointMapper
     assert type(Mapper.load(walls / "mapper.npz")) is PlaneMapper
-    with pytest.raises(RelmapError, match="holds a PlaneMapper, not a PointMapper"):
+    with pytest.raises(RelmapError, match="holds a map of walls, not a map of points"):
         PointMapper.load(walls / "mapper.npz")
 
 

@@ -21,6 +21,10 @@ from relmap.planes.tracks import PlaneTracks, wrapped
 
 REACH_M = 3.5
 """Largest distance between two scans that are linked."""
+VERIFYING = 2
+"""Number of earlier scans whose beams verify a motion."""
+NEARBY_M = 1.5
+"""Farthest of the scans by which a motion along a wall is corrected."""
 JUDGES = 200
 """Approximate number of beams used to verify a motion."""
 PEAKS, SLIDE_M = 2, 0.1
@@ -33,6 +37,8 @@ COARSE_M, FINE_M = 0.1 * np.arange(-6.0, 7.0), 0.025 * np.arange(-3.0, 4.0)
 """Corrections of a motion along the longest wall."""
 CROSSINGS = 4.0
 """Spread of the directions of matching walls above which they determine a motion well."""
+PARALLEL = 3.0
+"""Spread below which several earlier scans decide, not only the last one."""
 USUAL_SHARE, USUAL_LEAST_M = 0.1, 0.02
 """Scale of the differences between consecutive steps, as a fraction of the step and constant."""
 LIKELIER = 3.0
@@ -70,7 +76,8 @@ class ScanComparison:
         expected: Expected | None = None,
         firm: bool = True,
     ) -> None:
-        self._beams, self._views = beams, views
+        self._beams, self._views = beams, views[:VERIFYING]
+        self._nearby = [v for v in views[1:] if np.hypot(*v.motion[1:]) <= NEARBY_M]
         self._before = planar(expected.motion) if expected else before
         self._expected, self._firm = expected, firm
         kept, own = ~(tracks.loose & firm), ~(seen.loose & firm)
@@ -133,35 +140,47 @@ class ScanComparison:
         step decide. With `far`, the usual step may lie out of the range of the search.
         """
         motion, match = judged.motions[k], judged.matches[k]
-        if spread(self._seen.along[match.walls], np.zeros_like(match.walls), 1)[0] >= CROSSINGS:
+        crossing = spread(self._seen.along[match.walls], np.zeros_like(match.walls), 1)[0]
+        if crossing >= CROSSINGS:
             return judged.only(k)
+        parallel = crossing < PARALLEL and self._expected is None
+        views = [*self._views[:1], *(self._nearby if parallel else ())]
         usual_m = float((self._before.t - motion[1:]) @ self._along_longest(match))
         coarse_m = np.append(COARSE_M, usual_m) if far else COARSE_M
-        best_m, _ = self._likeliest(motion, match, coarse_m, usual_m)
-        best_m, best = self._likeliest(motion, match, best_m + FINE_M, usual_m)
+        best_m, _ = self._likeliest(motion, match, coarse_m, usual_m, views)
+        best_m, best = self._likeliest(motion, match, best_m + FINE_M, usual_m, views)
         if best < LIKELIER:
             return judged.only(k)
         return self._judged([planar(self._moved(motion, match, np.array([best_m]))[0])], 0)
 
     def _likeliest(
-        self, motion: Floats, match: Match, way_m: Floats, usual_m: float
+        self, motion: Floats, match: Match, way_m: Floats, usual_m: float, views: Sequence[View]
     ) -> tuple[float, float]:
         """Return the likeliest of some shifts (k,) along the longest wall, and its log odds.
 
         Compared with the motion (3,) itself; `usual_m` leads to the usual step.
         """
-        lead, sd = self._leads(self._moved(motion, match, way_m), motion)
+        lead, sd = self._leads(views, self._moved(motion, match, way_m), motion)
         odds = np.sign(lead) * (lead / np.maximum(sd, 1e-9)) ** 2 / 2
         scale_m = USUAL_SHARE * float(np.hypot(*self._before.t)) + USUAL_LEAST_M
         odds += np.log1p((usual_m / scale_m) ** 2) - np.log1p(((way_m - usual_m) / scale_m) ** 2)
         at = int(np.argmax(odds))
         return float(way_m[at]), float(odds[at])
 
-    def _leads(self, motions: Floats, motion: Floats) -> tuple[Floats, Floats]:
-        """Return by how much beams agree better with motions (k, 3) than with one (3,)."""
-        view = self._views[0]
-        both = after(view.motion, np.vstack([motion[None], motions]))
-        return leads(view.beams, self._beams, both[1:], both[0], NEAR_M, self._firm)
+    def _leads(
+        self, views: Sequence[View], motions: Floats, motion: Floats
+    ) -> tuple[Floats, Floats]:
+        """Return by how much beams agree better with motions (k, 3) than with one (3,).
+
+        Those of several scans: beams hit the same places of a wall again where the robot seems to
+        stand still, and the longer the way the less that matters.
+        """
+        lead, variance = np.zeros(len(motions)), np.zeros(len(motions))
+        for view in views:
+            both = after(view.motion, np.vstack([motion[None], motions]))
+            own = leads(view.beams, self._beams, both[1:], both[0], NEAR_M, self._firm)
+            lead, variance = lead + own[0], variance + own[1] ** 2
+        return lead, np.sqrt(variance)
 
     def _measured(self, judged: Judged, k: int) -> bool:
         """Return whether beams agree less if a motion is slid along the longest wall."""

@@ -47,8 +47,8 @@ FIRST, AGAIN, LATELY = (10, 20), 50, 50
 interval; and the approximate number of links examined."""
 TURNING = np.deg2rad(2.5)
 """Rotation from scan to scan above which a robot is expected to be slow."""
-VIEWS = 2
-"""Number of last scans whose beams verify a motion."""
+VIEWS = 6
+"""Number of last scans whose beams a scan is compared with."""
 
 
 class ScanLinks(LinkRecord):
