@@ -37,8 +37,9 @@ COARSE_M, FINE_M = 0.1 * np.arange(-6.0, 7.0), 0.025 * np.arange(-3.0, 4.0)
 """Corrections of a motion along the longest wall."""
 CROSSINGS = 4.0
 """Spread of the directions of matching walls above which they determine a motion well."""
-PARALLEL = 3.0
-"""Spread below which several earlier scans decide, not only the last one."""
+PARALLEL, CERTAIN = 3.0, 40.0
+"""Spread below which several earlier scans decide, not only the last one, and difference of log
+odds at which that one suffices for the coarse correction."""
 USUAL_SHARE, USUAL_LEAST_M = 0.1, 0.02
 """Scale of the differences between consecutive steps, as a fraction of the step and constant."""
 LIKELIER = 3.0
@@ -143,44 +144,47 @@ class ScanComparison:
         crossing = spread(self._seen.along[match.walls], np.zeros_like(match.walls), 1)[0]
         if crossing >= CROSSINGS:
             return judged.only(k)
-        parallel = crossing < PARALLEL and self._expected is None
-        views = [*self._views[:1], *(self._nearby if parallel else ())]
         usual_m = float((self._before.t - motion[1:]) @ self._along_longest(match))
-        coarse_m = np.append(COARSE_M, usual_m) if far else COARSE_M
-        best_m, _ = self._likeliest(motion, match, coarse_m, usual_m, views)
-        best_m, best = self._likeliest(motion, match, best_m + FINE_M, usual_m, views)
+        way_m = np.append(COARSE_M, usual_m) if far else COARSE_M
+        views = self._deciding(crossing)
+        odds = self._odds(views[:1], self._moved(motion, match, way_m), motion)
+        if len(views) > 1 and odds.max() - np.median(odds) < CERTAIN:
+            odds = self._odds(views, self._moved(motion, match, way_m), motion)
+        way_m = self._likeliest(odds, way_m, usual_m)[0] + FINE_M
+        odds = self._odds(views, self._moved(motion, match, way_m), motion)
+        best_m, best = self._likeliest(odds, way_m, usual_m)
         if best < LIKELIER:
             return judged.only(k)
         return self._judged([planar(self._moved(motion, match, np.array([best_m]))[0])], 0)
 
-    def _likeliest(
-        self, motion: Floats, match: Match, way_m: Floats, usual_m: float, views: Sequence[View]
-    ) -> tuple[float, float]:
+    def _likeliest(self, odds: Floats, way_m: Floats, usual_m: float) -> tuple[float, float]:
         """Return the likeliest of some shifts (k,) along the longest wall, and its log odds.
 
-        Compared with the motion (3,) itself; `usual_m` leads to the usual step.
+        Compared with no shift, by the odds (k,) of the beams; `usual_m` leads to the usual step.
         """
-        lead, sd = self._leads(views, self._moved(motion, match, way_m), motion)
-        odds = np.sign(lead) * (lead / np.maximum(sd, 1e-9)) ** 2 / 2
         scale_m = USUAL_SHARE * float(np.hypot(*self._before.t)) + USUAL_LEAST_M
-        odds += np.log1p((usual_m / scale_m) ** 2) - np.log1p(((way_m - usual_m) / scale_m) ** 2)
-        at = int(np.argmax(odds))
-        return float(way_m[at]), float(odds[at])
+        usual = np.log1p((usual_m / scale_m) ** 2) - np.log1p(((way_m - usual_m) / scale_m) ** 2)
+        at = int(np.argmax(odds + usual))
+        return float(way_m[at]), float((odds + usual)[at])
 
-    def _leads(
-        self, views: Sequence[View], motions: Floats, motion: Floats
-    ) -> tuple[Floats, Floats]:
-        """Return by how much beams agree better with motions (k, 3) than with one (3,).
+    def _deciding(self, crossing: float) -> Sequence[View]:
+        """Return the earlier scans that decide, given the spread of the matching walls."""
+        if crossing >= PARALLEL or self._expected is not None:
+            return self._views[:1]
+        return [*self._views[:1], *self._nearby]
 
-        Those of several scans: beams hit the same places of a wall again where the robot seems to
-        stand still, and the longer the way the less that matters.
+    def _odds(self, views: Sequence[View], motions: Floats, motion: Floats) -> Floats:
+        """Return the log odds of motions (k, 3) relative to one (3,), by the beams.
+
+        Beams hit the same places of a wall again where the robot seems to stand still; the longer
+        the way from an earlier scan, the less that matters.
         """
         lead, variance = np.zeros(len(motions)), np.zeros(len(motions))
         for view in views:
             both = after(view.motion, np.vstack([motion[None], motions]))
             own = leads(view.beams, self._beams, both[1:], both[0], NEAR_M, self._firm)
             lead, variance = lead + own[0], variance + own[1] ** 2
-        return lead, np.sqrt(variance)
+        return np.asarray(np.sign(lead) * lead**2 / np.maximum(variance, 1e-18) / 2)
 
     def _measured(self, judged: Judged, k: int) -> bool:
         """Return whether beams agree less if a motion is slid along the longest wall."""
