@@ -14,6 +14,7 @@ import typer
 from relmap.cli.arguments import Association, read_config
 from relmap.cli.console import Counter, busy, tracked
 from relmap.cli.job import Job, journaled_labels
+from relmap.cli.job_log import log_of
 from relmap.core.errors import RelmapError
 from relmap.io.results import EVALUATION, MAP_PNG, MAPPER
 
@@ -58,7 +59,7 @@ def map_log(job: Job) -> tuple[Run, int]:
 
     out = job.at(job.out)
     _check_journal(job.journal, out)
-    log = _log_of(job)
+    log = log_of(job)
     with staged_folder(out, stale_files(out)) as staging:
         run = _mapped_into(staging, job, log)
         return run, len(list(staging.iterdir()))
@@ -76,63 +77,6 @@ def _check_journal(journal: Path | None, out: Path) -> None:
         raise RelmapError(
             f"journal {journal} would be overwritten by the result: give it another name"
         )
-
-
-def _log_of(job: Job) -> Log:
-    from relmap.evaluation.sources import read_log
-
-    source = job.at(job.source)
-    with busy("reading"):
-        log = read_log(source, job.variant, job.log_format, job.interval, job.columns, job.topics)
-    ids = getattr(log, "ids", None)
-    if job.association == "known" and (ids is None or not (ids >= 0).any()):
-        raise RelmapError(f"--association known needs ids, and {source} has none")
-    if job.odometry == "auto" and log.odometry is None and log.no_odometry:
-        typer.echo(f"relmap: {source}: mapped without odometry: {log.no_odometry}", err=True)
-    log = _level(job, log) if job.association == "known" else _each_once(job, _level(job, log))
-    return log if job.sigmas is None else _with_noise(log, job.sigmas)
-
-
-def _level(job: Job, log: Log) -> Log:
-    """Return a log levelled if requested and needed."""
-    from relmap.datasets.scans import ScanLog
-    from relmap.evaluation.levelling import levelled, shows_floors
-    from relmap.segmentation.segmenter import SPATIAL
-
-    if job.level == "none" or job.segmenter in SPATIAL or not isinstance(log, ScanLog):
-        return log
-    if not shows_floors(log):
-        return log
-    message = "clouds are levelled by their floor and walls, and reduced to 2-D scans of the walls"
-    typer.echo(f"relmap: {job.source}: {message}", err=True)
-    return levelled(log)
-
-
-def _each_once(job: Job, log: Log) -> Log:
-    """Return a log without points that repeat another one of their scan exactly."""
-    from relmap.datasets.base import ObservationLog
-
-    if not isinstance(log, ObservationLog):
-        return log
-    once = log.each_once()
-    n_again = len(log.rows) - len(once.rows)
-    if n_again:
-        message = f"{n_again} points left out that repeat another one of their scan exactly"
-        typer.echo(f"relmap: {job.source}: {message}", err=True)
-    return once
-
-
-def _with_noise(log: Log, sigmas: tuple[float, ...]) -> Log:
-    """Return a log with the covariances of a range and bearing sensor."""
-    from dataclasses import replace
-
-    from relmap.core.sensor import range_bearing_covariances
-    from relmap.datasets.base import ObservationLog
-
-    assert isinstance(log, ObservationLog)
-    if len(sigmas) > log.points_robot.shape[1]:
-        raise RelmapError("--elevation-sigma is for logs in space, and this one is planar")
-    return replace(log, covariances=range_bearing_covariances(log.points_robot, *sigmas))
 
 
 def _mapped_into(folder: Path, job: Job, log: Log) -> Run:

@@ -39,8 +39,6 @@ MISFIT = 2.0
 lattice, the nearest neighbours may agree one period away, but less closely."""
 SAMPLE = 32
 """Maximum number of tracks used to fit a placement; more would not improve it."""
-SEARCH = 30
-"""Maximum number of tracks used by the wider search, those seen longest."""
 CLEAR = 0.6
 """Fraction of the matches, or of the log likelihood ratio, that a rival may have."""
 BLURRED = (0.1, 0.2, 0.35)
@@ -52,15 +50,12 @@ LEAST_MISFIT = 0.25
 would not differ."""
 LOG_CLEAR = float(np.log(1 / 20))
 """Log of the likelihood of chance, or of a rival, relative to the most likely placement."""
-CROWD = 60
-"""Maximum number of points of a scan used by the wider search, the nearest."""
 FAMILIAR = 5
 """Observations of a landmark required if only two landmarks determine a planar scan."""
 NEARBY = 0.2
 """Largest motion of these two, in spacings."""
 BLIND = 8
 """Nearly empty scans after which any place may follow, also one that looks alike."""
-
 
 Scored = tuple[Placement, float, float]
 """A placement, and the log likelihood ratios of it and of a rival."""
@@ -134,12 +129,12 @@ class TrackPlacing:
 
         In a mirrored scan, points near a plane fit all the same.
         """
-        possible = self._possible(tracks, points)
+        possible = tracks.possible(points)
         is_wide = self.scale.noise_m is None
         is_certain = not is_wide and found.n_agreeing >= SHARE * possible
         if is_certain or moved_m(found, tracks.expected) <= self.scale.spacing_m:
             return False
-        known, seen = self._crowd(tracks, points)
+        known, seen = tracks.crowd(points)
         tolerance_m = min(self.scale.tolerance_m, SIGMAS * learnt)
         least = found.n_agreeing if is_wide else found.n_agreeing / CLEAR
         own = rows_of(self.metric, seen)
@@ -188,7 +183,7 @@ class TrackPlacing:
         return CLEAR * near[1] > best[1]
 
     def _soft(self, tracks: LiveTracks, points: Floats) -> SoftMatching:
-        known, seen = self._crowd(tracks, points, len(tracks))
+        known, seen = tracks.crowd(points, len(tracks))
         variance, metric = self.scale.variances(tracks.seen[known]), rows_of(self.metric, seen)
         expected, spacing_m = tracks.expected[known], self.scale.spacing_m
         return SoftMatching(expected, variance, points[seen], spacing_m, metric)
@@ -232,7 +227,7 @@ class TrackPlacing:
         is_best = is_sharp and near is not None and far.n_agreeing <= near.n_agreeing
         if near and is_best and (near.n_agreeing >= share or not far.is_doubtful):
             return near, False
-        explains = far.n_agreeing >= SHARE * self._possible(tracks, points)
+        explains = far.n_agreeing >= SHARE * tracks.possible(points)
         return far.placement, far.placement is None and far.is_ambiguous and explains
 
     def _is_usual(
@@ -261,7 +256,7 @@ class TrackPlacing:
         If several placements explain the scan, more noise would only hide that.
         """
         widest_m = self.scale.tolerance_m if is_ambiguous else np.inf
-        scale, possible = self.scale, self._possible(tracks, points)
+        scale, possible = self.scale, tracks.possible(points)
         learnt, scale.noise_m = scale.noise_m, None
         for scale.wider in WIDER if possible >= PLENTY else ():
             is_new = scale.wider != 1 if learnt is None else scale.tolerance_m > SIGMAS * learnt
@@ -282,27 +277,13 @@ class TrackPlacing:
         scale.noise_m = learnt
         return None
 
-    def _possible(self, tracks: LiveTracks, points: Floats) -> int:
-        """Return the number of matches that a search may find."""
-        return min(int(np.sum(tracks.missed == 0)), len(points), SEARCH)
-
-    def _crowd(self, tracks: LiveTracks, points: Floats, most: int = SEARCH) -> tuple[Ints, Ints]:
-        """Return the tracks (k,) and points (l,) used by the wider search."""
-        away = np.linalg.norm(points, axis=1)
-        within_m = np.partition(away, CROWD - 1)[CROWD - 1] if len(away) > CROWD else np.inf
-        recent = tracks.missed <= int(tracks.missed.min()) + 1
-        recent &= np.linalg.norm(tracks.expected, axis=1) <= within_m
-        known = np.flatnonzero(recent)
-        known = known[np.argsort(-tracks.seen[known], kind="stable")[:most]]
-        return known, np.flatnonzero(away <= within_m)
-
     def _search(self, tracks: LiveTracks, points: Floats) -> _Searched:
         """Search for the tracks in the scan, for any motion of the robot.
 
         If there are many, only those near the robot are used. Between rivals with similar numbers
         of matches the likelihood decides, if the noise is known.
         """
-        missed, (known, seen) = int(tracks.missed.min()), self._crowd(tracks, points)
+        missed, (known, seen) = int(tracks.missed.min()), tracks.crowd(points)
         here, there = tracks.expected[known], points[seen]
         found = search(here, there, self.scale.tolerance_m, ENOUGH, rows_of(self.metric, seen))
         if found is None:

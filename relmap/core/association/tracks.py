@@ -14,6 +14,11 @@ MEMORY = 8
 """Approximate number of observations averaged in the prediction of a track."""
 CAREFUL = 5
 """Iterations without motion after which a track seen moving counts as static again."""
+SEARCH = 30
+"""Maximum number of tracks used by a search that is independent of the motion, those seen
+longest."""
+CROWD = 60
+"""Maximum number of points of a scan used by it, the nearest."""
 
 
 class Tracks:
@@ -84,3 +89,17 @@ class LiveTracks(Tracks):
     def carried(self, expected: Floats, latest: Floats) -> LiveTracks:
         """Return the tracks with their predicted positions in the next iteration."""
         return LiveTracks(self.landmarks, expected, latest, self.missed, self.seen, self.restless)
+
+    def possible(self, points: Floats) -> int:
+        """Return the number of matches with points (n, d) that a search may find."""
+        return min(int(np.sum(self.missed == 0)), len(points), SEARCH)
+
+    def crowd(self, points: Floats, most: int = SEARCH) -> tuple[Ints, Ints]:
+        """Return the tracks (k,) and which of points (n, d), (l,), a search uses."""
+        away = np.linalg.norm(points, axis=1)
+        within_m = np.partition(away, CROWD - 1)[CROWD - 1] if len(away) > CROWD else np.inf
+        recent = self.missed <= int(self.missed.min()) + 1
+        recent &= np.linalg.norm(self.expected, axis=1) <= within_m
+        known = np.flatnonzero(recent)
+        known = known[np.argsort(-self.seen[known], kind="stable")[:most]]
+        return known, np.flatnonzero(away <= within_m)

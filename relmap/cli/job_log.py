@@ -1,0 +1,78 @@
+"""The log of a job: read, levelled, without repeated points, with the noise of the sensor."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import typer
+
+from relmap.cli.console import busy
+from relmap.cli.job import Job
+from relmap.core.errors import RelmapError
+
+if TYPE_CHECKING:
+    from relmap.evaluation.feeding import Log
+
+
+def log_of(job: Job) -> Log:
+    """Return the log as it is mapped, and report on the standard error what was changed.
+
+    Raises
+    ------
+    RelmapError
+        If it cannot be read, or lacks what the job needs.
+    """
+    from relmap.evaluation.sources import read_log
+
+    source = job.at(job.source)
+    with busy("reading"):
+        log = read_log(source, job.variant, job.log_format, job.interval, job.columns, job.topics)
+    ids = getattr(log, "ids", None)
+    if job.association == "known" and (ids is None or not (ids >= 0).any()):
+        raise RelmapError(f"--association known needs ids, and {source} has none")
+    if job.odometry == "auto" and log.odometry is None and log.no_odometry:
+        typer.echo(f"relmap: {source}: mapped without odometry: {log.no_odometry}", err=True)
+    log = _level(job, log) if job.association == "known" else _each_once(job, _level(job, log))
+    return log if job.sigmas is None else _with_noise(log, job.sigmas)
+
+
+def _level(job: Job, log: Log) -> Log:
+    """Return a log levelled if requested and needed."""
+    from relmap.datasets.scans import ScanLog
+    from relmap.evaluation.levelling import levelled, shows_floors
+    from relmap.segmentation.segmenter import SPATIAL
+
+    if job.level == "none" or job.segmenter in SPATIAL or not isinstance(log, ScanLog):
+        return log
+    if not shows_floors(log):
+        return log
+    message = "clouds are levelled by their floor and walls, and reduced to 2-D scans of the walls"
+    typer.echo(f"relmap: {job.source}: {message}", err=True)
+    return levelled(log)
+
+
+def _each_once(job: Job, log: Log) -> Log:
+    """Return a log without points that repeat another one of their scan exactly."""
+    from relmap.datasets.base import ObservationLog
+
+    if not isinstance(log, ObservationLog):
+        return log
+    once = log.each_once()
+    n_again = len(log.rows) - len(once.rows)
+    if n_again:
+        message = f"{n_again} points left out that repeat another one of their scan exactly"
+        typer.echo(f"relmap: {job.source}: {message}", err=True)
+    return once
+
+
+def _with_noise(log: Log, sigmas: tuple[float, ...]) -> Log:
+    """Return a log with the covariances of a range and bearing sensor."""
+    from dataclasses import replace
+
+    from relmap.core.sensor import range_bearing_covariances
+    from relmap.datasets.base import ObservationLog
+
+    assert isinstance(log, ObservationLog)
+    if len(sigmas) > log.points_robot.shape[1]:
+        raise RelmapError("--elevation-sigma is for logs in space, and this one is planar")
+    return replace(log, covariances=range_bearing_covariances(log.points_robot, *sigmas))
