@@ -7,10 +7,11 @@ import pytest
 
 from relmap import PlaneMapper
 from relmap.core.arrays import Floats
+from relmap.core.state.store import ObservationStore
 from relmap.evaluation.metrics import ate
 from relmap.planes.at_rest import share_at_rest
 from relmap.planes.beams import Beams, BeamStore, GivenBeams
-from relmap.planes.observation import PlaneObservation, checked_planes, journaled, of_journal
+from relmap.planes.observation import checked_planes, journaled, of_journal
 from relmap.planes.tying import Scans
 from relmap.segmentation import PlaneSegmenter
 from relmap.simulation import simulate_building
@@ -59,16 +60,14 @@ def test_walls_on_a_person_are_loose_also_in_a_journal() -> None:
 @pytest.mark.parametrize("walks", [False, True])
 def test_whether_share_at_rest_is_known_from_accepted_links(walks: bool) -> None:
     n, step_m = 20, 0.1
-    beams = BeamStore()
+    beams, none = BeamStore(), np.empty(0, dtype=np.int64)
+    store = ObservationStore({"landmark": none, "location": NO_WALLS})
     for k in range(n):
         person = (3.0 + 0.1 * k * walks, 0.3)
         beams.append(GivenBeams.checked(seen_from(step_m * k, person), np.zeros(2)))
-    none = PlaneObservation.of(
-        NO_WALLS, np.empty((0, 2), dtype=np.int8), np.empty(0), np.empty((0, 2))
-    )
-    motions, count = np.tile([0.0, -step_m, 0.0], (n, 1)), np.empty(0, dtype=np.int64)
-    first_row, measured = np.zeros(n + 1, dtype=np.int64), np.ones(n, dtype=np.bool_)
-    scans = Scans(none, count, first_row, beams, motions, measured, lambda a, b: None, count)
+        store.append(none, NO_WALLS)
+    motions, measured = np.tile([0.0, -step_m, 0.0], (n, 1)), np.ones(n, dtype=np.bool_)
+    scans = Scans(store, beams, motions, measured, lambda a, b: None, none)
     share = share_at_rest(scans, measured)
     assert share < 0.3 if walks else share > 0.8
 

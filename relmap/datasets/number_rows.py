@@ -33,18 +33,26 @@ def parse_number(cell: str) -> float:
     ValueError
         If the cell is not a number.
     """
-    if "_" in cell or not cell.isascii():
+    if not _is_plain(cell):
         raise ValueError(cell)
     return float(cell)
 
 
 def finite_numbers(cells: Iterable[str]) -> list[float]:
     """Return the numbers in cells; an empty list where any cell is not a finite number."""
+    cells = [*cells]
+    if not _is_plain("".join(cells)):
+        return []
     try:
-        numbers = [parse_number(cell) for cell in cells]
+        numbers = [*map(float, cells)]
     except ValueError:
         return []
     return numbers if all(map(math.isfinite, numbers)) else []
+
+
+def _is_plain(text: str) -> bool:
+    """Return whether a text has none of the characters that only Python allows in numbers."""
+    return "_" not in text and text.isascii()
 
 
 def read_rows(

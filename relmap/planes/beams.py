@@ -190,6 +190,13 @@ class BeamStore:
         begin, end = self._offsets.values[scan : scan + 2].tolist()
         end = end if self._in_order.values[scan] else begin
         given = GivenBeams(self._points.values[begin:end], self._origins.values[scan], True)
+        return self._remembered(scan, given, ends)
+
+    def of_next(self, given: GivenBeams, ends: Floats) -> Beams:
+        """Return the beams of the laser scan that is added next, given the ends of its walls."""
+        return self._remembered(len(self._in_order), given, ends)
+
+    def _remembered(self, scan: int, given: GivenBeams, ends: Floats) -> Beams:
         found = Beams.of(given, ends)
         self._recent[scan] = ends, found
         if len(self._recent) > RECENT:

@@ -268,14 +268,11 @@ class LinkRecord:
     @property
     def _scans(self) -> Scans:
         """All scans with their walls and beams."""
-        rows, _ = self.store.between(0, len(self._motions))
-        first_row = np.searchsorted(self.store.iterations, np.arange(len(self._motions) + 1))
-        seen, wall = seen_before(self.store, rows), self.store.column("wall")[rows]
         expected = partial(
             self.wheels.expected, motions=self.motions, measured=self.measured.copy()
         )
         links = self.motions, self.measured, expected, self._begun.values
-        return Scans(seen, wall, first_row, self.beams, *links)
+        return Scans(self.store, self.beams, *links)
 
     def _known(self) -> tuple[Bools, Bools]:
         """Return whether the motion into scans (i,) is accepted, and which to re-evaluate."""
@@ -283,9 +280,3 @@ class LinkRecord:
         in_doubt = ~(is_tied & (self._evidence.values > IN_DOUBT))
         in_doubt[:1] = False
         return is_tied, in_doubt
-
-
-def seen_before(store: ObservationStore, rows: slice) -> PlaneObservation:
-    """Return walls by their rows in the store."""
-    columns = ("location", "kind", "sd", "z_extent")
-    return PlaneObservation.of(*(store.column(name)[rows] for name in columns))

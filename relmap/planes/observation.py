@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from relmap.core.arrays import Bools, Floats
 from relmap.core.errors import RelmapError
 from relmap.core.scan import FARTHEST_M, numbers
+from relmap.core.state.store import ObservationStore
 from relmap.planes.beams import GivenBeams, on_loose_things
 from relmap.planes.corners import CORNER, CUT, LOOSE, UNKNOWN
 
@@ -97,6 +98,12 @@ class PlaneObservation:
         """Return some of the walls, without beams."""
         walls = (getattr(self, field.name)[rows] for field in fields(self)[:-1])
         return PlaneObservation(*walls)
+
+
+def seen_before(store: ObservationStore, scan: int) -> PlaneObservation:
+    """Return the walls of an earlier scan, without beams."""
+    columns, rows = ("location", "kind", "sd", "z_extent"), store.rows(scan)
+    return PlaneObservation.of(*(store.column(name)[rows] for name in columns))
 
 
 def checked_planes(planes: Any, beams: Any = None) -> PlaneObservation:

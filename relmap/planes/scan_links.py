@@ -13,7 +13,7 @@ from relmap.core.arrays import Floats
 from relmap.planes.at_rest import OFTEN, share_at_rest
 from relmap.planes.beams import Beams
 from relmap.planes.judging import NO_MATCH, Found, View
-from relmap.planes.link_record import LinkRecord, seen_before
+from relmap.planes.link_record import LinkRecord
 from relmap.planes.links import (
     USUAL,
     VARYING,
@@ -103,7 +103,7 @@ class ScanLinks(LinkRecord):
         """Return the accepted motion into a scan, and the resulting association."""
         views, usual = self._views(seen), self.usual
         if views:
-            beams = Beams.of(seen.beams, seen.ends)
+            beams = self.beams.of_next(seen.beams, seen.ends)
             firm = not self._rests()
             judged = Search(tracks, seen, beams, views, usual, expected, firm).found()
             return judged if judged and self._confirmed(judged, seen, beams, views, firm) else None
@@ -125,7 +125,7 @@ class ScanLinks(LinkRecord):
         """Return the motion by odometry alone; None if observations contradict it."""
         views = self._views(seen)
         if views:
-            beams = Beams.of(seen.beams, seen.ends)
+            beams = self.beams.of_next(seen.beams, seen.ends)
             return Search(tracks, seen, beams, views, self.usual, expected).bridged(expected)
         motion, match = settled(tracks, seen, planar(expected.motion))
         near = expected.off(np.array([[motion.yaw, *motion.t]]))[0] < OTHERWISE
@@ -147,10 +147,7 @@ class ScanLinks(LinkRecord):
             return True
         now, motion = len(self._motions), np.array([found.motion.yaw, *found.motion.t])
         expected = after(views[1].motion, motion[None])[0]
-        rows, _ = self.store.between(now - 2, now - 1)
-        earlier = seen_before(self.store, rows)
-        tracks = PlaneTracks.begun(self.store.column("wall")[rows], earlier)
-        tracks.corner_at = np.where(earlier.static[..., None], earlier.ends, np.nan)
+        tracks = self._scans.tracks_of(now - 2)
         before = PlanarMotion(float(expected[0]), expected[1:])
         view = [View(views[1].beams, np.zeros(3))]
         again = Search(tracks, seen, beams, view, before, firm=firm).found()
@@ -170,15 +167,13 @@ class ScanLinks(LinkRecord):
         found, motion = list[View](), np.zeros(3)
         if not (seen.beams.in_order and len(seen.beams.points)):
             return found
-        now = len(self._motions)
-        for i in reversed(range(max(now - VIEWS, 0), now)):
-            if self.submaps[i] != self.submaps[-1]:
-                break
-            rows, _ = self.store.between(i, i + 1)
-            beams = self.beams.of(i, self.store.column("location")[rows])
+        now, motions, ends = len(self._motions), self.motions, self.store.column("location")
+        first = max(now - VIEWS, 0, *self._begun.values[-1:].tolist())  # of the same run
+        outside = np.flatnonzero(self.submaps[first:] != self.submaps[-1])
+        first += int(outside[-1]) + 1 if len(outside) else 0
+        for i in reversed(range(first, now)):
+            beams = self.beams.of(i, ends[self.store.rows(i)])
             if len(beams):
                 found.append(View(beams, motion))
-            if i in self._begun.values:
-                break  # earlier scans belong to another run
-            motion = after(self.motions[i], motion[None])[0]
+            motion = after(motions[i], motion[None])[0]
         return found

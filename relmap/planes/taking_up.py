@@ -14,9 +14,8 @@ import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.planes.finding import WallFinder
-from relmap.planes.link_record import seen_before
 from relmap.planes.motions import matrices
-from relmap.planes.observation import SHORTEST_M, PlaneObservation
+from relmap.planes.observation import SHORTEST_M, PlaneObservation, seen_before
 from relmap.planes.placement import STILL, settled
 from relmap.planes.scan_links import ScanLinks
 from relmap.planes.submaps import WallSubmap
@@ -248,8 +247,8 @@ class RunOnto:
 
     def _same(self, taken: Taken, links: ScanLinks) -> Ints:
         """Return the numbers (k, 2) of walls of the map, and of those that the scan shows there."""
-        rows, _ = links.store.between(taken.scan, taken.scan + 1)
-        seen, walls = seen_before(links.store, rows), links.store.column("wall")[rows]
+        seen = seen_before(links.store, taken.scan)
+        walls = links.store.column("wall")[links.store.rows(taken.scan)]
         beams = links.beams.of(taken.scan, seen.ends).points
         reach_m = float(np.linalg.norm(beams, axis=1).max())
         tracks = self.before.expected(taken.T_map_robot, reach_m)

@@ -14,12 +14,13 @@ from typing import NamedTuple
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.state.store import ObservationStore
 from relmap.planes.beams import Beams, BeamStore
 from relmap.planes.hypotheses import LATER, Hypotheses, Verdict
 from relmap.planes.judging import NO_CANDIDATES, Candidates, View
 from relmap.planes.links import VARYING_M, unsure_m, usual_motion
 from relmap.planes.motions import others, planar
-from relmap.planes.observation import PlaneObservation
+from relmap.planes.observation import seen_before
 from relmap.planes.odometry import OTHERWISE, Expected
 from relmap.planes.placement import STILL, PlanarMotion
 from relmap.planes.search import Search
@@ -44,12 +45,8 @@ class Scans:
 
     Attributes
     ----------
-    walls : PlaneObservation
-        All observations, scan after scan, without beams.
-    plane : (n,) int64
-        Number of each wall at the time of observation.
-    first_row : (i + 1,) int64
-        First row of each scan, and the end of the last one.
+    store : ObservationStore
+        The walls of every scan, and their numbers at the time of observation.
     beams : BeamStore
     motions : (i, 3) float64
         From the frame of the previous scan to that of each: yaw, x, y.
@@ -63,9 +60,7 @@ class Scans:
         Whether to leave out walls and beams on small free-standing objects.
     """
 
-    walls: PlaneObservation
-    plane: Ints
-    first_row: Ints
+    store: ObservationStore
     beams: BeamStore
     motions: Floats
     measured: Bools
@@ -77,17 +72,13 @@ class Scans:
         """Return whether two scans belong to one run."""
         return not ((self.begun > earlier) & (self.begun <= later)).any()
 
-    def rows(self, scan: int) -> slice:
-        """Return the rows of the walls of a scan."""
-        return slice(*self.first_row[scan : scan + 2].tolist())
-
-    def seen(self, scan: int) -> PlaneObservation:
-        """Return the walls of one scan."""
-        return self.walls.only(self.rows(scan))
+    def plane(self, scan: int) -> Ints:
+        """Return the numbers of the walls of one scan."""
+        return np.asarray(self.store.column("wall")[self.store.rows(scan)])
 
     def beams_of(self, scan: int) -> Beams:
         """Return the beams of one scan."""
-        return self.beams.of(scan, self.walls.ends[self.rows(scan)])
+        return self.beams.of(scan, self.store.column("location")[self.store.rows(scan)])
 
     def holds(self, link: Link) -> bool:
         """Return whether a link is measured, or one near it is and steps are steady.
@@ -103,20 +94,19 @@ class Scans:
 
     def agree(self, link: Link) -> bool:
         """Return whether the walls of two scans have the numbers that a link implies."""
-        numbers = self.plane[self.rows(link.earlier)], self.plane[self.rows(link.later)]
-        both = np.intersect1d(*numbers)
+        both = np.intersect1d(self.plane(link.earlier), self.plane(link.later))
         return np.array_equal(np.unique(link.walls), both) and not np.diff(link.walls).any()
 
     def tracks_of(self, scan: int) -> PlaneTracks:
         """Return the walls of one scan as tracks that a later scan may continue."""
-        seen = self.seen(scan)
-        tracks = PlaneTracks.begun(self.plane[self.rows(scan)], seen)
+        seen = seen_before(self.store, scan)
+        tracks = PlaneTracks.begun(self.plane(scan), seen)
         tracks.corner_at = np.where(seen.static[..., None], seen.ends, np.nan)
         return tracks
 
     def search(self, earlier: int, later: int, before: PlanarMotion) -> Search | None:
         """Return the search for the motion of one scan into another; None if one is empty."""
-        tracks, seen = self.tracks_of(earlier), self.seen(later)
+        tracks, seen = self.tracks_of(earlier), seen_before(self.store, later)
         beams = [self.beams_of(scan) for scan in (earlier, later)]
         if not min(len(tracks), len(seen), *map(len, beams)):
             return None
@@ -243,10 +233,8 @@ def _accepted(
         return []
     same = int(np.argmin(others(found.motions, motion)))
     match = found.matches[same]
-    walls = [scans.plane[scans.rows(earlier)][match.tracks]]
-    walls += [scans.plane[scans.rows(later)][match.walls]]
-    measured = bool(found.measured[same])
-    return [Link(earlier, later, motion, np.column_stack(walls), measured)]
+    walls = np.column_stack([scans.plane(earlier)[match.tracks], scans.plane(later)[match.walls]])
+    return [Link(earlier, later, motion, walls, bool(found.measured[same]))]
 
 
 def _runs(in_doubt: Bools, begun: Ints) -> list[range]:

@@ -105,6 +105,10 @@ class ObservationStore:
             np.arange(self._stored_from, self.n_iterations), np.diff(self._offsets.values)
         )
 
+    def rows(self, iteration: int) -> slice:
+        """Return the rows of one iteration."""
+        return self._rows(iteration, iteration + 1)[0]
+
     def between(self, begin: int, end: int) -> tuple[slice, Ints]:
         """Return the rows of iterations `begin` to `end`, and their iterations."""
         rows, offsets = self._rows(begin, end)
