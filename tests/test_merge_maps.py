@@ -17,7 +17,7 @@ from relmap.core.association.pairing import Motion
 from relmap.core.geometry.alignment import fit_rigid
 from relmap.io.files import read_tum
 from relmap.io.results import read_result
-from relmap.merging.walls import joined_walls, moved
+from relmap.merging.tables import joined_walls, moved
 from relmap.planes.files import read_any, read_planes, write_planes
 from relmap.planes.table import PlaneTable
 from relmap.planes.wall_tie import wall_ties

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.arrays import Floats
-from relmap.planes.basis import relative_map
+from relmap.planes.model import relative_map
 from tests.worlds import aligned_rmse, random_rotation
 
 CORNERS = np.array([[4.0, 2.0], [4.0, 0.0], [-1.0, 2.0], [1.5, 2.0]])

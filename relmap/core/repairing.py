@@ -15,11 +15,16 @@ from relmap.core.association.sightings import Sightings, rows_of_tracks
 from relmap.core.association.undoing import contradicted, nearer_another, pieces, places_of
 from relmap.core.gaps import bridge_gaps, is_bridged
 from relmap.core.mapper import RelativeMapper
-from relmap.core.refinement.by_submap import refine_submaps
 from relmap.core.refinement.condensing import SegmentRows
 from relmap.core.refinement.extending import extend_submaps
+from relmap.core.refinement.joint import Refined
+from relmap.core.refinement.joint import refine as refine_jointly
 from relmap.core.refinement.misread import take_off_misread
+from relmap.core.refinement.observations import observations_of
+from relmap.core.refinement.powers import refine_by_powers
+from relmap.core.refinement.weighed import refine_weighed
 from relmap.core.revisiting import gather, merge_in_place
+from relmap.core.state.store import ObservationStore
 from relmap.core.state.table import NONE
 
 logger = logging.getLogger(__name__)
@@ -189,4 +194,29 @@ def _refine(engine: RelativeMapper, to_the_last: bool = True) -> None:
     kept = engine.store if to_the_last and engine.config.keep_observations else None
     rows = engine.rows if engine.association.has_ids else rows_of_tracks(engine.rows, engine.table)
     engine.association.weigh_again(engine.weighed)
-    engine.refined = refine_submaps(engine.map, rows, kept, engine.weighed)
+    engine.refined = _refine_submaps(engine, rows, kept)
+
+
+def _refine_submaps(
+    engine: RelativeMapper, rows: SegmentRows, kept: ObservationStore | None
+) -> list[Refined]:
+    """Move all landmarks to the joint optimum; return the refined submaps, in order.
+
+    With every observation `kept`, bounded noise is exploited, unless observations have covariances.
+    """
+    table = engine.table
+    of, submaps = table.landmark_of, table.submap
+    others = (submaps == NONE) & ~table.dynamic
+    found, end = [], 0 if kept is None else kept.n_iterations
+    for submap in np.unique(submaps[submaps != NONE]):
+        refined = refine_jointly(rows, table.position, submaps == submap, of, others)
+        if refined is not None and len(engine.weighed):
+            refined = refine_weighed(refined, engine.weighed, of)
+        elif refined is not None and kept is not None:
+            points, (seen, when) = kept.points(0, end), kept.seen(0, end)
+            own = refined.landmarks, refined.positions
+            refined = refine_by_powers(refined, observations_of(points, of[seen], when, *own)[0])
+        if refined is not None:
+            engine.map.move(refined.landmarks, refined.positions)
+            found.append(refined)
+    return found

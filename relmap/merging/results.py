@@ -18,8 +18,7 @@ from relmap.core.map.globalmap import GlobalMap
 from relmap.core.state.table import LandmarkState
 from relmap.evaluation.summary import versions
 from relmap.io.results import Result, Tracks, shifted
-from relmap.merging.tables import joined
-from relmap.merging.walls import joined_walls, moved
+from relmap.merging.tables import joined, joined_walls, moved
 from relmap.planes.files import PlaneResult, read_any
 from relmap.planes.table import PlaneTable
 from relmap.planes.wall_tie import ACROSS, LEAST_M, RIVAL, wall_ties

@@ -1,14 +1,23 @@
-"""Merging two tables of landmarks in one frame."""
+"""Merging two tables, of landmarks or of walls, in one frame."""
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import fields, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from relmap.core.arrays import Floats, Ints
+from relmap.core.association.pairing import Motion
 from relmap.core.landmarks import LandmarkTable
+from relmap.planes.table import PlaneTable
+from relmap.planes.wall_tie import NEAR_M, SAMPLE_M, WallPoints, WallTie, lying
 
+MOST = 0.5
+"""Fraction of the shorter of two walls that must overlap if they are one."""
+COVERED = 0.8
+"""Fraction of a wall covered by other walls above which it is redundant."""
 COMBINED = {
     "observations": np.add,
     "first_iteration": np.minimum,
@@ -16,6 +25,96 @@ COMBINED = {
     "level": np.maximum,
 }
 """How columns of merged landmarks are combined."""
+
+
+def lying_on(ends: Floats, others: Floats) -> Floats:
+    """Return the length of walls (w, 2, 2) that overlaps each of others (v, 2, 2); (w, v)."""
+    length_m = np.zeros((len(ends), len(others)))
+    if not (len(ends) and len(others)):
+        return length_m
+    points, among = WallPoints.of(ends), WallPoints.of(others)
+    other, _ = lying(points, among, WallTie(np.eye(2), np.zeros(2), 0.0), NEAR_M)
+    on = other >= 0
+    np.add.at(length_m, (points.wall[on], among.wall[other[on]]), SAMPLE_M)
+    return length_m
+
+
+def moved(table: PlaneTable, motion: Motion) -> PlaneTable:
+    """Return walls transformed into the frame of another map."""
+    ends = motion.apply(table.ends.reshape(-1, 2)).reshape(-1, 2, 2)
+    return replace(table, ends=ends, normal=table.normal @ motion.R.T)
+
+
+def joined_walls(one: PlaneTable, other: PlaneTable) -> tuple[PlaneTable, Ints]:
+    """Merge two tables with walls in one frame and distinct corner numbers.
+
+    Overlapping walls are merged: the line is their average, weighted by the number of observations,
+    and the extent is the union. Other walls of `other` that are mostly covered by walls of `one`
+    are left out. Walls of `one` keep their numbers.
+
+    Returns
+    -------
+    table : PlaneTable
+    corners : (k, 2) int64
+        Corners of `other` and of `one` that are one; they keep the number from `one`.
+    """
+    own, new = (np.flatnonzero(table.status == "static") for table in (one, other))
+    lying_m = lying_on(other.ends[new], one.ends[own])
+    length_m = [np.hypot(*(t.ends[k, 1] - t.ends[k, 0]).T) for t, k in ((one, own), (other, new))]
+    due = lying_m >= MOST * np.minimum(length_m[1][:, None], length_m[0][None])
+    partners = _one_to_one(np.where(due, lying_m, 0.0))
+    columns = {field.name: getattr(one, field.name).copy() for field in fields(PlaneTable)}
+    corners = list[tuple[int, int]]()
+    for theirs, mine in partners.tolist():
+        corners += _join(columns, int(own[mine]), other, int(new[theirs]))
+    gone = np.zeros(len(other.plane), dtype=np.bool_)
+    gone[new[lying_m.sum(axis=1) >= COVERED * length_m[1]]] = True
+    gone[new[partners[:, 0]]] = True
+    rest = replace(other, plane=other.plane + (int(one.plane.max(initial=-1)) + 1))
+    for name, column in columns.items():
+        columns[name] = np.concatenate([column, getattr(rest, name)[~gone]])
+    return PlaneTable(**columns), np.array(corners, dtype=np.int64).reshape(-1, 2)
+
+
+def _one_to_one(worth: Floats) -> Ints:
+    """Return a greedy one-to-one assignment (k, 2) of rows and columns, best first."""
+    rows, columns = np.nonzero(worth)
+    pairs, had = list[tuple[int, int]](), (set[int](), set[int]())
+    for k in np.argsort(-worth[rows, columns], kind="stable").tolist():
+        row, column = int(rows[k]), int(columns[k])
+        if row not in had[0] and column not in had[1]:
+            pairs.append((row, column))
+            had[0].add(row)
+            had[1].add(column)
+    return np.array(pairs, dtype=np.int64).reshape(-1, 2)
+
+
+def _join(
+    columns: dict[str, NDArray[Any]], mine: int, other: PlaneTable, k: int
+) -> list[tuple[int, int]]:
+    """Merge a wall of another table into a row of the columns; return the merged corners."""
+    ends = np.stack([columns["ends"][mine], other.ends[k]])
+    seen = np.array([columns["observations"][mine], other.observations[k]], dtype=np.float64)
+    weight = seen / max(seen.sum(), 1.0)
+    way = ends[:, 1] - ends[:, 0]
+    along = weight @ (way / np.hypot(*way.T)[:, None])
+    along /= np.hypot(*along)
+    normal = np.array([-along[1], along[0]])
+    base = weight @ (ends.mean(axis=1) @ normal)
+    reach = ends @ along
+    farthest = np.array([np.argmin(reach[:, 0]), np.argmax(reach[:, 1])])
+    at = reach[farthest, [0, 1]]
+    columns["ends"][mine] = base * normal + at[:, None] * along
+    columns["normal"][mine] = normal
+    corner = np.stack([columns["corner"][mine], other.corner[k]])
+    both = (corner >= 0).all(axis=0)
+    columns["corner"][mine] = np.where(both, corner[0], corner[farthest, [0, 1]])
+    z = np.stack([columns["z_extent"][mine], other.z_extent[k]])
+    columns["z_extent"][mine] = z[:, 0].min(), z[:, 1].max()
+    columns["observations"][mine] = int(seen.sum())
+    for name, of in (("first_iteration", min), ("last_iteration", max)):
+        columns[name][mine] = of(columns[name][mine], getattr(other, name)[k])
+    return [(int(theirs), int(own)) for own, theirs in corner.T[both].tolist()]
 
 
 def joined(one: LandmarkTable, other: LandmarkTable, pairs: Ints) -> LandmarkTable:

@@ -53,7 +53,7 @@ def share_at_rest(scans: Scans, is_tied: Bools, most: int = LINKS) -> float:
 
 def _seen_again(earlier: Beams, later: Beams, motion: Floats) -> tuple[int, int]:
     """Return how many points on loose objects of one scan are there, and gone, in a later one."""
-    from relmap.planes.at_rest_kernels import seen_again
+    from relmap.planes.loose_kernels import seen_again
 
     if not len(later):
         return 0, 0

@@ -8,9 +8,9 @@ import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.config import MapperConfig
+from relmap.core.geometry.alignment import fixes_rotation
 from relmap.core.state.store import Rows, Shown
 from relmap.core.state.table import LandmarkState
-from relmap.planes.basis import relative_map
 from relmap.planes.observation import PlaneObservation
 from relmap.planes.registration import PlaneRegistration
 
@@ -97,3 +97,34 @@ class WallModel:
         a, b = positions[new + 1] - positions[new], positions[old + 1] - positions[old]
         # An unmapped midpoint is not informative.
         return not a @ b < TURN * np.sqrt((a @ a) * (b @ b))
+
+
+def relative_map(block: Floats) -> Floats | None:
+    """Average a group's locations in a basis invariant to rotation and translation.
+
+    Every iteration is rotated so that the line through the two points farthest apart is at 0
+    degrees, and then averaged. If there is only one wall, the pair lies on it, as in Fig. 2; the
+    larger the distance, the smaller the effect of noise on the rotation.
+
+    Parameters
+    ----------
+    block : (g, i, 2) float64, robot frame, metres
+        Every member seen in every iteration.
+
+    Returns
+    -------
+    (g, 2) float64, group frame, metres, or None if the group determines no basis
+    """
+    middle = block[:, block.shape[1] // 2]
+    if not fixes_rotation(middle):
+        return None
+    apart = np.linalg.norm(middle[:, None] - middle, axis=2)
+    first, second = np.unravel_index(np.argmax(apart), apart.shape)
+    axis = block[second] - block[first]
+    length = np.linalg.norm(axis, axis=1)
+    fixed = length > 0  # two ends may coincide
+    axis = axis[fixed] / length[fixed, None]
+    relative = (block - block[first])[:, fixed]
+    x = (relative * axis).sum(axis=2)
+    y = relative[..., 1] * axis[:, 0] - relative[..., 0] * axis[:, 1]
+    return np.stack([x.mean(axis=1), y.mean(axis=1)], axis=1)

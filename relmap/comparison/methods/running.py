@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 from time import process_time
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from relmap.comparison.memory import PeakMemory
 from relmap.comparison.methods.base import MethodInfo, Setup
 from relmap.comparison.methods.registry import find_method
 from relmap.core.arrays import Floats
@@ -54,6 +55,9 @@ GUESSED_FROM = 200
 """Number of iterations from which the noise of a log is estimated."""
 FEW_M = 0.01
 """Noise assumed if it cannot be estimated from the log."""
+_STATUS = Path("/proc/self/status")
+_RESET = Path("/proc/self/clear_refs")
+KB_PER_MB = 1024
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,3 +201,31 @@ def _cost(fed: Fed) -> dict[str, float | None]:
         "last_100_median_ms": times["last_100_median_ms"],
         "total_s": float(durations_s.sum()) + fed.finish_s + fed.refine_s,
     }
+
+
+class PeakMemory:
+    """Measures this process from construction on; Linux only."""
+
+    def __init__(self) -> None:
+        # If the peak cannot be reset, it is that of the whole process so far.
+        with suppress(OSError):
+            _RESET.write_text("5")
+        self._before = _kibibytes("VmRSS")
+
+    @property
+    def grown_mb(self) -> float | None:
+        """Peak minus initial memory, megabytes; None if the system does not report it."""
+        peak = _kibibytes("VmHWM")
+        if peak is None or self._before is None:
+            return None
+        return max(peak - self._before, 0) / KB_PER_MB
+
+
+def _kibibytes(name: str) -> int | None:
+    """Return a line of the process status, kilobytes."""
+    try:
+        lines = _STATUS.read_text().splitlines()
+    except OSError:
+        return None
+    found = [line.split()[1] for line in lines if line.startswith(f"{name}:")]
+    return int(found[0]) if found else None

@@ -11,9 +11,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError, reason
 from relmap.io.journal.file import connected, create_file
-from relmap.io.journal.layout import END, End, Layout, call_checksum, checksum
-from relmap.io.journal.rows import (
+from relmap.io.journal.layout import (
+    END,
+    End,
+    Layout,
     Statements,
+    call_checksum,
+    checksum,
     covariance_rows,
     observation_rows,
     odometry_rows,
