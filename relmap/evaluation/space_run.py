@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from relmap.core.landmarks import LandmarkTable
 from relmap.datasets.scans import ScanLog
 from relmap.evaluation.feeding import Progress, Through, feed
 from relmap.evaluation.summary import completion, steps_of, versions
-from relmap.io.results import Tracks
+from relmap.io.results import Tracks, shifted
 from relmap.planes3d import Plane3dMapper
 from relmap.planes3d.files import Plane3dResult
 from relmap.planes3d.submap import Submap
@@ -83,12 +83,8 @@ def run_in_space(
 def _result(
     mapper: Plane3dMapper, log: ScanLog, labels: list[np.ndarray], entries: dict[str, Any]
 ) -> SpaceResult:
-    first, table = log.first_iteration, mapper.planes
-    table = replace(
-        table,
-        first_iteration=table.first_iteration + first,
-        last_iteration=table.last_iteration + first,
-    )
+    first = log.first_iteration
+    table = shifted(mapper.planes, first)
     parts = mapper.submaps
     paths = [(log.stamps_s[part.iteration], part.trajectory) for part in parts]
     counts = np.array([len(each) for each in labels], dtype=np.int64)

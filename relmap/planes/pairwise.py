@@ -89,7 +89,8 @@ def pairwise_map(history: PlaneHistory, n_planes: int) -> Floats:
     from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
 
     rows_of = [np.flatnonzero(history.plane == plane) for plane in range(n_planes)]
-    size = np.array([_largest(history.ends[rows]) for rows in rows_of])
+    seen_m = np.linalg.norm(history.ends[:, 1] - history.ends[:, 0], axis=1)
+    size = np.array([seen_m[rows].max(initial=0.0) for rows in rows_of])
     relations: dict[tuple[int, int], Relation] = {}
     for a in range(n_planes):
         for b in range(a + 1, n_planes):
@@ -108,10 +109,6 @@ def pairwise_map(history: PlaneHistory, n_planes: int) -> Floats:
     root = int(pairs[0, 0])
     order, before = breadth_first_order(tree, root, directed=False)
     return _chained(relations, order.astype(np.int64), before.astype(np.int64), size)
-
-
-def _largest(ends: Floats) -> float:
-    return float(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).max(initial=0.0))
 
 
 def _chained(

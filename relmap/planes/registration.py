@@ -174,7 +174,8 @@ class PlaneRegistration:
         row = np.array([row_of[plane] for plane in walls[wall].tolist()], dtype=np.int64)
         at = seen.ends[wall, end]
         off = np.abs(((at - tracks.corner_at[row, end]) * seen.along[wall]).sum(axis=1))
-        fresh = ~(off <= STRAYED_M + SIGMAS * self._sd(seen)[wall])
+        # The standard deviation of an end along its wall is about three times that across it.
+        fresh = ~(off <= STRAYED_M + SIGMAS * (3 * seen.sd[wall]))
         strayed = untyped[wall, end] & fresh & (tracks.corner[row, end] >= 0)
         if strayed.any():  # the static corners are out of view: a new interval begins
             tracks.corner[row[strayed], end[strayed]] = NO_CORNER
@@ -241,10 +242,6 @@ class PlaneRegistration:
         self.links.store.column("corner")[rows][own, end] = corner
         if corner == NO_CORNER:
             self.links.store.column("landmark")[rows][own, end] = corner
-
-    def _sd(self, seen: PlaneObservation) -> Floats:
-        """Return approximate standard deviations of the ends (m,) along their walls."""
-        return 3 * seen.sd
 
 
 def _followed(

@@ -63,7 +63,7 @@ class Steps:
             rows = slice(iterations[k] + 1, iterations[k + 1] + 1)
             if np.isfinite(self.motion[rows]).all():
                 both.append((k, k + 1))
-                motion.append(composed(self.motion[rows]))
+                motion.append(path_of(self.motion[rows])[-1])
                 sd.append(np.sqrt(self.variance[rows].sum(axis=0)))
         if not both:
             return MotionFactors()
@@ -180,11 +180,6 @@ def path_of(steps: Floats) -> Floats:
     c, s = np.cos(yaw - steps[:, 0]), np.sin(yaw - steps[:, 0])
     x, y = steps[:, 1:].T
     return np.column_stack([yaw, np.cumsum(c * x - s * y), np.cumsum(s * x + c * y)])
-
-
-def composed(steps: Floats) -> Floats:
-    """Return the composition of steps (k, 3), in order, as one (3,)."""
-    return np.asarray(path_of(steps)[-1])
 
 
 def _windows(poses: Floats, way: Floats, known: Bools) -> tuple[Ints, Ints]:

@@ -11,6 +11,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from relmap.core.arrays import Floats
+from relmap.core.landmarks import in_space
 from relmap.evaluation.corners import MatchedCorners
 from relmap.evaluation.truth import Truth
 from relmap.planes.files import DrawnSubmap
@@ -121,7 +122,7 @@ def _draw_map(axes: Axes, planes: PlaneTable, poses: Floats) -> tuple[int, int]:
 
 def _sheet(places: Floats, poses: Floats) -> Sheet:
     """Return a figure for positions (n, 2) and the path of poses (k, 4, 4)."""
-    return Sheet(_in_space(places), _in_space(poses[:, :2, 3]), planar=True, dpi=FINE_DPI)
+    return Sheet(in_space(places), in_space(poses[:, :2, 3]), planar=True, dpi=FINE_DPI)
 
 
 def plot_planes(
@@ -174,7 +175,7 @@ def plot_building(building: Building) -> Figure:
     way = building.trajectory[:, :3, 3]
     T_map_robot = building.trajectory[0]
     seen = building.scans[0].points @ T_map_robot[:3, :3].T + T_map_robot[:3, 3]
-    sheet = Sheet(_in_space(ends.reshape(-1, 2)), way, planar=True)
+    sheet = Sheet(in_space(ends.reshape(-1, 2)), way, planar=True)
     axes = sheet.views[0][0]
     draw_walls(axes, ends, "wall", INK, zorder=3.0)
     axes.plot(*way[:, :2].T, color=BLUE, linewidth=1.2, zorder=4, label="path of the robot")
@@ -201,10 +202,6 @@ def draw_walls(
 def draw_true_walls(axes: Axes, ends: Floats) -> None:
     """Draw true walls (m, 2, 2) as thin lines, below those of the map."""
     draw_walls(axes, ends, "true wall", TRUE_WALL, width=1.0, zorder=4.0)
-
-
-def _in_space(flat: Floats) -> Floats:
-    return np.column_stack([flat, np.zeros(len(flat))])
 
 
 write_planes_png = to_png(plot_planes)

@@ -6,7 +6,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import fit_rigid, fixes_rotation
@@ -129,18 +128,3 @@ def map_of(places: Mapping[int, Floats]) -> LandmarkMap:
     if not labels:
         return NO_MAP
     return LandmarkMap(np.array(labels, np.int64), in_space(np.array([places[i] for i in labels])))
-
-
-def turned_by(points: Floats) -> Floats:
-    """Return the Jacobian (n, d, r) of rotated points (n, d) by a rotation about each axis."""
-    if points.shape[1] == 2:
-        return np.stack([-points[:, 1], points[:, 0]], axis=1)[:, :, None]
-    return np.stack([np.cross(axis, points) for axis in np.eye(3)], axis=2)
-
-
-def rotations(turns: Floats) -> Floats:
-    """Return rotations (n, d, d) from angles (n, 1) in the plane or vectors (n, 3), radians."""
-    if turns.shape[1] == 3:
-        return Rotation.from_rotvec(turns).as_matrix()
-    cos, sin = np.cos(turns[:, 0]), np.sin(turns[:, 0])
-    return np.stack([np.stack([cos, -sin], axis=1), np.stack([sin, cos], axis=1)], axis=1)

@@ -14,9 +14,10 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import spsolve
 
-from relmap.comparison.baselines.base import fitted, rotations, turned_by
+from relmap.comparison.baselines.base import fitted
 from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
+from relmap.core.geometry.motions import derivatives, rotations
 
 CONVERGED_M = 1e-9
 
@@ -110,7 +111,7 @@ def _gauss_newton(
     k, m = len(R), len(landmarks)
     turned = np.einsum("nij,nj->ni", R[observations.pose], observations.points_robot)
     residual = (turned + t[observations.pose] - landmarks[observations.landmark]).ravel()
-    by_pose = np.concatenate([turned_by(turned), np.tile(np.eye(d), (n, 1, 1))], axis=2)
+    by_pose = derivatives(turned)
     q = by_pose.shape[2]
     J_pose = _block_columns(by_pose, observations.pose, k)[:, q:]  # the first pose is fixed
     J_map = _block_columns(np.tile(-np.eye(d), (n, 1, 1)), observations.landmark, m)

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from relmap.comparison.baselines.base import turned_by
 from relmap.core.arrays import Floats
+from relmap.core.geometry.motions import derivatives
 
 if TYPE_CHECKING:
     from relmap.comparison.baselines.ekf import EkfConfig
@@ -44,7 +44,7 @@ def predicted(
     J = _jacobian(points) @ R_sensor.T @ R.T
     innovation = spherical(observed) - spherical(points)
     innovation[:, 1:] = (innovation[:, 1:] + np.pi) % (2 * np.pi) - np.pi
-    by_pose = np.concatenate([-J, -J @ turned_by(apart)], axis=2)
+    by_pose = np.concatenate([-J, -J @ derivatives(apart)[:, :, :-d]], axis=2)
     return innovation, by_pose, J, _variance(observed, config)
 
 
@@ -68,7 +68,7 @@ def inverse_model(
     K = R @ R_sensor @ np.linalg.inv(_jacobian(observed))
     covariance = (K * _variance(observed, config)[:, None]) @ np.swapaxes(K, 1, 2)
     shift = np.tile(np.eye(d), (len(points_robot), 1, 1))
-    return turned + t, np.concatenate([shift, turned_by(turned)], axis=2), covariance
+    return turned + t, np.concatenate([shift, derivatives(turned)[:, :, :-d]], axis=2), covariance
 
 
 def spherical(points: Floats) -> Floats:

@@ -23,10 +23,11 @@ from typing import Literal
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from relmap.comparison.baselines.base import KnownBaseline, Pose, fitted, map_of, rotations
+from relmap.comparison.baselines.base import KnownBaseline, Pose, fitted, map_of
 from relmap.comparison.baselines.bearing import inverse_model, predicted
 from relmap.comparison.methods.base import Setup
 from relmap.core.arrays import Floats, Ints
+from relmap.core.geometry.motions import rotations
 from relmap.core.landmarks import LandmarkMap
 
 UNKNOWN_M, UNKNOWN_RAD = 10.0, 1.0

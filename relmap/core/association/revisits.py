@@ -65,7 +65,6 @@ class Stretch:
 
     Attributes
     ----------
-    pose : int
     new, old : (n,), (m,) int64
         Landmarks.
     points, there : (n, d), (m, d) float64, metres
@@ -78,7 +77,6 @@ class Stretch:
         Largest error of their direction.
     """
 
-    pose: int
     new: Ints
     old: Ints
     points: Floats
@@ -181,7 +179,7 @@ class RevisitFinder:
             return None
         old, there = old[near], there[near]
         turn_rad = float(sigmas * turn[old].max())
-        return Stretch(pose, new, old, points, there, reach[near], sd_m[old], turn_rad)
+        return Stretch(new, old, points, there, reach[near], sd_m[old], turn_rad)
 
     def _revisit(self, pose: int, sigmas: float, wider: float) -> Revisit | None:
         """Return the revisit of a stretch; None if there is none, or it is uncertain."""
