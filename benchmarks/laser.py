@@ -28,11 +28,11 @@ from typing import Any
 
 import numpy as np
 from shared.judging import judged, judged_cells
+from shared.log_faults import composed
 
 from relmap import PlaneMapper
 from relmap.core.arrays import Floats
 from relmap.datasets import open_scans
-from relmap.datasets.odometry import composed
 from relmap.datasets.scans import ScanLog, SensorView, stored_scans
 from relmap.evaluation.corners import match_corners
 from relmap.evaluation.feeding import Fed, feed

@@ -12,10 +12,11 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 
+from benchmarks.shared.log_faults import composed
 from relmap.core.arrays import Floats
 from relmap.core.odometry import checked_odometry, motion_from_velocity
 from relmap.datasets import open_log, open_scans
-from relmap.datasets.odometry import composed, driven, motions, write_odometry_csv
+from relmap.datasets.odometry import driven, motions, write_odometry_csv
 from relmap.datasets.scans import poses_of
 from tests.hostile import CIRCLES, MRPT, OBSERVED, mat, scans
 from tests.logs import PLAIN, TREES, failure, put

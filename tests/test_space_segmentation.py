@@ -117,16 +117,6 @@ def test_coplanar_boards_are_one_and_a_step_makes_two() -> None:
     assert len(PatchSegmenter().fit(two(0.08)).patches_) == 2
 
 
-def test_outline_goes_round_what_was_seen() -> None:
-    patches = PatchSegmenter().fit(board([3, 0, 0], [0, 2, 0], [0, 0, 2])).patches_
-    outline = patches.outline(0)
-    v, w = outline[:, 1], outline[:, 2]
-    area = (v @ np.roll(w, -1) - w @ np.roll(v, -1)) / 2
-    # The sensor looks along x: anticlockwise to it is the other way round in y and z.
-    assert 2.5 < -area < 4.01
-    assert np.allclose(outline[:, 0], 3)
-
-
 @pytest.mark.parametrize("n", [0, 1, 59])
 def test_few_points_show_nothing(n: int) -> None:
     segmenter = PatchSegmenter().fit(np.ones((n, 3)))

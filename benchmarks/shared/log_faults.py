@@ -8,13 +8,13 @@ observations, so that they are plausible. A share is a fraction of all observati
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.datasets.base import ObservationLog
-from relmap.datasets.odometry import composed
 
 
 def gross_outliers(log: ObservationLog, share: float, rng: np.random.Generator) -> ObservationLog:
@@ -102,6 +102,16 @@ def time_backwards(log: ObservationLog, first: int, count: int) -> ObservationLo
     iteration = np.where(within, 2 * first + count - 1 - log.iteration, log.iteration)
     order = np.argsort(iteration, kind="stable")
     return replace(_rows(log, order), iteration=iteration[order])
+
+
+def composed(odometry: Floats, kept: Ints) -> Floats:
+    """Return the motions (m, 4, 4) between kept iterations (m,), ascending, from all (k, 4, 4)."""
+    found = np.full((len(kept), 4, 4), np.nan)
+    for row, (begin, end) in enumerate(pairwise(kept.tolist()), 1):
+        found[row] = np.eye(4)
+        for motion in odometry[begin + 1 : end + 1]:
+            found[row] = found[row] @ motion
+    return found
 
 
 def _drawn(log: ObservationLog, share: float, rng: np.random.Generator) -> Ints:

@@ -16,7 +16,7 @@ import logging
 import math
 import os
 from dataclasses import replace
-from itertools import accumulate, pairwise
+from itertools import accumulate
 from pathlib import Path
 from typing import TypeVar
 
@@ -63,23 +63,6 @@ def motions(poses: Floats) -> Floats:
     """Return the motion from the previous to each of the poses (k, 4, 4); NaN for the first."""
     found = np.full(poses.shape, np.nan)
     found[1:] = relative(poses[:-1], poses[1:])
-    return found
-
-
-def composed(odometry: Floats, kept: Ints) -> Floats:
-    """Return the motions (m, 4, 4) between the kept iterations, from those of all.
-
-    Parameters
-    ----------
-    odometry : (k, 4, 4) float64
-    kept : (m,) int64, ascending
-        Indices of iterations in range(k).
-    """
-    found = np.full((len(kept), 4, 4), np.nan)
-    for row, (begin, end) in enumerate(pairwise(kept.tolist()), 1):
-        found[row] = np.eye(4)
-        for motion in odometry[begin + 1 : end + 1]:
-            found[row] = found[row] @ motion
     return found
 
 

@@ -80,13 +80,6 @@ class Patches:
         scatter[:, 3, 3] = 1.0
         return np.asarray(weight[:, None, None] * scatter)
 
-    def outline(self, patch: int) -> Floats:
-        """Return the convex outline (k, 3) of a patch, anticlockwise as seen from the sensor."""
-        from scipy.spatial import ConvexHull
-
-        cells = self.cells[self.cell_patch == patch]
-        return np.asarray(cells[ConvexHull(cells @ self.axes[patch, :2].T).vertices])
-
 
 def reach_of(cells: Floats) -> float:
     """Return the median distance of cells (c, 3) from the origin; 0 if there are none."""
