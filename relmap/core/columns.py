@@ -51,10 +51,7 @@ class Table:
     def to_dataframe(self) -> Any:
         """Return the columns as a `pandas.DataFrame`.
 
-        Raises
-        ------
-        RelmapError
-            If pandas is not installed.
+        Raises `RelmapError` if pandas is not installed.
         """
         try:
             import pandas as pd

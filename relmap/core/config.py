@@ -70,10 +70,7 @@ class MapperConfig:
     def __post_init__(self) -> None:
         """Check every value.
 
-        Raises
-        ------
-        RelmapError
-            Names the key, the value and what is expected.
+        The `RelmapError` names the key, the value and what is expected.
         """
         second, third = ("second_pass", 2), ("third_pass", 3)
         for key, lowest in (("group_after", 1), second, third, ("max_missed", 0)):
@@ -170,10 +167,7 @@ class MapperConfig:
 def refuse(given: Iterable[str], unused: Mapping[str, str]) -> None:
     """Check that no given setting would be ignored.
 
-    Raises
-    ------
-    RelmapError
-        Names the first that would.
+    The `RelmapError` names the first that would.
     """
     for name in given:
         if name in unused:

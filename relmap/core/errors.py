@@ -33,10 +33,7 @@ def brief(value: object) -> str:
 def known_name(name: str, known: Collection[str], what: str) -> str:
     """Return a name if it is known.
 
-    Raises
-    ------
-    RelmapError
-        If it is unknown; suggests the closest name, or lists all.
+    Raises `RelmapError` if it is unknown; suggests the closest name, or lists all.
     """
     if name in known:
         return name

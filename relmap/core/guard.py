@@ -27,10 +27,7 @@ class ChangeGuard:
     A change interrupted at any moment, for example by Ctrl-C, either has no effect or is reported
     by `check` and the next `change`.
 
-    Attributes
-    ----------
-    latest : list
-        Identifies the latest change that was begun: another object for each.
+    `latest`: identifies the latest change that was begun: another object for each.
     """
 
     def __init__(self) -> None:
@@ -41,10 +38,7 @@ class ChangeGuard:
     def check(self) -> None:
         """Check that the guarded object is complete; during a change its own thread may read it.
 
-        Raises
-        ------
-        RelmapError
-            If another thread is changing it, or a change was interrupted.
+        Raises `RelmapError` if another thread is changing it, or a change was interrupted.
         """
         holder = self._holder.get("thread")
         if holder is not None and holder[0] != get_ident():
@@ -53,25 +47,15 @@ class ChangeGuard:
     def change(self, spoils: bool = True) -> Change:
         """Return a context manager for a change; on `RelmapError` the change did not begin.
 
-        Parameters
-        ----------
-        spoils : bool
-            Whether any other exception leaves the object incomplete.
-
-        Raises
-        ------
-        RelmapError
-            On entry, if a change is in progress or was interrupted.
+        `spoils`: whether any other exception leaves the object incomplete. Raises `RelmapError` on
+        entry, if a change is in progress or was interrupted.
         """
         return Change(self, self._holder, spoils)
 
     def check_same(self, latest: list[int]) -> None:
         """Check that no change began since `latest` was read.
 
-        Raises
-        ------
-        RelmapError
-            If one did: the data read since then may be of two states.
+        Raises `RelmapError` if one did: the data read since then may be of two states.
         """
         if self.latest is not latest:
             raise RelmapError(BUSY)
@@ -105,10 +89,7 @@ def reads_whole(*changing: str) -> Callable[[type[T]], type[T]]:
 
     It applies to the public methods and properties that a class defines, and its `_guard`.
 
-    Parameters
-    ----------
-    *changing : str
-        Methods that change the object themselves.
+    `*changing`: methods that change the object themselves.
     """
 
     def decorated(cls: type[T]) -> type[T]:

@@ -74,25 +74,12 @@ class RelativeMapper:
     ) -> Ints:
         """Process one scan.
 
-        Parameters
-        ----------
-        seen : sequence of n observations of the model's kind, robot frame
-        ids : (n,) int64, optional
-            Known association; negative where a landmark was not identified.
-        covariances : (n, d, d) float64, optional
-            Only for points; robot frame, square metres.
-        odometry : (4, 4) float64, optional
-            Pose of the robot in its frame of the previous iteration.
-
-        Returns
-        -------
-        (n,) int64
-            Landmark of each observation, as numbered by the association; negative if unknown.
-
-        Raises
-        ------
-        RelmapError
-            If ids come with some scans but not with others.
+        `seen`: sequence of n observations of the model's kind, robot frame. `ids` (n,): known
+        association; negative where a landmark was not identified. `covariances` (n, d, d): only for
+        points; robot frame, square metres. `odometry` (4, 4): pose of the robot in its frame of the
+        previous iteration. Returns (n,): landmark of each observation, as numbered by the
+        association; negative if unknown. Raises `RelmapError` if ids come with some scans but not
+        with others.
         """
         iteration = self.store.n_iterations
         if len(seen) or self.association.registration is not None:

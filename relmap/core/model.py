@@ -40,11 +40,8 @@ class LandmarkModel(Protocol):
     def rows(self, seen: Any, found: Ints) -> Rows:
         """Return the columns to store for one scan.
 
-        Parameters
-        ----------
-        seen : sequence of n observations
-        found : (n,) int64
-            Landmark of each observation, as numbered by the registration; negative if unknown.
+        `seen`: sequence of n observations. `found` (n,): landmark of each observation, as numbered
+        by the registration; negative if unknown.
         """
         ...
 
@@ -55,14 +52,8 @@ class LandmarkModel(Protocol):
     def average_in_basis(self, block: Floats) -> Floats | None:
         """Average a group's locations in its consistent basis (Figs 1, 2 and 8).
 
-        Parameters
-        ----------
-        block : (g, i, d) float64, robot frame, metres
-            Every member seen in every iteration.
-
-        Returns
-        -------
-        (g, d) float64, group frame, metres, or None if the group determines no basis
+        `block` (g, i, d), robot frame, metres: every member seen in every iteration. Returns
+        (g, d), group frame, metres, or None if the group determines no basis.
         """
         ...
 

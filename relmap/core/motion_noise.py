@@ -34,16 +34,10 @@ FLOOR_M, FLOOR_RAD = 1e-4, 1e-5
 class MotionNoise:
     """Constant errors of odometry, and standard deviations of the rest of a step.
 
-    Attributes
-    ----------
-    scale : float
-        Distance travelled by the robot, relative to that of its odometry.
-    turn_per_m : (3,) float64
-        Turn (a rotation vector) that odometry misses per metre, radians.
-    sigma_way : float
-        Standard deviation of each coordinate, relative to the distance.
-    sigma_m, sigma_rad : float
-        Constant part of it, and standard deviation of the angle about each axis, per step.
+    `scale`: distance travelled by the robot, relative to that of its odometry; `turn_per_m` (3,):
+    turn (a rotation vector) that odometry misses per metre, radians; `sigma_way`: standard
+    deviation of each coordinate, relative to the distance; `sigma_m`, `sigma_rad`: constant part of
+    it, and standard deviation of the angle about each axis, per step.
     """
 
     scale: float = 1.0
@@ -77,11 +71,8 @@ class MotionNoise:
     ) -> Bools:
         """Return in which steps (k,) odometry contradicts measured motions (k, 4, 4).
 
-        Parameters
-        ----------
-        odometry, measured : (k, 4, 4) float64
-        sd_m, sd_rad : (k,) float64
-            Standard deviations of the measured motions: of a coordinate, metres, and of the angle.
+        `odometry`, `measured` (k, 4, 4); `sd_m`, `sd_rad` (k,): standard deviations of the measured
+        motions: of a coordinate, metres, and of the angle.
         """
         off_m, off_rad = _apart(self.corrected(odometry), measured)
         sigma_m, sigma_rad = self.sigmas(odometry)
@@ -94,12 +85,8 @@ def motion_noise(
 ) -> MotionNoise | None:
     """Return errors and noise of odometry from more accurate motions; None if there are too few.
 
-    Parameters
-    ----------
-    odometry, measured : (k, 4, 4) float64
-        Pose of the robot in its previous frame; NaN if unknown.
-    constant : MotionNoise, optional
-        The constant errors, if known from longer motions.
+    `odometry`, `measured` (k, 4, 4): pose of the robot in its previous frame; NaN if unknown.
+    `constant`: the constant errors, if known from longer motions.
     """
     both = np.isfinite(odometry[:, 0, 0]) & np.isfinite(measured[:, 0, 0])
     if both.sum() < FEWEST:

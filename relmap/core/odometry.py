@@ -25,16 +25,10 @@ RIGID = 1e-6
 def checked_odometry(odometry: ArrayLike) -> Floats:
     """Return a motion as a new pose (4, 4) float64.
 
-    Parameters
-    ----------
-    odometry : (3,), (7,) or (4, 4) array of numbers
-        The robot's pose in its frame one iteration before, metres and radians: x, y, yaw;
-        x, y, z and a quaternion, scalar last; or a matrix.  Unknown if all values are NaN.
-
-    Raises
-    ------
-    RelmapError
-        If the shape is wrong, a value is not finite, or the rotation is invalid.
+    `odometry` (3,), (7,) or (4, 4) array of numbers: the robot's pose in its frame one iteration
+    before, metres and radians: x, y, yaw; x, y, z and a quaternion, scalar last; or a matrix.
+    Unknown if all values are NaN. Raises `RelmapError` if the shape is wrong, a value is not
+    finite, or the rotation is invalid.
     """
     array = numbers(odometry, "odometry", WANTED)
     if array.shape not in ((3,), (7,), (4, 4)):
@@ -106,11 +100,7 @@ class OdometryUse:
     def of(cls, noise: MotionNoise, slipped: Bools) -> OdometryUse:
         """Return a record of odometry that was checked, but not used.
 
-        Parameters
-        ----------
-        noise : MotionNoise
-        slipped : (k,) bool
-            Iterations in which landmarks contradict it.
+        `slipped` (k,): iterations in which landmarks contradict it.
         """
         none = np.empty(0, dtype=np.int64)
         return cls(noise, False, np.flatnonzero(slipped), none, np.empty((0, 4, 4)), np.ones(3))

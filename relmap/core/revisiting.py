@@ -161,12 +161,8 @@ def _nearest_pairs(own: Ints, at: Floats, scans: dict[int, set[int]]) -> Ints:
 class _Accuracy:
     """Whether landmarks that coincide are one: where the map has drifted, they may be neighbours.
 
-    Parameters
-    ----------
-    engine : RelativeMapper
-    seen_in : (m,) int64, optional
-        An iteration in which each landmark was seen: one that is not mapped is as accurate as the
-        pose, if that is in the largest part.
+    `seen_in` (m,): an iteration in which each landmark was seen: one that is not mapped is as
+    accurate as the pose, if that is in the largest part.
     """
 
     def __init__(self, engine: RelativeMapper, seen_in: Ints | None = None) -> None:

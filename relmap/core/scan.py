@@ -25,17 +25,9 @@ exhausted."""
 def checked_points(points: ArrayLike, dimension: int) -> Floats:
     """Return the points of one scan as a new array (n, d) float64.
 
-    Parameters
-    ----------
-    points : (n, 2) or (n, 3) array of numbers, robot frame, metres
-        An empty scan may have any width.
-    dimension : int
-        Width of earlier scans; 0 if there were none.
-
-    Raises
-    ------
-    RelmapError
-        If the shape is wrong, differs from earlier scans, or a value is not finite.
+    `points` (n, 2) or (n, 3) of numbers, robot frame, metres: an empty scan may have any width.
+    `dimension`: width of earlier scans; 0 if there were none. Raises `RelmapError` if the shape is
+    wrong, differs from earlier scans, or a value is not finite.
     """
     array = numbers(points, "points", "an (n, 2) or (n, 3) array of numbers")
     if array.size == 0 and array.ndim in (1, 2):
@@ -59,17 +51,8 @@ def checked_points(points: ArrayLike, dimension: int) -> Floats:
 def numbers(values: ArrayLike, name: str, wanted: str, least: float = TINY) -> Floats:
     """Return values as a new, contiguous float64 array; those below the least are zero.
 
-    Parameters
-    ----------
-    values : array of numbers
-    name, wanted : str
-        Name of the argument and the expected value, for error messages.
-    least : float
-
-    Raises
-    ------
-    RelmapError
-        If they are not an array of real numbers.
+    `values`: array of numbers; `name`, `wanted`: name of the argument and the expected value, for
+    error messages. Raises `RelmapError` if they are not an array of real numbers.
     """
     try:
         array = np.asarray(values)
@@ -85,10 +68,8 @@ def numbers(values: ArrayLike, name: str, wanted: str, least: float = TINY) -> F
 def checked_ids(ids: ArrayLike, n_points: int) -> Ints:
     """Return the ids of one scan as an array (n,) int64.
 
-    Raises
-    ------
-    RelmapError
-        If they are not one whole number per point, or a non-negative id is duplicated.
+    Raises `RelmapError` if they are not one whole number per point, or a non-negative id is
+    duplicated.
     """
     try:
         array = np.asarray(ids)
@@ -114,17 +95,9 @@ def checked_ids(ids: ArrayLike, n_points: int) -> Ints:
 def checked_covariances(covariances: ArrayLike, points: Floats) -> Floats:
     """Return the covariances of one scan as a new array (n, d, d) float64, exactly symmetric.
 
-    Parameters
-    ----------
-    covariances : (n, d, d) array of numbers, robot frame, square metres
-    points : (n, d) float64
-        The points they belong to.
-
-    Raises
-    ------
-    RelmapError
-        If the shape is wrong, or a matrix is not finite, symmetric, positive definite, and within
-        the range of real sensors.
+    `covariances` (n, d, d) of numbers, robot frame, square metres; `points` (n, d): the points they
+    belong to. Raises `RelmapError` if the shape is wrong, or a matrix is not finite, symmetric,
+    positive definite, and within the range of real sensors.
     """
     n, d = points.shape
     shape = f"({n}, {d}, {d})"
@@ -160,10 +133,7 @@ def _require(good: Bools, covariances: Floats, what: str) -> None:
 def checked_labels(labels: ArrayLike, handed_out: Ints) -> Ints:
     """Return labels (n,) as int64 after checking that they are among the known ones (k,).
 
-    Raises
-    ------
-    RelmapError
-        Names the first that is not.
+    The `RelmapError` names the first that is not.
     """
     try:
         array = np.asarray(labels)

@@ -27,10 +27,7 @@ class Stamps:
     def checked(self, stamp_s: ArrayLike) -> float:
         """Return the time of the next scan.
 
-        Raises
-        ------
-        RelmapError
-            If it is not one finite number, or not later than the latest time.
+        Raises `RelmapError` if it is not one finite number, or not later than the latest time.
         """
         wanted = "one finite number of seconds"
         array = numbers(stamp_s, "stamp_s", wanted, 0.0)

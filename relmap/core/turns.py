@@ -19,11 +19,7 @@ if TYPE_CHECKING:
 def take_turns(engine: RelativeMapper, seen: Ints, left: Ints) -> None:
     """Group, group for the last time, forget, or refine the live map.
 
-    Parameters
-    ----------
-    engine : RelativeMapper
-    seen, left : (k,) int64
-        Landmarks seen in this iteration, and those that left the view in it.
+    `seen`, `left` (k,): landmarks seen in this iteration, and those that left the view in it.
     """
     engine.schedule.note_due(seen)
     engine.merger.leave(left)

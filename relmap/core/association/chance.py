@@ -25,14 +25,8 @@ LOG_CHANCE, LOG_CHANCE_NEAR = float(np.log(1e-3)), float(np.log(1e-2))
 class Chance:
     """The matches that chance produces between tracks and the points of a scan.
 
-    Attributes
-    ----------
-    scale : Scale
-        Scale of the scans so far.
-    idle : int
-        Nearly empty scans since the tracks were seen.
-    metric : (n, d, d) float64 or None
-        Of the points of the scan.
+    `scale`: scale of the scans so far; `idle`: nearly empty scans since the tracks were seen;
+    `metric` (n, d, d): of the points of the scan.
     """
 
     scale: Scale

@@ -21,15 +21,7 @@ if TYPE_CHECKING:
 class DataAssociation:
     """Applies one registration to all scans, chosen at the first scan with observations.
 
-    Parameters
-    ----------
-    model : LandmarkModel
-    config : MapperConfig
-
-    Attributes
-    ----------
-    registration : Registration or None
-        None before the first observation.
+    `registration`: None before the first observation.
     """
 
     STATE = "is_known _first_scan registration"
@@ -43,10 +35,8 @@ class DataAssociation:
     def choose(self, ids: Ints | None, iteration: int) -> None:
         """Choose the registration by the first non-empty scan; check those that follow.
 
-        Raises
-        ------
-        RelmapError
-            If ids come with some scans but not with others, or with settings for scans without.
+        Raises `RelmapError` if ids come with some scans but not with others, or with settings for
+        scans without.
         """
         if self.registration is None:
             if ids is not None:
@@ -65,15 +55,9 @@ class DataAssociation:
     ) -> Ints:
         """Return the landmark of each observation (n,) of an iteration; negative if unknown.
 
-        Parameters
-        ----------
-        seen : sequence of n observations of the model's kind, robot frame
-        ids : (n,) int64 or None
-            Known association.
-        motion : (4, 4) float64, optional
-            Odometry since the previous iteration.
-        covariances : (n, d, d) float64, optional
-            Of the observations, robot frame, square metres.
+        `seen`: sequence of n observations of the model's kind, robot frame; `ids` (n,): known
+        association; `motion` (4, 4): odometry since the previous iteration; `covariances`
+        (n, d, d): of the observations, robot frame, square metres.
         """
         if self.registration is None:
             return np.empty(0, dtype=np.int64)

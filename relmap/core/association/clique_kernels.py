@@ -16,18 +16,9 @@ from relmap.core.linalg.compiling import compiled, helper
 def agreeing(source: Floats, target: Floats, a: Ints, b: Ints, tolerance_m: float) -> Bools:
     """Return which pairs of matches agree: different points, equally far apart on both sides.
 
-    Parameters
-    ----------
-    source, target : (p, d) float64, metres
-        Positions of the two points of each match.
-    a, b : (p,) int64
-        Indices of these points.
-    tolerance_m : float
-        Largest difference between two distances that agree.
-
-    Returns
-    -------
-    (p, p) bool, symmetric
+    `source`, `target` (p, d), metres: positions of the two points of each match; `a`, `b` (p,):
+    indices of these points; `tolerance_m`: largest difference between two distances that agree.
+    Returns (p, p), symmetric.
     """
     n, d = source.shape
     agree = np.zeros((n, n), np.bool_)
@@ -47,13 +38,8 @@ def agreeing(source: Floats, target: Floats, a: Ints, b: Ints, tolerance_m: floa
 def largest_clique(agree: Bools, most_steps: int) -> Ints:
     """Return the nodes of a largest clique, ascending; of the largest found if steps run out.
 
-    Parameters
-    ----------
-    agree : (n, n) bool, symmetric
-        The graph; its diagonal is ignored.
-    most_steps : int
-        Maximum number of nodes of the search tree to visit. The search starts with a greedily grown
-        clique.
+    `agree` (n, n), symmetric: the graph; its diagonal is ignored. `most_steps`: maximum number of
+    nodes of the search tree to visit. The search starts with a greedily grown clique.
     """
     n = len(agree)
     order = _by_neighbours(agree)

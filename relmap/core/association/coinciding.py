@@ -31,12 +31,7 @@ def lying_together(table: LandmarkState, noise_m: float) -> Ints:
 
     All others are much farther from both.
 
-    Parameters
-    ----------
-    table : LandmarkState
-        Of a refined map.
-    noise_m : float
-        Standard deviation of an observed coordinate.
+    `table`: of a refined map; `noise_m`: standard deviation of an observed coordinate.
     """
     own = np.flatnonzero(table.submap != NONE)
     reach_m = TOLERANCE * noise_m
@@ -63,16 +58,8 @@ def neighbours_fit(
 ) -> bool:
     """Return whether landmarks that coincide with older ones also fit neighbours of these.
 
-    Parameters
-    ----------
-    new, old : (k, d) float64, metres
-        Positions of both.
-    others : (m, d) float64, metres
-        Those of all older ones.
-    reach_m : float
-        Possible drift.
-    tolerance_m : float
-        Largest distance of landmarks that coincide.
+    `new`, `old` (k, d), metres: positions of both; `others` (m, d), metres: those of all older
+    ones; `reach_m`: possible drift; `tolerance_m`: largest distance of landmarks that coincide.
     """
     tree = cKDTree(others)
     for here, near in zip(old, tree.query_ball_point(old, min(reach_m, FARTHEST_M)), strict=True):
@@ -94,12 +81,8 @@ def within(apart: Floats, covariance: Floats, sigmas: float) -> Bools:
 def compatible(positions: Floats, covariances: Floats) -> Ints:
     """Return pairs (k, 2) of rows that coincide within their covariances, and with no others.
 
-    Parameters
-    ----------
-    positions : (n, d) float64, metres
-        Of a refined map.
-    covariances : (n, d, d) float64, square metres
-        NaN where a position is undetermined.
+    `positions` (n, d), metres: of a refined map; `covariances` (n, d, d), square metres: NaN where
+    a position is undetermined.
     """
     spread = np.sqrt(np.maximum(np.trace(covariances, axis1=1, axis2=2), 0.0))
     known = np.flatnonzero(np.isfinite(spread) & (spread > 0))
@@ -126,13 +109,7 @@ def compatible(positions: Floats, covariances: Floats) -> Ints:
 def seen_with_both(pairs: Ints, landmark: Ints, iteration: Ints, m: int) -> Ints:
     """Return the number of landmarks seen at about the time of each of a pair (k, 2); (k,).
 
-    Parameters
-    ----------
-    pairs : (k, 2) int64
-    landmark, iteration : (n,) int64
-        Of all observations.
-    m : int
-        Number of landmarks.
+    `pairs` (k, 2); `landmark`, `iteration` (n,): of all observations; `m`: number of landmarks.
     """
     when = iteration // LENGTH
     ones = np.ones(len(landmark), dtype=np.int32)

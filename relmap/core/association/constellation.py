@@ -37,11 +37,8 @@ TINY_M = 1e-6
 class Constellation(Numbered):
     """Matches scans by the relative locations of their landmarks.
 
-    Parameters
-    ----------
-    max_missed : int
-        A track missed for more iterations than this ends; until then it is predicted from scan to
-        scan.
+    `max_missed`: a track missed for more iterations than this ends; until then it is predicted from
+    scan to scan.
     """
 
     _tracks: LiveTracks | None
@@ -224,12 +221,8 @@ class Constellation(Numbered):
         observation. One that was seen moving, or is too short to classify, may move far; a static
         one only as far as it could drift unnoticed: a jump means another landmark.
 
-        Returns
-        -------
-        rows, found : (k,) int64
-            Tracks and the points that continue them.
-        n_static : int
-            Number of these that are static, which come first; the others move.
+        Returns `rows`, `found` (k,): tracks and the points that continue them. `n_static`: number
+        of these that are static, which come first; the others move.
         """
         from relmap.core.association.matching_kernels import continued, nearest_within
 

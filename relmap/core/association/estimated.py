@@ -43,13 +43,7 @@ class EstimatedCovariances:
     ) -> None:
         """Add the observations of a scan to the weighted ones if the noise is unequal.
 
-        Parameters
-        ----------
-        landmarks : (n,) int64
-        points : (n, d) float64, robot frame, metres
-        iteration : int
-        rays : RayNoise
-        weighed : WeighedObservations
+        `landmarks` (n,); `points` (n, d), robot frame, metres.
         """
         if self._is_unequal:
             weighed.append(landmarks, points, rays.covariances(points), iteration)

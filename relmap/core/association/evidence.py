@@ -28,17 +28,10 @@ LOG_CHANCE = float(np.log(1e-3))
 class Evidence:
     """Evidence for and against landmarks in view being older ones.
 
-    Attributes
-    ----------
-    first : (k,) int64, ascending
-        Iteration in which each landmark in view was first seen, as far as known.
-    share : float
-        Probability that a landmark coincides with another by chance.
-    reach_m : float
-        Possible drift of the map.
-    weight, last : (n,)
-        Iterations averaged into the position of each landmark, and iteration in which it was last
-        seen.
+    `first` (k,), ascending: iteration in which each landmark in view was first seen, as far as
+    known; `share`: probability that a landmark coincides with another by chance; `reach_m`:
+    possible drift of the map; `weight`, `last` (n,): iterations averaged into the position of each
+    landmark, and iteration in which it was last seen.
     """
 
     first: Ints
@@ -71,15 +64,9 @@ def chosen(
     Those that coincide; if none do, those of the largest set that one rigid motion brings together,
     because drift is common to all.
 
-    Parameters
-    ----------
-    position : (n, d) float64, map frame, metres
-        Positions of all landmarks.
-    pairs : (k, 2) int64
-        Candidates: a new landmark, and an old one that it may be.
-    tolerance_m : float
-    evidence : Evidence, optional
-        The other landmarks in view; if omitted, coinciding pairs are accepted.
+    `position` (n, d), map frame, metres: positions of all landmarks. `pairs` (k, 2): candidates: a
+    new landmark, and an old one that it may be. `evidence`: the other landmarks in view; if
+    omitted, coinciding pairs are accepted.
     """
     d = position.shape[1]
     apart = np.linalg.norm(position[pairs[:, 0]] - position[pairs[:, 1]], axis=1)

@@ -27,18 +27,10 @@ def gathered(
     Each is joined to the nearest that was seen more often (Rodriguez and Laio, 2014), unless a scan
     shows it together with a landmark already joined to that.
 
-    Parameters
-    ----------
-    places : (n, d) float64, metres
-        Median position of the observations of each landmark.
-    counts : (n,) int64
-        Number of observations of each.
-    iterations : list of n (k,) int64
-        The scans that contain each.
-    noise_m : float
-        Standard deviation of an observed coordinate.
-    spacing_m : float
-        Median distance from a mapped landmark to the nearest other.
+    `places` (n, d), metres: median position of the observations of each landmark; `counts` (n,):
+    number of observations of each; `iterations`, list of n (k,): the scans that contain each;
+    `noise_m`: standard deviation of an observed coordinate; `spacing_m`: median distance from a
+    mapped landmark to the nearest other.
     """
     n, reach_m = len(places), min(DEVIATIONS * noise_m, SPACING * spacing_m)
     whole = np.arange(n)

@@ -27,12 +27,7 @@ ALONE = 0.5
 
 
 class OdometryGuide:
-    """Predicts the positions of tracks, and estimates the noise of the prediction.
-
-    Attributes
-    ----------
-    noise : MotionNoise
-    """
+    """Predicts the positions of tracks, and estimates the noise of the prediction."""
 
     STATE = "noise _odometry _measured _since _steps _n_seen"
 
@@ -101,15 +96,9 @@ class OdometryGuide:
     ) -> Placement:
         """Return the placement of the tracks' frame by odometry and the few landmarks in view.
 
-        Parameters
-        ----------
-        expected : (n, d) float64, metres
-            Tracks, in their frame.
-        points : (m, d) float64, robot frame, metres
-        noise_m : float
-            Standard deviation of a coordinate's difference between two scans.
-        most_m : float
-            Largest distance of a match.
+        `expected` (n, d), metres: tracks, in their frame; `points` (m, d), robot frame, metres;
+        `noise_m`: standard deviation of a coordinate's difference between two scans; `most_m`:
+        largest distance of a match.
         """
         from relmap.core.association.matching_kernels import claims, nearest_within
 

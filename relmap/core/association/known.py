@@ -16,12 +16,8 @@ PARTS = 64
 class KnownAssociation:
     """Uses the given ids, except for geometrically impossible observations; see `Rigidity`.
 
-    Attributes
-    ----------
-    rejected : list of int
-        Scans, counted from 0, that are inconsistent with the others.
-    overruled_scans, overruled_rows : list of int
-        Scan and row of each observation that was not assigned to its given id.
+    `rejected`: scans, counted from 0, that are inconsistent with the others; `overruled_scans`,
+    `overruled_rows`: scan and row of each observation that was not assigned to its given id.
     """
 
     rejected: list[int]

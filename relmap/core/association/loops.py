@@ -33,12 +33,8 @@ TIED = 3
 class Loop:
     """A place seen twice.
 
-    Attributes
-    ----------
-    pairs : (k, 2) int64
-        Landmarks of the later visit, and the older ones they are identified with.
-    placement : Placement
-        Maps the positions of the later visit to the correct ones, map frame.
+    `pairs` (k, 2): landmarks of the later visit, and the older ones they are identified with;
+    `placement`: maps the positions of the later visit to the correct ones, map frame.
     """
 
     pairs: Ints
@@ -48,13 +44,8 @@ class Loop:
 class LoopFinder:
     """Finds loops in a map, one at a time; each landmark is tried as a starting point once.
 
-    Parameters
-    ----------
-    table : LandmarkState
-    noise_m : float
-        Standard deviation of an observed coordinate.
-    is_blurred : bool
-        Whether this makes many single matches ambiguous: loops are then also found by likelihood.
+    `noise_m`: standard deviation of an observed coordinate; `is_blurred`: whether this makes many
+    single matches ambiguous: loops are then also found by likelihood.
     """
 
     def __init__(self, table: LandmarkState, noise_m: float, is_blurred: bool = False) -> None:

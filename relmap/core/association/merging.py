@@ -39,19 +39,10 @@ ROUNDS = 5
 class Merger:
     """Finds landmarks in view that are older ones seen again.
 
-    Parameters
-    ----------
-    table : LandmarkState
-    model : LandmarkModel
-    mature : int
-        Observations after which a landmark's position is accurate enough to be compared.
+    `mature`: observations after which a landmark's position is accurate enough to be compared.
 
-    Attributes
-    ----------
-    n_undone : int
-        Number of wrong merges that were undone later.
-    sightings : Sightings or None
-        Which landmarks were seen together; used when the whole map is searched.
+    Attributes: `n_undone`: number of wrong merges that were undone later. `sightings`: which
+    landmarks were seen together; used when the whole map is searched.
     """
 
     _index: SpatialIndex | None
@@ -124,15 +115,9 @@ class Merger:
     def find(self, landmarks: Ints, levels: Ints, noise_m: float) -> Ints:
         """Return pairs (k, 2) of a new landmark and the older one that it is.
 
-        Parameters
-        ----------
-        landmarks : (n,) int64
-            Landmarks just placed by a group.
-        levels : (n,) int64
-            Grouping level of each: at a higher level its position is more accurate and is compared
-            again.
-        noise_m : float
-            Standard deviation of an observed coordinate.
+        `landmarks` (n,): landmarks just placed by a group; `levels` (n,): grouping level of each:
+        at a higher level its position is more accurate and is compared again; `noise_m`: standard
+        deviation of an observed coordinate.
         """
         compared = self._model.is_compared(landmarks)
         landmarks, levels = landmarks[compared], levels[compared]
@@ -240,13 +225,8 @@ class Merger:
 def merge_doubles(merger: Merger, merge: Callable[[Ints], int], noise_m: float) -> bool:
     """Merge landmarks that coincide at their current positions; return whether there were any.
 
-    Parameters
-    ----------
-    merger : Merger
-    merge : callable
-        Merges landmarks (k,) with older ones and returns how many.
-    noise_m : float
-        Standard deviation of an observed coordinate.
+    `merge`: merges landmarks (k,) with older ones and returns how many; `noise_m`: standard
+    deviation of an observed coordinate.
     """
     merged = 0
     for _ in range(ROUNDS):
@@ -261,13 +241,8 @@ def merge_doubles(merger: Merger, merge: Callable[[Ints], int], noise_m: float) 
 def doubtful(table: LandmarkState, rare: Bools, noise_m: float) -> Bools:
     """Return which landmarks (m,) of a few observations may be wrong matches of another.
 
-    Parameters
-    ----------
-    table : LandmarkState
-    rare : (m,) bool
-        Landmarks with few observations.
-    noise_m : float
-        Standard deviation of an observed coordinate.
+    `rare` (m,): landmarks with few observations; `noise_m`: standard deviation of an observed
+    coordinate.
     """
     found = np.zeros(len(table), dtype=bool)
     for submap in np.unique(table.submap[rare & (table.submap != NONE)]).tolist():

@@ -50,10 +50,8 @@ class RayNoise:
     Each is ``c0 + c1 r^2 + c2 r^4`` with nonnegative coefficients: constant range noise is the
     first term, bearing noise the second, the depth noise of a stereo camera the third.
 
-    Attributes
-    ----------
-    given : (n, d, d) float64 or None
-        Covariances of the current scan, robot frame, square metres; they replace the estimate.
+    `given` (n, d, d): covariances of the current scan, robot frame, square metres; they replace the
+    estimate.
     """
 
     _is_unequal: bool | None
@@ -75,12 +73,8 @@ class RayNoise:
     def learn(self, expected: Floats, found: Floats, n_seen: Ints) -> None:
         """Update the estimate from static landmarks.
 
-        Parameters
-        ----------
-        expected, found : (n, d) float64, robot frame, metres
-            Predicted and observed.
-        n_seen : (n,) int64
-            Observations before.
+        `expected`, `found` (n, d), robot frame, metres: predicted and observed; `n_seen` (n,):
+        observations before.
         """
         self._n_scans += 1
         often = EVERY if self._n_scans > SETTLED else 1
@@ -106,15 +100,9 @@ class RayNoise:
     def metric(self, points: Floats) -> Floats | None:
         """Return the metric at the points of the current scan; None if the noise is isotropic.
 
-        Parameters
-        ----------
-        points : (n, d) float64, robot frame, metres
-
-        Returns
-        -------
-        (n, d, d) float64 or None
-            Symmetric matrices that scale differences such that their noise is isotropic and the
-            same at each point, with a mean log determinant of 0.
+        `points` (n, d), robot frame, metres. Returns (n, d, d): symmetric matrices that scale
+        differences such that their noise is isotropic and the same at each point, with a mean log
+        determinant of 0.
         """
         if not len(points):
             return None

@@ -14,11 +14,8 @@ class NearestPrevious(Numbered):
 
     A pair matches if both are mutual nearest neighbours within the gate.
 
-    Parameters
-    ----------
-    gate_m : float or None
-        Largest displacement, metres; None uses half the median distance between neighbours in the
-        previous scan.
+    `gate_m`: largest displacement, metres; None uses half the median distance between neighbours in
+    the previous scan.
     """
 
     STATE = "n_landmarks _previous _landmarks"

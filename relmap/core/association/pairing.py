@@ -22,9 +22,7 @@ ROUNDS = 4
 class Motion:
     """A motion from the frame of one map to that of another: ``R @ p + t``.
 
-    Attributes
-    ----------
-    R, t : (d, d), (d,) float64
+    `R` (d, d), `t` (d,).
     """
 
     R: Floats
@@ -48,18 +46,9 @@ class Motion:
 def paired(points: Floats, among: Floats, motion: Motion) -> tuple[Motion, Ints]:
     """Fit a motion to the common landmarks, and return them.
 
-    Parameters
-    ----------
-    points, among : (n, d), (m, d) float64, metres
-        Points of two maps, each in its own frame.
-    motion : Motion
-        Approximate motion from the first frame to the second.
-
-    Returns
-    -------
-    motion : Motion
-    pairs : (k, 2) int64
-        Rows of both; each occurs at most once.
+    `points` (n, d), `among` (m, d), metres: points of two maps, each in its own frame; `motion`:
+    approximate motion from the first frame to the second. Returns `pairs` (k, 2): rows of both;
+    each occurs at most once.
     """
     spacing = nearest(cKDTree(among), among, 2)[0][:, -1]
     near_m = SPACING * float(np.median(spacing))

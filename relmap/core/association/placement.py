@@ -29,12 +29,7 @@ MOST_STEPS = 2000
 class Placement:
     """A rigid motion from the robot frame of one iteration to that of another.
 
-    Attributes
-    ----------
-    R : (d, d) float64
-    t : (d,) float64, metres
-    n_agreeing : int
-        Number of matches that it brings together.
+    `R` (d, d); `t` (d,), metres; `n_agreeing`: number of matches that it brings together.
     """
 
     R: Floats
@@ -54,17 +49,8 @@ def trimmed_fit(
     Least squares over all matches, then over those with less than 1.5 times the median error,
     repeated until only matches within the tolerance are left.
 
-    Parameters
-    ----------
-    source, target : (n, d) float64, metres
-    tolerance_m : float
-    metric : (n, d, d) float64, optional
-        Of the targets: misfits and the tolerance are in its units.
-
-    Returns
-    -------
-    Placement or None
-        None if fewer than d matches are left.
+    `source`, `target` (n, d), metres; `metric` (n, d, d): of the targets: misfits and the tolerance
+    are in its units. Returns None if fewer than d matches are left.
     """
     from relmap.core.geometry.fitting_kernels import trimmed_fit_rows
 
@@ -105,19 +91,9 @@ def consistent_set(source: Floats, target: Floats, pairs: Ints, tolerance_m: flo
     (Bailey et al., 2000). If the search takes too long, the largest clique found so far is
     returned.
 
-    Parameters
-    ----------
-    source : (n, d) float64, metres
-    target : (m, d) float64, metres
-    pairs : (p, 2) int64
-        Candidates: row of `source`, row of `target`.
-    tolerance_m : float
-        Largest difference between two distances that agree.
-
-    Returns
-    -------
-    (k,) int64
-        Rows of `pairs`, ascending.
+    `source` (n, d), metres; `target` (m, d), metres; `pairs` (p, 2): candidates: row of `source`,
+    row of `target`; `tolerance_m`: largest difference between two distances that agree. Returns
+    (k,): rows of `pairs`, ascending.
     """
     from relmap.core.association.clique_kernels import agreeing, largest_clique
 
@@ -133,22 +109,10 @@ def consistent_placements(
     Each rival is the placement of the largest consistent set among the candidates not explained by
     the earlier ones.
 
-    Parameters
-    ----------
-    source : (n, d) float64, metres
-    target : (m, d) float64, metres
-    pairs : (p, 2) int64
-        Candidates: row of `source`, row of `target`.
-    tolerance_m : float
-        Largest difference between two distances that agree.
-    fit_m : float
-        Largest distance between the points of a match after placement.
-
-    Yields
-    ------
-    placement : Placement
-    matches : (k, 2) int64
-        The pairs of the set, in the order given.
+    `source` (n, d), metres; `target` (m, d), metres; `pairs` (p, 2): candidates: row of `source`,
+    row of `target`; `tolerance_m`: largest difference between two distances that agree; `fit_m`:
+    largest distance between the points of a match after placement. Yields `matches` (k, 2): the
+    pairs of the set, in the order given.
     """
     while len(pairs):
         chosen = consistent_set(source, target, pairs, tolerance_m)

@@ -44,11 +44,7 @@ REACH = 3.0
 class PlaceFinder:
     """Localises scans in a map.
 
-    Parameters
-    ----------
-    positions : (m, d) float64, map frame, metres
-    noise_m : float
-        Standard deviation of an observed coordinate.
+    `positions` (m, d), map frame, metres; `noise_m`: standard deviation of an observed coordinate.
     """
 
     def __init__(self, positions: Floats, noise_m: float) -> None:
@@ -65,9 +61,7 @@ class PlaceFinder:
     def find(self, points: Floats) -> Placement | None:
         """Return the placement of a scan's frame in the map's; None if it is ambiguous.
 
-        Parameters
-        ----------
-        points : (n, d) float64, robot frame, metres
+        `points` (n, d), robot frame, metres.
         """
         places = self.places(points)
         return places[0] if places and self.is_clear(points, places) else None
@@ -134,11 +128,7 @@ class PlaceFinder:
         Not counting the three of the triangle. Landmarks may lie at random or on a lattice; in the
         latter case many are found in other places too.
 
-        Parameters
-        ----------
-        n, n_agreeing : int
-        elsewhere : int
-            Number found in the best of the other places.
+        `elsewhere`: number found in the best of the other places.
         """
         # Half of the landmarks have another within `apart_m`; the fraction of that area in a
         # tolerance.

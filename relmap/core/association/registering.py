@@ -78,10 +78,7 @@ class _Searched(NamedTuple):
 class TrackPlacing:
     """Finds the placement of the tracks' frame in that of a scan.
 
-    Attributes
-    ----------
-    chance : Chance
-        With the scale of the scans so far, which each scan updates.
+    `chance`: with the scale of the scans so far, which each scan updates.
     """
 
     chance: Chance

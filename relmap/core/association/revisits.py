@@ -63,18 +63,9 @@ PEAKS = 12
 class Stretch:
     """The landmarks of one stretch of a run, and their candidates.
 
-    Attributes
-    ----------
-    new, old : (n,), (m,) int64
-        Landmarks.
-    points, there : (n, d), (m, d) float64, metres
-        Their positions in the frame of the pose.
-    reach_m : (m,) float64
-        Largest error of the position of each older one.
-    sd_m : (m,) float64
-        Its standard deviation.
-    turn_rad : float
-        Largest error of their direction.
+    `new` (n,), `old` (m,): landmarks; `points` (n, d), `there` (m, d), metres: their positions in
+    the frame of the pose; `reach_m` (m,): largest error of the position of each older one; `sd_m`
+    (m,): its standard deviation; `turn_rad`: largest error of their direction.
     """
 
     new: Ints
@@ -94,14 +85,9 @@ class Stretch:
 class Revisit:
     """A place that was seen twice.
 
-    Attributes
-    ----------
-    pairs : (k, 2) int64
-        Landmarks of one visit, and the same ones of the other.
-    chance : float
-        Expected number of revisits with as many matches by chance, over the whole map.
-    surprise : float
-        Drift of the map, in standard deviations.
+    `pairs` (k, 2): landmarks of one visit, and the same ones of the other; `chance`: expected
+    number of revisits with as many matches by chance, over the whole map; `surprise`: drift of the
+    map, in standard deviations.
     """
 
     pairs: Ints
@@ -112,14 +98,7 @@ class Revisit:
 class RevisitFinder:
     """Finds revisited places in one part of a map.
 
-    Parameters
-    ----------
-    table : LandmarkState
-    landmarks : (m,) int64
-        Those of the part.
-    drift : Drift
-    noise_m : float
-        Standard deviation of an observed coordinate.
+    `landmarks` (m,): those of the part; `noise_m`: standard deviation of an observed coordinate.
     """
 
     def __init__(self, table: LandmarkState, landmarks: Ints, drift: Drift, noise_m: float) -> None:

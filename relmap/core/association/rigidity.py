@@ -106,17 +106,8 @@ class Rigidity:
     def checked(self, ids: Ints, points_robot: Floats) -> Ints | None:
         """Return the landmarks of the observations.
 
-        Parameters
-        ----------
-        ids : (n,) int64
-            All different.
-        points_robot : (n, d) float64, metres
-
-        Returns
-        -------
-        (n,) int64 or None
-            The ids, replaced where inconsistent, or `UNIDENTIFIED`; None if the whole scan is
-            rejected.
+        `ids` (n,): all different; `points_robot` (n, d), metres. Returns (n,): the ids, replaced
+        where inconsistent, or `UNIDENTIFIED`; None if the whole scan is rejected.
         """
         from relmap.core.association.rigidity_kernels import extent_of
 

@@ -35,16 +35,10 @@ CHI2_MEDIAN = {2: 1.386, 3: 2.366}
 class Scale:
     """Spacing and noise of the landmarks, and the tolerances derived from them.
 
-    Attributes
-    ----------
-    spacing_m : float
-        Typical distance between neighbours, metres; infinite before it is known.
-    noise_m : float or None
-        Standard deviation of the difference of a coordinate between two scans; None if unknown.
-    wider : float
-        Factor by which the tolerance is wider before the noise is known.
-    rays : RayNoise
-        Noise as a function of direction and distance.
+    `spacing_m`: typical distance between neighbours, metres; infinite before it is known.
+    `noise_m`: standard deviation of the difference of a coordinate between two scans; None if
+    unknown. `wider`: factor by which the tolerance is wider before the noise is known. `rays`:
+    noise as a function of direction and distance.
     """
 
     spacing_m: float
@@ -106,14 +100,9 @@ class Scale:
     def learn(self, expected: Floats, found: Floats, n_seen: Ints, metric: Floats | None) -> None:
         """Update the noise of a coordinate's difference from links of static landmarks.
 
-        Parameters
-        ----------
-        expected, found : (n, d) float64, robot frame, metres
-            Predicted and observed positions.
-        n_seen : (n,) int64
-            Number of earlier observations of each landmark.
-        metric : (n, d, d) float64 or None
-            Of the observations.
+        `expected`, `found` (n, d), robot frame, metres: predicted and observed positions; `n_seen`
+        (n,): number of earlier observations of each landmark; `metric` (n, d, d): of the
+        observations.
         """
         n, d = expected.shape
         if n <= FEW:

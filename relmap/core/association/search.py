@@ -29,13 +29,8 @@ RIVALS = 4
 def log_chance(n: int, n_agreeing: int, share: float, log_placements: float) -> float:
     """Return the log of the expected number of placements with as many matches by chance.
 
-    Parameters
-    ----------
-    n, n_agreeing : int
-    share : float
-        Probability that a point coincides with another in a wrong placement.
-    log_placements : float
-        Log of the number of distinguishable placements.
+    `share`: probability that a point coincides with another in a wrong placement; `log_placements`:
+    log of the number of distinguishable placements.
     """
     ways = math.lgamma(n + 1) - math.lgamma(n_agreeing + 1) - math.lgamma(n - n_agreeing + 1)
     return log_placements + ways + n_agreeing * math.log(max(share, 1e-12))
@@ -50,22 +45,10 @@ def search(
 ) -> tuple[Placement, int] | None:
     """Return the placement with the most matches, and the number of matches of the best rival.
 
-    Parameters
-    ----------
-    source, target : (n, d), (m, d) float64, metres
-    tolerance_m : float
-        Largest distance between the points of a match.
-    fewest : int
-        Minimum number of matches.
-    metric : (m, d, d) float64, optional
-        Of the targets; the tolerance is in its units.
-
-    Returns
-    -------
-    placement : Placement
-    rival : int
-        Matches of the best other placement that this one assigns differently. None if no placement
-        is found.
+    `source` (n, d), `target` (m, d), metres. `tolerance_m`: largest distance between the points of
+    a match. `fewest`: minimum number of matches. `metric` (m, d, d): of the targets; the tolerance
+    is in its units. Returns `rival`: matches of the best other placement that this one assigns
+    differently. None if no placement is found.
     """
     from relmap.core.association.search_kernels import placements_by_triangles
 
@@ -104,20 +87,9 @@ def settled(
 ) -> Placement | None:
     """Fit a placement of points (n, d) to all that it brings onto others (m, d).
 
-    Parameters
-    ----------
-    source, target : (n, d), (m, d) float64, metres
-    placement : Placement
-        Where to start.
-    tolerance_m : float
-        Largest distance between the points of a match.
-    metric : (m, d, d) float64, optional
-        Of the targets; the tolerance is in its units.
-
-    Returns
-    -------
-    Placement or None
-        None if there are too few matches.
+    `source` (n, d), `target` (m, d), metres. `placement`: where to start. `tolerance_m`: largest
+    distance between the points of a match. `metric` (m, d, d): of the targets; the tolerance is in
+    its units. Returns None if there are too few matches.
     """
     from relmap.core.association.search_kernels import matched_at
 
@@ -186,13 +158,7 @@ def fits_mirrored(
 ) -> bool:
     """Return whether `least` points fit the mirror image of others, but not their own.
 
-    Parameters
-    ----------
-    source, target : (n, d), (m, d) float64, metres
-    tolerance_m : float
-    least : float
-    metric : (m, d, d) float64 or None
-        Of the targets.
+    `source` (n, d), `target` (m, d), metres; `metric` (m, d, d): of the targets.
     """
     sign = np.where(np.arange(source.shape[1]) == 1, -1.0, 1.0)
     mirrored = None if metric is None else metric * sign * sign[:, None]

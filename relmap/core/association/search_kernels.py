@@ -99,23 +99,12 @@ def placements_by_triangles(
 ) -> tuple[Floats, Floats, Ints]:
     """Return placements from triangles of source points found among the target points.
 
-    Parameters
-    ----------
-    source, target : (n, d), (m, d) float64, metres
-    triangles : (k, 3) int64
-        Rows of the source points.
-    tolerance_m : float
-        Largest difference between two sides that agree, and largest distance of a match.
-    fewest, most : int
-        Minimum number of matches of a placement, and maximum number of triangle matches tried.
-    metric, stretch : optional
-        As for `matched_at`; the tolerance is in units of the metric.
-
-    Returns
-    -------
-    R, t : (h, d, d), (h, d) float64
-    matches : (h, n) int64
-        The target point of each source point, or -1.
+    `source` (n, d), `target` (m, d), metres. `triangles` (k, 3): rows of the source points.
+    `tolerance_m`: largest difference between two sides that agree, and largest distance of a match.
+    `fewest`, `most`: minimum number of matches of a placement, and maximum number of triangle
+    matches tried. `metric`, `stretch`: as for `matched_at`; the tolerance is in units of the
+    metric. Returns `R` (h, d, d), `t` (h, d) and `matches` (h, n): the target point of each source
+    point, or -1.
     """
     (n, d), m = source.shape, len(target)
     here, there = distances(source), distances(target)

@@ -21,11 +21,7 @@ SELDOM = 0.25
 class Sightings:
     """Which landmarks were seen together: in one scan a landmark occurs only once.
 
-    Parameters
-    ----------
-    rows : SegmentRows
-        By tracks, see `rows_of_tracks`.
-    table : LandmarkState
+    `rows`: by tracks, see `rows_of_tracks`.
     """
 
     def __init__(self, rows: SegmentRows, table: LandmarkState) -> None:

@@ -57,18 +57,10 @@ DOUBT = 2.0
 class SoftMatching:
     """Tracks and the points of a scan, matched with the probabilities that the noise implies.
 
-    Attributes
-    ----------
-    source : (n, d) float64, metres
-        Tracks, in the frame of an earlier scan.
-    variance : (n,) float64, square metres
-        Of the difference of a coordinate between a track and an observation of it.
-    target : (m, d) float64, metres
-        Points of the scan.
-    spacing_m : float
-        Median distance of a landmark to its nearest neighbour.
-    metric : (m, d, d) float64 or None
-        Of the points.
+    `source` (n, d), metres: tracks, in the frame of an earlier scan; `variance` (n,), square
+    metres: of the difference of a coordinate between a track and an observation of it; `target`
+    (m, d), metres: points of the scan; `spacing_m`: median distance of a landmark to its nearest
+    neighbour; `metric` (m, d, d): of the points.
     """
 
     source: Floats
@@ -86,10 +78,7 @@ class SoftMatching:
     def found(self, R: Floats, t: Floats) -> tuple[Placement, float, float] | None:
         """Return the most likely placement, and the log likelihood ratios of it and of a rival.
 
-        Parameters
-        ----------
-        R, t : (h, d, d), (h, d) float64
-            Placements to start from.
+        `R` (h, d, d), `t` (h, d): placements to start from.
         """
         from relmap.core.association.soft_kernels import scores
 
@@ -179,12 +168,7 @@ class SoftMatching:
     def by_shifts(self, farthest_m: float, start: Placement | None = None) -> tuple[Floats, Floats]:
         """Return a start, as above, and its shifts that bring a source point onto a target.
 
-        Parameters
-        ----------
-        farthest_m : float
-            Maximum length of a shift.
-        start : Placement, optional
-            By default the identity.
+        `farthest_m`: maximum length of a shift; `start`: by default the identity.
         """
         d = self.source.shape[1]
         start = Placement(np.eye(d), np.zeros(d), 0) if start is None else start
@@ -213,16 +197,9 @@ def likely_links(
 ) -> tuple[Ints, Ints]:
     """Return the most likely links of predicted tracks and points: rows of each, (k,).
 
-    Parameters
-    ----------
-    expected : (n, d) float64, metres
-    variance : (n,) float64, square metres
-        As in `SoftMatching`.
-    seen : (n,) int64
-        Observations of each track; one with few may not exist.
-    points : (m, d) float64, metres
-    metric : (m, d, d) float64, optional
-        Of the points.
+    `expected` (n, d), metres. `variance` (n,), square metres: as in `SoftMatching`. `seen` (n,):
+    observations of each track; one with few may not exist. `points` (m, d), metres. `metric`
+    (m, d, d): of the points.
     """
     from scipy.optimize import linear_sum_assignment
 

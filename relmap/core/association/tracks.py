@@ -51,19 +51,11 @@ class Tracks:
 class LiveTracks(Tracks):
     """Tracks in the robot frame of one iteration; missed ones are predicted.
 
-    Attributes
-    ----------
-    landmarks : (n,) int64
-    expected : (n, d) float64, robot frame, metres
-        Average of the last observations: the position of a static landmark.
-    latest : (n, d) float64, robot frame, metres
-        The last observation: close to the position of a moving landmark.
-    missed : (n,) int64
-        Iterations since the track was last seen.
-    seen : (n,) int64
-        Number of observations.
-    restless : (n,) int64
-        Positive if the track was recently seen moving relative to the others.
+    `landmarks` (n,); `expected` (n, d), robot frame, metres: average of the last observations: the
+    position of a static landmark; `latest` (n, d), robot frame, metres: the last observation: close
+    to the position of a moving landmark; `missed` (n,): iterations since the track was last seen;
+    `seen` (n,): number of observations; `restless` (n,): positive if the track was recently seen
+    moving relative to the others.
     """
 
     landmarks: Ints

@@ -37,17 +37,8 @@ APART = 4.0
 def tie_submaps(global_map: GlobalMap, noise_m: float) -> Iterator[Ints]:
     """Join submaps that show the same place.
 
-    Parameters
-    ----------
-    global_map : GlobalMap
-    noise_m : float
-        Standard deviation of an observed coordinate.
-
-    Yields
-    ------
-    (k,) int64
-        The landmarks of a submap that was just joined by another. Duplicates should be merged
-        before the next search.
+    `noise_m`: standard deviation of an observed coordinate. Yields (k,): the landmarks of a submap
+    that was just joined by another. Duplicates should be merged before the next search.
     """
     table = global_map.table
     submaps, sizes = np.unique(table.submap, return_counts=True)

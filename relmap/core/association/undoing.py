@@ -46,16 +46,9 @@ def contradicted(
     such residuals: such a segment is misplaced. The noise is taken from the median segment, because
     wrong merges increase the noise estimate of the map.
 
-    Parameters
-    ----------
-    refined : Refined
-    table : LandmarkState
-    rows : SegmentRows
-        By tracks.
-    usual : float
-        Usual deviation of segments from the map, in units of what noise explains. Segments linked
-        by odometry may deviate more, and landmarks may appear at different positions from different
-        sides: a wrong merge deviates by more than is usual.
+    `rows`: by tracks. `usual`: usual deviation of segments from the map, in units of what noise
+    explains. Segments linked by odometry may deviate more, and landmarks may appear at different
+    positions from different sides: a wrong merge deviates by more than is usual.
     """
     segments, merges, d = refined.segments, refined.merges, refined.positions.shape[1]
     if not len(segments.residual):
@@ -76,12 +69,7 @@ def contradicted(
 def places_of(table: LandmarkState, rows: SegmentRows, tracks: Ints) -> tuple[Floats, Floats]:
     """Return the mean positions (k, d) of tracks (k,) of mapped landmarks, and counts (k,).
 
-    Parameters
-    ----------
-    table : LandmarkState
-    rows : SegmentRows
-        By tracks.
-    tracks : (k,) int64
+    `rows`: by tracks; `tracks` (k,).
     """
     landmark = table.landmark_of[rows.landmark]
     wanted = np.isin(rows.landmark, tracks)
@@ -100,13 +88,7 @@ def nearer_another(
 ) -> Ints:
     """Return the merged tracks (k,) that another landmark of a refined map explains far better.
 
-    Parameters
-    ----------
-    refined : Refined
-    table : LandmarkState
-    rows : SegmentRows
-        By tracks.
-    sightings : Sightings
+    `rows`: by tracks.
     """
     tracks = np.unique(refined.merges.track)
     if len(refined.landmarks) <= CANDIDATES or not len(tracks):

@@ -19,21 +19,9 @@ def most_voted(
 
     Votes are counted in cells that overlap by half.
 
-    Parameters
-    ----------
-    points : (n, 2) float64, metres
-        Relative to their mean, the centre of rotation.
-    there : (m, 2) float64, metres
-        Relative to the same point.
-    reach_m : (m,) float64
-        Largest shift of a point onto each of these.
-    angles : (k,) float64, radians
-    cell_m : float
-
-    Returns
-    -------
-    votes : (k, 2) int64
-    shift : (k, 2, 2) float64, metres
+    `points` (n, 2), metres: relative to their mean, the centre of rotation; `there` (m, 2), metres:
+    relative to the same point; `reach_m` (m,): largest shift of a point onto each of these;
+    `angles` (k,), radians. Returns `votes` (k, 2) and `shift` (k, 2, 2), metres.
     """
     most_m = reach_m.max()
     side = min(int(2 * most_m / cell_m) + 3, SIDE)

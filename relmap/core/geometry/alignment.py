@@ -29,23 +29,10 @@ def fit_rigid(
     Minimises ``sum(weights * |target - (source @ R.T + t)|^2)`` over proper rotations R, never
     a reflection.
 
-    Parameters
-    ----------
-    source, target : (n, d) float64, metres
-        Matched points; d is 2 or 3.
-    weights : (n,) float64, optional
-        Non-negative with a positive sum; equal if omitted.
-
-    Returns
-    -------
-    R : (d, d) float64
-    t : (d,) float64
-        ``target ~ source @ R.T + t``.
-
-    Raises
-    ------
-    RelmapError
-        If the shapes do not match, all weights are zero, or a value is not finite.
+    `source`, `target` (n, d), metres: matched points; d is 2 or 3. `weights` (n,): non-negative
+    with a positive sum; equal if omitted. Returns `R` (d, d) and `t` (d,): ``target ~ source @ R.T
+    + t``. Raises `RelmapError` if the shapes do not match, all weights are zero, or a value is not
+    finite.
     """
     if source.shape != target.shape or source.ndim != 2 or source.shape[1] not in (2, 3):
         raise RelmapError(
@@ -81,22 +68,9 @@ def fit_rigid_each(
 ) -> tuple[Floats, Floats, Bools]:
     """Fit many sets of matched points at once, each as `fit_rigid` does.
 
-    Parameters
-    ----------
-    source, target : (k, d) float64, metres
-        Matched points of all sets.
-    weights : (k,) float64
-    at : (k,) int64
-        Set of each pair, 0 to n - 1.
-    n : int
-        Number of sets.
-
-    Returns
-    -------
-    R : (n, d, d) float64
-    t : (n, d) float64
-    fixed : (n,) bool
-        Whether the points of a set determine its rotation; otherwise R and t are undefined.
+    `source`, `target` (k, d), metres: matched points of all sets; `weights` (k,); `at` (k,): set of
+    each pair, 0 to n - 1; `n`: number of sets. Returns `R` (n, d, d); `t` (n, d); `fixed` (n,):
+    whether the points of a set determine its rotation; otherwise R and t are undefined.
     """
     weights = np.minimum(weights, HEAVIEST)
     total = np.bincount(at, weights=weights, minlength=n)

@@ -21,14 +21,8 @@ by four."""
 def limit_of(residual: Floats, dimension: int, size: float) -> float:
     """Return the largest of residuals (n,) that noise explains.
 
-    Parameters
-    ----------
-    residual : (n,) float64, metres
-        Lengths, each normalised by its number of observations.
-    dimension : int
-        2 or 3.
-    size : float
-        Size of the map, metres.
+    `residual` (n,), metres: lengths, each normalised by its number of observations; `dimension`: 2
+    or 3; `size`: size of the map, metres.
     """
     scale = float(np.median(residual)) / CHI_MEDIAN[dimension] if len(residual) else 0.0
     return max(OUTLIER * scale, EXACT * size, 1e-300)
@@ -71,21 +65,9 @@ def fit_robust_each(
     The first fit minimises the sum of distances (Weiszfeld, 1937); the last is weighted least
     squares, with weights from the residuals of the first.
 
-    Parameters
-    ----------
-    source, target : (k, d) float64, metres
-    counts : (k,) float64
-        Observations behind each pair.
-    at : (k,) int64
-    n : int
-
-    Returns
-    -------
-    R : (n, d, d) float64
-    t : (n, d) float64
-    fixed : (n,) bool
-    weight : (k,) float64
-        Weight of one observation; 1 if noise explains all residuals.
+    `source`, `target` (k, d), metres; `counts` (k,): observations behind each pair; `at` (k,).
+    Returns `R` (n, d, d); `t` (n, d); `fixed` (n,); `weight` (k,): weight of one observation; 1 if
+    noise explains all residuals.
     """
     size = float(np.ptp(target, axis=0).max()) if len(target) else 0.0
     least, root = max(EXACT * size, 1e-300), np.sqrt(counts)

@@ -16,13 +16,8 @@ class SpatialIndex:
 
     The cells are hashed into buckets, whose landmarks are linked lists in plain arrays.
 
-    Parameters
-    ----------
-    table : LandmarkState
-        Its columns `cell` and `next_in_cell` are the key of the cell of each landmark and the next
-        landmark in the bucket.
-    cell_m : float
-        Side of a cell, metres: the largest query radius.
+    `table`: its columns `cell` and `next_in_cell` are the key of the cell of each landmark and the
+    next landmark in the bucket; `cell_m`: side of a cell, metres: the largest query radius.
     """
 
     STATE = "cell_m"

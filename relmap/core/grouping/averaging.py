@@ -30,17 +30,9 @@ LONG = 20
 class Averaging:
     """Estimates from charts the noise and which landmarks move.
 
-    Parameters
-    ----------
-    table : LandmarkState
-    noise_spread : float
-        Ratio of the largest to the typical noise of a landmark.
+    `noise_spread`: ratio of the largest to the typical noise of a landmark.
 
-    Attributes
-    ----------
-    noise : NoiseEstimate
-    n_comparisons : int
-        Pairs of landmarks compared in the last chart.
+    Attributes: `n_comparisons`: pairs of landmarks compared in the last chart.
     """
 
     STATE = "noise n_comparisons _motion"
@@ -62,14 +54,8 @@ class Averaging:
     ) -> RelativeMap:
         """Complete a group's relative map by all static landmarks of its chart; update motion.
 
-        Parameters
-        ----------
-        chart : PointChart
-        group : Group
-        core : (g, i, d) float64, robot frame, metres
-            The group's observations.
-        average : (g, d) float64, group frame, metres
-            Its relative map.
+        `core` (g, i, d), robot frame, metres: the group's observations; `average` (g, d), group
+        frame, metres: its relative map.
         """
         self.noise.add(core)
         relative = self._completed(chart, group, average)

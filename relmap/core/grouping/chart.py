@@ -15,17 +15,10 @@ from relmap.core.state.store import ObservationStore
 class PointChart:
     """Observations of landmarks in the iterations in which one of them, the seed, was visible.
 
-    Attributes
-    ----------
-    landmarks : (n,) int64
-        The seed first, then all that were visible together with it at least once.
-    iterations : (i,) int64, ascending
-        The iterations in which the seed was visible.
-    points_robot : (n, i, d) float64, robot frame, metres
-        Observations; NaN where missing.
-    visible : (n, i) bool
-    variance : (n,) float64, square metres, optional
-        Variance of an observed coordinate, if covariances are given.
+    `landmarks` (n,): the seed first, then all that were visible together with it at least once.
+    `iterations` (i,), ascending: the iterations in which the seed was visible. `points_robot`
+    (n, i, d), robot frame, metres: observations; NaN where missing. `visible` (n, i); `variance`
+    (n,), square metres: variance of an observed coordinate, if covariances are given.
     """
 
     landmarks: Ints
@@ -60,10 +53,6 @@ class PointChart:
 
         The seed shares all iterations with itself, so it comes first.
 
-        Parameters
-        ----------
-        rows : (k,) int64
-        preference : (k,) float64
-            Ties are ordered by descending preference.
+        `rows` (k,); `preference` (k,): ties are ordered by descending preference.
         """
         return np.lexsort((-preference, -self.common_interval[rows]))

@@ -38,26 +38,11 @@ def chart_block(
 ) -> tuple[Ints, Ints, Floats]:
     """Chart the observations of the iterations in which a seed was seen.
 
-    Parameters
-    ----------
-    landmarks : (k,) int64
-    points : (k, d) float64
-        Observations in order of iteration.
-    offsets : (i + 1,) int64
-        First observation of each iteration, and the end.
-    seed : int
-        -1: the observations of all iterations.
-    slots : (m,) int64
-        Work space, one entry per landmark, all -1; restored on return.
-
-    Returns
-    -------
-    landmarks : (n,) int64
-        The seed, if any, then the others in order of first observation.
-    columns : (j,) int64
-        Iterations, counted from the first.
-    block : (n, j, d) float64
-        NaN where missing.
+    `landmarks` (k,); `points` (k, d): observations in order of iteration. `offsets` (i + 1,): first
+    observation of each iteration, and the end. `seed`: -1: the observations of all iterations.
+    `slots` (m,): work space, one entry per landmark, all -1; restored on return. Returns
+    `landmarks` (n,): the seed, if any, then the others in order of first observation, `columns`
+    (j,): iterations, counted from the first and `block` (n, j, d): NaN where missing.
     """
     members, columns = _members_and_columns(landmarks, offsets, seed, slots)
     block = np.empty((len(members), len(columns), points.shape[1]))

@@ -73,19 +73,10 @@ class RelativeMap:
 def complete(landmarks: Ints, iterations: Ints, block: Floats, reference: Floats) -> RelativeMap:
     """Average a whole chart in the frame of a relative map of some of its landmarks.
 
-    Parameters
-    ----------
-    landmarks : (n,) int64
-    iterations : (i,) int64
-    block : (n, i, d) float64, robot frame, metres
-        Observations of the landmarks in the iterations; NaN where missing.
-    reference : (n, d) float64, group frame, metres
-        The relative map to fit to; NaN for other landmarks.
-
-    Returns
-    -------
-    RelativeMap
-        Map of the landmarks seen in an iteration whose pose the reference determines.
+    `landmarks` (n,); `iterations` (i,); `block` (n, i, d), robot frame, metres: observations of the
+    landmarks in the iterations; NaN where missing. `reference` (n, d), group frame, metres: the
+    relative map to fit to; NaN for other landmarks. Returns the map of the landmarks seen in an
+    iteration whose pose the reference determines.
     """
     from relmap.core.grouping.averaging_kernels import place_iterations
 

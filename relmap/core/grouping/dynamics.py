@@ -36,12 +36,8 @@ SAMPLE = 6
 class Bins:
     """Sets of landmarks that keep their mutual distances.
 
-    Attributes
-    ----------
-    members : list of (k,) int64
-        Rows of the block, one array per bin, largest bin first.
-    n_comparisons : int
-        Pairs of landmarks compared.
+    `members`, list of (k,): rows of the block, one array per bin, largest bin first;
+    `n_comparisons`: pairs of landmarks compared.
     """
 
     members: list[Ints]
@@ -54,12 +50,7 @@ class Bins:
 
 
 class DynamicStatus:
-    """Tracks which landmarks are moving.
-
-    Parameters
-    ----------
-    table : LandmarkState
-    """
+    """Tracks which landmarks are moving."""
 
     STATE = "_n_bins"
 
@@ -139,12 +130,8 @@ def rests(relative: RelativeMap, noise_m: float) -> Bools:
 class Binning:
     """Sorts the landmarks of one block into bins.
 
-    Parameters
-    ----------
-    block : (n, i, d) float64, robot frame, metres
-        NaN where missing.
-    noise_m : float
-        Standard deviation of an observed coordinate.
+    `block` (n, i, d), robot frame, metres: NaN where missing; `noise_m`: standard deviation of an
+    observed coordinate.
     """
 
     def __init__(self, block: Floats, noise_m: float) -> None:
@@ -160,13 +147,8 @@ class Binning:
 
         Landmarks with too few observations, or that match no other, are in none.
 
-        Parameters
-        ----------
-        priority : (n,) float64
-            Bins are started from landmarks in descending priority.
-        allowed : float, optional
-            Maximum number of comparisons; by default n log2 n for the n landmarks with enough
-            observations.
+        `priority` (n,): bins are started from landmarks in descending priority. `allowed`: maximum
+        number of comparisons; by default n log2 n for the n landmarks with enough observations.
         """
         from relmap.core.grouping.binning_kernels import sort_into_bins
 

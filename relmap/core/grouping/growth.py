@@ -14,12 +14,8 @@ from relmap.core.grouping.chart import PointChart
 class Group:
     """Landmarks of a chart that were all visible in each iteration of a common interval.
 
-    Attributes
-    ----------
-    rows : (g,) int64
-        Rows of the members in the chart.
-    columns : (i,) int64, ascending
-        Columns of the common interval in the chart.
+    `rows` (g,): rows of the members in the chart; `columns` (i,), ascending: columns of the common
+    interval in the chart.
     """
 
     rows: Ints
@@ -35,22 +31,10 @@ def grow_group(
     many landmarks with the map as possible.  The paper stops at the first landmark that does not
     enlarge the area; here the largest area of the whole chart is taken.
 
-    Parameters
-    ----------
-    chart : PointChart
-    candidates : (c,) int64
-        Rows of the chart that may become members.
-    weights : (n,) float64
-        Iterations averaged into the position of each landmark of the chart; 0 if unmapped.
-    min_members : int
-        Minimum size of a group.
-    min_shared : int
-        Minimum number of mapped landmarks in it; 0 for the first group of a map.
-
-    Returns
-    -------
-    Group or None
-        None if the chart contains no such group.
+    `candidates` (c,): rows of the chart that may become members. `weights` (n,): iterations
+    averaged into the position of each landmark of the chart; 0 if unmapped. `min_members`: minimum
+    size of a group. `min_shared`: minimum number of mapped landmarks in it; 0 for the first group
+    of a map. Returns None if the chart contains no such group.
     """
     if len(candidates) < min_members:
         return None

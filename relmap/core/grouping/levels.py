@@ -16,10 +16,6 @@ class GroupLevels:
 
     A landmark's position comes from its highest-level group; ties go to the group that averaged
     more of its observations.
-
-    Parameters
-    ----------
-    table : LandmarkState
     """
 
     _groups: dict[int, MappedGroup]

@@ -59,15 +59,8 @@ def guess_noise(block: Floats) -> float:
 
     Distances between static landmarks vary least, and they are a good fraction of all distances.
 
-    Parameters
-    ----------
-    block : (n, i, d) float64, robot frame, metres
-        NaN where missing.
-
-    Returns
-    -------
-    float
-        Standard deviation of one coordinate, metres; NaN if no two were seen together twice.
+    `block` (n, i, d), robot frame, metres: NaN where missing. Returns the standard deviation of one
+    coordinate, metres; NaN if no two were seen together twice.
     """
     few = block[np.argsort(-np.isfinite(block[:, :, 0]).sum(axis=1), kind="stable")[:PAIRED]]
     a, b = np.triu_indices(len(few), k=1)

@@ -26,16 +26,10 @@ STIFF = 1e9
 class Pattern:
     """Elimination order and sparsity pattern of the factor.
 
-    Parameters
-    ----------
-    first : (b,) int64
-        Number of each block's first unknown; the others follow.
-    layout : see `relmap.core.linalg.cholesky_kernels`
+    `first` (b,): number of each block's first unknown; the others follow. `layout`: see
+    `relmap.core.linalg.cholesky_kernels`.
 
-    Attributes
-    ----------
-    size : int
-        Entries of the factor.
+    Attributes: `size`: entries of the factor.
     """
 
     def __init__(self, first: Ints, layout: Layout) -> None:
@@ -61,13 +55,8 @@ class Pattern:
     def of_cliques(cls, width: Ints, begin: Ints, cliques: Ints) -> Pattern:
         """Return a fill-reducing ordering.
 
-        Parameters
-        ----------
-        width : (b,) int64
-            Number of unknowns of each block; at least 1.
-        begin : (g + 1,) int64
-        cliques : (begin[-1],) int64
-            The blocks of each clique, concatenated, without duplicates in a clique.
+        `width` (b,): number of unknowns of each block; at least 1. `begin` (g + 1,); `cliques`
+        (begin[-1],): the blocks of each clique, concatenated, without duplicates in a clique.
         """
         from relmap.core.linalg.cholesky_kernels import panels
         from relmap.core.linalg.elimination_kernels import minimum_degree
@@ -119,14 +108,7 @@ class Pattern:
     def inverse(self, values: Floats) -> Floats:
         """Return the inverse on the factor's pattern (Takahashi, Fagan and Chin, 1973).
 
-        Parameters
-        ----------
-        values : (size,) float64
-            The factor.
-
-        Returns
-        -------
-        (size,) float64
+        `values` (size,): the factor. Returns (size,).
         """
         start, _, row_begin, rows, _ = self.layout
         found, place = np.empty_like(values), np.empty_like(rows, shape=self.n_unknowns)

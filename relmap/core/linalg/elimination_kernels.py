@@ -96,18 +96,9 @@ def _total(width: Ints, which: Ints) -> int:
 def minimum_degree(width: Ints, clique_begin: Ints, cliques: Ints) -> tuple[Ints, Ints, Ints]:
     """Return a fill-reducing elimination order (b,), and the blocks coupled to each.
 
-    Parameters
-    ----------
-    width : (b,) int64
-        Number of unknowns of each block.
-    clique_begin, cliques : int64
-        Blocks of each clique, concatenated.
-
-    Returns
-    -------
-    order : (b,) int64
-    begin (b + 1,), tied : int64
-        The blocks coupled to the first, second, ... block of the order when it is eliminated.
+    `width` (b,): number of unknowns of each block; `clique_begin`, `cliques`: blocks of each
+    clique, concatenated. Returns the order, and, as `begin` (b + 1,) and `tied`, the blocks coupled
+    to the first, second, ... block of the order when it is eliminated.
     """
     n, m, used = len(width), len(clique_begin) - 1, len(cliques)
     first, last, of = _cliques_of(n, clique_begin, cliques)

@@ -23,14 +23,8 @@ def bend(global_map: GlobalMap, rows: SegmentRows, pairs: Ints, R: Floats, t: Fl
     Linear least squares on the logarithms of the motions of segments and landmarks: a segment and
     the landmarks that it saw should move alike.
 
-    Parameters
-    ----------
-    global_map : GlobalMap
-    rows : SegmentRows
-    pairs : (k, 2) int64
-        Landmarks, and the older ones they are identified with.
-    R, t : (d, d), (d,) float64
-        Motion of the first landmark of each pair to the second.
+    `pairs` (k, 2): landmarks, and the older ones they are identified with; `R` (d, d), `t` (d,):
+    motion of the first landmark of each pair to the second.
     """
     table = global_map.table
     landmark = table.landmark_of[rows.landmark]

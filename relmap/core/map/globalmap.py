@@ -18,10 +18,6 @@ class GlobalMap:
 
     A group that shares too few landmarks with the map starts a new submap, with its own frame. Two
     submaps are joined when a group connects them.
-
-    Parameters
-    ----------
-    table : LandmarkState
     """
 
     STATE = "_n_submaps"
@@ -51,18 +47,10 @@ class GlobalMap:
         The weight of a member combines the iterations averaged into its positions in the map and in
         the group: variances add, so the weights combine harmonically.
 
-        Parameters
-        ----------
-        submap : int
-        landmarks : (g,) int64
-        relative_map : (g, d) float64, group frame, metres
-        n_iterations : (g,) int64
-            Iterations averaged into each position of the relative map.
-
-        Returns
-        -------
-        (g, d) float64, frame of the submap, metres, or None if the members determine no rotation
-            NaN for landmarks whose position is poorly determined by the rotation.
+        `landmarks` (g,); `relative_map` (g, d), group frame, metres; `n_iterations` (g,):
+        iterations averaged into each position of the relative map. Returns (g, d), frame of the
+        submap, metres, or None if the members determine no rotation: NaN for landmarks whose
+        position is poorly determined by the rotation.
         """
         from relmap.core.geometry.fitting_kernels import swings
 
@@ -85,13 +73,8 @@ class GlobalMap:
     def place(self, submap: int, landmarks: Ints, positions: Floats, weights: Floats) -> None:
         """Place landmarks (g,) at positions (g, d) of a submap, averaged with settled positions.
 
-        Parameters
-        ----------
-        submap : int
-        landmarks : (g,) int64
-        positions : (g, d) float64, frame of the submap, metres
-        weights : (g,) float64
-            Numbers of iterations averaged.
+        `landmarks` (g,); `positions` (g, d), frame of the submap, metres; `weights` (g,): numbers
+        of iterations averaged.
         """
         settled = self.table.settled_weight
         settled[landmarks[self.table.submap[landmarks] != submap]] = 0.0

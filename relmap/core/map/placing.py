@@ -15,15 +15,7 @@ from relmap.core.state.store import ObservationStore
 
 
 class Placing:
-    """Adds groups to the map, and ends the intervals of landmarks that left the view.
-
-    Parameters
-    ----------
-    store : ObservationStore
-    schedule : GroupingSchedule
-    global_map : GlobalMap
-    levels : GroupLevels
-    """
+    """Adds groups to the map, and ends the intervals of landmarks that left the view."""
 
     def __init__(
         self,
@@ -41,19 +33,8 @@ class Placing:
     def place(self, submap: int, level: int, placed: Floats, relative: RelativeMap) -> Ints:
         """Add a relative map for the landmarks for which it is the best group.
 
-        Parameters
-        ----------
-        submap : int
-        level : int
-            The pass: 1, 2 or 3.
-        placed : (n, d) float64, frame of the submap, metres
-            The relative map, aligned.
-        relative : RelativeMap
-
-        Returns
-        -------
-        (k,) int64
-            The newly mapped landmarks.
+        `level`: the pass: 1, 2 or 3; `placed` (n, d), frame of the submap, metres: the relative
+        map, aligned. Returns (k,): the newly mapped landmarks.
         """
         landmarks = relative.landmarks
         self._map.join(submap, landmarks, placed)

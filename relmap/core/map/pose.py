@@ -17,19 +17,10 @@ def trajectory(rows: SegmentRows, positions_map: Floats, of: Ints) -> Floats:
     residuals within a segment are not explained by a small motion. The fit is robust to a few wrong
     matches.
 
-    Parameters
-    ----------
-    rows : SegmentRows
-        Rows of all iterations.
-    positions_map : (m, d) float64, map frame, metres
-        NaN for unmapped landmarks.
-    of : (m,) int64
-        The landmark that each number stands for, after merging.
-
-    Returns
-    -------
-    (n_iterations, 4, 4) float64
-        ``T_map_robot``; NaN if the mapped landmarks in view do not determine a pose.
+    `rows`: rows of all iterations; `positions_map` (m, d), map frame, metres: NaN for unmapped
+    landmarks; `of` (m,): the landmark that each number stands for, after merging. Returns
+    (n_iterations, 4, 4): ``T_map_robot``; NaN if the mapped landmarks in view do not determine a
+    pose.
     """
     n, d = len(rows.iteration_segment), rows.points.shape[1]
     poses = np.full((n, 4, 4), np.nan)

@@ -27,13 +27,9 @@ LARGEST = -2
 class Bridged:
     """All scans, placed by landmarks and odometry.
 
-    Attributes
-    ----------
-    poses : (k, 4, 4) float64, metres
-    part : (k,) int64
-        Scans of different parts have different frames: no odometry connects them.
-    hanging : (h,) int64
-        Iterations that landmarks do not connect to the previous one.
+    `poses` (k, 4, 4), metres; `part` (k,): scans of different parts have different frames: no
+    odometry connects them; `hanging` (h,): iterations that landmarks do not connect to the previous
+    one.
     """
 
     poses: Floats
@@ -44,11 +40,8 @@ class Bridged:
 class Measured(NamedTuple):
     """The motion to each iteration by landmarks alone; NaN where they do not determine it.
 
-    Attributes
-    ----------
-    motion : (k, 4, 4) float64
-    sd_m, sd_rad : (k,) float64
-        Standard deviations of a coordinate, metres, and of the angle, radians.
+    `motion` (k, 4, 4); `sd_m`, `sd_rad` (k,): standard deviations of a coordinate, metres, and of
+    the angle, radians.
     """
 
     motion: Floats
@@ -158,15 +151,8 @@ def bridge(
 ) -> Bridged:
     """Place all scans in one frame: by submaps where these determine them, else by odometry.
 
-    Parameters
-    ----------
-    table : LandmarkState
-    rows : SegmentRows
-    motions : (k, 4, 4) float64
-        Odometry, without its constant errors; NaN if unknown.
-    solved : (k, 4, 4) float64, optional
-        Poses solved for before the map changed, in the frame of its largest submap; NaN in
-        others.
+    `motions` (k, 4, 4): odometry, without its constant errors; NaN if unknown. `solved` (k, 4, 4):
+    poses solved for before the map changed, in the frame of its largest submap; NaN in others.
     """
     k = len(motions)
     poses, part = np.tile(np.eye(4), (k, 1, 1)), np.zeros(k, dtype=np.int64)

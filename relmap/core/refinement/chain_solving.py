@@ -34,29 +34,11 @@ def settled_chain(
 ) -> tuple[Settled[Chained], ChainProblem]:
     """Solve for the map of least robust cost, and estimate the noise from its residuals.
 
-    Parameters
-    ----------
-    chain : Chain
-    step_sd : tuple of (k - 1,) float64
-        Standard deviations of the distance and the turn of each step of odometry, as in
-        `ChainProblem`.
-    state : Chained
-        Where to start.
-    anchor : int
-        Iteration that is held.
-    sigmas : Sigmas or None
-        The noise, if known.
-    to_the_last : bool
-        Whether to iterate until convergence.
-    is_open : bool
-        Whether a loop has just been closed that the state leaves open.
-    has_ids : bool
-
-    Returns
-    -------
-    settled : Settled
-    problem : ChainProblem
-        With the estimated noise.
+    `step_sd`, tuple of (k - 1,): standard deviations of the distance and the turn of each step of
+    odometry, as in `ChainProblem`; `state`: where to start; `anchor`: iteration that is held;
+    `sigmas`: the noise, if known; `to_the_last`: whether to iterate until convergence; `is_open`:
+    whether a loop has just been closed that the state leaves open. Returns `problem`: with the
+    estimated noise.
     """
     problem = ChainProblem(
         chain, step_sd, sigmas or Sigmas(), state.positions, anchor, turns_whole=not has_ids

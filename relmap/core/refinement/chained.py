@@ -39,17 +39,9 @@ LEAST = 1e-9
 class Chain(NamedTuple):
     """The data: observations, and odometry between iterations.
 
-    Attributes
-    ----------
-    points : (n, d) float64, robot frame, metres
-    landmark : (n,) int64
-        0 to m - 1.
-    iteration : (n,) int64
-        0 to k - 1.
-    root : (n, d, d) float64
-        Matrix that converts a residual to standard deviations.
-    motion : (k - 1, 4, 4) float64
-        Odometry from each iteration to the next; NaN if unknown.
+    `points` (n, d), robot frame, metres. `landmark` (n,): 0 to m - 1. `iteration` (n,): 0 to k - 1.
+    `root` (n, d, d): matrix that converts a residual to standard deviations. `motion`
+    (k - 1, 4, 4): odometry from each iteration to the next; NaN if unknown.
     """
 
     points: Floats
@@ -63,13 +55,8 @@ class Chain(NamedTuple):
 class Chained:
     """Landmarks, the pose of each iteration, and the constant errors of odometry.
 
-    Attributes
-    ----------
-    positions : (m, d) float64, metres
-    R : (k, d, d) float64
-    t : (k, d) float64
-    constant : (q + 2,) float64
-        Error of the scale of distances and of turns, and turn missed per metre.
+    `positions` (m, d), metres; `R` (k, d, d); `t` (k, d); `constant` (q + 2,): error of the scale
+    of distances and of turns, and turn missed per metre.
     """
 
     positions: Floats
@@ -81,10 +68,7 @@ class Chained:
 class Sigmas(NamedTuple):
     """Standard deviations, as multiples of those that weight the residuals.
 
-    Attributes
-    ----------
-    seen, way, turn : float
-        Of observations, and of the distance and the turn of odometry.
+    `seen`, `way`, `turn`: of observations, and of the distance and the turn of odometry.
     """
 
     seen: float = 1.0
@@ -95,19 +79,11 @@ class Sigmas(NamedTuple):
 class ChainProblem:
     """The residuals of observations and of odometry, in their standard deviations; a `Problem`.
 
-    Parameters
-    ----------
-    chain : Chain
-    step_sd : tuple of (k - 1,) float64
-        Standard deviations of odometry: of a coordinate, metres, and of an angle, radians.
-    sigmas : Sigmas
-    positions : (m, d) float64, metres
-        Approximate positions of the landmarks.
-    anchor : int
-        The iteration whose pose defines the frame.
-    turns_whole : bool
-        Whether a step that turns one part of the chain moves everything that depends on it, so that
-        long chains bend in few steps.  Otherwise each pose and landmark has its own shift.
+    `step_sd`, tuple of (k - 1,): standard deviations of odometry: of a coordinate, metres, and of
+    an angle, radians. `positions` (m, d), metres: approximate positions of the landmarks. `anchor`:
+    the iteration whose pose defines the frame. `turns_whole`: whether a step that turns one part of
+    the chain moves everything that depends on it, so that long chains bend in few steps. Otherwise
+    each pose and landmark has its own shift.
     """
 
     def __init__(

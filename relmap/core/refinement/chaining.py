@@ -37,15 +37,8 @@ DOUBT = 0.25
 class Solved:
     """The solution for a part of a run.
 
-    Attributes
-    ----------
-    refined : Refined
-    poses : (k, 4, 4) float64
-        Poses of its iterations, in the frame of `refined`.
-    iterations : (k,) int64
-    doubted : (i,) int64
-        Iterations whose odometry is rejected.
-    sigmas : Sigmas
+    `poses` (k, 4, 4): poses of its iterations, in the frame of `refined`; `iterations` (k,);
+    `doubted` (i,): iterations whose odometry is rejected.
     """
 
     refined: Refined
@@ -171,16 +164,8 @@ def join_parts(bridged: Bridged, solved: Sequence[Solved]) -> Bridged | None:
 
     Parts of one log that are not connected by odometry may share landmarks, known by their ids.
 
-    Parameters
-    ----------
-    bridged : Bridged
-    solved : sequence of Solved
-        Its parts, the smallest first.
-
-    Returns
-    -------
-    Bridged or None
-        None if no part shares enough landmarks, or their positions disagree.
+    `solved`: its parts, the smallest first. Returns None if no part shares enough landmarks, or
+    their positions disagree.
     """
     for k, other in enumerate(solved):
         for base in reversed(solved[k + 1 :]):

@@ -128,13 +128,8 @@ class CondensedSegments:
     def condense(self, store: ObservationStore, before: int, dynamic: Bools) -> bool:
         """Condense the next segment if it is complete before an iteration; return whether.
 
-        Parameters
-        ----------
-        store : ObservationStore
-            Contains the iterations from `end` on.
-        before : int
-        dynamic : (m,) bool
-            Landmarks known to move; they do not influence the poses of the iterations.
+        `store`: contains the iterations from `end` on. `dynamic` (m,): landmarks known to move;
+        they do not influence the poses of the iterations.
         """
         if self.end + LENGTH > before:
             return False

@@ -16,11 +16,6 @@ class Drift:
     """Uncertainty of a solved chain, relative to poses of the chain.
 
     It grows along the chain until a loop is closed, so it is computed from the whole covariance.
-
-    Parameters
-    ----------
-    problem : ChainProblem
-    settled : Settled
     """
 
     def __init__(self, problem: ChainProblem, settled: Settled[Chained]) -> None:
@@ -45,10 +40,7 @@ class Drift:
     def between(self, unknowns: Ints) -> Floats:
         """Return the covariances (k, d, d) of the difference of points that coincide, metres.
 
-        Parameters
-        ----------
-        unknowns : (k, 2, d) int64
-            The unknowns of two landmarks, or of the positions of two poses.
+        `unknowns` (k, 2, d): the unknowns of two landmarks, or of the positions of two poses.
         """
         pattern, d = self._problem.pattern, unknowns.shape[2]
         found = np.zeros((len(unknowns), d, d))

@@ -47,11 +47,7 @@ class Laid(NamedTuple):
 class SegmentProblem:
     """The residuals of the rows of segments; a `Problem`.
 
-    Parameters
-    ----------
-    rows : JointRows
-    size : float
-        Size of the map, metres.
+    `size`: size of the map, metres.
     """
 
     pattern: Pattern
@@ -126,14 +122,8 @@ class SegmentProblem:
 class FreePlacements(SegmentProblem):
     """Keeps the landmarks; the placement of each iteration is eliminated.
 
-    Parameters
-    ----------
-    rows : JointRows
-    size : float
-    pattern : Pattern
-        Pattern of the landmarks.
-    anchor : (segment, bit)
-        The iteration whose placement is fixed.
+    `pattern`: pattern of the landmarks; `anchor` (segment, bit): the iteration whose placement is
+    fixed.
     """
 
     def __init__(
@@ -190,12 +180,7 @@ class FreeLandmarks(SegmentProblem):
 
     The anchor iteration, which defines the frame, has a separate, fixed placement.
 
-    Parameters
-    ----------
-    rows : JointRows
-    size : float
-    anchor : (segment, bit), optional
-        By default the whole first segment.
+    `anchor` (segment, bit): by default the whole first segment.
     """
 
     def __init__(self, rows: JointRows, size: float, anchor: tuple[int, int] | None = None) -> None:
@@ -272,13 +257,8 @@ def segment_problem(
 ) -> FreePlacements | FreeLandmarks:
     """Return the exact problem, or that of whole segments if the exact one is too expensive.
 
-    Parameters
-    ----------
-    rows : JointRows
-    size : float
-        Size of the map, metres.
-    anchor : (segment, bit)
-        The iteration whose placement defines the frame.
+    `size`: size of the map, metres; `anchor` (segment, bit): the iteration whose placement defines
+    the frame.
     """
     flops, budget = exact_flops(rows), max(FLOPS, FLOPS_PER_OBSERVATION * rows.n_seen.sum())
     if flops <= budget:

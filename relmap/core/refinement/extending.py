@@ -46,13 +46,7 @@ def extend_submaps(global_map: GlobalMap, rows: SegmentRows, among: Bools | None
     Landmarks of smaller submaps move to the larger one; landmarks considered dynamic that keep
     their position from segment to segment become static.
 
-    Parameters
-    ----------
-    global_map : GlobalMap
-    rows : SegmentRows
-        Rows of all iterations.
-    among : (m,) bool, optional
-        Landmarks that may be placed; all by default.
+    `rows`: rows of all iterations. `among` (m,): landmarks that may be placed; all by default.
     """
     table = global_map.table
     seen = np.bincount(table.now(rows.landmark), rows.n_seen, minlength=len(table))

@@ -32,14 +32,8 @@ SAME, ALIKE = 0.05, 0.01
 class Problem(Protocol[State]):
     """A nonlinear least-squares problem, implemented by a kind of landmark.
 
-    Attributes
-    ----------
-    pattern : Pattern
-        Sparsity pattern of the unknowns that are not eliminated.
-    freedoms : int
-        Degrees of freedom: residuals minus unknowns; at least 1.
-    rounding : float
-        Cost treated as rounding.
+    `pattern`: sparsity pattern of the unknowns that are not eliminated. `freedoms`: degrees of
+    freedom: residuals minus unknowns; at least 1. `rounding`: cost treated as rounding.
     """
 
     pattern: Pattern
@@ -70,16 +64,9 @@ class Problem(Protocol[State]):
 class Solution(Generic[State]):
     """Result of Gauss-Newton.
 
-    Attributes
-    ----------
-    state : State
-    weight : (n,) float64
-    last : State, optional
-        State before the last step, if any.
-    gain : float
-        Gain of the last step, in squared standard deviations; infinite if there was none.
-    converged : bool
-        Whether the gain of the next step would be negligible.
+    `weight` (n,); `last`: state before the last step, if any. `gain`: gain of the last step, in
+    squared standard deviations; infinite if there was none. `converged`: whether the gain of the
+    next step would be negligible.
     """
 
     state: State

@@ -60,23 +60,11 @@ class Spread:
 class Refined(Brief):
     """A submap at the joint optimum over all observations.
 
-    Attributes
-    ----------
-    landmarks : (m,) int64
-    positions : (m, d) float64, metres
-        In the robot frame of the anchor iteration.
-    anchor_iteration : int
-        The first iteration whose landmarks determine its pose.
-    noise_m : float
-        Standard deviation of an observed coordinate, from the residuals.
-    segments : SegmentResiduals
-    merges : MergeResiduals
-    spread : Spread
-    power : float
-        Exponent p of the minimised sum of p-th powers of the residuals; 2 is least squares.
-    converged : bool
-        Whether the least squares converged. Otherwise the positions are the best found, no worse
-        than the initial ones.
+    `landmarks` (m,); `positions` (m, d), metres: in the robot frame of the anchor iteration.
+    `anchor_iteration`: the first iteration whose landmarks determine its pose. `noise_m`: standard
+    deviation of an observed coordinate, from the residuals. `power`: exponent p of the minimised
+    sum of p-th powers of the residuals; 2 is least squares. `converged`: whether the least squares
+    converged. Otherwise the positions are the best found, no worse than the initial ones.
     """
 
     landmarks: Ints
@@ -108,22 +96,10 @@ def refine(
 ) -> Refined | None:
     """Return the joint optimum of the landmarks of one submap over all observations.
 
-    Parameters
-    ----------
-    rows : SegmentRows
-    positions : (m, d) float64, metres
-        Initial positions, from the chain of groups.
-    chosen : (m,) bool
-        The landmarks of the submap.
-    of : (m,) int64
-        The landmark that each number stands for, after merging.
-    others : (m,) bool
-        Static landmarks that are not mapped; they constrain the landmarks seen with them.
-
-    Returns
-    -------
-    Refined or None
-        None if the observations determine nothing.
+    `positions` (m, d), metres: initial positions, from the chain of groups. `chosen` (m,): the
+    landmarks of the submap. `of` (m,): the landmark that each number stands for, after merging.
+    `others` (m,): static landmarks that are not mapped; they constrain the landmarks seen with
+    them. Returns None if the observations determine nothing.
     """
     landmark = of[rows.landmark]
     joint, start = joint_rows(rows, positions, chosen, landmark, others)

@@ -44,15 +44,8 @@ WHOLE = 400
 class Body:
     """Segments merged into one rigid body.
 
-    Attributes
-    ----------
-    landmark : (n,) int64
-    points : (n, d) float64, metres
-        Their positions, frame of the body.
-    weight : (n,) float64
-        Number of observations of each.
-    n_segments : int
-        Number of segments.
+    `landmark` (n,); `points` (n, d), metres: their positions, frame of the body; `weight` (n,):
+    number of observations of each; `n_segments`: number of segments.
     """
 
     landmark: Ints
@@ -62,13 +55,7 @@ class Body:
 
 
 class LiveRefinement:
-    """Keeps the live map near the optimum of all observations so far.
-
-    Parameters
-    ----------
-    segments : CondensedSegments
-    global_map : GlobalMap
-    """
+    """Keeps the live map near the optimum of all observations so far."""
 
     _bodies: list[Body]
     STATE = "_bodies _length _most _begun _noted _back"
@@ -158,13 +145,8 @@ class LiveRefinement:
     def _step(self, landmark: Ints, points: Floats, seen: Floats, body: Ints) -> None:
         """Take a Gauss-Newton step for the submap in view, if there is one.
 
-        Parameters
-        ----------
-        landmark : (n,) int64
-        points : (n, d) float64, frame of the body, metres
-        seen : (n,) float64
-            Number of observations of each.
-        body : (n,) int64, ascending
+        `landmark` (n,); `points` (n, d), frame of the body, metres; `seen` (n,): number of
+        observations of each; `body` (n,), ascending.
         """
         submaps = self._table.submap[landmark]
         mapped = submaps[submaps != NONE]

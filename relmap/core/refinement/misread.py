@@ -33,11 +33,7 @@ def take_off_misread(global_map: GlobalMap, rows: SegmentRows) -> Ints:
     seen a few times at the position of another that was seen more often, and never together with
     it.
 
-    Parameters
-    ----------
-    global_map : GlobalMap
-    rows : SegmentRows
-        Rows of all iterations.
+    `rows`: rows of all iterations.
     """
     table, found = global_map.table, []
     landmark = table.now(rows.landmark)

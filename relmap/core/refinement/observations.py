@@ -15,15 +15,8 @@ from relmap.core.refinement.rows import numbered
 class Observations:
     """Observations of some landmarks, in iterations that these determine.
 
-    Attributes
-    ----------
-    points : (n, d) float64, robot frame, metres
-    landmark : (n,) int64
-        0 to m - 1.
-    iteration : (n,) int64, ascending
-        0 to k - 1.
-    iterations : (k,) int64
-        Iteration numbers in the run.
+    `points` (n, d), robot frame, metres; `landmark` (n,): 0 to m - 1; `iteration` (n,), ascending:
+    0 to k - 1; `iterations` (k,): iteration numbers in the run.
     """
 
     points: Floats
@@ -39,12 +32,7 @@ class Observations:
     def placed_on(self, positions: Floats) -> tuple[Floats, Floats, Bools]:
         """Return the pose of each iteration that best fits landmarks (m, d).
 
-        Returns
-        -------
-        R : (k, d, d) float64
-        t : (k, d) float64
-        fixed : (k,) bool
-            Whether the observations determine it.
+        Returns `R` (k, d, d), `t` (k, d) and `fixed` (k,): whether the observations determine it.
         """
         there, unit = positions[self.landmark], np.ones(len(self.points))
         return fit_rigid_each(self.points, there, unit, self.iteration, len(self.iterations))
@@ -55,16 +43,9 @@ def observations_of(
 ) -> tuple[Observations, Ints]:
     """Return the observations of landmarks (m,) at positions (m, d), and their rows (k,).
 
-    Parameters
-    ----------
-    points : (n, d) float64, robot frame, metres
-        All observations.
-    seen : (n,) int64
-        Landmark of each observation, after merging.
-    when : (n,) int64, ascending
-        Iteration of each observation.
-    landmarks : (m,) int64, ascending
-    positions : (m, d) float64, metres
+    `points` (n, d), robot frame, metres: all observations; `seen` (n,): landmark of each
+    observation, after merging; `when` (n,), ascending: iteration of each observation; `landmarks`
+    (m,), ascending; `positions` (m, d), metres.
     """
     at = np.searchsorted(landmarks, seen).clip(0, len(landmarks) - 1)
     rows = np.flatnonzero(landmarks[at] == seen)

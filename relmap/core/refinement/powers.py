@@ -44,17 +44,8 @@ REPEATS = 4
 def refine_by_powers(refined: Refined, seen: Observations) -> Refined:
     """Return the landmark positions that minimise the sum of powers suited to the residuals.
 
-    Parameters
-    ----------
-    refined : Refined
-        The least-squares result.
-    seen : Observations
-        Observations of its landmarks.
-
-    Returns
-    -------
-    Refined
-        Unchanged if no higher power suits.
+    `refined`: the least-squares result; `seen`: observations of its landmarks. The result is
+    unchanged if no higher power suits.
     """
     solution = PowerSolution.of(seen, refined.positions)
     size = np.ptp(refined.positions, axis=0).max()
@@ -98,11 +89,6 @@ class PowerProblem:
 
     Newton's step for a sum of powers is that of weighted least squares, divided by the power minus
     one.
-
-    Parameters
-    ----------
-    seen : Observations
-    n_landmarks : int
     """
 
     rounding = 0.0

@@ -16,13 +16,9 @@ from relmap.core.refinement.rows import JointRows
 class SegmentResiduals:
     """How well each segment fits the map.
 
-    Attributes
-    ----------
-    first_iteration : (s,) int64
-    middle : (s, d) float64, map frame, metres
-        Mean position of the landmarks seen in it.
-    residual : (s,) float64
-        Root mean square deviation from the map, in units of what the noise explains.
+    `first_iteration` (s,); `middle` (s, d), map frame, metres: mean position of the landmarks seen
+    in it; `residual` (s,): root mean square deviation from the map, in units of what the noise
+    explains.
     """
 
     first_iteration: Ints
@@ -34,14 +30,9 @@ class SegmentResiduals:
 class MergeResiduals:
     """How well re-observed landmarks fit the ones they were merged into.
 
-    Attributes
-    ----------
-    landmark, track : (k,) int64
-        The landmark, and the number under which it was seen again.
-    apart_m : (k,) float64
-        Distance between the positions seen under this number and under all others.
-    residual : (k,) float64
-        The same, in units of what the noise explains.
+    `landmark`, `track` (k,): the landmark, and the number under which it was seen again; `apart_m`
+    (k,): distance between the positions seen under this number and under all others; `residual`
+    (k,): the same, in units of what the noise explains.
     """
 
     landmark: Ints
@@ -57,12 +48,8 @@ def segment_residuals(
 
     Outliers are reported here, even if the refinement gives them little weight.
 
-    Parameters
-    ----------
-    placed : (n, d) float64, map frame, metres
-        The rows, with each segment fitted to the map.
-    positions : (m, d) float64, map frame, metres
-        The landmarks.
+    `placed` (n, d), map frame, metres: the rows, with each segment fitted to the map; `positions`
+    (m, d), map frame, metres: the landmarks.
     """
     d, s = placed.shape[1], len(joint.segments)
     squares = joint.n_seen * np.sum((placed - positions[joint.landmark]) ** 2, axis=1)
@@ -80,19 +67,10 @@ def merge_residuals(
 ) -> MergeResiduals:
     """Compare the positions seen under each number that was merged into another.
 
-    Parameters
-    ----------
-    landmarks : (m,) int64
-    of : (n,) int64
-        Index of the landmark of each row.
-    number : (n,) int64
-        Number under which it was seen.
-    off : (n, d) float64, metres
-        Deviation from the position of the landmark.
-    seen : (n,) float64
-        Number of observations.
-    variance : (n,) float64, square metres
-        Variance of a coordinate of one observation.
+    `landmarks` (m,); `of` (n,): index of the landmark of each row; `number` (n,): number under
+    which it was seen; `off` (n, d), metres: deviation from the position of the landmark; `seen`
+    (n,): number of observations; `variance` (n,), square metres: variance of a coordinate of one
+    observation.
     """
     tracks, own = np.unique(number, return_inverse=True)
     landmark = np.zeros(len(tracks), dtype=np.int64)

@@ -13,11 +13,7 @@ from relmap.core.state.kept import KeptObservations
 def placed_observations(kept: KeptObservations, poses: Floats) -> Floats:
     """Return the place (n, d) of each observation in the map, metres.
 
-    Parameters
-    ----------
-    kept : KeptObservations
-    poses : (k, 4, 4) float64
-        ``T_map_robot`` of each iteration; NaN where there is none.
+    `poses` (k, 4, 4): ``T_map_robot`` of each iteration; NaN where there is none.
     """
     d, own = kept.location.shape[1], poses[kept.iteration]
     return np.asarray(np.einsum("nij,nj->ni", own[:, :d, :d], kept.location) + own[:, :d, 3])
@@ -26,13 +22,7 @@ def placed_observations(kept: KeptObservations, poses: Floats) -> Floats:
 def scattered(landmark: Ints, places: Floats, m: int) -> Floats:
     """Return the typical distance of each landmark (m,) from its median place, metres; or NaN.
 
-    Parameters
-    ----------
-    landmark : (n,) int64
-        0 to m - 1.
-    places : (n, d) float64, metres
-        Of the observations; NaN where unknown.
-    m : int
+    `landmark` (n,): 0 to m - 1. `places` (n, d), metres: of the observations; NaN where unknown.
     """
     found = np.full(m, np.nan)
     for one, rows in by_landmark(landmark, places):
@@ -47,13 +37,8 @@ def drifting(landmark: Ints, places: Floats, m: int) -> Bools:
     The squared steps from one observation to the next are on average twice the variance if the
     places scatter independently, and much less if a landmark moves (von Neumann, 1941).
 
-    Parameters
-    ----------
-    landmark : (n,) int64
-        0 to m - 1.
-    places : (n, d) float64, metres
-        Of the observations in the order of time; NaN where unknown.
-    m : int
+    `landmark` (n,): 0 to m - 1. `places` (n, d), metres: of the observations in the order of time;
+    NaN where unknown.
     """
     found = np.zeros(m, dtype=bool)
     for one, rows in by_landmark(landmark, places):
@@ -73,12 +58,7 @@ def at_rest(landmark: Ints, places: Floats, static: Bools) -> Bools:
     They scatter as most do, or as the worst do and without a trend: landmarks are not equally
     noisy.
 
-    Parameters
-    ----------
-    landmark, places
-        As for `drifting`.
-    static : (m,) bool
-        Landmarks known to be static.
+    `landmark`, `places`: as for `drifting`; `static` (m,): landmarks known to be static.
     """
     scatter = scattered(landmark, places, len(static))
     usual = scatter[static & np.isfinite(scatter)]

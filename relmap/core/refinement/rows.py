@@ -16,22 +16,10 @@ from relmap.core.refinement.condensing import SegmentRows
 class JointRows:
     """Rows of segments that belong to one submap, numbered without gaps.
 
-    Attributes
-    ----------
-    points : (n, d) float64, segment frame, metres
-    visible : (n,) uint8
-    n_seen : (n,) float64
-        Number of observations of each row.
-    segment : (n,) int64, ascending
-        0 to s - 1.
-    landmark : (n,) int64
-        0 to m - 1.
-    landmarks : (m,) int64
-        Their numbers in the map.
-    segments : (s,) int64
-        Their numbers among all segments.
-    rows : (n,) int64
-        Their indices among all rows.
+    `points` (n, d), segment frame, metres; `visible` (n,); `n_seen` (n,): number of observations of
+    each row; `segment` (n,), ascending: 0 to s - 1; `landmark` (n,): 0 to m - 1; `landmarks` (m,):
+    their numbers in the map; `segments` (s,): their numbers among all segments; `rows` (n,): their
+    indices among all rows.
     """
 
     points: Floats
@@ -74,12 +62,8 @@ def rows_of_each(landmark: Ints, n: int) -> tuple[Ints, Ints]:
 def pattern_of(body: Ints, kept: Ints, q: int) -> Pattern:
     """Return the pattern of the kept unknowns when bodies are eliminated.
 
-    Parameters
-    ----------
-    body, kept : (n,) int64
-        The body and the kept block of each row: 0, 1, ... without gaps.
-    q : int
-        Number of unknowns of each.
+    `body`, `kept` (n,): the body and the kept block of each row: 0, 1, ... without gaps. `q`:
+    number of unknowns of each.
     """
     n = int(kept.max()) + 1
     clique, member = np.divmod(np.unique(body * n + kept), n)

@@ -26,16 +26,9 @@ if TYPE_CHECKING:
 class NormalEquations:
     """The normal equations of a Gauss-Newton step.
 
-    Attributes
-    ----------
-    right : (u,) float64
-        Right-hand side, in elimination order.
-    matrix : (size,) float64
-        Stored as described by the pattern; empty if not requested.
-    cost : float
-        Weighted sum of squares at the optimum of the eliminated bodies.
-    eliminated_steps : callable
-        Maps a step (u,) to the steps of the bodies (p, q).
+    `right` (u,): right-hand side, in elimination order. `matrix` (size,): stored as described by
+    the pattern; empty if not requested. `cost`: weighted sum of squares at the optimum of the
+    eliminated bodies. `eliminated_steps`: maps a step (u,) to the steps of the bodies (p, q).
     """
 
     right: Floats
@@ -48,12 +41,8 @@ class NormalEquations:
 class Linearised:
     """Residuals at a state, and their Jacobians.
 
-    Attributes
-    ----------
-    off : (r,) float64
-    by_eliminated : (r, q) float64
-        Jacobian by a step of the body; for a pose, rotation and translation.
-    by_kept : (r, k) float64
+    `off` (r,); `by_eliminated` (r, q): Jacobian by a step of the body; for a pose, rotation and
+    translation. `by_kept` (r, k).
     """
 
     off: Floats
@@ -64,20 +53,12 @@ class Linearised:
 class Elimination:
     """The residuals of each body, and the positions of the equations in the matrix.
 
-    Parameters
-    ----------
-    pattern : Pattern
-    kept : (r, k) int64
-        The kept unknowns of each residual, numbered in elimination order.
-    begin, seen : (p + 1,) and (begin[-1],) int64
-        The residuals of each body, concatenated.
-    stretch : (p,) int64, ascending
-        Bodies of one stretch share no residuals with those of others.
-    times : (p,) float64, optional
-        Number of bodies with the same observations that each represents; default 1.
-    free, free_in_matrix : (p,) float64, optional
-        How many of these are free; default all. A body that is fixed only to define the frame may
-        be free in the right-hand side.
+    `kept` (r, k): the kept unknowns of each residual, numbered in elimination order. `begin`
+    (p + 1,), `seen` (begin[-1],): the residuals of each body, concatenated. `stretch` (p,),
+    ascending: bodies of one stretch share no residuals with those of others. `times` (p,): number
+    of bodies with the same observations that each represents; default 1. `free`, `free_in_matrix`
+    (p,): how many of these are free; default all. A body that is fixed only to define the frame may
+    be free in the right-hand side.
     """
 
     def __init__(
@@ -114,15 +95,8 @@ class Elimination:
     ) -> NormalEquations:
         """Return the normal equations of the kept unknowns.
 
-        Parameters
-        ----------
-        linear : Linearised
-        weight : (r,) float64
-        hold : float
-            Damping of poorly determined bodies, as a fraction of the diagonal.
-        with_matrix : bool
-        along : (p, q) float64, optional
-            A direction in which a body is unobservable; none if omitted.
+        `weight` (r,); `hold`: damping of poorly determined bodies, as a fraction of the diagonal.
+        `along` (p, q): a direction in which a body is unobservable; none if omitted.
         """
         from relmap.core.refinement.schur_kernels import eliminated_steps, reduced_equations
 

@@ -123,22 +123,10 @@ def reduced_equations(
 ) -> tuple[float, Floats]:
     """Add the reduced normal equations after eliminating the bodies.
 
-    Parameters
-    ----------
-    hold : float
-        Damping of poorly determined bodies, as a fraction of the diagonal.
-    layout : see `relmap.core.linalg.cholesky_kernels`
-    values : float64
-        The matrix, updated in place unless it is empty.
-    right : (u,) float64
-        Updated in place.
-
-    Returns
-    -------
-    cost : float
-        Weighted sum of squares at the optimum of the bodies.
-    roots : (p, q, q) float64
-        Cholesky factor of the matrix of each body.
+    `hold`: damping of poorly determined bodies, as a fraction of the diagonal; `layout`: see
+    `relmap.core.linalg.cholesky_kernels`; `values`: the matrix, updated in place unless it is
+    empty; `right` (u,): updated in place. Returns `cost`: weighted sum of squares at the optimum of
+    the bodies and `roots` (p, q, q): Cholesky factor of the matrix of each body.
     """
     first, begin, unknowns = stretches
     _, _, times, free, free_here, _ = bodies

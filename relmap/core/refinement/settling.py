@@ -39,14 +39,9 @@ State = TypeVar("State", bound=HasPositions)
 class Settled(Generic[State]):
     """Result of the robust joint least squares.
 
-    Attributes
-    ----------
-    state : tuple
-        State of the problem, including the landmark positions.
-    weight : (n,) float64
-        Weight of one observation of each row.
-    converged : bool
-        Whether it converged. Otherwise the state is the best found, possibly the initial one.
+    `state`: state of the problem, including the landmark positions. `weight` (n,): weight of one
+    observation of each row. `converged`: whether it converged. Otherwise the state is the best
+    found, possibly the initial one.
     """
 
     state: State

@@ -26,13 +26,8 @@ from relmap.core.state.weighed import WeighedObservations
 def refine_weighed(refined: Refined, weighed: WeighedObservations, of: Ints) -> Refined:
     """Return the landmark positions by observations weighted with their covariances.
 
-    Parameters
-    ----------
-    refined : Refined
-        The map refined by segments.
-    weighed : WeighedObservations
-    of : (k,) int64
-        The landmark that each number stands for, after merging.
+    `refined`: the map refined by segments; `of` (k,): the landmark that each number stands for,
+    after merging.
     """
     seen, rows = observations_of(
         weighed.location,
@@ -63,14 +58,8 @@ def refine_weighed(refined: Refined, weighed: WeighedObservations, of: Ints) -> 
 class WeighedProblem:
     """Residuals of single observations in standard deviations; a `Problem`.
 
-    Parameters
-    ----------
-    seen : Observations
-    covariance : (n, d, d) float64, robot frame, square metres
-    positions : (m, d) float64, metres
-        Approximate positions of the landmarks.
-    anchor : int
-        The iteration whose pose defines the frame.
+    `covariance` (n, d, d), robot frame, square metres; `positions` (m, d), metres: approximate
+    positions of the landmarks; `anchor`: the iteration whose pose defines the frame.
     """
 
     def __init__(

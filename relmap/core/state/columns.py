@@ -22,16 +22,9 @@ Merge = Literal["old", "new", "least", "most", "sum"]
 class Column(NamedTuple):
     """Description of a column.
 
-    Attributes
-    ----------
-    dtype : numpy dtype
-    fill : scalar
-        Value of a new row.
-    merged : str
-        Value of the older landmark after a merge: its own, the new one's, or the minimum, maximum
-        or sum of both.
-    vector : bool
-        Whether a row has one value for each coordinate.
+    `dtype`: numpy dtype; `fill`, scalar: value of a new row; `merged`: value of the older landmark
+    after a merge: its own, the new one's, or the minimum, maximum or sum of both; `vector`: whether
+    a row has one value for each coordinate.
     """
 
     dtype: DTypeLike

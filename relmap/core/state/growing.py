@@ -24,13 +24,8 @@ class GrowingArray(Generic[Scalar]):
     allocates pages on first write. So the capacity grows in large steps up to the expected size,
     and doubles from there.
 
-    Parameters
-    ----------
-    dtype : numpy dtype
-    width : tuple of int
-        Shape of one row; ``()`` for a column of scalars.
-    room : int
-        Approximate number of expected rows.
+    `dtype`: numpy dtype. `width`: shape of one row; ``()`` for a column of scalars. `room`:
+    approximate number of expected rows.
     """
 
     _sixteenths = itertools.cycle(range(16, 32))

@@ -54,10 +54,7 @@ def _kind(hint: Any, now: Any) -> tuple[type, tuple[Any, ...]]:
 class StateWriter:
     """Collects the columns of parts.
 
-    Attributes
-    ----------
-    columns : dict
-        Arrays and JSON values, by names such as ``landmarks/position``.
+    `columns`: arrays and JSON values, by names such as ``landmarks/position``.
     """
 
     def __init__(self) -> None:
@@ -118,10 +115,7 @@ class StateReader:
 
     Invalid columns raise ValueError or another error caused by wrong values.
 
-    Parameters
-    ----------
-    columns : dict
-        As written by a `StateWriter`.
+    `columns`: as written by a `StateWriter`.
     """
 
     def __init__(self, columns: dict[str, Any]) -> None:

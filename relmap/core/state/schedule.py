@@ -22,12 +22,9 @@ class GroupingSchedule:
     A landmark is due at level 1 after a few observations, at level 2 when there are enough to
     detect motion, and at level 3 when it has left the view and its whole interval is known.
 
-    Parameters
-    ----------
-    table : LandmarkState
-    config : MapperConfig
-        When each level is due; level 3 waits for the end of the interval, but at most `third_pass`:
-        the observations of a landmark that stays in view are split into several intervals.
+    `config`: when each level is due; level 3 waits for the end of the interval, but at most
+    `third_pass`: the observations of a landmark that stays in view are split into several
+    intervals.
     """
 
     STATE = "_in_view _due _gone"

@@ -21,12 +21,8 @@ POINTS: Rows = {"landmark": np.empty(0, dtype=np.int64), "location": np.empty((0
 class Shown(NamedTuple):
     """The static points that some observations show.
 
-    Attributes
-    ----------
-    landmarks : (k,) int64
-    points_robot : (k, d) float64, robot frame, metres
-    per_row : (n,) int64 or None
-        Number of points that each observation shows; None if each shows one.
+    `landmarks` (k,); `points_robot` (k, d), robot frame, metres. `per_row` (n,): number of points
+    that each observation shows; None if each shows one.
     """
 
     landmarks: Ints
@@ -47,14 +43,9 @@ class ObservationStore:
     proportional to the number of observations in those iterations, independent of the size of the
     map.
 
-    Parameters
-    ----------
-    columns : dict of array
-        The columns of an observation, without rows.
-    show : callable
-        Returns the static points that rows show; see `relmap.core.model.LandmarkModel`.
-    keeps : bool
-        Whether rows are kept after the last group that needs them.
+    `columns`: the columns of an observation, without rows. `show`: returns the static points that
+    rows show; see `relmap.core.model.LandmarkModel`. `keeps`: whether rows are kept after the last
+    group that needs them.
     """
 
     _columns: dict[str, GrowingArray[Any]]
@@ -129,12 +120,7 @@ class ObservationStore:
         self._offsets.extend(self._offsets.values[-1:] + len(landmark))
 
     def forget(self, before: int) -> None:
-        """Forget the iterations before one; their rows are dropped or kept.
-
-        Parameters
-        ----------
-        before : int
-        """
+        """Forget the iterations before one; their rows are dropped or kept."""
         n = before - self._first_iteration
         if n <= 0:
             return
@@ -169,19 +155,9 @@ class ObservationStore:
     def seen_with(self, seed: int, begin: int, end: int) -> tuple[Ints, Ints, Floats]:
         """Return all observations of those iterations from `begin` to `end` that show a seed.
 
-        Parameters
-        ----------
-        seed : int
-            -1: those of all iterations.
-        begin, end : int
-
-        Returns
-        -------
-        landmarks : (n,) int64
-            The seed, then the others, ascending.
-        iterations : (i,) int64, ascending
-        block : (n, i, d) float64, robot frame, metres
-            NaN where missing.
+        `seed`: -1: those of all iterations. Returns `landmarks` (n,): the seed, then the others,
+        ascending, `iterations` (i,), ascending and `block` (n, i, d), robot frame, metres: NaN
+        where missing.
         """
         from relmap.core.grouping.chart_kernels import chart_block
 

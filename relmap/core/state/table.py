@@ -153,12 +153,7 @@ class LandmarkState:
     def resize(self, n: int, iteration: int, dimension: int) -> None:
         """Add rows up to `n` for landmarks first seen in this iteration.
 
-        Parameters
-        ----------
-        n : int
-        iteration : int
-        dimension : int
-            Number of coordinates of a position.
+        `dimension`: number of coordinates of a position.
         """
         before = len(self)
         if n <= before:

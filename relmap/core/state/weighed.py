@@ -25,13 +25,8 @@ class WeighedObservations(SingleObservations):
     def append(self, landmark: Ints, location: Floats, covariance: Floats, iteration: int) -> None:
         """Add n observations of landmarks (n,) at (n, d), robot frame, metres.
 
-        Parameters
-        ----------
-        landmark : (n,) int64
-            Before merging, so that a merge can be undone.
-        location : (n, d) float64, robot frame, metres
-        covariance : (n, d, d) float64, square metres
-        iteration : int
+        `landmark` (n,): before merging, so that a merge can be undone; `location` (n, d), robot
+        frame, metres; `covariance` (n, d, d), square metres.
         """
         if not len(self):
             self._covariance = GrowingArray(np.float64, covariance.shape[1:])
@@ -41,13 +36,8 @@ class WeighedObservations(SingleObservations):
     def variances(self, landmarks: Ints, begin: int, end: int, landmark_of: Ints) -> Floats:
         """Return the mean variance (k,) of a coordinate of landmarks (k,), square metres.
 
-        Parameters
-        ----------
-        landmarks : (k,) int64
-            Seen in iterations `begin` to `end`.
-        begin, end : int
-        landmark_of : (m,) int64
-            The landmark that each number stands for, after merging.
+        `landmarks` (k,): seen in iterations `begin` to `end`; `landmark_of` (m,): the landmark that
+        each number stands for, after merging.
         """
         rows = slice(*np.searchsorted(self.iteration, [begin, end]))
         order = np.argsort(landmarks)
