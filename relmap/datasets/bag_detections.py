@@ -44,10 +44,7 @@ _USED = [column for column in COLUMNS if column.name in ("iteration", "x", "y", 
 class BagDetections:
     """Reads the detections of one topic.
 
-    Attributes
-    ----------
-    topics : tuple of str
-        Topics to read if there are several with detections or odometry.
+    `topics`: topics to read if there are several with detections or odometry.
     """
 
     topics: tuple[str, ...] = ()

@@ -97,12 +97,7 @@ def _name(frame: str) -> str:
 class Driven:
     """The odometry of a bag; none if there is none, or several topics have it.
 
-    Attributes
-    ----------
-    base : str or None
-        The frame of its poses.
-    reason : str
-        Why the poses there are not used as odometry, if so.
+    `base`: the frame of its poses; `reason`: why the poses there are not used as odometry, if so.
     """
 
     def __init__(self, bag: Bag, topics: tuple[str, ...]) -> None:

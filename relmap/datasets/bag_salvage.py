@@ -63,10 +63,7 @@ class Found:
 def salvaged(files: Sequence[Path]) -> tuple[list[Found], Typestore]:
     """Return all messages before the damage, and their types.
 
-    Parameters
-    ----------
-    files : sequence of Path
-        Files of ROS 1 (``.bag``), MCAP (``.mcap``) or ROS 2 (``.db3``).
+    `files`: files of ROS 1 (``.bag``), MCAP (``.mcap``) or ROS 2 (``.db3``).
     """
     from rosbags.typesys import Stores, get_typestore
 

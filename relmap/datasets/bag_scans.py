@@ -36,10 +36,7 @@ _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"
 class BagScans:
     """Reads the scans of one topic.
 
-    Attributes
-    ----------
-    topics : tuple of str
-        Topics to read if there are several with scans or odometry.
+    `topics`: topics to read if there are several with scans or odometry.
     """
 
     topics: tuple[str, ...] = ()
@@ -143,10 +140,8 @@ def _clouds(bag: Bag, topic: str, mounting: Mounting) -> tuple[ScanLog, str]:
 def cloud_points(message: Any, where: str) -> Floats:
     """Return the finite points (n, 3) of a ``PointCloud2``.
 
-    Raises
-    ------
-    RelmapError
-        If it has no x, y, z or too few bytes; `where` is the prefix of the message.
+    Raises `RelmapError` if it has no x, y, z or too few bytes; `where` is the prefix of the
+    message.
     """
     n, step = int(message.width) * int(message.height), int(message.point_step)
     order = ">" if message.is_bigendian else "<"

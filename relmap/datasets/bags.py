@@ -55,11 +55,7 @@ def topics_in(path: Path, types: Iterable[str]) -> list[str] | None:
 class Bag:
     """An open bag; any error is raised as RelmapError.
 
-    Attributes
-    ----------
-    path : Path
-    types : dict of str to str
-        The message type of each topic, with its ROS 2 name.
+    `types`: the message type of each topic, with its ROS 2 name.
     """
 
     def __init__(self, path: Path) -> None:
@@ -164,10 +160,7 @@ class Bag:
 
         Logs a warning if the bag is damaged.
 
-        Raises
-        ------
-        RelmapError
-            If there is none, or several; the message lists what the bag holds.
+        Raises `RelmapError` if there is none, or several; the message lists what the bag holds.
         """
         if self._damage is not None:
             self._warn(self._damage, len(self._found))

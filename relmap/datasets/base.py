@@ -22,10 +22,7 @@ MAX_ITERATION = 100_000_000
 def common_range(begin: int, end: int, first: int, last: int) -> tuple[int, int]:
     """Return the part of iterations ``range(begin, end)`` covered by a log.
 
-    Raises
-    ------
-    RelmapError
-        If there is none.
+    Raises `RelmapError` if there is none.
     """
     if max(begin, first) >= min(end, last):
         raise RelmapError(f"scans {begin}:{end} are empty: the log covers {first}:{last}")
@@ -172,25 +169,13 @@ class Dataset(Protocol[Log]):
     """Description of its files, for messages."""
 
     def recognises(self, path: Path) -> bool:
-        """Return whether the content of a file or folder has this format.
-
-        Parameters
-        ----------
-        path : Path
-        """
+        """Return whether the content of a file or folder has this format."""
         ...
 
     def load(self, path: Path) -> Log:
         """Read the log.
 
-        Parameters
-        ----------
-        path : Path
-            A file or folder accepted by `recognises`.
-
-        Raises
-        ------
-        RelmapError
-            If the content violates the format: file, line, field.
+        `path`: a file or folder accepted by `recognises`. Raises `RelmapError` if the content
+        violates the format: file, line, field.
         """
         ...

@@ -31,14 +31,8 @@ SAME, MOST = 10 * FIXED, 0.9
 class Hints:
     """Hints from the lines between the scans.
 
-    Attributes
-    ----------
-    filtered : bool
-        Whether a particle filter wrote the log.
-    moved : bool
-        Whether wheel speeds are not zero.
-    offset_m : float or None
-        Distance of the laser ahead of the robot's centre.
+    `filtered`: whether a particle filter wrote the log; `moved`: whether wheel speeds are not zero;
+    `offset_m`: distance of the laser ahead of the robot's centre.
     """
 
     filtered: bool = False
@@ -65,15 +59,9 @@ def odometry_of(
 ) -> tuple[Floats | None, str]:
     """Return the motions (k, 4, 4) of the scans' frame, or None and the reason.
 
-    Parameters
-    ----------
-    poses : (k, 4, 4) float64
-        Poses of the scans' frame, possibly corrected.
-    counted : (k, 4, 4) float64
-        Poses of the robot in the odometry fields.
-    hints : Hints
-    of_laser : bool
-        Whether the scans' frame is the laser's, not the robot's.
+    `poses` (k, 4, 4): poses of the scans' frame, possibly corrected; `counted` (k, 4, 4): poses of
+    the robot in the odometry fields; `of_laser`: whether the scans' frame is the laser's, not the
+    robot's.
     """
     T_robot_frame = planar_poses(*np.array([[hints.offset_m or 0.0], [0.0], [0.0]]))[0]
     if not of_laser:

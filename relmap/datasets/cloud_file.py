@@ -79,15 +79,8 @@ def is_cloud(file: Path) -> bool:
 def read_cloud(file: Path) -> Floats:
     """Read the points of a PCD or PLY file, plain or packed by xz.
 
-    Returns
-    -------
-    (n, 3) float64, metres
-        Without NaN points, which are beams without a return.
-
-    Raises
-    ------
-    RelmapError
-        If the file is damaged, has less data than it states, or no point.
+    Returns (n, 3), metres: without NaN points, which are beams without a return. Raises
+    `RelmapError` if the file is damaged, has less data than it states, or no point.
     """
     data = _unpacked(file, MAX_BYTES)
     end = _header_end(data)

@@ -119,20 +119,8 @@ def _seven(file: Path) -> Floats:
 def numbers_in(file: Path, width: int | None = None) -> Floats:
     """Return the numbers of a small text file, separated by white space or commas.
 
-    Parameters
-    ----------
-    file : Path
-    width : int, optional
-        Number of values per line.
-
-    Returns
-    -------
-    (n, width) or, without a width, (n,) float64
-
-    Raises
-    ------
-    RelmapError
-        If the file cannot be read or has other content.
+    `width`: number of values per line. Returns (n, width) or, without a width, (n,). Raises
+    `RelmapError` if the file cannot be read or has other content.
     """
     rows: list[list[float]] = []
     for number, line in numbered_lines(file):

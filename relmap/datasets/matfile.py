@@ -49,10 +49,7 @@ def is_matlab(path: Path) -> bool:
 def read_matrix(file: Path, name: str) -> Floats:
     """Return a matrix of real numbers from a MATLAB file.
 
-    Raises
-    ------
-    RelmapError
-        If the file is missing or damaged, or contains no such matrix.
+    Raises `RelmapError` if the file is missing or damaged, or contains no such matrix.
     """
     try:
         with open(file, "rb") as stream:

@@ -140,25 +140,10 @@ def is_ground_truth(path: Path) -> bool:
 def read_ground_truth(path: Path | str) -> tuple[Ints, Floats, Floats, Floats]:
     """Read the truth: surveyed landmarks, and the robot poses by Vicon.
 
-    Parameters
-    ----------
-    path : Path or str
-        The folder, or any file in it.
-
-    Returns
-    -------
-    landmark_ids : (m,) int64
-    positions : (m, 3) float64, metres
-        z = 0.
-    stamps_s : (k,) float64
-        The times of the images of all robots, as in the log, at which Vicon saw the robot.
-    poses : (k, 4, 4) float64
-        T_map_robot.
-
-    Raises
-    ------
-    RelmapError
-        If a file is missing or damaged.
+    `path`: the folder, or any file in it. Returns `landmark_ids` (m,), `positions` (m, 3), metres:
+    z = 0, `stamps_s` (k,): the times of the images of all robots, as in the log, at which Vicon saw
+    the robot and `poses` (k, 4, 4): T_map_robot. Raises `RelmapError` if a file is missing or
+    damaged.
     """
     path = Path(path)
     folder = path if os.path.isdir(path) else path.parent

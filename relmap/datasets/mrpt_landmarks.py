@@ -164,22 +164,10 @@ def is_ground_truth(path: Path) -> bool:
 def read_ground_truth(path: Path | str) -> tuple[Ints, Floats, Floats]:
     """Read the exact truth of a log.
 
-    Parameters
-    ----------
-    path : Path or str
-        The log, either of its two truth files, or a folder with the truth of exactly one log.
-
-    Returns
-    -------
-    landmark_ids : (m,) int64
-    positions : (m, 3) float64, map frame, metres
-    poses : (k, 4, 4) float64
-        T_map_robot of every step.
-
-    Raises
-    ------
-    RelmapError
-        If a file is missing, or a row violates the format.
+    `path`: the log, either of its two truth files, or a folder with the truth of exactly one log.
+    Returns `landmark_ids` (m,), `positions` (m, 3), map frame, metres and `poses` (k, 4, 4):
+    T_map_robot of every step. Raises `RelmapError` if a file is missing, or a row violates the
+    format.
     """
     base = _truth_base(Path(path))
     file = Path(f"{base}{_LANDMARKS}")

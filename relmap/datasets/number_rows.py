@@ -28,10 +28,7 @@ def too_many(path: Path, line: int, most: int) -> RelmapError:
 def parse_number(cell: str) -> float:
     """Return the number in a cell, with the grammar of `relmap.datasets.table.parse_fast`.
 
-    Raises
-    ------
-    ValueError
-        If the cell is not a number.
+    Raises `ValueError` if the cell is not a number.
     """
     if not _is_plain(cell):
         raise ValueError(cell)
@@ -65,22 +62,10 @@ def read_rows(
 ) -> NumberRows:
     """Read a file of rows of numbers.
 
-    Parameters
-    ----------
-    path : Path
-    limits : sequence of float
-        The largest allowed magnitude of each number, finite.
-    comment : str
-        Start of a comment.
-    what, expected : str
-        Description of a row and its content, for messages.
-    separator : str, optional
-        Separator of the numbers, also allowed after the last; white space by default.
-
-    Raises
-    ------
-    RelmapError
-        If the file cannot be read, has no row, or a line is not a row.
+    `limits`: the largest allowed magnitude of each number, finite. `comment`: start of a comment.
+    `what`, `expected`: description of a row and its content, for messages. `separator`: separator
+    of the numbers, also allowed after the last; white space by default. Raises `RelmapError` if the
+    file cannot be read, has no row, or a line is not a row.
     """
     rows = NumberRows(path, len(limits))
     for number, line in numbered_lines(path):

@@ -123,17 +123,9 @@ def write_observation_csv(path: Path | str, log: ObservationLog) -> None:
     Rows are written in the log's order; iterations without a row leave no trace in the file, so
     empty ones at either end are lost. The same log gives the same bytes.
 
-    Parameters
-    ----------
-    path : Path or str
-        The file, gzipped if its name ends in ``.gz``; written atomically.
-    log : ObservationLog
-        Coordinates in metres, robot frame.
-
-    Raises
-    ------
-    RelmapError
-        If the file cannot be written, or its content would not be readable.
+    `path`: the file, gzipped if its name ends in ``.gz``; written atomically. `log`: coordinates in
+    metres, robot frame. Raises `RelmapError` if the file cannot be written, or its content would
+    not be readable.
     """
     path = Path(path)
     if not len(log.points_robot):

@@ -83,19 +83,10 @@ def driven(
 ) -> Floats:
     """Return the motions of a vehicle between times, integrated from forward and angular speed.
 
-    Parameters
-    ----------
-    file : Path
-        Named in the warning of gaps.
-    stamps_s, speed_m_s, turn_rad_s : (n,) float64
-        Each speed and turn rate applies until the next stamp; the stamps ascend.
-    at_s : (k,) float64
-
-    Returns
-    -------
-    (k, 4, 4) float64
-        NaN for the first, before the first stamp, later than `GAP` usual steps after the last, and
-        across a gap between stamps, also longer than `LEAST_GAP_S`.
+    `file`: named in the warning of gaps. `stamps_s`, `speed_m_s`, `turn_rad_s` (n,): each speed and
+    turn rate applies until the next stamp; the stamps ascend. `at_s` (k,). Returns (k, 4, 4): NaN
+    for the first, before the first stamp, later than `GAP` usual steps after the last, and across a
+    gap between stamps, also longer than `LEAST_GAP_S`.
     """
     step = np.diff(stamps_s)
     usual = float(np.median(step)) if len(step) else 1.0
@@ -145,10 +136,7 @@ def relative(a: Floats, b: Floats) -> Floats:
 def with_odometry_beside(log: Log, path: Path) -> Log:
     """Return a log with the odometry of the file beside it, if any.
 
-    Raises
-    ------
-    RelmapError
-        If there are several, or it is damaged.
+    Raises `RelmapError` if there are several, or it is damaged.
     """
     names = [name for name in (*TABLES, TRAJECTORY) if os.path.isfile(file_beside(path, name))]
     if not names:
@@ -266,10 +254,7 @@ def write_odometry_csv(path: Path, odometry: Floats, first_iteration: int = 0) -
 
     Planar ones, without height, roll and pitch, are written as x, y and yaw.
 
-    Raises
-    ------
-    RelmapError
-        If the file cannot be written.
+    Raises `RelmapError` if the file cannot be written.
     """
     known = np.flatnonzero(np.isfinite(odometry).all(axis=(1, 2)))
     there = odometry[known]

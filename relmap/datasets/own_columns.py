@@ -108,10 +108,7 @@ def with_ids(used: list[Column], values: Floats, lines: Ints, place: str, ids: I
 def log_of(path: Path, numbers: Numbers) -> ObservationLog:
     """Return the log given by the numbers of a table.
 
-    Raises
-    ------
-    RelmapError
-        If there is no row, or a number is out of the range of its column.
+    Raises `RelmapError` if there is no row, or a number is out of the range of its column.
     """
     used, values, lines, place, names = numbers
     if not len(values):

@@ -38,10 +38,7 @@ from relmap.datasets.textfile import open_text, quoted, require_utf8, shown
 class OwnTable:
     """Reads a table, CSV or Parquet.
 
-    Attributes
-    ----------
-    columns : mapping of str to str
-        Names of the columns of the observation log in the table.
+    `columns`: names of the columns of the observation log in the table.
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)

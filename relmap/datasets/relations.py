@@ -24,12 +24,8 @@ _LIMITS = (1e12, 1e12, *[MAX_COORDINATE_M] * 6)
 class Relations:
     """True relative poses, as a structure of arrays.
 
-    Attributes
-    ----------
-    begin_s, end_s : (r,) float64
-        Times of the two poses, seconds, by the log's clock.
-    T_begin_end : (r, 4, 4) float64
-        The later pose in the frame of the earlier one, metres.
+    `begin_s`, `end_s` (r,): times of the two poses, seconds, by the log's clock; `T_begin_end`
+    (r, 4, 4): the later pose in the frame of the earlier one, metres.
     """
 
     begin_s: Floats
@@ -40,18 +36,7 @@ class Relations:
 def read_relations(path: Path) -> Relations:
     """Read a ``.relations`` file.
 
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    Relations
-
-    Raises
-    ------
-    RelmapError
-        If it cannot be read, has no relation, or a line is not a relation.
+    Raises `RelmapError` if it cannot be read, has no relation, or a line is not a relation.
     """
     table = read_rows(path, _LIMITS, "#", "relation", f"8 numbers: {_COLUMNS}").values
     T = poses_of(Rotation.from_euler("xyz", table[:, 5:]), table[:, 2:5])

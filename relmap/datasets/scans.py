@@ -161,13 +161,8 @@ def stored_scans(
 ) -> ScanLog:
     """Make a log of points (n, 2) or (n, 3) in memory.
 
-    Parameters
-    ----------
-    points_robot : (n, 2) or (n, 3) float64, robot frame, metres
-    offsets : (k + 1,) int64
-        Scan `i` is the rows from ``offsets[i]`` to ``offsets[i + 1]``.
-    stamps_s, poses, sensor
-        As for `ScanLog`.
+    `points_robot` (n, 2) or (n, 3), robot frame, metres; `offsets` (k + 1,): scan `i` is the rows
+    from ``offsets[i]`` to ``offsets[i + 1]``; `stamps_s`, `poses`, `sensor`: as for `ScanLog`.
     """
     return ScanLog(
         points_robot.shape[1],
@@ -196,19 +191,10 @@ def laser_scans(
 ) -> ScanLog:
     """Make a log of 2-D laser scans, without the beams that have no return.
 
-    Parameters
-    ----------
-    path : Path
-        The log, for warnings.
-    ranges_m, bearings_rad : list of k (b,) float64
-        Beams from right to left; a range of 0 or less, which some lasers use for errors, or of
-        `limit_m` or more is not a return.
-    limit_m : float
-    T_robot_laser : (k, 3) float64
-        x, y (metres) and yaw (radians) of the laser on the robot.
-    stamps_s : (k,) float64
-    poses : (k, 4, 4) float64 or None
-        T_reference_robot.
+    `path`: the log, for warnings. `ranges_m`, `bearings_rad`, list of k (b,): beams from right to
+    left; a range of 0 or less, which some lasers use for errors, or of `limit_m` or more is not a
+    return. `T_robot_laser` (k, 3): x, y (metres) and yaw (radians) of the laser on the robot.
+    `stamps_s` (k,); `poses` (k, 4, 4): T_reference_robot.
     """
     below = sum(int((ranges < 0).sum()) for ranges in ranges_m)
     if below:

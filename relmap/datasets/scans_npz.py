@@ -82,19 +82,9 @@ def write_scans_npz(
 ) -> None:
     """Write scans so that reading them gives the same numbers; the same scans give the same bytes.
 
-    Parameters
-    ----------
-    path : Path
-        The file, written atomically.
-    scans : list of k (n, 3) or (n, 2) float64, robot frame, metres
-    stamps_s : (k,) float64
-    sensor : SensorView, optional
-        Its field of view and range are written if known.
-
-    Raises
-    ------
-    RelmapError
-        If the file cannot be written.
+    `path`: the file, written atomically; `scans`: list of k (n, 3) or (n, 2), robot frame, metres;
+    `stamps_s` (k,); `sensor`: its field of view and range are written if known. Raises
+    `RelmapError` if the file cannot be written.
     """
     counts = [len(points) for points in scans]
     iteration = np.repeat(np.arange(len(scans), dtype=np.int64), counts)

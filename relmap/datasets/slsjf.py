@@ -144,24 +144,10 @@ def is_ground_truth(path: Path) -> bool:
 def read_ground_truth(path: Path | str) -> tuple[Ints, Floats, Floats]:
     """Read the exact truth of the simulation.
 
-    Parameters
-    ----------
-    path : Path or str
-        The folder, or any file in it.
-
-    Returns
-    -------
-    landmark_ids : (m,) int64
-        Ids of all beacons, including those never seen.
-    positions : (m, 3) float64, map frame, metres
-        z = 0.
-    poses : (k, 4, 4) float64
-        T_map_robot of every iteration, and of the step after the last.
-
-    Raises
-    ------
-    RelmapError
-        If a file is missing, or violates the format.
+    `path`: the folder, or any file in it. Returns `landmark_ids` (m,): ids of all beacons,
+    including those never seen, `positions` (m, 3), map frame, metres: z = 0 and `poses` (k, 4, 4):
+    T_map_robot of every iteration, and of the step after the last. Raises `RelmapError` if a file
+    is missing, or violates the format.
     """
     file = file_beside(path, BEACONS_FILE)
     beacons = _table(file, read_matrix(file, file.stem), _BEACON, "row").columns

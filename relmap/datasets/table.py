@@ -80,10 +80,7 @@ def read_table(path: Path, columns: Sequence[Column], advice: str = "") -> Table
     separated as in the header, by commas, semicolons or tabs, and may be quoted; between semicolons
     numbers may have a decimal comma. The `advice` ends the message about a wrong header.
 
-    Raises
-    ------
-    RelmapError
-        If header, row, cell or file are invalid.
+    Raises `RelmapError` if header, row, cell or file are invalid.
     """
     parts, count = [], 0
     with open_text(path) as stream:

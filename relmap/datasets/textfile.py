@@ -71,11 +71,8 @@ def open_text(path: Path) -> Iterator[TextIO]:
     Lines end in ``\n`` however the file ends them, and a byte-order mark is dropped. Bytes that are
     not UTF-8 are returned as lone surrogates, for `require_utf8`.
 
-    Raises
-    ------
-    RelmapError
-        On opening if the file cannot be read; while reading if it is damaged, larger than
-        `MAX_BYTES` or not text.
+    Raises `RelmapError` on opening if the file cannot be read; while reading if it is damaged,
+    larger than `MAX_BYTES` or not text.
     """
     if stat.S_ISDIR(require_path(path)):
         raise RelmapError(f"{shown(path)}: is a folder, expected a file")
@@ -170,10 +167,7 @@ def why_not_written(error: Exception) -> str:
 def replacing(path: Path) -> Iterator[BinaryIO]:
     """Open a temporary file that replaces the path once it is complete and on disk.
 
-    Raises
-    ------
-    RelmapError
-        If it cannot be written; no part of it is left behind.
+    Raises `RelmapError` if it cannot be written; no part of it is left behind.
     """
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:

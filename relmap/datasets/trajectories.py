@@ -40,21 +40,8 @@ def is_trajectory(path: Path) -> bool:
 def read_trajectory(path: Path) -> tuple[Floats, Floats]:
     """Read a path recognised by `is_trajectory`.
 
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    stamps_s : (k,) float64
-        Seconds, or the numbers of the lines.
-    poses : (k, 4, 4) float64
-        T_map_robot.
-
-    Raises
-    ------
-    RelmapError
-        If a line is not a pose.
+    Returns `stamps_s` (k,): seconds, or the numbers of the lines and `poses` (k, 4, 4):
+    T_map_robot. Raises `RelmapError` if a line is not a pose.
     """
     _, first = next((n, s) for n, s in numbered_lines(path) if s.partition("#")[0].strip())
     if len(first.partition("#")[0].split()) == _TUM:

@@ -109,21 +109,9 @@ def read_reference_map(path: Path | str) -> tuple[Ints, Floats]:
     The file contains the filter's estimate at every observation, which changes by 0.45 m (median)
     and up to 3.5 m; the last one of each tree best fits the observed distances and is returned.
 
-    Parameters
-    ----------
-    path : Path or str
-        The folder, or any file in it.
-
-    Returns
-    -------
-    ids : (m,) int64, ascending
-    positions : (m, 3) float64, metres
-        z = 0; x ahead and y left of the rear axle's centre at the start.
-
-    Raises
-    ------
-    RelmapError
-        If the association file is missing or damaged.
+    `path`: the folder, or any file in it. Returns `ids` (m,), ascending. `positions` (m, 3),
+    metres: z = 0; x ahead and y left of the rear axle's centre at the start. Raises `RelmapError`
+    if the association file is missing or damaged.
     """
     rows = _read_association(file_beside(path, ASSOCIATION_FILE))
     rows = rows[np.argsort(rows[:, 0], kind="stable")]
