@@ -40,17 +40,8 @@ MAX_TEXT = 1 << 26
 def atomic_write(path: Path, content: str | bytes | memoryview) -> None:
     """Write a whole file or nothing: an earlier file of that name is kept until then.
 
-    Parameters
-    ----------
-    path : Path
-        The file; its folder exists.
-    content : str or bytes
-        Text is written as UTF-8.
-
-    Raises
-    ------
-    RelmapError
-        If the file cannot be written; no part of it is left behind.
+    `path`: the file; its folder exists. `content`: text is written as UTF-8. Raises `RelmapError`
+    if the file cannot be written; no part of it is left behind.
     """
     with replacing(path) as file:
         file.write(content.encode() if isinstance(content, str) else content)
@@ -63,22 +54,10 @@ def staged_folder(folder: Path, stale: Sequence[str] = ()) -> Iterator[Path]:
     Enter it before long work, so that an unwritable folder is reported at once. If the body fails,
     ``folder`` and its files are unchanged.
 
-    Parameters
-    ----------
-    folder : Path
-        Destination; created if missing, with its parents.
-    stale : sequence of str
-        Names of files in ``folder`` that become obsolete; deleted at the end unless rewritten.
-
-    Yields
-    ------
-    Path
-        The folder to write into; it may get subfolders.
-
-    Raises
-    ------
-    RelmapError
-        If ``folder`` or a file in it cannot be written.
+    `folder`: destination; created if missing, with its parents. `stale`: names of files in
+    ``folder`` that become obsolete; deleted at the end unless rewritten. Yields the folder to write
+    into; it may get subfolders. Raises `RelmapError` if ``folder`` or a file in it cannot be
+    written.
     """
     staging: Path | None = None
     made: list[Path] = []
@@ -163,10 +142,8 @@ def _restored_on_error(folder: Path, names: Collection[Path], aside: Path) -> It
 def read_text(path: Path) -> str:
     """Read a UTF-8 text file of moderate size, plain or gzipped.
 
-    Raises
-    ------
-    RelmapError
-        If it cannot be read, is damaged, is not text or has more than `MAX_TEXT` characters.
+    Raises `RelmapError` if it cannot be read, is damaged, is not text or has more than `MAX_TEXT`
+    characters.
     """
     with open_text(path) as stream:
         text = stream.read(MAX_TEXT + 1)
@@ -181,10 +158,7 @@ def read_text(path: Path) -> str:
 def read_toml(path: Path) -> dict[str, Any]:
     """Read a small TOML file.
 
-    Raises
-    ------
-    RelmapError
-        If it cannot be read or is not TOML.
+    Raises `RelmapError` if it cannot be read or is not TOML.
     """
     try:
         return tomllib.loads(read_text(path))
@@ -195,20 +169,9 @@ def read_toml(path: Path) -> dict[str, Any]:
 def write_tum(path: Path, stamps_s: Floats, poses: Floats) -> None:
     """Write a trajectory as a TUM file: ``t x y z qx qy qz qw``, in full precision.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    stamps_s : (k,) float64
-        Seconds, or iteration numbers without a clock.
-    poses : (k, 4, 4) float64
-        T_map_robot, finite.
-
-    Raises
-    ------
-    RelmapError
-        If a stamp or pose is not finite, a pose exceeds the limits of `read_tum`, or the file
-        cannot be written.
+    `path`: the file; `stamps_s` (k,): seconds, or iteration numbers without a clock; `poses`
+    (k, 4, 4): T_map_robot, finite. Raises `RelmapError` if a stamp or pose is not finite, a pose
+    exceeds the limits of `read_tum`, or the file cannot be written.
     """
     if not (np.isfinite(stamps_s).all() and (np.abs(poses) <= MAX_RESULT_M).all()):
         raise RelmapError(
@@ -225,21 +188,9 @@ def write_tum(path: Path, stamps_s: Floats, poses: Floats) -> None:
 def read_tum(path: Path) -> tuple[Floats, Floats]:
     """Read a TUM file.
 
-    Parameters
-    ----------
-    path : Path
-        Lines of ``t x y z qx qy qz qw``; ``#`` begins a comment.
-
-    Returns
-    -------
-    stamps_s : (k,) float64
-    poses : (k, 4, 4) float64
-        T_map_robot.
-
-    Raises
-    ------
-    RelmapError
-        If the file cannot be read or a line is not a pose.
+    `path`: lines of ``t x y z qx qy qz qw``; ``#`` begins a comment. Returns `stamps_s` (k,) and
+    `poses` (k, 4, 4): T_map_robot. Raises `RelmapError` if the file cannot be read or a line is not
+    a pose.
     """
     rows = NumberRows(path, 8)
     for number, line in numbered_lines(path):

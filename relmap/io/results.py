@@ -126,16 +126,8 @@ def write_names(folder: Path, names: Sequence[str]) -> None:
 def write_result(folder: Path, result: Result) -> None:
     """Write the files of a result folder, except the picture.
 
-    Parameters
-    ----------
-    folder : Path
-        An existing folder; see `relmap.io.files.staged_folder` for all or nothing.
-    result : Result
-
-    Raises
-    ------
-    RelmapError
-        If a file cannot be written.
+    `folder`: an existing folder; see `relmap.io.files.staged_folder` for all or nothing. Raises
+    `RelmapError` if a file cannot be written.
     """
     table, tracks = result.landmarks, result.tracks
     x, y, z = table.position.T.tolist()
@@ -186,19 +178,8 @@ def json_text(content: dict[str, Any]) -> str:
 def read_result(folder: Path) -> Result:
     """Read a result folder.
 
-    Parameters
-    ----------
-    folder : Path
-
-    Returns
-    -------
-    Result
-        Without submaps, and without the iterations of its poses.
-
-    Raises
-    ------
-    RelmapError
-        If a file is missing or was not written by `write_result`.
+    The result is without submaps, and without the iterations of its poses. Raises `RelmapError` if
+    a file is missing or was not written by `write_result`.
     """
     if not (folder / SUMMARY).is_file():
         raise RelmapError(f"{folder} is not a result folder: no {SUMMARY} in it")

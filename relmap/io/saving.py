@@ -29,19 +29,9 @@ FORMAT = 2
 def save_state(path: Path, parts: list[Any], about: dict[str, Any]) -> None:
     """Save the state of some parts.
 
-    Parameters
-    ----------
-    path : Path
-        The file, written atomically; the same state gives the same bytes.
-    parts : list
-        See `relmap.core.state.saved`.
-    about : dict
-        Additional content, JSON serialisable.
-
-    Raises
-    ------
-    RelmapError
-        If the file cannot be written.
+    `path`: the file, written atomically; the same state gives the same bytes. `parts`: see
+    `relmap.core.state.saved`. `about`: additional content, JSON serialisable. Raises `RelmapError`
+    if the file cannot be written.
     """
     writer = StateWriter()
     for part in parts:
@@ -62,16 +52,8 @@ def save_state(path: Path, parts: list[Any], about: dict[str, Any]) -> None:
 def load_state(path: Path, begin: Callable[[dict[str, Any]], list[Any]]) -> None:
     """Restore parts from a file that `save_state` wrote.
 
-    Parameters
-    ----------
-    path : Path
-    begin : callable
-        Makes new parts from the additional content of the file.
-
-    Raises
-    ------
-    RelmapError
-        If the file is missing, damaged, or contains something else.
+    `begin`: makes new parts from the additional content of the file. Raises `RelmapError` if the
+    file is missing, damaged, or contains something else.
     """
     if not path.is_file():
         raise RelmapError(f"there is no saved map {path}, expected one that 'relmap map' wrote")

@@ -62,24 +62,10 @@ def read_table(
 ) -> dict[str, NDArray[Any]]:
     """Read the named columns of a CSV file with a header line; other columns are skipped.
 
-    Parameters
-    ----------
-    path : Path
-        ``.csv`` or ``.csv.gz``.
-    columns : mapping of str to Kind
-        Wanted columns and their types.
-    optional : collection of str
-        Columns that may be missing.
-
-    Returns
-    -------
-    dict of str to (n,) array
-        int64, float64, str or, of corners, object arrays, in the order of the file.
-
-    Raises
-    ------
-    RelmapError
-        If the file cannot be read, lacks a column or has an invalid cell.
+    `path`: ``.csv`` or ``.csv.gz``; `columns`: wanted columns and their types; `optional`: columns
+    that may be missing. Returns each column as an array (n,) of int64, float64, str or, of corners,
+    objects, in the order of the file. Raises `RelmapError` if the file cannot be read, lacks a
+    column or has an invalid cell.
     """
     found: dict[str, _Column] = {}
     width = 0

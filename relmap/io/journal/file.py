@@ -25,10 +25,7 @@ THERE = "journal {} already exists: resume its run, or name another"
 def create_file(path: Path, layout: Layout, meta: dict[str, Any]) -> End:
     """Create an empty journal atomically, and return its end.
 
-    Raises
-    ------
-    RelmapError
-        If there is a file of that name, or it cannot be written.
+    Raises `RelmapError` if there is a file of that name, or it cannot be written.
     """
     if path.exists():
         raise RelmapError(THERE.format(path))

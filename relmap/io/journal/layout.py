@@ -73,15 +73,8 @@ BLOCK = 32
 class Layout:
     """The columns of the observations of one variant.
 
-    Attributes
-    ----------
-    variant : str
-    values : tuple of str
-        The columns of the observations, with their types.
-    has_ids : bool
-        Whether observations may have ids.
-    has_beams : bool
-        Whether scans may have beams.
+    `values`: the columns of the observations, with their types; `has_ids`: whether observations may
+    have ids; `has_beams`: whether scans may have beams.
     """
 
     variant: str
@@ -128,12 +121,7 @@ LAYOUTS = {layout.variant: layout for layout in (POINTS, PLANES)}
 class End:
     """The end of a journal.
 
-    Attributes
-    ----------
-    scans : int
-        Number of scans.
-    checksum : int
-        Checksum of the whole content.
+    `scans`: number of scans; `checksum`: checksum of the whole content.
     """
 
     scans: int

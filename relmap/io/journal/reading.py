@@ -43,20 +43,10 @@ _WRONG = (sqlite3.Error, TypeError, ValueError, OverflowError, UnicodeError, Rec
 class RecordedScan:
     """One scan, as given to the mapper.
 
-    Attributes
-    ----------
-    values : (n, c) float64
-        In the order of the layout's columns; for points (n, 2) in a planar world.
-    ids : (n,) int64 or None
-    labels : (n,) int64
-        Labels assigned by the mapper.
-    covariances : (n, d, d) float64 or None
-        For points, if given; None for a scan without observations.
-    beams : bytes
-    odometry : (4, 4) float64 or None
-        Motion of the robot since the previous scan, if given.
-    stamp_s : float or None
-        Its time, seconds, if given.
+    `values` (n, c): in the order of the layout's columns; for points (n, 2) in a planar world.
+    `ids` (n,); `labels` (n,): labels assigned by the mapper. `covariances` (n, d, d): for points,
+    if given; None for a scan without observations. `odometry` (4, 4): motion of the robot since the
+    previous scan, if given. `stamp_s`: its time, seconds, if given.
     """
 
     values: Floats
@@ -71,26 +61,9 @@ class RecordedScan:
 class JournalReader:
     """Reads a journal from the beginning.
 
-    Parameters
-    ----------
-    path : Path
-
-    Attributes
-    ----------
-    layout : Layout
-    meta : dict
-        See `relmap.io.journal.layout`.
-    calls : dict
-        Calls of the mapper before each iteration.
-    end : End
-        Its end, as stated.
-    read : End
-        End of the last scan yielded by `scans`.
-
-    Raises
-    ------
-    RelmapError
-        If it is not a journal, is of another version, or nothing can be recovered.
+    `meta`: see `relmap.io.journal.layout`; `calls`: calls of the mapper before each iteration;
+    `end`: its end, as stated; `read`: end of the last scan yielded by `scans`. Raises `RelmapError`
+    if it is not a journal, is of another version, or nothing can be recovered.
     """
 
     def __init__(self, path: Path) -> None:
@@ -145,10 +118,7 @@ class JournalReader:
     def scans(self) -> Iterator[RecordedScan]:
         """Yield every scan in order.
 
-        Raises
-        ------
-        RelmapError
-            If the journal is damaged; all scans before the damage were yielded.
+        Raises `RelmapError` if the journal is damaged; all scans before the damage were yielded.
         """
         self.read = self._before
         try:

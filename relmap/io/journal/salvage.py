@@ -20,19 +20,8 @@ def salvage(path: Path) -> int:
 
     The damaged file is kept, with ``.damaged`` appended to its name.
 
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    int
-        Number of scans recovered.
-
-    Raises
-    ------
-    RelmapError
-        If nothing can be recovered, or a file cannot be written.
+    Returns the number of scans recovered. Raises `RelmapError` if nothing can be recovered, or a
+    file cannot be written.
     """
     damaged, whole, rest = (_beside(path, name) for name in (".damaged", ".whole", ".rest"))
     if damaged.exists() and whole.exists() and not path.exists():  # killed before the last step

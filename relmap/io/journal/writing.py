@@ -46,13 +46,7 @@ class Journal:
     Committed data survive if the process is killed. If the file cannot be written, for example on a
     full disk, uncommitted data are kept in memory and written later.
 
-    Parameters
-    ----------
-    path : Path
-        An existing journal; see `create` and `go_on`.
-    layout : Layout
-    end : End
-        Its end.
+    `path`: an existing journal; see `create` and `go_on`.
     """
 
     def __init__(self, path: Path, layout: Layout, end: End) -> None:
@@ -73,10 +67,7 @@ class Journal:
     def create(cls, path: Path, layout: Layout, meta: dict[str, Any]) -> Journal:
         """Create a journal.
 
-        Raises
-        ------
-        RelmapError
-            If there is a file of that name, or it cannot be written.
+        Raises `RelmapError` if there is a file of that name, or it cannot be written.
         """
         return cls(path, layout, create_file(path, layout, meta))
 
@@ -86,10 +77,7 @@ class Journal:
 
         Later calls are dropped: the continuing program repeats them.
 
-        Raises
-        ------
-        RelmapError
-            If it cannot be written.
+        Raises `RelmapError` if it cannot be written.
         """
         journal, last = cls(reader.path, reader.layout, reader.end), reader.read
         without = "DELETE FROM calls WHERE iteration >= ?"
@@ -109,10 +97,7 @@ class Journal:
     def ready(self) -> None:
         """Check that more scans can be appended.
 
-        Raises
-        ------
-        RelmapError
-            If earlier scans could not be written, and still cannot.
+        Raises `RelmapError` if earlier scans could not be written, and still cannot.
         """
         if self._failure is not None:
             self.flush()
@@ -129,18 +114,9 @@ class Journal:
     ) -> None:
         """Append one scan; if it cannot be written, the next `ready` or `flush` reports it.
 
-        Parameters
-        ----------
-        values : (n, c) float64
-            Observations, in the order of the layout's columns; for points (n, 2) or (n, 3).
-        ids : (n,) int64 or None
-        labels : (n,) int64
-        covariances : (n, d, d) float64, optional
-            Only for points.
-        beams : bytes
-            If the layout has beams.
-        odometry : (4, 4) float64, optional
-        stamp_s : float, optional
+        `values` (n, c): observations, in the order of the layout's columns; for points (n, 2) or
+        (n, 3). `ids` (n,); `labels` (n,); `covariances` (n, d, d): only for points. `beams`: if the
+        layout has beams. `odometry` (4, 4).
         """
         k, n = self.n_scans, len(labels)
         statements = observation_rows(self._layout, k, values, ids, labels)
@@ -163,10 +139,7 @@ class Journal:
     def call(self, name: str) -> None:
         """Record another call of the mapper, and commit everything before it.
 
-        Raises
-        ------
-        RelmapError
-            If it cannot be written; it is then not recorded.
+        Raises `RelmapError` if it cannot be written; it is then not recorded.
         """
         k, check = self.n_scans, call_checksum(name, self._end.checksum)
         self._waiting.append(
@@ -181,10 +154,7 @@ class Journal:
     def flush(self) -> None:
         """Commit everything appended to disk.
 
-        Raises
-        ------
-        RelmapError
-            If it cannot be written; it is kept in memory and tried again.
+        Raises `RelmapError` if it cannot be written; it is kept in memory and tried again.
         """
         self._try(sure=True)
         if self._failure is not None:
@@ -193,10 +163,7 @@ class Journal:
     def close(self) -> None:
         """Flush, and close the file.
 
-        Raises
-        ------
-        RelmapError
-            As `flush` does.
+        Raises `RelmapError` as `flush` does.
         """
         if self._connection is None:
             return
@@ -245,10 +212,7 @@ class Journal:
     def _begin(self, connection: sqlite3.Connection) -> None:
         """Begin a transaction, after rolling back one that an interrupt left open.
 
-        Raises
-        ------
-        sqlite3.IntegrityError
-            If the end of the file is unknown to this journal.
+        Raises `sqlite3.IntegrityError` if the end of the file is unknown to this journal.
         """
         connection.execute("BEGIN IMMEDIATE")
         (text,) = connection.execute(GET_END).fetchone() or (None,)
