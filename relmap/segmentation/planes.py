@@ -54,16 +54,9 @@ def make_planes(
 ) -> Planes:
     """Compute planes from labelled points.
 
-    Parameters
-    ----------
-    points : (n, 2) or (n, 3) float64, robot frame, metres
-    labels : (n,) int64
-        Plane of each point, -1 for none; every plane has points.
-    ends : (m, 2, 2) float64
-        x, y of the right and the left end of each.
-    end_type : (m, 2) str
-    sigma : float
-        Noise, metres.
+    `points` (n, 2) or (n, 3), robot frame, metres. `labels` (n,): plane of each point, -1 for none;
+    every plane has points. `ends` (m, 2, 2): x, y of the right and the left end of each. `end_type`
+    (m, 2); `sigma`: noise, metres.
     """
     m, own = len(ends), labels >= 0
     along = ends[:, 1] - ends[:, 0]

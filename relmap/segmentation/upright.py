@@ -28,10 +28,7 @@ middle to the largest: edges and lines have no normal."""
 def require_upright(xyz: Floats) -> None:
     """Check that the surfaces in points (n, 3), metres, are upright.
 
-    Raises
-    ------
-    RelmapError
-        If too many are not.
+    Raises `RelmapError` if too many are not.
     """
     share = tilted_share(xyz)
     if share > MOST_SHARE:

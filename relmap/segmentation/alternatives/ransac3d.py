@@ -21,10 +21,7 @@ PATCH_LEAST = 30
 def _open3d() -> Any:
     """Return the library.
 
-    Raises
-    ------
-    RelmapError
-        If it cannot be loaded, for example because of a missing system library.
+    Raises `RelmapError` if it cannot be loaded, for example because of a missing system library.
     """
     try:
         import open3d

@@ -25,23 +25,9 @@ def find_lines(
 ) -> tuple[Floats, Ints]:
     """Return lines and the line of each point.
 
-    Parameters
-    ----------
-    xy : (n, 2) float64, robot frame, metres
-    sigma : float
-        Noise, metres.
-    least : int
-        Minimum number of points of a line.
-    rng : numpy.random.Generator
-    beam : float
-        Angle between beams, radians; 0 without beams.
-
-    Returns
-    -------
-    walls : (k, WALL) float64
-        See `relmap.segmentation.wall`; best first.
-    labels : (n,) int64
-        Row of `walls`, -1 for none.
+    `xy` (n, 2), robot frame, metres. `sigma`: noise, metres. `least`: minimum number of points of a
+    line. `beam`: angle between beams, radians; 0 without beams. Returns `walls` (k, WALL): see
+    `relmap.segmentation.wall`; best first. `labels` (n,): row of `walls`, -1 for none.
     """
     from relmap.segmentation.em.window_kernels import grow_lines
 

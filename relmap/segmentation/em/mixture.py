@@ -28,24 +28,12 @@ CONCERNED = 0.01
 class WallMixture:
     """Walls and outliers that explain a scan.
 
-    Attributes
-    ----------
-    walls : (k, WALL) float64
-        See `relmap.segmentation.wall`.
-    sigma : float
-        Noise, metres.
-    stray : float
-        Fraction of points that belong to no wall.
-    area : float
-        Area over which these are uniform, square metres.
-    beam : float
-        Angle (radians) between the beams of points; 0 if points are uniform on the walls.
-    repeat : float
-        Number of points at one bearing, which count once for the extent of a wall.
-    fixed_noise : bool
-        Whether the noise was given.
-    rest : (n,) float64 or None
-        For a subset of walls: the density of everything else at the relevant points.
+    `walls` (k, WALL): see `relmap.segmentation.wall`. `sigma`: noise, metres. `stray`: fraction of
+    points that belong to no wall. `area`: area over which these are uniform, square metres. `beam`:
+    angle (radians) between the beams of points; 0 if points are uniform on the walls. `repeat`:
+    number of points at one bearing, which count once for the extent of a wall. `fixed_noise`:
+    whether the noise was given. `rest` (n,): for a subset of walls: the density of everything else
+    at the relevant points.
     """
 
     walls: Floats

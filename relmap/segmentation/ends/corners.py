@@ -33,15 +33,9 @@ HELD = 4
 class Sharpened:
     """Walls with accurate ends.
 
-    Attributes
-    ----------
-    mixture : WallMixture
-    spread : (k, 2) float64, metres
-        Standard deviation of the start and end of each wall along itself.
-    joined : (k, 2) bool
-        Whether the end is in a corner with another wall.
-    hidden : (k, 2) bool or None
-        Whether the next beam meets something nearer; None if points are in no order.
+    `spread` (k, 2), metres: standard deviation of the start and end of each wall along itself.
+    `joined` (k, 2): whether the end is in a corner with another wall. `hidden` (k, 2): whether the
+    next beam meets something nearer; None if points are in no order.
     """
 
     mixture: WallMixture

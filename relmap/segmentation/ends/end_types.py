@@ -35,15 +35,9 @@ def sensor_limits(
     The range is only determined if two or more ends, not in corners, have the same maximum
     distance.
 
-    Parameters
-    ----------
-    ends : (m, 2, 2) float64, robot frame, metres
-    spread : (m, 2) float64, metres
-        Standard deviation of each end along its wall.
-    joined : (m, 2) bool
-        Whether the end is in a corner with another wall.
-    view_rad, range_m : float or None
-        The field of view, radians, and the range, if known.
+    `ends` (m, 2, 2), robot frame, metres; `spread` (m, 2), metres: standard deviation of each end
+    along its wall; `joined` (m, 2): whether the end is in a corner with another wall; `view_rad`,
+    `range_m`: the field of view, radians, and the range, if known.
     """
     if view_rad is None:
         half = float(np.abs(bearings(ends)).max(initial=0.0))
@@ -68,17 +62,10 @@ def type_ends(
 ) -> NDArray[np.str_]:
     """Return the type of each end (m, 2), one of `END_TYPES`.
 
-    Parameters
-    ----------
-    ends : (m, 2, 2) float64, robot frame, metres
-        Right and left end of each wall.
-    spread : (m, 2) float64, metres
-        Standard deviation of each end along its wall.
-    joined : (m, 2) bool
-        Whether the end lies in a corner with another wall, so that nothing hides it.
-    limits : Limits
-    hidden : (m, 2) bool, optional
-        Whether something nearer was seen beside the end, from beams in order.
+    `ends` (m, 2, 2), robot frame, metres: right and left end of each wall; `spread` (m, 2), metres:
+    standard deviation of each end along its wall; `joined` (m, 2): whether the end lies in a corner
+    with another wall, so that nothing hides it; `hidden` (m, 2): whether something nearer was seen
+    beside the end, from beams in order.
     """
     if len(ends) == 0:
         return np.empty((0, 2), dtype="<U8")

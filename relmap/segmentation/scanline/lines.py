@@ -50,12 +50,8 @@ def beam_noise(xy: Floats) -> float:
 def scan_walls(xy: Floats, noise: float | None) -> tuple[WallMixture, Ints]:
     """Return the walls of points (n, 2) in the order of their beams, and the wall of each.
 
-    Parameters
-    ----------
-    xy : (n, 2) float64, robot frame, metres
-        Right to left or left to right.
-    noise : float or None
-        Metres; None: estimated.
+    `xy` (n, 2), robot frame, metres: right to left or left to right. `noise`: metres; None:
+    estimated.
     """
     from relmap.segmentation.scanline.beam_kernels import line_pieces, piece_walls
 

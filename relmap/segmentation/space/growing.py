@@ -41,13 +41,8 @@ def planes_of(moments: Floats) -> Floats:
 def grown(voxels: Voxels, flat: Bools, sigma: Floats) -> Ints:
     """Return the plane (v,) of each voxel, -1 for none.
 
-    Parameters
-    ----------
-    voxels : Voxels
-    flat : (v,) bool
-        Voxels that may belong to a plane.
-    sigma : (v,) float64, metres
-        Noise of their points across planes.
+    `flat` (v,): voxels that may belong to a plane; `sigma` (v,), metres: noise of their points
+    across planes.
     """
     from relmap.segmentation.space.growing_kernels import grow_regions
 
@@ -74,12 +69,8 @@ def grown(voxels: Voxels, flat: Bools, sigma: Floats) -> Ints:
 def joined(sums: Floats, noise: Floats) -> Ints:
     """Return the number (m + 1,) of each plane after joining the same ones; the last is -1.
 
-    Parameters
-    ----------
-    sums : (m, 10) float64
-        Moments of their points; changed.
-    noise : (m,) float64
-        Mean square of the noise of each plane; changed.
+    `sums` (m, 10): moments of their points; changed. `noise` (m,): mean square of the noise of each
+    plane; changed.
     """
     from relmap.segmentation.space.growing_kernels import join_same
 

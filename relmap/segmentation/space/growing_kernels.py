@@ -142,21 +142,11 @@ def grow_regions(
 ) -> tuple[Ints, Floats]:
     """Grow planes from seeds, refitted up to `most` times; return seeds (r,) and planes (r, 4).
 
-    Parameters
-    ----------
-    seeds : (s,) int64, planes : (s, 4) float64
-        In this order.
-    moments : (v, 10) float64
-    turn : float
-        Least cosine between the normal of a voxel and that of its plane.
-    reach : (v,) float64
-        Largest distance of the centre of each voxel from its plane.
-    around : (v, 26) int64
-        Neighbours of each voxel, -1 for none.
-    open_ : (v,) bool
-        Voxels that may be labelled; seeds of planes of fewer than `fewest` voxels are closed.
-    label : (v,) int64
-        Region of each voxel, -1 for none, changed.
+    `seeds` (s,), `planes` (s, 4): in this order. `moments` (v, 10); `turn`: least cosine between
+    the normal of a voxel and that of its plane. `reach` (v,): largest distance of the centre of
+    each voxel from its plane. `around` (v, 26): neighbours of each voxel, -1 for none. `open_`
+    (v,): voxels that may be labelled; seeds of planes of fewer than `fewest` voxels are closed.
+    `label` (v,): region of each voxel, -1 for none, changed.
     """
     queue, sums, second = np.empty(len(label), dtype=np.int64), np.empty(10), np.empty((3, 3))
     found, fitted, n = np.empty(len(seeds), dtype=np.int64), np.empty((len(seeds), 4)), 0

@@ -30,16 +30,8 @@ NOTHING = np.empty((0, 2))
 def vertical(patches: Patches) -> Floats | None:
     """Return the vertical from the planes of one cloud.
 
-    Parameters
-    ----------
-    patches : Patches
-        Sensor frame.
-
-    Returns
-    -------
-    (3,) float64 or None
-        Unit vector within 40 degrees of z; None if no direction has half of the surface parallel or
-        perpendicular to it, or if the planes do not determine one.
+    `patches`: sensor frame. Returns (3,): unit vector within 40 degrees of z; None if no direction
+    has half of the surface parallel or perpendicular to it, or if the planes do not determine one.
     """
     size = np.bincount(patches.cell_patch, minlength=len(patches)).astype(np.float64)
     candidates = _candidates(patches.normal)

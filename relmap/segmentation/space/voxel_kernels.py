@@ -43,11 +43,7 @@ def numbered_cells(
 def neighbours(keys: Ints, steps: Ints) -> Ints:
     """Return the voxels (v, s) whose keys differ from those of each by the steps; -1 for none.
 
-    Parameters
-    ----------
-    keys : (v,) int64, ascending
-    steps : (s,) int64, ascending
-        With each step there is its negative.
+    `keys` (v,), ascending; `steps` (s,), ascending: with each step there is its negative.
     """
     count, last = len(keys), len(steps) - 1
     around = np.full((count, len(steps)), -1)

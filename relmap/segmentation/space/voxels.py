@@ -35,20 +35,11 @@ BITS = 21
 class Voxels:
     """The v voxels of one scan.
 
-    Attributes
-    ----------
-    of : (n,) int64
-        The voxel of each point.
-    around : (v, 26) int64
-        The neighbours of each; -1 for none.
-    moments : (v, 10) float64
-        Number, sum and sums of products (xx, xy, xz, yy, yz, zz) of its points.
-    centre, normal : (v, 3) float64
-    thickness, width : (v,) float64, metres
-        Standard deviations of its points in the directions of smallest and middle spread. These and
-        the normal are 0 where the points are too few.
-    range_m : (v,) float64
-    size_m : (v,) float64
+    `of` (n,): the voxel of each point. `around` (v, 26): the neighbours of each; -1 for none.
+    `moments` (v, 10): number, sum and sums of products (xx, xy, xz, yy, yz, zz) of its points.
+    `centre`, `normal` (v, 3); `thickness`, `width` (v,), metres: standard deviations of its points
+    in the directions of smallest and middle spread. These and the normal are 0 where the points are
+    too few. `range_m` (v,); `size_m` (v,).
     """
 
     of: Ints
