@@ -24,12 +24,8 @@ OFTEN = 4
 class WallNumbers:
     """Assignment of tracks to walls, and of corner numbers to corners.
 
-    Attributes
-    ----------
-    wall_of : (p,) int64
-        Wall of each plane track, identified by the lowest track number of the wall.
-    corner_of : (c,) int64
-        Corner of each corner number, after merging.
+    `wall_of` (p,): wall of each plane track, identified by the lowest track number of the wall;
+    `corner_of` (c,): corner of each corner number, after merging.
     """
 
     wall_of: Ints
@@ -65,23 +61,11 @@ def first_of(n: int, pairs: Ints) -> Ints:
 class Assembled:
     """Walls and poses that fit all observations.
 
-    Attributes
-    ----------
-    given : WallEquations
-        Equations with compact numbers of iterations, walls and corners.
-    typical_m : float
-        Noise of a typical single observation of a wall.
-    state : Walls
-    iterations, walls, corners : int64 arrays
-        Original numbers of the compact ones.
-    rows : (n,) int64
-        Rows of the history.
-    all_corners : (m,) int64
-        Every corner ever numbered.
-    settled : bool
-        Whether the last solution converged.
-    reach : (w, 2) float64 or None, metres
-        Extent of each wall along itself; None if given by the observations.
+    `given`: equations with compact numbers of iterations, walls and corners. `typical_m`: noise of
+    a typical single observation of a wall. `iterations`, `walls`, `corners`: original
+    numbers of the compact ones. `rows` (n,): rows of the history. `all_corners` (m,): every corner
+    ever numbered. `settled`: whether the last solution converged. `reach` (w, 2), metres: extent of
+    each wall along itself; None if given by the observations.
     """
 
     given: WallEquations
@@ -173,19 +157,8 @@ def assemble(
 ) -> Assembled | None:
     """Place all observations of walls by given poses.
 
-    Parameters
-    ----------
-    history : PlaneHistory
-    numbers : WallNumbers
-    poses : (i, 4, 4) float64
-        ``T_map_robot``; NaN where unknown.
-    moving : (p,) bool
-        Plane tracks ignored because they move.
-
-    Returns
-    -------
-    Assembled or None
-        None if no iteration has a pose.
+    `poses` (i, 4, 4): ``T_map_robot``; NaN where unknown. `moving` (p,): plane tracks ignored
+    because they move. Returns None if no iteration has a pose.
     """
     usable = np.isfinite(poses[history.iteration, 0, 0]) & ~moving[history.plane]
     wall = numbers.wall_of[history.plane]

@@ -26,18 +26,8 @@ OFTEN = 0.5
 def share_at_rest(scans: Scans, is_tied: Bools, most: int = LINKS) -> float:
     """Return the fraction of the points on small free-standing objects that are still there later.
 
-    Parameters
-    ----------
-    scans : Scans
-    is_tied : (i,) bool
-        Whether the motion into each scan is accepted.
-    most : int
-        Approximate number of links to examine.
-
-    Returns
-    -------
-    float
-        0 if there is none.
+    `is_tied` (i,): whether the motion into each scan is accepted; `most`: approximate number of
+    links to examine. Returns 0 if there is none.
     """
     there = gone = 0
     step_m = float(np.median(np.hypot(*scans.motions[:, 1:].T)))

@@ -34,17 +34,10 @@ PER_SCAN = 2000
 class Beams:
     """The points of one scan, sorted by bearing; robot frame, metres.
 
-    Attributes
-    ----------
-    points : (n, 2) float64
-    bearings : (n,) float64, ascending
-        Seen from the sensor, radians.
-    origin : (2,) float64
-        Position of the sensor.
-    solid : (n,) bool
-        Which points are on walls: people and clutter may have moved.
-    loose : (n,) bool
-        Which points are on small free-standing objects, such as people; these are not compared.
+    `points` (n, 2); `bearings` (n,), ascending: seen from the sensor, radians. `origin` (2,):
+    position of the sensor. `solid` (n,): which points are on walls: people and clutter may have
+    moved. `loose` (n,): which points are on small free-standing objects, such as people; these are
+    not compared.
     """
 
     points: Floats
@@ -78,14 +71,8 @@ class Beams:
 class GivenBeams:
     """The end points of the beams of one scan, as given to a mapper; robot frame, metres.
 
-    Attributes
-    ----------
-    points : (n, 2) float32
-    origin : (2,) float64
-        Position of the sensor.
-    in_order : bool
-        Whether they come from a 2-D laser, whose beams verify motions; those of a cloud only mark
-        free space.
+    `points` (n, 2); `origin` (2,): position of the sensor. `in_order`: whether they come from a 2-D
+    laser, whose beams verify motions; those of a cloud only mark free space.
     """
 
     points: NDArray[np.float32]
@@ -98,10 +85,7 @@ class GivenBeams:
 
         Subsampled to at most `PER_SCAN`.
 
-        Raises
-        ------
-        RelmapError
-            If a shape is wrong or a value is not finite.
+        Raises `RelmapError` if a shape is wrong or a value is not finite.
         """
         points = numbers(points, "beams", "an (n, 2) or (n, 3) array of numbers")
         origin = numbers(origin, "origin", "x and y of the sensor")
@@ -142,11 +126,7 @@ class GivenBeams:
 class PlacedBeams(NamedTuple):
     """Beams in the frame of a map.
 
-    Attributes
-    ----------
-    begins, ends : (n, 2) float64, metres
-    scan : (n,) int64, ascending
-        Index of the pose of each beam.
+    `begins`, `ends` (n, 2), metres; `scan` (n,), ascending: index of the pose of each beam.
     """
 
     begins: Floats
@@ -206,14 +186,9 @@ class BeamStore:
     def placed(self, poses: Floats, span: tuple[int, int], most: int) -> PlacedBeams:
         """Return start and end points of the beams of some scans, by their poses.
 
-        Parameters
-        ----------
-        poses : (k, 4, 4) float64
-            ``T_map_robot`` of the scans of the span; scans with NaN are left out.
-        span : (int, int)
-            The first scan, and one after the last.
-        most : int
-            Maximum number of beams, by subsampling.
+        `poses` (k, 4, 4): ``T_map_robot`` of the scans of the span; scans with NaN are left out.
+        `span` (int, int): the first scan, and one after the last. `most`: maximum number of beams,
+        by subsampling.
         """
         offsets = self._offsets.values[span[0] : span[1] + 1]
         every = max(int(-(-(offsets[-1] - offsets[0]) // most)), 1)
@@ -248,10 +223,8 @@ def leads(
     Only points in view by both are compared, one by one: otherwise standing still, which keeps all
     of them in view, is favoured.
 
-    Returns
-    -------
-    lead, sd : (k,) float64
-        Sum of the differences, and its standard deviation if neither motion is better (McNemar).
+    Returns `lead`, `sd` (k,): sum of the differences, and its standard deviation if neither motion
+    is better (McNemar).
     """
     from relmap.planes import beam_kernels
 

@@ -127,11 +127,8 @@ def _matched(
 ) -> tuple[Floats, Ints] | None:
     """Match an earlier scan to a later one.
 
-    Returns
-    -------
-    drift : (3,) float64
-        yaw, x, y between the motion found and the map's, in map axes.
-    walls : (k, 2) int64
+    Returns `drift` (3,): yaw, x, y between the motion found and the map's, in map axes and `walls`
+    (k, 2).
     """
     begin, end = np.searchsorted(assembled.given.iteration, [[j, i], [j + 1, i + 1]])
     if (end - begin).min() < ENOUGH:

@@ -122,20 +122,10 @@ def _common(first: Floats, second: Floats) -> tuple[Floats, Floats]:
 def relative_deviations(block: Floats, sd: Floats, wall: int) -> tuple[Floats, Floats]:
     """Compare a wall with all others that it was seen with.
 
-    Parameters
-    ----------
-    block : (w, k, 2, 2) float64, robot frame, metres
-        Ends of walls in the iterations of an interval; NaN where missing.
-    sd : (w,) float64, metres
-        Standard deviations of the distances of the walls.
-    wall : int
-
-    Returns
-    -------
-    deviation : (w, 2, 2) float64, metres
-        For the four pairs with each wall; infinite if not informative.
-    expected : (w,) float64, metres
-        Deviation due to noise alone.
+    `block` (w, k, 2, 2), robot frame, metres: ends of walls in the iterations of an interval; NaN
+    where missing. `sd` (w,), metres: standard deviations of the distances of the walls. Returns
+    `deviation` (w, 2, 2), metres: for the four pairs with each wall; infinite if not informative.
+    `expected` (w,), metres: deviation due to noise alone.
     """
     n = len(block)
     found, by_noise = np.full((n, 2, 2), np.inf), np.full(n, np.inf)

@@ -32,11 +32,8 @@ number."""
 class ComparedEnds:
     """Results of an interval for the ends of walls.
 
-    Attributes
-    ----------
-    walls : (w,) int64, ascending
-    static, moving : (w, 2) bool
-        For the right and the left end; both false if unknown.
+    `walls` (w,), ascending. `static`, `moving` (w, 2): for the right and the left end; both false
+    if unknown.
     """
 
     walls: Ints
@@ -49,15 +46,9 @@ def compared_ends(
 ) -> ComparedEnds:
     """Test the ends of all walls seen in an interval; an end whose kind changed is unknown.
 
-    Parameters
-    ----------
-    iteration, wall : (n,) int64
-        Iteration and wall of each observation.
-    ends : (n, 2, 2) float64, robot frame, metres
-    sd : (n,) float64, metres
-        Standard deviations of the distances.
-    kind : (n, 2) int8
-        `CUT`, `CORNER` or `UNKNOWN`.
+    `iteration`, `wall` (n,): iteration and wall of each observation; `ends` (n, 2, 2), robot frame,
+    metres; `sd` (n,), metres: standard deviations of the distances; `kind` (n, 2): `CUT`, `CORNER`
+    or `UNKNOWN`.
     """
     from relmap.planes.corner_kernels import relative_deviations
 

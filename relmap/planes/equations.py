@@ -17,22 +17,11 @@ PARALLEL = np.sin(np.deg2rad(3.0)) ** 2
 class WallEquations:
     """Observations of walls; n observed walls, k observed corners.
 
-    Attributes
-    ----------
-    iteration, wall : (n,) int64
-    ends : (n, 2, 2) float64, robot frame, metres
-    sd : (n,) float64, metres
-        Standard deviation of the distance to a wall at its middle.
-    corner_row : (k,) int64
-        Row of the wall of each observed corner.
-    corner_end : (k,) int64
-        0 for the right end, 1 for the left one.
-    corner : (k,) int64
-        Corner number; each belongs to one wall.
-    corner_sd : (k,) float64, metres
-        Standard deviation along the wall.
-    odometry : MotionFactors
-        Used where walls alone do not determine the motion.
+    `iteration`, `wall` (n,); `ends` (n, 2, 2), robot frame, metres. `sd` (n,), metres: standard
+    deviation of the distance to a wall at its middle. `corner_row` (k,): row of the wall of each
+    observed corner. `corner_end` (k,): 0 for the right end, 1 for the left one. `corner` (k,):
+    corner number; each belongs to one wall. `corner_sd` (k,), metres: standard deviation along the
+    wall. `odometry`: used where walls alone do not determine the motion.
     """
 
     iteration: Ints
@@ -55,16 +44,9 @@ class WallEquations:
 class Walls:
     """Poses, wall lines, and positions of corners along them: the state that is solved for.
 
-    Attributes
-    ----------
-    yaw : (i,) float64, t : (i, 2) float64
-        Pose of each iteration: ``T_map_robot``.
-    centre : (w, 2) float64
-        A fixed point near each wall.
-    angle, across : (w,) float64
-        Direction of the normal, and distance of the line from the centre.
-    along : (c,) float64
-        Position of each corner along its wall, from the centre.
+    `yaw` (i,), `t` (i, 2): pose of each iteration: ``T_map_robot``; `centre` (w, 2): a fixed point
+    near each wall; `angle`, `across` (w,): direction of the normal, and distance of the line from
+    the centre; `along` (c,): position of each corner along its wall, from the centre.
     """
 
     yaw: Floats
@@ -98,11 +80,7 @@ def open_along(given: WallEquations) -> Floats:
 def between_neighbours(state: Walls, along: Floats) -> Walls:
     """Return the state with unobservable positions interpolated at constant speed (motion model).
 
-    Parameters
-    ----------
-    state : Walls
-    along : (i, 2) float64
-        As returned by `open_along`.
+    `along` (i, 2): as returned by `open_along`.
     """
     is_open = along.any(axis=1)
     known = np.flatnonzero(~is_open)

@@ -44,22 +44,11 @@ COLUMNS: dict[str, Kind] = {
 class DrawnSubmap:
     """A submap for files and pictures.
 
-    Attributes
-    ----------
-    iterations : (k,) int64
-        Iteration numbers of the log.
-    stamps_s : (k,) float64
-        NaN of scans of earlier logs.
-    poses : (k, 4, 4) float64
-        ``T_submap_robot``.
-    planes : PlaneTable
-        Walls in its frame.
-    points : (n, 2) float64, frame of the submap, metres
-        End points of some of the beams.
-    point_scan : (n,) int64, ascending
-        Index in `poses` of the scan of each point.
-    weak : (w,) int64
-        Indices in `poses` of the scans whose motion since the previous one is not fully determined.
+    `iterations` (k,): iteration numbers of the log; `stamps_s` (k,): NaN of scans of earlier logs;
+    `poses` (k, 4, 4): ``T_submap_robot``; `planes`: walls in its frame; `points` (n, 2), frame of
+    the submap, metres: end points of some of the beams; `point_scan` (n,), ascending: index in
+    `poses` of the scan of each point; `weak` (w,): indices in `poses` of the scans whose motion
+    since the previous one is not fully determined.
     """
 
     iterations: Ints
@@ -97,10 +86,7 @@ class PlaneResult(Result):
 def write_planes(folder: Path, table: PlaneTable) -> None:
     """Write ``planes.csv`` into an existing folder.
 
-    Raises
-    ------
-    RelmapError
-        If the file cannot be written.
+    Raises `RelmapError` if the file cannot be written.
     """
     n = len(table.plane)
     kind = np.where(table.corner >= 0, CORNER, OPEN)
@@ -125,10 +111,7 @@ def write_submaps(folder: Path, submaps: Sequence[tuple[Floats, Floats]]) -> Non
 
     Scans of earlier logs, whose times are NaN, are left out.
 
-    Raises
-    ------
-    RelmapError
-        If a file cannot be written.
+    Raises `RelmapError` if a file cannot be written.
     """
     for number, (stamps_s, poses) in enumerate(submaps[1:], start=1):
         own = np.isfinite(stamps_s)
@@ -147,10 +130,7 @@ def submap_files(folder: Path) -> list[str]:
 def read_planes(folder: Path) -> PlaneTable:
     """Read ``planes.csv`` of a result folder.
 
-    Raises
-    ------
-    RelmapError
-        If it is missing or was not written by `write_planes`.
+    Raises `RelmapError` if it is missing or was not written by `write_planes`.
     """
     table = read_table(folder / PLANES, COLUMNS)
     for name in ("x0", "y0", "x1", "y1", "nx", "ny"):
@@ -175,10 +155,7 @@ def read_planes(folder: Path) -> PlaneTable:
 def read_any(folder: Path) -> Result:
     """Read a result folder; for walls a `PlaneResult`.
 
-    Raises
-    ------
-    RelmapError
-        If a file is missing or invalid.
+    Raises `RelmapError` if a file is missing or invalid.
     """
     result = read_result(folder)
     # Planes in space use a file of the same name.

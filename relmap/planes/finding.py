@@ -33,10 +33,7 @@ RIVAL = 0.6
 class WallFinder:
     """Finds scans among the walls of a map.
 
-    Parameters
-    ----------
-    ends : (w, 2, 2) float64, map frame, metres
-        Right and left end of each wall, as seen from its front.
+    `ends` (w, 2, 2), map frame, metres: right and left end of each wall, as seen from its front.
     """
 
     def __init__(self, ends: Floats) -> None:
@@ -45,10 +42,7 @@ class WallFinder:
     def find(self, seen: PlaneObservation) -> Place:
         """Localise a scan.
 
-        Parameters
-        ----------
-        seen : PlaneObservation
-            With its beams; without them no placement is accepted.
+        `seen`: with its beams; without them no placement is accepted.
         """
         nowhere = np.full((4, 4), np.nan)
         ties, worth, fits = self._judged(seen)

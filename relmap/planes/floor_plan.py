@@ -36,23 +36,8 @@ def floor_plan(
 ) -> tuple[WallSubmap, WallNumbers, Ints]:
     """Return a submap with only the walls of its floor plan; one without walls unchanged.
 
-    Parameters
-    ----------
-    submap : WallSubmap
-    numbers : WallNumbers
-        Its association.
-    history : PlaneHistory
-    beams : BeamStore
-        If empty, only the observed walls are used.
-    moving : (p,) bool
-        Plane tracks that move.
-
-    Returns
-    -------
-    submap : WallSubmap
-    numbers : WallNumbers
-    moved : (m,) int64
-        Tracks found to have moved.
+    `numbers`: its association; `beams`: if empty, only the observed walls are used; `moving` (p,):
+    plane tracks that move. Returns `moved` (m,): tracks found to have moved.
     """
     if submap.assembled is None:
         return submap, numbers, np.empty(0, dtype=np.int64)

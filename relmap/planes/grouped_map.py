@@ -22,13 +22,8 @@ from relmap.planes.submaps import WallSubmap, among_all, chained_poses
 class GroupedMap:
     """Results of the engine for corners, converted to walls.
 
-    Attributes
-    ----------
-    engine : RelativeMapper
-    walls : PlaneRegistration
-    history : PlaneHistory
-    known : sequence of (i, 4, 4) float64
-        Poses in joined submaps, in one frame each, that take precedence; NaN for other scans.
+    `known`, sequence of (i, 4, 4): poses in joined submaps, in one frame each, that take
+    precedence; NaN for other scans.
     """
 
     engine: RelativeMapper

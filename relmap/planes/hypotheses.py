@@ -49,14 +49,8 @@ Judge = Callable[[Floats], tuple[float, float, bool]]
 class Layer:
     """Hypotheses of all scans up to one; h of them, likeliest first.
 
-    Attributes
-    ----------
-    weight : (h,) float64
-        Log likelihood, up to a constant.
-    parent : (h,) int64
-        Parent hypothesis in the previous layer.
-    motion : (h, 3) float64
-        The motion into the scan; NaN for a break.
+    `weight` (h,): log likelihood, up to a constant. `parent` (h,): parent hypothesis in the
+    previous layer. `motion` (h, 3): the motion into the scan; NaN for a break.
     """
 
     weight: Floats
@@ -68,12 +62,8 @@ class Layer:
 class Verdict:
     """Likelihood of the motions into one scan.
 
-    Attributes
-    ----------
-    motions : (h, 3) float64
-        Motions of the hypotheses; NaN for a break.
-    share : (h,) float64
-        Fraction of the total likelihood.
+    `motions` (h, 3): motions of the hypotheses; NaN for a break. `share` (h,): fraction of the
+    total likelihood.
     """
 
     motions: Floats
@@ -97,10 +87,7 @@ class Verdict:
 class Hypotheses:
     """The most likely motions into the scans of a run, one scan after the other.
 
-    Parameters
-    ----------
-    before : (3,) float64
-        The motion into the first scan of the run; NaN if none is accepted.
+    `before` (3,): the motion into the first scan of the run; NaN if none is accepted.
     """
 
     def __init__(self, before: Floats) -> None:
@@ -119,15 +106,9 @@ class Hypotheses:
     ) -> None:
         """Add the candidates of the next scan.
 
-        Parameters
-        ----------
-        found : Candidates
-        usual : (3,) float64
-            Usual motion of the robot.
-        judge : callable or None
-            Evidence of the scan two before; None if it has none.
-        expected : Expected, optional
-            Motion expected from odometry; otherwise constant motion is assumed.
+        `usual` (3,): usual motion of the robot. `judge`: evidence of the scan two before; None if
+        it has none. `expected`: motion expected from odometry; otherwise constant motion is
+        assumed.
         """
         last = self._layers[-1]
         weight = last.weight[:, None] + FOUND + PAIR * found.evidence

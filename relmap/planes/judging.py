@@ -40,16 +40,9 @@ class View(NamedTuple):
 class Judged:
     """Motions fitted to walls, with the evidence of walls and beams.
 
-    Attributes
-    ----------
-    motions : (k, 3) float64
-    matches : list of Match
-    agree, contradict : (k,) float64
-        Fraction of points that agree, in the best view, and that contradict, in all views.
-    match : (k,) float64
-        Agreement of the walls, as a fraction of the maximum.
-    surprise : (k,) float64
-        Prior improbability of each motion: log odds.
+    `motions` (k, 3); `agree`, `contradict` (k,): fraction of points that agree, in the best view,
+    and that contradict, in all views; `match` (k,): agreement of the walls, as a fraction of the
+    maximum; `surprise` (k,): prior improbability of each motion: log odds.
     """
 
     motions: Floats
@@ -105,14 +98,8 @@ class Judged:
 class Candidates(NamedTuple):
     """Distinct candidate motions of one scan into another.
 
-    Attributes
-    ----------
-    motions : (k, 3) float64
-    evidence : (k,) float64
-        Evidence of the two scans for each: log odds.
-    measured : (k,) bool
-        Whether the motion is determined in all directions.
-    matches : list of Match
+    `motions` (k, 3); `evidence` (k,): evidence of the two scans for each: log odds; `measured`
+    (k,): whether the motion is determined in all directions.
     """
 
     motions: Floats
@@ -127,16 +114,8 @@ NO_CANDIDATES = Candidates(np.empty((0, 3)), np.empty(0), np.empty(0, dtype=np.b
 class Found(NamedTuple):
     """The accepted motion, and the resulting association.
 
-    Attributes
-    ----------
-    motion : PlanarMotion
-    match : Match
-    measured : bool
-        Whether the motion is determined in all directions.
-    evidence : float
-        Log odds that it is right.
-    bridged : bool
-        Whether it is given by odometry only.
+    `measured`: whether the motion is determined in all directions; `evidence`: log odds that it is
+    right; `bridged`: whether it is given by odometry only.
     """
 
     motion: PlanarMotion

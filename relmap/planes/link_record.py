@@ -36,23 +36,11 @@ IN_DOUBT = 10.0
 class LinkRecord:
     """The accepted motions between scans, and the submap of each scan.
 
-    Parameters
-    ----------
-    bridge_m : float, metres
-        Largest error of an unmeasured motion along walls; beyond it a submap ends.
+    `bridge_m`, metres: largest error of an unmeasured motion along walls; beyond it a submap ends.
 
-    Attributes
-    ----------
-    store : ObservationStore
-        All observations so far.
-    beams : BeamStore
-        The beams of each scan, if given.
-    wheels : Wheels
-        The odometry, if any.
-    submap : int
-        Submap of the next scan, unless it begins a new one.
-    same_walls : (k, 2) int64
-        Pairs of wall numbers identified when submaps were joined.
+    Attributes: `store`: all observations so far; `beams`: the beams of each scan, if given;
+    `wheels`: the odometry, if any; `submap`: submap of the next scan, unless it begins a new one;
+    `same_walls` (k, 2): pairs of wall numbers identified when submaps were joined.
     """
 
     STATE = (
@@ -114,20 +102,8 @@ class LinkRecord:
     def attach(self, first: int, motion: Floats, scan: int, walls: Ints) -> Ints:
         """Tie a submap to that of another scan, in whose map it was localised.
 
-        Parameters
-        ----------
-        first : int
-            Its first scan.
-        motion : (3,) float64
-            To that scan, from the one before.
-        scan : int
-        walls : (k, 2) int64
-            Pairs of numbers of the same wall.
-
-        Returns
-        -------
-        (s,) int64
-            New number of each submap.
+        `first`: its first scan; `motion` (3,): to that scan, from the one before; `walls` (k, 2):
+        pairs of numbers of the same wall. Returns (s,): new number of each submap.
         """
         old, new = int(self.submaps[first]), int(self.submaps[scan])
         self.motions[first] = motion
@@ -182,12 +158,8 @@ class LinkRecord:
     def tie(self) -> tuple[Ints, Ints]:
         """Re-evaluate doubtful links and breaks with the surrounding scans.
 
-        Returns
-        -------
-        name : (s,) int64
-            Current number of each submap.
-        cut : (c,) int64
-            Scans whose links are no longer accepted; see `cut`.
+        Returns `name` (s,): current number of each submap. `cut` (c,): scans whose links are no
+        longer accepted; see `cut`.
         """
         name = np.arange(self._n_submaps)
         if not (len(self.beams) and self._n_submaps):
@@ -223,18 +195,9 @@ class LinkRecord:
     def join(self, poses: Sequence[Floats], walls: Ints) -> Ints:
         """Join submaps whose maps show the same place.
 
-        Parameters
-        ----------
-        poses : sequence of (i, 4, 4) float64
-            For the submaps that become one, the poses of all their scans in one frame; NaN for
-            other scans.
-        walls : (k, 2) int64
-            Pairs of numbers of the same wall.
-
-        Returns
-        -------
-        (s,) int64
-            New number of each submap.
+        `poses`, sequence of (i, 4, 4): for the submaps that become one, the poses of all their
+        scans in one frame; NaN for other scans. `walls` (k, 2): pairs of numbers of the same wall.
+        Returns (s,): new number of each submap.
         """
         name, submaps = np.arange(self._n_submaps), self._submaps.values
         chain = np.linalg.inv(matrices(self.motions))

@@ -48,15 +48,8 @@ def is_supported(
 
     A single disagreeing wall is tolerated: it may be clutter, or have just come into view.
 
-    Parameters
-    ----------
-    tracks : PlaneTracks
-        The expected walls.
-    seen : PlaneObservation
-    found : (PlanarMotion, Match)
-        The motion from the frame of the tracks to that of the scan, and the matching walls.
-    usual : PlanarMotion
-        Recent motion of the robot.
+    `tracks`: the expected walls; `found` (PlanarMotion, Match): the motion from the frame of the
+    tracks to that of the scan, and the matching walls; `usual`: recent motion of the robot.
     """
     motion, match = found
     recent = tracks.missed == tracks.missed.min(initial=0)
@@ -75,10 +68,7 @@ def usual_motion(motions: Floats) -> Floats:
 def farthest_m(before: Floats) -> float:
     """Return the longest plausible step from one scan to the next, metres.
 
-    Parameters
-    ----------
-    before : (n, 3) float64
-        yaw, x, y of all motions so far.
+    `before` (n, 3): yaw, x, y of all motions so far.
     """
     if len(before) < KNOWN:
         return np.inf
@@ -128,11 +118,8 @@ def disagreement(poses: Floats, motions: Floats) -> tuple[int, float]:
 
     Compared with the motions measured from scan to scan; metres.
 
-    Parameters
-    ----------
-    poses : (k, 4, 4) float64
-    motions : (k, 3) float64
-        yaw, x, y from the previous robot frame to that of each iteration.
+    `poses` (k, 4, 4); `motions` (k, 3): yaw, x, y from the previous robot frame to that of each
+    iteration.
     """
     off_m = _off_m(poses, motions)
     off_m = off_m[np.isfinite(off_m)]
@@ -144,11 +131,8 @@ def disagreement(poses: Floats, motions: Floats) -> tuple[int, float]:
 def torn_links(poses: Floats, motions: Floats) -> Ints:
     """Return the scans (t,) before which a path deviates from its links.
 
-    Parameters
-    ----------
-    poses : (k, 4, 4) float64
-    motions : (k, 3) float64
-        yaw, x, y from the previous robot frame to that of each iteration.
+    `poses` (k, 4, 4); `motions` (k, 3): yaw, x, y from the previous robot frame to that of each
+    iteration.
     """
     way_m, turn = _off(poses, motions)
     return 1 + np.flatnonzero((way_m > APART_M) | (turn > APART_RAD))

@@ -23,10 +23,7 @@ class WallModel:
 
     Corner `k` is landmark `2 k`, its midpoint `2 k + 1`.
 
-    Parameters
-    ----------
-    walls : PlaneRegistration
-        Provides the wall end of each corner.
+    `walls`: provides the wall end of each corner.
     """
 
     columns: ClassVar[Rows] = {
@@ -106,14 +103,8 @@ def relative_map(block: Floats) -> Floats | None:
     degrees, and then averaged. If there is only one wall, the pair lies on it, as in Fig. 2; the
     larger the distance, the smaller the effect of noise on the rotation.
 
-    Parameters
-    ----------
-    block : (g, i, 2) float64, robot frame, metres
-        Every member seen in every iteration.
-
-    Returns
-    -------
-    (g, 2) float64, group frame, metres, or None if the group determines no basis
+    `block` (g, i, 2), robot frame, metres: every member seen in every iteration. Returns (g, 2),
+    group frame, metres, or None if the group determines no basis.
     """
     middle = block[:, block.shape[1] // 2]
     if not fixes_rotation(middle):

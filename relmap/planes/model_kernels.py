@@ -16,19 +16,10 @@ def corners_and_midpoints(
 ) -> tuple[Ints, Floats, Ints]:
     """Return the corners of walls, and their estimated midpoints (Fig. 4).
 
-    Parameters
-    ----------
-    landmark, corner : (n, 2) int64
-        Landmark and corner at either end of each wall; -1 for none.
-    ends : (n, 2, 2) float64, robot frame, metres
-    half : (c,) float64, metres
-        Half the fixed size of the wall of each corner.
-
-    Returns
-    -------
-    landmarks : (k,) int64, points_robot : (k, 2) float64
-        Corners and midpoints alternate.
-    per_row : (n,) int64
+    `landmark`, `corner` (n, 2): landmark and corner at either end of each wall; -1 for none. `ends`
+    (n, 2, 2), robot frame, metres. `half` (c,), metres: half the fixed size of the wall of each
+    corner. Returns `landmarks` (k,), `points_robot` (k, 2): corners and midpoints alternate and
+    `per_row` (n,).
     """
     k, per_row = 0, np.zeros(len(landmark), dtype=np.int64)
     for i in range(len(landmark)):

@@ -19,14 +19,9 @@ from relmap.planes.tracks import wrapped
 class MotionFactors:
     """Odometry factors between pairs of iterations; l pairs.
 
-    Attributes
-    ----------
-    both : (l, 2) int64
-        The earlier and the later one.
-    motion : (l, 3) float64
-        Pose of the later in the frame of the earlier: yaw, x, y.
-    sd : (l, 2) float64
-        Standard deviations of the yaw, radians, and of x and y, metres.
+    `both` (l, 2): the earlier and the later one; `motion` (l, 3): pose of the later in the frame of
+    the earlier: yaw, x, y; `sd` (l, 2): standard deviations of the yaw, radians, and of x and y,
+    metres.
     """
 
     both: Ints = field(default_factory=lambda: np.empty((0, 2), dtype=np.int64))

@@ -25,21 +25,9 @@ def distinct(
 ) -> Ints:
     """Return the first distinct motions in a given order, up to a maximum.
 
-    Parameters
-    ----------
-    motions : (n, 3) float64
-        yaw, x, y: radians and metres.
-    order : (n,) int64
-        Rows of the motions, the preferred first.
-    most : int
-        Maximum number of motions.
-    apart_m, apart_rad : float
-        Motions that differ by more are distinct.
-
-    Returns
-    -------
-    (k,) int64
-        Rows of the motions.
+    `motions` (n, 3): yaw, x, y: radians and metres; `order` (n,): rows of the motions, the
+    preferred first; `most`: maximum number of motions; `apart_m`, `apart_rad`: motions that differ
+    by more are distinct. Returns (k,): rows of the motions.
     """
     kept: list[int] = []
     for k in order.tolist():

@@ -109,20 +109,13 @@ def seen_before(store: ObservationStore, scan: int) -> PlaneObservation:
 def checked_planes(planes: Any, beams: Any = None) -> PlaneObservation:
     """Return the walls of one scan.
 
-    Parameters
-    ----------
-    planes : relmap.segmentation.Planes, relmap.simulation's SeenWalls, or the like
-        Anything with `ends` (m, 2, 2), robot frame, metres, right to left as seen from the robot,
-        and `end_type` (m, 2), "corner" for an end of the wall itself, "unknown" if not known, which
-        is the default. `noise` (m,), `n_points` (m,), `z_extent` (m, 2) and `origin` (2,), the
-        position of the sensor, are used if present.
-    beams : (n, 2) or (n, 3) array, optional
-        End points of the beams; see `GivenBeams.checked`.
-
-    Raises
-    ------
-    RelmapError
-        If a shape is wrong, a value is not finite, or the robot sees a wall from behind.
+    `planes`: `relmap.segmentation.Planes`, the `SeenWalls` of relmap.simulation, or the like:
+    anything with `ends` (m, 2, 2), robot frame, metres, right to left as seen from the robot, and
+    `end_type` (m, 2), "corner" for an end of the wall itself, "unknown" if not known, which is the
+    default. `noise` (m,), `n_points` (m,), `z_extent` (m, 2) and `origin` (2,), the position of the
+    sensor, are used if present. `beams` (n, 2) or (n, 3): end points of the beams; see
+    `GivenBeams.checked`. Raises `RelmapError` if a shape is wrong, a value is not finite, or the
+    robot sees a wall from behind.
     """
     ends = checked_ends(planes.ends)
     m = len(ends)
@@ -156,10 +149,7 @@ def _coded(end_type: NDArray[np.str_]) -> NDArray[np.int8]:
 def checked_ends(ends: Any) -> Floats:
     """Return the ends of walls as a new array (m, 2, 2).
 
-    Raises
-    ------
-    RelmapError
-        If the shape is wrong or a value is not finite.
+    Raises `RelmapError` if the shape is wrong or a value is not finite.
     """
     array = numbers(ends, "ends", "an (m, 2, 2) array of numbers")
     if array.size == 0:

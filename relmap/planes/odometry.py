@@ -39,12 +39,8 @@ OTHERWISE = 4.0
 class Expected(NamedTuple):
     """Motion expected from odometry.
 
-    Attributes
-    ----------
-    motion : (3,) float64
-        From the previous frame to that of the scan: yaw, x, y.
-    sd_m, sd_rad : float
-        Standard deviations, including those of the motions from walls that it is compared with.
+    `motion` (3,): from the previous frame to that of the scan: yaw, x, y; `sd_m`, `sd_rad`:
+    standard deviations, including those of the motions from walls that it is compared with.
     """
 
     motion: Floats
@@ -65,10 +61,7 @@ class Expected(NamedTuple):
 class Wheels:
     """The odometry of a run, compared with the motions from scan to scan.
 
-    Attributes
-    ----------
-    given : Motions
-        The given odometry.
+    `given`: the given odometry.
     """
 
     def __init__(self) -> None:
@@ -82,18 +75,8 @@ class Wheels:
     ) -> Expected | None:
         """Return the motion from an earlier scan to a later one, as expected from odometry.
 
-        Parameters
-        ----------
-        earlier, later : int
-        motions : (i, 3) float64
-            Motions from scan to scan.
-        measured : (i,) bool
-            Which of these are determined by walls in all directions.
-
-        Returns
-        -------
-        Expected or None
-            None if odometry is unknown or rejected.
+        `motions` (i, 3): motions from scan to scan; `measured` (i,): which of these are determined
+        by walls in all directions. Returns None if odometry is unknown or rejected.
         """
         if not len(self.given):
             return None

@@ -27,17 +27,10 @@ FEWEST = 3
 class Relation:
     """Relative location of two walls.
 
-    Attributes
-    ----------
-    offset : (2,) float64, metres
-        From midpoint to midpoint, the first wall's normal along x.
-    turn : float, radians
-    deviation : float, metres
-        Standard deviation of the offset, for the chosen pair of ends.
-    ends : (2,) int
-        Static end of the first wall and of the second: 0 right, 1 left.
-    n : int
-        Number of common iterations.
+    `offset` (2,), metres: from midpoint to midpoint, the first wall's normal along x; `turn`:
+    radians; `deviation`, metres: standard deviation of the offset, for the chosen pair of ends;
+    `ends` (2,) int: static end of the first wall and of the second: 0 right, 1 left; `n`: number of
+    common iterations.
     """
 
     offset: Floats
@@ -50,12 +43,8 @@ class Relation:
 def relate(first: Floats, second: Floats, sizes: tuple[float, float]) -> Relation:
     """Average the relation of two walls over their common interval.
 
-    Parameters
-    ----------
-    first, second : (k, 2, 2) float64, robot frame, metres
-        Right and left ends of both walls.
-    sizes : tuple of float
-        One size for each wall.
+    `first`, `second` (k, 2, 2), robot frame, metres: right and left ends of both walls; `sizes`:
+    one size for each wall.
     """
     from relmap.planes.corner_kernels import deviations, midpoint_pairs
 
@@ -80,10 +69,7 @@ def pairwise_map(history: PlaneHistory, n_planes: int) -> Floats:
     The relations with the least deviation, divided by the square root of the common interval, form
     a spanning tree; the frame is that of its first wall, whose normal is along x.
 
-    Returns
-    -------
-    (n_planes, 2, 2) float64, metres
-        NaN for walls not connected to the first.
+    Returns (n_planes, 2, 2), metres: NaN for walls not connected to the first.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree

@@ -57,11 +57,7 @@ STILL = PlanarMotion(0.0, np.zeros(2))
 class Match:
     """Walls of a scan and the tracks that they continue, one to one.
 
-    Attributes
-    ----------
-    tracks, walls : (k,) int64
-    score : float
-        Score of the match: at most 1 for each wall and each corner.
+    `tracks`, `walls` (k,); `score`: score of the match: at most 1 for each wall and each corner.
     """
 
     tracks: Ints
@@ -77,20 +73,10 @@ def place(
     Candidates are constant motion, no motion, and if neither suffices, every pair of a track's
     corner and a corner of the scan: a corner and the direction of its wall determine a motion.
 
-    Parameters
-    ----------
-    tracks : PlaneTracks
-    seen : PlaneObservation
-    before : PlanarMotion
-        The previous motion. Where the observed walls do not determine a direction, as with a single
-        partial wall, constant motion is assumed (motion model).
-    farthest_m : float
-        A longer motion is a jump, which requires more agreeing walls.
-
-    Returns
-    -------
-    (motion, match) or None
-        None if no wall agrees, or too few for a jump.
+    `before`: the previous motion. Where the observed walls do not determine a direction, as with a
+    single partial wall, constant motion is assumed (motion model). `farthest_m`: a longer motion is
+    a jump, which requires more agreeing walls. Returns (motion, match): None if no wall agrees, or
+    too few for a jump.
     """
     from relmap.planes.matching_kernels import guesses
 

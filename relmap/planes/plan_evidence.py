@@ -33,18 +33,11 @@ MEDIAN = 1.4826
 class Stretches:
     """Walls divided into stretches of equal length; w walls, b stretches in total.
 
-    Attributes
-    ----------
-    base, normal, along : (w, 2) float64
-        A point on each wall, and unit vectors to its front and from its right to its left.
-    low : (w,) float64, metres
-        Start of the first stretch, along the wall.
-    first : (w + 1,) int64
-        The first stretch of each wall.
-    seen : (b,) int64
-        Number of observations of the wall there.
-    hits, against : (b,) int64
-        Number of beams that end there, and that pass through or end shortly before.
+    `base`, `normal`, `along` (w, 2): a point on each wall, and unit vectors to its front and from
+    its right to its left; `low` (w,), metres: start of the first stretch, along the wall; `first`
+    (w + 1,): the first stretch of each wall; `seen` (b,): number of observations of the wall there;
+    `hits`, `against` (b,): number of beams that end there, and that pass through or end shortly
+    before.
     """
 
     base: Floats
@@ -74,13 +67,7 @@ def stretches_of(
 ) -> Stretches:
     """Return the evidence of the scans and beams of a submap for its walls.
 
-    Parameters
-    ----------
-    assembled : Assembled
-    poses : (k, 4, 4) float64
-        ``T_submap_robot`` of the iterations of the span.
-    span : (int, int)
-    beams : BeamStore
+    `poses` (k, 4, 4): ``T_submap_robot`` of the iterations of the span; `span` (int, int).
     """
     state, of = assembled.state, assembled.given.wall
     normal, along = directions(state.angle)

@@ -66,15 +66,12 @@ def beams_on_walls(
     Contradicting beams pass through or end shortly before. Also returns the distance of the end of
     each beam (n,) from the nearest wall, across it; infinity if none is near.
 
-    Parameters
-    ----------
-    beams : origin and end (n, 2)
-    lines : of each wall a point and the normal (w, 2), and its start and end (w,)
-    bins : first bin of each wall (w + 1,), and their size in metres
-    grid : its corner (2,), size of a cell, cells along x and y (2,), where the walls of each cell
-        begin (c + 1,), and the walls
-    limits : largest distance of the end of a beam that hits a wall, distance in front of the wall
-        that counts against it, and the least sine of the angle between a beam and a wall
+    `beams`: origin and end (n, 2); `lines`: of each wall a point and the normal (w, 2), and its
+    start and end (w,); `bins`: first bin of each wall (w + 1,), and their size in metres; `grid`:
+    its corner (2,), size of a cell, cells along x and y (2,), where the walls of each cell begin
+    (c + 1,), and the walls; `limits`: largest distance of the end of a beam that hits a wall,
+    distance in front of the wall that counts against it, and the least sine of the angle between a
+    beam and a wall.
     """
     (origin, end), (base, normal, low, high), (first, bin_m) = beams, lines, bins
     corner, cell_m, shape, starts, members = grid

@@ -29,14 +29,8 @@ for which the number of observations must be small."""
 class Pieces:
     """Parts of walls; n of them.
 
-    Attributes
-    ----------
-    wall : (n,) int64
-        Compact number of the wall.
-    reach : (n, 2) float64, metres
-        Start and end along the wall.
-    corner : (n, 2) int64
-        Compact number of the corner at either end; -1 for none.
+    `wall` (n,): compact number of the wall. `reach` (n, 2), metres: start and end along the wall.
+    `corner` (n, 2): compact number of the corner at either end; -1 for none.
     """
 
     wall: Ints

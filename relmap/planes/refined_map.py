@@ -54,21 +54,9 @@ def refined_map(
 
     Walls that then coincide are joined, which closes loops.
 
-    Parameters
-    ----------
-    history : PlaneHistory
-    numbers : WallNumbers
-        Initial association.
-    chained : Submap
-        Initial submap.
-    moving : (p,) bool
-        Plane tracks ignored because they move.
-
-    Returns
-    -------
-    submap : WallSubmap
-        Not refined if nothing is mapped, or if refinement does not converge or makes the map worse.
-    numbers : WallNumbers
+    `numbers`: initial association; `chained`: initial submap; `moving` (p,): plane tracks ignored
+    because they move. Returns `submap`: not refined if nothing is mapped, or if refinement does not
+    converge or makes the map worse.
     """
     if chained.assembled is None:
         return chained, numbers

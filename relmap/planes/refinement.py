@@ -48,19 +48,12 @@ Seen = tuple[Floats, Ints, Ints, Ints]
 class WallSystem:
     """The residuals of the walls of one set of observations, poses eliminated; a `Problem`.
 
-    Parameters
-    ----------
-    given : WallEquations
-        Equations in the order of iterations.
-    held : float
-        Damping of poses, walls and corners in each step, as a fraction of the diagonal; if not 0,
-        steps that increase the cost are rejected. Undamped steps straighten long chains in a few
-        rounds, but drift in weakly determined directions, as along a corridor.
+    `given`: equations in the order of iterations. `held`: damping of poses, walls and corners in
+    each step, as a fraction of the diagonal; if not 0, steps that increase the cost are rejected.
+    Undamped steps straighten long chains in a few rounds, but drift in weakly determined
+    directions, as along a corridor.
 
-    Attributes
-    ----------
-    settled : bool
-        Whether the last step that `refine` took was short.
+    Attributes: `settled`: whether the last step that `refine` took was short.
     """
 
     def __init__(self, given: WallEquations, held: float = 0.0) -> None:
@@ -85,18 +78,10 @@ class WallSystem:
 
         The first iteration is fixed.
 
-        Parameters
-        ----------
-        state : Walls
-            Initial state.
-        rounds : int
-            Maximum number of steps.
-        doubtful : float
-            Residual, in standard deviations, above which the weight decreases (Geman and McClure,
-            1987): a wrongly associated wall should have no influence.
-        by_scan : bool
-            Whether a scan with large residuals overall is treated as not yet converged instead of
-            wrong.
+        `state`: initial state; `rounds`: maximum number of steps; `doubtful`: residual, in standard
+        deviations, above which the weight decreases (Geman and McClure, 1987): a wrongly associated
+        wall should have no influence; `by_scan`: whether a scan with large residuals overall is
+        treated as not yet converged instead of wrong.
         """
         from relmap.core.linalg.order_kernels import smallest
 

@@ -34,13 +34,8 @@ def refined_submaps(grouped: GroupedMap, moving: Bools, links: ScanLinks) -> Ref
     The association is computed anew from the refined positions of walls: some merges based on
     drifted positions are wrong. A submap that cannot be refined is kept as chained.
 
-    Parameters
-    ----------
-    grouped : GroupedMap
-    moving : (p,) bool
-        Plane tracks ignored because they move.
-    links : ScanLinks
-        Provides beams, to remove walls that are seen through, and odometry.
+    `moving` (p,): plane tracks ignored because they move; `links`: provides beams, to remove walls
+    that are seen through, and odometry.
     """
     merged, moved = grouped.at_rest(grouped.numbers), [np.empty(0, dtype=np.int64)]
     first = partial(grouped.submaps, merged, moving)

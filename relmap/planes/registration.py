@@ -45,20 +45,11 @@ class PlaneRegistration:
     Corner ``k`` is landmark ``2 k``, and the midpoint estimated from it landmark ``2 k + 1``; the
     map uses few of those of a scan.
 
-    Parameters
-    ----------
-    max_missed : int
-        A wall missed for more iterations than this has left the view.
-    bridge_m : float, metres
-        Largest error of an unmeasured motion along walls; beyond it a submap ends.
+    `max_missed`: a wall missed for more iterations than this has left the view. `bridge_m`, metres:
+    largest error of an unmeasured motion along walls; beyond it a submap ends.
 
-    Attributes
-    ----------
-    links : ScanLinks
-        Links between scans.
-    corner, landmark : (w, 2) int64
-        Corner at either end of each wall of the last scan, and the landmark used by the map there;
-        -1 for none.
+    Attributes: `links`: links between scans. `corner`, `landmark` (w, 2): corner at either end of
+    each wall of the last scan, and the landmark used by the map there; -1 for none.
     """
 
     _tracks: PlaneTracks | None

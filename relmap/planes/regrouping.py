@@ -42,22 +42,8 @@ def regrouped(
 ) -> tuple[Assembled, WallNumbers, Ints]:
     """Return the walls of a submap from its tracks, at the submap's poses.
 
-    Parameters
-    ----------
-    submap : WallSubmap
-        With walls.
-    numbers : WallNumbers
-        Its association.
-    history : PlaneHistory
-    moving : (p,) bool
-        Plane tracks that move.
-
-    Returns
-    -------
-    assembled : Assembled
-    numbers : WallNumbers
-    moved : (m,) int64
-        Tracks that moved, which are not among the walls.
+    `submap`: with walls; `numbers`: its association; `moving` (p,): plane tracks that move. Returns
+    `moved` (m,): tracks that moved, which are not among the walls.
     """
     given = submap.assembled
     assert given is not None

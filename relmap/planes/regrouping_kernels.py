@@ -35,14 +35,12 @@ def gathered(
 
     A wall that absorbs another is extended: `reach` is updated in place.
 
-    Parameters
-    ----------
-    lines : middle, normal and along (n, 2), reach (n, 2), and which ends are corners (n, 2)
-    together : for each wall those seen in one scan with it: begin (n + 1,), and walls
-    order : the walls (n,), the largest first
-    limits : least cosine between the normals; largest distance of both ends across; largest
-        distance beyond the other's end, or inside it if there is a corner; fraction that must
-        overlap for two walls never seen in one scan, which may lie twice as far across
+    `lines`: middle, normal and along (n, 2), reach (n, 2), and which ends are corners (n, 2).
+    `together`: for each wall those seen in one scan with it: begin (n + 1,), and walls. `order`:
+    the walls (n,), the largest first. `limits`: least cosine between the normals; largest distance
+    of both ends across; largest distance beyond the other's end, or inside it if there is a corner;
+    fraction that must overlap for two walls never seen in one scan, which may lie twice as far
+    across.
     """
     (_, normal, _, reach, has_corner), (begin, beside) = lines, together
     turn, across_m, gap_m, overlap = limits

@@ -51,20 +51,9 @@ FREE_M, FREE = 0.3, 0.01
 class ScanComparison:
     """A scan compared with tracks and earlier scans.
 
-    Parameters
-    ----------
-    tracks : PlaneTracks
-    seen : PlaneObservation
-    beams : Beams
-        Beams of the same scan.
-    views : sequence of View
-        Earlier scans, the last one first.
-    before : PlanarMotion
-        Usual motion of the robot.
-    expected : Expected, optional
-        Motion expected from odometry.
-    firm : bool
-        Whether to leave out walls and beams on small free-standing objects.
+    `beams`: beams of the same scan; `views`: earlier scans, the last one first; `before`: usual
+    motion of the robot; `expected`: motion expected from odometry; `firm`: whether to leave out
+    walls and beams on small free-standing objects.
     """
 
     def __init__(

@@ -61,10 +61,7 @@ class Search(ScanComparison):
     def found(self) -> Found | None:
         """Find the motion implied by walls and supported by beams.
 
-        Returns
-        -------
-        Found or None
-            None if beams contradict all motions, or a rival comes near.
+        Returns None if beams contradict all motions, or a rival comes near.
         """
         if self._is_empty:
             return None
@@ -120,10 +117,7 @@ class Search(ScanComparison):
     def candidates(self, guesses: Sequence[PlanarMotion] = ()) -> Candidates:
         """Return the plausible motions between these scans by walls and beams, likeliest first.
 
-        Parameters
-        ----------
-        guesses : sequence of PlanarMotion
-            Candidates in addition to those implied by walls.
+        `guesses`: candidates in addition to those implied by walls.
         """
         if self._is_empty:
             return NO_CANDIDATES
@@ -143,14 +137,8 @@ class Search(ScanComparison):
     def judged(self, motion: Floats) -> tuple[float, float, bool]:
         """Return the evidence of the scans for a motion (3,), after local optimisation.
 
-        Returns
-        -------
-        evidence : float
-            Log odds that it is right.
-        contradict : float
-            Fraction of contradicting points.
-        stays : bool
-            Whether it converges to the given motion.
+        Returns `evidence`: log odds that it is right, `contradict`: fraction of contradicting
+        points and `stays`: whether it converges to the given motion.
         """
         if self._is_empty:
             return -np.inf, 0.0, True

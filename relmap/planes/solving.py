@@ -29,15 +29,9 @@ SHARPLY = (6, 4.0)
 def refined(assembled: Assembled, rounds: Sequence[tuple[int, float]], held: float) -> Assembled:
     """Solve for walls, corners and poses, estimating the noise of each wall and corner.
 
-    Parameters
-    ----------
-    assembled : Assembled
-    rounds : sequence of (int, float)
-        Maximum steps of each solution, between which the noise of each wall and corner is
-        estimated, and the residual above which an observation is an outlier: infinite in the first
-        rounds.
-    held : float
-        See `WallSystem`.
+    `rounds`, sequence of (int, float): maximum steps of each solution, between which the noise of
+    each wall and corner is estimated, and the residual above which an observation is an outlier:
+    infinite in the first rounds; `held`: see `WallSystem`.
     """
     return _solved(WallSystem(assembled.given, held), assembled, rounds)
 

@@ -25,17 +25,10 @@ APART = 4
 class Steps:
     """Odometry of a whole run, for motions that walls do not determine.
 
-    Attributes
-    ----------
-    motion : (i, 3) float64
-        Pose of each iteration in the frame of the previous one, without systematic errors: yaw, x,
-        y; NaN if unknown.
-    variance : (i, 2) float64
-        Variance of the yaw, square radians, and of x and y, square metres.
-    needed : (i,) bool
-        Which motions it constrains.
-    hanging : (i,) bool
-        Which motions depend on it.
+    `motion` (i, 3): pose of each iteration in the frame of the previous one, without systematic
+    errors: yaw, x, y; NaN if unknown. `variance` (i, 2): variance of the yaw, square radians, and
+    of x and y, square metres. `needed` (i,): which motions it constrains. `hanging` (i,): which
+    motions depend on it.
     """
 
     motion: Floats
@@ -82,18 +75,10 @@ def steps_of(
     Its noise is estimated over distances of at least `WAY_M` for which walls determine the motion:
     from scan to scan these are not more accurate.
 
-    Parameters
-    ----------
-    noise : MotionNoise
-        Combined noise of odometry and of the motions from scan to scan.
-    given : (i, 4, 4) float64
-        Odometry; NaN where it is rejected.
-    n_measured : int
-        Number of steps used for that estimate.
-    submaps : sequence of (slice, (k, 4, 4) float64)
-        The iterations of each and their poses; NaN for iterations of other submaps.
-    hanging : (i,) bool
-        Which motions depend on odometry.
+    `noise`: combined noise of odometry and of the motions from scan to scan. `given` (i, 4, 4):
+    odometry; NaN where it is rejected. `n_measured`: number of steps used for that estimate.
+    `submaps`, sequence of (slice, (k, 4, 4)): the iterations of each and their poses; NaN for
+    iterations of other submaps. `hanging` (i,): which motions depend on odometry.
     """
     steps, (sd_m, sd_rad) = corrected(noise, given), noise.sigmas(given)
     way, typical_m = np.hypot(steps[:, 1], steps[:, 2]), _typical(steps)

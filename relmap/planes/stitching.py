@@ -23,18 +23,10 @@ FEW, ASTRAY_M = 5, 0.3
 def stitched(submaps: Sequence[Floats], motions: Floats) -> Floats:
     """Return the path in the frame of the first submap.
 
-    Parameters
-    ----------
-    submaps : sequence of (n, 4, 4) float64
-        ``T_submap_robot`` of every iteration in each submap, the most important one first; NaN if
-        undetermined.
-    motions : (n, 3) float64
-        yaw, x, y of the motion from the previous robot frame to that of each iteration.
-
-    Returns
-    -------
-    (n, 4, 4) float64
-        ``T_map_robot``; if no submap determines any, in the frame of the first iteration.
+    `submaps`, sequence of (n, 4, 4): ``T_submap_robot`` of every iteration in each submap, the most
+    important one first; NaN if undetermined. `motions` (n, 3): yaw, x, y of the motion from the
+    previous robot frame to that of each iteration. Returns (n, 4, 4): ``T_map_robot``; if no submap
+    determines any, in the frame of the first iteration.
     """
     n = len(motions)
     steps = np.linalg.inv(matrices(motions))

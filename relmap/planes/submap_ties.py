@@ -54,20 +54,11 @@ RIVAL = 0.5
 class MapPart:
     """Submaps in one frame.
 
-    Attributes
-    ----------
-    members : tuple of (int, (4, 4) float64)
-        Each submap, and the motion (4, 4) from its frame to this one.
-    ends : (w, 2, 2) float64, metres
-        Right and left end of each wall, as seen from its front.
-    begins, stops : (n, 2) float64, metres
-        Of each beam.
-    walls : (w,) int64
-        Number of each wall.
-    same : (k, 2) int64
-        Pairs of numbers of the same wall in two members.
-    path : (s, 3) float64
-        Number of each scan, and the position of the robot, metres.
+    `members`, tuple of (int, (4, 4)): each submap, and the motion (4, 4) from its frame to this
+    one; `ends` (w, 2, 2), metres: right and left end of each wall, as seen from its front;
+    `begins`, `stops` (n, 2), metres: of each beam; `walls` (w,): number of each wall; `same`
+    (k, 2): pairs of numbers of the same wall in two members; `path` (s, 3): number of each scan,
+    and the position of the robot, metres.
     """
 
     members: tuple[tuple[int, Floats], ...]

@@ -20,16 +20,10 @@ from relmap.planes.table import corner_map
 class WallSubmap(Submap):
     """A submap of walls: its corners are its landmarks.
 
-    Attributes
-    ----------
-    poses : (k, 4, 4) float64
-        ``T_submap_robot`` of its iterations; NaN for iterations in between that belong to others.
-    assembled : Assembled or None
-        None if no wall was seen often enough.
-    refined : bool
-        Whether its walls and poses were refined.
-    torn : (t,) int64
-        Scans before which the refinement, if rejected, deviated from the links.
+    `poses` (k, 4, 4): ``T_submap_robot`` of its iterations; NaN for iterations in between that
+    belong to others. `assembled`: None if no wall was seen often enough. `refined`: whether its
+    walls and poses were refined. `torn` (t,): scans before which the refinement, if rejected,
+    deviated from the links.
     """
 
     poses: Floats

@@ -52,14 +52,7 @@ def plane_table(
 ) -> PlaneTable:
     """Return the table of all walls.
 
-    Parameters
-    ----------
-    history : PlaneHistory
-    numbers : WallNumbers
-    assembled : Assembled or None
-        The mapped walls.
-    moving : (p,) bool
-        Plane tracks that were seen moving.
+    `assembled`: the mapped walls; `moving` (p,): plane tracks that were seen moving.
     """
     plane, row = np.unique(numbers.wall_of[history.plane], return_inverse=True)
     n = len(plane)
@@ -128,11 +121,7 @@ def mapped_corners(assembled: Assembled) -> Ints:
 def corner_map(assembled: Assembled | None, spread: Floats | None) -> LandmarkMap:
     """Return the mapped corners, in ascending order of their numbers.
 
-    Parameters
-    ----------
-    assembled : Assembled or None
-    spread : (c, 2, 2) float64 or None
-        Covariances of all corners, square metres, if known.
+    `spread` (c, 2, 2): covariances of all corners, square metres, if known.
     """
     if assembled is None:
         return LandmarkMap(np.empty(0, dtype=np.int64), np.empty((0, 3)))
@@ -154,16 +143,9 @@ def corner_table(
 ) -> LandmarkTable:
     """Return the table of all corners, except ends that turned out not to be corners.
 
-    Parameters
-    ----------
-    history : PlaneHistory
-    numbers : WallNumbers
-    submaps : list of Assembled or None
-        The corners of each submap; those of the first are mapped.
-    moving : (k,) int64
-        Corners that were seen moving.
-    spread : (c, 2, 2) float64 or None
-        Covariances of all corners of the first submap, square metres, if known.
+    `submaps`: the corners of each submap; those of the first are mapped. `moving` (k,): corners
+    that were seen moving. `spread` (c, 2, 2): covariances of all corners of the first submap,
+    square metres, if known.
     """
     row, end = np.nonzero(history.corner >= 0)
     own = history.corner[row, end]
@@ -205,12 +187,8 @@ def corner_table(
 def corner_group(group: MappedGroup, corner: Ints) -> MappedGroup:
     """Return a group of corners without midpoints, by the numbers of corners.
 
-    Parameters
-    ----------
-    group : MappedGroup
-        Group of landmarks numbered as by `PlaneRegistration`.
-    corner : (k,) int64
-        Number of each corner; -1 if it turned out to be none.
+    `group`: group of landmarks numbered as by `PlaneRegistration`. `corner` (k,): number of each
+    corner; -1 if it turned out to be none.
     """
     number = np.where(group.landmarks % 2 == 0, corner[group.landmarks // 2], -1)
     own = number >= 0

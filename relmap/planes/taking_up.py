@@ -41,10 +41,7 @@ RIVAL = 0.5
 class Taken(NamedTuple):
     """The place of one scan of a run.
 
-    Attributes
-    ----------
-    scan : int
-    T_map_robot : (4, 4) float64
+    `T_map_robot` (4, 4).
     """
 
     scan: int
@@ -55,14 +52,8 @@ class Taken(NamedTuple):
 class MapOfBefore:
     """The map in which the scans of another log are localised.
 
-    Attributes
-    ----------
-    table : PlaneTable
-    finder : WallFinder
-    scan : int
-        The last scan of the map; -1 if there is none.
-    pose : (4, 4) float64
-        ``T_map_robot`` of that scan.
+    `scan`: the last scan of the map; -1 if there is none. `pose` (4, 4): ``T_map_robot`` of that
+    scan.
     """
 
     table: PlaneTable
@@ -113,14 +104,8 @@ class MapOfBefore:
 class Tie(NamedTuple):
     """The placement of a submap of a log in the map.
 
-    Attributes
-    ----------
-    scan, first : int
-        The scan at which it was found, and its first one.
-    T_map_first : (4, 4) float64
-        Pose of the latter.
-    same : (k, 2) int64
-        Numbers of the same wall: in the map, and in the log.
+    `scan`, `first`: the scan at which it was found, and its first one; `T_map_first` (4, 4): pose
+    of the latter; `same` (k, 2): numbers of the same wall: in the map, and in the log.
     """
 
     scan: int
@@ -133,14 +118,8 @@ class Tie(NamedTuple):
 class Placements:
     """Where the scans of one submap fit in a map.
 
-    Attributes
-    ----------
-    scan : (n,) int64, ascending
-    T_run_robot : (n, 4, 4) float64
-        Poses of the scans in the frame of the run.
-    of : (c,) int64, ascending
-        Index of the scan of each placement.
-    T_map_robot : (c, 4, 4) float64
+    `scan` (n,), ascending; `T_run_robot` (n, 4, 4): poses of the scans in the frame of the run;
+    `of` (c,), ascending: index of the scan of each placement; `T_map_robot` (c, 4, 4).
     """
 
     scan: Ints
@@ -197,12 +176,7 @@ def _yaw(T: Floats) -> Floats:
 
 
 class RunOnto:
-    """The scans of a log that is added to a map, and where each fits in it.
-
-    Parameters
-    ----------
-    before : MapOfBefore
-    """
+    """The scans of a log that is added to a map, and where each fits in it."""
 
     def __init__(self, before: MapOfBefore) -> None:
         self.before = before

@@ -118,15 +118,9 @@ class Scans:
 class Link(NamedTuple):
     """An accepted motion.
 
-    Attributes
-    ----------
-    earlier, later : int
-        The scans whose frames it connects.
-    motion : (3,) float64
-    walls : (k, 2) int64
-        Pairs of wall numbers that are identified.
-    measured : bool
-        Whether the motion is determined in all directions.
+    `earlier`, `later`: the scans whose frames it connects; `motion` (3,); `walls` (k, 2): pairs of
+    wall numbers that are identified; `measured`: whether the motion is determined in all
+    directions.
     """
 
     earlier: int
@@ -139,20 +133,9 @@ class Link(NamedTuple):
 def judged_links(scans: Scans, is_tied: Bools, in_doubt: Bools) -> tuple[list[Link], list[int]]:
     """Re-evaluate the motions into doubtful scans with the surrounding ones.
 
-    Parameters
-    ----------
-    scans : Scans
-    is_tied : (i,) bool
-        Whether the motion into each scan is accepted so far.
-    in_doubt : (i,) bool
-        Which to evaluate.
-
-    Returns
-    -------
-    links : list of Link
-        Newly accepted links, possibly across a few unmatched scans.
-    cut : list of int
-        Scans into which no motion is accepted any more.
+    `is_tied` (i,): whether the motion into each scan is accepted so far; `in_doubt` (i,): which to
+    evaluate. Returns `links`: newly accepted links, possibly across a few unmatched scans and
+    `cut`: scans into which no motion is accepted any more.
     """
     links, cut = list[Link](), list[int]()
     for run in _runs(in_doubt, scans.begun):

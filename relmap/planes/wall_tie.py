@@ -52,12 +52,8 @@ ACROSS = 0.1
 class WallPoints:
     """Points sampled along walls.
 
-    Attributes
-    ----------
-    at, normal : (n, 2) float64
-        Positions, metres, and unit vectors to the front.
-    wall : (n,) int64
-        Row of the wall of each point.
+    `at`, `normal` (n, 2): positions, metres, and unit vectors to the front; `wall` (n,): row of the
+    wall of each point.
     """
 
     at: Floats
@@ -101,15 +97,8 @@ class WallPoints:
 class WallTie:
     """A motion from one map to the frame of another.
 
-    Attributes
-    ----------
-    R, t : (2, 2), (2,) float64
-    length_m : float
-        Length of overlapping wall.
-    across : float
-        Fraction of this that prevents sliding: 0 if all walls are parallel.
-    rms_m : float
-        Deviation of these walls.
+    `R` (2, 2), `t` (2,); `length_m`: length of overlapping wall; `across`: fraction of this that
+    prevents sliding: 0 if all walls are parallel; `rms_m`: deviation of these walls.
     """
 
     R: Floats
@@ -220,19 +209,8 @@ def lying(
 ) -> tuple[Ints, Floats]:
     """Return on which of other points each point lies after a motion.
 
-    Parameters
-    ----------
-    points, among : WallPoints
-    tie : WallTie
-    near_m : float
-        Largest distance from a wall.
-
-    Returns
-    -------
-    other : (n,) int64
-        Row of the nearest of `among`; -1 if it is not on the same wall.
-    off : (n,) float64
-        Distance of each point in front of it.
+    `near_m`: largest distance from a wall. Returns `other` (n,): row of the nearest of `among`; -1
+    if it is not on the same wall. `off` (n,): distance of each point in front of it.
     """
     from relmap.planes import wall_tie_kernels
 

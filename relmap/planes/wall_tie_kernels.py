@@ -76,14 +76,9 @@ def lying(
 ) -> tuple[Ints, Floats]:
     """Return the point that each point lies on after a motion, -1 for none, and how far before it.
 
-    Parameters
-    ----------
-    motion : (4,) float64
-        Cosine and sine of the rotation, and the translation.
-    near_m : float
-        Largest distance from a wall.
-    limits : (2,) float64
-        Largest distance along it to the nearest point, and least cosine between the normals.
+    `motion` (4,): cosine and sine of the rotation, and the translation; `near_m`: largest distance
+    from a wall; `limits` (2,): largest distance along it to the nearest point, and least cosine
+    between the normals.
     """
     other, off = np.empty(len(at), dtype=np.int64), np.empty(len(at))
     _lie(at, normal, among, motion, near_m, limits, other, off)
@@ -138,19 +133,9 @@ def fit(
 ) -> tuple[int, float, float]:
     """Fit a motion (4,), in place, to walls that coincide, alternating with matching.
 
-    Parameters
-    ----------
-    near_m : (k,) float64
-        Largest distance from a wall, in each round.
-    limits : (2,) float64
-        See `lying`.
-
-    Returns
-    -------
-    n : int
-        Number of points on walls before the last step; 0 if they do not determine a motion.
-    across, rms_m : float
-        See `relmap.planes.wall_tie.WallTie`.
+    `near_m` (k,): largest distance from a wall, in each round; `limits` (2,): see `lying`. Returns
+    `n`: number of points on walls before the last step; 0 if they do not determine a motion.
+    `across`, `rms_m`: see `relmap.planes.wall_tie.WallTie`.
     """
     other, off, n = np.empty(len(at), dtype=np.int64), np.empty(len(at)), 0
     across, squares = 0.0, 0.0
@@ -174,19 +159,10 @@ def fit(
 def votes(here: Ints, counts: Ints, there: Ints, begin: Ints, shape: Ints) -> Ints:
     """Return how many points come into cells of others by each shift of the cells.
 
-    Parameters
-    ----------
-    here : (n, 3) int64
-        Direction, column and row of cells, and
-    counts : (n,) int64
-        the number of points in each.
-    there : (m, 3) int64
-        The same of others, direction by direction.
-    begin : (d + 1,) int64
-        The first cell of each direction.
-    shape : (2,) int64
-        Number of shifts along both axes; the cells have columns and rows from 0, and the shift by 0
-        is that of the largest column and row of `here`.
+    `here` (n, 3), `counts` (n,): direction, column and row of cells, and the number of points in
+    each. `there` (m, 3): the same of others, direction by direction. `begin` (d + 1,): the first
+    cell of each direction. `shape` (2,): number of shifts along both axes; the cells have columns
+    and rows from 0, and the shift by 0 is that of the largest column and row of `here`.
     """
     score = np.zeros((shape[0], shape[1]), dtype=np.int64)
     last = np.zeros(2, dtype=np.int64)
