@@ -43,14 +43,8 @@ NORMAL = 0.6745
 class Sightings:
     """Observations of planes: n, robot frame.
 
-    Attributes
-    ----------
-    scan, plane : (n,) int64
-        Numbered from 0 without gaps; scans ascend.
-    centre : (n, 3) float64
-    axes : (n, 3, 3) float64
-    information, spread : (n, 3) float64
-        See `relmap.segmentation.space.Patches`.
+    `scan`, `plane` (n,): numbered from 0 without gaps; scans ascend. `centre` (n, 3); `axes`
+    (n, 3, 3); `information`, `spread` (n, 3): see `relmap.segmentation.space.Patches`.
     """
 
     scan: Ints
@@ -65,15 +59,8 @@ class Sightings:
 class Scene:
     """Poses and planes, the unknowns.
 
-    Attributes
-    ----------
-    R : (p, 3, 3) float64, t : (p, 3) float64
-        ``T_map_robot``.
-    normal : (l, 3) float64
-    base : (l, 3) float64
-        A point near each plane.
-    off : (l,) float64
-        Distance of each plane from its base, along the normal.
+    `R` (p, 3, 3), `t` (p, 3): ``T_map_robot``; `normal` (l, 3); `base` (l, 3): a point near each
+    plane; `off` (l,): distance of each plane from its base, along the normal.
     """
 
     R: Floats
@@ -86,14 +73,9 @@ class Scene:
 class PlaneAdjustment:
     """Residuals of observed planes; a `Problem`.
 
-    Parameters
-    ----------
-    seen : Sightings
-    systematic : float
-        Error that the points of an observation have in common, as a fraction of their noise.
-    free : dict of int to (3,) float64, optional
-        Scans and the direction, robot frame, in which their position is kept because planes
-        determine it poorly.
+    `systematic`: error that the points of an observation have in common, as a fraction of their
+    noise; `free`, dict of int to (3,): scans and the direction, robot frame, in which their
+    position is kept because planes determine it poorly.
     """
 
     def __init__(

@@ -35,13 +35,7 @@ of the planes or of the surfaces of the other: halls look much the same from bot
 def is_doubtful(placed: Placed, seen: Patches, planes: Patches, part: Submap, gap: int) -> bool:
     """Return whether a scan, `gap` scans after the last one of a submap, cannot be there.
 
-    Parameters
-    ----------
-    placed : Placed
-    seen, planes : Patches
-        Of the scan, robot frame, and of the map, map frame.
-    part : Submap
-    gap : int
+    `seen`, `planes`: of the scan, robot frame, and of the map, map frame.
     """
     way_m = moved_m(part.poses[-1], (placed.R, placed.t), seen.reach_m)
     leap = len(part.poses) >= SEVERAL and way_m > LEAP * seen.reach_m
@@ -89,12 +83,8 @@ def fastest_m(part: Submap, turns: float = 1.0) -> float:
 def seen_through(R: Floats, t: Floats, seen: Patches, planes: Patches) -> float:
     """Return the fraction of the surfaces of a map in view of a scan that it sees through.
 
-    Parameters
-    ----------
-    R : (3, 3) float64, t : (3,) float64
-        Pose of the scan.
-    seen, planes : Patches
-        Of the scan, robot frame, and of the map, map frame.
+    `R` (3, 3), `t` (3,): pose of the scan; `seen`, `planes`: of the scan, robot frame, and of the
+    map, map frame.
     """
     rows = np.linspace(0, len(planes.cells) - 1, min(SAMPLE, len(planes.cells))).astype(np.int64)
     cells = (planes.cells[rows] - t) @ R

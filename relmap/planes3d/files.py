@@ -61,10 +61,7 @@ class Plane3dResult(Result):
 def write_planes3d(folder: Path, table: Plane3dTable) -> None:
     """Write ``planes.csv`` into an existing folder; an outline is written as ``x y z;x y z;...``.
 
-    Raises
-    ------
-    RelmapError
-        If the file cannot be written.
+    Raises `RelmapError` if the file cannot be written.
     """
     columns = [
         table.plane.tolist(),
@@ -86,10 +83,7 @@ def write_planes3d(folder: Path, table: Plane3dTable) -> None:
 def read_result3d(folder: Path) -> Plane3dResult:
     """Read a result folder of planes in space.
 
-    Raises
-    ------
-    RelmapError
-        If a file is missing or invalid.
+    Raises `RelmapError` if a file is missing or invalid.
     """
     table = read_table(folder / PLANES, COLUMNS)
     for name in (*_NORMAL, "offset", *_CENTRE, "area_m2"):
@@ -118,10 +112,7 @@ def _text(outline: Floats) -> str:
 def write_mesh(folder: Path, part: Submap | None, chosen: Ints) -> None:
     """Write planes of a submap, by number, as a coloured mesh: ``map.ply``.
 
-    Raises
-    ------
-    RelmapError
-        If the file cannot be written.
+    Raises `RelmapError` if the file cannot be written.
     """
     corners, colours = [np.empty((0, 3))], [np.empty((0, 3), dtype=np.int64)]
     if part is not None:

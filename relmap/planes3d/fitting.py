@@ -31,23 +31,10 @@ def matched(
 ) -> tuple[Ints, Floats]:
     """Match the planes of a scan to overlapping planes of the map, each to the one that fits best.
 
-    Parameters
-    ----------
-    R : (3, 3) float64, t : (3,) float64
-        Pose of the scan.
-    seen, planes : Patches
-        Planes of the scan, robot frame, and of the map, map frame.
-    near : (m, k) bool
-        Which planes overlap; see `Surfaces.overlapping`.
-    loose : float
-        Tolerance, as a multiple of the usual one.
-
-    Returns
-    -------
-    match : (m,) int64
-        Plane of the map; -1 for none.
-    off : (m,) float64
-        Residual as a fraction of the tolerance.
+    `R` (3, 3), `t` (3,): pose of the scan. `seen`, `planes`: planes of the scan, robot frame, and
+    of the map, map frame. `near` (m, k): which planes overlap; see `Surfaces.overlapping`. `loose`:
+    tolerance, as a multiple of the usual one. Returns `match` (m,): plane of the map; -1 for none.
+    `off` (m,): residual as a fraction of the tolerance.
     """
     off = distances(R, t, seen, planes)
     own = seen.spread[:, None, 2]
@@ -93,22 +80,9 @@ def fitted(
 
     Only the last fit looks for weak directions that planes determine at all.
 
-    Parameters
-    ----------
-    R : (3, 3) float64, t : (3,) float64
-        First estimate.
-    seen, planes : Patches
-        Of the scan, robot frame, and of the map, map frame.
-    match : (m,) int64
-        Plane of the map that each plane of the scan matches; -1 for none.
-    held : Held
-    last : bool
-
-    Returns
-    -------
-    R : (3, 3) float64, t : (3,) float64
-    free : (3,) float64 or None, is_held : bool
-        See `Placed`.
+    `R` (3, 3), `t` (3,): first estimate. `seen`, `planes`: of the scan, robot frame, and of the
+    map, map frame. `match` (m,): plane of the map that each plane of the scan matches; -1 for none.
+    Returns `R` (3, 3), `t` (3,) and `free` (3,), `is_held`: see `Placed`.
     """
     from relmap.planes3d.fitting_kernels import fit_placement
 

@@ -36,17 +36,8 @@ FEWEST, FEWEST_SCANS = 24, 3
 def gathered(part: Submap, number: int) -> Submap | None:
     """Add the planes that the points on no plane show together, as observations of their scans.
 
-    Parameters
-    ----------
-    part : Submap
-        Refined, so that its poses are consistent.
-    number : int
-        Of the first new landmark.
-
-    Returns
-    -------
-    Submap or None
-        None if there are none.
+    `part`: refined, so that its poses are consistent; `number`: of the first new landmark. Returns
+    None if there are none.
     """
     sights = np.bincount(np.concatenate([np.unique(match) for match in part.match]))
     # A plane that only one scan shows by itself is gathered, too, and joined afterwards.

@@ -35,12 +35,8 @@ OFF_M, OFF_SHARE = 4.0, 0.01
 class Held:
     """The predicted position of a scan, used in a direction that no plane determines.
 
-    Attributes
-    ----------
-    place : (3,) float64, map frame, metres
-    off_m : float
-        Standard deviation of the prediction, metres; infinite if there were no last steps. It is
-        not used in a direction that the planes determine better.
+    `place` (3,), map frame, metres. `off_m`: standard deviation of the prediction, metres; infinite
+    if there were no last steps. It is not used in a direction that the planes determine better.
     """
 
     place: Floats
@@ -51,10 +47,7 @@ class Held:
 class Motions:
     """Hypotheses: h rigid motions from the frame of the scan to that of the map.
 
-    Attributes
-    ----------
-    R : (h, 3, 3) float64
-    t : (h, 3) float64, metres
+    `R` (h, 3, 3); `t` (h, 3), metres.
     """
 
     R: Floats
@@ -67,15 +60,7 @@ def motions(seen: Patches, there: Patches, held: Held) -> Motions:
     The support is the fraction of the scan's planes that match, weighted by the square root of
     their size.
 
-    Parameters
-    ----------
-    seen, there : Patches
-        Planes of the scan, robot frame, and of the map, map frame.
-    held : Held
-
-    Returns
-    -------
-    Motions
+    `seen`, `there`: planes of the scan, robot frame, and of the map, map frame.
     """
     from relmap.planes3d.hypothesis_kernels import distinct_turns
 

@@ -65,18 +65,9 @@ def distinct_turns(
 
     Those that make more normals parallel come first.
 
-    Parameters
-    ----------
-    turns : (h, 3, 3) float64
-    a : (m, 3) float64, b : (n, 3) float64
-        Normals of the scan, and of the map.
-    weight : (m,) float64
-    alike, same : float
-        Least cosine of parallel normals, and of rotations that are the same.
-    skew : float
-        Least sine of normals that are not parallel.
-    most : int
-        Maximum number of rotations.
+    `turns` (h, 3, 3); `a` (m, 3), `b` (n, 3): normals of the scan, and of the map; `weight` (m,);
+    `alike`, `same`: least cosine of parallel normals, and of rotations that are the same; `skew`:
+    least sine of normals that are not parallel; `most`: maximum number of rotations.
     """
     count, turned = len(turns), np.empty((len(a), 3))
     support, open_ = np.zeros(count), np.ones(count, dtype=np.bool_)
@@ -183,24 +174,12 @@ def best_ways(
 ) -> tuple[Floats, Floats]:
     """Return translations (k, 3) from candidate matches, and their supports, best first.
 
-    Parameters
-    ----------
-    normal : (p, 3) float64, off : (p,) float64
-        A match requires ``normal @ translation == off``.
-    of : (p,) int64, equal ones together
-        Plane of the scan of each match; two matches of one plane are not combined.
-    gate : (p,) float64
-        Tolerance of a match, metres.
-    weight : (m,) float64
-        Of the planes of the scan.
-    held : (3,) float64
-        Predicted translation, used in the direction that two matches leave open.
-    spans : tuple of float
-        Least volume and area that the normals of three and of two matches span.
-    apart_m : float
-        Translations closer than this are the same.
-    most : int
-        Maximum number of translations.
+    `normal` (p, 3), `off` (p,): a match requires ``normal @ translation == off``. `of` (p,), equal
+    ones together: plane of the scan of each match; two matches of one plane are not combined.
+    `gate` (p,): tolerance of a match, metres. `weight` (m,): of the planes of the scan. `held`
+    (3,): predicted translation, used in the direction that two matches leave open. `spans`: least
+    volume and area that the normals of three and of two matches span. `apart_m`: translations
+    closer than this are the same. `most`: maximum number of translations.
     """
     ways = _crossings(normal, off, of, held, spans[0], spans[1])
     support, kept = np.empty(len(ways)), np.empty((most, 3))

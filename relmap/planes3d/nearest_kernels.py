@@ -106,16 +106,9 @@ def mark_near(
 ) -> None:
     """Mark which planes of a scan have cells near which planes of the map, in an array (m, k).
 
-    Parameters
-    ----------
-    plane : (c,) int64
-        Plane of each cell of the map.
-    R : (3, 3) float64, t : (3,) float64
-        Pose of the scan.
-    cells : (s, 3) float64, of : (s,) int64
-        Of the scan, and their planes; every `step`-th is looked at.
-    reach_m : float
-        Largest distance; the four nearest cells count.
+    `plane` (c,): plane of each cell of the map. `R` (3, 3), `t` (3,): pose of the scan. `cells`
+    (s, 3), `of` (s,): of the scan, and their planes; every `step`-th is looked at. `reach_m`:
+    largest distance; the four nearest cells count.
     """
     x, chosen, square = np.empty(3), np.empty(4, dtype=np.int64), np.empty(4)
     for i in range(0, len(cells), step):
@@ -145,18 +138,10 @@ def shares(
 ) -> Floats:
     """Return the weight (h,) of the cells of a scan that a motion brings near cells of the map.
 
-    Parameters
-    ----------
-    facing : (c, 3) float64
-        Normals of the cells of the map.
-    R : (h, 3, 3) float64, t : (h, 3) float64
-    cells, normal : (s, 3) float64, weight : (s,) float64
-        Of the scan.
-    reach_m, side : float
-        Largest distance, and least cosine between the normals.
-    hopeless : float, most : int
-        Motions with less than this fraction of the largest weight, or not among so many of the
-        largest ones, are not followed to the end.
+    `facing` (c, 3): normals of the cells of the map; `R` (h, 3, 3), `t` (h, 3); `cells`, `normal`
+    (s, 3), `weight` (s,): of the scan; `reach_m`, `side`: largest distance, and least cosine
+    between the normals; `hopeless`, `most`: motions with less than this fraction of the largest
+    weight, or not among so many of the largest ones, are not followed to the end.
     """
     total, best = np.zeros(len(R)), np.zeros(most)
     x, n = np.empty(3), np.empty(3)

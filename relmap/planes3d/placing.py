@@ -51,19 +51,11 @@ points at the range."""
 class Placed:
     """The pose of a scan, and the planes of the map that it shows.
 
-    Attributes
-    ----------
-    R : (3, 3) float64, t : (3,) float64
-        ``T_map_robot``.
-    match : (m,) int64
-        The plane of the map that each plane of the scan matches; -1 for none.
-    share : float
-        Fraction of the scan's surfaces on surfaces of the map, reduced by their residuals.
-    free : (3,) float64 or None
-        The direction, map frame, in which planes determine the position poorly; None if there is
-        none.
-    is_held : bool
-        Whether the predicted position was used in that direction.
+    `R` (3, 3), `t` (3,): ``T_map_robot``. `match` (m,): the plane of the map that each plane of the
+    scan matches; -1 for none. `share`: fraction of the scan's surfaces on surfaces of the map,
+    reduced by their residuals. `free` (3,): the direction, map frame, in which planes determine the
+    position poorly; None if there is none. `is_held`: whether the predicted position was used in
+    that direction.
     """
 
     R: Floats
@@ -88,21 +80,10 @@ def place(
 ) -> Placed | None:
     """Return the placement of a scan; None if none is accepted.
 
-    Parameters
-    ----------
-    seen : Patches
-        Planes of the scan, robot frame.
-    there : Surfaces
-        Planes of the map.
-    last : R (3, 3) and t (3,), optional
-        Pose of the previous scan. Of placements that explain the scan equally well, as in a room
-        that looks the same from two sides, the closest to it is accepted if the others are far.
-        Without it, a placement with a rival is not accepted.
-    held : Held
-
-    Returns
-    -------
-    Placed or None
+    `seen`: planes of the scan, robot frame. `there`: planes of the map. `last`, R (3, 3) and t
+    (3,): pose of the previous scan. Of placements that explain the scan equally well, as in a room
+    that looks the same from two sides, the closest to it is accepted if the others are far. Without
+    it, a placement with a rival is not accepted.
     """
     best: list[Placed] = []
     tried = _promising(motions(seen, there.planes, held), seen, there)

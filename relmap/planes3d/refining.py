@@ -34,17 +34,8 @@ of one surface lies at the other: a sensor does not see through either."""
 def refined(part: Submap, number: int) -> tuple[Submap, dict[int, int]]:
     """Return a submap adjusted to all its observations by least squares.
 
-    Parameters
-    ----------
-    part : Submap
-    number : int
-        Of the first of the landmarks that are found in the points of all scans together.
-
-    Returns
-    -------
-    part : Submap
-    name : dict of int to int
-        New numbers of landmarks that were joined to others.
+    `number`: of the first of the landmarks that are found in the points of all scans together.
+    Returns `name`: new numbers of landmarks that were joined to others.
     """
     names: dict[int, int] = {}
     for round_ in range(ROUNDS):
@@ -70,10 +61,7 @@ def unsure_steps(part: Submap) -> dict[int, Floats]:
     displacement by the rotation at the range, exceeds 1.25 % of the range; or if three of them
     exceed 1.5 % and it is two and a half times the usual one.
 
-    Returns
-    -------
-    dict of int to (3,) float64
-        The direction in which the translation is least certain, sensor frame.
+    Each has the direction (3,) in which the translation is least certain, sensor frame.
     """
     share = SYSTEMATIC if part.share is None else part.share
     covariance = step_covariances(sightings(part), scene(part), share)

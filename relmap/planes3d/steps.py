@@ -20,18 +20,9 @@ def step_covariances(seen: Sightings, scene: Scene, systematic: float) -> Floats
     Only scans within 12 of a step count: what scans farther away add, as at a revisit, is left out,
     so that the cost is linear in the number of scans.
 
-    Parameters
-    ----------
-    seen : Sightings
-    scene : Scene
-        The poses (p) and planes on which the observations agree.
-    systematic : float
-        Common error of the points of an observation, as a fraction of their noise.
-
-    Returns
-    -------
-    (p - 1, 6, 6) float64
-        Rotation vector, radians, and translation, metres, along the axes of the later scan.
+    `scene`: the poses (p) and planes on which the observations agree; `systematic`: common error of
+    the points of an observation, as a fraction of their noise. Returns (p - 1, 6, 6): rotation
+    vector, radians, and translation, metres, along the axes of the later scan.
     """
     problem = PlaneAdjustment(seen, systematic)
     linear = problem.linearised(scene)

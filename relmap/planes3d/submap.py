@@ -76,17 +76,9 @@ class Submap:
     ) -> None:
         """Add a scan.
 
-        Parameters
-        ----------
-        iteration : int
-        seen : Patches
-            Planes of the scan, robot frame.
-        pose : R (3, 3) and t (3,)
-            ``T_submap_robot``.
-        number : (m,) int64
-            Number of the landmark of each patch in the mapper.
-        sparse : bool
-            Whether the points on no plane are few enough already.
+        `seen`: planes of the scan, robot frame; `pose`, R (3, 3) and t (3,): ``T_submap_robot``;
+        `number` (m,): number of the landmark of each patch in the mapper; `sparse`: whether the
+        points on no plane are few enough already.
         """
         R, t = pose
         match = np.array([self._row.setdefault(k, len(self._row)) for k in number.tolist()], int)
@@ -198,13 +190,8 @@ class Submap:
     def joined(self, other: Submap, pose: Pose, name: dict[int, int]) -> Submap:
         """Return the submap and another as one, in the frame of the first scan of both.
 
-        Parameters
-        ----------
-        other : Submap
-        pose : R (3, 3) and t (3,)
-            Pose of the frame of the other.
-        name : dict of int to int
-            Landmarks of the other that are landmarks of this one.
+        `pose`, R (3, 3) and t (3,): pose of the frame of the other; `name`: landmarks of the other
+        that are landmarks of this one.
         """
         R, t = pose
         placed = other.again([(R @ S, R @ s + t) for S, s in other.poses], name)

@@ -19,10 +19,7 @@ SIDE = np.cos(np.deg2rad(12.0))
 class Surfaces:
     """Planes of the map with a grid of the cells where they were seen.
 
-    Parameters
-    ----------
-    planes : Patches
-        In the frame of the map.
+    `planes`: in the frame of the map.
     """
 
     def __init__(self, planes: Patches) -> None:
@@ -72,16 +69,9 @@ class Surfaces:
     ) -> Floats:
         """Return the weight (h,) of cells of a scan near surfaces that face the same way.
 
-        Parameters
-        ----------
-        motions : Motions
-        seen : Patches
-            Planes of the scan, robot frame.
-        cells : (s, 3) float64, of : (s,) int64, weight : (s,) float64
-            Cells of the scan, and their planes.
-        hopeless : float, most : int
-            Motions below this fraction of the largest weight, or not among so many of the largest,
-            may be given less.
+        `seen`: planes of the scan, robot frame; `cells` (s, 3), `of` (s,), `weight` (s,): cells of
+        the scan, and their planes; `hopeless`, `most`: motions below this fraction of the largest
+        weight, or not among so many of the largest, may be given less.
         """
         from relmap.planes3d.nearest_kernels import shares
 

@@ -63,16 +63,9 @@ class Plane3dTable(Table):
 class Raster:
     """The surface of a plane as a grid of squares.
 
-    Attributes
-    ----------
-    filled : (a, b) bool
-        Squares in which the plane was seen.
-    origin : (2,) float64, metres
-        Corner of the first square, along `u` and `v` from `base`.
-    size_m : float
-        Side of a square.
-    base, u, v : (3,) float64
-        A point on the plane, and unit vectors along it.
+    `filled` (a, b): squares in which the plane was seen; `origin` (2,), metres: corner of the first
+    square, along `u` and `v` from `base`; `size_m`: side of a square; `base`, `u`, `v` (3,): a
+    point on the plane, and unit vectors along it.
     """
 
     filled: Bools
