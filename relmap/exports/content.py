@@ -23,14 +23,8 @@ T = TypeVar("T", LandmarkTable, PlaneTable)
 class MapContent:
     """The map of a result, without unmapped landmarks; map frame, metres.
 
-    Attributes
-    ----------
-    result : Result
-        The result as read.
-    landmarks : LandmarkTable
-        The mapped landmarks; for walls the corners.
-    walls : PlaneTable or None
-        The mapped walls; None for a map of points.
+    `result`: the result as read. `landmarks`: the mapped landmarks; for walls the corners. `walls`:
+    the mapped walls; None for a map of points.
     """
 
     result: Result
@@ -66,10 +60,7 @@ class MapContent:
 def read_content(folder: Path) -> MapContent:
     """Read the exported part of a result folder.
 
-    Raises
-    ------
-    RelmapError
-        If a file is missing or was not written by `relmap map`.
+    Raises `RelmapError` if a file is missing or was not written by `relmap map`.
     """
     result = read_any(folder)
     if result.summary.get("variant") == "planes3d":

@@ -25,14 +25,8 @@ NAME = "map"
 class Order:
     """What to export, and how.
 
-    Attributes
-    ----------
-    result : Path
-        The result folder.
-    log : Path or None
-        The log that was mapped, for free space and measurements.
-    resolution_m : float
-        Size of a cell of a grid.
+    `result`: the result folder; `log`: the log that was mapped, for free space and measurements;
+    `resolution_m`: size of a cell of a grid.
     """
 
     result: Path
@@ -50,12 +44,8 @@ Rendered = tuple[Files, str]
 class Format:
     """An export format.
 
-    Attributes
-    ----------
-    endings : tuple of str
-        Accepted extensions; the first is the default.
-    render : callable
-        Returns the files of a map for a given path.
+    `endings`: accepted extensions; the first is the default. `render`: returns the files of a map
+    for a given path.
     """
 
     endings: tuple[str, ...]
@@ -65,24 +55,9 @@ class Format:
 def export(order: Order, to: str, out: Path) -> str:
     """Export the map of a result folder.
 
-    Parameters
-    ----------
-    order : Order
-    to : str
-        One of `FORMATS`.
-    out : Path
-        The file; or a folder, which has no extension or exists already.
-
-    Returns
-    -------
-    str
-        A message about the written files.
-
-    Raises
-    ------
-    RelmapError
-        If the result or the log is invalid, the map does not fit the format, or the file cannot be
-        written.
+    `to`: one of `FORMATS`. `out`: the file; or a folder, which has no extension or exists already.
+    Returns a message about the written files. Raises `RelmapError` if the result or the log is
+    invalid, the map does not fit the format, or the file cannot be written.
     """
     form = FORMATS[to]
     path = out / f"{NAME}{form.endings[0]}" if out.is_dir() or not out.suffix else out

@@ -31,15 +31,9 @@ NEAREST_M, FARTHEST_M = 1e-3, 100.0
 class Grid:
     """A grid seen from above.
 
-    Attributes
-    ----------
-    pixels : (rows, columns) uint8
-        `OCCUPIED`, `FREE` or `UNKNOWN`; the first row has the least y, the first column the least
-        x.
-    origin_m : (2,) float64, map frame
-        The lower left corner of the first cell.
-    resolution_m : float
-        Size of a cell.
+    `pixels` (rows, columns): `OCCUPIED`, `FREE` or `UNKNOWN`; the first row has the least y, the
+    first column the least x. `origin_m` (2,), map frame: the lower left corner of the first cell.
+    `resolution_m`: size of a cell.
     """
 
     pixels: NDArray[np.uint8]
@@ -53,17 +47,8 @@ def grid_of(content: MapContent, lines: Lines | None, resolution_m: float) -> Gr
     Occupied are the cells of mapped walls or landmarks, and those in which at least a quarter of
     the beams that reached them ended; all other cells crossed by a beam are free.
 
-    Parameters
-    ----------
-    content : MapContent
-    lines : Lines or None
-        See `relmap.exports.sight.sight_lines`.
-    resolution_m : float
-
-    Raises
-    ------
-    RelmapError
-        If the map is in space or empty, or the grid would be too large.
+    `lines`: see `relmap.exports.sight.sight_lines`. Raises `RelmapError` if the map is in space or
+    empty, or the grid would be too large.
     """
     from relmap.exports.grid_kernels import cast
 

@@ -19,12 +19,8 @@ def cast(begins: NDArray[Any], ends: NDArray[Any], passed: Cells, ended: Cells) 
 
     A line is followed only until it leaves the grid.
 
-    Parameters
-    ----------
-    begins, ends : (n, 2) float64
-        In units of cells: the cell in row i and column j reaches from (j, i) to (j + 1, i + 1).
-    passed, ended : (rows, columns) int64
-        Counts, incremented in place.
+    `begins`, `ends` (n, 2): in units of cells: the cell in row i and column j reaches from (j, i)
+    to (j + 1, i + 1); `passed`, `ended` (rows, columns): counts, incremented in place.
     """
     rows, columns = passed.shape
     for k in range(len(begins)):

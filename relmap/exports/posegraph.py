@@ -25,11 +25,7 @@ def g2o_text(content: MapContent, seen: Sightings | None) -> str:
     each observation is an edge: with the log as measured, with the information matrix from the
     estimated noise, otherwise as computed from the map.
 
-    Parameters
-    ----------
-    content : MapContent
-    seen : Sightings or None
-        For points, the observations.
+    `seen`: for points, the observations.
     """
     planar, poses = content.result.planar, content.result.poses
     pose, point, sight = PLANAR if planar else SPATIAL

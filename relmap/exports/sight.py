@@ -32,12 +32,8 @@ Lines = tuple[Floats, Floats]
 class Sightings:
     """Observations: which pose saw which mapped landmark.
 
-    Attributes
-    ----------
-    pose, landmark : (n,) int64
-        Rows of the poses and of the landmarks of a `MapContent`.
-    points_robot : (n, d) float64 or None, robot frame, metres
-        Measured positions; None without the log.
+    `pose`, `landmark` (n,): rows of the poses and of the landmarks of a `MapContent`.
+    `points_robot` (n, d), robot frame, metres: measured positions; None without the log.
     """
 
     pose: Ints
@@ -48,24 +44,9 @@ class Sightings:
 def sight_lines(folder: Path, content: MapContent, log: Path | None) -> Lines | None:
     """Return start and end points of beams; for points, lines from poses to landmarks.
 
-    Parameters
-    ----------
-    folder : Path
-        The result folder.
-    content : MapContent
-        Its content.
-    log : Path or None
-        The log that was mapped; None to use ``mapper.npz``.
-
-    Returns
-    -------
-    begins, ends : (n, 2) float64, map frame, metres
-        None if there is neither.
-
-    Raises
-    ------
-    RelmapError
-        If ``mapper.npz`` or the log is invalid.
+    `folder`: the result folder. `log`: the log that was mapped; None to use ``mapper.npz``. Returns
+    `begins`, `ends` (n, 2), map frame, metres: None if there is neither. Raises `RelmapError` if
+    ``mapper.npz`` or the log is invalid.
     """
     if content.walls is None:
         seen = sightings(folder, content, log)

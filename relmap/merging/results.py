@@ -32,13 +32,9 @@ STATUS = ("static", "dynamic", "unmapped")
 class Merged:
     """A merged map.
 
-    Attributes
-    ----------
-    result : Result
-        For walls a `PlaneResult`. Its path is that of the first run, its iterations are those of
-        the first run followed by those of the second. It has no tracks, as they belong to two logs.
-    stamps_s, poses : (k,) and (k, 4, 4) float64
-        The path of the second, in the frame of the first.
+    `result`: for walls a `PlaneResult`. Its path is that of the first run, its iterations are those
+    of the first run followed by those of the second. It has no tracks, as they belong to two logs.
+    `stamps_s` (k,), `poses` (k, 4, 4): the path of the second, in the frame of the first.
     """
 
     result: Result
@@ -51,18 +47,8 @@ def merge_results(one: Path, other: Path) -> Merged:
 
     If a run broke into submaps, its largest is merged.
 
-    Parameters
-    ----------
-    one, other : Path
-
-    Returns
-    -------
-    Merged
-
-    Raises
-    ------
-    RelmapError
-        If a folder is not a result, they are of different kinds, or have no unique alignment.
+    Raises `RelmapError` if a folder is not a result, they are of different kinds, or have no unique
+    alignment.
     """
     a, b = (_read(folder) for folder in (one, other))
     walls = isinstance(a, PlaneResult), isinstance(b, PlaneResult)

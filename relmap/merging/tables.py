@@ -52,11 +52,8 @@ def joined_walls(one: PlaneTable, other: PlaneTable) -> tuple[PlaneTable, Ints]:
     and the extent is the union. Other walls of `other` that are mostly covered by walls of `one`
     are left out. Walls of `one` keep their numbers.
 
-    Returns
-    -------
-    table : PlaneTable
-    corners : (k, 2) int64
-        Corners of `other` and of `one` that are one; they keep the number from `one`.
+    Returns `corners` (k, 2): corners of `other` and of `one` that are one; they keep the number
+    from `one`.
     """
     own, new = (np.flatnonzero(table.status == "static") for table in (one, other))
     lying_m = lying_on(other.ends[new], one.ends[own])
@@ -120,13 +117,9 @@ def _join(
 def joined(one: LandmarkTable, other: LandmarkTable, pairs: Ints) -> LandmarkTable:
     """Merge two tables with positions in one frame and distinct labels.
 
-    Parameters
-    ----------
-    one, other : LandmarkTable
-    pairs : (k, 2) int64
-        Rows of `other` and of `one` that are one landmark, which keeps the label from `one`.
-        Positions are averaged, weighted by their variances if both are known, otherwise by the
-        number of observations.
+    `pairs` (k, 2): rows of `other` and of `one` that are one landmark, which keeps the label from
+    `one`. Positions are averaged, weighted by their variances if both are known, otherwise by the
+    number of observations.
     """
     theirs, mine = pairs.T
     share = _share(one, other, mine, theirs)

@@ -14,15 +14,8 @@ def choose_basis(points: Floats) -> Ints | None:
     B0 is the point farthest from the centre, B1 the farthest from B0, and in space B2 the farthest
     from the line through both.
 
-    Parameters
-    ----------
-    points : (g, d) float64
-        The group in one iteration.
-
-    Returns
-    -------
-    (d,) int64 or None
-        Rows of B0, B1 (and B2); None if the points coincide or, in space, are collinear.
+    `points` (g, d): the group in one iteration. Returns (d,): rows of B0, B1 (and B2); None if the
+    points coincide or, in space, are collinear.
     """
     if not fixes_rotation(points):
         return None
@@ -42,15 +35,8 @@ def to_basis(block: Floats, basis: Ints) -> Floats:
     B0 is the origin, B1 lies on the negative x axis, and in space B2 in the xz plane, at positive
     z.
 
-    Parameters
-    ----------
-    block : (g, i, d) float64, robot frame, metres
-    basis : (d,) int64
-        Rows of B0, B1 (and B2).
-
-    Returns
-    -------
-    (g, i, d) float64, group frame, metres
+    `block` (g, i, d), robot frame, metres; `basis` (d,): rows of B0, B1 (and B2). Returns
+    (g, i, d), group frame, metres.
     """
     from relmap.points.basis_kernels import into_basis
 
@@ -60,14 +46,8 @@ def to_basis(block: Floats, basis: Ints) -> Floats:
 def relative_map(block: Floats) -> Floats | None:
     """Average a group's locations in its consistent basis (section III).
 
-    Parameters
-    ----------
-    block : (g, i, d) float64, robot frame, metres
-        Every member seen in every iteration.
-
-    Returns
-    -------
-    (g, d) float64, group frame, metres, or None if the group determines no basis
+    `block` (g, i, d), robot frame, metres: every member seen in every iteration. Returns (g, d),
+    group frame, metres, or None if the group determines no basis.
     """
     basis = choose_basis(block[:, block.shape[1] // 2])
     if basis is None:

@@ -43,17 +43,9 @@ def _go_on(ends: Floats) -> Bools:
 def seen_extents(walls: Floats, trajectory: Floats, scans: Sequence[BuildingScan]) -> Floats:
     """Return the observed extent of each wall, metres from its first end.
 
-    Parameters
-    ----------
-    walls : (w, 6) float64, map frame, metres
-        Static walls.
-    trajectory : (k, 4, 4) float64
-    scans : sequence of k BuildingScan
-
-    Returns
-    -------
-    (w, 2) float64
-        NaN where it was not seen by `POINTS` points in each of `OFTEN` scans.
+    `walls` (w, 6), map frame, metres: static walls; `trajectory` (k, 4, 4); `scans`: sequence of k
+    BuildingScan. Returns (w, 2): NaN where it was not seen by `POINTS` points in each of `OFTEN`
+    scans.
     """
     first, along = walls[:, :2], walls[:, 2:4] - walls[:, :2]
     length_m = np.linalg.norm(along, axis=1)

@@ -127,17 +127,8 @@ def dynamic_offsets(count: int, iterations: int, rng: np.random.Generator) -> Fl
     and stop-and-go; the paper calls a landmark dynamic when its movement has nothing to do with
     the robot's (section I).
 
-    Parameters
-    ----------
-    count : int
-        Number of landmarks.
-    iterations : int
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    (iterations, count, 3) float64
-        Offset of each landmark from the middle of its motion, metres.
+    `count`: number of landmarks. Returns (iterations, count, 3): offset of each landmark from the
+    middle of its motion, metres.
     """
     speed = rng.uniform(*SPEED_M, count)
     heading = rng.uniform(0, 2 * np.pi, count)

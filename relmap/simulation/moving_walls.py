@@ -27,16 +27,8 @@ AJAR_M = 0.02
 class MovingWalls:
     """Walls that rotate about a pivot and slide, sinusoidally with the scan number; r walls.
 
-    Attributes
-    ----------
-    row : (r,) int64
-        Rows of the walls in the plan.
-    pivot : (r, 2) float64, metres
-    swing_rad : float
-    slide_m : (r, 2) float64
-        Amplitudes of rotation and translation.
-    period, phase : (r,) float64
-        Scans, and radians.
+    `row` (r,): rows of the walls in the plan; `pivot` (r, 2), metres; `slide_m` (r, 2): amplitudes
+    of rotation and translation; `period`, `phase` (r,): scans, and radians.
     """
 
     row: Ints
@@ -65,19 +57,8 @@ def make_moving(
 ) -> tuple[FloorPlan, MovingWalls]:
     """Make panels slide and turn, or add doors to a building.
 
-    Parameters
-    ----------
-    plan : FloorPlan
-    world : "building", "panels" or "long-wall"
-    count : int
-        Number; fewer doors if there is less space, fewer panels if there are fewer.
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    FloorPlan
-        The plan with the doors, each with two sides, after the other walls.
-    MovingWalls
+    `count`: number; fewer doors if there is less space, fewer panels if there are fewer. Returns
+    the plan with the doors, each with two sides, after the other walls.
     """
     if world == "panels":
         chosen = np.sort(rng.permutation(len(plan.walls) // 2)[:count])

@@ -18,13 +18,7 @@ def draw_noise(
 ) -> Floats:
     """Draw independent errors with mean 0 and standard deviation `sigma`.
 
-    Parameters
-    ----------
-    noise : "gaussian" or "uniform"
-    sigma : float
-    shape : tuple of int
-        Shape of the result.
-    rng : numpy.random.Generator
+    `shape`: shape of the result.
     """
     if noise == "gaussian":
         return rng.normal(0.0, sigma, shape)
@@ -35,17 +29,9 @@ def draw_noise(
 def check_arguments(noise: str, sigma: float, seed: int, *limits: tuple[bool, str]) -> None:
     """Raise an error for arguments out of range.
 
-    Parameters
-    ----------
-    noise, sigma, seed
-        Arguments common to all worlds.
-    *limits : tuple of (bool, str)
-        Further conditions, with the message if violated.
-
-    Raises
-    ------
-    RelmapError
-        With the message of the first violated condition.
+    `noise`, `sigma`, `seed`: arguments common to all worlds; `*limits`, tuple of (bool, str):
+    further conditions, with the message if violated. Raises `RelmapError` with the message of the
+    first violated condition.
     """
     for holds, message in (
         *limits,

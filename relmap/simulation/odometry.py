@@ -51,22 +51,9 @@ LASER_WHEELS = Wheels(turn_deg=0.0, turn_deg_per_m=0.5, way_bias=0.01, turn_bias
 def wheel_odometry(poses: Floats, wheels: Wheels, rng: np.random.Generator) -> Floats:
     """Return the motions (k, 4, 4) measured by wheels on a path.
 
-    Parameters
-    ----------
-    poses : (k, 4, 4) float64
-        ``T_map_robot`` of each iteration.  Planar if none has height, roll or pitch.
-    wheels : Wheels
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    (k, 4, 4) float64
-        Motion from the previous iteration to each one; NaN for the first.
-
-    Raises
-    ------
-    RelmapError
-        If the noise of the wheels is out of range.
+    `poses` (k, 4, 4): ``T_map_robot`` of each iteration; planar if none has height, roll or pitch.
+    Returns (k, 4, 4): motion from the previous iteration to each one; NaN for the first. Raises
+    `RelmapError` if the noise of the wheels is out of range.
     """
     wheels.check()
     true = motions(poses)[1:]

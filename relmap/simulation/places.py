@@ -39,13 +39,8 @@ TALL_M = 5.0
 class Place:
     """A path and the landmarks along it, map frame, metres.
 
-    Attributes
-    ----------
-    way : (k, 3) float64
-        Corners of the path.
-    landmarks_map : (m, 3) float64
-    planar : bool
-        Whether everything is in the plane z = 0.
+    `way` (k, 3): corners of the path; `landmarks_map` (m, 3); `planar`: whether everything is in
+    the plane z = 0.
     """
 
     way: Floats

@@ -106,18 +106,8 @@ class Scanner:
     ) -> BuildingScan:
         """Measure the visible stretches of walls.
 
-        Parameters
-        ----------
-        seen : SeenWalls
-        z_robot : (2,) float64, robot frame, metres
-            Lower and upper edge of all walls.
-        rng : numpy.random.Generator
-        before : callable, optional
-            For a laser: objects in front of the walls.
-
-        Returns
-        -------
-        BuildingScan
+        `z_robot` (2,), robot frame, metres: lower and upper edge of all walls; `before`: for a
+        laser: objects in front of the walls.
         """
         if self.sampling == "surface":
             return self._scatter(seen, z_robot, rng)

@@ -29,20 +29,12 @@ NOTHING: Floats = np.empty((0, 4))
 class FloorPlan:
     """Walls, the area for the robot, and the closed line it drives.
 
-    Attributes
-    ----------
-    walls : (w, 6) float64, map frame, metres
-        x0, y0, x1, y1, z0, z1; they touch but do not cross, and all have the same z0 and z1. (w, 4)
-        before the heights are drawn.
-    floors : (f, 4) float64, metres
-        Rectangles x_low, y_low, x_high, y_high without fixed walls inside; none if walls are
-        oblique or curved.
-    loop : (l, 2) float64, metres
-        The line, counter-clockwise; from the last point it goes back to the first.
-    doors : (d, 2, 2) float64, metres
-        Both jambs of each door; the room is to the left of the way from the first to the second.
-    glass : (g,) int64
-        Which walls are of glass.
+    `walls` (w, 6), map frame, metres: x0, y0, x1, y1, z0, z1; they touch but do not cross, and all
+    have the same z0 and z1. (w, 4) before the heights are drawn. `floors` (f, 4), metres:
+    rectangles x_low, y_low, x_high, y_high without fixed walls inside; none if walls are oblique or
+    curved. `loop` (l, 2), metres: the line, counter-clockwise; from the last point it goes back to
+    the first. `doors` (d, 2, 2), metres: both jambs of each door; the room is to the left of the
+    way from the first to the second. `glass` (g,): which walls are of glass.
     """
 
     walls: Floats
@@ -82,10 +74,7 @@ def panels(
 ) -> Floats:
     """Place panels in a rectangle, clear of its sides, of each other and of obstacles (o, 4).
 
-    Returns
-    -------
-    (2 p, 4) float64
-        Both sides of each; fewer than `count` if they do not fit.
+    Returns (2 p, 4): both sides of each; fewer than `count` if they do not fit.
     """
     low, high = box[:2] + CLEARANCE_M, box[2:] - CLEARANCE_M
     tries = count * TRIALS
@@ -125,10 +114,7 @@ def rounded(box: Floats) -> Floats:
 def boxes(plan: FloorPlan, floor: Floats, count: int, rng: np.random.Generator) -> Floats:
     """Place boxes on a floor, clear of walls and of the robot's path.
 
-    Returns
-    -------
-    (4 b, 4) float64
-        Their sides, fronts outwards; fewer than `count` if they do not fit.
+    Returns (4 b, 4): their sides, fronts outwards; fewer than `count` if they do not fit.
     """
     placed, way = [NOTHING], np.hstack([plan.loop, np.roll(plan.loop, -1, axis=0)])
     share = np.linspace(0, 1, 9)[:, None]

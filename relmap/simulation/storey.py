@@ -109,11 +109,7 @@ def simulate_storey(
 class Squares:
     """Squares of faces, and how many scans saw each.
 
-    Parameters
-    ----------
-    origin : (f, 3) float64
-    sides : (f, 2, 3) float64
-        At right angles.
+    `origin` (f, 3); `sides` (f, 2, 3): at right angles.
     """
 
     def __init__(self, origin: Floats, sides: Floats) -> None:

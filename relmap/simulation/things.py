@@ -27,15 +27,8 @@ SPECULAR_RAD, MATT = np.deg2rad(12.0), 0.05
 class Things:
     """Objects that beams of a laser may hit in front of walls, in one scan.
 
-    Attributes
-    ----------
-    people : (p, 3) float64, map frame, metres
-        x, y and radius.
-    glass : (g,) int64
-        Walls that are panes.
-    clutter : float
-        Fraction of beams that hit small objects, such as leaves, cables or rain.
-    rng : numpy.random.Generator
+    `people` (p, 3), map frame, metres: x, y and radius; `glass` (g,): walls that are panes;
+    `clutter`: fraction of beams that hit small objects, such as leaves, cables or rain.
     """
 
     people: Floats
@@ -66,16 +59,8 @@ class Things:
 def round_ranges(discs: Floats, bearing: Floats) -> Floats:
     """Return the distances of beams to discs.
 
-    Parameters
-    ----------
-    discs : (d, 3) float64, robot frame, metres
-        x, y of the centre, and the radius; the robot is outside.
-    bearing : (b,) float64, radians
-
-    Returns
-    -------
-    (b,) float64, metres
-        Infinite if a beam hits none.
+    `discs` (d, 3), robot frame, metres: x, y of the centre, and the radius; the robot is outside.
+    `bearing` (b,), radians. Returns (b,), metres: infinite if a beam hits none.
     """
     ray = np.stack([np.cos(bearing), np.sin(bearing)])
     along = discs[:, :2] @ ray
@@ -88,17 +73,9 @@ def round_ranges(discs: Floats, bearing: Floats) -> Floats:
 def glass_ranges(panes: Floats, bearing: Floats, rng: np.random.Generator) -> Floats:
     """Return the distances of beams to the panes that return them.
 
-    Parameters
-    ----------
-    panes : (g, 2, 2) float64, robot frame, metres
-        Ends of both sides, right to left as seen from the front.
-    bearing : (b,) float64, radians
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    (b,) float64, metres
-        Infinite if a beam hits none, or passes through.
+    `panes` (g, 2, 2), robot frame, metres: ends of both sides, right to left as seen from the
+    front; `bearing` (b,), radians. Returns (b,), metres: infinite if a beam hits none, or passes
+    through.
     """
     first, along = panes[:, None, 0], panes[:, None, 1] - panes[:, None, 0]
     ranges = ray_distances(panes[:, None], bearing)
@@ -120,21 +97,9 @@ def walking(
 ) -> Floats:
     """Simulate people who walk along the corridor, into rooms and out again.
 
-    Parameters
-    ----------
-    plan : FloorPlan
-    count : int
-        Number of people.
-    stamps_s : (k,) float64
-        Time of each scan, seconds.
-    trajectory : (k, 4, 4) float64
-        ``T_map_robot`` at each scan; people keep a distance from the robot.
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    (k, count, 3) float64, map frame, metres
-        x, y and radius of each person at each scan.
+    `count`: number of people. `stamps_s` (k,): time of each scan, seconds. `trajectory` (k, 4, 4):
+    ``T_map_robot`` at each scan; people keep a distance from the robot. Returns (k, count, 3), map
+    frame, metres: x, y and radius of each person at each scan.
     """
     people = np.empty((len(stamps_s), count, 3))
     for k in range(count):

@@ -27,15 +27,9 @@ class SeenWalls:
 
     A wall with a hidden middle part has more than one stretch.
 
-    Attributes
-    ----------
-    wall : (s,) int64
-        The wall of each stretch.
-    ends : (s, 2, 2) float64, robot frame, metres
-        x, y of the right and the left end, as seen from the robot.
-    end_type : (s, 2) str
-        One of `END_TYPES`: the true end of the wall, cut by the edge of the view, by the range, or
-        hidden behind another wall.
+    `wall` (s,): the wall of each stretch; `ends` (s, 2, 2), robot frame, metres: x, y of the right
+    and the left end, as seen from the robot; `end_type` (s, 2): one of `END_TYPES`: the true end of
+    the wall, cut by the edge of the view, by the range, or hidden behind another wall.
     """
 
     wall: Ints
@@ -46,18 +40,9 @@ class SeenWalls:
 def seen_walls(ends_robot: Floats, range_m: float, half_view_rad: float) -> SeenWalls:
     """Return the visible stretches of walls that do not cross.
 
-    Parameters
-    ----------
-    ends_robot : (w, 2, 2) float64, robot frame, metres
-        x, y of the two ends of each wall, right to left as seen from its front.
-    range_m : float
-        Horizontal range of the sensor, metres.
-    half_view_rad : float
-        The sensor sees bearings in [-half_view_rad, half_view_rad], less than a full turn in all.
-
-    Returns
-    -------
-    SeenWalls
+    `ends_robot` (w, 2, 2), robot frame, metres: x, y of the two ends of each wall, right to left as
+    seen from its front; `range_m`: horizontal range of the sensor, metres; `half_view_rad`: the
+    sensor sees bearings in [-half_view_rad, half_view_rad], less than a full turn in all.
     """
     if half_view_rad <= np.pi / 2:
         return _seen_ahead(ends_robot, range_m, half_view_rad)
@@ -103,17 +88,9 @@ def _seen_ahead(ends_robot: Floats, range_m: float, half_view_rad: float) -> See
 def ray_distances(walls: Floats, bearing: Floats) -> Floats:
     """Return the distances along rays from the robot to the lines of walls.
 
-    Parameters
-    ----------
-    walls : (..., 2, 2) float64, robot frame, metres
-        Two points of each line.
-    bearing : (...) float64, radians
-        Bearing of each ray; the arguments are broadcast.
-
-    Returns
-    -------
-    (...) float64, metres
-        NaN if the ray is parallel to the line.
+    `walls` (..., 2, 2), robot frame, metres: two points of each line. `bearing` (...), radians:
+    bearing of each ray; the arguments are broadcast. Returns (...), metres: NaN if the ray is
+    parallel to the line.
     """
     first, last = walls[..., 0, :], walls[..., 1, :]
     across = _cross(np.stack([np.cos(bearing), np.sin(bearing)], axis=-1), last - first)
@@ -128,10 +105,8 @@ def _on_rays(walls: Floats, bearing: Floats) -> Floats:
 def _clipped(ends: Floats, range_m: float, half_view_rad: float) -> tuple[Ints, Floats, Ints]:
     """Clip the walls that face the robot to both edges of the view and to the range.
 
-    Returns
-    -------
-    wall, ends, kind : (m,) int64, (m, 2, 2) float64, (m, 2) int64
-        As in `SeenWalls`, ignoring occlusion; the kinds are indices into `END_TYPES`.
+    Returns `wall` (m,), `ends` (m, 2, 2), `kind` (m, 2): as in `SeenWalls`, ignoring occlusion; the
+    kinds are indices into `END_TYPES`.
     """
     wall = np.flatnonzero(_cross(ends[:, 0], ends[:, 1]) > 0)
     first, along = ends[wall, 0], ends[wall, 1] - ends[wall, 0]

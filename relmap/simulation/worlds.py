@@ -161,13 +161,8 @@ def simulate_world(spec: WorldSpec) -> World:
 def covariances_of(points_robot: Floats, sigma: float, noise: str) -> Floats:
     """Return the covariances (n, d, d), square metres, of points (n, d), robot frame.
 
-    Parameters
-    ----------
-    points_robot : (n, d) float64, metres
-    sigma : float
-        Standard deviation of a coordinate, metres; at half the range if it depends on that.
-    noise : str
-        One of `SENSORS`.
+    `points_robot` (n, d), metres. `sigma`: standard deviation of a coordinate, metres; at half the
+    range if it depends on that. `noise`: one of `SENSORS`.
     """
     distance = np.maximum(np.linalg.norm(points_robot, axis=1), 1e-9)
     ray = points_robot / distance[:, None]
