@@ -31,13 +31,7 @@ CSV_COLUMNS = ("method", "association", *FIGURES, "note")
 class Compared:
     """The outcome of one method.
 
-    Attributes
-    ----------
-    method : str
-    run : MethodRun or None
-        None if it could not run.
-    note : str
-        The reason; empty if it ran.
+    `run`: None if it could not run. `note`: the reason; empty if it ran.
     """
 
     method: str
@@ -57,10 +51,8 @@ def chosen_methods(
 ) -> list[MethodInfo]:
     """Return the requested methods, or all that fit the data.
 
-    Raises
-    ------
-    RelmapError
-        If a name is unknown or occurs twice, or a method does not accept such data.
+    Raises `RelmapError` if a name is unknown or occurs twice, or a method does not accept such
+    data.
     """
     if association == "known" and data.ids is None:
         if data.kind == "scans":
@@ -84,19 +76,9 @@ def compare(
 ) -> Iterator[Compared]:
     """Run methods one after the other, each in a fresh process.
 
-    Parameters
-    ----------
-    source : Source
-        Loaded in each process.
-    methods : sequence of MethodInfo
-    association : "nearest" or "known"
-    sigma_m : float, optional
-        Noise passed to the methods, metres; estimated from the data if not given.
-
-    Yields
-    ------
-    Compared
-        In the order of the methods. If one fails, its note gives the reason.
+    `source`: loaded in each process. `sigma_m`: noise passed to the methods, metres; estimated from
+    the data if not given. The outcomes come in the order of the methods. If one fails, its note
+    gives the reason.
     """
     for method in methods:
         if method.missing:
@@ -154,22 +136,9 @@ def landmark_error_curve(
 ) -> tuple[Ints, Floats]:
     """Return the landmark error over the iterations of a log with known ids (Fig. 16).
 
-    Parameters
-    ----------
-    method : Method
-        A new instance.
-    log : ObservationLog
-        With the true ids.
-    truth : Truth
-    every : int
-        Iterations between points of the curve.
-
-    Returns
-    -------
-    iteration : (p,) int64
-    rmse_m : (p,) float64
-        Error of the static landmarks mapped so far, after rigid alignment; NaN with fewer than
-        three.
+    `method`: a new instance; `log`: with the true ids; `every`: iterations between points of the
+    curve. Returns `iteration` (p,); `rmse_m` (p,): error of the static landmarks mapped so far,
+    after rigid alignment; NaN with fewer than three.
     """
     static = truth.landmark_ids[truth.status == "static"]
     order = np.argsort(truth.landmark_ids)

@@ -32,14 +32,8 @@ PATIENCE_S = 10
 class Finished:
     """Result of a cell.
 
-    Attributes
-    ----------
-    figures : dict
-        `ACCURACY` and `TIMES`, None if one is not available.
-    note : str
-        Reason if there are none; empty on success.
-    again : bool
-        Whether to try again: an extra was missing.
+    `figures`: `ACCURACY` and `TIMES`, None if one is not available. `note`: reason if there are
+    none; empty on success. `again`: whether to try again: an extra was missing.
     """
 
     figures: dict[str, float | None]
@@ -61,15 +55,7 @@ def run_cell(cell: Cell) -> Finished:
 class CellStore:
     """The finished cells of a sweep, one small file each.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder of the sweep; created if missing.
-
-    Raises
-    ------
-    RelmapError
-        If it cannot be created.
+    `folder`: folder of the sweep; created if missing. Raises `RelmapError` if it cannot be created.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -92,10 +78,7 @@ class CellStore:
     def save(self, cell: Cell, finished: Finished) -> None:
         """Store a finished cell.
 
-        Raises
-        ------
-        RelmapError
-            If it cannot be written.
+        Raises `RelmapError` if it cannot be written.
         """
         if finished.again:
             return
@@ -118,18 +101,9 @@ def run_cells(
 ) -> Iterator[tuple[Cell, Finished]]:
     """Run cells and yield each as soon as it is finished.
 
-    Parameters
-    ----------
-    cells : sequence of Cell
-    workers : int
-        Processes on this machine; -1: one per core.
-    scheduler : str, optional
-        Address of a dask scheduler, whose workers are used instead.
-
-    Raises
-    ------
-    RelmapError
-        If the scheduler cannot be reached, or a process is killed.
+    `workers`: processes on this machine; -1: one per core. `scheduler`: address of a dask
+    scheduler, whose workers are used instead. Raises `RelmapError` if the scheduler cannot be
+    reached, or a process is killed.
     """
     from joblib import Parallel, delayed
 
@@ -155,10 +129,7 @@ def numbered(number: int, cell: Cell) -> tuple[int, Finished]:
 def _cluster(scheduler: str) -> AbstractContextManager[Any]:
     """Return joblib's dask backend on a scheduler.
 
-    Raises
-    ------
-    RelmapError
-        If dask is not installed, or no scheduler answers.
+    Raises `RelmapError` if dask is not installed, or no scheduler answers.
     """
     try:
         from distributed import Client
@@ -200,10 +171,7 @@ def _rows(
 def write_parquet(path: Path, cells: Sequence[Cell], finished: Sequence[Finished]) -> None:
     """Write the table of `accuracy_csv` as Parquet.
 
-    Raises
-    ------
-    RelmapError
-        If pyarrow is not installed.
+    Raises `RelmapError` if pyarrow is not installed.
     """
     try:
         import pyarrow as pa

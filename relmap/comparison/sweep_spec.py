@@ -37,21 +37,9 @@ _KINDS = {int: "a whole number", float: "a number", str: "a text"}
 class Cell:
     """One experiment: a world and a method.
 
-    Attributes
-    ----------
-    world : "figure-eight" or "building"
-    association : "known" or "nearest"
-    noise : "gaussian" or "uniform"
-    sigma : float
-        Metres.
-    density : float
-        Landmarks per 100 m; only for the figure eight.
-    dynamic : float
-        Fraction of moving landmarks; only for the figure eight.
-    iterations : int
-        0: one loop.
-    seed : int
-    method : str
+    `world`: "figure-eight" or "building". `association`: "known" or "nearest". `noise`: "gaussian"
+    or "uniform". `sigma`: metres. `density`: landmarks per 100 m; only for the figure eight.
+    `dynamic`: fraction of moving landmarks; only for the figure eight. `iterations`: 0: one loop.
     """
 
     world: str = "figure-eight"
@@ -79,10 +67,7 @@ _DEFAULTS: dict[str, Any] = asdict(Cell())
 def read_spec(path: Path) -> list[Cell]:
     """Read a sweep's file; see `cells_of`.
 
-    Raises
-    ------
-    RelmapError
-        If it cannot be read, is not TOML or describes no valid grid.
+    Raises `RelmapError` if it cannot be read, is not TOML or describes no valid grid.
     """
     try:
         return cells_of(read_toml(path))
@@ -93,16 +78,9 @@ def read_spec(path: Path) -> list[Cell]:
 def cells_of(spec: Mapping[str, Any]) -> list[Cell]:
     """Return all combinations of the values in a file, the last key of `Cell` changing fastest.
 
-    Parameters
-    ----------
-    spec : mapping
-        Keys of `Cell`, each with a value, a list of values or, of whole numbers, a text ``A:B`` for
-        A to B - 1.  Omitted keys have their defaults.
-
-    Raises
-    ------
-    RelmapError
-        If a key or a value is invalid, or a method does not accept such a world.
+    `spec`: keys of `Cell`, each with a value, a list of values or, of whole numbers, a text ``A:B``
+    for A to B - 1. Omitted keys have their defaults. Raises `RelmapError` if a key or a value is
+    invalid, or a method does not accept such a world.
     """
     for key in spec:
         known_name(key, KEYS, "key")
@@ -125,10 +103,7 @@ def cells_of(spec: Mapping[str, Any]) -> list[Cell]:
 def _choices(key: str, given: Any) -> list[Any]:
     """Return the values of a key.
 
-    Raises
-    ------
-    RelmapError
-        If there is none, or one is duplicated or invalid.
+    Raises `RelmapError` if there is none, or one is duplicated or invalid.
     """
     kind = type(_DEFAULTS[key])
     if kind is int and isinstance(given, str):

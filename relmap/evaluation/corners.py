@@ -27,12 +27,7 @@ OFTEN = 10
 class MatchedCorners(Matched):
     """Matched mapped corners (p, 2) and true ones.
 
-    Attributes
-    ----------
-    wall, end : (p,) int64
-        The true corner of each.
-    n_false : int
-        Mapped corners that match no true one.
+    `wall`, `end` (p,): the true corner of each; `n_false`: mapped corners that match no true one.
     """
 
     wall: Ints
@@ -45,18 +40,9 @@ def judge_corners(
 ) -> tuple[dict[str, float | None], dict[str, int], list[str]]:
     """Evaluate a map of walls.
 
-    Parameters
-    ----------
-    planes : PlaneTable
-        The mapped walls, map frame, metres.
-    truth : Truth
-    poses, true_poses : (k, 4, 4) float64
-        ``T_map_robot`` of the same instants, as mapped and true.
-
-    Returns
-    -------
-    figures, counts, notes
-        As returned by `relmap.evaluation.landmarks.judge_landmarks`.
+    `planes`: the mapped walls, map frame, metres; `poses`, `true_poses` (k, 4, 4): ``T_map_robot``
+    of the same instants, as mapped and true. Returns figures, counts and notes as
+    `relmap.evaluation.landmarks.judge_landmarks` does.
     """
     counts = {
         "planes": len(planes.plane),
@@ -106,15 +92,8 @@ def match_corners(
 
     A corner is paired with the nearest true one at the same end of a wall that faces the same way.
 
-    Parameters
-    ----------
-    planes, truth, poses, true_poses
-        As for `judge_corners`.
-
-    Returns
-    -------
-    MatchedCorners or None
-        None if there is no path to start from, or nothing can be paired.
+    `planes`, `truth`, `poses`, `true_poses`: as for `judge_corners`. Returns None if there is no
+    path to start from, or nothing can be paired.
     """
     row, end = _corners(planes)
     position, normal = planes.ends[row, end], planes.normal[row]

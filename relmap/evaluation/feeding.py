@@ -35,16 +35,9 @@ class Method(Protocol):
     def update(self, points: Any, /, ids: Any = None) -> Ints:
         """Process one iteration.
 
-        Parameters
-        ----------
-        points : (n, 2) or (n, 3) float64, robot frame, metres
-        ids : (n,) int64, optional
-            Known association; negative for unidentified landmarks.
-
-        Returns
-        -------
-        (n,) int64
-            Label of the landmark of each observation; -1 for none.
+        `points` (n, 2) or (n, 3), robot frame, metres. `ids` (n,): known association; negative for
+        unidentified landmarks. Returns (n,): label of the landmark of each observation; -1 for
+        none.
         """
 
     def finish(self) -> None:
@@ -74,13 +67,8 @@ class Method(Protocol):
 class Fed:
     """Labels and times of a run of a log through a method.
 
-    Attributes
-    ----------
-    labels : list of (n,) int64
-        Of each scan.
-    durations_s : (k, 2) float64
-        Times of preparation (segmentation) and mapping of each scan, seconds.
-    finish_s, refine_s : float
+    `labels`, list of (n,): of each scan; `durations_s` (k, 2): times of preparation (segmentation)
+    and mapping of each scan, seconds.
     """
 
     labels: list[Ints]
@@ -103,21 +91,11 @@ def feed(
 ) -> Fed:
     """Run a log through a method to its end, and measure the time.
 
-    Parameters
-    ----------
-    method : Method or Plane3dMapper
-        A mapper of planes gets those of a scan, every other method its points.
-    log, association, refine, through, segmenter, odometry, progress
-        As for `run_mapper`.
-    n_seen : int
-        Scans of the log that the method has already processed.
-    clock : callable
-        Returns the time, seconds.
-
-    Raises
-    ------
-    RelmapError
-        If ``known`` is requested for a log without ids, or a scan of the log is damaged.
+    `method`: a mapper of planes gets those of a scan, every other method its points; `log`,
+    `association`, `refine`, `through`, `segmenter`, `odometry`, `progress`: as for `run_mapper`;
+    `n_seen`: scans of the log that the method has already processed; `clock`: returns the time,
+    seconds. Raises `RelmapError` if ``known`` is requested for a log without ids, or a scan of the
+    log is damaged.
     """
     known = association == "known"
     if known and getattr(log, "ids", None) is None:
@@ -198,18 +176,9 @@ def segment_scan(
 
     A wall whose front faces the sensor, but not the robot's centre, is left out.
 
-    Parameters
-    ----------
-    segmenter : PlaneSegmenter
-    points_robot : (n, 2) or (n, 3) float64, robot frame, metres
-    view : SensorView
-        Pose of the sensor on the robot.
-
-    Returns
-    -------
-    SimpleNamespace
-        `ends`, `end_type`, `noise`, `n_points` and `z_extent` as in `relmap.segmentation.Planes`,
-        in the robot frame, and `origin`, the position of the sensor.
+    `points_robot` (n, 2) or (n, 3), robot frame, metres; `view`: pose of the sensor on the robot.
+    Returns `ends`, `end_type`, `noise`, `n_points` and `z_extent` as in
+    `relmap.segmentation.Planes`, in the robot frame, and `origin`, the position of the sensor.
     """
     c, s = np.cos(view.yaw_rad), np.sin(view.yaw_rad)
     R, t = np.array([[c, -s], [s, c]]), np.array([view.x_m, view.y_m])

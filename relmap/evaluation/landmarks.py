@@ -21,15 +21,9 @@ from relmap.io.results import Result
 class Identified:
     """Labelled observations and their true landmarks.
 
-    Attributes
-    ----------
-    landmark : (n,) int64
-        Label in the result.
-    true_id : (n,) int64
-        Negative if unknown.
-    iteration : (n,) int64
-    seen_id, seen_iteration : (s,) int64
-        All observations of the mapped iterations, including those without a label.
+    `landmark` (n,): label in the result; `true_id` (n,): negative if unknown; `iteration` (n,);
+    `seen_id`, `seen_iteration` (s,): all observations of the mapped iterations, including those
+    without a label.
     """
 
     landmark: Ints
@@ -43,14 +37,9 @@ class Identified:
 class Overlay:
     """The truth, transformed into the map frame of a result.
 
-    Attributes
-    ----------
-    landmarks_map : (m, 3) float64, metres
-        All true landmarks with known positions.
-    path_map : (k, 3) float64, metres
-        True positions of the robot; may be empty.
-    errors_map : (p, 2, 3) float64, metres
-        Mapped and true position of each landmark that can be compared.
+    `landmarks_map` (m, 3), metres: all true landmarks with known positions. `path_map` (k, 3),
+    metres: true positions of the robot; may be empty. `errors_map` (p, 2, 3), metres: mapped and
+    true position of each landmark that can be compared.
     """
 
     landmarks_map: Floats
@@ -63,23 +52,9 @@ def judge_landmarks(
 ) -> tuple[dict[str, float | None], dict[str, int], list[str]]:
     """Evaluate a map of points.
 
-    Parameters
-    ----------
-    result : Result
-    truth : Truth
-    log : ObservationLog or None
-        The log that was mapped; its ids are the true association.
-    n_poses : int
-        Number of poses of the result with a true pose.
-
-    Returns
-    -------
-    figures : dict
-        The landmark figures of `Evaluation`, where available.
-    counts : dict
-        Counts behind the figures.
-    notes : list of str
-        Reasons for missing figures.
+    `log`: the log that was mapped; its ids are the true association. `n_poses`: number of poses of
+    the result with a true pose. Returns `figures`: the landmark figures of `Evaluation`, where
+    available, `counts`: counts behind the figures and `notes`: reasons for missing figures.
     """
     counts = {
         "landmarks": len(result.landmarks.landmark),
@@ -140,22 +115,8 @@ def _judged_by_place(
 def overlay(result: Result, truth: Truth, log: ObservationLog | None = None) -> Overlay | None:
     """Transform the truth into the map frame, or without a map into that of the path.
 
-    Parameters
-    ----------
-    result : Result
-    truth : Truth
-    log : ObservationLog, optional
-        The log that was mapped.
-
-    Returns
-    -------
-    Overlay or None
-        None if no ids match landmarks, and the paths share fewer than three instants.
-
-    Raises
-    ------
-    RelmapError
-        If the log is not the one that was mapped.
+    `log`: the log that was mapped. Returns None if no ids match landmarks, and the paths share
+    fewer than three instants. Raises `RelmapError` if the log is not the one that was mapped.
     """
     if result.mapped.any():
         matched = match_landmarks(result, truth, identify(result, log))
@@ -176,10 +137,7 @@ def overlay(result: Result, truth: Truth, log: ObservationLog | None = None) -> 
 def identify(result: Result, log: ObservationLog | None) -> Identified | None:
     """Return the true landmark of each observation; None if unknown.
 
-    Raises
-    ------
-    RelmapError
-        If the log is not the one that was mapped.
+    Raises `RelmapError` if the log is not the one that was mapped.
     """
     tracks = result.tracks
     if log is not None:
@@ -196,10 +154,7 @@ def identify(result: Result, log: ObservationLog | None) -> Identified | None:
 def mapped_part(result: Result, log: ObservationLog) -> ObservationLog:
     """Return the iterations of the log that were mapped.
 
-    Raises
-    ------
-    RelmapError
-        If the log is not the one that was mapped.
+    Raises `RelmapError` if the log is not the one that was mapped.
     """
     scans = result.summary.get("scans")
     if not (isinstance(scans, list) and len(scans) == 2 and all(type(s) is int for s in scans)):
@@ -219,18 +174,8 @@ def match_landmarks(
 ) -> Matched | None:
     """Pair the mapped static landmarks with their true positions and align the two.
 
-    Parameters
-    ----------
-    result : Result
-    truth : Truth
-    identified : Identified or None
-    often : bool
-        Whether to leave out landmarks seen in fewer than ten iterations.
-
-    Returns
-    -------
-    Matched or None
-        In the x-y planes if the result is planar; None if no ids match the landmarks.
+    `often`: whether to leave out landmarks seen in fewer than ten iterations. The alignment is in
+    the x-y plane if the result is planar. Returns None if no ids match the landmarks.
     """
     if identified is None:
         return None

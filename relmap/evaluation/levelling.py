@@ -15,10 +15,7 @@ from relmap.segmentation.upright import MOST_SHARE, tilted_share
 def shows_floors(log: ScanLog) -> bool:
     """Return whether the first clouds of a log show floors, ceilings or tilted walls.
 
-    Raises
-    ------
-    RelmapError
-        If a scan of the log is damaged.
+    Raises `RelmapError` if a scan of the log is damaged.
     """
     return log.dimension == 3 and any(tilted_share(cloud) > MOST_SHARE for cloud in _first(log))
 
@@ -28,10 +25,8 @@ def levelled(log: ScanLog) -> ScanLog:
 
     The vertical is estimated in each cloud on its own.
 
-    Raises
-    ------
-    RelmapError
-        If a scan of the log is damaged, or none of the first clouds has a vertical and walls.
+    Raises `RelmapError` if a scan of the log is damaged, or none of the first clouds has a vertical
+    and walls.
     """
     segmenter = PatchSegmenter()
     if not any(len(level_scan(cloud, segmenter)) for cloud in _first(log)):

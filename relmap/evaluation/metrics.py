@@ -18,13 +18,8 @@ MATCH_S = 0.01
 class Matched:
     """Mapped landmarks, paired with the true ones and aligned.
 
-    Attributes
-    ----------
-    position, truth : (p, d) float64, metres
-        In the map frame of the result, and in that of the truth.
-    R, t : (d, d), (d,) float64
-        ``truth ~ position @ R.T + t``.
-    rmse_m : float or None
+    `position`, `truth` (p, d), metres: in the map frame of the result, and in that of the truth;
+    `R` (d, d), `t` (d,): ``truth ~ position @ R.T + t``.
     """
 
     position: Floats
@@ -60,16 +55,9 @@ def rms(errors: Floats) -> float | None:
 def align(source: Floats, target: Floats) -> tuple[Floats, Floats]:
     """Return the rigid motion (no scale) that brings the source closest to the target.
 
-    Parameters
-    ----------
-    source, target : (n, d) float64, metres
-        d is 2 or 3; row i of one belongs to row i of the other.
-
-    Returns
-    -------
-    R : (d, d) float64
-    t : (d,) float64
-        ``target ~ source @ R.T + t``; no motion at all where there are no points.
+    `source`, `target` (n, d), metres: d is 2 or 3; row i of one belongs to row i of the other.
+    Returns `R` (d, d); `t` (d,): ``target ~ source @ R.T + t``; no motion at all where there are no
+    points.
     """
     d = source.shape[1]
     if not len(source):
@@ -80,19 +68,10 @@ def align(source: Floats, target: Floats) -> tuple[Floats, Floats]:
 def majority_ids(landmark: Ints, true_id: Ints) -> tuple[Ints, Ints, Ints]:
     """Return the true landmark of each mapped one, by majority of its observations.
 
-    Parameters
-    ----------
-    landmark, true_id : (n,) int64
-        Label and true id of each observation; a negative true id is unknown and does not count.
-
-    Returns
-    -------
-    labels : (m,) int64
-        The landmarks with at least one known observation, ascending.
-    ids : (m,) int64
-        Their true ids; the smaller id on a tie.
-    agreeing : (m,) int64
-        Number of their observations with that id.
+    `landmark`, `true_id` (n,): label and true id of each observation; a negative true id is unknown
+    and does not count. Returns `labels` (m,): the landmarks with at least one known observation,
+    ascending. `ids` (m,): their true ids; the smaller id on a tie. `agreeing` (m,): number of their
+    observations with that id.
     """
     known = true_id >= 0
     pairs = np.column_stack([landmark[known], true_id[known]])
@@ -106,15 +85,7 @@ def majority_ids(landmark: Ints, true_id: Ints) -> tuple[Ints, Ints, Ints]:
 def purity(landmark: Ints, true_id: Ints) -> float | None:
     """Return the fraction of observations that agree with the majority of their landmark.
 
-    Parameters
-    ----------
-    landmark, true_id : (n,) int64
-        As for `majority_ids`.
-
-    Returns
-    -------
-    float or None
-        None if no observation has a true id.
+    `landmark`, `true_id` (n,): as for `majority_ids`. Returns None if no observation has a true id.
     """
     known = int((true_id >= 0).sum())
     if not known:
@@ -125,12 +96,8 @@ def purity(landmark: Ints, true_id: Ints) -> float | None:
 def seen_often(true_id: Ints, iteration: Ints, iterations: int = 10) -> Ints:
     """Return the true ids that were seen in at least a number of iterations, ascending.
 
-    Parameters
-    ----------
-    true_id, iteration : (n,) int64
-        For each observation; negative ids are left out.
-    iterations : int
-        Required number of iterations.
+    `true_id`, `iteration` (n,): for each observation; negative ids are left out. `iterations`:
+    required number of iterations.
     """
     pairs = np.unique(np.column_stack([true_id, iteration])[true_id >= 0], axis=0)
     ids, counts = np.unique(pairs[:, 0], return_counts=True)
@@ -161,17 +128,8 @@ def match_stamps(stamps_s: Floats, others_s: Floats) -> tuple[NDArray[np.intp], 
 def ate(poses: Floats, true_poses: Floats, planar: bool) -> float | None:
     """Return the absolute trajectory error: RMSE of the positions after rigid alignment, metres.
 
-    Parameters
-    ----------
-    poses, true_poses : (k, 4, 4) float64
-        T_map_robot of the same instants.
-    planar : bool
-        Whether to align and compare in the plane.
-
-    Returns
-    -------
-    float or None
-        None if k is 0.
+    `poses`, `true_poses` (k, 4, 4): T_map_robot of the same instants; `planar`: whether to align
+    and compare in the plane. Returns None if k is 0.
 
     References
     ----------
@@ -186,17 +144,9 @@ def ate(poses: Floats, true_poses: Floats, planar: bool) -> float | None:
 def rpe(poses: Floats, true_poses: Floats, instant: NDArray[np.intp]) -> float | None:
     """Return the relative pose error between consecutive instants: RMSE of the translation, metres.
 
-    Parameters
-    ----------
-    poses, true_poses : (k, 4, 4) float64
-        T_map_robot of the same instants.
-    instant : (k,) int, ascending
-        Number of each instant; only consecutive numbers are compared.
-
-    Returns
-    -------
-    float or None
-        None if there is no such pair.
+    `poses`, `true_poses` (k, 4, 4): T_map_robot of the same instants. `instant` (k,) int,
+    ascending: number of each instant; only consecutive numbers are compared. Returns None if there
+    is no such pair.
 
     References
     ----------

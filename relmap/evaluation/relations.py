@@ -22,10 +22,7 @@ CLOCKS = ("ROBOTLASER1", -3, -1)
 def relations_by_clocks(path: Path) -> tuple[Relations, ...]:
     """Read relations by the robot's clock and, if known, by the logger's.
 
-    Raises
-    ------
-    RelmapError
-        If the file does not contain relations.
+    Raises `RelmapError` if the file does not contain relations.
     """
     relations = read_relations(path)
     stem = path.name.removesuffix(RELATIONS)
@@ -51,19 +48,9 @@ def relation_errors(
 ) -> tuple[float, float] | None:
     """Return the mean error of a path against checked relations (Kuemmerle et al., 2009).
 
-    Parameters
-    ----------
-    stamps_s : (k,) float64, ascending
-    poses : (k, 4, 4) float64
-        ``T_map_robot``; interpolated in between.
-    relations : tuple of Relations
-        The same relations by several clocks; the clock with most relations within the stamps is
-        used.
-
-    Returns
-    -------
-    (metres, radians) or None
-        None if no relation lies within the stamps.
+    `stamps_s` (k,), ascending. `poses` (k, 4, 4): ``T_map_robot``; interpolated in between.
+    `relations`: the same relations by several clocks; the clock with most relations within the
+    stamps is used. Returns (metres, radians): None if no relation lies within the stamps.
     """
     if not len(stamps_s) or not relations:
         return None

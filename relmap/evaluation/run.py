@@ -166,21 +166,9 @@ def result_of(
 ) -> Result:
     """Return the result of a method on a log.
 
-    Parameters
-    ----------
-    method : Method
-    log : ObservationLog or ScanLog
-        The last processed iterations.
-    labels : sequence of (n,) int64
-        Labels of each scan.
-    association : "nearest" or "known"
-    offset : int
-        Log number of the method's first iteration.
-
-    Returns
-    -------
-    Result
-        For walls a `PlaneResult`. Its summary only contains association, dimensions and iterations.
+    `log`: the last processed iterations; `labels`, sequence of (n,): labels of each scan; `offset`:
+    log number of the method's first iteration. For walls the result is a `PlaneResult`. Its summary
+    only contains association, dimensions and iterations.
     """
     first, k = log.first_iteration, len(log)
     poses, stamps_s = method.trajectory[first - offset :], stamps_of(log)

@@ -25,14 +25,7 @@ OF_THE_LOG = ("observations", "iterations_without_observation")
 def result_of_mapper(mapper: AnyMapper) -> Result:
     """Return the result of a mapper, without tracks.
 
-    Parameters
-    ----------
-    mapper : PointMapper or PlaneMapper
-
-    Returns
-    -------
-    Result
-        For walls a `PlaneResult`.
+    For walls it is a `PlaneResult`.
     """
     walls, n = isinstance(mapper, PlaneMapper), mapper.n_iterations
     none = np.empty(0, dtype=np.int64)
@@ -56,10 +49,7 @@ def result_of_mapper(mapper: AnyMapper) -> Result:
 def save_results(mapper: AnyMapper, folder: Path, pictures: Any) -> None:
     """Write a mapper's result into a folder, with the pictures that `relmap.plots.of_mapper` draws.
 
-    Raises
-    ------
-    RelmapError
-        If the folder cannot be written.
+    Raises `RelmapError` if the folder cannot be written.
     """
     with staged_folder(folder) as staging:
         result = result_of_mapper(mapper)

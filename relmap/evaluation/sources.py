@@ -126,19 +126,9 @@ class BuildingSource:
 class FileSource:
     """A log of any known format.
 
-    Attributes
-    ----------
-    path : Path
-        A file or folder.
-    format : str or None
-        None: recognised by content.
-    scans : tuple of two int, or None
-        Range of iterations.
-    truth : Path or None
-        What to compare with; None: a folder ``truth`` beside the log, if any.
-    columns : mapping of str to str, optional
-    topics : sequence of str
-        As for `open_log`.
+    `path`: a file or folder. `format`: None: recognised by content. `scans`: range of iterations.
+    `truth`: what to compare with; None: a folder ``truth`` beside the log, if any. `topics`: as for
+    `open_log`.
     """
 
     path: Path
@@ -151,10 +141,7 @@ class FileSource:
     def load(self) -> Data[Log]:
         """Read it.
 
-        Raises
-        ------
-        RelmapError
-            If the log or the truth is invalid.
+        Raises `RelmapError` if the log or the truth is invalid.
         """
         variant: Variant = "planes" if self._holds_scans() else "points"
         truth, folder = self.truth, self.path if self.path.is_dir() else self.path.parent
@@ -214,26 +201,9 @@ def read_log(
 ) -> Log:
     """Read a log for a variant of the mapper.
 
-    Parameters
-    ----------
-    path : Path
-        A file or folder.
-    variant : "points" or "planes"
-    log_format : str, optional
-        Recognised by the content if omitted.
-    scans : tuple of two int, optional
-        The iterations to read: the first, and one after the last.
-    columns, topics : optional
-        As for `relmap.datasets.open_log`.
-
-    Returns
-    -------
-    ObservationLog or ScanLog
-
-    Raises
-    ------
-    RelmapError
-        If there is no such log or it is damaged.
+    `path`: a file or folder; `log_format`: recognised by the content if omitted; `scans`: the
+    iterations to read: the first, and one after the last; `columns`, `topics`: as for
+    `relmap.datasets.open_log`. Raises `RelmapError` if there is no such log or it is damaged.
     """
     whole: Log
     if variant == "planes":
@@ -248,10 +218,7 @@ def read_again(path: Path, variant: Variant, summary: Mapping[str, Any]) -> Log:
 
     Format, columns and topics are those of its summary, unless the format is recognised.
 
-    Raises
-    ------
-    RelmapError
-        If there is no such log or it is damaged.
+    Raises `RelmapError` if there is no such log or it is damaged.
     """
     form, columns, topics = (summary.get(key) for key in ("format", "columns", "topics"))
     known = recognised_format(path, variant)

@@ -23,14 +23,8 @@ MOSTLY = 0.5
 class Faces:
     """True faces: f parallelograms.
 
-    Attributes
-    ----------
-    plane : (f,) int64
-        Faces of one plane have one number.
-    corners : (f, 4, 3) float64, map frame of the truth, metres
-        In order around the face.
-    seen_m2 : (f,) float64
-        Area of each face that at least two scans saw.
+    `plane` (f,): faces of one plane have one number; `corners` (f, 4, 3), map frame of the truth,
+    metres: in order around the face; `seen_m2` (f,): area of each face that at least two scans saw.
     """
 
     plane: Ints

@@ -52,23 +52,10 @@ def run_in_space(
 ) -> SpaceResult:
     """Map a whole log of clouds.
 
-    Parameters
-    ----------
-    mapper : Plane3dMapper
-        A new mapper.
-    log : ScanLog
-    about : dict
-        Additional entries of the summary.
-    refine : bool
-    through : callable
-        Wraps the iterable of scans; if it ends early, so does the run.
-    progress : callable
-        Called after each scan with the number of scans done and the total.
-
-    Raises
-    ------
-    RelmapError
-        If the log is from a 2-D laser, or a scan of it is damaged.
+    `mapper`: a new mapper. `about`: additional entries of the summary. `through`: wraps the
+    iterable of scans; if it ends early, so does the run. `progress`: called after each scan with
+    the number of scans done and the total. Raises `RelmapError` if the log is from a 2-D laser, or
+    a scan of it is damaged.
     """
     if log.dimension != 3:
         raise RelmapError(

@@ -43,20 +43,8 @@ def summary_of(
 ) -> dict[str, Any]:
     """Return the summary of a map.
 
-    Parameters
-    ----------
-    mapper : PointMapper or PlaneMapper
-    result : Result
-        Its result for the log.
-    log : ObservationLog or ScanLog
-    offset : int
-        Log number of the mapper's first iteration.
-    n_groups : int
-
-    Returns
-    -------
-    dict
-        JSON serialisable: counts, submaps and the residuals of scans and segments.
+    `result`: its result for the log; `offset`: log number of the mapper's first iteration. The
+    summary is JSON serialisable: counts, submaps and the residuals of scans and segments.
     """
     counts = _counts_of_walls(result) if isinstance(result, PlaneResult) else _counts(result, log)
     counts["groups"] = n_groups
@@ -166,11 +154,7 @@ def steps_of(paths: Sequence[Floats], view_rad: float | None = None) -> dict[str
 
     None if unknown; metres and degrees.
 
-    Parameters
-    ----------
-    paths : sequence of (k, d + 1, d + 1) float64
-        Poses of consecutive scans; NaN if unknown.
-    view_rad : float, optional
+    `paths`, sequence of (k, d + 1, d + 1): poses of consecutive scans; NaN if unknown.
     """
     view_deg = None if view_rad is None else float(np.rad2deg(view_rad))
     steps = [np.linalg.inv(poses[:-1]) @ poses[1:] for poses in paths if len(poses) > 1]
@@ -201,17 +185,8 @@ def weakness(refined: Sequence[Refined], first_iteration: int) -> dict[str, Any]
 
     Residuals are relative to their expectation from the noise: ideally about 1.
 
-    Parameters
-    ----------
-    refined : sequence of Refined
-        Refined submaps; only the largest is described.
-    first_iteration : int
-        Log number of the mapper's first iteration.
-
-    Returns
-    -------
-    dict or None
-        None if nothing was refined.
+    `refined`: refined submaps; only the largest is described. `first_iteration`: log number of the
+    mapper's first iteration. Returns None if nothing was refined.
     """
     if not refined:
         return None

@@ -24,18 +24,9 @@ from relmap.simulation import Building, BuildingScan, simulate_building
 class SurfacePoints:
     """A run past fixed points on walls, as input for both variants.
 
-    Attributes
-    ----------
-    scans : ScanLog
-        Without the identities of the points.
-    points : ObservationLog
-        The same points, with ids for the evaluation only.
-    walls_truth, points_truth : Truth
-    spacing_m : float
-        Each square of this side on a wall has one point.
-    noise : float
-        Standard deviation of each coordinate in units of the spacing.
-    seed : int
+    `scans`: without the identities of the points; `points`: the same points, with ids for the
+    evaluation only; `spacing_m`: each square of this side on a wall has one point; `noise`:
+    standard deviation of each coordinate in units of the spacing.
     """
 
     scans: ScanLog
@@ -57,12 +48,8 @@ def wall_points(
 ) -> SurfacePoints:
     """Return a drive through a building past fixed points.
 
-    Parameters
-    ----------
-    spacing_m, noise, seed
-        As for `scan_surface_points`; the seed is also that of the building.
-    iterations : int, optional
-        Number of scans; one loop if omitted.
+    `spacing_m`, `noise`, `seed`: as for `scan_surface_points`; the seed is also that of the
+    building. `iterations`: number of scans; one loop if omitted.
     """
     building = simulate_building(points=1, sigma=0.0, seed=seed, iterations=iterations)
     return scan_surface_points(building, spacing_m, noise, seed)
@@ -73,25 +60,10 @@ def scan_surface_points(
 ) -> SurfacePoints:
     """Simulate a robot that drives through a building and sees fixed points of its walls.
 
-    Parameters
-    ----------
-    building : Building
-        Its path and visible walls are used, but not its points.
-    spacing_m : float
-        Side of the squares that contain one random point each, metres.
-    noise : float
-        Standard deviation of the normal noise of each coordinate, in units of the spacing.
-    seed : int
-        Seed of points and noise.
-
-    Returns
-    -------
-    SurfacePoints
-
-    Raises
-    ------
-    RelmapError
-        If the spacing is not positive or the noise is negative.
+    `building`: its path and visible walls are used, but not its points; `spacing_m`: side of the
+    squares that contain one random point each, metres; `noise`: standard deviation of the normal
+    noise of each coordinate, in units of the spacing; `seed`: seed of points and noise. Raises
+    `RelmapError` if the spacing is not positive or the noise is negative.
     """
     if not (0 < spacing_m < np.inf and 0 <= noise < np.inf):
         raise RelmapError(

@@ -141,16 +141,9 @@ def read_truth(path: Path, variant: Variant = "points") -> Truth:
 def read_space_truth(path: Path) -> Truth:
     """Read the true path, and the true faces if known, of planes in space.
 
-    Parameters
-    ----------
-    path : Path
-        A folder of ``relmap simulate storey``, with ``truth/faces.csv``; a trajectory in TUM or
-        KITTI format; or a log of scans with poses.
-
-    Raises
-    ------
-    RelmapError
-        If there is no path or the truth is damaged.
+    `path`: a folder of ``relmap simulate storey``, with ``truth/faces.csv``; a trajectory in TUM or
+    KITTI format; or a log of scans with poses. Raises `RelmapError` if there is no path or the
+    truth is damaged.
     """
     require_path(path)
     for folder in (path / "truth", path):
@@ -167,10 +160,7 @@ def read_space_truth(path: Path) -> Truth:
 def write_truth(folder: Path, truth: Truth) -> None:
     """Write true landmarks and the path into an existing folder.
 
-    Raises
-    ------
-    RelmapError
-        If a file cannot be written.
+    Raises `RelmapError` if a file cannot be written.
     """
     x, y, z = truth.landmarks_map.T.tolist()
     rows = zip(truth.landmark_ids.tolist(), x, y, z, truth.status.tolist(), strict=True)

@@ -24,20 +24,11 @@ HALF = 0.5
 class VariantRun:
     """One run.
 
-    Attributes
-    ----------
-    method : str
-    spacing_m, noise, sigma : float
-        Noise is sigma in units of the spacing.
-    seed : int
-    map_rmse_m : float or None
-        Error of corners or points after rigid alignment; None if nothing could be compared.
-    coverage : float
-        Fraction of the corners or points seen ten times that are in the map.
-    ate_m : float or None
-        Absolute trajectory error, over the available poses.
-    poses : float
-        Fraction of the scans with a pose in the map's largest submap.
+    `spacing_m`, `noise`, `sigma`: noise is sigma in units of the spacing. `map_rmse_m`: error of
+    corners or points after rigid alignment; None if nothing could be compared. `coverage`: fraction
+    of the corners or points seen ten times that are in the map. `ate_m`: absolute trajectory error,
+    over the available poses. `poses`: fraction of the scans with a pose in the map's largest
+    submap.
     """
 
     method: Method

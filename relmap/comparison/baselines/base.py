@@ -19,10 +19,7 @@ Pose = tuple[Floats, Floats]
 class Baseline(ABC):
     """A baseline; see `relmap.evaluation.feeding.Method`.
 
-    Parameters
-    ----------
-    dimension : int
-        2 for a planar world, else 3.
+    `dimension`: 2 for a planar world, else 3.
     """
 
     submaps: Sequence[Submap] = ()
@@ -109,15 +106,8 @@ class KnownBaseline(Baseline):
 def fitted(points_robot: Floats, places: Floats) -> Pose | None:
     """Return the pose that brings a scan closest to the map.
 
-    Parameters
-    ----------
-    points_robot, places : (n, d) float64, metres
-        Observations and the mapped positions of their landmarks; d is 2 or 3.
-
-    Returns
-    -------
-    Pose or None
-        None if they determine no rotation.
+    `points_robot`, `places` (n, d), metres: observations and the mapped positions of their
+    landmarks; d is 2 or 3. Returns None if they determine no rotation.
     """
     return fit_rigid(points_robot, places) if fixes_rotation(places) else None
 

@@ -26,13 +26,8 @@ CONVERGED_M = 1e-9
 class Batch:
     """Observations for a batch solve, each of a landmark from a pose.
 
-    Attributes
-    ----------
-    points_robot : (n, d) float64, robot frame, metres
-    pose : (n,) int64
-        0 to k - 1.
-    landmark : (n,) int64
-        0 to m - 1.
+    `points_robot` (n, d), robot frame, metres; `pose` (n,): 0 to k - 1; `landmark` (n,): 0 to m -
+    1.
     """
 
     points_robot: Floats
@@ -43,18 +38,10 @@ class Batch:
 def batch_least_squares(observations: Batch, start_map: Floats, iterations: int = 50) -> Floats:
     """Return the landmarks (m, d) that best fit all observations.
 
-    Parameters
-    ----------
-    observations : Batch
-        Every pose sees enough landmarks to be fixed by them.
-    start_map : (m, d) float64, metres
-        A map to start from; its frame is kept at the first pose.
-
-    Raises
-    ------
-    RelmapError
-        If a pose is not fixed by what it sees, a landmark is not seen, the observations do not
-        connect into one map, or the solution does not converge.
+    `observations`: every pose sees enough landmarks to be fixed by them. `start_map` (m, d),
+    metres: a map to start from; its frame is kept at the first pose. Raises `RelmapError` if a pose
+    is not fixed by what it sees, a landmark is not seen, the observations do not connect into one
+    map, or the solution does not converge.
     """
     landmarks = start_map.copy()
     _require_one_map(observations, len(landmarks))

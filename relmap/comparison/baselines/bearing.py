@@ -18,23 +18,11 @@ def predicted(
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Compare observations with their prediction from the pose and the map.
 
-    Parameters
-    ----------
-    R, t : (d, d), (d,) float64
-        ``T_map_robot``.
-    landmarks_map, points_robot : (n, d) float64, metres
-        Mapped positions of the landmarks, and their observations.
-    config : EkfConfig
-
-    Returns
-    -------
-    innovation : (n, d) float64
-        Observed minus predicted range, yaw and pitch.
-    by_pose : (n, d, q) float64
-        Jacobian of the prediction by a shift and a small rotation of the pose, in the map frame.
-    by_landmark : (n, d, d) float64
-    variance : (n, d) float64
-        Variance of the observed values.
+    `R` (d, d), `t` (d,): ``T_map_robot``; `landmarks_map`, `points_robot` (n, d), metres: mapped
+    positions of the landmarks, and their observations. Returns `innovation` (n, d): observed minus
+    predicted range, yaw and pitch, `by_pose` (n, d, q): Jacobian of the prediction by a shift and a
+    small rotation of the pose, in the map frame, `by_landmark` (n, d, d) and `variance` (n, d):
+    variance of the observed values.
     """
     d = len(t)
     R_sensor, t_sensor = config.T_robot_sensor[:d, :d], config.T_robot_sensor[:d, 3]
@@ -53,13 +41,9 @@ def inverse_model(
 ) -> tuple[Floats, Floats, Floats]:
     """Place observed landmarks on the map.
 
-    Returns
-    -------
-    places : (n, d) float64, map frame, metres
-    by_pose : (n, d, q) float64
-        Jacobian of the positions by a shift and a small rotation of the pose.
-    covariance : (n, d, d) float64
-        Covariance of the positions, from the noise of the observations alone.
+    Returns `places` (n, d), map frame, metres, `by_pose` (n, d, q): Jacobian of the positions by a
+    shift and a small rotation of the pose and `covariance` (n, d, d): covariance of the positions,
+    from the noise of the observations alone.
     """
     d = len(t)
     R_sensor, t_sensor = config.T_robot_sensor[:d, :d], config.T_robot_sensor[:d, 3]

@@ -38,18 +38,10 @@ UNKNOWN_M, UNKNOWN_RAD = 10.0, 1.0
 class EkfConfig:
     """Settings of the filter.
 
-    Attributes
-    ----------
-    prediction : "standing" or "fitted"
-    step_sd_m, turn_sd_rad : float
-        Process noise of an iteration, along and about each axis.
-    range_sd_m : float
-        Standard deviation of an observed range.
-    bearing_sd_rad : float or None
-        Of an observed yaw and pitch; None: such that the error across equals that of the range at
-        any distance.
-    T_robot_sensor : (4, 4) float64
-        Pose of the sensor on the robot.
+    `step_sd_m`, `turn_sd_rad`: process noise of an iteration, along and about each axis.
+    `range_sd_m`: standard deviation of an observed range. `bearing_sd_rad`: of an observed yaw and
+    pitch; None: such that the error across equals that of the range at any distance.
+    `T_robot_sensor` (4, 4): pose of the sensor on the robot.
     """
 
     prediction: Literal["standing", "fitted"] = "standing"
@@ -63,11 +55,7 @@ class EkfConfig:
 class Ekf(KnownBaseline):
     """EKF SLAM with known association; the map frame is that of the robot in the first iteration.
 
-    Parameters
-    ----------
-    dimension : int
-        2 or 3.
-    config : EkfConfig
+    `dimension`: 2 or 3.
     """
 
     def __init__(self, dimension: int, config: EkfConfig) -> None:

@@ -15,10 +15,7 @@ class FrameToFrame(KnownBaseline):
     A landmark is the mean of its observations, each transformed by the chained pose of its scan. A
     scan that shares too little with the last placed one is left out.
 
-    Parameters
-    ----------
-    dimension : int
-        2 or 3.
+    `dimension`: 2 or 3.
     """
 
     def __init__(self, dimension: int) -> None:

@@ -19,10 +19,7 @@ class FrameToMap(KnownBaseline):
     scan; all mapped landmarks in a scan have equal weight in the fit. A scan whose mapped landmarks
     determine no pose is left out, as are observations that `KnownAssociation` rejects.
 
-    Parameters
-    ----------
-    dimension : int
-        2 or 3.
+    `dimension`: 2 or 3.
     """
 
     def __init__(self, dimension: int = 3) -> None:

@@ -30,24 +30,10 @@ RELINEARIZE = 0.01
 class Factors:
     """A graph of scans and landmarks, in worlds of two or three dimensions.
 
-    Parameters
-    ----------
-    dimension : int
-        2 or 3.
-    sigma_m : float
-        Standard deviation of each observed coordinate, metres.
+    `dimension`: 2 or 3; `sigma_m`: standard deviation of each observed coordinate, metres.
 
-    Attributes
-    ----------
-    gtsam : module
-    graph : gtsam.NonlinearFactorGraph
-    values : gtsam.Values
-        Initial value of each variable of the graph.
-
-    Raises
-    ------
-    ImportError
-        If gtsam is not installed.
+    Attributes: `gtsam`: module; `values`: initial value of each variable of the graph. Raises
+    `ImportError` if gtsam is not installed.
     """
 
     def __init__(self, dimension: int, sigma_m: float) -> None:
@@ -77,14 +63,8 @@ class Factors:
     def add_scan(self, k: int, pose: Pose, points: Floats, labels: Sequence[int]) -> None:
         """Add iteration `k` with its observations; the first one defines the frame.
 
-        Parameters
-        ----------
-        k : int
-        pose : Pose
-            Initial pose.
-        points : (n, d) float64, robot frame, metres
-        labels : sequence of int
-            Landmark of each point.
+        `pose`: initial pose; `points` (n, d), robot frame, metres; `labels`: landmark of each
+        point.
         """
         gtsam, key, (R, t) = self.gtsam, self._pose_key(k), pose
         if self._d == 2:
@@ -128,11 +108,7 @@ class Factors:
 class Isam2(KnownBaseline):
     """Smooths after every scan; a new pose is initialised by fitting its scan to the map.
 
-    Parameters
-    ----------
-    dimension : int
-    sigma_m : float
-        Standard deviation of each observed coordinate, metres.
+    `sigma_m`: standard deviation of each observed coordinate, metres.
     """
 
     def __init__(self, dimension: int, sigma_m: float) -> None:
@@ -189,11 +165,7 @@ class Isam2(KnownBaseline):
 class GtsamBatch(SolvedAtTheEnd):
     """Solves once at the end of the log, initialised by frame-to-map averaging.
 
-    Parameters
-    ----------
-    dimension : int
-    sigma_m : float
-        Standard deviation of each observed coordinate, metres.
+    `sigma_m`: standard deviation of each observed coordinate, metres.
     """
 
     def __init__(self, dimension: int, sigma_m: float) -> None:

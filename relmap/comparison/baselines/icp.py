@@ -29,10 +29,7 @@ ENOUGH = 200
 class KissIcp(Baseline):
     """Registers each scan to a voxel map of earlier ones; no deskewing: a scan is instantaneous.
 
-    Parameters
-    ----------
-    range_m : float
-        Distance of the farthest observation, metres.
+    `range_m`: distance of the farthest observation, metres.
     """
 
     def __init__(self, range_m: float) -> None:
@@ -57,10 +54,7 @@ class KissIcp(Baseline):
 class SmallGicp(Baseline):
     """Chains registrations, each initialised with the previous motion (constant velocity).
 
-    Parameters
-    ----------
-    range_m : float
-        Distance of the farthest observation, metres.
+    `range_m`: distance of the farthest observation, metres.
     """
 
     def __init__(self, range_m: float) -> None:

@@ -22,20 +22,8 @@ def least_squares_map(log: ObservationLog) -> LandmarkMap:
     space) are left out, as are landmarks that frame-to-map averaging, used for initialisation,
     cannot place.
 
-    Parameters
-    ----------
-    log : ObservationLog
-        With ids.
-
-    Returns
-    -------
-    LandmarkMap
-        In the frame of the first iteration that is used.
-
-    Raises
-    ------
-    RelmapError
-        If the log has no ids, or they do not connect into one map.
+    `log`: with ids. The map is in the frame of the first iteration that is used. Raises
+    `RelmapError` if the log has no ids, or they do not connect into one map.
     """
     if log.ids is None:
         raise RelmapError("least squares with known ids: the log has no ids")

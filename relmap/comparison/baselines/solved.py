@@ -16,10 +16,7 @@ from relmap.datasets.base import ObservationLog
 class SolvedAtTheEnd(KnownBaseline):
     """Collects all scans, and maps them at the end of the log.
 
-    Parameters
-    ----------
-    dimension : int
-        2 or 3.
+    `dimension`: 2 or 3.
     """
 
     def __init__(self, dimension: int) -> None:

@@ -14,14 +14,8 @@ from relmap.evaluation.sources import LogKind
 class Setup:
     """Information given to a method before it starts.
 
-    Attributes
-    ----------
-    dimension : int
-        2 for a planar world, else 3.
-    sigma_m : float
-        Standard deviation of each observed coordinate, metres.
-    range_m : float
-        Distance of the farthest observation of the log, metres.
+    `dimension`: 2 for a planar world, else 3; `sigma_m`: standard deviation of each observed
+    coordinate, metres; `range_m`: distance of the farthest observation of the log, metres.
     """
 
     dimension: int = 3
@@ -33,19 +27,9 @@ class Setup:
 class MethodInfo:
     """A method and the information needed to choose it.
 
-    Attributes
-    ----------
-    name : str
-    make : callable
-        Makes a new instance.
-    logs : tuple of "landmarks", "scans"
-        Accepted kinds of logs.
-    refine : bool
-        Whether the map is refined at the end of the log.
-    needs_ids : bool
-        Whether it needs known ids.
-    needs : str or None
-        Module of the optional extra that it requires.
+    `make`: makes a new instance; `logs`: accepted kinds of logs; `refine`: whether the map is
+    refined at the end of the log; `needs_ids`: whether it needs known ids; `needs`: module of the
+    optional extra that it requires.
     """
 
     name: str

@@ -64,12 +64,8 @@ KB_PER_MB = 1024
 class MethodRun:
     """The results of a method.
 
-    Attributes
-    ----------
-    result : Result
-        For walls a `PlaneResult`.
-    figures : dict
-        `ACCURACY`, `PATH` and `COST`, None if one is not available.
+    `result`: for walls a `PlaneResult`; `figures`: `ACCURACY`, `PATH` and `COST`, None if one is
+    not available.
     """
 
     result: Result
@@ -83,22 +79,8 @@ def run_method(
 
     All libraries use one thread; a part of the log is run first, on a separate instance.
 
-    Parameters
-    ----------
-    info : MethodInfo
-    data : Data
-    association : "nearest" or "known"
-    sigma_m : float, optional
-        Noise passed to methods, metres; estimated from the log if not given.
-
-    Returns
-    -------
-    MethodRun
-
-    Raises
-    ------
-    RelmapError
-        If the method cannot use the log.
+    `sigma_m`: noise passed to methods, metres; estimated from the log if not given. Raises
+    `RelmapError` if the method cannot use the log.
     """
     log, setup = data.log, setup_for(data, sigma_m)
     first = log.first_iteration
@@ -121,21 +103,8 @@ def try_method(
 ) -> tuple[MethodRun | None, str]:
     """Run a method if possible; see `run_method`.
 
-    Parameters
-    ----------
-    name : str
-    source : Source
-        Source of the data.
-    association : "nearest" or "known"
-    sigma_m : float or None
-        Noise passed to methods, metres.
-
-    Returns
-    -------
-    run : MethodRun or None
-        None if it failed.
-    note : str
-        The reason; empty on success.
+    `source`: source of the data; `sigma_m`: noise passed to methods, metres. Returns `run`: None if
+    it failed. `note`: the reason; empty on success.
     """
     try:
         with silent_readers():  # the warnings were shown when the data were loaded first
@@ -148,11 +117,8 @@ def try_method(
 def setup_for(data: Data[Log], sigma_m: float | None = None) -> Setup:
     """Return the information about a log that methods get in advance.
 
-    Parameters
-    ----------
-    data : Data
-    sigma_m : float, optional
-        Standard deviation of an observed coordinate, metres; estimated from the log if not given.
+    `sigma_m`: standard deviation of an observed coordinate, metres; estimated from the log if not
+    given.
     """
     log = data.log
     if isinstance(log, ScanLog):
