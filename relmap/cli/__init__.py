@@ -10,16 +10,8 @@ from collections.abc import Sequence
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line.
 
-    Parameters
-    ----------
-    argv : sequence of str, optional
-        The arguments after the program name; by default those of this process.
-
-    Returns
-    -------
-    int
-        Exit status: 0, 2 for bad input, 130 after Ctrl-C, 1 if the reader of the output has closed
-        it.
+    `argv`: the arguments after the program name; by default those of this process. Returns the exit
+    status: 0, 2 for bad input, 130 after Ctrl-C, 1 if the reader of the output has closed it.
     """
     try:
         # Loading the modules takes long, and Ctrl-C may be pressed meanwhile.

@@ -32,10 +32,7 @@ class Interval(NamedTuple):
 def interval(text: str) -> Interval:
     """Return the interval given as ``A:B``.
 
-    Raises
-    ------
-    RelmapError
-        If it is not two whole numbers with 0 <= A < B.
+    Raises `RelmapError` if it is not two whole numbers with 0 <= A < B.
     """
     numbers = re.fullmatch(r"(\d{1,18}):(\d{1,18})", text, re.ASCII)
     if numbers and int(numbers[1]) < int(numbers[2]):
@@ -46,10 +43,7 @@ def interval(text: str) -> Interval:
 def columns(text: str) -> dict[str, str]:
     """Return the pairs given as ``ours=theirs,ours=theirs``.
 
-    Raises
-    ------
-    RelmapError
-        If it is not a list of pairs, or a column occurs twice.
+    Raises `RelmapError` if it is not a list of pairs, or a column occurs twice.
     """
     pairs = [part.partition("=") for part in text.split(",")]
     found = {ours.strip(): theirs.strip() for ours, _, theirs in pairs}
@@ -68,10 +62,7 @@ def log(text: str) -> Path:
 def folder(text: str) -> Path:
     """Return the folder given by an option.
 
-    Raises
-    ------
-    typer.BadParameter
-        If it is empty, for example because of an unset shell variable.
+    Raises `typer.BadParameter` if it is empty, for example because of an unset shell variable.
     """
     if not text:
         raise typer.BadParameter("it is empty, expected the name of a folder")
@@ -135,10 +126,7 @@ Seed = Annotated[
 def refuse(is_wrong: object, message: str) -> None:
     """Raise an error if arguments are incompatible or unknown.
 
-    Raises
-    ------
-    RelmapError
-        With the message, if `is_wrong` is true.
+    Raises `RelmapError` with the message, if `is_wrong` is true.
     """
     if is_wrong:
         raise RelmapError(message)
@@ -147,10 +135,7 @@ def refuse(is_wrong: object, message: str) -> None:
 def refuse_to_write_into(out: Path, *results: Path) -> None:
     """Raise an error if the output folder is a result folder that is only read.
 
-    Raises
-    ------
-    RelmapError
-        If it is one of `results`, whatever it is called.
+    Raises `RelmapError` if it is one of `results`, whatever it is called.
     """
     for result in results:
         same = out.exists() and result.exists() and out.samefile(result)
@@ -164,19 +149,9 @@ def read_config(
 ) -> MapperConfig:
     """Read a mapper's configuration from a TOML file; defaults without a file.
 
-    Parameters
-    ----------
-    path : Path or None
-    registration : str, optional
-        Overrides the file.
-    unused : mapping, optional
-        Settings that the run would ignore, with the reason.
-
-    Raises
-    ------
-    RelmapError
-        If the file cannot be read, is not TOML, or holds a setting that is unknown or would be
-        ignored.
+    `registration`: overrides the file; `unused`: settings that the run would ignore, with the
+    reason. Raises `RelmapError` if the file cannot be read, is not TOML, or holds a setting that is
+    unknown or would be ignored.
     """
     from relmap.core import config
     from relmap.io.files import read_toml

@@ -35,11 +35,7 @@ class Counter:
 
     It is a callback for `relmap.map_log`: called with the work done and the total.
 
-    Parameters
-    ----------
-    what : str
-    patience_s : float, optional
-        Shorter work shows no progress; `PATIENCE_S` if not given.
+    `patience_s`: shorter work shows no progress; `PATIENCE_S` if not given.
     """
 
     def __init__(self, what: str, patience_s: float | None = None) -> None:
@@ -120,10 +116,7 @@ def lasting(seconds: float) -> str:
 def busy(what: str) -> Iterator[Callable[[str], None]]:
     """Show the current activity on stderr if it takes long, as lines if not on a terminal.
 
-    Yields
-    ------
-    callable
-        Takes the current activity.
+    Yields a function that takes the current activity.
     """
     from rich.console import Console
 
@@ -180,11 +173,7 @@ def print_table(title: str, header: Sequence[str], rows: Iterable[Sequence[str]]
 def figure(value: float | None, kind: str = "") -> str:
     """Return a figure in readable form.
 
-    Parameters
-    ----------
-    value : float or None
-    kind : "count", "share" or "time", optional
-        Kind of figure, if not an error or ratio.
+    `kind`: "count", "share" or "time", if not an error or ratio.
     """
     if value is None:
         return "-"

@@ -123,10 +123,7 @@ class Job:
     def of_journal(cls, path: Path, meta: dict[str, Any], variant: Variant) -> Job:
         """Return the job stored in a journal.
 
-        Raises
-        ------
-        RelmapError
-            If it was written by another program.
+        Raises `RelmapError` if it was written by another program.
         """
         from relmap.core.config import MapperConfig
 
@@ -188,10 +185,7 @@ class Job:
 def journaled_labels(job: Job, log: Log) -> list[NDArray[Any]]:
     """Return the labels (n,) of each scan in the journal of a resumed job.
 
-    Raises
-    ------
-    RelmapError
-        If the journal is damaged or the log is not the one it was started with.
+    Raises `RelmapError` if the journal is damaged or the log is not the one it was started with.
     """
     from relmap.io.journal import JournalReader
 

@@ -17,10 +17,7 @@ if TYPE_CHECKING:
 def log_of(job: Job) -> Log:
     """Return the log as it is mapped, and report on the standard error what was changed.
 
-    Raises
-    ------
-    RelmapError
-        If it cannot be read, or lacks what the job needs.
+    Raises `RelmapError` if it cannot be read, or lacks what the job needs.
     """
     from relmap.evaluation.sources import read_log
 

@@ -39,21 +39,8 @@ def map_input(source: Path, out: Path, association: Association = "nearest") -> 
 def map_log(job: Job) -> tuple[Run, int]:
     """Map a log into a result folder, with pictures.
 
-    Parameters
-    ----------
-    job : Job
-
-    Returns
-    -------
-    run : Run
-    n_files : int
-        Number of files written.
-
-    Raises
-    ------
-    RelmapError
-        If an argument or the log is invalid, or the folder cannot be written; an earlier result in
-        it is then unchanged.
+    Returns `n_files`: number of files written. Raises `RelmapError` if an argument or the log is
+    invalid, or the folder cannot be written; an earlier result in it is then unchanged.
     """
     from relmap.io.files import staged_folder
 

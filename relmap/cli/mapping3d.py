@@ -19,13 +19,8 @@ if TYPE_CHECKING:
 def report_space(job: Job, voxel_m: float | None) -> None:
     """Map a log of clouds, and report the result.
 
-    Raises
-    ------
-    RelmapError
-        If the log is invalid, or the folder cannot be written; an earlier result in it is then
-        unchanged.
-    typer.Exit
-        If the run was interrupted.
+    Raises `RelmapError` if the log is invalid, or the folder cannot be written; an earlier result
+    in it is then unchanged. Raises `typer.Exit` if the run was interrupted.
     """
     from relmap.cli.mapping import stale_files
     from relmap.datasets.scans import ScanLog

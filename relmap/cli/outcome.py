@@ -28,10 +28,7 @@ NOTHING = (
 def report(job: Job) -> None:
     """Map a log, and report the result.
 
-    Raises
-    ------
-    typer.Exit
-        If the run was interrupted.
+    Raises `typer.Exit` if the run was interrupted.
     """
     began = monotonic()
     run, n_files = map_log(job)

@@ -70,10 +70,7 @@ def write_figure_eight(
 ) -> str:
     """Simulate the figure eight into a folder and return a line with counts.
 
-    Raises
-    ------
-    RelmapError
-        If a parameter is out of range or the folder cannot be written.
+    Raises `RelmapError` if a parameter is out of range or the folder cannot be written.
     """
     from relmap.io.files import staged_folder
 

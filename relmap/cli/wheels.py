@@ -36,10 +36,7 @@ class Pair(NamedTuple):
 def pair(text: str) -> Pair:
     """Return the two numbers in ``WAY:TURN``.
 
-    Raises
-    ------
-    RelmapError
-        If it is not two finite numbers.
+    Raises `RelmapError` if it is not two finite numbers.
     """
     try:
         way, turn = map(float, text.split(":"))
@@ -91,10 +88,8 @@ class OdometryOptions:
     def wheels(self) -> Wheels | None:
         """Return the validated odometry noise; None without odometry.
 
-        Raises
-        ------
-        RelmapError
-            If a number is out of range, or a bias or fault is given without odometry.
+        Raises `RelmapError` if a number is out of range, or a bias or fault is given without
+        odometry.
         """
         from relmap.simulation.odometry import Wheels
 

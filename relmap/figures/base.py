@@ -37,18 +37,10 @@ class Table:
 class Outcome:
     """The findings of a figure.
 
-    Attributes
-    ----------
-    table : Table
-        The data of the picture.
-    value : float
-        The number that the verdict mainly depends on; see `PaperFigure.unit`.
-    ours : str
-        Summary of the finding, in a sentence or two.
-    verdict : str
-        Computed by the figure's criterion.
-    more : mapping of str to callable
-        Further files: suffix of the name, and a function that writes the file.
+    `table`: the data of the picture. `value`: the number that the verdict mainly depends on; see
+    `PaperFigure.unit`. `ours`: summary of the finding, in a sentence or two. `verdict`: computed by
+    the figure's criterion. `more`: further files: suffix of the name, and a function that writes
+    the file.
     """
 
     table: Table
@@ -62,26 +54,12 @@ class Outcome:
 class PaperFigure(Generic[D]):
     """One figure of the paper.
 
-    Attributes
-    ----------
-    name : str
-        Its number, or a word for a figure that is not in the paper.
-    title : str
-        Short title.
-    claim : str
-        The claim of the paper, paraphrased in one sentence.
-    criterion : str
-        Condition for the claim to be borne out.
-    unit : str
-        Meaning of the value of an outcome.
-    run : callable
-        Does the runs and returns their data. Its arguments are whether small runs suffice, the path
-        of real data, for the figure that needs them, and the progress wrapper; it raises
-        `RelmapError` if the data are invalid.
-    judge : callable
-        Returns the outcome of the data.
-    draw : callable
-        Returns the picture of the data.
+    `name`: its number, or a word for a figure that is not in the paper. `title`: short title.
+    `claim`: the claim of the paper, paraphrased in one sentence. `criterion`: condition for the
+    claim to be borne out. `unit`: meaning of the value of an outcome. `run`: does the runs and
+    returns their data. Its arguments are whether small runs suffice, the path of real data, for the
+    figure that needs them, and the progress wrapper; it raises `RelmapError` if the data are
+    invalid. `judge`: returns the outcome of the data. `draw`: returns the picture of the data.
     """
 
     name: str

@@ -61,15 +61,9 @@ SHIFTS = ("iteration", "first_end", "second_end", "dx", "dy", "deviation", "chos
 class CornerTest:
     """Two walls over an interval in which each is seen with one static end and one cut one.
 
-    Attributes
-    ----------
-    planes : tuple of int
-        Numbers of the two walls.
-    iterations : (k,) int64
-    ends : (2, k, 2, 2) float64, robot frame, metres
-        Right and left end of each wall as observed.
-    static : tuple of int
-        The static end of each wall by its type in each scan: 0 right, 1 left.
+    `planes`: numbers of the two walls; `iterations` (k,); `ends` (2, k, 2, 2), robot frame, metres:
+    right and left end of each wall as observed; `static`: the static end of each wall by its type
+    in each scan: 0 right, 1 left.
     """
 
     planes: tuple[int, int]

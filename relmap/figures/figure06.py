@@ -43,16 +43,10 @@ class PartialWall:
 
     Aligned by the poses before the longest weak stretch.
 
-    Attributes
-    ----------
-    walls, corners : (w, 2, 2), (c, 2) float64
-        As mapped.
-    poses, true_poses : (k, 4, 4) float64
-        ``T_truth_robot``, as mapped and true.
-    weak : (k,) bool
-        Whether the link from the previous scan leaves the motion along a wall undetermined.
-    true_walls : (w, 2, 2) float64
-        All walls that were ever in view.
+    `walls` (w, 2, 2), `corners` (c, 2): as mapped; `poses`, `true_poses` (k, 4, 4):
+    ``T_truth_robot``, as mapped and true; `weak` (k,): whether the link from the previous scan
+    leaves the motion along a wall undetermined; `true_walls` (w, 2, 2): all walls that were ever in
+    view.
     """
 
     walls: Floats
@@ -104,20 +98,8 @@ def run_partial_wall(
 ) -> PartialWall:
     """Drive past a long wall that stands alone, and map it.
 
-    Parameters
-    ----------
-    points : int
-        Points of a scan.
-    sigma : float
-        Standard deviation of each coordinate, metres.
-    beside : int
-        Scans before and after those with only the wall in view.
-    through : callable, optional
-        Wraps the iterable of scans.
-
-    Returns
-    -------
-    PartialWall
+    `points`: points of a scan; `sigma`: standard deviation of each coordinate, metres; `beside`:
+    scans before and after those with only the wall in view; `through`: wraps the iterable of scans.
     """
     building = simulate_building(points, sigma, world="long-wall", sample_ends=sigma == 0.0)
     part = _beside_the_wall(building, beside)
@@ -144,10 +126,7 @@ def run_partial_wall(
 def longest(held: Bools) -> tuple[int, int]:
     """Return start and end of the longest run of true values (k,).
 
-    Raises
-    ------
-    RelmapError
-        If nothing is true.
+    Raises `RelmapError` if nothing is true.
     """
     if not held.any():
         raise RelmapError("no link is weak: no stretch depends on a single partial wall")

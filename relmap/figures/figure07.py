@@ -24,17 +24,7 @@ def run_noisy_maps(
 ) -> BothMaps:
     """Map fixed points on the walls of a building as planes, and as points.
 
-    Parameters
-    ----------
-    spacing_m : float
-        Of the points on the walls, metres.
-    seed : int
-    iterations : int, optional
-        Scans; one loop if omitted.
-
-    Returns
-    -------
-    BothMaps
+    `spacing_m`: of the points on the walls, metres. `iterations`: scans; one loop if omitted.
     """
     return both_maps(wall_points(spacing_m, NOISE, seed, iterations))
 

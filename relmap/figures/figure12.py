@@ -33,16 +33,9 @@ OFTEN = 0.95
 class Comparisons:
     """Comparisons to sort landmarks into static and dynamic ones, and whether the result is right.
 
-    Attributes
-    ----------
-    n : (k,) int64, ascending
-        Landmarks of a block.
-    dynamic : (s,) float64, ascending
-        Fraction of them that move, in [0, 1].
-    comparisons : (s, k, r) int64
-        Pairs of landmarks compared, in r random worlds.
-    right : (s, k, r) bool
-        Whether the static bin is correct.
+    `n` (k,), ascending: landmarks of a block; `dynamic` (s,), ascending: fraction of them that
+    move, in [0, 1]; `comparisons` (s, k, r): pairs of landmarks compared, in r random worlds;
+    `right` (s, k, r): whether the static bin is correct.
     """
 
     n: Ints
@@ -70,18 +63,8 @@ def _run(quick: bool, data: Path | None, watch: Watch) -> Comparisons:
 def sorted_worlds(sizes: tuple[int, ...], worlds: int, watch: Watch = iter) -> Comparisons:
     """Sort blocks of all sizes, with all fractions of moving landmarks, in each world.
 
-    Parameters
-    ----------
-    sizes : tuple of int, ascending
-        Landmarks of a block.
-    worlds : int
-        Number of worlds, with seeds from 0.
-    watch : callable, optional
-        Wraps the seeds, to show progress.
-
-    Returns
-    -------
-    Comparisons
+    `sizes`, ascending: landmarks of a block; `worlds`: number of worlds, with seeds from 0;
+    `watch`: wraps the seeds, to show progress.
     """
     shape = (len(SHARES), len(sizes), worlds)
     counts, right = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=bool)
@@ -128,10 +111,7 @@ def observed_places(seed: int, largest: int) -> tuple[Floats, Bools]:
 
     Dynamic ones that never move are excluded: they cannot be detected.
 
-    Returns
-    -------
-    places : (n, i, 3) float64, robot frame, metres
-    static : (n,) bool
+    Returns `places` (n, i, 3), robot frame, metres and `static` (n,).
     """
     world = simulate_figure_eight(6 * largest, BLOCK, sigma=0.0, dynamic=0.4, seed=seed)
     log = world.log

@@ -34,12 +34,8 @@ RIM_M = 10.0
 class EightMap:
     """A map of the figure eight, transformed into the frame of the truth.
 
-    Attributes
-    ----------
-    landmarks_map, path_map : (m, 3), (k, 3) float64, metres
-        As mapped; the path of the robot is NaN where unknown.
-    true_landmarks_map, true_path_map : (t, 3), (p, 3) float64, metres
-    found : Evaluation
+    `landmarks_map` (m, 3), `path_map` (k, 3), metres: as mapped; the path of the robot is NaN where
+    unknown. `true_landmarks_map` (t, 3), `true_path_map` (p, 3), metres.
     """
 
     landmarks_map: Floats

@@ -41,14 +41,8 @@ MACHINE = "(milliseconds of one machine: compare ratios)"
 class LoopTiming:
     """One loop, iteration by iteration.
 
-    Attributes
-    ----------
-    time_ms : (i,) float64
-        Processor time.
-    visible : (i,) int64
-        Landmarks in the scan.
-    landmarks, true_landmarks : (i,) int64
-        Landmarks seen so far: according to the mapper, and truly.
+    `time_ms` (i,): processor time; `visible` (i,): landmarks in the scan; `landmarks`,
+    `true_landmarks` (i,): landmarks seen so far: according to the mapper, and truly.
     """
 
     time_ms: Floats
@@ -79,11 +73,7 @@ class LoopTiming:
 class DensityTiming:
     """Processor time per iteration in worlds of different density.
 
-    Attributes
-    ----------
-    visible : (k,) float64, ascending
-        Average number of landmarks in a scan.
-    median_ms, mean_ms : (k,) float64
+    `visible` (k,), ascending: average number of landmarks in a scan; `median_ms`, `mean_ms` (k,).
     """
 
     visible: Floats
@@ -210,14 +200,7 @@ def _plot_loop(data: LoopTiming) -> Figure:
 def fit_n_log_n(n: Floats, time_ms: Floats) -> tuple[float, float]:
     """Fit ``a + b n log2 n``, neither negative, by least squares of the relative errors.
 
-    Parameters
-    ----------
-    n, time_ms : (k,) float64
-
-    Returns
-    -------
-    a, b : float
-        Milliseconds.
+    `n`, `time_ms` (k,). Returns `a`, `b`: milliseconds.
     """
     terms = np.column_stack([np.ones(len(n)), n_log_n(n)])
     a, b = nnls(terms / time_ms[:, None], np.ones(len(n)))[0]

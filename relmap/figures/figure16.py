@@ -45,11 +45,7 @@ COLOURS = (RED, ORANGE, GREY, BLUE, "#2e7d32")
 class Curve:
     """The error of one method under one noise.
 
-    Attributes
-    ----------
-    iteration : (p,) int64
-    rmse_m : (s, p) float64
-        One row for each seed.
+    `iteration` (p,); `rmse_m` (s, p): one row for each seed.
     """
 
     iteration: Ints
@@ -100,18 +96,8 @@ def _run(quick: bool, data: Path | None, watch: Watch) -> ErrorCurves:
 def error_curves(seeds: int, iterations: int, watch: Watch = iter) -> ErrorCurves:
     """Run all methods on figure eights of both noises.
 
-    Parameters
-    ----------
-    seeds : int
-        Number of worlds of each noise, with seeds from 0.
-    iterations : int
-        Iterations of each.
-    watch : callable, optional
-        Wraps the worlds, to show progress.
-
-    Returns
-    -------
-    ErrorCurves
+    `seeds`: number of worlds of each noise, with seeds from 0; `iterations`: iterations of each;
+    `watch`: wraps the worlds, to show progress.
     """
     found: dict[tuple[str, str], list[Floats]] = {}
     at: dict[str, Ints] = {}

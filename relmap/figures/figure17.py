@@ -43,21 +43,11 @@ TREES = "trees mapped without ids (no dot: has no published id)"
 class Panel:
     """One stretch of the drive.
 
-    Attributes
-    ----------
-    title : str
-    trees_map : (n, 2) float64, map frame, metres
-        Mapped by relmap.
-    reference_map : (m, 2) float64, map frame, metres
-        Mapped by batch least squares with the published ids, aligned to relmap's map.
-    often : (m,) bool
-        Which of those were seen at least ten times.
-    path_map : (k, 2) float64, map frame, metres
-        Path of the robot according to relmap; NaN where unknown.
-    rmse_m : float
-        Error of the trees against the reference.
-    coverage : float
-        Fraction of the trees seen at least ten times that are mapped.
+    `trees_map` (n, 2), map frame, metres: mapped by relmap. `reference_map` (m, 2), map frame,
+    metres: mapped by batch least squares with the published ids, aligned to relmap's map. `often`
+    (m,): which of those were seen at least ten times. `path_map` (k, 2), map frame, metres: path of
+    the robot according to relmap; NaN where unknown. `rmse_m`: error of the trees against the
+    reference. `coverage`: fraction of the trees seen at least ten times that are mapped.
     """
 
     title: str
@@ -72,21 +62,9 @@ class Panel:
 def compare_with_reference(result: Result, log: ObservationLog) -> Panel:
     """Align the reference to the map of a stretch of the drive.
 
-    Parameters
-    ----------
-    result : Result
-        Result of mapping the log.
-    log : ObservationLog
-        With the published ids, for the evaluation and for the reference.
-
-    Returns
-    -------
-    Panel
-
-    Raises
-    ------
-    RelmapError
-        If the ids are missing or give no reference, or the log is not the one that was mapped.
+    `result`: result of mapping the log; `log`: with the published ids, for the evaluation and for
+    the reference. Raises `RelmapError` if the ids are missing or give no reference, or the log is
+    not the one that was mapped.
     """
     reference = least_squares_map(log)
     ids = reference.landmark_ids
@@ -124,19 +102,7 @@ def _run(quick: bool, data: Path | None, watch: Watch) -> list[Panel]:
 def victoria_park(path: Path) -> ObservationLog:
     """Read the data.
 
-    Parameters
-    ----------
-    path : Path
-        Their folder, or its parent.
-
-    Returns
-    -------
-    ObservationLog
-
-    Raises
-    ------
-    RelmapError
-        If they are missing or damaged.
+    `path`: their folder, or its parent. Raises `RelmapError` if they are missing or damaged.
     """
     inner = path / FORMAT
     return open_log(inner if inner.is_dir() else path, FORMAT)

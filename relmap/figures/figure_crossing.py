@@ -101,23 +101,9 @@ def run_crossing(
 ) -> list[Crossing]:
     """Map the same points as planes and as points, for all spacings, noises and seeds.
 
-    Parameters
-    ----------
-    spacings_m : iterable of float
-        Of the points on the walls, metres.
-    noises : iterable of float
-        In units of the spacing.
-    seeds : iterable of int
-        Of building, points and noise.
-    iterations : int, optional
-        Scans of a run; one loop if omitted.
-    progress : callable, optional
-        Wraps the list of cells, to show progress.
-
-    Returns
-    -------
-    list of Crossing
-        One for each spacing.
+    `spacings_m`: of the points on the walls, metres. `noises`: in units of the spacing. `seeds`: of
+    building, points and noise. `iterations`: scans of a run; one loop if omitted. `progress`: wraps
+    the list of cells, to show progress. Returns the runs of each spacing.
     """
     runs: dict[float, list[VariantRun]] = {}
     for spacing_m, noise, seed in progress(list(product(spacings_m, noises, seeds))):

@@ -48,15 +48,7 @@ NO_DATA = "needs the Victoria Park data: give their folder with --data PATH"
 def chosen_figures(names: Sequence[str]) -> list[PaperFigure[Any]]:
     """Return the figures of these names in the paper's order, each once.
 
-    Parameters
-    ----------
-    names : sequence of str
-        If empty, all figures of the paper.
-
-    Raises
-    ------
-    RelmapError
-        If there is no such figure.
+    `names`: if empty, all figures of the paper. Raises `RelmapError` if there is no such figure.
     """
     if not names:
         return [figure for figure in FIGURES if figure.name.isdigit()]
@@ -75,17 +67,8 @@ def chosen_figures(names: Sequence[str]) -> list[PaperFigure[Any]]:
 def check_data(figures: Sequence[PaperFigure[Any]], data: Path | None) -> None:
     """Check, before anything is run, that the real data can be used.
 
-    Parameters
-    ----------
-    figures : sequence of PaperFigure
-        Figures to run.
-    data : Path or None
-        Path of the real data.
-
-    Raises
-    ------
-    RelmapError
-        If the data are missing, damaged or not used, or nothing can be run without them.
+    `figures`: figures to run; `data`: path of the real data. Raises `RelmapError` if the data are
+    missing, damaged or not used, or nothing can be run without them.
     """
     names = [figure.name for figure in figures]
     if data is not None:
@@ -101,22 +84,8 @@ def make_figure(
 ) -> Made:
     """Run a figure and write its picture and data; if the run fails, the note gives the reason.
 
-    Parameters
-    ----------
-    figure : PaperFigure
-    folder : Path
-        Output folder.
-    quick, data, watch
-        As for `PaperFigure.run`.
-
-    Returns
-    -------
-    Made
-
-    Raises
-    ------
-    RelmapError
-        If a file cannot be written.
+    `folder`: output folder; `quick`, `data`, `watch`: as for `PaperFigure.run`. Raises
+    `RelmapError` if a file cannot be written.
     """
     if data is None and figure.name == NEEDS_DATA:
         return Made(figure, None, NO_DATA)
@@ -137,18 +106,8 @@ def make_figure(
 def write_page(folder: Path, made: Sequence[Made], quick: bool) -> None:
     """Write the page, index.html, and the table of verdicts, verdicts.csv.
 
-    Parameters
-    ----------
-    folder : Path
-    made : sequence of Made
-        Results of `make_figure`.
-    quick : bool
-        Whether the runs were small.
-
-    Raises
-    ------
-    RelmapError
-        If a file cannot be written.
+    `made`: results of `make_figure`; `quick`: whether the runs were small. Raises `RelmapError` if
+    a file cannot be written.
     """
     done = [(each.figure.name, each.outcome) for each in made if each.outcome is not None]
     rows = [(name, found.value, found.verdict, found.ours) for name, found in done]

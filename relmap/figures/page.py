@@ -48,16 +48,7 @@ class Made:
 def page(entries: Sequence[Made], quick: bool) -> str:
     """Return the page as HTML with everything in it.
 
-    Parameters
-    ----------
-    entries : sequence of Made
-        In the order of the page.
-    quick : bool
-        Whether the runs were small.
-
-    Returns
-    -------
-    str
+    `entries`: in the order of the page; `quick`: whether the runs were small.
     """
     small = "small runs (--quick): figures and verdicts of the full size may differ"
     size = small if quick else "runs of full size"

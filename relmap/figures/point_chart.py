@@ -31,17 +31,10 @@ FEWEST_MEMBERS = 4
 class ChartPicture:
     """A window of the point chart around a seed, and the group grown in it.
 
-    Attributes
-    ----------
-    begin : int
-        First iteration of the window.
-    landmarks : (n,) int64
-        The seed and all landmarks visible together with it, sorted by the interval in common with
-        the seed: the seed first.
-    visible : (n, i) bool
-        One column for each iteration of the window.
-    members : int
-        Number of landmarks in the group, from the first on.
+    `begin`: first iteration of the window; `landmarks` (n,): the seed and all landmarks visible
+    together with it, sorted by the interval in common with the seed: the seed first; `visible`
+    (n, i): one column for each iteration of the window; `members`: number of landmarks in the
+    group, from the first on.
     """
 
     begin: int
@@ -74,10 +67,7 @@ class ChartPicture:
 def chart_picture(store: ObservationStore, seed: int, begin: int, end: int) -> ChartPicture:
     """Chart the iterations `begin` to `end` around a seed, and grow its group.
 
-    Raises
-    ------
-    RelmapError
-        If the seed was not seen with enough others to be grouped.
+    Raises `RelmapError` if the seed was not seen with enough others to be grouped.
     """
     chart = PointChart.around(seed, store, begin, end)
     rows, unmapped = np.arange(len(chart.landmarks)), np.zeros(len(chart.landmarks))
@@ -101,12 +91,7 @@ def paper_stops(area: Ints) -> int:
 class ChartedRun:
     """A figure eight, registered without its ids.
 
-    Attributes
-    ----------
-    log : ObservationLog
-        With the true ids.
-    store : ObservationStore
-        With the landmarks according to the association.
+    `log`: with the true ids; `store`: with the landmarks according to the association.
     """
 
     log: ObservationLog
@@ -156,10 +141,7 @@ def charted_run(quick: bool) -> ChartedRun:
 def shown_chart(quick: bool) -> ChartPicture:
     """Return the chart around the landmark whose visit is nearest to `VISIT` iterations.
 
-    Raises
-    ------
-    RelmapError
-        If no landmark comes and goes within the run.
+    Raises `RelmapError` if no landmark comes and goes within the run.
     """
     run = charted_run(quick)
     whole = [visit for visit in run.visits if visit[2] - visit[1] > 0.9 * VISIT]

@@ -52,18 +52,7 @@ def write_bench_gif(
 ) -> None:
     """Draw an animation of the bench into a GIF file.
 
-    Parameters
-    ----------
-    path : Path
-    frames : sequence of BenchFrame
-    progress : callable, optional
-        Wraps the frames, to show progress.
-    title : str, optional
-
-    Raises
-    ------
-    RelmapError
-        If there is no frame.
+    `progress`: wraps the frames, to show progress. Raises `RelmapError` if there is no frame.
     """
     if not frames:
         raise RelmapError("an animation needs at least one scan")
@@ -82,17 +71,7 @@ def write_bench_gif(
 
 
 def plot_bench(frame: BenchFrame, title: str = TITLE) -> Figure:
-    """Draw mapped against true walls, the robot's points, the segmented planes, and the groups.
-
-    Parameters
-    ----------
-    frame : BenchFrame
-    title : str, optional
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-    """
+    """Draw mapped against true walls, the robot's points, the segmented planes, and the groups."""
     figure = blank(WIDTH_IN, HEIGHT_IN, DPI, layout=None)
     _draw(figure, frame, _limits_of([frame]), title)
     return figure

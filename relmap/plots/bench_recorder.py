@@ -38,26 +38,12 @@ class BenchFrame:
 
     The world frame is that of the truth if known, otherwise that of the map.
 
-    Attributes
-    ----------
-    iteration : int
-    points_robot : (n, 2) float64, metres
-    label : (n,) int64
-        Segmented plane of each point, -1 for none.
-    ends_robot : (m, 2, 2) float64, metres
-        Ends of the segmented planes, right to left.
-    static_end : (m, 2) bool
-        Whether an end is the end of the wall itself.
-    walls, corners : (w, 2, 2), (c, 2) float64, metres, world
-        As mapped.
-    links : (l, 2, 2) float64, metres, world
-        From the centre of each group to its walls.
-    path : (k, 2) float64, metres, world
-        NaN in iterations without a pose.
-    T_world_robot : (4, 4) float64
-        NaN if the scan has no pose.
-    true_walls : (t, 2, 2) float64, metres, world
-        Empty if unknown.
+    `points_robot` (n, 2), metres; `label` (n,): segmented plane of each point, -1 for none;
+    `ends_robot` (m, 2, 2), metres: ends of the segmented planes, right to left; `static_end`
+    (m, 2): whether an end is the end of the wall itself; `walls` (w, 2, 2), `corners` (c, 2),
+    metres, world: as mapped; `links` (l, 2, 2), metres, world: from the centre of each group to its
+    walls; `path` (k, 2), metres, world: NaN in iterations without a pose; `T_world_robot` (4, 4):
+    NaN if the scan has no pose; `true_walls` (t, 2, 2), metres, world: empty if unknown.
     """
 
     iteration: int
@@ -84,25 +70,9 @@ class BenchFrame:
 class BenchRecorder:
     """Records a mapper between scans.
 
-    Parameters
-    ----------
-    mapper : PlaneMapper, optional
-        The mapper of the run; see `see_again` for resumed runs.
-    segmenter : PlaneSegmenter
-        The segmenter of the run.
-    truth : Truth, optional
-    every : int
-        Scans between frames; 0: only the last one, on request.
-    view : SensorView, optional
-        Pose of the sensor on the robot.
-    before_s : iterable of float
-        Times of the scans already processed, seconds.
-
-    Attributes
-    ----------
-    mapper : PlaneMapper
-    segmenter : PlaneSegmenter
-    frames : list of BenchFrame
+    `mapper`: the mapper of the run; see `see_again` for resumed runs. `segmenter`: the segmenter of
+    the run. `every`: scans between frames; 0: only the last one, on request. `view`: pose of the
+    sensor on the robot. `before_s`: times of the scans already processed, seconds.
     """
 
     def __init__(

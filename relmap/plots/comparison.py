@@ -21,15 +21,7 @@ MANY = 30.0
 def plot_comparison(rows: Sequence[tuple[str, Figures]], title: str) -> Figure:
     """Draw the errors of map and path, and the run time, of every method.
 
-    Parameters
-    ----------
-    rows : sequence of (str, mapping)
-        Name and figures of each method, from top to bottom.
-    title : str
-
-    Returns
-    -------
-    matplotlib.figure.Figure
+    `rows`, sequence of (str, mapping): name and figures of each method, from top to bottom.
     """
     walls = any(f.get("corner_rmse_m") for _, f in rows)
     of_map = ("corner_rmse_m", "corners") if walls else ("often_rmse_m", "landmarks seen ten times")

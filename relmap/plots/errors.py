@@ -32,18 +32,8 @@ def shared_scale(overlays: Sequence[Overlay]) -> float:
 def plot_errors(result: Result, truth: Overlay, scale: float, title: str) -> Figure:
     """Draw the true landmarks, and an arrow to each mapped one.
 
-    Parameters
-    ----------
-    result : Result
-    truth : Overlay
-        In the frame of the map.
-    scale : float
-        Factor by which the arrows are enlarged; see `shared_scale`.
-    title : str
-
-    Returns
-    -------
-    matplotlib.figure.Figure
+    `truth`: in the frame of the map. `scale`: factor by which the arrows are enlarged; see
+    `shared_scale`.
     """
     way = np.concatenate([result.poses[:, :3, 3], truth.path_map])
     sheet = Sheet(truth.landmarks_map, way, result.planar)

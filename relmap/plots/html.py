@@ -28,14 +28,7 @@ POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-s
 def document(title: str, body: Iterable[str], style: str = "") -> str:
     """Return a page.
 
-    Parameters
-    ----------
-    title : str
-        Plain text.
-    body : iterable of str
-        HTML.
-    style : str, optional
-        Added to `STYLE`.
+    `title`: plain text; `body`: HTML; `style`: added to `STYLE`.
     """
     parts = [
         "<!DOCTYPE html>",

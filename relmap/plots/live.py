@@ -32,17 +32,9 @@ class LiveView:
 
     Rerun's analytics are off.
 
-    Parameters
-    ----------
-    file : Path or None
-        File to record in; None opens the viewer.
-    clock : callable
-        Returns the time, seconds.
-
-    Raises
-    ------
-    RelmapError
-        If Rerun is not installed, the viewer does not start or the file cannot be written.
+    `file`: file to record in; None opens the viewer. `clock`: returns the time, seconds. Raises
+    `RelmapError` if Rerun is not installed, the viewer does not start or the file cannot be
+    written.
     """
 
     def __init__(self, file: Path | None = None, clock: Callable[[], float] = perf_counter) -> None:

@@ -24,23 +24,9 @@ def plot_localised(
 ) -> Figure:
     """Draw a map and the localised scans; the path is interrupted at scans not found.
 
-    Parameters
-    ----------
-    landmarks : LandmarkMap
-    planar : bool
-        Whether the view from above suffices.
-    scan : (k,) int64, ascending
-        The localised scans of the log.
-    poses : (k, 4, 4) float64
-        ``T_map_robot`` of these.
-    n_scans : int
-        Number of scans of the log.
-    ends : (w, 2, 2) float64, optional
-        Walls of the map, drawn instead of the landmarks.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
+    `planar`: whether the view from above suffices; `scan` (k,), ascending: the localised scans of
+    the log; `poses` (k, 4, 4): ``T_map_robot`` of these; `n_scans`: number of scans of the log;
+    `ends` (w, 2, 2): walls of the map, drawn instead of the landmarks.
     """
     at, places, what = poses[:, :3, 3], landmarks.positions, f"{len(landmarks)} landmarks"
     if ends is not None:

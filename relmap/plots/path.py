@@ -50,14 +50,8 @@ def fit_poses(poses: Floats, others: Floats) -> tuple[Floats, Floats]:
 
     Its rotation is the mean over the poses, so that one pose suffices.
 
-    Parameters
-    ----------
-    poses, others : (k, 4, 4) float64
-
-    Returns
-    -------
-    R, t : (2, 2), (2,) float64
-        ``others ~ poses @ R.T + t`` for the positions.
+    `poses`, `others` (k, 4, 4). Returns `R` (2, 2), `t` (2,): ``others ~ poses @ R.T + t`` for the
+    positions.
     """
     turn = np.einsum("kij,klj->il", others[:, :2, :2], poses[:, :2, :2])
     angle = np.arctan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1])
@@ -68,17 +62,8 @@ def fit_poses(poses: Floats, others: Floats) -> tuple[Floats, Floats]:
 def fit_to_truth(stamps_s: Floats, poses: Floats, truth: Truth) -> tuple[Floats, Floats] | None:
     """Return the planar motion that best aligns poses to the true ones of the same times.
 
-    Parameters
-    ----------
-    stamps_s : (k,) float64, seconds
-    poses : (k, 4, 4) float64
-        ``T_map_robot``.
-    truth : Truth
-
-    Returns
-    -------
-    R, t : (2, 2), (2,) float64
-        As for `fit_poses`; None if no times match.
+    `stamps_s` (k,), seconds; `poses` (k, 4, 4): ``T_map_robot``. Returns `R` (2, 2), `t` (2,): as
+    for `fit_poses`; None if no times match.
     """
     mine, other = match_stamps(stamps_s, truth.stamps_s)
     return fit_poses(poses[mine], truth.poses[other]) if len(mine) else None

@@ -48,16 +48,7 @@ TRUE_WALL = "#e0a800"
 def plot_submaps(submaps: Sequence[DrawnSubmap], n_submaps: int) -> Figure:
     """Draw the walls and paths of submaps, each in its own frame and panel.
 
-    Parameters
-    ----------
-    submaps : sequence of DrawnSubmap
-        Submaps to draw, the map itself first.
-    n_submaps : int
-        Number of submaps.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
+    `submaps`: submaps to draw, the map itself first; `n_submaps`: number of submaps.
     """
     if len(submaps) < 2:
         return _plot_submap(submaps[0], n_submaps)
@@ -133,19 +124,8 @@ def plot_planes(
 ) -> Figure:
     """Draw mapped walls, their corners and the path from above.
 
-    Parameters
-    ----------
-    planes : PlaneTable
-    poses : (k, 4, 4) float64
-        ``T_map_robot``.
-    truth : tuple, optional
-        True walls, and the alignment of the map to them.
-    title : str, optional
-        By default the counts.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
+    `poses` (k, 4, 4): ``T_map_robot``; `truth`: true walls, and the alignment of the map to them;
+    `title`: by default the counts.
     """
     places = planes.ends[planes.status == "static"].reshape(-1, 2)
     true_ends = np.empty((0, 2, 2))
@@ -161,16 +141,7 @@ def plot_planes(
 
 
 def plot_building(building: Building) -> Figure:
-    """Draw a simulated building and the path from above, with the points of the first scan.
-
-    Parameters
-    ----------
-    building : Building
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-    """
+    """Draw a simulated building and the path from above, with the points of the first scan."""
     ends = building.walls[:, :4].reshape(-1, 2, 2)
     way = building.trajectory[:, :3, 3]
     T_map_robot = building.trajectory[0]

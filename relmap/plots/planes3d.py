@@ -33,19 +33,8 @@ LIGHT = np.array([0.3, 0.5, 0.81])
 def plot_planes3d(table: Plane3dTable, poses: Floats, stamps_s: Floats, weak: Ints) -> Figure:
     """Draw the outlines of mapped planes and the path of the sensor.
 
-    Parameters
-    ----------
-    table : Plane3dTable
-    poses : (k, 4, 4) float64
-        ``T_map_sensor``.
-    stamps_s : (k,) float64
-        Their times; the path is interrupted in gaps.
-    weak : (w,) int64
-        Indices in `poses` of poses that are partly undetermined; marked.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
+    `poses` (k, 4, 4): ``T_map_sensor``. `stamps_s` (k,): their times; the path is interrupted in
+    gaps. `weak` (w,): indices in `poses` of poses that are partly undetermined; marked.
     """
     static = np.flatnonzero(table.status == "static").tolist()
     rows = [k for k in static if len(table.outline[k]) > 2]

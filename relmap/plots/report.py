@@ -39,19 +39,8 @@ MAP = """
 def report_page(result: Result, command: str, name: str) -> str:
     """Return the page of a finished run, with everything in it.
 
-    Parameters
-    ----------
-    result : Result
-        As `relmap.evaluation.run.run_mapper` returns it.
-    command : str
-        Command that repeats the run.
-    name : str
-        Name of the log.
-
-    Returns
-    -------
-    str
-        The same run gives the same page.
+    `result`: as `relmap.evaluation.run.run_mapper` returns it; `command`: command that repeats the
+    run; `name`: name of the log. The same run gives the same page.
     """
     summary = result.summary
     body = [

@@ -37,18 +37,8 @@ def plot_run(
 ) -> Figure:
     """Draw the map of a run from above and, where it is not planar, from the side.
 
-    Parameters
-    ----------
-    result : Result
-    groups : sequence of (g,) int64
-        Labels of the landmarks of each group; drawn as links from its centre to its members.
-    truth : Overlay, optional
-    title : str, optional
-        By default the counts.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
+    `groups`, sequence of (g,): labels of the landmarks of each group; drawn as links from its
+    centre to its members. `title`: by default the counts.
     """
     positions = result.landmarks.position[result.mapped]
     places, way = positions, result.poses[:, :3, 3]

@@ -71,17 +71,8 @@ def legend_below(figure: Figure, ncols: int, *panels: Axes) -> Legend:
 def limits_of(places: Floats, way: Floats, rim_m: float = 0.0) -> Limits:
     """Return the limits of a picture, with a margin.
 
-    Parameters
-    ----------
-    places : (n, d) float64, metres
-        A few outliers far from the others and from the path are ignored.
-    way : (k, d) float64, metres
-        Path, shown entirely where it is not NaN.
-    rim_m : float
-
-    Returns
-    -------
-    low, high : (d,) float64, metres
+    `places` (n, d), metres: a few outliers far from the others and from the path are ignored; `way`
+    (k, d), metres: path, shown entirely where it is not NaN. Returns `low`, `high` (d,), metres.
     """
     way = way[np.isfinite(way).all(axis=1)]
     if len(places):
@@ -117,19 +108,10 @@ def write_in_full(axis: Any, digits: Sequence[int] = (1, 2, 5)) -> None:
 class Sheet:
     """A figure with one view per pair of axes, all in one scale, with the legend below.
 
-    Parameters
-    ----------
-    places, way : (n, 3), (k, 3) float64, metres
-        Positions to draw; see `limits_of`.
-    planar : bool
-        Whether the view from above suffices.
-    dpi : int, optional
+    `places` (n, 3), `way` (k, 3), metres: positions to draw; see `limits_of`. `planar`: whether the
+    view from above suffices.
 
-    Attributes
-    ----------
-    figure : matplotlib.figure.Figure
-    views : list of (Axes, list of int)
-        Panels, and which coordinates each shows.
+    Attributes: `views`, list of (Axes, list of int): panels, and which coordinates each shows.
     """
 
     def __init__(self, places: Floats, way: Floats, planar: bool, dpi: int = 150) -> None:
@@ -181,16 +163,7 @@ def write_png(path: Path, draw: Callable[[], Figure]) -> None:
 
     The same drawing gives the same bytes.
 
-    Parameters
-    ----------
-    path : Path
-    draw : callable
-        Returns the figure.
-
-    Raises
-    ------
-    RelmapError
-        If the file cannot be written.
+    `draw`: returns the figure. Raises `RelmapError` if the file cannot be written.
     """
     with mpl.rc_context():
         mpl.rcdefaults()

@@ -26,14 +26,8 @@ MARKERS = "osD^vP*X<>"
 class SweepRow:
     """One experiment.
 
-    Attributes
-    ----------
-    name : str
-        Common name of the experiments of one line.
-    at : float or None
-        Value of the varied parameter; None if none is numeric.
-    figures : mapping
-        Errors, None if not available.
+    `name`: common name of the experiments of one line. `at`: value of the varied parameter; None if
+    none is numeric. `figures`: errors, None if not available.
     """
 
     name: str
@@ -44,15 +38,7 @@ class SweepRow:
 def plot_sweep(rows: Sequence[SweepRow], along: str) -> Figure:
     """Draw the errors of all experiments as dots, with a line of medians for each name.
 
-    Parameters
-    ----------
-    rows : sequence of SweepRow
-    along : str
-        Label of the varied parameter.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
+    `along`: label of the varied parameter.
     """
     names = list(dict.fromkeys(row.name for row in rows))
     if any(row.at is None for row in rows):

@@ -24,13 +24,8 @@ from relmap.plots.sheet import GREY, blank, draw_limits, finish, limits_of, to_p
 class PlacedMap:
     """A map in the frame of the truth, metres.
 
-    Attributes
-    ----------
-    run : VariantRun
-    shapes : (m, 2, 2) or (m, 2) float64
-        Mapped walls, or mapped points from above.
-    path : (k, 2) float64
-        NaN if unknown.
+    `shapes` (m, 2, 2) or (m, 2): mapped walls, or mapped points from above; `path` (k, 2): NaN if
+    unknown.
     """
 
     run: VariantRun
@@ -58,17 +53,7 @@ class BothMaps:
 
 
 def plot_both(maps: BothMaps, title: str) -> Figure:
-    """Draw the map of planes, and that of points, over the true walls.
-
-    Parameters
-    ----------
-    maps : BothMaps
-    title : str
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-    """
+    """Draw the map of planes, and that of points, over the true walls."""
     limits = limits_of(maps.true_walls.reshape(-1, 2), np.empty((0, 2)), 1.0)
     width, height = limits[1] - limits[0]
     scale = min(6.2 / width, 7.0 / height)
