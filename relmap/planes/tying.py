@@ -43,21 +43,11 @@ EARLIER = 2
 class Scans:
     """All scans with their walls and beams, and the motions between them.
 
-    Attributes
-    ----------
-    store : ObservationStore
-        The walls of every scan, and their numbers at the time of observation.
-    beams : BeamStore
-    motions : (i, 3) float64
-        From the frame of the previous scan to that of each: yaw, x, y.
-    measured : (i,) bool
-        Which of these are determined in all directions.
-    expected : callable
-        Returns the motion between two scans expected from odometry, or None.
-    begun : (b,) int64
-        First scans of further runs.
-    firm : bool
-        Whether to leave out walls and beams on small free-standing objects.
+    `store`: the walls of every scan, and their numbers at the time of observation; `motions`
+    (i, 3): from the frame of the previous scan to that of each: yaw, x, y; `measured` (i,): which
+    of these are determined in all directions; `expected`: returns the motion between two scans
+    expected from odometry, or None; `begun` (b,): first scans of further runs; `firm`: whether to
+    leave out walls and beams on small free-standing objects.
     """
 
     store: ObservationStore
