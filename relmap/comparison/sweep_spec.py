@@ -39,7 +39,8 @@ class Cell:
 
     `world`: "figure-eight" or "building". `association`: "known" or "nearest". `noise`: "gaussian"
     or "uniform". `sigma`: metres. `density`: landmarks per 100 m; only for the figure eight.
-    `dynamic`: fraction of moving landmarks; only for the figure eight. `iterations`: 0: one loop.
+    `dynamic`: fraction of moving landmarks; only for the figure eight. `iterations`: 0 for one
+    loop.
     """
 
     world: str = "figure-eight"

@@ -126,9 +126,9 @@ class BuildingSource:
 class FileSource:
     """A log of any known format.
 
-    `path`: a file or folder. `format`: None: recognised by content. `scans`: range of iterations.
-    `truth`: what to compare with; None: a folder ``truth`` beside the log, if any. `topics`: as for
-    `open_log`.
+    `path`: a file or folder. `format`: None to recognise it by content. `scans`: range of
+    iterations. `truth`: what to compare with; None: a folder ``truth`` beside the log, if any.
+    `topics`: as for `open_log`.
     """
 
     path: Path

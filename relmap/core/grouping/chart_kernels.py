@@ -39,7 +39,7 @@ def chart_block(
     """Chart the observations of the iterations in which a seed was seen.
 
     `landmarks` (k,); `points` (k, d): observations in order of iteration. `offsets` (i + 1,): first
-    observation of each iteration, and the end. `seed`: -1: the observations of all iterations.
+    observation of each iteration, and the end. `seed`: -1 for the observations of all iterations.
     `slots` (m,): work space, one entry per landmark, all -1; restored on return. Returns
     `landmarks` (n,): the seed, if any, then the others in order of first observation, `columns`
     (j,): iterations, counted from the first and `block` (n, j, d): NaN where missing.

@@ -155,7 +155,7 @@ class ObservationStore:
     def seen_with(self, seed: int, begin: int, end: int) -> tuple[Ints, Ints, Floats]:
         """Return all observations of those iterations from `begin` to `end` that show a seed.
 
-        `seed`: -1: those of all iterations. Returns `landmarks` (n,): the seed, then the others,
+        `seed`: -1 for those of all iterations. Returns `landmarks` (n,): the seed, then the others,
         ascending, `iterations` (i,), ascending and `block` (n, i, d), robot frame, metres: NaN
         where missing.
         """
