@@ -113,7 +113,7 @@ def _sources(data: Path, seeds: int) -> Iterator[tuple[str, Load]]:
             yield f"{name}/{own}", partial(_loaded, data / file, change)
     for name, options in WORLDS.items():
         for seed in range(seeds):
-            yield f"sim/{name}/{seed}", partial(_simulated, seed, options)
+            yield f"sim/{name}/{seed}", partial(simulated, seed, options)
 
 
 def _loaded(file: Path, change: Change | None = None) -> tuple[ScanLog, Truth]:
@@ -121,7 +121,7 @@ def _loaded(file: Path, change: Change | None = None) -> tuple[ScanLog, Truth]:
     return change(log) if change else log, Truth()
 
 
-def _simulated(seed: int, options: dict[str, Any]) -> tuple[ScanLog, Truth]:
+def simulated(seed: int, options: dict[str, Any]) -> tuple[ScanLog, Truth]:
     """Return the log of a laser in a simulated world, and the truth about its walls."""
     building = simulate_building(seed=seed, **(LASER | options))
     scans = [scan.points[:, :2] for scan in building.scans]
@@ -174,7 +174,7 @@ def _mirrored(log: ScanLog) -> ScanLog:
     return replace(other, poses=MIRROR @ log.poses @ MIRROR, sensor=view)
 
 
-def _scans(step: int, log: ScanLog) -> ScanLog:
+def every_scan(step: int, log: ScanLog) -> ScanLog:
     """Return a log with every so many-th scan; backwards where the step is negative."""
     assert log.poses is not None
     rows = np.arange(len(log))[::step]
@@ -193,11 +193,11 @@ VARIANTS: dict[str, Change] = {
     "beams-2": lambda log: _every_beam(2, log),
     "lost": _lost,
     "mirrored": _mirrored,
-    "reversed": lambda log: _scans(-1, log),
-    "scans-2": lambda log: _scans(2, log),
-    "scans-3": lambda log: _scans(3, log),
-    "scans-5": lambda log: _scans(5, log),
-    "scans-8": lambda log: _scans(8, log),
+    "reversed": lambda log: every_scan(-1, log),
+    "scans-2": lambda log: every_scan(2, log),
+    "scans-3": lambda log: every_scan(3, log),
+    "scans-5": lambda log: every_scan(5, log),
+    "scans-8": lambda log: every_scan(8, log),
     "noise-1": lambda log: _noisy(0.01, log),
     "noise-3": lambda log: _noisy(0.03, log),
     "noise-5": lambda log: _noisy(0.05, log),
