@@ -83,6 +83,6 @@ def test_beams_must_be_in_their_order(offset_m: float) -> None:
     for ordered in (seen, seen[::-1], np.roll(seen, 70, axis=0)):
         assert len(PlaneSegmenter().fit(ordered).planes_) > 3
     shuffled = np.random.default_rng(0).permutation(seen)
-    with pytest.raises(RelmapError, match="not in the order of the beams.* sort those of each"):
+    with pytest.raises(RelmapError, match="not in the order of the beams"):
         PlaneSegmenter().fit(shuffled)
     PlaneSegmenter(method="em").fit(shuffled)
