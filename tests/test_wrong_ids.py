@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -145,3 +146,21 @@ def test_the_command_line_reports_that_refinement_did_not_converge(
     monkeypatch.setattr(settling, "gauss_newton", ruined)
     assert "WARNING: the refinement did not converge" in run.invoke(app, mapping).stdout
     assert not json.loads((tmp_path / "r/summary.json").read_text())["refinement"]["converged"]
+
+
+def test_the_command_line_reports_that_observations_contradict_the_map(tmp_path: Path) -> None:
+    """The ids are the numbers of the detections in their scan, which name no landmark."""
+    log, run = tmp_path / "e", CliRunner()
+    world = ["--kind", "field", "--length", "100", "--iterations", "60", "--seed", "1100"]
+    assert run.invoke(app, ["simulate", "world", *world, "-o", str(log)]).exit_code == 0
+    mapping = ["map", str(log / "observations.csv"), "-o", str(tmp_path / "r")]
+    mapping += ["--association", "known"]
+    assert "contradict" not in run.invoke(app, mapping).output
+    header, *rows = (log / "observations.csv").read_text().splitlines()
+    seen: Counter[str] = Counter()
+    for k, row in enumerate(rows):
+        iteration, x, y, _ = row.split(",")
+        rows[k] = f"{iteration},{x},{y},{seen[iteration]}"
+        seen[iteration] += 1
+    (log / "observations.csv").write_text("\n".join([header, *rows]))
+    assert "WARNING: the observations contradict the map" in run.invoke(app, mapping).stdout

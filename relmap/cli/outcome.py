@@ -19,6 +19,8 @@ OFTEN = 10
 """Observations that make a landmark worth mapping."""
 WHOLE = 0.9
 """Minimum fraction of the scans in the largest submap of an unbroken run."""
+CONTRADICTED = 0.1
+"""Noise, as a fraction of the distance of the landmarks, that no sensor of landmarks has."""
 BEYOND_M = 300.0
 """More than the range of 2-D lasers: if such a run breaks, its coordinates are hardly in metres."""
 NOTHING = (
@@ -53,7 +55,7 @@ def report(job: Job) -> None:
             f"{counts['observations']} observations in {iterations} iterations, "
             f"{each(timing['median_ms'])}{took}{untied(len(run.result.submaps) - 1)}"
             f"{'' if counts['mapped'] else NOTHING}{doubted(summary['association_trust'])}{hanging}"
-            f"{unconverged(summary['refinement'])}"
+            f"{doubtful(summary['refinement'])}"
         )
     typer.echo(message)
     if job.onto and job.association == "nearest" and summary["tied_at"] is None:
@@ -179,9 +181,18 @@ def untied(submaps: int) -> str:
     return f"; {submaps} submap{'s' if submaps > 1 else ''} could not be connected to the map"
 
 
-def unconverged(refinement: dict[str, Any] | None) -> str:
-    """Return a warning that a refinement did not converge, as a line after a message."""
-    if refinement is None or refinement["converged"]:
+def doubtful(refinement: dict[str, Any] | None) -> str:
+    """Return a warning that the refined map may be wrong, as a line after a message."""
+    if refinement is None:
+        return ""
+    noise_m, range_m = refinement["noise_m"], refinement["median_range_m"]
+    if noise_m > CONTRADICTED * range_m:
+        return (
+            f"\nWARNING: the observations contradict the map by {noise_m:.2g} m (standard "
+            f"deviation), at distances of {range_m:.2g} m in the median, so it is probably wrong; "
+            "check the ids, or map without them"
+        )
+    if refinement["converged"]:
         return ""
     return (
         "\nWARNING: the refinement did not converge, so the map is the best one found and may be "
