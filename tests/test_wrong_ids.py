@@ -15,6 +15,7 @@ from relmap import PointMapper
 from relmap.cli.program import app
 from relmap.comparison.baselines.batch import Batch, batch_least_squares
 from relmap.core.arrays import Floats
+from relmap.core.geometry.alignment import fit_rigid
 from relmap.core.refinement import settling
 from relmap.core.refinement.equations import Laid
 from relmap.core.refinement.gauss_newton import Solution
@@ -115,6 +116,19 @@ def test_wrong_ids_do_not_move_the_robot() -> None:
     wrong.refine()
     apart = np.linalg.norm(right.trajectory[:, :3, 3] - wrong.trajectory[:, :3, 3], axis=1)
     assert apart.max() < 0.3
+
+
+def test_scans_of_few_landmarks_with_wrong_ids_have_no_pose() -> None:
+    """Two observations that contradict each other by 40 m gave a pose between them."""
+    spec = WorldSpec(kind="streets", length_m=500.0, iterations=300, wrong_ids=0.2, seed=1201)
+    streets = simulate_world(spec)
+    mapper = driven(streets.log)
+    mapper.refine()
+    there = np.isfinite(mapper.trajectory).all(axis=(1, 2))
+    assert there.sum() >= 295
+    path, truth = mapper.trajectory[there, :3, 3], streets.trajectory[there, :3, 3]
+    R, t = fit_rigid(path, truth)
+    assert np.linalg.norm(path @ R.T + t - truth, axis=1).max() < 0.2
 
 
 def ruined(problem: object, state: Laid, *_: object, **__: object) -> Solution[Laid]:
