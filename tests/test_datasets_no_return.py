@@ -40,7 +40,7 @@ def carmen_log(folder: Path, ranges_m: list[Floats]) -> ScanLog:
 
 
 @pytest.mark.parametrize("written", [scans_npz, carmen_log])
-def test_beams_at_the_largest_range_are_no_return(
+def test_beams_at_the_largest_range_did_not_return(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, written: object
 ) -> None:
     assert callable(written)

@@ -60,7 +60,7 @@ def test_an_empty_map_says_what_is_needed(
 
 
 @pytest.mark.parametrize("scale", [100, 1000])
-def test_a_log_in_other_units_is_told(
+def test_a_log_in_other_units_is_reported(
     building: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], scale: int
 ) -> None:
     with np.load(building / "world" / "scans.npz") as log:
