@@ -1,10 +1,10 @@
 """The project's own log of point scans: ``scans.npz``.
 
-``points`` (n, 3) or, of a 2-D laser, (n, 2): metres, in the frame of the sensor, which serves as
-the robot frame. ``iteration`` (n,): the scan of each point, from 0; the points of a scan keep their
-order. ``stamps_s`` (iterations,): the time of every scan, seconds, ascending; a scan without points
-is empty. ``view_rad`` and ``range_m`` (optional numbers): the sensor's horizontal field of view and
-range.
+``points`` (n, 3) or, of a 2-D laser, (n, 2), also with a third column of zeros: metres, in the
+frame of the sensor, which serves as the robot frame. ``iteration`` (n,): the scan of each point,
+from 0; the points of a scan keep their order. ``stamps_s`` (iterations,): the time of every scan,
+seconds, ascending; a scan without points is empty. ``view_rad`` and ``range_m`` (optional numbers):
+the sensor's horizontal field of view and range.
 """
 
 from __future__ import annotations
@@ -72,6 +72,8 @@ class ScansNpz:
         in_time, stamps_s = in_time_order(file, stamps_s.astype(np.float64))
         iteration = np.argsort(in_time)[iteration]
         order = np.argsort(iteration, kind="stable")
+        if not points[:, 2:].any():
+            points = points[:, :2]
         iteration, points_robot = iteration[order], points[order].astype(np.float64, copy=False)
         if points_robot.shape[1] == 2:
             returned, limit_m = _returned(file, points_robot, iteration)
