@@ -194,8 +194,8 @@ def laser_scans(
 
     `path`: the log, for warnings. `ranges_m`, `bearings_rad`, list of k (b,): beams from right to
     left; a range of 0 or less, which some lasers use for errors, or of `limit_m` or more is not a
-    return; see also `no_return_m`. `T_robot_laser` (k, 3): x, y (metres) and yaw (radians) of the laser on the robot.
-    `stamps_s` (k,); `poses` (k, 4, 4): T_reference_robot.
+    return; see also `no_return_m`. `T_robot_laser` (k, 3): x, y (metres) and yaw (radians) of the
+    laser on the robot. `stamps_s` (k,); `poses` (k, 4, 4): T_reference_robot.
     """
     below = sum(int((ranges < 0).sum()) for ranges in ranges_m)
     if below:

@@ -7,25 +7,28 @@ import numpy as np
 from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 
-LEAST_SHARE = 0.75
-"""Minimum fraction of steps from point to point in the same direction of rotation. Of points in
-random order it is about one half; nearly all steps of a laser that is not at the origin agree."""
+APART = 0.5
+"""Largest distance of successive points, as a fraction of that of points half the scan apart,
+medians. In random order it is about 1; where half of the beams hit clutter it is 0.3."""
 LEAST = 50
-"""Minimum number of steps to judge by."""
+"""Minimum number of points to judge by."""
 
 
 def require_order(xy: Floats) -> None:
-    """Check that points (n, 2), robot frame, metres, are ordered by beam, in either direction.
+    """Check that points (n, 2), metres, are ordered by beam, in either direction.
 
     Raises
     ------
     RelmapError
         If they are not.
     """
-    turn = np.diff(np.arctan2(xy[:, 1], xy[:, 0]))
-    turn = np.mod(turn + np.pi, 2 * np.pi) - np.pi
-    left, right = np.sum(turn > 0), np.sum(turn < 0)
-    if left + right >= LEAST and max(left, right) < LEAST_SHARE * (left + right):
+    half = len(xy) // 2
+    if len(xy) < LEAST:
+        return
+    next_m, far_m = (
+        float(np.median(np.linalg.norm(xy[step:] - xy[:-step], axis=1))) for step in (1, half)
+    )
+    if next_m > APART * far_m:
         raise RelmapError(
             "the points of a scan are not in the order of the beams, as a 2-D laser returns them; "
             "sort those of each scan by bearing, or choose the segmenter em, which needs no order"
