@@ -73,6 +73,13 @@ def test_the_range_of_the_sensor_reaches_its_points(tmp_path: Path) -> None:
     assert "array range_m: 1, but there are points up to 9.22 m away" in near
 
 
+def test_a_log_in_which_every_z_is_zero_is_of_a_2d_laser(tmp_path: Path) -> None:
+    points = np.arange(9.0).reshape(3, 3) * [1, 1, 0]
+    log = open_scans(npz(tmp_path / "scans.npz", points=points))
+    assert log.dimension == 2
+    assert points_of(log)[0] == points[:2, :2].tolist()
+
+
 def test_scans_come_in_the_order_of_time(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     path = npz(tmp_path / "a.npz", stamps_s=np.array([3.0, 1.0, 2.0]))
     log = open_scans(path)

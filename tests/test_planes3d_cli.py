@@ -59,6 +59,19 @@ def test_result_folder_is_complete(storey: Path) -> None:
     assert summary["weak_links"] == []
 
 
+def test_clouds_in_millimetres_are_doubted(
+    storey: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with np.load(storey / "world" / "scans.npz") as log:
+        arrays = dict(log)
+    arrays.pop("range_m", None)
+    for scale in (1, 1000):
+        np.savez(tmp_path / "scans.npz", **arrays | {"points": scale * arrays["points"]})
+        made = ["-o", tmp_path / "map", "--variant", "planes3d", "--scans", "0:2"]
+        run_relmap("map", tmp_path / "scans.npz", *made)
+        assert ("coordinates must be in metres" in capsys.readouterr().err) == (scale == 1000)
+
+
 def test_a_broken_run_says_so_with_advice(
     storey: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

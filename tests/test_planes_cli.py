@@ -8,6 +8,7 @@ import re
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from relmap.datasets import open_scans
@@ -56,6 +57,21 @@ def test_an_empty_map_says_what_is_needed(
     assert "nothing is mapped: a map needs walls that are seen in at least four scans" in printed
     assert re.search(r"metres: here the farthest point is [78]\.\d* m away\n", printed)
     assert "could not be refined" not in printed
+
+
+@pytest.mark.parametrize("scale", [100, 1000])
+def test_a_log_in_other_units_is_reported(
+    building: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], scale: int
+) -> None:
+    with np.load(building / "world" / "scans.npz") as log:
+        arrays = dict(log)
+    arrays |= {name: scale * arrays[name] for name in ("points", "range_m")}
+    np.savez(tmp_path / "scans.npz", **arrays)
+    log = ["--variant", "planes", "--scans", "0:20"]
+    run_relmap("map", tmp_path / "scans.npz", "-o", tmp_path / "result", *log)
+    printed = capsys.readouterr().out
+    assert re.search(r"metres: here the farthest point is [78]\d\d+(\.\d+)? m away\n", printed)
+    assert "shorter steps" not in printed
 
 
 def test_figures_against_the_truth(building: Path) -> None:

@@ -7,6 +7,7 @@ import pytest
 
 from relmap import PlaneMapper, PlaneSegmenter
 from relmap.core.arrays import Floats
+from relmap.core.errors import RelmapError
 from relmap.evaluation.metrics import ate
 from relmap.segmentation.scanline.lines import beam_noise, scan_walls
 from relmap.simulation import simulate_building
@@ -73,3 +74,15 @@ def test_points_that_are_repeated_change_nothing() -> None:
     assert len(once.planes_.ends) > 3
     np.testing.assert_array_equal(twice.planes_.ends, once.planes_.ends)
     np.testing.assert_array_equal(twice.labels_, np.repeat(once.labels_, 2))
+
+
+@pytest.mark.parametrize("offset_m", [0.0, 40.0])
+def test_beams_must_be_in_their_order(offset_m: float) -> None:
+    """A laser may be anywhere on the robot, and turn either way."""
+    seen = building_scene(3, ONE_DEGREE, 0.01, sampling="laser").points[:, :2] + [offset_m, 0.0]
+    for ordered in (seen, seen[::-1], np.roll(seen, 70, axis=0)):
+        assert len(PlaneSegmenter().fit(ordered).planes_) > 3
+    shuffled = np.random.default_rng(0).permutation(seen)
+    with pytest.raises(RelmapError, match="not in the order of the beams"):
+        PlaneSegmenter().fit(shuffled)
+    PlaneSegmenter(method="em").fit(shuffled)

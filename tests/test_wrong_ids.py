@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -14,6 +15,7 @@ from relmap import PointMapper
 from relmap.cli.program import app
 from relmap.comparison.baselines.batch import Batch, batch_least_squares
 from relmap.core.arrays import Floats
+from relmap.core.geometry.alignment import fit_rigid
 from relmap.core.refinement import settling
 from relmap.core.refinement.equations import Laid
 from relmap.core.refinement.gauss_newton import Solution
@@ -116,6 +118,19 @@ def test_wrong_ids_do_not_move_the_robot() -> None:
     assert apart.max() < 0.3
 
 
+def test_scans_of_few_landmarks_with_wrong_ids_have_no_pose() -> None:
+    """Two observations that contradict each other by 40 m gave a pose between them."""
+    spec = WorldSpec(kind="streets", length_m=500.0, iterations=300, wrong_ids=0.2, seed=1201)
+    streets = simulate_world(spec)
+    mapper = driven(streets.log)
+    mapper.refine()
+    there = np.isfinite(mapper.trajectory).all(axis=(1, 2))
+    assert there.sum() >= 295
+    path, truth = mapper.trajectory[there, :3, 3], streets.trajectory[there, :3, 3]
+    R, t = fit_rigid(path, truth)
+    assert np.linalg.norm(path @ R.T + t - truth, axis=1).max() < 0.2
+
+
 def ruined(problem: object, state: Laid, *_: object, **__: object) -> Solution[Laid]:
     positions = state.positions
     positions = positions + np.random.default_rng(0).normal(0, 5.0, positions.shape)
@@ -145,3 +160,21 @@ def test_the_command_line_reports_that_refinement_did_not_converge(
     monkeypatch.setattr(settling, "gauss_newton", ruined)
     assert "WARNING: the refinement did not converge" in run.invoke(app, mapping).stdout
     assert not json.loads((tmp_path / "r/summary.json").read_text())["refinement"]["converged"]
+
+
+def test_the_command_line_reports_that_observations_contradict_the_map(tmp_path: Path) -> None:
+    """The ids are the numbers of the detections in their scan, which name no landmark."""
+    log, run = tmp_path / "e", CliRunner()
+    world = ["--kind", "field", "--length", "100", "--iterations", "60", "--seed", "1100"]
+    assert run.invoke(app, ["simulate", "world", *world, "-o", str(log)]).exit_code == 0
+    mapping = ["map", str(log / "observations.csv"), "-o", str(tmp_path / "r")]
+    mapping += ["--association", "known"]
+    assert "contradict" not in run.invoke(app, mapping).output
+    header, *rows = (log / "observations.csv").read_text().splitlines()
+    seen: Counter[str] = Counter()
+    for k, row in enumerate(rows):
+        iteration, x, y, _ = row.split(",")
+        rows[k] = f"{iteration},{x},{y},{seen[iteration]}"
+        seen[iteration] += 1
+    (log / "observations.csv").write_text("\n".join([header, *rows]))
+    assert "WARNING: the observations contradict the map" in run.invoke(app, mapping).stdout

@@ -13,7 +13,11 @@ from relmap.cli.job import Job
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from relmap.datasets.scans import ScanLog
     from relmap.evaluation.space_run import SpaceResult
+
+BEYOND_M = 300.0
+"""Median range of a cloud that no lidar or depth camera has."""
 
 
 def report_space(job: Job, voxel_m: float | None) -> None:
@@ -34,6 +38,7 @@ def report_space(job: Job, voxel_m: float | None) -> None:
     with busy("reading"):
         log = read_log(job.source, "planes", job.log_format, job.interval)
     assert isinstance(log, ScanLog)
+    _doubt_unit(log)
     about = {
         "input": str(job.source),
         "format": job.log_format or recognised_format(job.source, "planes"),
@@ -50,6 +55,22 @@ def report_space(job: Job, voxel_m: float | None) -> None:
     typer.echo(_message(job, result, n_files))
     if result.summary["interrupted"]:
         raise typer.Exit(INTERRUPTED)
+
+
+def _doubt_unit(log: ScanLog) -> None:
+    """Warn of coordinates that are hardly in metres: the map would be as good, in their unit."""
+    import numpy as np
+
+    first = next(
+        (scan.points_robot for scan in log.scans() if len(scan.points_robot)), np.zeros((1, 3))
+    )
+    middle_m = float(np.median(np.linalg.norm(first, axis=1)))
+    if middle_m > BEYOND_M:
+        typer.echo(
+            f"relmap: half of the points of a cloud are more than {middle_m:.0f} m away: "
+            "coordinates must be in metres",
+            err=True,
+        )
 
 
 def _write(folder: Path, result: SpaceResult) -> None:

@@ -19,6 +19,10 @@ OFTEN = 10
 """Observations that make a landmark worth mapping."""
 WHOLE = 0.9
 """Minimum fraction of the scans in the largest submap of an unbroken run."""
+CONTRADICTED = 0.1
+"""Noise, as a fraction of the distance of the landmarks, that no sensor of landmarks has."""
+BEYOND_M = 300.0
+"""More than the range of 2-D lasers: if such a run breaks, its coordinates are hardly in metres."""
 NOTHING = (
     "; nothing is mapped: a map needs landmarks that are seen together in at least four scans, "
     "three in the plane and four in space"
@@ -43,7 +47,7 @@ def report(job: Job) -> None:
         message += (
             f"{counts['planes_static']} walls with {counts['corners_static']} corners mapped in "
             f"{iterations} iterations, {each(timing['scan_median_ms'])}{took}{hanging}"
-            f"{torn(summary) if counts['planes_static'] else bare(run.result) + advice(summary)}"
+            f"{(torn if counts['planes_static'] else bare)(summary, farthest(run.result))}"
         )
     else:
         message += (
@@ -51,7 +55,7 @@ def report(job: Job) -> None:
             f"{counts['observations']} observations in {iterations} iterations, "
             f"{each(timing['median_ms'])}{took}{untied(len(run.result.submaps) - 1)}"
             f"{'' if counts['mapped'] else NOTHING}{doubted(summary['association_trust'])}{hanging}"
-            f"{unconverged(summary['refinement'])}"
+            f"{doubtful(summary['refinement'])}"
         )
     typer.echo(message)
     if job.onto and job.association == "nearest" and summary["tied_at"] is None:
@@ -81,7 +85,7 @@ def each(median_ms: float | None) -> str:
     return f"median {value:.{digits}f} {unit} each"
 
 
-def torn(summary: dict[str, Any]) -> str:
+def torn(summary: dict[str, Any], farthest_m: float) -> str:
     """Return the submaps of a broken run of walls, and its weak links: the end of a message."""
     submaps = summary["submaps"]
     failed = sum(not submap["refined"] for submap in submaps) if summary["refined"] else 0
@@ -95,20 +99,24 @@ def torn(summary: dict[str, Any]) -> str:
         message += (
             f"; links with unmeasured length, for which constant motion was assumed: {len(weak)}"
         )
-    return message + advice(summary)
+    return message + advice(summary, farthest_m)
 
 
-def bare(result: Result) -> str:
-    """Return that no wall is mapped, and the range of the scans, as part of a message."""
+def bare(summary: dict[str, Any], farthest_m: float) -> str:
+    """Return that no wall is mapped, and the range of the scans: the end of a message."""
+    return (
+        "; nothing is mapped: a map needs walls that are seen in at least four scans, and "
+        f"coordinates in metres: here the farthest point is {round(farthest_m, 2):.9g} m away"
+    ) + (advice(summary) if farthest_m <= BEYOND_M else "")
+
+
+def farthest(result: Result) -> float:
+    """Return the distance of the farthest point of the scans of walls, metres."""
     import numpy as np
 
     first = cast("PlaneResult", result).drawn[0]
     from_scan = first.points - first.poses[first.point_scan, :2, 3]
-    farthest_m = np.hypot(*from_scan.T).max(initial=0.0)
-    return (
-        "; nothing is mapped: a map needs walls that are seen in at least four scans, "
-        f"and coordinates in metres: here the farthest point is {farthest_m:.4g} m away"
-    )
+    return float(np.hypot(*from_scan.T).max(initial=0.0))
 
 
 def broken(submaps: list[dict[str, Any]]) -> str:
@@ -122,12 +130,14 @@ def broken(submaps: list[dict[str, Any]]) -> str:
     )
 
 
-def advice(summary: dict[str, Any]) -> str:
+def advice(summary: dict[str, Any], farthest_m: float = 0.0) -> str:
     """Return advice for a run that broke into submaps, as the end of a message."""
     scans = [submap["scans"] for submap in summary["submaps"]]
     steps = summary["steps"]
     if len(scans) < 2 or scans[0] >= WHOLE * sum(scans) or steps["median_m"] is None:
         return ""
+    if farthest_m > BEYOND_M:
+        return f". Coordinates must be metres: here the farthest point is {farthest_m:.0f} m away"
     view_deg = steps["view_deg"]
     view = "" if view_deg is None else f" (here {view_deg:.0f} degrees)"
     return (
@@ -171,9 +181,18 @@ def untied(submaps: int) -> str:
     return f"; {submaps} submap{'s' if submaps > 1 else ''} could not be connected to the map"
 
 
-def unconverged(refinement: dict[str, Any] | None) -> str:
-    """Return a warning that a refinement did not converge, as a line after a message."""
-    if refinement is None or refinement["converged"]:
+def doubtful(refinement: dict[str, Any] | None) -> str:
+    """Return a warning that the refined map may be wrong, as a line after a message."""
+    if refinement is None:
+        return ""
+    noise_m, range_m = refinement["noise_m"], refinement["median_range_m"]
+    if noise_m > CONTRADICTED * range_m:
+        return (
+            f"\nWARNING: the observations contradict the map by {noise_m:.2g} m (standard "
+            f"deviation), at distances of {range_m:.2g} m in the median, so it is probably wrong; "
+            "check the ids, or map without them"
+        )
+    if refinement["converged"]:
         return ""
     return (
         "\nWARNING: the refinement did not converge, so the map is the best one found and may be "

@@ -14,6 +14,7 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.brief import Brief
 from relmap.core.errors import RelmapError
 from relmap.datasets.base import common_range
+from relmap.datasets.no_return import no_return_m
 from relmap.datasets.textfile import shown
 
 MAX_BEAMS, MAX_SCANS = 1 << 24, 1 << 18
@@ -193,12 +194,14 @@ def laser_scans(
 
     `path`: the log, for warnings. `ranges_m`, `bearings_rad`, list of k (b,): beams from right to
     left; a range of 0 or less, which some lasers use for errors, or of `limit_m` or more is not a
-    return. `T_robot_laser` (k, 3): x, y (metres) and yaw (radians) of the laser on the robot.
-    `stamps_s` (k,); `poses` (k, 4, 4): T_reference_robot.
+    return; see also `no_return_m`. `T_robot_laser` (k, 3): x, y (metres) and yaw (radians) of the
+    laser on the robot. `stamps_s` (k,); `poses` (k, 4, 4): T_reference_robot.
     """
     below = sum(int((ranges < 0).sum()) for ranges in ranges_m)
     if below:
         _LOG.warning("%s: %d ranges below 0 are treated as no return", shown(path), below)
+    below_limit = [np.where(ranges < limit_m, ranges, 0.0) for ranges in ranges_m]
+    limit_m = min(limit_m, no_return_m(path, below_limit, bearings_rad))
     returned = [(ranges > 0) & (ranges < limit_m) for ranges in ranges_m]
     counts = [int(beams.sum()) for beams in returned]
     offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)

@@ -1,10 +1,10 @@
 """The project's own log of point scans: ``scans.npz``.
 
-``points`` (n, 3) or, of a 2-D laser, (n, 2): metres, in the frame of the sensor, which serves as
-the robot frame. ``iteration`` (n,): the scan of each point, from 0; the points of a scan keep their
-order. ``stamps_s`` (iterations,): the time of every scan, seconds, ascending; a scan without points
-is empty. ``view_rad`` and ``range_m`` (optional numbers): the sensor's horizontal field of view and
-range.
+``points`` (n, 3) or, of a 2-D laser, (n, 2), also with a third column of zeros: metres, in the
+frame of the sensor, which serves as the robot frame. ``iteration`` (n,): the scan of each point,
+from 0; the points of a scan keep their order. ``stamps_s`` (iterations,): the time of every scan,
+seconds, ascending; a scan without points is empty. ``view_rad`` and ``range_m`` (optional numbers):
+the sensor's horizontal field of view and range.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
 from relmap.datasets.foreign import ZIP, foreign_at
 from relmap.datasets.headers import file_in
+from relmap.datasets.no_return import no_return_m
 from relmap.datasets.npz import DAMAGE, read_array
 from relmap.datasets.scans import ScanLog, SensorView, in_time_order, stored_scans
 from relmap.datasets.textfile import quoted, replacing, require_path, shown, unreadable
@@ -71,10 +72,24 @@ class ScansNpz:
         in_time, stamps_s = in_time_order(file, stamps_s.astype(np.float64))
         iteration = np.argsort(in_time)[iteration]
         order = np.argsort(iteration, kind="stable")
-        offsets = np.searchsorted(iteration[order], np.arange(len(stamps_s) + 1))
-        points_robot = points[order].astype(np.float64, copy=False)
+        if not points[:, 2:].any():
+            points = points[:, :2]
+        iteration, points_robot = iteration[order], points[order].astype(np.float64, copy=False)
+        if points_robot.shape[1] == 2:
+            returned, limit_m = _returned(file, points_robot, iteration)
+            iteration, points_robot = iteration[returned], points_robot[returned]
+            limits = {"range_m": limit_m, **limits} if np.isfinite(limit_m) else limits
+        offsets = np.searchsorted(iteration, np.arange(len(stamps_s) + 1))
         sensor = SensorView(**limits)
         return stored_scans(points_robot, offsets.astype(np.int64), stamps_s, sensor=sensor)
+
+
+def _returned(file: Path, points: Floats, iteration: NDArray[Any]) -> tuple[Bools, float]:
+    """Return which beams, points (n, 2), returned, and the range of those that did not."""
+    range_m, bearing = np.hypot(*points.T), np.arctan2(points[:, 1], points[:, 0])
+    bounds = np.flatnonzero(np.diff(iteration)) + 1
+    limit_m = no_return_m(file, np.split(range_m, bounds), np.split(bearing, bounds))
+    return range_m < limit_m, limit_m
 
 
 def write_scans_npz(
@@ -196,7 +211,12 @@ def _check_values(file: Path, arrays: dict[str, NDArray[Any]]) -> None:
     near = (np.abs(points) <= MAX_COORDINATE_M).all(axis=1)
     there = (iteration >= 0) & (iteration <= last)
     each_its_own = "expected seconds, a different time for each scan"
-    _require(file, "points", near, "is not finite or out of range, expected metres")
+    _require(
+        file,
+        "points",
+        near,
+        "is not finite or out of range, expected metres; leave out beams without a return",
+    )
     _require(file, "iteration", there, f"is not a scan, expected 0 to {last}")
     _require(file, "stamps_s", later, f"is not a later time, {each_its_own}")
 

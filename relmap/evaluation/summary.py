@@ -64,6 +64,9 @@ def summary_of(
         view_rad = log.sensor.view_rad if isinstance(log, ScanLog) else None
         steps = steps_of([submap.poses for submap in mapper.submaps], view_rad)
         return summary | {"weak_links": weak, "steps": steps}
+    if summary["refinement"] is not None:
+        away_m = np.linalg.norm(mapper.engine.rows.points, axis=1)
+        summary["refinement"]["median_range_m"] = float(np.median(away_m))
     summary["rejected_iterations"] = ends_of(mapper.rejected + offset, "iterations")
     summary["rejected_observations"] = ends_of(_rejected_rows(mapper, log, offset), "rows")
     return summary

@@ -14,6 +14,7 @@ from relmap.segmentation.em.mixture import WallMixture, scan_area
 from relmap.segmentation.ends.corners import Sharpened, meet, sharpen
 from relmap.segmentation.ends.end_types import sensor_limits, type_ends
 from relmap.segmentation.planes import Planes, make_planes
+from relmap.segmentation.scanline.order import require_order
 from relmap.segmentation.upright import require_upright
 from relmap.segmentation.wall import BEGIN, END, EXACT_M, SHARE, UX, UY, WALL
 
@@ -25,7 +26,7 @@ FARTHEST_M = 1e9
 """Larger than the range of any sensor; squares of much larger numbers overflow."""
 DEFAULTS = {"method": None, "noise": None, "random_state": 0, "view_rad": None, "range_m": None}
 CHECKED = 5
-"""Number of first scans in space that are checked for upright surfaces."""
+"""Number of first scans that are checked for upright surfaces, or for the order of the beams."""
 
 
 class PlaneSegmenter:
@@ -136,7 +137,8 @@ class PlaneSegmenter:
     def fit(self, points: ArrayLike, y: object = None) -> Self:
         """Segment one scan.
 
-        The first five scans in space are checked for surfaces that are not upright.
+        The first five scans are checked: in space for surfaces that are not upright, with
+        "scanlines" for the order of the beams.
 
         Parameters
         ----------
@@ -149,14 +151,17 @@ class PlaneSegmenter:
         ------
         RelmapError
             If a parameter or the shape is wrong, a coordinate is not finite, or the scan has too
-            many surfaces that are not upright, such as floors.
+            many surfaces that are not upright, such as floors, or beams in no order.
         """
         xyz = _as_points(points)
         method = self._validated(xyz.shape[1])
-        if xyz.shape[1] == 3 and len(xyz) and method not in SPATIAL and self._checked < CHECKED:
-            require_upright(xyz)
-            self._checked += 1
         xy = np.ascontiguousarray(xyz[:, :2])
+        if len(xyz) and self._checked < CHECKED:
+            self._checked += 1
+            if xyz.shape[1] == 3 and method not in SPATIAL:
+                require_upright(xyz)
+            if method == "scanlines":
+                require_order(xy)
         if len(xy) < 2 or not np.ptp(xy, axis=0).any():
             sharp = meet(_no_walls(self.noise), max(len(xy), 1))
             labels = np.full(len(xy), -1)

@@ -8,6 +8,9 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.robust import fit_robust_each
 from relmap.core.refinement.condensing import LENGTH, NOWHERE, SegmentRows
 
+ABSURD = 0.01
+"""Weight of an observation ten times as far off as the least outlier: it has no part in a pose."""
+
 
 def trajectory(rows: SegmentRows, positions_map: Floats, of: Ints) -> Floats:
     """Return the pose in every iteration (sections I and III).
@@ -20,7 +23,7 @@ def trajectory(rows: SegmentRows, positions_map: Floats, of: Ints) -> Floats:
     `rows`: rows of all iterations; `positions_map` (m, d), map frame, metres: NaN for unmapped
     landmarks; `of` (m,): the landmark that each number stands for, after merging. Returns
     (n_iterations, 4, 4): ``T_map_robot``; NaN if the mapped landmarks in view do not determine a
-    pose.
+    pose, or contradict each other.
     """
     n, d = len(rows.iteration_segment), rows.points.shape[1]
     poses = np.full((n, 4, 4), np.nan)
@@ -32,7 +35,9 @@ def trajectory(rows: SegmentRows, positions_map: Floats, of: Ints) -> Floats:
     row, bit = np.nonzero(seen)
     row = np.flatnonzero(mapped)[row]
     at = rows.first_iteration[rows.segment[row]] + bit
-    R, t, fixed, _ = fit_robust_each(rows.points[row], there[row], np.ones(len(row)), at, n)
+    ones = np.ones(len(row))
+    R, t, fixed, weight = fit_robust_each(rows.points[row], there[row], ones, at, n)
+    fixed &= np.bincount(at[weight > ABSURD], minlength=n) >= d
     fixed &= rows.iteration_segment != NOWHERE
     poses[fixed] = np.eye(4)
     poses[fixed, :d, :d] = R[fixed] @ rows.R[fixed]

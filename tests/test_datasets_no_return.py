@@ -1,0 +1,55 @@
+"""Beams without a return that a log gives the largest range."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from relmap.core.arrays import Floats
+from relmap.datasets import ScanLog, open_scans
+from tests.logs import put
+from tests.scanlogs import npz
+
+BEARINGS = np.deg2rad(np.arange(-90.0, 90.0))
+REACH_M = 5.0
+
+
+def hall(step: int) -> Floats:
+    """Return the ranges, rounded to 0.01 m, in a hall of 4 by 9 m, 0.1 m a scan."""
+    with np.errstate(divide="ignore"):
+        sides = 2 / np.abs(np.sin(BEARINGS))
+        ahead = (9 - 0.1 * step) / np.cos(BEARINGS)
+    return np.asarray(np.minimum(sides, ahead).round(2))
+
+
+def scans_npz(folder: Path, ranges_m: list[Floats]) -> ScanLog:
+    points = [(r * [np.cos(BEARINGS), np.sin(BEARINGS)]).T for r in ranges_m]
+    iteration = np.repeat(np.arange(len(points)), [len(scan) for scan in points])
+    arrays = {"points": np.concatenate(points), "iteration": iteration}
+    return open_scans(npz(folder / "scans.npz", **arrays, stamps_s=np.arange(len(points)) + 1.0))
+
+
+def carmen_log(folder: Path, ranges_m: list[Floats]) -> ScanLog:
+    lines = (
+        f"FLASER 180 {' '.join(map(str, r))} 0 0 0 0 0 0 {k + 1} host 0"
+        for k, r in enumerate(ranges_m)
+    )
+    return open_scans(put(folder, "\n".join(lines), "a.log"))
+
+
+@pytest.mark.parametrize("written", [scans_npz, carmen_log])
+def test_beams_at_the_largest_range_did_not_return(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, written: object
+) -> None:
+    assert callable(written)
+    true = [hall(step) for step in range(10)]
+    assert [len(scan.points_robot) for scan in written(tmp_path, true).scans()] == 10 * [180]
+    assert not caplog.messages
+    log = written(tmp_path, [np.minimum(ranges, REACH_M) for ranges in true])
+    for scan, ranges in zip(log.scans(), true, strict=True):
+        assert len(scan.points_robot) == np.sum(ranges < REACH_M) < 140
+    assert log.sensor.range_m == pytest.approx(REACH_M, rel=1e-3)
+    (message,) = caplog.messages
+    assert message.endswith("end at the largest range, 5 m, and are treated as no return")
