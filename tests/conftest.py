@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 from collections.abc import Iterator
+from contextlib import chdir
 from pathlib import Path
 
 import pytest
@@ -81,17 +83,26 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("datasets")
 
 
-@pytest.fixture
-def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder with a log, a truth and a result; the working directory."""
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "log.csv").write_text(GOOD)
-    (tmp_path / "truth").mkdir()
-    (tmp_path / "truth" / "landmarks.csv").write_text(
+@pytest.fixture(scope="session")
+def placed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with a log, a truth and a result, which `place` copies."""
+    folder = tmp_path_factory.mktemp("placed")
+    (folder / "log.csv").write_text(GOOD)
+    (folder / "truth").mkdir()
+    (folder / "truth" / "landmarks.csv").write_text(
         "landmark,x,y,z,status\n0,1,0,0,static\n1,0,2,0,static\n2,0,0,3,static\n"
     )
-    assert main(["map", "log.csv", "-o", "out"]) == 0
-    assert main(["evaluate", "out", "--truth", "truth"]) == 0
+    with chdir(folder):
+        assert main(["map", "log.csv", "-o", "out"]) == 0
+        assert main(["evaluate", "out", "--truth", "truth"]) == 0
+    return folder
+
+
+@pytest.fixture
+def place(placed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with a log, a truth and a result; the working directory."""
+    shutil.copytree(placed, tmp_path, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
     return tmp_path
 
 
