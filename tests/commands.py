@@ -7,9 +7,13 @@ import gzip
 import json
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from io import BytesIO
 from pathlib import Path
 from typing import Any
+
+import pytest
 
 from relmap.cli import main
 
@@ -46,6 +50,24 @@ def run_process(command: Sequence[str], **more: Any) -> subprocess.CompletedProc
 def run_relmap(*arguments: object) -> None:
     """Run `relmap` in this process; it must succeed."""
     assert main([str(argument) for argument in arguments]) == 0
+
+
+@contextmanager
+def unrendered() -> Iterator[None]:
+    """Draw pictures as always, but let matplotlib, which takes half a second, write them as a dot.
+
+    It is for tests that look at no picture.
+    """
+    from matplotlib.figure import Figure
+    from PIL import Image
+
+    def write_dot(_: Figure, file: BytesIO, **__: object) -> None:
+        Image.new("L", (1, 1)).save(file, "PNG")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Figure, "savefig", write_dot)
+        patch.setattr(Figure, "draw_without_rendering", lambda _: None)
+        yield
 
 
 def names(folder: Path) -> list[str]:

@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, settings
 
 import relmap
 from relmap.cli import console, main
-from tests.commands import GOOD, Check, snapshot
+from tests.commands import GOOD, Check, snapshot, unrendered
 from tests.everyformat import WALLS, Mapped, write_points, write_walls
 
 os.environ["MPLBACKEND"] = "Agg"
@@ -77,6 +77,13 @@ def child_env() -> dict[str, str]:
     return kept | {"PYTHONPATH": str(Path(relmap.__file__).resolve().parents[1])}
 
 
+@pytest.fixture(scope="module", name="unrendered")
+def unrendered_module() -> Iterator[None]:
+    """Leave the pictures of all tests of a module unrendered."""
+    with unrendered():
+        yield
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder that all examples of a property use, one after the other."""
@@ -92,7 +99,7 @@ def placed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "truth" / "landmarks.csv").write_text(
         "landmark,x,y,z,status\n0,1,0,0,static\n1,0,2,0,static\n2,0,0,3,static\n"
     )
-    with chdir(folder):
+    with chdir(folder), unrendered():
         assert main(["map", "log.csv", "-o", "out"]) == 0
         assert main(["evaluate", "out", "--truth", "truth"]) == 0
     return folder
@@ -145,7 +152,8 @@ def mapped(logs: Path) -> Mapped:
             walls = source in [name for _, name in WALLS]
             out = logs / "results" / str(len(done))
             variant = ["--variant", "planes"] if walls else []
-            assert main(["map", str(logs / source), "-o", str(out), *variant]) == 0
+            with unrendered():
+                assert main(["map", str(logs / source), "-o", str(out), *variant]) == 0
             done[source] = out
         return done[source]
 

@@ -23,6 +23,8 @@ from relmap.planes.table import PlaneTable
 from relmap.planes.wall_tie import wall_ties
 from tests.commands import load, run_relmap, table
 
+pytestmark = pytest.mark.usefixtures("unrendered")
+
 seeds = st.integers(0, 2**32 - 1)
 
 
