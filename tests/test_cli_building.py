@@ -15,8 +15,6 @@ from relmap.plots.planes import plot_building
 from relmap.simulation import simulate_building
 from tests.commands import Check, names, snapshot, table
 
-pytestmark = pytest.mark.usefixtures("unrendered")
-
 OPTIONS = ["--points", "200", "--iterations", "40", "--seed", "3"]
 
 
