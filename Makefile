@@ -30,8 +30,10 @@ help:
 demo: $(DEMO_VENV)/.ready
 	@$(DEMO_VENV)/bin/relmap demo -o demo
 
-# pytest comes last, so that its closing line is the last one printed.
-test: lint types
+# Compiling takes one core as long as mypy the other. pytest comes last, so that its closing line is
+# the last one printed.
+test: $(TEST_VENV)/.ready
+	@$(MAKE) --no-print-directory -j lint types $(TEST_VENV)/.compiled
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(TEST_VENV)/bin/python -m pytest \
 		-n $(WORKERS) --maxprocesses 4 --dist worksteal $(ARGS)
 
@@ -51,6 +53,10 @@ lint: $(TEST_VENV)/.ready
 
 types: $(TEST_VENV)/.ready
 	@$(TEST_VENV)/bin/python -m mypy
+
+$(TEST_VENV)/.compiled: $(TEST_VENV)/.ready $(SOURCES)
+	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(TEST_VENV)/bin/python -m tests.compiling
+	@touch $@
 
 format: $(TEST_VENV)/.ready
 	@$(TEST_VENV)/bin/python -m ruff check --fix $(LINTED)

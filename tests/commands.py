@@ -7,9 +7,13 @@ import gzip
 import json
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from io import BytesIO
 from pathlib import Path
 from typing import Any
+
+import pytest
 
 from relmap.cli import main
 
@@ -46,6 +50,30 @@ def run_process(command: Sequence[str], **more: Any) -> subprocess.CompletedProc
 def run_relmap(*arguments: object) -> None:
     """Run `relmap` in this process; it must succeed."""
     assert main([str(argument) for argument in arguments]) == 0
+
+
+@contextmanager
+def unrendered() -> Iterator[None]:
+    """Draw pictures as always, but render none, which takes matplotlib half a second each.
+
+    It is for tests that look at no picture: the pixels of the files are the titles.  Animations are
+    as always.
+    """
+    from matplotlib.figure import Figure
+    from PIL import Image
+
+    render = Figure.savefig
+
+    def write_titles(figure: Figure, file: BytesIO, **how: Any) -> None:
+        if "format" in how:
+            return render(figure, file, **how)
+        titles = "".join(axes.get_title() for axes in figure.axes).encode() or b"-"
+        Image.frombytes("L", (len(titles), 1), titles).save(file, "PNG")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Figure, "savefig", write_titles)
+        patch.setattr(Figure, "draw_without_rendering", lambda _: None)
+        yield
 
 
 def names(folder: Path) -> list[str]:

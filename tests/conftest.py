@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import gc
 import os
+import shutil
 import signal
 from collections.abc import Iterator
+from contextlib import chdir
+from functools import cache
 from pathlib import Path
 
 import pytest
+import typer
 from hypothesis import HealthCheck, settings
 
 import relmap
 from relmap.cli import console, main
-from tests.commands import GOOD, Check, snapshot
+from tests.commands import GOOD, Check, snapshot, unrendered
 from tests.everyformat import WALLS, Mapped, write_points, write_walls
 
 os.environ["MPLBACKEND"] = "Agg"
@@ -34,6 +39,12 @@ for name, derandomize in (("dev", False), ("ci", True)):
 settings.load_profile(
     os.environ.get("HYPOTHESIS_PROFILE", "ci" if os.environ.get("CI") == "true" else "dev")
 )
+
+
+def pytest_collection_finish() -> None:
+    """Have the garbage collector, a tenth of the time, look at less and less often."""
+    gc.freeze()
+    gc.set_threshold(20_000, 10, 10)
 
 
 @pytest.fixture(scope="session")
@@ -68,11 +79,26 @@ def every_s() -> Iterator[float]:
         yield interval_s
 
 
+@pytest.fixture(scope="session", autouse=True)
+def commands_built_once() -> Iterator[None]:
+    """Build the parsers of the command line once: it takes longer than many a command."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(typer.main, "get_command", cache(typer.main.get_command))
+        yield
+
+
 @pytest.fixture(scope="session")
 def child_env() -> dict[str, str]:
     """Return an environment in which a subprocess imports the relmap that is under test here."""
     kept = {key: value for key, value in os.environ.items() if key != "PYTHONDONTWRITEBYTECODE"}
     return kept | {"PYTHONPATH": str(Path(relmap.__file__).resolve().parents[1])}
+
+
+@pytest.fixture(scope="module", name="unrendered")
+def unrendered_module() -> Iterator[None]:
+    """Leave the pictures of all tests of a module unrendered."""
+    with unrendered():
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -81,17 +107,26 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("datasets")
 
 
-@pytest.fixture
-def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder with a log, a truth and a result; the working directory."""
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "log.csv").write_text(GOOD)
-    (tmp_path / "truth").mkdir()
-    (tmp_path / "truth" / "landmarks.csv").write_text(
+@pytest.fixture(scope="session")
+def placed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with a log, a truth and a result, which `place` copies."""
+    folder = tmp_path_factory.mktemp("placed")
+    (folder / "log.csv").write_text(GOOD)
+    (folder / "truth").mkdir()
+    (folder / "truth" / "landmarks.csv").write_text(
         "landmark,x,y,z,status\n0,1,0,0,static\n1,0,2,0,static\n2,0,0,3,static\n"
     )
-    assert main(["map", "log.csv", "-o", "out"]) == 0
-    assert main(["evaluate", "out", "--truth", "truth"]) == 0
+    with chdir(folder), unrendered():
+        assert main(["map", "log.csv", "-o", "out"]) == 0
+        assert main(["evaluate", "out", "--truth", "truth"]) == 0
+    return folder
+
+
+@pytest.fixture
+def place(placed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with a log, a truth and a result; the working directory."""
+    shutil.copytree(placed, tmp_path, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
     return tmp_path
 
 
@@ -134,7 +169,8 @@ def mapped(logs: Path) -> Mapped:
             walls = source in [name for _, name in WALLS]
             out = logs / "results" / str(len(done))
             variant = ["--variant", "planes"] if walls else []
-            assert main(["map", str(logs / source), "-o", str(out), *variant]) == 0
+            with unrendered():
+                assert main(["map", str(logs / source), "-o", str(out), *variant]) == 0
             done[source] = out
         return done[source]
 

@@ -24,6 +24,7 @@ from functools import partial
 from pathlib import Path
 
 from relmap.cli import console, main
+from tests.commands import unrendered
 from tests.journals import end_after
 from tests.tracing import SPACE, traced
 
@@ -213,6 +214,7 @@ def prepare(folder: Path, names: Iterable[str]) -> None:
         Path(f"{name}.toml").write_text(SWEEP.format(seeds))
 
 
+@unrendered()
 def main_() -> int:
     parser = argparse.ArgumentParser(description="Stop every verb at its system calls.")
     parser.add_argument("--full", action="store_true", help="let calls fail instead")

@@ -20,8 +20,6 @@ from relmap.evaluation.metrics import purity as purity_of
 from relmap.simulation import simulate_figure_eight
 from tests.worlds import aligned_rmse, driven
 
-SEEDS = range(10)
-
 
 def rmse(result: LandmarkMap, ids: Ints, truth: Floats) -> float:
     row_of = {label: row for row, label in enumerate(ids.tolist())}
@@ -39,14 +37,14 @@ def share_mapped(mapper: PointMapper, log: ObservationLog) -> float:
 @pytest.mark.parametrize("density", [25, 100])
 def test_chained_groups_are_no_worse_than_frame_to_map(density: float) -> None:
     ours, theirs = [], []
-    for seed in SEEDS:
+    for seed in range(5):
         world = simulate_figure_eight(density=density, seed=seed)
         mapper = driven(world.log)
         assert share_mapped(mapper, world.log) >= 0.97
         truth = (world.landmark_ids, world.landmarks_map)
         ours.append(rmse(mapper.map, *truth))
         theirs.append(rmse(frame_to_map(world.log).map, *truth))
-    assert np.median(ours) <= np.median(theirs)
+    assert (np.array(ours) <= theirs).all()
 
 
 @pytest.mark.parametrize("noise", ["gaussian", "uniform"])
@@ -67,9 +65,11 @@ def test_mrpt_logs_are_mapped_to_a_centimetre(shared_data: Path, name: str) -> N
     assert rmse(mapper.map, ids, positions) <= 0.012
 
 
-@pytest.mark.parametrize(("density", "least"), [(25, 0.9995), (200, 0.9995), (1000, 0.999)])
-def test_tracks_are_pure_without_ids(density: float, least: float) -> None:
-    log = simulate_figure_eight(density=density, seed=0).log
+@pytest.mark.parametrize(
+    ("density", "iterations", "least"), [(25, 900, 0.9995), (200, 900, 0.9995), (1000, 300, 0.999)]
+)
+def test_tracks_are_pure_without_ids(density: float, iterations: int, least: float) -> None:
+    log = simulate_figure_eight(density=density, iterations=iterations, seed=0).log
     mapper, landmarks = map_without_ids(log)
     assert log.ids is not None
     assert purity(landmarks, log.ids) >= least
@@ -139,8 +139,8 @@ def rmse_against(reference: tuple[Ints, Floats], ids: Ints, positions: Floats) -
     return aligned_rmse(positions[known][:, :2], there[:, :2])
 
 
-def test_half_of_victoria_park_reports_its_submaps(shared_data: Path) -> None:
-    log = open_log(shared_data / "victoria-park").between(3649, 7249)
+def test_a_quarter_of_victoria_park_reports_its_submaps(shared_data: Path) -> None:
+    log = open_log(shared_data / "victoria-park").between(3649, 5449)
     mapper, landmarks = map_without_ids(log)
     assert log.ids is not None
     assert purity(landmarks, log.ids) >= 0.999

@@ -10,6 +10,8 @@ from relmap.cli import main
 from relmap.io.files import read_tum
 from tests.commands import RESULT_FILES, load, names, table
 
+pytestmark = pytest.mark.usefixtures("unrendered")
+
 LANDMARK_COLUMNS = [
     "landmark",
     "x",

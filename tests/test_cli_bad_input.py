@@ -13,6 +13,8 @@ import pytest
 from relmap.cli import main
 from tests.commands import GOOD, RELMAP, Check, run_process, shown, snapshot
 
+pytestmark = pytest.mark.usefixtures("unrendered")
+
 
 @pytest.mark.parametrize(
     ("content", "message"),

@@ -10,6 +10,8 @@ import pytest
 from tests.commands import GOOD, Check, shown
 from tests.hostile import WALLS
 
+pytestmark = pytest.mark.usefixtures("unrendered")
+
 
 @pytest.mark.parametrize(
     ("name", "content", "message"),

@@ -13,6 +13,8 @@ from relmap.io.files import read_tum
 from relmap.io.results import read_result
 from tests.commands import load
 
+pytestmark = pytest.mark.usefixtures("unrendered")
+
 PLACES = {"gate, left": (4, 2), "oak": (5, -2), "elm": (7, 1), "post": (3, -1), "bin": (8, 3)}
 HEADER = "frame;seconds;ahead;left;what;score\n"
 NAMES = "iteration=frame,stamp=seconds,x=ahead,y=left,id=what"

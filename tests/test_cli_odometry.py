@@ -10,6 +10,8 @@ import pytest
 from relmap.cli import main
 from relmap.io.journal import JournalReader
 
+pytestmark = pytest.mark.usefixtures("unrendered")
+
 LOG = "iteration,x,y\n" + "".join(
     f"{k},{x - 0.1 * k},{y}\n" for k in range(8) for x, y in ((1, 2), (3, 1), (2, -2), (4, 0))
 )

@@ -14,6 +14,8 @@ from relmap.datasets import write_observation_csv
 from relmap.simulation import simulate_figure_eight
 from tests.commands import PATIENCE_S
 
+pytestmark = pytest.mark.usefixtures("unrendered")
+
 CURSOR_BACK = "\x1b[?25h"
 """Written to a terminal when a message has ended: show the cursor again."""
 

@@ -25,6 +25,8 @@ from relmap.evaluation.feeding import Association
 from relmap.evaluation.sources import Data, EightSource, Source
 from tests.commands import GOOD, PATIENCE_S, RELMAP, Check, names, run_process, table
 
+pytestmark = pytest.mark.usefixtures("unrendered")
+
 ASSOCIATIONS: tuple[Association, ...] = ("known", "nearest")
 SHORT = ["compare", "--simulate", "figure-eight", "--iterations", "60"]
 

@@ -20,6 +20,8 @@ from relmap.datasets import ObservationLog, open_log, write_observation_csv
 from relmap.simulation.worlds import World, WorldSpec, simulate_world
 from tests.worlds import aligned_rmse, walk
 
+pytestmark = pytest.mark.usefixtures("unrendered")
+
 Array = Floats
 
 

@@ -22,6 +22,8 @@ from tests.bagfiles import KINDS, Messages, Types, file_of, write_bag
 from tests.logs import failure
 from tests.scanlogs import failure as scan_failure
 
+pytestmark = pytest.mark.usefixtures("unrendered")
+
 Poses = Floats
 LASER = checked_odometry([0.3, -0.1, 0.5])
 WAY = np.array([checked_odometry([0.2 * k, 0.01 * k, 0.05 * k]) for k in range(12)])

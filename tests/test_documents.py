@@ -18,7 +18,7 @@ import pytest
 
 import relmap
 from relmap.cli import main
-from tests.commands import run_process
+from tests.commands import run_process, unrendered
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -90,6 +90,7 @@ def in_python(text: str, names: dict[str, Any]) -> str:
     return printed.getvalue()
 
 
+@unrendered()
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
 def test_blocks_run_in_order_and_print_what_is_shown(document: Path, tmp_path: Path) -> None:
     names: dict[str, Any] = {}

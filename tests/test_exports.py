@@ -20,6 +20,8 @@ from tests.commands import snapshot, table
 from tests.everyformat import Mapped
 from tests.exported import an_l, export
 
+pytestmark = pytest.mark.usefixtures("unrendered")
+
 
 def test_dxf_is_valid_and_has_the_right_positions(mapped: Mapped, tmp_path: Path) -> None:
     ezdxf = pytest.importorskip("ezdxf")

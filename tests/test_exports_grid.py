@@ -18,6 +18,8 @@ from relmap.exports.grid import grid_of, pgm_bytes, yaml_text
 from tests.everyformat import Mapped
 from tests.exported import an_l, export, landmarks
 
+pytestmark = pytest.mark.usefixtures("unrendered")
+
 OCCUPIED, FREE, UNKNOWN = 100, 0, -1
 """Cells of an occupancy grid message."""
 

@@ -24,6 +24,8 @@ from relmap.io.results import read_result
 from relmap.simulation import simulate_figure_eight
 from tests.worlds import aligned_rmse, random_rotation
 
+pytestmark = pytest.mark.usefixtures("unrendered")
+
 WORLD = simulate_figure_eight(density=60, iterations=120, seed=5)
 LOG = WORLD.log
 AT = 60

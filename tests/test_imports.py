@@ -111,7 +111,7 @@ def test_import_takes_under_three_tenths_of_a_second(
 ) -> None:
     """Only the best of several fresh interpreters counts; the time is that of the processor."""
     code = "from time import process_time as t; begin = t(); import relmap; print(t() - begin)"
-    assert min(float(run_python(code, child_env, tmp_path)) for _ in range(RUNS)) < LIMIT_S
+    assert any(float(run_python(code, child_env, tmp_path)) < LIMIT_S for _ in range(RUNS))
 
 
 def test_public_names_take_under_half_a_second(child_env: dict[str, str], tmp_path: Path) -> None:
@@ -131,8 +131,7 @@ def test_public_names_take_under_half_a_second(child_env: dict[str, str], tmp_pa
         "from relmap import *\n"
         "print(time.process_time() - begin)\n"
     )
-    best = min(float(run_python(code, child_env, tmp_path)) for _ in range(RUNS))
-    assert best < NAMES_LIMIT_S
+    assert any(float(run_python(code, child_env, tmp_path)) < NAMES_LIMIT_S for _ in range(RUNS))
 
 
 @dataclass(frozen=True)

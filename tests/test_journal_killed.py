@@ -19,7 +19,7 @@ from relmap.io.journal.layout import POINTS
 from relmap.plots import bench as plots_bench
 from relmap.plots.bench_recorder import BenchFrame
 from relmap.simulation import simulate_building, simulate_figure_eight
-from tests.commands import PATIENCE_S, load, names, run_process, table
+from tests.commands import PATIENCE_S, load, names, run_process, table, unrendered
 from tests.journals import end_after
 
 SAME = ["landmarks.csv", "map.ply", "mapper.npz", "submaps.csv", "tracks.csv.gz", "trajectory.tum"]
@@ -48,7 +48,8 @@ def eight(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a log, and the result of mapping it without a stop."""
     folder = tmp_path_factory.mktemp("eight")
     write_observation_csv(folder / "log.csv", simulate_figure_eight(seed=3, iterations=200).log)
-    assert main(["map", str(folder / "log.csv"), "-o", str(folder / "whole")]) == 0
+    with unrendered():
+        assert main(["map", str(folder / "log.csv"), "-o", str(folder / "whole")]) == 0
     return folder
 
 
@@ -56,6 +57,7 @@ def same(result: Path, whole: Path) -> bool:
     return all((result / name).read_bytes() == (whole / name).read_bytes() for name in SAME)
 
 
+@unrendered()
 def test_relmap_resume_after_a_kill(
     eight: Path, tmp_path: Path, child_env: dict[str, str], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -94,6 +96,7 @@ def test_relmap_resume_after_a_kill(
     assert same(tmp_path / "again", eight / "whole")
 
 
+@unrendered()
 def test_relmap_resume_with_ids_and_an_interval(eight: Path, tmp_path: Path) -> None:
     log, journal = str(eight / "log.csv"), str(tmp_path / "run.journal")
     asked = ["map", log, "--association", "known", "--scans", "20:90", "--no-refine", "-o"]
@@ -145,6 +148,7 @@ def test_the_animation_of_a_resumed_run_is_whole(
     assert len(shown[0]) > 12 * 100
 
 
+@unrendered()
 def test_relmap_resume_reports_errors(
     eight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -180,6 +184,7 @@ def test_relmap_resume_reports_errors(
     assert "PointMapper.resume" in refused("resume", str(tmp_path / "own.journal"))
 
 
+@unrendered()
 def test_a_disk_that_is_full_ends_a_run_with_one_line_and_it_can_be_resumed(
     eight: Path, tmp_path: Path, child_env: dict[str, str]
 ) -> None:
@@ -204,6 +209,7 @@ def test_a_disk_that_is_full_ends_a_run_with_one_line_and_it_can_be_resumed(
     assert same(tmp_path / "out", eight / "whole")
 
 
+@unrendered()
 @pytest.mark.usefixtures("eight")  # which compiles what the child runs
 def test_ctrl_c_writes_what_was_mapped_so_far(tmp_path: Path, child_env: dict[str, str]) -> None:
     log = tmp_path / "observations.csv"

@@ -13,6 +13,8 @@ from relmap.datasets import write_scans_npz
 from relmap.segmentation.space import PatchSegmenter, level_scan, vertical
 from relmap.simulation.storey import Storey, simulate_storey
 
+pytestmark = pytest.mark.usefixtures("unrendered")
+
 
 @pytest.fixture(scope="module")
 def storey() -> Storey:

@@ -18,6 +18,8 @@ from relmap.plots.live import LiveView
 from relmap.simulation import simulate_figure_eight
 from tests.commands import PATIENCE_S
 
+pytestmark = pytest.mark.usefixtures("unrendered")
+
 
 def read_back(file: Path) -> dict[str, int]:
     """Return the number of chunks of each entity in a recording, according to `rerun`."""

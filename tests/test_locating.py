@@ -20,7 +20,7 @@ from relmap.planes.observation import checked_planes
 from relmap.points import PointMapper
 from relmap.simulation import Building, simulate_building
 from relmap.simulation.visibility import seen_walls
-from tests.commands import load
+from tests.commands import load, unrendered
 from tests.everyformat import Mapped
 
 OUTLINE = np.array([[0.0, 0.0], [5.0, 0.0], [5.0, 2.0], [2.0, 2.0], [2.0, 4.5], [0.0, 4.5]])
@@ -119,10 +119,12 @@ def part(oblique: Building, tmp_path_factory: pytest.TempPathFactory) -> Path:
     view = SensorView(oblique.sensor.view_rad, oblique.sensor.range_m)
     write_scans_npz(folder / "scans.npz", points, oblique.stamps_s, view)
     asked = ["map", str(folder / "scans.npz"), "-o", str(folder / "part"), "--variant", "planes"]
-    assert main([*asked, "--scans", "0:150"]) == 0
+    with unrendered():
+        assert main([*asked, "--scans", "0:150"]) == 0
     return folder
 
 
+@unrendered()
 def test_a_log_is_added_to_a_map_of_walls(
     part: Path, oblique: Building, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -145,6 +147,7 @@ def test_a_log_is_added_to_a_map_of_walls(
     assert old < new < 1.6 * old  # those in both are one
 
 
+@unrendered()
 def test_a_log_of_another_place_is_a_separate_submap(
     part: Path, capsys: pytest.CaptureFixture[str], logs: Path
 ) -> None:
@@ -175,6 +178,7 @@ def test_scans_are_localised_and_drawn_in_a_map_of_walls(
     assert (part / "where" / "map.png").stat().st_size > 10_000
 
 
+@unrendered()
 def test_scans_that_fit_in_several_places_are_counted(
     twins: Building, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -190,6 +194,7 @@ def test_scans_that_fit_in_several_places_are_counted(
 
 
 @pytest.mark.parametrize(("found", "warned"), [(0, False), (1, True), (2, False)])
+@unrendered()
 def test_a_map_of_places_that_look_alike_is_warned_of(
     found: int,
     warned: bool,

@@ -17,6 +17,8 @@ from relmap.io.files import read_tum
 from relmap.planes3d.files import COLUMNS
 from tests.commands import names, run_relmap
 
+pytestmark = pytest.mark.usefixtures("unrendered")
+
 FILES = [
     "landmarks.csv",
     "map.ply",

@@ -19,6 +19,8 @@ from relmap.planes.files import read_planes
 from relmap.segmentation import PlaneSegmenter
 from tests.commands import run_relmap
 
+pytestmark = pytest.mark.usefixtures("unrendered")
+
 CONTRACT = (
     "plane,x0,y0,x1,y1,z0,z1,nx,ny,nz,end0,end1,observations,first_iteration,last_iteration,status"
 )

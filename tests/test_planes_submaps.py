@@ -22,6 +22,7 @@ from relmap.planes.links import disagreement
 from relmap.planes.refinement import WallSystem
 from relmap.planes.stitching import stitched
 from relmap.simulation.visibility import seen_walls
+from tests.commands import unrendered
 from tests.test_planes import CORRIDOR, ROOM, seen_from
 
 NOTHING = SimpleNamespace(ends=np.empty((0, 2, 2)), end_type=np.empty((0, 2), dtype=str))
@@ -158,24 +159,33 @@ def test_steps_of_refinement_are_bounded() -> None:
     assert np.isfinite(state.t).all()
 
 
-@pytest.fixture(name="broken")
-def make_broken(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def broken(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A log that shows one building and then, without a way between, another."""
-    logs = []
+    folder, logs = tmp_path_factory.mktemp("broken"), []
     for seed, begin in (("3", 0), ("11", 60)):
         options = ["--points", "400", "--sigma", "0.01", "--seed", seed, "--sampling", "laser"]
         sampled = [*options, "--iterations", str(begin + 30)]
-        assert main(["simulate", "building", "-o", str(tmp_path / seed), *sampled]) == 0
-        log = dict(np.load(tmp_path / seed / "scans.npz"))
+        assert main(["simulate", "building", "-o", str(folder / seed), *sampled]) == 0
+        log = dict(np.load(folder / seed / "scans.npz"))
         kept = log["iteration"] >= begin
         logs.append((log, log["points"][kept], log["iteration"][kept] - begin))
     (log, *first), (_, *second) = logs
     log["points"] = np.concatenate([first[0], second[0]])
     log["iteration"] = np.concatenate([first[1], second[1] + 30])
     log["stamps_s"] = np.arange(60.0)
-    (tmp_path / "log").mkdir()
-    np.savez(tmp_path / "log" / "scans.npz", **log)
-    return tmp_path / "log"
+    (folder / "log").mkdir()
+    np.savez(folder / "log" / "scans.npz", **log)
+    return folder / "log"
+
+
+@pytest.fixture(scope="module")
+def result(broken: Path) -> Path:
+    """Its map."""
+    out = broken.parent / "result"
+    with unrendered():
+        assert main(["map", str(broken), "-o", str(out), "--variant", "planes"]) == 0
+    return out
 
 
 def test_files_line_and_picture_report_submaps(
@@ -210,6 +220,7 @@ def test_files_line_and_picture_report_submaps(
         assert image.size != two
 
 
+@unrendered()
 def test_no_advice_where_the_largest_submap_is_all_but_whole(
     broken: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -221,24 +232,23 @@ def test_no_advice_where_the_largest_submap_is_all_but_whole(
     assert "More overlap" not in said
 
 
-def test_corners_are_counted_alike_everywhere(broken: Path, tmp_path: Path) -> None:
+def test_corners_are_counted_alike_everywhere(result: Path) -> None:
     from relmap.plots.planes import plot_planes
 
-    out = tmp_path / "result"
-    assert main(["map", str(broken), "-o", str(out), "--variant", "planes"]) == 0
-    counts = json.loads((out / "summary.json").read_text())["counts"]
-    planes = read_planes(out)
+    counts = json.loads((result / "summary.json").read_text())["counts"]
+    planes = read_planes(result)
     mapped = planes.status == "static"
     at_ends = int((planes.corner[mapped] >= 0).sum())
     assert counts["corners_static"] == at_ends > 0
-    title = plot_planes(planes, read_tum(out / "trajectory.tum")[1]).axes[0].get_title()
+    title = plot_planes(planes, read_tum(result / "trajectory.tum")[1]).axes[0].get_title()
     assert f"{mapped.sum()} walls, {at_ends} corners" in title
 
 
-def test_the_summary_lists_weak_links_of_the_largest_submap(broken: Path, tmp_path: Path) -> None:
-    out = tmp_path / "result"
-    assert main(["map", str(broken), "-o", str(out), "--variant", "planes"]) == 0
-    summary = json.loads((out / "summary.json").read_text())
+@unrendered()
+def test_the_summary_lists_weak_links_of_the_largest_submap(
+    broken: Path, result: Path, tmp_path: Path
+) -> None:
+    summary = json.loads((result / "summary.json").read_text())
     weak, spans = summary["refinement"], [each["iterations"] for each in summary["submaps"]]
     assert all(each["refined"] for each in summary["submaps"])
     assert weak["segments"] >= 3
@@ -247,14 +257,13 @@ def test_the_summary_lists_weak_links_of_the_largest_submap(broken: Path, tmp_pa
     assert residuals == sorted(residuals, reverse=True)
     (begin, end), *_ = [span for span in spans if span[0] == weak["anchor_iteration"]]
     assert all(begin <= each["first_iteration"] <= end for each in weak["weakest_segments"])
-    assert main(["map", str(broken), "-o", str(out), "--variant", "planes", "--no-refine"]) == 0
-    assert json.loads((out / "summary.json").read_text())["refinement"] is None
+    out = ["-o", str(tmp_path), "--variant", "planes"]
+    assert main(["map", str(broken), *out, "--no-refine"]) == 0
+    assert json.loads((tmp_path / "summary.json").read_text())["refinement"] is None
 
 
-def test_time_is_reported_in_whole_and_readable(broken: Path, tmp_path: Path) -> None:
-    out = tmp_path / "result"
-    assert main(["map", str(broken), "-o", str(out), "--variant", "planes"]) == 0
-    timing = json.loads((out / "summary.json").read_text())["timing"]
+def test_time_is_reported_in_whole_and_readable(result: Path) -> None:
+    timing = json.loads((result / "summary.json").read_text())["timing"]
     assert 0.0 < timing["segmentation_share"] < 1.0
     assert timing["scan_median_ms"] >= max(timing["median_ms"], timing["segmentation_median_ms"])
     assert each(102.3) == "median 102 ms each"
@@ -262,6 +271,7 @@ def test_time_is_reported_in_whole_and_readable(broken: Path, tmp_path: Path) ->
     assert each(0.256) == "median 0.26 ms each"
 
 
+@unrendered()
 def test_resuming_a_finished_run_writes_what_the_run_wrote(
     broken: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -19,6 +19,8 @@ from tests.browser import Page, browser, found
 from tests.commands import load, table
 from tests.everyformat import Mapped
 
+pytestmark = pytest.mark.usefixtures("unrendered")
+
 MOST_BYTES = 1_000_000
 
 

@@ -16,6 +16,8 @@ from tests.commands import load, table
 from tests.savedmaps import saved_map, told
 from tests.worlds import walk
 
+pytestmark = pytest.mark.usefixtures("unrendered")
+
 
 def ended(mapper: Any) -> tuple[bytes, ...]:
     mapper.finish()

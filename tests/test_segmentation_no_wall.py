@@ -9,7 +9,7 @@ from relmap import PlaneSegmenter
 from relmap.core.arrays import Floats
 from relmap.segmentation.planes import Planes
 from relmap.segmentation.scanline.lines import scan_walls
-from tests.test_planes_closing import refined_error_m, refined_errors_m
+from tests.test_planes_closing import refined_error_m
 
 NOISE_M = 0.01
 BEARING = np.deg2rad(np.arange(-60.0, 60.25, 0.5))
@@ -37,13 +37,9 @@ def test_clutter_hardly_parts_a_wall(seed: int) -> None:
     assert mixture.sigma == pytest.approx(NOISE_M, rel=0.4)
 
 
-def test_clutter_does_not_break_a_map() -> None:
+def test_clutter_does_not_break_or_mislead_a_map() -> None:
     """A fifth of the beams meet clutter: taken for walls, it broke maps or put them off by 1 m."""
-    assert len(refined_errors_m(step_m=0.1, clutter=0.2, seed=2)) == 1
-
-
-def test_clutter_does_not_mislead_a_map() -> None:
-    assert max(refined_errors_m(step_m=0.1, clutter=0.2, seed=2)) < 0.02
+    assert refined_error_m(step_m=0.1, clutter=0.2, seed=2) < 0.02
 
 
 def planes_of(ranges: Floats) -> Planes:

@@ -16,6 +16,8 @@ from relmap.io.files import read_tum
 from relmap.simulation import simulate_building, simulate_figure_eight
 from tests.journals import changed
 
+pytestmark = pytest.mark.usefixtures("unrendered")
+
 BEGAN_S, N = 1.7e9, 20
 AnyKind = type[PointMapper] | type[PlaneMapper]
 

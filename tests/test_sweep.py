@@ -28,6 +28,8 @@ from relmap.comparison.sweep_spec import KEYS, Cell, cells_of, varying
 from relmap.core.errors import RelmapError
 from tests.commands import PATIENCE_S, Check, names, table
 
+pytestmark = pytest.mark.usefixtures("unrendered")
+
 SPEC = """
 method = ["relmap-points-live", "frame-to-map"]
 sigma = [0.05, 0.1]

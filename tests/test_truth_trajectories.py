@@ -18,6 +18,8 @@ from tests.commands import table
 from tests.logs import put
 from tests.scanlogs import CORRECTED
 
+pytestmark = pytest.mark.usefixtures("unrendered")
+
 POSES = simulate_figure_eight(density=1, iterations=20).trajectory
 
 

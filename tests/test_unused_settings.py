@@ -13,6 +13,8 @@ from relmap.cli import main
 from relmap.simulation import building_scene
 from tests.commands import load
 
+pytestmark = pytest.mark.usefixtures("unrendered")
+
 COMMON: dict[str, object] = {
     "group_after": 10,
     "second_pass": 3,

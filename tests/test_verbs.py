@@ -29,6 +29,8 @@ from relmap.simulation import simulate_figure_eight
 from tests.commands import RESULT_FILES, load, names, table
 from tests.everyformat import LASER_AHEAD_M, POINTS, WALLS, Mapped
 
+pytestmark = pytest.mark.usefixtures("unrendered")
+
 SAMPLING = {"glass": "laser"}
 PATH, PLACES = ("ate_m", "rpe_m"), ("landmark_rmse_m", "coverage", "landmarks_per_true", "purity")
 CORNERS = ("corner_rmse_m", "coverage")

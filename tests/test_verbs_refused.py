@@ -10,6 +10,8 @@ import pytest
 from relmap.cli import main
 from tests.everyformat import Mapped
 
+pytestmark = pytest.mark.usefixtures("unrendered")
+
 VERBS = [
     (["map", "{}", "-o", "out"], ["csv", "csv/observations.csv"]),
     (["map", "{}", "-o", "out", "--variant", "planes"], ["npz"]),
