@@ -30,7 +30,7 @@ RESULT_FILES = [
 ]
 PATIENCE_S = 1800.0
 """Time limit: a process that takes longer, even on a busy machine, hangs."""
-RELMAP = [sys.executable, "-m", "relmap.cli"]
+RELMAP = [sys.executable, "-m", "relmap"]
 GOOD = "iteration,x,y,z\n" + "".join(
     f"{k},{x - 0.1 * k!r},{y!r},{z!r}\n"
     for k in range(12)

@@ -152,7 +152,8 @@ def modules_of(root: Path) -> dict[str, Path]:
 
 def part_of(module: str) -> str:
     """Return which part of relmap (``core``, ``points``, ...) a module is in."""
-    return module.split(".")[1] if "." in module else ROOT
+    part = module.split(".")[1] if "." in module else ROOT
+    return "cli" if part == "__main__" else part
 
 
 def names_imported(node: ast.stmt, package: str) -> list[str]:
