@@ -82,7 +82,18 @@ def test_beams_must_be_in_their_order(offset_m: float) -> None:
     seen = building_scene(3, ONE_DEGREE, 0.01, sampling="laser").points[:, :2] + [offset_m, 0.0]
     for ordered in (seen, seen[::-1], np.roll(seen, 70, axis=0)):
         assert len(PlaneSegmenter().fit(ordered).planes_) > 3
-    shuffled = np.random.default_rng(0).permutation(seen)
+    rng, segmenter = np.random.default_rng(0), PlaneSegmenter()
+    for _ in range(4):
+        segmenter.fit(rng.permutation(seen))
     with pytest.raises(RelmapError, match="not in the order of the beams"):
-        PlaneSegmenter().fit(shuffled)
-    PlaneSegmenter(method="em").fit(shuffled)
+        segmenter.fit(rng.permutation(seen))
+    PlaneSegmenter(method="em").fit(rng.permutation(seen))
+
+
+def test_a_laser_among_leaves_is_in_order() -> None:
+    """Successive beams end far apart."""
+    rng, segmenter = np.random.default_rng(0), PlaneSegmenter()
+    bearing = np.linspace(-np.pi / 2, np.pi / 2, 181)
+    for _ in range(6):
+        range_m = rng.uniform(0.5, 10.0, 181)
+        segmenter.fit(range_m[:, None] * np.column_stack([np.cos(bearing), np.sin(bearing)]))

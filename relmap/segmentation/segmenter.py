@@ -14,7 +14,7 @@ from relmap.segmentation.em.mixture import WallMixture, scan_area
 from relmap.segmentation.ends.corners import Sharpened, meet, sharpen
 from relmap.segmentation.ends.end_types import sensor_limits, type_ends
 from relmap.segmentation.planes import Planes, make_planes
-from relmap.segmentation.scanline.order import require_order
+from relmap.segmentation.scanline.order import is_ordered
 from relmap.segmentation.upright import require_upright
 from relmap.segmentation.wall import BEGIN, END, EXACT_M, SHARE, UX, UY, WALL
 
@@ -27,6 +27,10 @@ FARTHEST_M = 1e9
 DEFAULTS = {"method": None, "noise": None, "random_state": 0, "view_rad": None, "range_m": None}
 CHECKED = 5
 """Number of first scans that are checked for upright surfaces, or for the order of the beams."""
+UNORDERED = (
+    "the points of the first scans are not in the order of the beams, as a 2-D laser returns them; "
+    "sort those of each scan by bearing, or choose the segmenter em, which needs no order"
+)
 
 
 class PlaneSegmenter:
@@ -79,7 +83,7 @@ class PlaneSegmenter:
         self.random_state = random_state
         self.view_rad = view_rad
         self.range_m = range_m
-        self._checked = 0
+        self._checked = self._unordered = 0
 
     def __repr__(self) -> str:
         given = ", ".join(f"{k}={v!r}" for k, v in self.get_params().items() if v != DEFAULTS[k])
@@ -137,8 +141,8 @@ class PlaneSegmenter:
     def fit(self, points: ArrayLike, y: object = None) -> Self:
         """Segment one scan.
 
-        The first five scans are checked: in space for surfaces that are not upright, with
-        "scanlines" for the order of the beams.
+        The first five scans are checked: in space each for surfaces that are not upright, with
+        "scanlines" all of them for the order of the beams.
 
         Parameters
         ----------
@@ -151,7 +155,7 @@ class PlaneSegmenter:
         ------
         RelmapError
             If a parameter or the shape is wrong, a coordinate is not finite, or the scan has too
-            many surfaces that are not upright, such as floors, or beams in no order.
+            many surfaces that are not upright, such as floors, or no scan so far is in order.
         """
         xyz = _as_points(points)
         method = self._validated(xyz.shape[1])
@@ -160,8 +164,9 @@ class PlaneSegmenter:
             self._checked += 1
             if xyz.shape[1] == 3 and method not in SPATIAL:
                 require_upright(xyz)
-            if method == "scanlines":
-                require_order(xy)
+            self._unordered += method == "scanlines" and not is_ordered(xy)
+            if self._unordered == CHECKED:
+                raise RelmapError(UNORDERED)
         if len(xy) < 2 or not np.ptp(xy, axis=0).any():
             sharp = meet(_no_walls(self.noise), max(len(xy), 1))
             labels = np.full(len(xy), -1)
