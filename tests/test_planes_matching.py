@@ -31,7 +31,7 @@ def test_tracks_are_carried_as_rigid_bodies() -> None:
     yaw, t = 0.3, np.array([0.5, -0.2])
     c, s = np.cos(yaw), np.sin(yaw)
     R = np.array([[c, -s], [s, c]])
-    there = tracks.carried(yaw, t)
+    there = tracks.carried(np.array([yaw, *t]))
     np.testing.assert_allclose(there.ends, tracks.ends @ R.T + t, atol=1e-12)
     np.testing.assert_allclose(there.corner_at, tracks.corner_at @ R.T + t, atol=1e-12)
     np.testing.assert_allclose(there.normal, tracks.normal @ R.T, atol=1e-12)
@@ -50,7 +50,7 @@ def test_a_wide_jump_is_found() -> None:
     found = place(tracks, seen, STILL)
     assert found is not None
     motion, match = found
-    np.testing.assert_allclose([motion.yaw, *motion.t], [yaw, *t], atol=1e-9)
+    np.testing.assert_allclose(motion, [yaw, *t], atol=1e-9)
     assert match.tracks.tolist() == match.walls.tolist() == [0, 1, 2]
 
 
@@ -87,5 +87,5 @@ def test_a_tiny_wall_does_not_rotate_the_scan() -> None:
     found = place(tracks, scan, STILL)
     assert found is not None
     motion, match = found
-    np.testing.assert_allclose([motion.yaw, *motion.t], [0.0, 0.0, -0.1], atol=0.01)
+    np.testing.assert_allclose(motion, [0.0, 0.0, -0.1], atol=0.01)
     assert set(match.tracks.tolist()) >= {0, 1, 2}

@@ -97,7 +97,7 @@ def test_wide_steps_and_turns_are_found(turn_deg: float, step_m: float) -> None:
     first, second = (-0.6, 0.0, 0.2), (-0.6 + step_m, 0.3, 0.2 + np.deg2rad(turn_deg))
     found = searched(CORNERS, first, second)
     assert found is not None
-    motion = np.array([found.motion.yaw, *found.motion.t])
+    motion = found.motion
     np.testing.assert_allclose(motion, motion_between(first, second), atol=0.03)
 
 

@@ -16,7 +16,7 @@ from relmap.planes.assembly import Assembled
 from relmap.planes.history import PlaneHistory
 from relmap.planes.joining import seen_in
 from relmap.planes.observation import PlaneObservation
-from relmap.planes.placement import PlanarMotion, place, worth
+from relmap.planes.placement import place, worth
 from relmap.planes.tracks import PlaneTracks, wrapped
 
 COMPARED = 400
@@ -147,8 +147,8 @@ def _matched(
     if len(match.tracks) < ENOUGH or match.score < SHARE * possible:
         return None
     c, s = np.cos(assembled.state.yaw[i]), np.sin(assembled.state.yaw[i])
-    x, y = motion.t - expected.t
-    drift = np.array([motion.yaw - expected.yaw, c * x - s * y, s * x + c * y])
+    turn, x, y = motion - expected
+    drift = np.array([turn, c * x - s * y, s * x + c * y])
     return drift, np.column_stack([earlier_wall[match.tracks], later_wall[match.walls]])
 
 
@@ -159,10 +159,10 @@ def _observation(assembled: Assembled, history: PlaneHistory) -> PlaneObservatio
     return PlaneObservation.of(history.ends[rows], kind, history.sd[rows], history.z_extent[rows])
 
 
-def _motion(assembled: Assembled, j: int, i: int) -> PlanarMotion:
-    """Return the motion from the frame of one iteration to another's, according to the map."""
+def _motion(assembled: Assembled, j: int, i: int) -> Floats:
+    """Return the motion (3,) from the frame of one iteration to another's, according to the map."""
     state = assembled.state
     c, s = np.cos(state.yaw[i]), np.sin(state.yaw[i])
     x, y = state.t[j] - state.t[i]
-    t = np.array([c * x + s * y, -s * x + c * y])
-    return PlanarMotion(float(wrapped(state.yaw[[j]] - state.yaw[[i]])[0]), t)
+    turn = wrapped(state.yaw[[j]] - state.yaw[[i]])[0]
+    return np.array([turn, c * x + s * y, -s * x + c * y])

@@ -9,7 +9,7 @@ import numpy as np
 
 from relmap.core.arrays import Bools, Floats
 from relmap.planes.beams import Beams
-from relmap.planes.placement import Match, PlanarMotion
+from relmap.planes.placement import Match
 
 AGREES = 0.25
 """Smallest fraction of points that must agree."""
@@ -118,7 +118,7 @@ class Found(NamedTuple):
     right; `bridged`: whether it is given by odometry only.
     """
 
-    motion: PlanarMotion
+    motion: Floats
     match: Match
     measured: bool
     evidence: float

@@ -26,7 +26,6 @@ from relmap.planes.motions import (
 )
 from relmap.planes.observation import PlaneObservation
 from relmap.planes.odometry import OTHERWISE, Wheels
-from relmap.planes.placement import PlanarMotion
 from relmap.planes.tying import Link, Scans, judged_links
 
 IN_DOUBT = 10.0
@@ -118,7 +117,7 @@ class LinkRecord:
     def append(
         self,
         seen: PlaneObservation,
-        motion: PlanarMotion,
+        motion: Floats,
         is_tied: bool,
         found: Found | None,
         goes_on: bool,
@@ -131,7 +130,7 @@ class LinkRecord:
         self._measured.extend(np.array([found is not None and found.measured]))
         self._bridged.extend(np.array([found.bridged if found else goes_on]))
         self.beams.append(seen.beams)
-        self._motions.extend(np.array([[motion.yaw, *motion.t]]))
+        self._motions.extend(motion[None])
         self._submaps.extend(np.array([self.submap if is_tied else -1]))
 
     def leave_to_odometry(self, scans: Ints) -> bool:

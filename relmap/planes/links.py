@@ -11,7 +11,7 @@ import numpy as np
 from relmap.core.arrays import Floats, Ints
 from relmap.planes.motions import APART_M, APART_RAD
 from relmap.planes.observation import PlaneObservation
-from relmap.planes.placement import LEVER_M, Match, PlanarMotion, worth
+from relmap.planes.placement import LEVER_M, Match, worth
 from relmap.planes.tracks import PlaneTracks
 
 SUPPORTED = 0.375
@@ -41,20 +41,20 @@ TORN_M = 1.0
 def is_supported(
     tracks: PlaneTracks,
     seen: PlaneObservation,
-    found: tuple[PlanarMotion, Match],
-    usual: PlanarMotion,
+    found: tuple[Floats, Match],
+    usual: Floats,
 ) -> bool:
     """Return whether enough of the expected and of the observed walls agree on a motion.
 
     A single disagreeing wall is tolerated: it may be clutter, or have just come into view.
 
-    `tracks`: the expected walls; `found` (PlanarMotion, Match): the motion from the frame of the
-    tracks to that of the scan, and the matching walls; `usual`: recent motion of the robot.
+    `tracks`: the expected walls; `found`: the motion (3,) from the frame of the tracks to that of
+    the scan, and the matching walls; `usual` (3,): recent motion of the robot.
     """
     motion, match = found
     recent = tracks.missed == tracks.missed.min(initial=0)
-    turned = abs((motion.yaw - usual.yaw + np.pi) % (2 * np.pi) - np.pi)
-    near = turned < NEAR_RAD and np.hypot(*(motion.t - usual.t)) < NEAR_M
+    turned = abs((motion[0] - usual[0] + np.pi) % (2 * np.pi) - np.pi)
+    near = turned < NEAR_RAD and np.hypot(*(motion - usual)[1:]) < NEAR_M
     supported = EXPECTED if near else SUPPORTED
     return match.score >= supported * (min(worth(tracks, seen, recent)) - 1)
 
@@ -98,14 +98,14 @@ def unsure_m(before: Floats) -> float:
 
 
 def slower_m(before: Floats, usual: Floats) -> float:
-    """Return by how much a predicted motion (2,) is shorter than the median of (n, 3), metres.
+    """Return by how much a predicted motion (3,) is shorter than the median of (n, 3), metres.
 
     0 if it is more than half as long. A robot that turned or stood before a corridor may go on
     there as usual, unnoticed.
     """
     if not len(before):
         return 0.0
-    middle_m, usual_m = float(np.median(_lengths(before[-USUAL:]))), float(np.hypot(*usual))
+    middle_m, usual_m = float(np.median(_lengths(before[-USUAL:]))), float(np.hypot(*usual[1:]))
     return middle_m - usual_m if usual_m < SLOWED * middle_m else 0.0
 
 

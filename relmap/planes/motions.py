@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.planes.placement import PlanarMotion
 from relmap.planes.tracks import wrapped
 
 APART_M, APART_RAD = 0.3, np.deg2rad(8.0)
@@ -61,11 +60,6 @@ def inverse(motion: Floats) -> Floats:
     c, s = np.cos(motion[0]), np.sin(motion[0])
     x, y = motion[1:]
     return np.array([-motion[0], -c * x - s * y, s * x - c * y])
-
-
-def planar(motion: Floats) -> PlanarMotion:
-    """Return a motion (3,) as a `PlanarMotion`."""
-    return PlanarMotion(float(motion[0]), motion[1:])
 
 
 def matrices(motions: Floats) -> Floats:

@@ -42,15 +42,8 @@ LEAST_M = 0.02
 """Lower limit of the noise of a corner when computing its weight."""
 
 
-@dataclass(frozen=True, eq=False)
-class PlanarMotion:
-    """A motion in the plane from one robot frame into another: ``R(yaw) @ p + t``."""
-
-    yaw: float
-    t: Floats
-
-
-STILL = PlanarMotion(0.0, np.zeros(2))
+STILL = np.zeros(3)
+"""No motion. A motion (3,) is yaw, x, y from one robot frame into another: ``R(yaw) @ p + t``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,8 +59,8 @@ class Match:
 
 
 def place(
-    tracks: PlaneTracks, seen: PlaneObservation, before: PlanarMotion, farthest_m: float = np.inf
-) -> tuple[PlanarMotion, Match] | None:
+    tracks: PlaneTracks, seen: PlaneObservation, before: Floats, farthest_m: float = np.inf
+) -> tuple[Floats, Match] | None:
     """Find the motion from the tracks' frame to the scan's, and the resulting association.
 
     Candidates are constant motion, no motion, and if neither suffices, every pair of a track's
@@ -88,21 +81,21 @@ def place(
     if best[1].score < CONTENT * possible:
         motions, scores = guesses(tracks.arrays, seen.arrays, ROUGHLY, REACH_M, TURN_RAD, GUESSES)
         for motion in motions[scores > best[1].score]:
-            found = settled(tracks, seen, PlanarMotion(float(motion[0]), motion[1:]))
+            found = settled(tracks, seen, motion)
             doubt = _doubt(found[0], before)
             if not _jumps(*found, farthest_m) and found[1].score > best[1].score + doubt:
                 best = found
     return best if len(best[1].tracks) and not _jumps(*best, farthest_m) else None
 
 
-def _jumps(motion: PlanarMotion, match: Match, farthest_m: float) -> bool:
-    return len(match.tracks) < MANY and float(np.hypot(*motion.t)) > farthest_m
+def _jumps(motion: Floats, match: Match, farthest_m: float) -> bool:
+    return len(match.tracks) < MANY and float(np.hypot(*motion[1:])) > farthest_m
 
 
-def _doubt(motion: PlanarMotion, before: PlanarMotion) -> float:
+def _doubt(motion: Floats, before: Floats) -> float:
     """Return the additional walls and corners that must agree on a sudden motion."""
     jumps = [
-        np.hypot(*(motion.t - usual.t)) + LEVER_M * abs(motion.yaw - usual.yaw)
+        np.hypot(*(motion - usual)[1:]) + LEVER_M * abs(motion[0] - usual[0])
         for usual in (before, STILL)
     ]
     return float(0.5 + DOUBT * min(1.0, min(jumps) / SUDDEN_M))
@@ -117,14 +110,13 @@ def worth(tracks: PlaneTracks, seen: PlaneObservation, recent: Bools) -> tuple[f
 
 
 def settled(
-    tracks: PlaneTracks, seen: PlaneObservation, guess: PlanarMotion, rounds: int = ROUNDS
-) -> tuple[PlanarMotion, Match]:
-    """Fit a motion to the walls that match, and match again."""
+    tracks: PlaneTracks, seen: PlaneObservation, guess: Floats, rounds: int = ROUNDS
+) -> tuple[Floats, Match]:
+    """Fit a motion (3,) to the walls that match, and match again."""
     from relmap.planes import matching_kernels
 
-    start = np.array([guess.yaw, *guess.t])
     motion, track_of, score = matching_kernels.settled(
-        tracks.arrays, seen.arrays, start, ROUGHLY, rounds, HELD, LEAST_M
+        tracks.arrays, seen.arrays, guess, ROUGHLY, rounds, HELD, LEAST_M
     )
     walls = np.flatnonzero(track_of >= 0)
-    return PlanarMotion(float(motion[0]), motion[1:]), Match(track_of[walls], walls, score)
+    return motion, Match(track_of[walls], walls, score)

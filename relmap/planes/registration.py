@@ -107,7 +107,7 @@ class PlaneRegistration:
             motion, goes_on = (found.motion, goes_on) if found else (motion, False)
             tracks = _followed(tracks, seen, found, walls) if found else None
         elif tracks is not None:
-            tracks = tracks.carried(motion.yaw, motion.t)
+            tracks = tracks.carried(motion)
             tracks.missed += 1
         if tracks is None and len(seen) and not goes_on:
             self.links.begin_submap()
@@ -240,7 +240,7 @@ def _followed(
 ) -> PlaneTracks:
     """Return the tracks updated by a scan, and the walls (m,) that they are."""
     motion, match = found.motion, found.match
-    tracks = tracks.carried(motion.yaw, motion.t)
+    tracks = tracks.carried(motion)
     tracks.see(match.tracks, seen, match.walls)
     walls[match.walls] = tracks.plane[match.tracks]
     return tracks

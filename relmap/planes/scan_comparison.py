@@ -13,10 +13,10 @@ from relmap.core.arrays import Floats
 from relmap.planes.beams import NEAR_M, Beams, compared, leads
 from relmap.planes.judging import Judged, View
 from relmap.planes.links import spread
-from relmap.planes.motions import after, planar
+from relmap.planes.motions import after
 from relmap.planes.observation import PlaneObservation
 from relmap.planes.odometry import Expected
-from relmap.planes.placement import ROUNDS, Match, PlanarMotion, settled, worth
+from relmap.planes.placement import ROUNDS, Match, settled, worth
 from relmap.planes.tracks import PlaneTracks, wrapped
 
 REACH_M = 3.5
@@ -62,13 +62,13 @@ class ScanComparison:
         seen: PlaneObservation,
         beams: Beams,
         views: Sequence[View],
-        before: PlanarMotion,
+        before: Floats,
         expected: Expected | None = None,
         firm: bool = True,
     ) -> None:
         self._beams, self._views = beams, views[:VERIFYING]
         self._nearby = [v for v in views[1:] if np.hypot(*v.motion[1:]) <= NEARBY_M]
-        self._before = planar(expected.motion) if expected else before
+        self._before = expected.motion if expected else before
         self._expected, self._firm = expected, firm
         kept, own = ~(tracks.loose & firm), ~(seen.loose & firm)
         self._rows, self._walls = np.flatnonzero(kept), np.flatnonzero(own)
@@ -91,11 +91,11 @@ class ScanComparison:
         step = 1 + len(self._beams) // JUDGES if step is None else step
         return self._counts(self._views[0], motions, near_m, step)
 
-    def _judged(self, guesses: Sequence[PlanarMotion], rounds: int = ROUNDS) -> Judged:
+    def _judged(self, guesses: Sequence[Floats] | Floats, rounds: int = ROUNDS) -> Judged:
         """Fit motions to the walls that match in some rounds, and compare the beams."""
         tracks, seen = self._tracks, self._seen
         found = [settled(tracks, seen, guess, rounds) for guess in guesses]
-        motions = np.array([[motion.yaw, *motion.t] for motion, _ in found]).reshape(-1, 3)
+        motions = np.array([motion for motion, _ in found]).reshape(-1, 3)
         step = 1 + len(self._beams) // JUDGES
         sums = np.array([self._counts(view, motions, NEAR_M, step) for view in self._views])
         possible = max(min(worth(tracks, seen, np.ones(len(tracks), dtype=np.bool_))), 1.0)
@@ -120,7 +120,7 @@ class ScanComparison:
         peaks = 1 + np.flatnonzero((inner >= value[:-2]) & (inner > value[2:]))
         peaks = peaks[np.argsort(-value[peaks], kind="stable")][:PEAKS]
         motions = motions[peaks[np.abs(way_m[peaks]) > SLIDE_M / 2]]
-        return self._judged([planar(motion) for motion in motions])
+        return self._judged(motions)
 
     def _corrected(self, judged: Judged, k: int, far: bool = True) -> Judged:
         """Return a motion, moved along the longest wall if that is clearly likelier.
@@ -133,7 +133,7 @@ class ScanComparison:
         crossing = spread(self._seen.along[match.walls], np.zeros_like(match.walls), 1)[0]
         if crossing >= CROSSINGS:
             return judged.only(k)
-        usual_m = float((self._before.t - motion[1:]) @ self._along_longest(match))
+        usual_m = float((self._before[1:] - motion[1:]) @ self._along_longest(match))
         way_m = np.append(COARSE_M, usual_m) if far else COARSE_M
         views = self._deciding(crossing)
         odds = self._odds(views[:1], self._moved(motion, match, way_m), motion)
@@ -144,14 +144,14 @@ class ScanComparison:
         best_m, best = self._likeliest(odds, way_m, usual_m)
         if best < LIKELIER:
             return judged.only(k)
-        return self._judged([planar(self._moved(motion, match, np.array([best_m]))[0])], 0)
+        return self._judged(self._moved(motion, match, np.array([best_m])), 0)
 
     def _likeliest(self, odds: Floats, way_m: Floats, usual_m: float) -> tuple[float, float]:
         """Return the likeliest of some shifts (k,) along the longest wall, and its log odds.
 
         Compared with no shift, by the odds (k,) of the beams; `usual_m` leads to the usual step.
         """
-        scale_m = USUAL_SHARE * float(np.hypot(*self._before.t)) + USUAL_LEAST_M
+        scale_m = USUAL_SHARE * float(np.hypot(*self._before[1:])) + USUAL_LEAST_M
         usual = np.log1p((usual_m / scale_m) ** 2) - np.log1p(((way_m - usual_m) / scale_m) ** 2)
         at = int(np.argmax(odds + usual))
         return float(way_m[at]), float((odds + usual)[at])
@@ -207,8 +207,8 @@ class ScanComparison:
 
     def _surprise(self, motions: Floats) -> Floats:
         """Return the prior improbability of motions (k, 3), given the usual motion."""
-        way = np.hypot(*(motions[:, 1:] - self._before.t).T) / USUAL_M
-        turn = wrapped(motions[:, 0] - self._before.yaw) / USUAL_RAD
+        way = np.hypot(*(motions[:, 1:] - self._before[1:]).T) / USUAL_M
+        turn = wrapped(motions[:, 0] - self._before[0]) / USUAL_RAD
         support = self._expected.supports(motions) if self._expected else 0.0
         return np.asarray((way**2 + turn**2) / 2 - support)
 

@@ -25,14 +25,10 @@ from relmap.planes.links import (
     unsure_m,
     usual_motion,
 )
-from relmap.planes.motions import (
-    after,
-    others,
-    planar,
-)
+from relmap.planes.motions import after, others
 from relmap.planes.observation import PlaneObservation
 from relmap.planes.odometry import OTHERWISE, Expected
-from relmap.planes.placement import PlanarMotion, place, settled, worth
+from relmap.planes.placement import STILL, place, settled, worth
 from relmap.planes.search import Search
 from relmap.planes.tracks import PlaneTracks
 
@@ -55,13 +51,13 @@ class ScanLinks(LinkRecord):
     """Accepts the motion into each scan, or begins a submap; see `LinkRecord`."""
 
     @property
-    def usual(self) -> PlanarMotion:
+    def usual(self) -> Floats:
         """Predicted motion: by odometry, else the recent motion.
 
         The latter is the median over some scans, since one of them may be a jump.
         """
         expected = self._expected
-        return planar(expected.motion if expected else usual_motion(self.motions))
+        return expected.motion if expected else usual_motion(self.motions)
 
     @property
     def _expected(self) -> Expected | None:
@@ -90,8 +86,8 @@ class ScanLinks(LinkRecord):
         if not self._unsure_m:
             self._unsure_each_m = unsure_m(self.motions[self._measured.values])
         self._unsure_m += self._unsure_each_m
-        if abs(found.motion.yaw) < TURNING:
-            self._unsure_m += slower_m(self.motions[self._measured.values], self.usual.t)
+        if abs(found.motion[0]) < TURNING:
+            self._unsure_m += slower_m(self.motions[self._measured.values], self.usual)
         if self._unsure_m > self._bridge_m or self._unsure_each_m > VARYING_M:
             self._unsure_m = 0.0
             return None
@@ -127,13 +123,13 @@ class ScanLinks(LinkRecord):
         if views:
             beams = self.beams.of_next(seen.beams, seen.ends)
             return Search(tracks, seen, beams, views, self.usual, expected).bridged(expected)
-        motion, match = settled(tracks, seen, planar(expected.motion))
-        near = expected.off(np.array([[motion.yaw, *motion.t]]))[0] < OTHERWISE
+        motion, match = settled(tracks, seen, expected.motion)
+        near = expected.off(motion[None])[0] < OTHERWISE
         recent = tracks.missed == tracks.missed.min(initial=0)
         if not near and min(worth(tracks, seen, recent)) > FEW:
             return None
         if not near:
-            motion, match = planar(expected.motion), NO_MATCH
+            motion, match = expected.motion, NO_MATCH
         return Found(motion, match, False, -np.inf, True)
 
     def _confirmed(
@@ -145,15 +141,13 @@ class ScanLinks(LinkRecord):
         usual = (known[(len(known) - 1) // 2] + known[len(known) // 2]) / 2
         if found.evidence > max(SURE, USUALLY * usual) or len(views) < 2:
             return True
-        now, motion = len(self._motions), np.array([found.motion.yaw, *found.motion.t])
-        expected = after(views[1].motion, motion[None])[0]
-        tracks = self._scans.tracks_of(now - 2)
-        before = PlanarMotion(float(expected[0]), expected[1:])
-        view = [View(views[1].beams, np.zeros(3))]
-        again = Search(tracks, seen, beams, view, before, firm=firm).found()
+        expected = after(views[1].motion, found.motion[None])[0]
+        tracks = self._scans.tracks_of(len(self._motions) - 2)
+        view = [View(views[1].beams, STILL)]
+        again = Search(tracks, seen, beams, view, expected, firm=firm).found()
         if again is None or found.evidence + again.evidence < TOGETHER:
             return False
-        return not others(np.array([[again.motion.yaw, *again.motion.t]]), expected)[0]
+        return not others(again.motion[None], expected)[0]
 
     @property
     def _last_links(self) -> Floats:
@@ -164,7 +158,7 @@ class ScanLinks(LinkRecord):
 
     def _views(self, seen: PlaneObservation) -> list[View]:
         """Return the beams of the last scans of the submap, latest first."""
-        found, motion = list[View](), np.zeros(3)
+        found, motion = list[View](), STILL
         if not (seen.beams.in_order and len(seen.beams.points)):
             return found
         now, motions, ends = len(self._motions), self.motions, self.store.column("location")

@@ -20,9 +20,9 @@ from relmap.planes.judging import (
     Found,
     Judged,
 )
-from relmap.planes.motions import distinct, others, planar
+from relmap.planes.motions import distinct, others
 from relmap.planes.odometry import OTHERWISE, Expected
-from relmap.planes.placement import STILL, PlanarMotion
+from relmap.planes.placement import STILL
 from relmap.planes.scan_comparison import CONTRADICTING, REACH_M, ScanComparison
 
 REACH_RAD = np.deg2rad(120.0)
@@ -91,7 +91,7 @@ class Search(ScanComparison):
         return self._chosen(one, measured, float(every.evidence[best]))
 
     def _chosen(self, one: Judged, measured: bool, evidence: float) -> Found:
-        return Found(planar(one.motions[0]), self._named(one.matches[0]), measured, evidence)
+        return Found(one.motions[0], self._named(one.matches[0]), measured, evidence)
 
     def _explains(self, expected: Expected, motion: Floats) -> bool:
         """Return whether beams agree with odometry almost as well as with another motion (3,)."""
@@ -114,7 +114,7 @@ class Search(ScanComparison):
             one = every.only(best)
         return self._chosen(one, False, float(every.evidence[best]))
 
-    def candidates(self, guesses: Sequence[PlanarMotion] = ()) -> Candidates:
+    def candidates(self, guesses: Sequence[Floats] = ()) -> Candidates:
         """Return the plausible motions between these scans by walls and beams, likeliest first.
 
         `guesses`: candidates in addition to those implied by walls.
@@ -142,7 +142,7 @@ class Search(ScanComparison):
         """
         if self._is_empty:
             return -np.inf, 0.0, True
-        found = self._judged([planar(motion)])
+        found = self._judged([motion])
         evidence = float(found.of_pair[0]) + MEASURED * self._measured(found, 0)
         return evidence, float(found.contradict[0]), not others(found.motions, motion)[0]
 
@@ -151,7 +151,7 @@ class Search(ScanComparison):
 
         It is refined by walls that match nearby.
         """
-        found = self._judged([planar(expected.motion)])
+        found = self._judged([expected.motion])
         motions = np.array([expected.motion, found.motions[0]])
         sums = self._counted(motions)
         is_near = expected.off(motions)[1] < OTHERWISE
@@ -159,9 +159,9 @@ class Search(ScanComparison):
         if sums[int(by_walls), 1] > CONTRADICTS * sums[0].sum():
             return None
         match = self._named(found.matches[0]) if by_walls else NO_MATCH
-        return Found(planar(motions[int(by_walls)]), match, False, float(found.evidence[0]), True)
+        return Found(motions[int(by_walls)], match, False, float(found.evidence[0]), True)
 
-    def _guesses(self) -> list[PlanarMotion]:
+    def _guesses(self) -> Floats:
         """Return the motions implied by walls with the best coarse agreement of beams."""
         from relmap.planes.guess_kernels import implied
 
@@ -172,4 +172,4 @@ class Search(ScanComparison):
         sums = self._counted(motions, ROUGH_M, ROUGH_STEP)
         order = np.argsort(sums[:, 1] - sums[:, 0], kind="stable")
         best = distinct(motions, order, CLOSELY, ALIKE_M, ALIKE_RAD)
-        return [planar(motion) for motion in motions[best]]
+        return np.asarray(motions[best])

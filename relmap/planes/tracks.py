@@ -87,11 +87,11 @@ class PlaneTracks(Tracks):
         """The tracks in the form used by the compiled matching."""
         return self.angle, self.offset, self.ends, self.sd, self.corner_at
 
-    def carried(self, yaw: float, t: Floats) -> PlaneTracks:
-        """Return the tracks in another frame, where ``p`` is ``R(yaw) @ p + t``."""
+    def carried(self, motion: Floats) -> PlaneTracks:
+        """Return the tracks in another frame, given the motion (3,) to it: yaw, x, y."""
         from relmap.planes.matching_kernels import carried
 
-        angle, offset, ends, sd, corner_at = carried(self.arrays, np.array([yaw, *t]))
+        angle, offset, ends, sd, corner_at = carried(self.arrays, motion)
         return PlaneTracks(
             self.plane,
             angle,

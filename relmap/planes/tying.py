@@ -19,10 +19,10 @@ from relmap.planes.beams import Beams, BeamStore
 from relmap.planes.hypotheses import LATER, Hypotheses, Verdict
 from relmap.planes.judging import NO_CANDIDATES, Candidates, View
 from relmap.planes.links import VARYING_M, unsure_m, usual_motion
-from relmap.planes.motions import others, planar
+from relmap.planes.motions import others
 from relmap.planes.observation import seen_before
 from relmap.planes.odometry import OTHERWISE, Expected
-from relmap.planes.placement import STILL, PlanarMotion
+from relmap.planes.placement import STILL
 from relmap.planes.search import Search
 from relmap.planes.tracks import PlaneTracks
 
@@ -94,13 +94,13 @@ class Scans:
         tracks.corner_at = np.where(seen.static[..., None], seen.ends, np.nan)
         return tracks
 
-    def search(self, earlier: int, later: int, before: PlanarMotion) -> Search | None:
+    def search(self, earlier: int, later: int, before: Floats) -> Search | None:
         """Return the search for the motion of one scan into another; None if one is empty."""
         tracks, seen = self.tracks_of(earlier), seen_before(self.store, later)
         beams = [self.beams_of(scan) for scan in (earlier, later)]
         if not min(len(tracks), len(seen), *map(len, beams)):
             return None
-        views = [View(beams[0], np.zeros(3))]
+        views = [View(beams[0], STILL)]
         expected = self.expected(earlier, later)
         return Search(tracks, seen, beams[1], views, before, expected, self.firm)
 
@@ -231,9 +231,8 @@ def _judged(scans: Scans, run: Sequence[int], fixed: bool) -> list[_Judged]:
     for k in range(1, len(run) + LATER):
         if k < len(run):
             usual = usual_motion(scans.motions[: run[k]])
-            search = scans.search(run[k - 1], run[k], planar(usual))
-            guess = planar(scans.motions[run[k]])
-            found.append(search.candidates([guess]) if search else NO_CANDIDATES)
+            search = scans.search(run[k - 1], run[k], usual)
+            found.append(search.candidates([scans.motions[run[k]]]) if search else NO_CANDIDATES)
             before = run[k - 2] if k > 1 else max(run[0] - 1, 0)
             same = scans.of_one_run(before, run[k])
             two_back = scans.search(before, run[k], STILL) if same else None
