@@ -85,6 +85,13 @@ def test_import_loads_no_heavy_library(child_env: dict[str, str], tmp_path: Path
     assert HEAVY & {module.partition(".")[0] for module in modules} == set()
 
 
+def test_the_command_line_begins_without_numpy(child_env: dict[str, str], tmp_path: Path) -> None:
+    """A usage error or help takes a tenth of a second, with numpy and scipy half a second."""
+    code = "import json, sys; import relmap.cli.program; print(json.dumps(list(sys.modules)))"
+    modules = json.loads(run_python(code, child_env, tmp_path))
+    assert {"numpy", "scipy"} & {module.partition(".")[0] for module in modules} == set()
+
+
 def test_modules_load_no_heavy_library(
     child_env: dict[str, str], repo_root: Path, tmp_path: Path
 ) -> None:

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from relmap.cli.arguments import Association, Interval, Level, Odometry, Variant
 from relmap.core.errors import RelmapError
-from relmap.io.results import MAPPER
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -164,6 +163,7 @@ class Job:
 
     def mapper(self, after: Callable[[Any], object] | None = None) -> AnyMapper:
         """Return the mapper to start or to continue with; `after` as for `Mapper.resume`."""
+        from relmap.io.results import MAPPER
         from relmap.planes import PlaneMapper
         from relmap.points import PointMapper
 

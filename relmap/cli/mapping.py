@@ -16,7 +16,6 @@ from relmap.cli.console import Counter, busy, tracked
 from relmap.cli.job import Job, journaled_labels
 from relmap.cli.job_log import log_of
 from relmap.core.errors import RelmapError
-from relmap.io.results import EVALUATION, MAP_PNG, MAPPER
 
 if TYPE_CHECKING:
     from relmap.evaluation.feeding import AnyMapper, Log
@@ -59,7 +58,8 @@ def _check_journal(journal: Path | None, out: Path) -> None:
     if journal is None or os.path.realpath(journal.parent) != os.path.realpath(out):
         return
     names = {results.LANDMARKS, results.TRACKS, results.TRAJECTORY, results.SUBMAPS}
-    names |= {results.MAP_PLY, MAP_PNG, results.SUMMARY, MAPPER, *stale_files(out)}
+    names |= {results.MAP_PLY, results.MAP_PNG, results.SUMMARY, results.MAPPER}
+    names |= {*stale_files(out)}
     if journal.name in names or journal.match("submap-*.tum"):
         raise RelmapError(
             f"journal {journal} would be overwritten by the result: give it another name"
@@ -69,7 +69,7 @@ def _check_journal(journal: Path | None, out: Path) -> None:
 def _mapped_into(folder: Path, job: Job, log: Log) -> Run:
     """Map a log, and write results and pictures into an existing folder."""
     from relmap.evaluation.run import run_mapper
-    from relmap.io.results import write_names
+    from relmap.io.results import MAPPER, write_names
 
     seen, about = journaled_labels(job, log), _about(job, log)
     with ExitStack() as afterwards:
@@ -164,7 +164,7 @@ def _about(job: Job, log: Log) -> dict[str, Any]:
 
 def stale_files(out: Path) -> list[str]:
     """Return the files of an earlier result, also of walls, that become obsolete."""
-    from relmap.io.results import NAMES
+    from relmap.io.results import EVALUATION, NAMES
     from relmap.planes.files import PLANES, submap_files
     from relmap.plots.report import REPORT
 
@@ -175,7 +175,7 @@ def stale_files(out: Path) -> list[str]:
 
 def _write(folder: Path, run: Run, job: Job) -> None:
     from relmap.io.files import atomic_write
-    from relmap.io.results import write_result
+    from relmap.io.results import MAP_PNG, write_result
     from relmap.planes.files import PlaneResult, write_planes, write_submaps
     from relmap.plots.planes import write_submaps_png
     from relmap.plots.report import REPORT, report_page

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
 
 import typer
 
-from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 
 if TYPE_CHECKING:
     import numpy as np
 
+    from relmap.core.arrays import Floats
     from relmap.datasets.scans import ScanLog
     from relmap.simulation.odometry import Wheels
 
