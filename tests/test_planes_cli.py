@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from relmap.cli.outcome import torn
 from relmap.datasets import open_scans
 from relmap.evaluation import metrics
 from relmap.evaluation.run import run_mapper
@@ -117,3 +118,13 @@ def test_first_metres_of_freiburg_079(shared_data: Path) -> None:
     ate_m = metrics.ate(run.result.poses[mine], log.poses[other], planar=True)
     assert ate_m is not None
     assert ate_m <= 0.08
+
+
+@pytest.mark.parametrize(("scans", "failed"), [(3, ""), (4, "1 of 2 submaps of four scans")])
+def test_submaps_too_small_for_a_wall_are_not_said_to_fail(scans: int, failed: str) -> None:
+    sizes = {"metres": 1.0, "iterations": 1}
+    submaps = [{"scans": 90, "refined": True, **sizes}, {"scans": scans, "refined": False, **sizes}]
+    about = {"submaps": submaps, "refined": True, "weak_links": [], "steps": {"median_m": None}}
+    message = torn(about, 8.0)
+    assert ("could not be refined" in message) == bool(failed)
+    assert failed in message

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 OFTEN = 10
 """Observations that make a landmark worth mapping."""
+FEWEST = 4
+"""Scans that must show a wall of the map; smaller submaps are never refined."""
 WHOLE = 0.9
 """Minimum fraction of the scans in the largest submap of an unbroken run."""
 CONTRADICTED = 0.1
@@ -88,10 +90,11 @@ def each(median_ms: float | None) -> str:
 def torn(summary: dict[str, Any], farthest_m: float) -> str:
     """Return the submaps of a broken run of walls, and its weak links: the end of a message."""
     submaps = summary["submaps"]
-    failed = sum(not submap["refined"] for submap in submaps) if summary["refined"] else 0
+    usable = [submap for submap in submaps if submap["scans"] >= FEWEST]
+    failed = sum(not submap["refined"] for submap in usable) if summary["refined"] else 0
     message = broken(submaps)
     if failed:
-        message += f"; {failed} of {len(submaps)} submaps could not be refined"
+        message += f"; {failed} of {len(usable)} submaps of four scans or more could not be refined"
     odometry = summary.get("odometry")
     bridged = odometry["tied_by_it_alone"]["stretches"] if odometry else []
     weak = [k for k in summary["weak_links"] if not any(a <= k <= b for a, b in bridged)]
