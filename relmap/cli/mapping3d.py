@@ -16,9 +16,6 @@ if TYPE_CHECKING:
     from relmap.datasets.scans import ScanLog
     from relmap.evaluation.space_run import SpaceResult
 
-BEYOND_M = 300.0
-"""Median range of a cloud that no lidar or depth camera has."""
-
 
 def report_space(job: Job, voxel_m: float | None) -> None:
     """Map a log of clouds, and report the result.
@@ -60,6 +57,8 @@ def report_space(job: Job, voxel_m: float | None) -> None:
 def _doubt_unit(log: ScanLog) -> None:
     """Warn of coordinates that are hardly in metres: the map would be as good, in their unit."""
     import numpy as np
+
+    from relmap.cli.outcome import BEYOND_M
 
     first = next(
         (scan.points_robot for scan in log.scans() if len(scan.points_robot)), np.zeros((1, 3))

@@ -24,7 +24,7 @@ WHOLE = 0.9
 CONTRADICTED = 0.1
 """Noise, as a fraction of the distance of the landmarks, that no sensor of landmarks has."""
 BEYOND_M = 300.0
-"""More than the range of 2-D lasers: if such a run breaks, its coordinates are hardly in metres."""
+"""Farther than 2-D lasers reach, and most points of a lidar: such coordinates are hardly metres."""
 NOTHING = (
     "; nothing is mapped: a map needs landmarks that are seen together in at least four scans, "
     "three in the plane and four in space"

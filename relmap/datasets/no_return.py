@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from relmap.core.arrays import Floats
+from relmap.core.arrays import Bools, Floats
 from relmap.datasets.textfile import shown
 
 _LOG = logging.getLogger(__name__)
@@ -50,7 +50,7 @@ def no_return_m(path: Path, ranges_m: list[Floats], bearings_rad: list[Floats]) 
     return least
 
 
-def _widest_rad(chosen: np.ndarray, bearings_rad: Floats) -> float:
+def _widest_rad(chosen: Bools, bearings_rad: Floats) -> float:
     """Return the angle of the widest sector of chosen beams (b,)."""
     if not chosen.any():
         return 0.0
