@@ -132,3 +132,8 @@ def test_a_map_that_is_torn_when_refined_freely_is_held() -> None:
 def test_few_beams_do_not_make_the_robot_stand_still(seed: int) -> None:
     """They hit the same places of a wall again, and maps were 0.18 m off."""
     assert refined_error_m(beams=90, step_m=0.1, seed=seed) < 0.12
+
+
+def test_a_robot_goes_on_along_a_corridor_as_before() -> None:
+    """Among furniture little measures its way: steps were 0.7 m off and the map in two parts."""
+    assert refined_error_m(world="furniture", step_m=0.1, seed=7) < 0.05

@@ -140,3 +140,37 @@ def test_walls_are_assembled_without_any_corner() -> None:
     assert assembled is not None
     np.testing.assert_allclose(assembled.state.centre, [[2.0, 0.0]], atol=1e-12)
     assert len(assembled.corners) == len(assembled.given.corner) == 0
+
+
+def seen_from_a_corridor(x: float) -> Floats:
+    """Return two walls that meet at (6, 2), the first with a free end at (3, 2); (2, 2, 2)."""
+    return np.array([[[6.0, 2.0], [3.0, 2.0]], [[6.0, -1.0], [6.0, 2.0]]]) - [x, 0.0]
+
+
+def test_a_corner_is_known_to_the_distance_between_the_points_there() -> None:
+    n, spacing_rad = 6, np.deg2rad(0.5)
+    x = np.array([0.0, 1.0, 2.0, 2.5, 2.9, 3.0])
+    history = PlaneHistory(
+        iteration=np.repeat(np.arange(n), 2),
+        plane=np.tile([0, 1], n),
+        ends=np.concatenate([seen_from_a_corridor(each) for each in x]),
+        sd=np.full(2 * n, 1e-4),
+        z_extent=np.zeros((2 * n, 2)),
+        corner=np.tile([[1, 0], [-1, 2]], (n, 1)),
+        motion=np.zeros((n, 3)),
+        submap=np.zeros(n, dtype=np.int64),
+        spacing_rad=spacing_rad,
+    )
+    poses = np.tile(np.eye(4), (n, 1, 1))
+    poses[:, 0, 3] = x
+    numbers = WallNumbers(np.arange(2), np.arange(3))
+    assembled = assemble(history, numbers, poses, np.zeros(2, dtype=np.bool_))
+    assert assembled is not None
+    sd = assembled.given.corner_sd.reshape(n, 3)
+    corner = assembled.given.corner.reshape(n, 3)[0]
+    # Beams half a degree apart, on the line y = 2, near the end of the wall at x = 3.
+    bearing = np.arctan2(2.0, 3.0 - x)
+    apart_m = 2 / np.tan(bearing - spacing_rad / 2) - 2 / np.tan(bearing + spacing_rad / 2)
+    expected_m = np.hypot(0.01, 0.5 * apart_m)
+    np.testing.assert_allclose(sd[:, corner == 0][:, 0], expected_m, rtol=1e-3)
+    np.testing.assert_allclose(sd[:, corner != 0], 0.01, rtol=1e-3)

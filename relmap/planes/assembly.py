@@ -16,6 +16,9 @@ SHARP_M = 0.01
 flat or sharp."""
 BLUNT = 3.0
 """Initial ratio of the standard deviation of a corner to that of its wall."""
+MISSED, MISSED_M = 0.5, 0.2
+"""Standard deviation of a corner due to the distance between the points of its wall there, as a
+fraction of that; and the maximum, above which wrong corners would not be rejected."""
 OFTEN = 4
 """Observations required for a corner."""
 
@@ -170,14 +173,32 @@ def assemble(
     walls, wall = np.unique(wall[rows], return_inverse=True)
     row, end, corners, corner = _corners(history.corner[rows], numbers.corner_of)
     sd = np.hypot(history.sd[rows], FLAT_M)
-    corner_sd = np.hypot(BLUNT * history.sd[rows][row], SHARP_M)
     ends = history.ends[rows]
+    corner_sd = np.hypot(BLUNT * history.sd[rows][row], SHARP_M)
+    corner_sd = np.hypot(corner_sd, _missed_m(iteration, ends, history.spacing_rad)[row, end])
     motions = history.factors(iterations)
     given = WallEquations(iteration, wall, ends, sd, row, end, corner, corner_sd, motions)
     state = laid_out(given, poses[iterations])
     typical = float(np.median(history.sd[rows]))
     every = np.arange(len(numbers.corner_of))
     return Assembled(given, typical, state, iterations, walls, corners, rows, every)
+
+
+def _missed_m(iteration: Ints, ends: Floats, spacing_rad: float) -> Floats:
+    """Return how far corners may be from the ends (n, 2, 2) of walls, robot frame; (n, 2), metres.
+
+    The farther a wall and the more grazing the beams, the larger the distance between its points.
+    0 where two walls meet, for their lines determine the corner.
+    """
+    along = ends[:, 1] - ends[:, 0]
+    off_m = np.abs(ends[:, 0, 0] * along[:, 1] - ends[:, 0, 1] * along[:, 0]) / np.hypot(*along.T)
+    apart_m = spacing_rad * (ends**2).sum(axis=2) / np.maximum(off_m, 1e-9)[:, None]
+    each = np.column_stack([np.repeat(iteration, 2), ends.reshape(-1, 2)])
+    order = np.lexsort(each.T)
+    same = np.concatenate([[False], (np.diff(each[order], axis=0) == 0).all(axis=1), [False]])
+    meet = np.zeros(len(each), dtype=np.bool_)
+    meet[order] = same[1:] | same[:-1]
+    return np.where(meet.reshape(-1, 2), 0.0, np.minimum(MISSED * apart_m, MISSED_M))
 
 
 def _corners(corner: Ints, corner_of: Ints) -> tuple[Ints, Ints, Ints, Ints]:

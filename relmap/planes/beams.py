@@ -28,6 +28,8 @@ RECENT = 16
 """Number of scans whose beams are kept in order: neighbouring scans are compared repeatedly."""
 PER_SCAN = 2000
 """Maximum number of beams kept per scan, by subsampling: a cloud has a hundred thousand."""
+FIRST = 20
+"""Number of scans by which the angle between beams is estimated."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,6 +160,17 @@ class BeamStore:
     def __len__(self) -> int:
         """Return the number of points."""
         return len(self._points)
+
+    @property
+    def spacing_rad(self) -> float:
+        """Angle between the beams of the laser, by the first scans; 0 without a laser."""
+        offsets = self._offsets.values[: FIRST + 1]
+        scan = np.repeat(np.arange(len(offsets) - 1), np.diff(offsets))
+        x, y = (self._points.values[: offsets[-1]] - self._origins.values[scan]).T
+        bearing = np.arctan2(y, x)
+        order = np.lexsort((bearing, scan))
+        same = (np.diff(scan[order]) == 0) & self._in_order.values[scan[order][1:]]
+        return float(np.median(np.diff(bearing[order])[same])) if same.any() else 0.0
 
     def of(self, scan: int, ends: Floats) -> Beams:
         """Return the beams of a laser scan, given the ends of its walls (m, 2, 2).

@@ -49,6 +49,8 @@ class PlaneHistory:
         Odometry, if available and accepted.
     measured : (i,) bool, optional
         Which motions are determined in all directions.
+    spacing_rad : float
+        Angle between the beams of the laser; 0 if unknown.
     """
 
     iteration: Ints
@@ -61,6 +63,7 @@ class PlaneHistory:
     submap: Ints
     odometry: Steps | None = None
     measured: Bools | None = None
+    spacing_rad: float = 0.0
 
     @property
     def n_iterations(self) -> int:

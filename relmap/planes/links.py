@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from relmap.core.arrays import Floats, Ints
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.planes.motions import APART_M, APART_RAD
 from relmap.planes.observation import PlaneObservation
 from relmap.planes.placement import LEVER_M, Match, worth
@@ -30,8 +30,8 @@ VARYING = 20
 """Number of steps from which the variation of the speed is estimated."""
 UNSURE = 0.05
 """Minimum uncertainty of a predicted step, as a fraction of it."""
-SLOWED = 0.5
-"""Fraction of the usual step below which a robot slowed down."""
+FAST = 0.75
+"""Quantile of the measured steps as long as which an unmeasured one may be."""
 VARYING_M = 0.15
 """Steps that vary by more are not bridged if unmeasured."""
 TORN_M = 1.0
@@ -59,8 +59,20 @@ def is_supported(
     return match.score >= supported * (min(worth(tracks, seen, recent)) - 1)
 
 
-def usual_motion(motions: Floats) -> Floats:
-    """Return the recent motion of the robot (3,): the median of its last motions (n, 3)."""
+def usual_motion(motions: Floats, measured: Bools | None = None) -> Floats:
+    """Return the recent motion of the robot (3,): the median of its last motions (n, 3).
+
+    With `measured` (n,) the step is that of the last motions whose length was measured, if there
+    are enough: where none is measured, the robot is assumed to go on as before.
+    """
+    last = _middle(motions)
+    if measured is not None and measured.sum() >= STEADY:
+        last[1:] = _middle(motions[measured])[1:]
+    return last
+
+
+def _middle(motions: Floats) -> Floats:
+    """Return the median of the last motions (3,), zero if there are none."""
     last = np.sort(motions[-STEADY:], axis=0)
     return np.asarray(last[len(last) // 2]) if len(last) else np.zeros(3)
 
@@ -89,24 +101,25 @@ def unsure_m(before: Floats) -> float:
     """Return the possible error of the length of an unmeasured step, metres.
 
     The step is predicted as the median of the last measured motions, of all (n, 3) so far; its
-    uncertainty is their variation.
+    uncertainty is their variation, or the whole step if fewer than `KNOWN` are measured.
     """
     if not len(before):
         return np.inf
     low, middle, high = np.quantile(_lengths(before[-VARYING:]), (0.25, 0.5, 0.75))
-    return float(max((high - low) / 2 / np.sqrt(STEADY), UNSURE * middle))
+    unsure = UNSURE if len(before) >= KNOWN else 1.0
+    return float(max((high - low) / 2 / np.sqrt(STEADY), unsure * middle))
 
 
 def slower_m(before: Floats, usual: Floats) -> float:
-    """Return by how much a predicted motion (3,) is shorter than the median of (n, 3), metres.
+    """Return by how much a predicted motion (3,) is shorter than a fast one of (n, 3), metres.
 
-    0 if it is more than half as long. A robot that turned or stood before a corridor may go on
-    there as usual, unnoticed.
+    0 if the difference is within the minimum uncertainty. A robot that turned or stood before a
+    corridor may go on there as usual, unnoticed.
     """
     if not len(before):
         return 0.0
-    middle_m, usual_m = float(np.median(_lengths(before[-USUAL:]))), float(np.hypot(*usual[1:]))
-    return middle_m - usual_m if usual_m < SLOWED * middle_m else 0.0
+    fast_m, usual_m = np.quantile(_lengths(before[-USUAL:]), FAST), np.hypot(*usual[1:])
+    return float(fast_m - usual_m if usual_m < (1 - UNSURE) * fast_m else 0.0)
 
 
 def _lengths(motions: Floats) -> Floats:

@@ -44,6 +44,7 @@ class MappedWalls(Mapper):
             motion=self._planes.links.motions,
             submap=self._planes.links.submaps,
             measured=self._planes.links.measured,
+            spacing_rad=self._planes.links.beams.spacing_rad,
         )
 
     @property

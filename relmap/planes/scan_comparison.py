@@ -46,6 +46,8 @@ LIKELIER = 3.0
 """Minimum log odds of a correction."""
 FREE_M, FREE = 0.3, 0.01
 """A motion along a wall is undetermined if the beams agree almost as well at this distance."""
+CONTRADICTED = -5.0
+"""Log odds below which beams contradict the usual step."""
 
 
 class ScanComparison:
@@ -121,6 +123,18 @@ class ScanComparison:
         peaks = peaks[np.argsort(-value[peaks], kind="stable")][:PEAKS]
         motions = motions[peaks[np.abs(way_m[peaks]) > SLIDE_M / 2]]
         return self._judged(motions)
+
+    def _steady(self, one: Judged) -> Judged:
+        """Return an undetermined motion with the usual step along the longest wall.
+
+        Unchanged if the beams contradict that. Otherwise any place where a few points happen to
+        agree would be taken.
+        """
+        motion, match = one.motions[0], one.matches[0]
+        usual_m = (self._before[1:] - motion[1:]) @ self._along_longest(match)
+        moved = self._moved(motion, match, np.array([usual_m]))
+        views = [*self._views[:1], *self._nearby]
+        return one if self._odds(views, moved, motion)[0] < CONTRADICTED else self._judged(moved, 0)
 
     def _corrected(self, judged: Judged, k: int, far: bool = True) -> Judged:
         """Return a motion, moved along the longest wall if that is clearly likelier.

@@ -57,7 +57,7 @@ class ScanLinks(LinkRecord):
         The latter is the median over some scans, since one of them may be a jump.
         """
         expected = self._expected
-        return expected.motion if expected else usual_motion(self.motions)
+        return expected.motion if expected else usual_motion(self.motions, self.measured)
 
     @property
     def _expected(self) -> Expected | None:

@@ -88,6 +88,7 @@ class Search(ScanComparison):
             return None
         if not measured and self._expected:
             return self._by_odometry(every, self._expected)
+        one = one if measured else self._steady(one)
         return self._chosen(one, measured, float(every.evidence[best]))
 
     def _chosen(self, one: Judged, measured: bool, evidence: float) -> Found:
