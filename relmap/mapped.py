@@ -133,7 +133,7 @@ class Mapped(Shown, ABC):
         correct. Empty scans do not count; None with known association, for walls, for other
         registrations, and with fewer than two scans that show any point.
         """
-        return self.engine.association.tied_share
+        return self.engine.association.current.tied_share
 
     @property
     def unique_share(self) -> float | None:
@@ -141,7 +141,7 @@ class Mapped(Shown, ABC):
 
         None where `tied_share` is. It does not reveal perceptual aliasing.
         """
-        return self.engine.association.unique_share
+        return self.engine.association.current.unique_share
 
     @property
     def n_undone(self) -> int:

@@ -107,7 +107,7 @@ def test_covariances_of_the_map_agree_with_its_errors() -> None:
     assert len(mapper.refined) == 1
     refined = mapper.refined[0]
     anchor = truth.trajectory[refined.anchor_iteration]
-    ids = mapper.engine.association.labels_of(refined.landmarks)
+    ids = mapper.engine.association.current.labels_of(refined.landmarks)
     there = (truth.landmarks_map[ids] - anchor[:3, 3]) @ anchor[:3, :3]
     off = refined.positions - there[:, :2]
     squares = np.einsum("ni,nij,nj->n", off, np.linalg.inv(refined.covariances), off)

@@ -19,10 +19,8 @@ NEAR_M = 0.6
 N = 40
 
 
-class NearestSign:
+class NearestSign(Registration):
     """Matches signs to those of the scan before: near, and with nearly their direction."""
-
-    rejected: list[int] = []  # noqa: RUF012
 
     def __init__(self) -> None:
         self._before, self._numbers, self._n = np.empty((0, 3)), np.empty(0, dtype=np.int64), 0
@@ -39,12 +37,6 @@ class NearestSign:
         self._n += int(new.sum())
         self._before, self._numbers = seen, found
         return found
-
-    def labels_of(self, landmarks: Ints) -> Ints:
-        return landmarks
-
-    def expect(self, landmarks: Ints, points_robot: Floats) -> None:
-        raise NotImplementedError
 
 
 class SignModel:

@@ -103,7 +103,7 @@ def tie_and_solve(engine: RelativeMapper) -> None:
 
 def _close_loops(engine: RelativeMapper, rows: SegmentRows, noise_m: float) -> None:
     """Close loops that drift has left open, one after the other."""
-    finder = LoopFinder(engine.table, noise_m, engine.association.is_blurred)
+    finder = LoopFinder(engine.table, noise_m, engine.association.current.is_blurred)
     while (loop := finder.next()) is not None:
         pairs = loop.pairs[engine.merger.allowed(loop.pairs)]
         if len(pairs) > CLEAR * len(loop.pairs):

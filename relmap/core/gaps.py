@@ -104,7 +104,7 @@ def _solver(
     """Return the solver of the parts of a run; `corrected` is odometry without constant errors."""
     mature = to_the_last and not engine.association.has_ids
     roots = None
-    if len(engine.weighed) and not engine.association.estimates_covariances:
+    if len(engine.weighed) and not engine.association.current.estimates_covariances:
         # Observations long before the first odometry are not kept.
         covariance = engine.weighed.covariance[len(engine.weighed) - len(engine.kept) :]
         roots = np.linalg.inv(np.linalg.cholesky(covariance))

@@ -16,7 +16,7 @@ from relmap.core.state.table import NONE, LandmarkState
 
 def labels(engine: RelativeMapper) -> Ints:
     """Return the public labels of landmarks (n,)."""
-    return engine.association.labels_of(np.arange(len(engine.table)))
+    return engine.association.current.labels_of(np.arange(len(engine.table)))
 
 
 def positions_in_largest_submap(table: LandmarkState) -> Floats:

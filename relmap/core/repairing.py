@@ -93,7 +93,7 @@ def _repair(engine: RelativeMapper) -> None:
         undone = _merge_coinciding(engine) or found or engine.config.keep_observations
     rare = rarely_seen(engine)
     wrong = doubtful(engine.table, rare, engine.averaging.noise.sigma_m)
-    if engine.association.is_blurred or engine.association.estimates_covariances:
+    if engine.association.current.is_blurred or engine.association.current.estimates_covariances:
         wrong |= Sightings(rows_of_tracks(engine.rows, engine.table), engine.table).seldom(rare)
     rare &= ~grouped | (wrong & (not is_bridged(engine)))
     engine.table.take_off_map(np.flatnonzero(rare))
@@ -131,7 +131,7 @@ def _merge_compatible(engine: RelativeMapper, at_last: bool = False) -> bool:
     whether there were any.
     """
     merged = 0
-    if not engine.association.estimates_covariances:
+    if not engine.association.current.estimates_covariances:
         return False
     sightings = Sightings(rows_of_tracks(engine.rows, engine.table), engine.table)
     for refined in engine.refined:
@@ -193,7 +193,7 @@ def _refine(engine: RelativeMapper, to_the_last: bool = True) -> None:
         return
     kept = engine.store if to_the_last and engine.config.keep_observations else None
     rows = engine.rows if engine.association.has_ids else rows_of_tracks(engine.rows, engine.table)
-    engine.association.weigh_again(engine.weighed)
+    engine.association.current.weigh_again(engine.weighed)
     engine.refined = _refine_submaps(engine, rows, kept)
 
 

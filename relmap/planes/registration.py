@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
+from relmap.core.association import Registration
 from relmap.core.state.growing import GrowingArray
 from relmap.planes.corners import CORNER, INTERVAL, LOOSE, UNKNOWN, compared_ends
 from relmap.planes.judging import Found
@@ -39,7 +40,7 @@ FAMILIAR = 8
 """Number of observations of a corner that doubles its rank: the selection should be stable."""
 
 
-class PlaneRegistration:
+class PlaneRegistration(Registration):
     """Matches walls to those of earlier iterations, and numbers their corners.
 
     Corner ``k`` is landmark ``2 k``, and the midpoint estimated from it landmark ``2 k + 1``; the
@@ -82,18 +83,6 @@ class PlaneRegistration:
     def submap_of(self) -> Ints:
         """Submap of each corner."""
         return self._submap_of.values
-
-    def labels_of(self, landmarks: Ints) -> Ints:
-        """Return landmarks (n,) unchanged: their numbers are their labels."""
-        return landmarks
-
-    def expect(self, landmarks: Ints, points_robot: Floats) -> None:
-        """Do nothing: walls are predicted by their lines."""
-
-    @property
-    def rejected(self) -> list[int]:
-        """None: walls are accepted individually."""
-        return []
 
     def match(self, seen: PlaneObservation, ids: Ints | None = None) -> Ints:
         """Return the number of each wall (m,) of one scan.

@@ -130,7 +130,7 @@ class PointMapper(Mapper):
         labels = engine.update(points_robot, known, noise, motion)
         self._stamps.append(stamp_s, engine.store.n_iterations - 1)
         seen = labels >= 0
-        labels[seen] = engine.association.labels_of(engine.table.now(labels[seen]))
+        labels[seen] = engine.association.current.labels_of(engine.table.now(labels[seen]))
         if self._journal is not None:
             self._journal.append(
                 points_robot, known, labels, noise, odometry=motion, stamp_s=stamp_s
@@ -141,7 +141,7 @@ class PointMapper(Mapper):
     def _has_covariances(self) -> bool | None:
         """Whether covariances are given with observations; None before the first one."""
         if len(self.engine.weighed):
-            return not self.engine.association.estimates_covariances
+            return not self.engine.association.current.estimates_covariances
         return False if len(self.engine.table) else None
 
     @property

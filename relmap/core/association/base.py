@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Bools, Floats, Ints
+
+if TYPE_CHECKING:
+    from relmap.core.state.weighed import WeighedObservations
 
 UNIDENTIFIED = -1
 """Marks an observation that belongs to no known landmark."""
@@ -16,41 +19,65 @@ UNIDENTIFIED = -1
 _RANKS = {rank: list(range(1, rank + 1)) for rank in range(1, 33)}
 
 
-class Registration(Protocol):
-    """Assigns observations to landmarks, which are numbered in the order of first observation."""
+class Registration:
+    """Assigns observations to landmarks, which are numbered in the order of first observation.
 
-    def labels_of(self, landmarks: Ints) -> Ints:
-        """Return the public labels of landmarks (n,)."""
-        ...
+    By default it knows nothing of motions and of the noise of observations, and rejects no scan.
+    """
 
     def match(self, seen: Any, ids: Ints | None, /) -> Ints:
         """Return the landmark of each observation (n,), or `UNIDENTIFIED`."""
-        ...
+        raise NotImplementedError
+
+    def labels_of(self, landmarks: Ints) -> Ints:
+        """Return the public labels of landmarks (n,): by default, their numbers."""
+        return landmarks
 
     def expect(self, landmarks: Ints, points_robot: Floats) -> None:
         """Expect landmarks (n,) at points (n, d) in the next scan, and no others."""
-        ...
+
+    def inform(self, motion: Floats | None, covariances: Floats | None) -> None:
+        """Use the odometry (4, 4) into the next scan and its covariances (n, d, d), if known."""
+
+    def weigh_own(
+        self, landmarks: Ints, points_robot: Floats, iteration: int, weighed: WeighedObservations
+    ) -> None:
+        """Add observations without covariances to `weighed` if their noise is unequal."""
+
+    def weigh_again(self, weighed: WeighedObservations) -> None:
+        """Replace estimated covariances of all observations by the latest estimate."""
+
+    @property
+    def estimates_covariances(self) -> bool:
+        """Whether the noise is unequal, and observations are weighted by its estimate."""
+        return False
+
+    @property
+    def is_blurred(self) -> bool:
+        """Whether the noise makes many single matches ambiguous."""
+        return False
 
     @property
     def rejected(self) -> list[int]:
         """Scans, counted from 0, that match no other scan and do not enter the map."""
-        ...
+        return []
+
+    @property
+    def tied_share(self) -> float | None:
+        """Fraction of scans matched to the tracks at once; None if not applicable."""
+        return None
+
+    @property
+    def unique_share(self) -> float | None:
+        """Fraction of scans whose matches exceed what chance produces; None if not applicable."""
+        return None
 
 
-class Numbered:
-    """A registration that numbers landmarks by first observation and rejects no scan."""
+class Numbered(Registration):
+    """A registration that numbers landmarks without ids by first observation."""
 
     def __init__(self) -> None:
         self.n_landmarks = 0
-
-    def labels_of(self, landmarks: Ints) -> Ints:
-        """Return landmarks (n,) unchanged: their numbers are their labels."""
-        return landmarks
-
-    @property
-    def rejected(self) -> list[int]:
-        """No scan."""
-        return []
 
     def number_new(self, landmarks: Ints) -> Bools:
         """Give every `UNIDENTIFIED` entry (n,) a new number, in place; return which ones."""

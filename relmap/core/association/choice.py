@@ -8,14 +8,12 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association.base import Registration
-from relmap.core.association.constellation import Constellation
 from relmap.core.association.known import KnownAssociation
 from relmap.core.config import WITH_IDS, MapperConfig
 from relmap.core.errors import RelmapError
 
 if TYPE_CHECKING:
     from relmap.core.model import LandmarkModel
-    from relmap.core.state.weighed import WeighedObservations
 
 
 class DataAssociation:
@@ -61,28 +59,13 @@ class DataAssociation:
         """
         if self.registration is None:
             return np.empty(0, dtype=np.int64)
-        if isinstance(self.registration, Constellation):
-            self.registration.guide.note(motion)
-            self.registration.weigh(covariances)
+        self.registration.inform(motion, covariances)
         return self.registration.match(seen, ids)
 
-    def weigh_own(
-        self, landmarks: Ints, seen: Any, iteration: int, weighed: WeighedObservations
-    ) -> None:
-        """Add observations without covariances to `weighed` if their noise is unequal."""
-        if isinstance(self.registration, Constellation):
-            self.registration.weigh_own(landmarks, seen, iteration, weighed)
-
-    def weigh_again(self, weighed: WeighedObservations) -> None:
-        """Replace estimated covariances of all observations by the latest estimate."""
-        if isinstance(self.registration, Constellation):
-            self.registration.weigh_again(weighed)
-
     @property
-    def estimates_covariances(self) -> bool:
-        """Whether observations are weighted by covariances that were estimated here."""
-        registration = self.registration
-        return isinstance(registration, Constellation) and registration.estimates_covariances
+    def current(self) -> Registration:
+        """The registration; before the first observation one that knows nothing."""
+        return self.registration or Registration()
 
     @property
     def is_known(self) -> bool | None:
@@ -104,8 +87,7 @@ class DataAssociation:
     @property
     def rejected(self) -> Ints:
         """Iterations (r,), ascending, whose scans match no other scan and do not enter the map."""
-        scans = [] if self.registration is None else self.registration.rejected
-        return np.array(scans, dtype=np.int64) + self._first_scan
+        return np.array(self.current.rejected, dtype=np.int64) + self._first_scan
 
     @property
     def overruled(self) -> Ints:
@@ -114,25 +96,3 @@ class DataAssociation:
             return np.empty((0, 2), dtype=np.int64)
         scans = np.array(self.registration.overruled_scans, dtype=np.int64) + self._first_scan
         return np.column_stack([scans, np.array(self.registration.overruled_rows, dtype=np.int64)])
-
-    @property
-    def tied_share(self) -> float | None:
-        """Fraction of scans matched to the tracks at once; None if not applicable."""
-        registration = self.registration
-        return registration.tied_share if isinstance(registration, Constellation) else None
-
-    @property
-    def unique_share(self) -> float | None:
-        """Fraction of scans whose matches exceed what chance produces; None if not applicable."""
-        registration = self.registration
-        return registration.unique_share if isinstance(registration, Constellation) else None
-
-    @property
-    def is_blurred(self) -> bool:
-        """Whether the noise makes many single matches of points without ids ambiguous."""
-        registration = self.registration
-        return isinstance(registration, Constellation) and registration.is_blurred
-
-    def labels_of(self, landmarks: Ints) -> Ints:
-        """Return the public labels of landmarks (n,)."""
-        return landmarks if self.registration is None else self.registration.labels_of(landmarks)

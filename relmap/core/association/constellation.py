@@ -48,7 +48,7 @@ class Constellation(Numbered):
     _stray_since: int | None
     STATE = (
         "n_landmarks _tracks _stray _scale _idle _n_scans _n_empty _n_open _n_unique _alone "
-        "_tracks_since _stray_since guide _estimated"
+        "_tracks_since _stray_since _guide _estimated"
     )
 
     def __init__(self, max_missed: int) -> None:
@@ -60,14 +60,14 @@ class Constellation(Numbered):
         self._n_scans = self._n_empty = self._n_open = self._n_unique = 0
         self._alone = []
         self._tracks_since = self._stray_since = None
-        self.guide = OdometryGuide()
+        self._guide = OdometryGuide()
         self._estimated = EstimatedCovariances()
 
     def match(self, points_robot: Floats, ids: Ints | None) -> Ints:
         """Match points (n, d) to the live tracks; unmatched points are new landmarks."""
         landmarks = np.full(len(points_robot), UNIDENTIFIED)
         continued = None
-        if len(points_robot) or self.guide.knows:
+        if len(points_robot) or self._guide.knows:
             continued = self._continue(points_robot, landmarks)
         new = self.number_new(landmarks)
         begun = LiveTracks.begun(landmarks[new], points_robot[new])
@@ -79,13 +79,14 @@ class Constellation(Numbered):
         else:
             self._tracks, self._stray, self._idle = continued.joined(begun), None, 0
             self._tracks_since = None
-            self.guide.forget()
+            self._guide.forget()
         self._n_scans += 1
         self._n_empty += not len(points_robot)
         return landmarks
 
-    def weigh(self, covariances: Floats | None) -> None:
-        """Use the covariances (n, d, d) of the next scan, robot frame; None if unknown."""
+    def inform(self, motion: Floats | None, covariances: Floats | None) -> None:
+        """Use the odometry (4, 4) into the next scan and its covariances (n, d, d), if known."""
+        self._guide.note(motion)
         self._scale.rays.given = covariances
 
     def weigh_own(
@@ -154,10 +155,10 @@ class Constellation(Numbered):
                 is_unique = placing.is_unique(placement, tracks, points_robot)
                 self._n_unique += is_unique
                 if is_unique and tracks is self._tracks:
-                    self.guide.learn(placement)
+                    self._guide.learn(placement)
                 elif tracks is self._tracks and self._is_unlikely(placement, tracks):
                     placement = self._guided(tracks, points_robot)
-            elif self.guide.knows and tracks is self._tracks:
+            elif self._guide.knows and tracks is self._tracks:
                 placement = self._guided(tracks, points_robot)
             if placement is not None:
                 carried = tracks.carried(
@@ -178,15 +179,15 @@ class Constellation(Numbered):
     def _is_unlikely(self, placement: Placement, tracks: LiveTracks) -> bool:
         """Return whether odometry contradicts a placement that may be due to chance."""
         noise_m = max(self._scale.noise_m or self._scale.gate_m, TINY_M)
-        return self.guide.knows and self.guide.contradicts(placement, tracks.expected, noise_m)
+        return self._guide.knows and self._guide.contradicts(placement, tracks.expected, noise_m)
 
     def _guided(self, tracks: LiveTracks, points_robot: Floats) -> Placement:
         """Return the tracks as predicted by odometry, corrected by the few that are in view."""
         if not len(points_robot):
-            return self.guide.predicted(tracks.expected.shape[1])
+            return self._guide.predicted(tracks.expected.shape[1])
         noise_m = max(self._scale.noise_m or self._scale.gate_m, TINY_M)
         most_m = NEAR * self._scale.spacing_m
-        return self.guide.placement(tracks.expected, points_robot, noise_m, most_m)
+        return self._guide.placement(tracks.expected, points_robot, noise_m, most_m)
 
     def _begin_anew(self, begun: LiveTracks) -> None:
         """Defer a scan that could not be matched to the tracks: the next one may match either.
@@ -198,7 +199,7 @@ class Constellation(Numbered):
         if self._tracks is None or not len(self._tracks):
             if len(begun):
                 self._tracks, self._tracks_since = begun, self._n_scans
-                self.guide.forget()
+                self._guide.forget()
             self._scale.spacing_m = spacing_of(begun.expected)
             return
         if len(begun) < ENOUGH:
@@ -209,7 +210,7 @@ class Constellation(Numbered):
         if self._tracks.missed.min() > self._max_missed:
             self._tracks, self._tracks_since = self._stray, self._stray_since
             self._stray, self._idle = None, 0
-            self.guide.forget()
+            self._guide.forget()
             self._scale.allow_noise()
 
     def _links(

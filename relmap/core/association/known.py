@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.association.base import UNIDENTIFIED
+from relmap.core.association.base import UNIDENTIFIED, Registration
 from relmap.core.association.rigidity import Rigidity
 from relmap.core.state.growing import GrowingArray
 
@@ -13,24 +13,29 @@ PARTS = 64
 """Number of dictionaries that hold the ids: a single large one would stall when it grows."""
 
 
-class KnownAssociation:
+class KnownAssociation(Registration):
     """Uses the given ids, except for geometrically impossible observations; see `Rigidity`.
 
-    `rejected`: scans, counted from 0, that are inconsistent with the others; `overruled_scans`,
-    `overruled_rows`: scan and row of each observation that was not assigned to its given id.
+    It rejects scans that are inconsistent with the others. `overruled_scans`, `overruled_rows`:
+    scan and row of each observation that was not assigned to its given id.
     """
 
-    rejected: list[int]
+    _rejected: list[int]
     overruled_scans: list[int]
     overruled_rows: list[int]
-    STATE = "rejected overruled_scans overruled_rows _n_scans _rigidity _labels"
+    STATE = "_rejected overruled_scans overruled_rows _n_scans _rigidity _labels"
 
     def __init__(self) -> None:
-        self.rejected, self.overruled_scans, self.overruled_rows = [], [], []
+        self._rejected, self.overruled_scans, self.overruled_rows = [], [], []
         self._n_scans = 0
         self._rigidity = Rigidity()
         self._parts: list[dict[int, int]] = [{} for _ in range(PARTS)]
         self._labels: GrowingArray[np.int64] = GrowingArray(np.int64)
+
+    @property
+    def rejected(self) -> list[int]:
+        """Scans, counted from 0, that are inconsistent with the others."""
+        return self._rejected
 
     def restored(self) -> None:
         """Look up the current ids."""
@@ -40,9 +45,6 @@ class KnownAssociation:
     def labels_of(self, landmarks: Ints) -> Ints:
         """Return the ids of landmarks (n,)."""
         return self._labels.values[landmarks]
-
-    def expect(self, landmarks: Ints, points_robot: Floats) -> None:
-        """Do nothing: the ids determine the association."""
 
     def match(self, points_robot: Floats, ids: Ints | None) -> Ints:
         """Return the landmark of each id (n,).
@@ -73,7 +75,7 @@ class KnownAssociation:
         else:
             good = self._rigidity.checked(ids[named], points_robot[named])
         if good is None:
-            self.rejected.append(self._n_scans - 1)
+            self._rejected.append(self._n_scans - 1)
             return np.full(len(ids), UNIDENTIFIED)
         if good is ids:
             return ids
