@@ -18,9 +18,9 @@ from relmap.core.arrays import Floats
 from relmap.io.files import read_tum
 from relmap.planes.equations import Walls
 from relmap.planes.files import read_planes
-from relmap.planes.links import disagreement
 from relmap.planes.refinement import WallSystem
 from relmap.planes.stitching import stitched
+from relmap.planes.tearing import disagreement
 from relmap.simulation.visibility import seen_walls
 from tests.commands import unrendered
 from tests.test_planes import CORRIDOR, ROOM, seen_from

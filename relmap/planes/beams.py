@@ -247,6 +247,11 @@ def leads(
     return off.sum(axis=1), np.sqrt((off**2).sum(axis=1))
 
 
+def log_odds(lead: Floats, variance: Floats) -> Floats:
+    """Return the log odds that motions are better than another one, by their leads (k,)."""
+    return np.asarray(np.sign(lead) * lead**2 / np.maximum(variance, 1e-18) / 2)
+
+
 def on_loose_things(ends: Floats, given: GivenBeams) -> Bools:
     """Return which walls, by their ends (m, 2, 2), are on small free-standing objects."""
     if not given.in_order:

@@ -9,9 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.planes.motions import APART_M, APART_RAD
 from relmap.planes.observation import PlaneObservation
-from relmap.planes.placement import LEVER_M, Match, worth
+from relmap.planes.placement import Match, worth
 from relmap.planes.tracks import PlaneTracks
 
 SUPPORTED = 0.375
@@ -34,8 +33,6 @@ FAST = 0.75
 """Quantile of the measured steps as long as which an unmeasured one may be."""
 VARYING_M = 0.15
 """Steps that vary by more are not bridged if unmeasured."""
-TORN_M = 1.0
-"""Disagreement of a map with a link above which the map is torn."""
 
 
 def is_supported(
@@ -124,45 +121,6 @@ def slower_m(before: Floats, usual: Floats) -> float:
 
 def _lengths(motions: Floats) -> Floats:
     return np.hypot(motions[:, 1], motions[:, 2])
-
-
-def disagreement(poses: Floats, motions: Floats) -> tuple[int, float]:
-    """Return the number of links at which a path is torn, and the mean error at the others.
-
-    Compared with the motions measured from scan to scan; metres.
-
-    `poses` (k, 4, 4); `motions` (k, 3): yaw, x, y from the previous robot frame to that of each
-    iteration.
-    """
-    off_m = _off_m(poses, motions)
-    off_m = off_m[np.isfinite(off_m)]
-    torn = off_m > TORN_M
-    n_torn = int(torn.sum())
-    return n_torn, float(off_m[~torn].sum() / max(len(off_m) - n_torn, 1))
-
-
-def torn_links(poses: Floats, motions: Floats) -> Ints:
-    """Return the scans (t,) before which a path deviates from its links.
-
-    `poses` (k, 4, 4); `motions` (k, 3): yaw, x, y from the previous robot frame to that of each
-    iteration.
-    """
-    way_m, turn = _off(poses, motions)
-    return 1 + np.flatnonzero((way_m > APART_M) | (turn > APART_RAD))
-
-
-def _off_m(poses: Floats, motions: Floats) -> Floats:
-    """Return the disagreement of a path with each of its links, NaN where unknown."""
-    way_m, turn = _off(poses, motions)
-    return np.asarray(way_m + LEVER_M * turn)
-
-
-def _off(poses: Floats, motions: Floats) -> tuple[Floats, Floats]:
-    """Return the same for translation, metres, and rotation, radians."""
-    relative = np.linalg.inv(poses[1:]) @ poses[:-1]
-    turn = np.arctan2(relative[:, 1, 0], relative[:, 0, 0]) - motions[1:, 0]
-    way_m = np.hypot(*(relative[:, :2, 3] - motions[1:, 1:]).T)
-    return way_m, np.abs((turn + np.pi) % (2 * np.pi) - np.pi)
 
 
 def spread(along: Floats, of: Ints, n: int) -> Floats:

@@ -14,13 +14,14 @@ import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.planes.assembly import Assembled, WallNumbers, assemble
+from relmap.planes.beams import BeamStore
 from relmap.planes.closing import walls_seen_again
 from relmap.planes.history import PlaneHistory
 from relmap.planes.joining import join_pairs, join_walls
-from relmap.planes.links import disagreement
 from relmap.planes.solving import refined, refined_to_the_noise
 from relmap.planes.stitching import stitched, with_strays_put_back
 from relmap.planes.submaps import WallSubmap, among_all, torn_in
+from relmap.planes.tearing import contradicted_steps, disagreement
 
 _LOG = logging.getLogger(__name__)
 
@@ -48,21 +49,25 @@ JOINED = 4
 
 
 def refined_map(
-    history: PlaneHistory, numbers: WallNumbers, chained: WallSubmap, moving: Bools
+    history: PlaneHistory,
+    numbers: WallNumbers,
+    chained: WallSubmap,
+    moving: Bools,
+    beams: BeamStore,
 ) -> tuple[WallSubmap, WallNumbers]:
     """Move walls, corners and poses of a submap to the joint optimum of all observations.
 
     Walls that then coincide are joined, which closes loops.
 
     `numbers`: initial association; `chained`: initial submap; `moving` (p,): plane tracks ignored
-    because they move. Returns `submap`: not refined if nothing is mapped, or if refinement does not
-    converge or makes the map worse.
+    because they move; `beams`: evaluate changed steps. Returns `submap`: not refined if nothing is
+    mapped, or if refinement does not converge or makes the map worse.
     """
     if chained.assembled is None:
         return chained, numbers
     torn = list[Ints]()
     for held in HELD if chained.length_m < HELD_M else HELD[:1]:
-        found, found_numbers = _solved(history, numbers, chained, moving, held)
+        found, found_numbers = _solved(history, numbers, chained, moving, held, beams)
         if _better(found, chained, history):
             return found, found_numbers
         torn.append(torn_in([found], history))
@@ -71,7 +76,12 @@ def refined_map(
 
 
 def _solved(
-    history: PlaneHistory, numbers: WallNumbers, chained: WallSubmap, moving: Bools, held: float
+    history: PlaneHistory,
+    numbers: WallNumbers,
+    chained: WallSubmap,
+    moving: Bools,
+    held: float,
+    beams: BeamStore,
 ) -> tuple[WallSubmap, WallNumbers]:
     """Return the refined submap and its association."""
     span = chained.span
@@ -85,7 +95,7 @@ def _solved(
         return found, poses_of(found, span, history)
 
     best = refined(chained.assembled, WIDELY, held)
-    poses = poses_of(best, span, history)
+    poses = before = poses_of(best, span, history)
     torn = max(disagreement(path, motions)[0] for path in (chained.poses, poses))
     for _ in range(CLOSED):
         joined = join_pairs(best, numbers, walls_seen_again(best, history))
@@ -102,7 +112,8 @@ def _solved(
         numbers, (best, poses) = joined, again(joined, ROUGHLY)
     best = refined_to_the_noise(best, held)
     found = WallSubmap.of(span, poses_of(best, span, history), best, refined=True)
-    return found, numbers
+    against = contradicted_steps(before, found.poses, span[0], history, beams)
+    return replace(found, torn=against), numbers
 
 
 def _better(found: WallSubmap, chained: WallSubmap, history: PlaneHistory) -> bool:

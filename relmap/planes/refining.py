@@ -11,6 +11,7 @@ import numpy as np
 
 from relmap.core.arrays import Bools, Ints
 from relmap.planes.assembly import WallNumbers
+from relmap.planes.beams import BeamStore
 from relmap.planes.floor_plan import floor_plan
 from relmap.planes.grouped_map import GroupedMap
 from relmap.planes.history import PlaneHistory
@@ -40,11 +41,11 @@ def refined_submaps(grouped: GroupedMap, moving: Bools, links: ScanLinks) -> Ref
     merged, moved = grouped.at_rest(grouped.numbers), [np.empty(0, dtype=np.int64)]
     first = partial(grouped.submaps, merged, moving)
     grouped = with_odometry(grouped, odometry_steps(links, grouped.history, first))
-    submaps, numbers = _refined(grouped, merged, moving)
+    submaps, numbers = _refined(grouped, merged, moving, links.beams)
     odometry = grouped.history.odometry
     if odometry and odometry.needed.any():  # estimated again, more accurately
         grouped = with_odometry(grouped, odometry_steps(links, grouped.history, lambda: submaps))
-        submaps, numbers = _refined(grouped, merged, moving)
+        submaps, numbers = _refined(grouped, merged, moving, links.beams)
     history = grouped.history
     for k, submap in enumerate(submaps):
         plan, numbers, gone = floor_plan(submap, numbers, history, links.beams, moving)
@@ -55,12 +56,12 @@ def refined_submaps(grouped: GroupedMap, moving: Bools, links: ScanLinks) -> Ref
 
 
 def _refined(
-    grouped: GroupedMap, merged: WallNumbers, moving: Bools
+    grouped: GroupedMap, merged: WallNumbers, moving: Bools, beams: BeamStore
 ) -> tuple[list[WallSubmap], WallNumbers]:
     """Return the submaps and the association; `merged` is that of the grouped map."""
     numbers, submaps = grouped.at_rest(grouped.unmerged), grouped.submaps(merged, moving)
     for k, submap in enumerate(grouped.submaps(numbers, moving)):
-        found, own = refined_map(grouped.history, numbers, submap, moving)
+        found, own = refined_map(grouped.history, numbers, submap, moving, beams)
         if found.refined:
             submaps[k], numbers = found, own
         else:

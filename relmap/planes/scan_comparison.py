@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from relmap.core.arrays import Floats
-from relmap.planes.beams import NEAR_M, Beams, compared, leads
+from relmap.planes.beams import NEAR_M, Beams, compared, leads, log_odds
 from relmap.planes.judging import Judged, View
 from relmap.planes.links import spread
 from relmap.planes.motions import after
@@ -187,7 +187,7 @@ class ScanComparison:
             both = after(view.motion, np.vstack([motion[None], motions]))
             own = leads(view.beams, self._beams, both[1:], both[0], NEAR_M, self._firm)
             lead, variance = lead + own[0], variance + own[1] ** 2
-        return np.asarray(np.sign(lead) * lead**2 / np.maximum(variance, 1e-18) / 2)
+        return log_odds(lead, variance)
 
     def _measured(self, judged: Judged, k: int) -> bool:
         """Return whether beams agree less if a motion is slid along the longest wall."""

@@ -11,9 +11,9 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.landmarks import Submap
 from relmap.planes.assembly import Assembled
 from relmap.planes.history import PlaneHistory
-from relmap.planes.links import disagreement, torn_links
 from relmap.planes.stitching import stitched
 from relmap.planes.table import corner_map
+from relmap.planes.tearing import disagreement, torn_links
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -22,8 +22,8 @@ class WallSubmap(Submap):
 
     `poses` (k, 4, 4): ``T_submap_robot`` of its iterations; NaN for iterations in between that
     belong to others. `assembled`: None if no wall was seen often enough. `refined`: whether its
-    walls and poses were refined. `torn` (t,): scans before which the refinement, if rejected,
-    deviated from the links.
+    walls and poses were refined. `torn` (t,): scans before which the refinement deviated from the
+    links, if it was rejected, or from the beams.
     """
 
     poses: Floats
