@@ -24,6 +24,7 @@ def candidates(*motions: Floats, evidence: float = 2.0) -> Candidates:
         np.array(motions).reshape(-1, 3),
         np.full(n, evidence),
         np.ones(n, dtype=np.bool_),
+        np.zeros(n, dtype=np.bool_),
         [Match(nothing, nothing, 1.0)] * n,
     )
 

@@ -224,3 +224,23 @@ def test_a_map_torn_at_a_link_is_cut_there(monkeypatch: pytest.MonkeyPatch) -> N
         error_m = ate(submap.poses[known], log.poses[slice(*submap.span)][known], planar=True)
         assert error_m is not None
         assert error_m < 1.0
+
+
+def test_a_coarse_laser_with_long_steps_breaks_rather_than_err() -> None:
+    """One doubtful tie would displace a submap of 48 scans by half a metre."""
+    run = simulate_building(
+        points=60, sigma=0.01, sampling="laser", world="oblique", step_m=1.0, seed=2
+    )
+    mapper = PlaneMapper()
+    for scan in run.scans:
+        mapper.update(scan.points[:, :2])
+    mapper.finish()
+    mapper.refine()
+    own = [submap for submap in mapper.submaps if submap.n_scans >= 10]
+    assert sum(submap.n_scans for submap in own) > 45
+    for submap in own:
+        known = np.isfinite(submap.poses[:, 0, 0])
+        true_poses = run.trajectory[slice(*submap.span)][known]
+        off_m = ate(submap.poses[known], true_poses, planar=True)
+        assert off_m is not None
+        assert off_m < 0.3

@@ -25,6 +25,9 @@ PAIR = np.array([6.7, 2.8, 2.5, -1.8, -13.6])
 logarithm of the contradicting ones, constant."""
 MEASURED = 2.4
 """Added if the motion is determined in all directions."""
+TIE_AGREES, TIE_CONTRADICTS = 0.36, 0.01
+"""Smallest fraction of points that must agree to tie two scans, and largest that may contradict if
+only parallel walls match: they look the same farther along, and from the other end."""
 
 NO_MATCH = Match(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), 0.0)
 
@@ -99,16 +102,19 @@ class Candidates(NamedTuple):
     """Distinct candidate motions of one scan into another.
 
     `motions` (k, 3); `evidence` (k,): evidence of the two scans for each: log odds; `measured`
-    (k,): whether the motion is determined in all directions.
+    (k,): whether the motion is determined in all directions; `doubtful` (k,): whether too few
+    points support it to tie the scans.
     """
 
     motions: Floats
     evidence: Floats
     measured: Bools
+    doubtful: Bools
     matches: list[Match]
 
 
-NO_CANDIDATES = Candidates(np.empty((0, 3)), np.empty(0), np.empty(0, dtype=np.bool_), [])
+_EMPTY = np.empty(0, dtype=np.bool_)
+NO_CANDIDATES = Candidates(np.empty((0, 3)), np.empty(0), _EMPTY, _EMPTY, [])
 
 
 class Found(NamedTuple):

@@ -144,7 +144,7 @@ class ScanComparison:
         step decide. With `far`, the usual step may lie out of the range of the search.
         """
         motion, match = judged.motions[k], judged.matches[k]
-        crossing = spread(self._seen.along[match.walls], np.zeros_like(match.walls), 1)[0]
+        crossing = self._crossing(match)
         if crossing >= CROSSINGS:
             return judged.only(k)
         usual_m = float((self._before[1:] - motion[1:]) @ self._along_longest(match))
@@ -212,6 +212,10 @@ class ScanComparison:
         if not len(match.walls):
             return np.zeros(2)
         return np.asarray(self._seen.along[match.walls[np.argmax(self._seen.size[match.walls])]])
+
+    def _crossing(self, match: Match) -> float:
+        """Return the spread of the directions of the walls that match; 0 if they are parallel."""
+        return float(spread(self._seen.along[match.walls], np.zeros_like(match.walls), 1)[0])
 
     def _value(self, motions: Floats, step: int) -> Floats:
         """Return the agreement of beams along walls for motions (k, 3)."""

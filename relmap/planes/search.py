@@ -16,10 +16,13 @@ from relmap.planes.judging import (
     MEASURED,
     NO_CANDIDATES,
     NO_MATCH,
+    TIE_AGREES,
+    TIE_CONTRADICTS,
     Candidates,
     Found,
     Judged,
 )
+from relmap.planes.links import CROSSING
 from relmap.planes.motions import distinct, others
 from relmap.planes.odometry import OTHERWISE, Expected
 from relmap.planes.placement import STILL
@@ -131,9 +134,17 @@ class Search(ScanComparison):
         best = distinct(every.motions, order, CANDIDATES)
         each = [self._corrected(every, k, False) for k in best]
         measured = np.array([self._measured(one, 0) for one in each], dtype=np.bool_)
+        doubtful = np.array([self._is_doubtful(one) for one in each], dtype=np.bool_)
         matches = [self._named(one.matches[0]) for one in each]
         motions = np.array([one.motions[0] for one in each]).reshape(-1, 3)
-        return Candidates(motions, evidence[best] + MEASURED * measured, measured, matches)
+        evidence = evidence[best] + MEASURED * measured
+        return Candidates(motions, evidence, measured, doubtful, matches)
+
+    def _is_doubtful(self, one: Judged) -> bool:
+        """Return whether too few points support a motion to tie two scans."""
+        parallel = self._crossing(one.matches[0]) < CROSSING
+        against = parallel and one.contradict[0] > TIE_CONTRADICTS
+        return bool(one.agree[0] < TIE_AGREES or against)
 
     def judged(self, motion: Floats) -> tuple[float, float, bool]:
         """Return the evidence of the scans for a motion (3,), after local optimisation.

@@ -200,11 +200,13 @@ class _Judged(NamedTuple):
 def _accepted(
     scans: Scans, earlier: int, later: int, found: Candidates, verdict: Verdict
 ) -> list[Link]:
-    """Return the link between two scans if a motion is accepted."""
+    """Return the link between two scans if a motion is accepted: likely, and not doubtful."""
     motion = verdict.best
     if motion is None or verdict.odds(motion) < ACCEPTED:
         return []
     same = int(np.argmin(others(found.motions, motion)))
+    if found.doubtful[same] and scans.expected(earlier, later) is None:
+        return []
     match = found.matches[same]
     walls = np.column_stack([scans.plane(earlier)[match.tracks], scans.plane(later)[match.walls]])
     return [Link(earlier, later, motion, walls, bool(found.measured[same]))]
