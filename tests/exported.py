@@ -10,7 +10,7 @@ from relmap.cli import main
 from relmap.core.landmarks import LandmarkTable
 from relmap.exports.content import MapContent
 from relmap.io.results import Result, Tracks
-from relmap.planes.table import PlaneTable
+from relmap.planes.walls.table import PlaneTable
 
 
 def landmarks(position: list[list[float]]) -> LandmarkTable:

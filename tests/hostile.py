@@ -28,7 +28,7 @@ from relmap.evaluation import evaluate as evaluation
 from relmap.evaluation.truth import read_space_truth, read_truth
 from relmap.io.results import json_text
 from relmap.mapper import Mapper
-from relmap.planes.files import PlaneResult, read_any
+from relmap.planes.walls.files import PlaneResult, read_any
 from relmap.planes3d.files import read_result3d
 from tests import bagfiles
 from tests.logs import PLAIN, TREES

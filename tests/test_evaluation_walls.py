@@ -8,7 +8,7 @@ import pytest
 from relmap.core.arrays import Floats
 from relmap.evaluation.truth import Truth
 from relmap.evaluation.walls import doubled_length, judge_walls
-from relmap.planes.table import PlaneTable
+from relmap.planes.walls.table import PlaneTable
 
 POSES = np.tile(np.eye(4), (3, 1, 1))
 POSES[:, :2, 3] = [[0.0, 0.0], [2.0, 0.0], [2.0, 3.0]]

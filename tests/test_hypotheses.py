@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from relmap.core.arrays import Floats
-from relmap.planes.hypotheses import LATER, MOST, Hypotheses, Judge
-from relmap.planes.judging import Candidates
+from relmap.planes.linking.hypotheses import LATER, MOST, Hypotheses, Judge
+from relmap.planes.linking.judging import Candidates
+from relmap.planes.linking.placement import Match
+from relmap.planes.linking.tying import ACCEPTED
 from relmap.planes.motions import after, distinct, inverse, motion_over, others
-from relmap.planes.odometry import Expected
-from relmap.planes.placement import Match
-from relmap.planes.tying import ACCEPTED
+from relmap.planes.odometry.prediction import Expected
 
 STEP = np.array([0.0, -0.5, 0.0])
 FARTHER = np.array([0.0, -0.9, 0.0])

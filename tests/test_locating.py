@@ -15,8 +15,8 @@ from relmap.datasets import open_scans, write_scans_npz
 from relmap.datasets.scans import ScanLog, SensorView, stored_scans
 from relmap.evaluation.feeding import feed, preparation
 from relmap.mapper import Mapper, Place
-from relmap.planes.finding import WallFinder
-from relmap.planes.observation import checked_planes
+from relmap.planes.places.finding import WallFinder
+from relmap.planes.scans.observation import checked_planes
 from relmap.points import PointMapper
 from relmap.simulation import Building, simulate_building
 from relmap.simulation.visibility import seen_walls

@@ -9,10 +9,10 @@ from relmap import PlaneMapper
 from relmap.core.arrays import Floats
 from relmap.core.state.store import ObservationStore
 from relmap.evaluation.metrics import ate
-from relmap.planes.at_rest import share_at_rest
-from relmap.planes.beams import Beams, BeamStore, GivenBeams
-from relmap.planes.observation import checked_planes, journaled, of_journal
-from relmap.planes.tying import Scans
+from relmap.planes.linking.at_rest import share_at_rest
+from relmap.planes.linking.tying import Scans
+from relmap.planes.scans.beams import Beams, BeamStore, GivenBeams
+from relmap.planes.scans.observation import checked_planes, journaled, of_journal
 from relmap.segmentation import PlaneSegmenter
 from relmap.simulation import simulate_building
 

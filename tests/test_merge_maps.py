@@ -18,9 +18,9 @@ from relmap.core.geometry.alignment import fit_rigid
 from relmap.io.files import read_tum
 from relmap.io.results import read_result
 from relmap.merging.tables import joined_walls, moved
-from relmap.planes.files import read_any, read_planes, write_planes
-from relmap.planes.table import PlaneTable
-from relmap.planes.wall_tie import wall_ties
+from relmap.planes.places.wall_tie import wall_ties
+from relmap.planes.walls.files import read_any, read_planes, write_planes
+from relmap.planes.walls.table import PlaneTable
 from tests.commands import load, run_relmap, table
 
 pytestmark = pytest.mark.usefixtures("unrendered")

@@ -16,7 +16,7 @@ from relmap.datasets import open_scans
 from relmap.evaluation import metrics
 from relmap.evaluation.run import run_mapper
 from relmap.planes import PlaneMapper
-from relmap.planes.files import read_planes
+from relmap.planes.walls.files import read_planes
 from relmap.segmentation import PlaneSegmenter
 from tests.commands import run_relmap
 

@@ -10,7 +10,7 @@ import pytest
 
 from relmap import PlaneMapper, PlaneSegmenter
 from relmap.evaluation.metrics import ate
-from relmap.planes.closing import voted
+from relmap.planes.refinement.closing import voted
 from relmap.simulation import simulate_building
 from tests.test_planes import seen_from
 

@@ -15,7 +15,7 @@ from relmap.core.arrays import Floats
 from relmap.evaluation import metrics
 from relmap.evaluation.corners import match_corners
 from relmap.evaluation.sources import truth_of
-from relmap.planes.corners import CORNER, CUT, UNKNOWN, compared_ends
+from relmap.planes.scans.corners import CORNER, CUT, UNKNOWN, compared_ends
 from relmap.simulation import simulate_building
 
 WALLS = np.array(

@@ -59,7 +59,8 @@ def test_walls_that_the_groups_merged_stay_one_where_refining_fails(
     merged = mapper.landmarks_of(labels)
     assert (merged != labels).sum() > 10
     monkeypatch.setattr(
-        "relmap.planes.refining.refined_map", lambda _, numbers, submap, *__: (submap, numbers)
+        "relmap.planes.refinement.refining.refined_map",
+        lambda _, numbers, submap, *__: (submap, numbers),
     )
     mapper.refine()
     now = mapper.landmarks_of(labels)

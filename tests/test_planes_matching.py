@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from relmap.planes import matching_kernels
-from relmap.planes.observation import checked_planes
-from relmap.planes.placement import STILL, place
-from relmap.planes.tracks import PlaneTracks
+from relmap.planes.linking import matching_kernels
+from relmap.planes.linking.placement import STILL, place
+from relmap.planes.linking.tracks import PlaneTracks
+from relmap.planes.scans.observation import checked_planes
 from tests.kernels import callable_here
 
 

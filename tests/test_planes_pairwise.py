@@ -8,10 +8,10 @@ import numpy as np
 
 from relmap.core.arrays import Floats
 from relmap.core.linalg.order_kernels import medians, quantiles
-from relmap.planes.history import PlaneHistory
-from relmap.planes.observation import checked_planes
 from relmap.planes.pairwise import pairwise_map, relate
-from relmap.planes.stitching import stitched
+from relmap.planes.scans.observation import checked_planes
+from relmap.planes.submaps.stitching import stitched
+from relmap.planes.walls.history import PlaneHistory
 
 FIRST = np.array([[4.0, -2.0], [4.0, 2.0]])
 SECOND = np.array([[4.0, 2.0], [-1.0, 2.0]])

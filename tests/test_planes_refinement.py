@@ -7,11 +7,11 @@ import pytest
 from scipy.optimize import least_squares
 
 from relmap.core.arrays import Floats
-from relmap.planes.assembly import WallNumbers, assemble
-from relmap.planes.closing import Loop, votes
-from relmap.planes.equations import WallEquations, Walls
-from relmap.planes.history import PlaneHistory
-from relmap.planes.refinement import SPREAD, WallSystem, wall_residuals
+from relmap.planes.refinement.closing import Loop, votes
+from relmap.planes.refinement.system import SPREAD, WallSystem, wall_residuals
+from relmap.planes.walls.assembly import WallNumbers, assemble
+from relmap.planes.walls.equations import WallEquations, Walls
+from relmap.planes.walls.history import PlaneHistory
 
 
 @pytest.fixture(name="room")

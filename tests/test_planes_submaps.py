@@ -16,11 +16,11 @@ from relmap.cli import main
 from relmap.cli.outcome import each
 from relmap.core.arrays import Floats
 from relmap.io.files import read_tum
-from relmap.planes.equations import Walls
-from relmap.planes.files import read_planes
-from relmap.planes.refinement import WallSystem
-from relmap.planes.stitching import stitched
-from relmap.planes.tearing import disagreement
+from relmap.planes.refinement.system import WallSystem
+from relmap.planes.submaps.stitching import stitched
+from relmap.planes.submaps.tearing import disagreement
+from relmap.planes.walls.equations import Walls
+from relmap.planes.walls.files import read_planes
 from relmap.simulation.visibility import seen_walls
 from tests.commands import unrendered
 from tests.test_planes import CORRIDOR, ROOM, seen_from
@@ -109,8 +109,8 @@ def test_a_torn_path_disagrees_with_its_links() -> None:
 
 
 def test_a_map_that_refining_tears_stays_as_chained(monkeypatch: pytest.MonkeyPatch) -> None:
-    from relmap.planes import refined_map
-    from relmap.planes.solving import refined_to_the_noise
+    from relmap.planes.refinement import refined_map
+    from relmap.planes.refinement.solving import refined_to_the_noise
 
     mapper = PlaneMapper()
     drive(mapper, 30)
@@ -130,7 +130,7 @@ def test_a_map_that_refining_tears_stays_as_chained(monkeypatch: pytest.MonkeyPa
 
 def test_steps_of_refinement_are_bounded() -> None:
     """A poorly connected part is not moved beyond the map."""
-    from relmap.planes.equations import WallEquations
+    from relmap.planes.walls.equations import WallEquations
 
     walls = np.array([[[4.0, -3.0], [4.0, 3.0]], [[4.0, 3.0], [-2.0, 3.0]]])
     n = 20

@@ -8,7 +8,7 @@ import pytest
 from relmap import PlaneMapper
 from relmap.core.arrays import Floats
 from relmap.datasets.scans import planar_poses
-from relmap.planes.tearing import contradicted_steps
+from relmap.planes.submaps.tearing import contradicted_steps
 from relmap.simulation import simulate_building
 
 FIRST, BENT = 3, 12

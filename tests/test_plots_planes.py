@@ -18,8 +18,8 @@ from relmap.figures import figure04, figure06
 from relmap.figures.figure04 import corner_tests
 from relmap.figures.figure06 import PartialWall, longest, run_partial_wall
 from relmap.planes import PlaneMapper
-from relmap.planes.history import PlaneHistory
-from relmap.planes.observation import checked_planes
+from relmap.planes.scans.observation import checked_planes
+from relmap.planes.walls.history import PlaneHistory
 from relmap.plots.bench import plot_bench, write_bench_gif
 from relmap.plots.bench_recorder import BenchFrame, BenchRecorder, frame_step
 from relmap.plots.path import fit_poses

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from relmap.planes.files import DrawnSubmap
-from relmap.planes.table import PlaneTable
+from relmap.planes.walls.files import DrawnSubmap
+from relmap.planes.walls.table import PlaneTable
 from relmap.plots.planes import plot_planes, plot_submaps
 
 

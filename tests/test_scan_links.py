@@ -13,14 +13,14 @@ from relmap.core.arrays import Floats
 from relmap.datasets.scans import ScanLog, SensorView, stored_scans
 from relmap.evaluation.feeding import segment_scan, segmenter_for
 from relmap.evaluation.metrics import ate
-from relmap.planes.beams import NEAR_M, Beams, GivenBeams, compared
-from relmap.planes.judging import View
+from relmap.planes.linking.judging import View
+from relmap.planes.linking.placement import STILL
+from relmap.planes.linking.search import Search
+from relmap.planes.linking.tracks import PlaneTracks
 from relmap.planes.motions import inverse
-from relmap.planes.observation import PlaneObservation, checked_planes
-from relmap.planes.placement import STILL
-from relmap.planes.search import Search
-from relmap.planes.submaps import torn_in
-from relmap.planes.tracks import PlaneTracks
+from relmap.planes.scans.beams import NEAR_M, Beams, GivenBeams, compared
+from relmap.planes.scans.observation import PlaneObservation, checked_planes
+from relmap.planes.submaps.submap import torn_in
 from relmap.simulation import Building, simulate_building
 from relmap.simulation.floor_plan import World
 
@@ -211,7 +211,7 @@ def test_a_run_with_beams_is_the_same_again() -> None:
 
 def test_a_map_torn_at_a_link_is_cut_there(monkeypatch: pytest.MonkeyPatch) -> None:
     """With 5 cm of noise some links, not corrected along walls, are wrong: the map was 25 m off."""
-    monkeypatch.setattr("relmap.planes.scan_comparison.CROSSINGS", 0.0)
+    monkeypatch.setattr("relmap.planes.linking.scan_comparison.CROSSINGS", 0.0)
     run = simulate_building(361, 0.05, sampling="laser", seed=7, step_m=0.1)
     log = log_of(run)
     mapper = driven(log, [scan.points_robot for scan in log.scans()])

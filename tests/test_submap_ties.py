@@ -12,12 +12,12 @@ from relmap import PlaneMapper
 from relmap.core.arrays import Floats, Ints
 from relmap.evaluation.metrics import ate
 from relmap.planes import mapper as planes_mapper
-from relmap.planes.beams import PlacedBeams
-from relmap.planes.history import PlaneHistory
-from relmap.planes.submap_ties import MapPart, tied_parts
-from relmap.planes.submaps import WallSubmap, torn_in
-from relmap.planes.wall_tie import LIMITS, WallPoints
-from relmap.planes.wall_tie_kernels import fit
+from relmap.planes.places.submap_ties import MapPart, tied_parts
+from relmap.planes.places.wall_tie import LIMITS, WallPoints
+from relmap.planes.places.wall_tie_kernels import fit
+from relmap.planes.scans.beams import PlacedBeams
+from relmap.planes.submaps.submap import WallSubmap, torn_in
+from relmap.planes.walls.history import PlaneHistory
 from tests.segments import cast
 from tests.test_scan_links import driven, scans_of
 

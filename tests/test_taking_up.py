@@ -10,7 +10,7 @@ from relmap.core.arrays import Floats, Ints
 from relmap.datasets.scans import SensorView, stored_scans
 from relmap.evaluation.feeding import feed, preparation
 from relmap.planes.motions import matrices
-from relmap.planes.taking_up import Placements
+from relmap.planes.places.taking_up import Placements
 from relmap.simulation import simulate_building
 
 N = 30

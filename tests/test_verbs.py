@@ -24,7 +24,7 @@ from relmap.evaluation.sources import Source
 from relmap.io.files import read_tum, write_tum
 from relmap.io.results import read_result, write_result
 from relmap.planes import PlaneMapper
-from relmap.planes.files import read_planes, write_planes
+from relmap.planes.walls.files import read_planes, write_planes
 from relmap.simulation import simulate_figure_eight
 from tests.commands import RESULT_FILES, load, names, table
 from tests.everyformat import LASER_AHEAD_M, POINTS, WALLS, Mapped

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 
 from relmap.core.refinement.schur import Linearised
-from relmap.planes.motion_factors import MotionFactors
-from relmap.planes.steps import Steps, constant_errors
+from relmap.planes.odometry.motion_factors import MotionFactors
+from relmap.planes.odometry.steps import Steps, constant_errors
 
 
 def test_motions_that_depend_on_odometry_get_its_final_length() -> None:

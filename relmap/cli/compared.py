@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from relmap.evaluation.landmarks import Overlay
     from relmap.evaluation.sources import Data
     from relmap.io.results import Result
-    from relmap.planes.files import PlaneResult
+    from relmap.planes.walls.files import PlaneResult
 
 
 def write_compared(folder: Path, rows: Sequence[Compared], association: Association) -> None:
@@ -36,7 +36,7 @@ def write_compared(folder: Path, rows: Sequence[Compared], association: Associat
 
 def _map_of(result: Result) -> tuple[tuple[str, ...], list[list[Any]]]:
     """Return the header and rows of a map: landmarks, or the ends of walls."""
-    from relmap.planes.files import PlaneResult
+    from relmap.planes.walls.files import PlaneResult
 
     if isinstance(result, PlaneResult):
         table = result.planes
@@ -54,7 +54,7 @@ def _rows(columns: list[Any]) -> list[list[Any]]:
 
 def draw(folder: Path, rows: Iterable[Compared], data: Data[Log], title: str) -> None:
     """Draw the comparison, and the map or the errors of every method that ran."""
-    from relmap.planes.files import PlaneResult
+    from relmap.planes.walls.files import PlaneResult
     from relmap.plots.comparison import write_comparison_png
     from relmap.plots.errors import shared_scale, write_errors_png
     from relmap.plots.run import write_map_png
@@ -86,7 +86,7 @@ def _overlay(result: Result, data: Data[Log]) -> Overlay | None:
     """Return the truth in the frame of a map of points, if known."""
     from relmap.datasets.base import ObservationLog
     from relmap.evaluation.landmarks import overlay
-    from relmap.planes.files import PlaneResult
+    from relmap.planes.walls.files import PlaneResult
 
     if data.truth is None or isinstance(result, PlaneResult):
         return None

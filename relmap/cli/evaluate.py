@@ -93,7 +93,7 @@ def evaluate_command(
     ] = None,
 ) -> None:
     """Evaluate a result; the help text explains the arguments."""
-    from relmap.planes.files import PLANES
+    from relmap.planes.walls.files import PLANES
 
     if (folder / PLANES).exists() and log is not None:
         raise RelmapError("walls and planes have no ids: --log is for a map of points")
@@ -145,7 +145,7 @@ def evaluate_folder(folder: Path, truth: Path, log: Path | None = None) -> Evalu
     from relmap.evaluation.truth import read_space_truth, read_truth
     from relmap.io.files import atomic_write, staged_folder
     from relmap.io.results import EVALUATION, MAP_PNG, json_text
-    from relmap.planes.files import PlaneResult, read_any
+    from relmap.planes.walls.files import PlaneResult, read_any
     from relmap.planes3d.files import read_result3d
     from relmap.plots.planes import write_planes_png
 

@@ -165,7 +165,7 @@ def _about(job: Job, log: Log) -> dict[str, Any]:
 def stale_files(out: Path) -> list[str]:
     """Return the files of an earlier result, also of walls, that become obsolete."""
     from relmap.io.results import EVALUATION, NAMES
-    from relmap.planes.files import PLANES, submap_files
+    from relmap.planes.walls.files import PLANES, submap_files
     from relmap.plots.report import REPORT
 
     merged = "trajectory-2.tum"
@@ -176,7 +176,7 @@ def stale_files(out: Path) -> list[str]:
 def _write(folder: Path, run: Run, job: Job) -> None:
     from relmap.io.files import atomic_write
     from relmap.io.results import MAP_PNG, write_result
-    from relmap.planes.files import PlaneResult, write_planes, write_submaps
+    from relmap.planes.walls.files import PlaneResult, write_planes, write_submaps
     from relmap.plots.planes import write_submaps_png
     from relmap.plots.report import REPORT, report_page
     from relmap.plots.run import write_map_png

@@ -39,7 +39,7 @@ def merge_command(
     from relmap.io.files import staged_folder, write_tum
     from relmap.io.results import MAP_PNG, MAPPER, write_result
     from relmap.merging.results import merge_results
-    from relmap.planes.files import PlaneResult, write_planes
+    from relmap.planes.walls.files import PlaneResult, write_planes
     from relmap.plots.planes import write_planes_png
     from relmap.plots.run import write_map_png
 

@@ -13,7 +13,7 @@ from relmap.cli.mapping import map_log
 
 if TYPE_CHECKING:
     from relmap.io.results import Result
-    from relmap.planes.files import PlaneResult
+    from relmap.planes.walls.files import PlaneResult
 
 OFTEN = 10
 """Observations that make a landmark worth mapping."""

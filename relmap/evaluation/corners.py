@@ -12,7 +12,7 @@ from relmap.core.geometry.alignment import fit_rigid, fixes_rotation
 from relmap.evaluation import metrics
 from relmap.evaluation.metrics import Matched
 from relmap.evaluation.truth import Truth
-from relmap.planes.table import PlaneTable
+from relmap.planes.walls.table import PlaneTable
 
 TURN = np.cos(np.deg2rad(20.0))
 """Largest rotation between a wall and its match (cosine)."""

@@ -14,7 +14,7 @@ from relmap.evaluation.space import judge_planes
 from relmap.evaluation.truth import Judged, Truth
 from relmap.evaluation.walls import judge_walls
 from relmap.io.results import Result
-from relmap.planes.files import PlaneResult
+from relmap.planes.walls.files import PlaneResult
 from relmap.planes3d.files import Plane3dResult
 
 ONLY: dict[Judged, tuple[str, ...]] = {

@@ -20,8 +20,8 @@ from relmap.evaluation.feeding import AnyMapper, Association, Log, Method, Progr
 from relmap.evaluation.summary import completion, summary_of
 from relmap.io.results import Result, Tracks, shifted
 from relmap.planes import PlaneMapper
-from relmap.planes.files import DrawnSubmap, PlaneResult
-from relmap.planes.table import PlaneTable
+from relmap.planes.walls.files import DrawnSubmap, PlaneResult
+from relmap.planes.walls.table import PlaneTable
 from relmap.points import PointMapper
 from relmap.segmentation import PlaneSegmenter
 

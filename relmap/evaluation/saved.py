@@ -16,7 +16,7 @@ from relmap.evaluation.summary import summary_of
 from relmap.io.files import staged_folder
 from relmap.io.results import MAPPER, Result, write_result
 from relmap.planes import PlaneMapper
-from relmap.planes.files import PlaneResult, write_planes, write_submaps
+from relmap.planes.walls.files import PlaneResult, write_planes, write_submaps
 
 OF_THE_LOG = ("observations", "iterations_without_observation")
 """Counts that require the log."""

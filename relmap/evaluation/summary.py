@@ -21,8 +21,8 @@ from relmap.datasets.scans import ScanLog
 from relmap.evaluation.feeding import AnyMapper, Fed, Log
 from relmap.io.results import Result
 from relmap.planes import PlaneMapper
-from relmap.planes.files import PlaneResult
-from relmap.planes.submaps import WallSubmap
+from relmap.planes.submaps.submap import WallSubmap
+from relmap.planes.walls.files import PlaneResult
 from relmap.points import PointMapper
 
 MANY = 100

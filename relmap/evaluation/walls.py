@@ -7,7 +7,7 @@ import numpy as np
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.evaluation.metrics import align
 from relmap.evaluation.truth import Truth
-from relmap.planes.table import PlaneTable
+from relmap.planes.walls.table import PlaneTable
 
 NEAR_M, TURN = 0.1, np.cos(np.deg2rad(5.0))
 """Largest distance and rotation (cosine) between walls that coincide."""

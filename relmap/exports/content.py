@@ -12,8 +12,8 @@ from relmap.core.arrays import Bools, Floats
 from relmap.core.errors import RelmapError
 from relmap.core.landmarks import LandmarkTable
 from relmap.io.results import MAP_PLY, Result
-from relmap.planes.files import PlaneResult, read_any
-from relmap.planes.table import PlaneTable
+from relmap.planes.walls.files import PlaneResult, read_any
+from relmap.planes.walls.table import PlaneTable
 from relmap.plots.path import broken_at_jumps
 
 T = TypeVar("T", LandmarkTable, PlaneTable)

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from relmap.exports.content import MapContent
-from relmap.planes.files import CORNER, OPEN
+from relmap.planes.walls.files import CORNER, OPEN
 
 FRAME = "local: x and y in metres in the frame of the map, not longitude and latitude (WGS 84)"
 """RFC 7946 only allows WGS 84, so the file states its frame."""

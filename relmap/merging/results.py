@@ -19,9 +19,9 @@ from relmap.core.state.table import LandmarkState
 from relmap.evaluation.summary import versions
 from relmap.io.results import Result, Tracks, shifted
 from relmap.merging.tables import joined, joined_walls, moved
-from relmap.planes.files import PlaneResult, read_any
-from relmap.planes.table import PlaneTable
-from relmap.planes.wall_tie import ACROSS, LEAST_M, RIVAL, wall_ties
+from relmap.planes.places.wall_tie import ACROSS, LEAST_M, RIVAL, wall_ties
+from relmap.planes.walls.files import PlaneResult, read_any
+from relmap.planes.walls.table import PlaneTable
 
 Record = dict[str, Any]
 NOTHING = np.empty(0, dtype=np.int64)

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association.pairing import Motion
 from relmap.core.landmarks import LandmarkTable
-from relmap.planes.table import PlaneTable
-from relmap.planes.wall_tie import NEAR_M, SAMPLE_M, WallPoints, WallTie, lying
+from relmap.planes.places.wall_tie import NEAR_M, SAMPLE_M, WallPoints, WallTie, lying
+from relmap.planes.walls.table import PlaneTable
 
 MOST = 0.5
 """Fraction of the shorter of two walls that must overlap if they are one."""

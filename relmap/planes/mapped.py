@@ -10,15 +10,21 @@ from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup
 from relmap.core.odometry import OdometryUse
 from relmap.core.refinement.joint import Refined
 from relmap.mapper import Mapper
-from relmap.planes.assembly import Assembled, WallNumbers
-from relmap.planes.beams import PlacedBeams
-from relmap.planes.grouped_map import GroupedMap
-from relmap.planes.history import PlaneHistory
-from relmap.planes.refining import odometry_left_out, on_odometry
-from relmap.planes.registration import PlaneRegistration
-from relmap.planes.residuals import corner_covariances, refined_walls
-from relmap.planes.submaps import WallSubmap, among_all
-from relmap.planes.table import PlaneTable, corner_group, corner_map, corner_table, plane_table
+from relmap.planes.linking.registration import PlaneRegistration
+from relmap.planes.refinement.refining import odometry_left_out, on_odometry
+from relmap.planes.refinement.residuals import corner_covariances, refined_walls
+from relmap.planes.scans.beams import PlacedBeams
+from relmap.planes.submaps.grouped_map import GroupedMap
+from relmap.planes.submaps.submap import WallSubmap, among_all
+from relmap.planes.walls.assembly import Assembled, WallNumbers
+from relmap.planes.walls.history import PlaneHistory
+from relmap.planes.walls.table import (
+    PlaneTable,
+    corner_group,
+    corner_map,
+    corner_table,
+    plane_table,
+)
 
 
 @reads_whole()

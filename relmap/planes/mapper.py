@@ -16,15 +16,15 @@ from relmap.core.errors import RelmapError
 from relmap.core.guard import reads_whole
 from relmap.core.odometry import checked_odometry
 from relmap.core.scan import checked_labels
-from relmap.planes.beams import GivenBeams
-from relmap.planes.history import PlaneHistory
-from relmap.planes.locating import LocatingMapper
+from relmap.planes.linking.registration import PlaneRegistration
 from relmap.planes.model import WallModel
-from relmap.planes.observation import PlaneObservation, checked_planes, journaled, of_journal
-from relmap.planes.refining import refined_submaps
-from relmap.planes.registration import PlaneRegistration
-from relmap.planes.submap_ties import MapPart, tied_parts
-from relmap.planes.submaps import WallSubmap, among_all, torn_in
+from relmap.planes.places.locating import LocatingMapper
+from relmap.planes.places.submap_ties import MapPart, tied_parts
+from relmap.planes.refinement.refining import refined_submaps
+from relmap.planes.scans.beams import GivenBeams
+from relmap.planes.scans.observation import PlaneObservation, checked_planes, journaled, of_journal
+from relmap.planes.submaps.submap import WallSubmap, among_all, torn_in
+from relmap.planes.walls.history import PlaneHistory
 
 if TYPE_CHECKING:
     from relmap.io.journal import RecordedScan

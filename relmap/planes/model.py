@@ -11,8 +11,8 @@ from relmap.core.config import MapperConfig
 from relmap.core.geometry.alignment import fixes_rotation
 from relmap.core.state.store import Rows, Shown
 from relmap.core.state.table import LandmarkState
-from relmap.planes.observation import PlaneObservation
-from relmap.planes.registration import PlaneRegistration
+from relmap.planes.linking.registration import PlaneRegistration
+from relmap.planes.scans.observation import PlaneObservation
 
 TURN = np.cos(np.deg2rad(20.0))
 """Largest rotation of a wall when it is seen again (cosine)."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.planes.tracks import wrapped
 
 APART_M, APART_RAD = 0.3, np.deg2rad(8.0)
 """Motions that differ by more are distinct."""
@@ -75,3 +74,8 @@ def matrices(motions: Floats) -> Floats:
 def from_matrices(T: Floats) -> Floats:
     """Return the planar motions (k, 3) of matrices (k, 4, 4)."""
     return np.column_stack([np.arctan2(T[:, 1, 0], T[:, 0, 0]), T[:, :2, 3]])
+
+
+def wrapped(angle: Floats) -> Floats:
+    """Return angles wrapped to half a turn around 0."""
+    return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
-from relmap.planes.history import PlaneHistory
-from relmap.planes.tracks import wrapped
+from relmap.planes.motions import wrapped
+from relmap.planes.walls.history import PlaneHistory
 
 FEWEST = 3
 """Minimum number of common iterations to compute a deviation."""
@@ -46,7 +46,7 @@ def relate(first: Floats, second: Floats, sizes: tuple[float, float]) -> Relatio
     `first`, `second` (k, 2, 2), robot frame, metres: right and left ends of both walls; `sizes`:
     one size for each wall.
     """
-    from relmap.planes.corner_kernels import deviations, midpoint_pairs
+    from relmap.planes.scans.corner_kernels import deviations, midpoint_pairs
 
     offset, turn = midpoint_pairs(first, second, *sizes), _turns(first, second)
     deviation = deviations(offset)

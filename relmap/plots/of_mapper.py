@@ -10,7 +10,7 @@ from relmap.evaluation.feeding import AnyMapper
 from relmap.evaluation.saved import result_of_mapper
 from relmap.io.files import atomic_write
 from relmap.io.results import MAP_PNG, Result
-from relmap.planes.files import PlaneResult
+from relmap.planes.walls.files import PlaneResult
 from relmap.plots.planes import plot_planes, plot_submaps
 from relmap.plots.report import REPORT, report_page
 from relmap.plots.run import plot_run

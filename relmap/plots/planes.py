@@ -14,8 +14,8 @@ from relmap.core.arrays import Floats
 from relmap.core.landmarks import in_space
 from relmap.evaluation.corners import MatchedCorners
 from relmap.evaluation.truth import Truth
-from relmap.planes.files import DrawnSubmap
-from relmap.planes.table import PlaneTable
+from relmap.planes.walls.files import DrawnSubmap
+from relmap.planes.walls.table import PlaneTable
 from relmap.plots.path import broken_at_jumps
 from relmap.plots.sheet import (
     BLUE,

@@ -9,7 +9,7 @@ from importlib.resources import files
 from typing import Any
 
 from relmap.io.results import Result
-from relmap.planes.files import PlaneResult
+from relmap.planes.walls.files import PlaneResult
 from relmap.plots.html import document, table
 from relmap.plots.report_data import views_of
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from relmap.core.arrays import Floats, Ints
 from relmap.core.landmarks import Submap
 from relmap.io.results import Result
-from relmap.planes.files import DrawnSubmap, PlaneResult
+from relmap.planes.walls.files import DrawnSubmap, PlaneResult
 from relmap.plots.path import jumps
 from relmap.plots.run import weak_places
 from relmap.plots.sheet import limits_of

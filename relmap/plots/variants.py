@@ -14,7 +14,7 @@ from relmap.evaluation.surface_points import SurfacePoints
 from relmap.evaluation.truth import Truth
 from relmap.evaluation.variants import METHODS, VariantRun, map_of
 from relmap.io.results import Result
-from relmap.planes.files import PlaneResult
+from relmap.planes.walls.files import PlaneResult
 from relmap.plots.path import broken_at_gaps, fit_to_truth
 from relmap.plots.planes import WALL, draw_true_walls, draw_walls
 from relmap.plots.sheet import GREY, blank, draw_limits, finish, limits_of, to_png

@@ -11,7 +11,7 @@ from relmap.core.config import MapperConfig
 from relmap.core.geometry.alignment import fit_rigid, fixes_rotation
 from relmap.planes import PlaneMapper
 from relmap.planes.pairwise import pairwise_map
-from relmap.planes.table import PlaneTable
+from relmap.planes.walls.table import PlaneTable
 from relmap.points.mapper import PointMapper
 from relmap.points.model import PointModel
 

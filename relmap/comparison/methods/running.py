@@ -23,7 +23,7 @@ from relmap.evaluation.run import result_of
 from relmap.evaluation.sources import Data, Source, silent_readers
 from relmap.evaluation.summary import timing_of
 from relmap.io.results import Result
-from relmap.planes.files import PlaneResult
+from relmap.planes.walls.files import PlaneResult
 from relmap.points.mapper import PointMapper
 
 ACCURACY = (

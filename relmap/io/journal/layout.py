@@ -10,7 +10,7 @@ of the tables.
     the ``checksum`` at the end; it changes with each transaction.
 ``scans``
     One row per update: ``iteration`` from 0, ``rows`` in ``observations``, ``known`` (1 if it has
-    ids), ``checksum``; of planes ``beams``, see `relmap.planes.beams`, in bytes.
+    ids), ``checksum``; of planes ``beams``, see `relmap.planes.scans.beams`, in bytes.
 ``observations``
     One row per observation in the order of ``iteration`` and ``row``, as given to the mapper. For
     points ``x``, ``y``, ``z`` in the robot frame, metres, ``z`` null in a planar world, ``id`` null

@@ -1,0 +1,244 @@
+"""The links between scans as they were accepted: motions, submaps, and what changes them later."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import deepcopy
+from dataclasses import replace
+from functools import partial
+from itertools import accumulate
+from typing import Any
+
+import numpy as np
+
+from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.state.growing import GrowingArray
+from relmap.core.state.store import ObservationStore
+from relmap.planes.linking.at_rest import OFTEN, share_at_rest
+from relmap.planes.linking.judging import Found
+from relmap.planes.linking.tying import Link, Scans, judged_links
+from relmap.planes.motions import (
+    after,
+    from_matrices,
+    inverse,
+    matrices,
+    motion_over,
+)
+from relmap.planes.odometry.prediction import OTHERWISE, Wheels
+from relmap.planes.scans.beams import BeamStore
+from relmap.planes.scans.observation import PlaneObservation
+
+IN_DOUBT = 10.0
+"""Log odds below which a motion is re-evaluated with the surrounding scans."""
+
+
+class LinkRecord:
+    """The accepted motions between scans, and the submap of each scan.
+
+    `bridge_m`, metres: largest error of an unmeasured motion along walls; beyond it a submap ends.
+
+    Attributes: `store`: all observations so far; `beams`: the beams of each scan, if given;
+    `wheels`: the odometry, if any; `submap`: submap of the next scan, unless it begins a new one;
+    `same_walls` (k, 2): pairs of wall numbers identified when submaps were joined.
+    """
+
+    STATE = (
+        "_motions _submaps _n_submaps submap _unsure_m _unsure_each_m _evidence _measured _bridged "
+        "beams same_walls _begun _at_rest"
+    )
+    JOINED = "_motions _submaps submap _evidence _measured _bridged same_walls"
+    """What `join` and the refinement of joined submaps change."""
+
+    def __init__(self, bridge_m: float) -> None:
+        self._bridge_m = bridge_m
+        self._n_submaps, self.submap = 0, -1
+        self._begun: GrowingArray[np.int64] = GrowingArray(np.int64)
+        self.same_walls = np.empty((0, 2), dtype=np.int64)
+        self._unsure_m, self._unsure_each_m = 0.0, 0.0
+        self._at_rest = False
+        self._motions: GrowingArray[np.float64] = GrowingArray(np.float64, (3,))
+        self._submaps: GrowingArray[np.int64] = GrowingArray(np.int64)
+        self._evidence: GrowingArray[np.float64] = GrowingArray(np.float64)
+        self._measured: GrowingArray[np.bool_] = GrowingArray(np.bool_)
+        self._bridged: GrowingArray[np.bool_] = GrowingArray(np.bool_)
+        self.store = ObservationStore()
+        self.beams = BeamStore()
+        self.wheels = Wheels()
+
+    def __len__(self) -> int:
+        """Return the number of scans."""
+        return len(self._motions)
+
+    @property
+    def motions(self) -> Floats:
+        """Approximate motion (i, 3) from each previous robot frame to the next: yaw, x, y."""
+        return self._motions.values
+
+    @property
+    def submaps(self) -> Ints:
+        """Submap of each iteration; (i,), -1 for none."""
+        return self._submaps.values
+
+    @property
+    def measured(self) -> Bools:
+        """Which motions (i,) are determined by walls in all directions."""
+        return self._measured.values
+
+    @property
+    def bridged(self) -> Bools:
+        """Which motions (i,) are determined by odometry only."""
+        return self._bridged.values
+
+    def begin_submap(self) -> None:
+        """Begin a submap with the next scan."""
+        self.submap = self._n_submaps
+        self._n_submaps += 1
+
+    def begin_run(self) -> None:
+        """Begin another run with the next scan, which is not tied to the last one."""
+        self._begun.extend(np.array([len(self)]))
+
+    def attach(self, first: int, motion: Floats, scan: int, walls: Ints) -> Ints:
+        """Tie a submap to that of another scan, in whose map it was localised.
+
+        `first`: its first scan; `motion` (3,): to that scan, from the one before; `walls` (k, 2):
+        pairs of numbers of the same wall. Returns (s,): new number of each submap.
+        """
+        old, new = int(self.submaps[first]), int(self.submaps[scan])
+        self.motions[first] = motion
+        self._evidence.values[first], self.measured[first] = np.inf, True
+        self.same_walls = np.concatenate([self.same_walls, walls])
+        name = np.arange(self._n_submaps)
+        name[old] = new
+        self.submap = int(name[self.submap])
+        self._submaps.values[self.submaps == old] = new
+        return name
+
+    def append(
+        self,
+        seen: PlaneObservation,
+        motion: Floats,
+        is_tied: bool,
+        found: Found | None,
+        goes_on: bool,
+    ) -> None:
+        """Record the motion into a scan, whether it belongs to the submap, and its source.
+
+        Without a match (`found`), the source is odometry if the submap `goes_on`.
+        """
+        self._evidence.extend(np.array([found.evidence if found else np.nan]))
+        self._measured.extend(np.array([found is not None and found.measured]))
+        self._bridged.extend(np.array([found.bridged if found else goes_on]))
+        self.beams.append(seen.beams)
+        self._motions.extend(motion[None])
+        self._submaps.extend(np.array([self.submap if is_tied else -1]))
+
+    def leave_to_odometry(self, scans: Ints) -> bool:
+        """Leave links into scans (t,) to odometry where it agrees; return whether any changed.
+
+        These are links that the map contradicts.
+        """
+        found = False
+        for scan in scans[self.measured[scans]].tolist():
+            expected = self.wheels.expected(scan - 1, scan, self.motions, self.measured)
+            if expected and expected.off(self.motions[scan][None])[0] < OTHERWISE:
+                self.measured[scan], found = False, True
+        return found
+
+    def cut(self, scans: Ints) -> None:
+        """Begin submaps at scans (t,) whose links the map contradicts."""
+        for scan in scans.tolist():
+            old = self.submaps[scan]
+            later = np.flatnonzero(self.submaps == old)
+            self._submaps.values[later[later >= scan]] = self._n_submaps
+            self.submap = self._n_submaps if self.submap == old else self.submap
+            self._n_submaps += 1
+
+    def tie(self) -> tuple[Ints, Ints]:
+        """Re-evaluate doubtful links and breaks with the surrounding scans.
+
+        Returns `name` (s,): current number of each submap. `cut` (c,): scans whose links are no
+        longer accepted; see `cut`.
+        """
+        name = np.arange(self._n_submaps)
+        if not (len(self.beams) and self._n_submaps):
+            return name, np.empty(0, dtype=np.int64)
+        is_tied, in_doubt = self._known()
+        scans, share = self._scans, share_at_rest(self._scans, is_tied)
+        links, cut = judged_links(replace(scans, firm=share <= OFTEN), is_tied, in_doubt)
+        self._take(links, name)
+        if share > OFTEN:  # the remaining breaks without small objects, as some may have moved
+            is_tied, _ = self._known()
+            in_doubt = ~is_tied
+            in_doubt[:1] = False
+            more, _ = judged_links(replace(self._scans, firm=True), is_tied, in_doubt)
+            self._take(more, name)
+        self.submap = int(name[self.submap])
+        self.wheels.look_again()
+        return name, np.array(cut, dtype=np.int64)
+
+    def _take(self, links: Sequence[Link], name: Ints) -> None:
+        """Add links that were accepted later; `name` (s,) becomes the new number of submaps."""
+        for link in links:
+            between = motion_over(self.motions[link.earlier + 1 : link.later])
+            self.motions[link.later] = after(inverse(between), link.motion[None])[0]
+            if len(self.wheels.given):
+                self.measured[link.later] = link.measured and link.earlier == link.later - 1
+                self.bridged[link.later] = not len(link.walls)
+            old, new = self.submaps[link.later], self.submaps[link.earlier]
+            if new >= 0:
+                self._submaps.values[self.submaps == old] = new
+                name[name == old] = new
+        self.same_walls = np.concatenate([self.same_walls, *(link.walls for link in links)])
+
+    def join(self, poses: Sequence[Floats], walls: Ints) -> Ints:
+        """Join submaps whose maps show the same place.
+
+        `poses`, sequence of (i, 4, 4): for the submaps that become one, the poses of all their
+        scans in one frame; NaN for other scans. `walls` (k, 2): pairs of numbers of the same wall.
+        Returns (s,): new number of each submap.
+        """
+        name, submaps = np.arange(self._n_submaps), self._submaps.values
+        chain = np.linalg.inv(matrices(self.motions))
+        every = np.array(list(accumulate(chain, np.matmul)))
+        for path in poses:
+            own = np.isfinite(path[:, 0, 0])
+            every[own] = path[own]
+            old = np.unique(submaps[own])
+            name[old] = old[0]
+        first = np.flatnonzero((np.diff(submaps, prepend=-1) != 0) & (submaps >= 0))
+        submaps[:] = np.where(submaps >= 0, name[submaps], -1)
+        for scan in first.tolist():
+            before = np.flatnonzero(submaps[:scan] == submaps[scan])
+            if len(before):
+                self._set_motion(scan, int(before[-1]), every)
+        self.same_walls = np.concatenate([self.same_walls, walls])
+        self.submap = int(name[self.submap])
+        return name
+
+    def before_join(self) -> dict[str, Any]:
+        """Return a copy of what `join` changes."""
+        return {name: deepcopy(getattr(self, name)) for name in self.JOINED.split()}
+
+    def _set_motion(self, scan: int, before: int, poses: Floats) -> None:
+        """Set the motion into a scan from its pose and that of one before."""
+        motion = from_matrices((np.linalg.inv(poses[scan]) @ poses[before])[None])
+        between = motion_over(self.motions[before + 1 : scan])
+        self.motions[scan] = after(inverse(between), motion)[0]
+        self._evidence.values[scan], self.measured[scan] = np.inf, True
+
+    @property
+    def _scans(self) -> Scans:
+        """All scans with their walls and beams."""
+        expected = partial(
+            self.wheels.expected, motions=self.motions, measured=self.measured.copy()
+        )
+        links = self.motions, self.measured, expected, self._begun.values
+        return Scans(self.store, self.beams, *links)
+
+    def _known(self) -> tuple[Bools, Bools]:
+        """Return whether the motion into scans (i,) is accepted, and which to re-evaluate."""
+        is_tied = (np.diff(self.submaps, prepend=-2) == 0) & (self.submaps >= 0)
+        in_doubt = ~(is_tied & (self._evidence.values > IN_DOUBT))
+        in_doubt[:1] = False
+        return is_tied, in_doubt

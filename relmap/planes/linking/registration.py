@@ -1,0 +1,241 @@
+"""Registration of walls, and the landmarks of the map: corners and estimated midpoints.
+
+The visible ends of a wall move as it enters and leaves the view; its static corners do not, and
+neither does a point at a fixed distance from one: the midpoint, estimated at half the size of the
+wall from the corner along the wall (Fig. 4). The size is the one observed with the first
+observation of the corner. Corner and midpoint are two static points, which also determine the
+normal of the wall: the points of one corner determine the pose of a group in the plane, and the
+rest of the algorithm is the same as for points.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from relmap.core.arrays import Floats, Ints
+from relmap.core.association import Registration
+from relmap.core.state.growing import GrowingArray
+from relmap.planes.linking.judging import Found
+from relmap.planes.linking.scan_links import ScanLinks
+from relmap.planes.linking.tracks import MEMORY, NO_CORNER, PlaneTracks
+from relmap.planes.scans.corners import CORNER, INTERVAL, LOOSE, UNKNOWN, compared_ends
+from relmap.planes.scans.observation import PlaneObservation
+
+STRAYED_M = 0.15
+SIGMAS = 5.0
+"""Largest distance of a corner from its prediction, along its wall: metres, and in standard
+deviations of corners."""
+MOST = 14
+"""Number of corners of a scan used by the map: more would not improve it."""
+LONG_M = 4.0
+"""Walls longer than this are equally good."""
+UNTYPED, STATIC, MOVING = 0, 1, -1
+"""Classification of an end over time."""
+TESTED = 4
+"""Interval, in iterations, of the tests of ends with unknown type."""
+FAMILIAR = 8
+"""Number of observations of a corner that doubles its rank: the selection should be stable."""
+
+
+class PlaneRegistration(Registration):
+    """Matches walls to those of earlier iterations, and numbers their corners.
+
+    Corner ``k`` is landmark ``2 k``, and the midpoint estimated from it landmark ``2 k + 1``; the
+    map uses few of those of a scan.
+
+    `max_missed`: a wall missed for more iterations than this has left the view. `bridge_m`, metres:
+    largest error of an unmeasured motion along walls; beyond it a submap ends.
+
+    Attributes: `links`: links between scans. `corner`, `landmark` (w, 2): corner at either end of
+    each wall of the last scan, and the landmark used by the map there; -1 for none.
+    """
+
+    _tracks: PlaneTracks | None
+    STATE = "_tracks n_planes _half _wall_end _submap_of _type _since links"
+
+    def __init__(self, max_missed: int, bridge_m: float) -> None:
+        self._max_missed = max_missed
+        self._tracks = None
+        self.links = ScanLinks(bridge_m)
+        self._half: GrowingArray[np.float64] = GrowingArray(np.float64)
+        self._wall_end: GrowingArray[np.int64] = GrowingArray(np.int64)
+        self._submap_of: GrowingArray[np.int64] = GrowingArray(np.int64)
+        self._type: GrowingArray[np.int8] = GrowingArray(np.int8, (2,))
+        self._since: GrowingArray[np.int64] = GrowingArray(np.int64)
+        self.n_planes = 0
+        self.corner = np.empty((0, 2), dtype=np.int64)
+        self.landmark = np.empty((0, 2), dtype=np.int64)
+
+    @property
+    def half(self) -> Floats:
+        """Half the size of its wall at the first observation of each corner; metres."""
+        return self._half.values
+
+    @property
+    def wall_end(self) -> Ints:
+        """Wall end of each corner: twice the number of the wall, plus 1 for the left end."""
+        return self._wall_end.values
+
+    @property
+    def submap_of(self) -> Ints:
+        """Submap of each corner."""
+        return self._submap_of.values
+
+    def match(self, seen: PlaneObservation, ids: Ints | None = None) -> Ints:
+        """Return the number of each wall (m,) of one scan.
+
+        If no link to earlier scans is accepted, a submap begins.
+        """
+        walls, goes_on = np.full(len(seen), -1), self.links.goes_on
+        motion, tracks, found = self.links.usual, self._tracks, None  # constant motion
+        if tracks is not None and len(seen):
+            found = self.links.into(tracks, seen)
+            motion, goes_on = (found.motion, goes_on) if found else (motion, False)
+            tracks = _followed(tracks, seen, found, walls) if found else None
+        elif tracks is not None:
+            tracks = tracks.carried(motion)
+            tracks.missed += 1
+        if tracks is None and len(seen) and not goes_on:
+            self.links.begin_submap()
+        new = walls < 0
+        walls[new] = self.n_planes + np.arange(new.sum())
+        self.n_planes += int(new.sum())
+        self._type.resize(self.n_planes, UNTYPED)
+        self._since.resize(self.n_planes, len(self.links))
+        self._test_ends()
+        begun = PlaneTracks.begun(walls[new], seen.only(new))
+        tracks = begun if tracks is None else tracks.joined(begun)
+        tracks = tracks.kept(tracks.missed <= self._max_missed)
+        self._tracks = tracks if len(tracks) else None
+        self._see_corners(tracks, seen, walls)
+        is_tied = goes_on or self._tracks is not None
+        self.links.append(seen, motion, is_tied, found, goes_on)
+        return walls
+
+    def begin_run(self) -> None:
+        """Begin another run with the next scan, which is not tied to the last one."""
+        self._tracks = None
+        self.links.begin_run()
+
+    def attach(self, first: int, motion: Floats, scan: int, walls: Ints) -> None:
+        """Tie a submap to that of another scan; see `ScanLinks.attach`."""
+        name = self.links.attach(first, motion, scan, walls)
+        self._submap_of.values[:] = name[self.submap_of]
+
+    def join(self, poses: Sequence[Floats], walls: Ints) -> None:
+        """Join submaps whose maps show the same place; see `ScanLinks.join`."""
+        name = self.links.join(poses, walls)
+        self._submap_of.values[:] = name[self.submap_of]
+
+    def before_join(self) -> tuple[dict[str, Any], Ints]:
+        """Return what `join` changes, for `undo_join`."""
+        return self.links.before_join(), self.submap_of.copy()
+
+    def undo_join(self, before: tuple[dict[str, Any], Ints]) -> None:
+        """Separate the submaps that were joined since."""
+        links, self._submap_of.values[:] = before
+        vars(self.links).update(links)
+
+    def tie(self) -> Ints:
+        """Re-evaluate the doubtful links; return the scans (c,) whose links are now rejected."""
+        name, cut = self.links.tie()
+        self._submap_of.values[:] = name[self.submap_of]
+        return cut
+
+    def _see_corners(self, tracks: PlaneTracks, seen: PlaneObservation, walls: Ints) -> None:
+        """Assign a corner to every static end; create new ones where none is expected."""
+        row_of = {plane: row for row, plane in enumerate(tracks.plane.tolist())}
+        types = self._type.values[walls]
+        untyped = seen.kind % LOOSE == UNKNOWN
+        wall, end = np.nonzero(np.where(untyped, types == STATIC, seen.static))
+        row = np.array([row_of[plane] for plane in walls[wall].tolist()], dtype=np.int64)
+        at = seen.ends[wall, end]
+        off = np.abs(((at - tracks.corner_at[row, end]) * seen.along[wall]).sum(axis=1))
+        # The standard deviation of an end along its wall is about three times that across it.
+        fresh = ~(off <= STRAYED_M + SIGMAS * (3 * seen.sd[wall]))
+        strayed = untyped[wall, end] & fresh & (tracks.corner[row, end] >= 0)
+        if strayed.any():  # the static corners are out of view: a new interval begins
+            tracks.corner[row[strayed], end[strayed]] = NO_CORNER
+            self._ask_again(walls[wall[strayed]], end[strayed])
+            wall, end, row, at, fresh = (v[~strayed] for v in (wall, end, row, at, fresh))
+        corners = tracks.corner[row, end]
+        corners[fresh] = len(self._half) + np.arange(fresh.sum())
+        self._half.extend(seen.size[wall[fresh]] / 2)
+        self._submap_of.extend(np.full(fresh.sum(), self.links.submap))
+        self._wall_end.extend(2 * walls[wall[fresh]] + end[fresh])
+        times = np.where(fresh, 1, tracks.corner_seen[row, end] + 1)
+        share = (1 / np.minimum(times, MEMORY))[:, None]
+        before = np.where(fresh[:, None], at, tracks.corner_at[row, end])
+        tracks.corner_at[row, end] = before + share * (at - before)
+        tracks.corner_seen[row, end] = times
+        tracks.corner[row, end] = corners
+        for k in np.flatnonzero(fresh & untyped[wall, end]).tolist():
+            self._name(walls[wall[k]], end[k], corners[k])
+        self.corner, self.landmark = np.full((2, len(seen), 2), NO_CORNER)
+        self.corner[wall, end] = corners
+        best = _best(seen.size[wall], times)
+        self.landmark[wall[best], end[best]] = 2 * corners[best]
+
+    def _test_ends(self) -> None:
+        """Determine from the last iterations which ends are static, if no types are given (Fig. 4).
+
+        Ends of unknown type are tested at intervals.
+        """
+        now = len(self.links)
+        if now < INTERVAL or now % TESTED:
+            return
+        rows, iteration = self.links.store.between(now - INTERVAL, now)
+        wall, kind = (
+            self.links.store.column("wall")[rows],
+            self.links.store.column("kind")[rows] % LOOSE,
+        )
+        ends, sd = self.links.store.column("location")[rows], self.links.store.column("sd")[rows]
+        same, unknown = self._since.values[wall] <= now - INTERVAL, kind == UNKNOWN
+        if not (same & unknown.any(axis=1)).any():
+            return
+        types = self._type.values
+        untyped = np.zeros(types.shape, dtype=np.bool_)
+        np.logical_or.at(untyped, wall, unknown)
+        kind = np.where(unknown & (types[wall] == STATIC), CORNER, kind)
+        found = compared_ends(iteration[same], wall[same], ends[same], sd[same], kind[same])
+        moving = found.moving & ~found.static & untyped[found.walls]
+        static = found.static & untyped[found.walls]
+        before = types[found.walls]
+        types[found.walls] = np.where(static, STATIC, np.where(moving, MOVING, before))
+        for k, end in np.argwhere(moving).tolist():
+            self._name(found.walls[k], end, NO_CORNER)
+
+    def _ask_again(self, walls: Ints, ends: Ints) -> None:
+        """Begin a new interval for walls (k,), and forget the known types of their ends."""
+        self._type.values[walls, ends] = UNTYPED
+        self._since.values[walls] = len(self.links)
+
+    def _name(self, wall: int, end: int, corner: int) -> None:
+        """Record the corner that an end of a wall was throughout the last interval."""
+        now = len(self.links)
+        begin = max(int(self._since.values[wall]), now - INTERVAL, 0)
+        rows, _ = self.links.store.between(min(begin, now), now)
+        own = self.links.store.column("wall")[rows] == wall
+        self.links.store.column("corner")[rows][own, end] = corner
+        if corner == NO_CORNER:
+            self.links.store.column("landmark")[rows][own, end] = corner
+
+
+def _followed(
+    tracks: PlaneTracks, seen: PlaneObservation, found: Found, walls: Ints
+) -> PlaneTracks:
+    """Return the tracks updated by a scan, and the walls (m,) that they are."""
+    motion, match = found.motion, found.match
+    tracks = tracks.carried(motion)
+    tracks.see(match.tracks, seen, match.walls)
+    walls[match.walls] = tracks.plane[match.tracks]
+    return tracks
+
+
+def _best(size: Floats, times: Ints) -> Ints:
+    """Return which corners (k,) the map uses: of long walls, and seen before."""
+    rank = np.minimum(size, LONG_M) * (1 + np.minimum(times / FAMILIAR, 1))
+    return np.argsort(-rank, kind="stable")[:MOST]

@@ -1,0 +1,235 @@
+"""The walls and beams of a scan and of earlier ones, compared under motions between them.
+
+A motion is fitted to the walls that match, slid along the longest of them, and verified by beams.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from relmap.core.arrays import Floats
+from relmap.planes.linking.judging import Judged, View
+from relmap.planes.linking.links import spread
+from relmap.planes.linking.placement import ROUNDS, Match, settled, worth
+from relmap.planes.linking.tracks import PlaneTracks
+from relmap.planes.motions import after, wrapped
+from relmap.planes.odometry.prediction import Expected
+from relmap.planes.scans.beams import NEAR_M, Beams, compared, leads, log_odds
+from relmap.planes.scans.observation import PlaneObservation
+
+REACH_M = 3.5
+"""Largest distance between two scans that are linked."""
+VERIFYING = 2
+"""Number of earlier scans whose beams verify a motion."""
+NEARBY_M = 1.5
+"""Farthest of the scans by which a motion along a wall is corrected."""
+JUDGES = 200
+"""Approximate number of beams used to verify a motion."""
+PEAKS, SLIDE_M = 2, 0.1
+"""Number of places kept of a motion slid along a wall, and the step."""
+SLIDE_NEAR_M, SLIDE_STEP, CONTRADICTING = 0.15, 6, 4.0
+"""Tolerance there, subsampling of beams, and weight of a contradicting beam."""
+USUAL_M, USUAL_RAD = 1.5, np.deg2rad(45.0)
+"""Typical difference between consecutive motions."""
+COARSE_M, FINE_M = 0.1 * np.arange(-6.0, 7.0), 0.025 * np.arange(-3.0, 4.0)
+"""Corrections of a motion along the longest wall."""
+CROSSINGS = 4.0
+"""Spread of the directions of matching walls above which they determine a motion well."""
+PARALLEL, CERTAIN = 3.0, 40.0
+"""Spread below which several earlier scans decide, not only the last one, and difference of log
+odds at which that one suffices for the coarse correction."""
+USUAL_SHARE, USUAL_LEAST_M = 0.1, 0.02
+"""Scale of the differences between consecutive steps, as a fraction of the step and constant."""
+LIKELIER = 3.0
+"""Minimum log odds of a correction."""
+FREE_M, FREE = 0.3, 0.01
+"""A motion along a wall is undetermined if the beams agree almost as well at this distance."""
+CONTRADICTED = -5.0
+"""Log odds below which beams contradict the usual step."""
+
+
+class ScanComparison:
+    """A scan compared with tracks and earlier scans.
+
+    `beams`: beams of the same scan; `views`: earlier scans, the last one first; `before`: usual
+    motion of the robot; `expected`: motion expected from odometry; `firm`: whether to leave out
+    walls and beams on small free-standing objects.
+    """
+
+    def __init__(
+        self,
+        tracks: PlaneTracks,
+        seen: PlaneObservation,
+        beams: Beams,
+        views: Sequence[View],
+        before: Floats,
+        expected: Expected | None = None,
+        firm: bool = True,
+    ) -> None:
+        self._beams, self._views = beams, views[:VERIFYING]
+        self._nearby = [v for v in views[1:] if np.hypot(*v.motion[1:]) <= NEARBY_M]
+        self._before = expected.motion if expected else before
+        self._expected, self._firm = expected, firm
+        kept, own = ~(tracks.loose & firm), ~(seen.loose & firm)
+        self._rows, self._walls = np.flatnonzero(kept), np.flatnonzero(own)
+        self._tracks, self._seen = tracks.kept(kept), seen.only(own)
+
+    @property
+    def _is_empty(self) -> bool:
+        """Whether there is nothing to compare."""
+        return not min(len(self._tracks), len(self._seen), len(self._beams))
+
+    def _named(self, match: Match) -> Match:
+        """Return a match with the numbers of all tracks and walls."""
+        return Match(self._rows[match.tracks], self._walls[match.walls], match.score)
+
+    def _counted(self, motions: Floats, near_m: float = NEAR_M, step: int | None = None) -> Floats:
+        """Return the number of points of the scan and the last one that agree etc. (k, 4).
+
+        See `relmap.planes.scans.beams.compared`; by default with some `JUDGES` of the beams.
+        """
+        step = 1 + len(self._beams) // JUDGES if step is None else step
+        return self._counts(self._views[0], motions, near_m, step)
+
+    def _judged(self, guesses: Sequence[Floats] | Floats, rounds: int = ROUNDS) -> Judged:
+        """Fit motions to the walls that match in some rounds, and compare the beams."""
+        tracks, seen = self._tracks, self._seen
+        found = [settled(tracks, seen, guess, rounds) for guess in guesses]
+        motions = np.array([motion for motion, _ in found]).reshape(-1, 3)
+        step = 1 + len(self._beams) // JUDGES
+        sums = np.array([self._counts(view, motions, NEAR_M, step) for view in self._views])
+        possible = max(min(worth(tracks, seen, np.ones(len(tracks), dtype=np.bool_))), 1.0)
+        total = sums.sum(axis=2)
+        return Judged(
+            motions,
+            [match for _, match in found],
+            (sums[..., 0] / np.maximum(total, 1.0)).max(axis=0),
+            sums[..., 1].sum(axis=0) / np.maximum(total.sum(axis=0), 1.0),
+            np.array([match.score / possible for _, match in found]),
+            self._surprise(motions),
+        )
+
+    def _slid(self, judged: Judged, k: int) -> Judged:
+        """Return a motion slid along the longest wall to the best agreement of beams."""
+        if not len(judged.matches[k].walls):
+            return self._judged([])
+        n = int(REACH_M / SLIDE_M)
+        way_m = SLIDE_M * np.arange(-n, n + 1.0)
+        motions, value = self._along(judged, k, way_m)
+        inner = value[1:-1]
+        peaks = 1 + np.flatnonzero((inner >= value[:-2]) & (inner > value[2:]))
+        peaks = peaks[np.argsort(-value[peaks], kind="stable")][:PEAKS]
+        motions = motions[peaks[np.abs(way_m[peaks]) > SLIDE_M / 2]]
+        return self._judged(motions)
+
+    def _steady(self, one: Judged) -> Judged:
+        """Return an undetermined motion with the usual step along the longest wall.
+
+        Unchanged if the beams contradict that. Otherwise any place where a few points happen to
+        agree would be taken.
+        """
+        motion, match = one.motions[0], one.matches[0]
+        usual_m = (self._before[1:] - motion[1:]) @ self._along_longest(match)
+        moved = self._moved(motion, match, np.array([usual_m]))
+        views = [*self._views[:1], *self._nearby]
+        return one if self._odds(views, moved, motion)[0] < CONTRADICTED else self._judged(moved, 0)
+
+    def _corrected(self, judged: Judged, k: int, far: bool = True) -> Judged:
+        """Return a motion, moved along the longest wall if that is clearly likelier.
+
+        Ends of walls seen at a grazing angle pull a fit to walls along them, and in a corridor
+        nothing else may determine the motion. So where few walls cross, the beams and the usual
+        step decide. With `far`, the usual step may lie out of the range of the search.
+        """
+        motion, match = judged.motions[k], judged.matches[k]
+        crossing = self._crossing(match)
+        if crossing >= CROSSINGS:
+            return judged.only(k)
+        usual_m = float((self._before[1:] - motion[1:]) @ self._along_longest(match))
+        way_m = np.append(COARSE_M, usual_m) if far else COARSE_M
+        views = self._deciding(crossing)
+        odds = self._odds(views[:1], self._moved(motion, match, way_m), motion)
+        if len(views) > 1 and odds.max() - np.median(odds) < CERTAIN:
+            odds = self._odds(views, self._moved(motion, match, way_m), motion)
+        way_m = self._likeliest(odds, way_m, usual_m)[0] + FINE_M
+        odds = self._odds(views, self._moved(motion, match, way_m), motion)
+        best_m, best = self._likeliest(odds, way_m, usual_m)
+        if best < LIKELIER:
+            return judged.only(k)
+        return self._judged(self._moved(motion, match, np.array([best_m])), 0)
+
+    def _likeliest(self, odds: Floats, way_m: Floats, usual_m: float) -> tuple[float, float]:
+        """Return the likeliest of some shifts (k,) along the longest wall, and its log odds.
+
+        Compared with no shift, by the odds (k,) of the beams; `usual_m` leads to the usual step.
+        """
+        scale_m = USUAL_SHARE * float(np.hypot(*self._before[1:])) + USUAL_LEAST_M
+        usual = np.log1p((usual_m / scale_m) ** 2) - np.log1p(((way_m - usual_m) / scale_m) ** 2)
+        at = int(np.argmax(odds + usual))
+        return float(way_m[at]), float((odds + usual)[at])
+
+    def _deciding(self, crossing: float) -> Sequence[View]:
+        """Return the earlier scans that decide, given the spread of the matching walls."""
+        if crossing >= PARALLEL or self._expected is not None:
+            return self._views[:1]
+        return [*self._views[:1], *self._nearby]
+
+    def _odds(self, views: Sequence[View], motions: Floats, motion: Floats) -> Floats:
+        """Return the log odds of motions (k, 3) relative to one (3,), by the beams.
+
+        Beams hit the same places of a wall again where the robot seems to stand still; the longer
+        the way from an earlier scan, the less that matters.
+        """
+        lead, variance = np.zeros(len(motions)), np.zeros(len(motions))
+        for view in views:
+            both = after(view.motion, np.vstack([motion[None], motions]))
+            own = leads(view.beams, self._beams, both[1:], both[0], NEAR_M, self._firm)
+            lead, variance = lead + own[0], variance + own[1] ** 2
+        return log_odds(lead, variance)
+
+    def _measured(self, judged: Judged, k: int) -> bool:
+        """Return whether beams agree less if a motion is slid along the longest wall."""
+        if not len(judged.matches[k].walls):
+            return False
+        value = self._along(judged, k, FREE_M * np.array([-1.0, 0.0, 1.0]))[1]
+        return bool(max(value[0], value[2]) < value[1] - FREE)
+
+    def _along(self, judged: Judged, k: int, way_m: Floats) -> tuple[Floats, Floats]:
+        """Return a motion slid along the longest wall that matches, and the agreement of beams."""
+        motions = self._moved(judged.motions[k], judged.matches[k], way_m)
+        return motions, self._value(motions, SLIDE_STEP)
+
+    def _moved(self, motion: Floats, match: Match, way_m: Floats) -> Floats:
+        """Return a motion (3,) moved along the longest wall that matches by distances (k,)."""
+        motions = np.tile(motion, (len(way_m), 1))
+        motions[:, 1:] += way_m[:, None] * self._along_longest(match)
+        return motions
+
+    def _along_longest(self, match: Match) -> Floats:
+        """Return the direction (2,) of the longest wall that matches; zero if there is none."""
+        if not len(match.walls):
+            return np.zeros(2)
+        return np.asarray(self._seen.along[match.walls[np.argmax(self._seen.size[match.walls])]])
+
+    def _crossing(self, match: Match) -> float:
+        """Return the spread of the directions of the walls that match; 0 if they are parallel."""
+        return float(spread(self._seen.along[match.walls], np.zeros_like(match.walls), 1)[0])
+
+    def _value(self, motions: Floats, step: int) -> Floats:
+        """Return the agreement of beams along walls for motions (k, 3)."""
+        sums = self._counted(motions, SLIDE_NEAR_M, step)
+        in_view = np.maximum(sums[:, :3].sum(axis=1), 1.0)
+        return np.asarray((sums[:, 0] - CONTRADICTING * sums[:, 1]) / in_view)
+
+    def _surprise(self, motions: Floats) -> Floats:
+        """Return the prior improbability of motions (k, 3), given the usual motion."""
+        way = np.hypot(*(motions[:, 1:] - self._before[1:]).T) / USUAL_M
+        turn = wrapped(motions[:, 0] - self._before[0]) / USUAL_RAD
+        support = self._expected.supports(motions) if self._expected else 0.0
+        return np.asarray((way**2 + turn**2) / 2 - support)
+
+    def _counts(self, view: View, motions: Floats, near_m: float, step: int) -> Floats:
+        there = after(view.motion, motions)
+        return compared(view.beams, self._beams, there, near_m, step, self._firm)

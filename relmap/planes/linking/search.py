@@ -1,0 +1,187 @@
+"""The placement of the tracks' frame in a laser scan: motions from walls, verified by beams.
+
+Pairs of walls and corners imply motions, many of them wrong. Those that bring most points of one
+scan onto surfaces of the other are fitted to the walls that match, and the one with the best
+agreement of beams is accepted, unless beams contradict it or a rival comes near.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from relmap.core.arrays import Floats
+from relmap.planes.linking.judging import (
+    MEASURED,
+    NO_CANDIDATES,
+    NO_MATCH,
+    TIE_AGREES,
+    TIE_CONTRADICTS,
+    Candidates,
+    Found,
+    Judged,
+)
+from relmap.planes.linking.links import CROSSING
+from relmap.planes.linking.placement import STILL
+from relmap.planes.linking.scan_comparison import CONTRADICTING, REACH_M, ScanComparison
+from relmap.planes.motions import distinct, others
+from relmap.planes.odometry.prediction import OTHERWISE, Expected
+
+REACH_RAD = np.deg2rad(120.0)
+"""Largest rotation between two scans that are linked."""
+TURNS, EACH = 8, 25
+"""Number of rotations, and motions for each, evaluated coarsely."""
+ROUGH_M, ROUGH_STEP = 0.3, 12
+"""Tolerance of the coarse evaluation, and subsampling of beams."""
+CLOSELY = 8
+ALIKE_M, ALIKE_RAD = 0.2, np.deg2rad(5.0)
+"""Number of motions fitted to walls and evaluated with all beams, and the distance of
+duplicates."""
+ACCEPTED = 1.5
+"""Log odds above which a motion is accepted."""
+CLEARLY, HARDLY = 0.75, 0.01
+"""Agreeing and contradicting fractions for which a usual motion is accepted at once."""
+RIVAL = 1.7
+"""Log odds by which a motion must exceed any other."""
+CANDIDATES, WITHIN = 6, 8.0
+"""Number of motions compared with those of other scans, and largest difference to the best, in log
+odds."""
+EXPLAINS = 0.05
+"""Fraction of points by which another motion must exceed the agreement of odometry."""
+CONTRADICTS = 0.1
+"""Fraction of contradicting points above which odometry is rejected."""
+SLID = 2
+"""Number of motions slid along a wall."""
+FREE_REACH_M = 1.0
+"""Motions nearer than this are not rivals if the motion along a wall is undetermined: the previous
+motion decides."""
+
+
+class Search(ScanComparison):
+    """The search for the motion of the tracks' frame into that of one scan."""
+
+    def found(self) -> Found | None:
+        """Find the motion implied by walls and supported by beams.
+
+        Returns None if beams contradict all motions, or a rival comes near.
+        """
+        if self._is_empty:
+            return None
+        every = self._judged([self._before, STILL])
+        best = int(np.argmax(every.evidence))
+        clear = every.agree[best] > CLEARLY and every.contradict[best] < HARDLY
+        if not clear or not self._measured(every, best):
+            every = every.and_those(self._judged(self._guesses()))
+            for k in np.argsort(-every.evidence, kind="stable")[:SLID]:
+                every = every.and_those(self._slid(every, k))
+            best = int(np.argmax(every.evidence))
+        if every.evidence[best] < ACCEPTED:
+            return None
+        motion = every.motions[best]
+        if self._expected and self._explains(self._expected, motion):
+            return None
+        likely = every.evidence > every.evidence[best] - RIVAL
+        rivals = likely & others(every.motions, motion)
+        one = self._corrected(every, best)
+        measured = self._measured(one, 0)
+        if not measured:
+            rivals &= np.hypot(*(every.motions[:, 1:] - motion[1:]).T) > FREE_REACH_M
+        if rivals.any():
+            return None
+        if not measured and self._expected:
+            return self._by_odometry(every, self._expected)
+        one = one if measured else self._steady(one)
+        return self._chosen(one, measured, float(every.evidence[best]))
+
+    def _chosen(self, one: Judged, measured: bool, evidence: float) -> Found:
+        return Found(one.motions[0], self._named(one.matches[0]), measured, evidence)
+
+    def _explains(self, expected: Expected, motion: Floats) -> bool:
+        """Return whether beams agree with odometry almost as well as with another motion (3,)."""
+        motions = np.array([expected.motion, motion])
+        if expected.off(motions)[1] < OTHERWISE:
+            return False
+        sums = self._counted(motions, step=1)
+        value = (sums[:, 0] - CONTRADICTING * sums[:, 1]) / np.maximum(sums.sum(axis=1), 1.0)
+        return bool(value[0] > value[1] - EXPLAINS)
+
+    def _by_odometry(self, every: Judged, expected: Expected) -> Found | None:
+        """Return the likely motion nearest to odometry; None if none is near."""
+        off = expected.off(every.motions)
+        near = np.where(off < OTHERWISE, every.evidence, -np.inf)
+        if near.max() < ACCEPTED:
+            return None
+        best = int(np.argmin(np.where(near > near.max() - RIVAL, off, np.inf)))
+        one = self._corrected(every, best)
+        if expected.off(one.motions)[0] >= OTHERWISE:  # Beams may prefer any place along a wall.
+            one = every.only(best)
+        return self._chosen(one, False, float(every.evidence[best]))
+
+    def candidates(self, guesses: Sequence[Floats] = ()) -> Candidates:
+        """Return the plausible motions between these scans by walls and beams, likeliest first.
+
+        `guesses`: candidates in addition to those implied by walls.
+        """
+        if self._is_empty:
+            return NO_CANDIDATES
+        every = self._judged([self._before, STILL, *guesses, *self._guesses()])
+        for k in np.argsort(-every.of_pair, kind="stable")[:SLID]:
+            every = every.and_those(self._slid(every, k))
+        evidence = every.of_pair
+        order = np.argsort(-evidence, kind="stable")
+        order = order[np.isfinite(evidence[order]) & (evidence[order] > evidence.max() - WITHIN)]
+        best = distinct(every.motions, order, CANDIDATES)
+        each = [self._corrected(every, k, False) for k in best]
+        measured = np.array([self._measured(one, 0) for one in each], dtype=np.bool_)
+        doubtful = np.array([self._is_doubtful(one) for one in each], dtype=np.bool_)
+        matches = [self._named(one.matches[0]) for one in each]
+        motions = np.array([one.motions[0] for one in each]).reshape(-1, 3)
+        evidence = evidence[best] + MEASURED * measured
+        return Candidates(motions, evidence, measured, doubtful, matches)
+
+    def _is_doubtful(self, one: Judged) -> bool:
+        """Return whether too few points support a motion to tie two scans."""
+        parallel = self._crossing(one.matches[0]) < CROSSING
+        against = parallel and one.contradict[0] > TIE_CONTRADICTS
+        return bool(one.agree[0] < TIE_AGREES or against)
+
+    def judged(self, motion: Floats) -> tuple[float, float, bool]:
+        """Return the evidence of the scans for a motion (3,), after local optimisation.
+
+        Returns `evidence`: log odds that it is right, `contradict`: fraction of contradicting
+        points and `stays`: whether it converges to the given motion.
+        """
+        if self._is_empty:
+            return -np.inf, 0.0, True
+        found = self._judged([motion])
+        evidence = float(found.of_pair[0]) + MEASURED * self._measured(found, 0)
+        return evidence, float(found.contradict[0]), not others(found.motions, motion)[0]
+
+    def bridged(self, expected: Expected) -> Found | None:
+        """Return the motion expected from odometry, unless beams contradict it.
+
+        It is refined by walls that match nearby.
+        """
+        found = self._judged([expected.motion])
+        motions = np.array([expected.motion, found.motions[0]])
+        sums = self._counted(motions)
+        is_near = expected.off(motions)[1] < OTHERWISE
+        by_walls = is_near and sums[1, 0] >= sums[0, 0] and sums[1, 1] <= sums[0, 1]
+        if sums[int(by_walls), 1] > CONTRADICTS * sums[0].sum():
+            return None
+        match = self._named(found.matches[0]) if by_walls else NO_MATCH
+        return Found(motions[int(by_walls)], match, False, float(found.evidence[0]), True)
+
+    def _guesses(self) -> Floats:
+        """Return the motions implied by walls with the best coarse agreement of beams."""
+        from relmap.planes.linking.guess_kernels import implied
+
+        tracks = self._tracks
+        recent = tracks.kept(tracks.missed == tracks.missed.min(initial=0))
+        walls = recent.arrays, self._seen.arrays
+        motions = implied(*walls, 0.0, REACH_M, REACH_RAD, TURNS, EACH)
+        sums = self._counted(motions, ROUGH_M, ROUGH_STEP)
+        order = np.argsort(sums[:, 1] - sums[:, 0], kind="stable")
+        best = distinct(motions, order, CLOSELY, ALIKE_M, ALIKE_RAD)
+        return np.asarray(motions[best])

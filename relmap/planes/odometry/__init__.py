@@ -1,0 +1,1 @@
+"""Odometry: predictions for a scan, and factors for the refinement."""

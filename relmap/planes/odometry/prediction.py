@@ -1,0 +1,174 @@
+"""Prediction of a scan by odometry, with its uncertainty.
+
+Odometry is compared with the motions that walls determine in all directions. This gives its noise
+and systematic errors (`relmap.core.motion_noise`), and whether it is accepted at all.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.motion_noise import WRONG_SCALE, WRONG_WAY, MotionNoise, motion_noise
+from relmap.core.odometry import Motions, OdometryUse
+from relmap.planes.motions import from_matrices, inverse, matrices, wrapped
+from relmap.planes.odometry.steps import constant_errors, corrected, path_of
+
+COMPARED, LONG_AGO = 200, 5000
+"""Number of last motions that odometry is compared with, and their largest age in scans."""
+EVERY, AT_FIRST = 32, 8
+"""Interval, in scans, between comparisons; and while there are few."""
+ROUGH_M, ROUGH_RAD = 0.03, np.deg2rad(1.0)
+"""Errors of motions from walls, which limit the precision of the comparison."""
+FAULT = 6.0
+"""Log odds of a motion far from the prediction: wheels may slip."""
+AGREED = 3.0
+"""Log odds gained by a motion that agrees with odometry, which few do by chance."""
+FAULTS, FAULTY = 2, 0.05
+"""If odometry contradicts the walls more often than this, and in a larger fraction of the steps, it
+is rejected: bridges would be wrong as often."""
+NEVER = -1, -1, -1
+OTHERWISE = 4.0
+"""Standard deviations above which a motion contradicts odometry."""
+
+
+class Expected(NamedTuple):
+    """Motion expected from odometry.
+
+    `motion` (3,): from the previous frame to that of the scan: yaw, x, y; `sd_m`, `sd_rad`:
+    standard deviations, including those of the motions from walls that it is compared with.
+    """
+
+    motion: Floats
+    sd_m: float
+    sd_rad: float
+
+    def off(self, motions: Floats) -> Floats:
+        """Return the deviation of motions (k, 3) in standard deviations."""
+        way = np.hypot(*(motions[:, 1:] - self.motion[1:]).T) / self.sd_m
+        turn = wrapped(motions[:, 0] - self.motion[0]) / self.sd_rad
+        return np.asarray(np.hypot(way, turn))
+
+    def supports(self, motions: Floats) -> Floats:
+        """Return the log odds of motions (k, 3) given odometry."""
+        return np.asarray(AGREED - np.minimum(self.off(motions) ** 2 / 2, FAULT))
+
+
+class Wheels:
+    """The odometry of a run, compared with the motions from scan to scan.
+
+    `given`: the given odometry.
+    """
+
+    def __init__(self) -> None:
+        self.given = Motions()
+        self._noise: MotionNoise | None = None
+        self._noise_of = -1
+        self._last: tuple[tuple[int, int, int], Expected | None] = NEVER, None
+
+    def expected(
+        self, earlier: int, later: int, motions: Floats, measured: Bools
+    ) -> Expected | None:
+        """Return the motion from an earlier scan to a later one, as expected from odometry.
+
+        `motions` (i, 3): motions from scan to scan; `measured` (i,): which of these are determined
+        by walls in all directions. Returns None if odometry is unknown or rejected.
+        """
+        if not len(self.given):
+            return None
+        key = earlier, later, len(self.given)
+        if self._last[0] != key:
+            self._last = key, self._expected(earlier, later, motions, measured)
+        return self._last[1]
+
+    def _expected(
+        self, earlier: int, later: int, motions: Floats, measured: Bools
+    ) -> Expected | None:
+        steps = self.given.between(earlier + 1, later + 1)
+        noise = self.noise(motions, measured)
+        if noise is None or not np.isfinite(steps[:, 0, 0]).all():
+            return None
+        path = path_of(corrected(noise, steps))
+        sd_m, sd_rad = noise.sigmas(steps)
+        ahead = np.hypot(*(path[-1] - path)[:, 1:].T)
+        off_m = np.sqrt((sd_m**2 + (sd_rad * ahead) ** 2).sum() + ROUGH_M**2)
+        off_rad = np.sqrt((sd_rad**2).sum() + ROUGH_RAD**2)
+        motion = inverse(path[-1])
+        return Expected(motion, float(off_m), float(off_rad))
+
+    def noise(self, motions: Floats, measured: Bools) -> MotionNoise | None:
+        """Return the recent quality of odometry; None if it is rejected."""
+        every = EVERY if len(motions) > EVERY else AT_FIRST
+        now = len(motions) // every * every
+        if now != self._noise_of:
+            begin = max(now - LONG_AGO, 0)
+            last = begin + np.flatnonzero(measured[begin:now])[-COMPARED:]
+            found, is_accepted = self._compared(last, motions)
+            self._noise_of, self._noise = now, found if is_accepted else None
+        return self._noise
+
+    def noise_over_all(self, motions: Floats, measured: Bools) -> MotionNoise | None:
+        """Return the quality of odometry over a whole run; None if missing or rejected."""
+        if not len(self.given):
+            return None
+        found, is_accepted = self._compared(np.flatnonzero(measured), motions)
+        return found if is_accepted else None
+
+    def use(
+        self, motions: Floats, measured: Bools, left_out: Bools, hanging: Bools
+    ) -> OdometryUse | None:
+        """Return how odometry was used; None if there is none."""
+        if not len(self.given):
+            return None
+        found, _ = self._compared(np.flatnonzero(measured), motions)
+        use = OdometryUse.of(found, left_out)
+        return replace(use, is_used=bool(hanging.any()), hanging=np.flatnonzero(hanging))
+
+    def _compared(self, scans: Ints, motions: Floats) -> tuple[MotionNoise, bool]:
+        """Return the quality of odometry in some scans (k,), and whether it is accepted."""
+        begin, end = int(scans.min(initial=len(motions))), int(scans.max(initial=-1)) + 1
+        steps = self.given.between(begin, max(begin, end))[scans - begin]
+        there = np.isfinite(steps[:, 0, 0])
+        steps, true = steps[there], motions[scans[there]]
+        poses = _poses(true)
+        found = motion_noise(steps, poses, constant_errors(steps, poses))
+        if found is None:
+            return MotionNoise(), True
+        off_m = found.sigma_way * float(np.median(np.linalg.norm(steps[:, :2, 3], axis=1)))
+        is_noise = found.sigma_way > WRONG_WAY and off_m > ROUGH_M
+        faults = int(_otherwise(found, steps, true).sum())
+        fails = faults > FAULTS and faults > FAULTY * len(steps)
+        return found, not (is_noise or fails or abs(found.scale - 1) > WRONG_SCALE)
+
+    def left_out(self, motions: Floats, measured: Bools) -> Bools:
+        """Return in which iterations (i,) odometry is rejected.
+
+        Those that contradict the motion measured by walls; all if there are too many.
+        """
+        steps = self.given.over(len(motions))
+        known = np.isfinite(steps[:, 0, 0])
+        noise = self.noise_over_all(motions, measured)
+        return known & measured & _otherwise(noise, steps, motions) if noise else known
+
+    def look_again(self) -> None:
+        """Forget the noise estimate: motions have changed."""
+        self._noise_of, self._last = -1, (NEVER, None)
+
+
+def _otherwise(noise: MotionNoise, steps: Floats, motions: Floats) -> Bools:
+    """Return which steps (k, 4, 4) contradict the measured motions (k, 3)."""
+    off, (sd_m, sd_rad) = (
+        corrected(noise, steps) - from_matrices(_poses(motions)),
+        noise.sigmas(steps),
+    )
+    way = np.hypot(off[:, 1], off[:, 2]) / np.hypot(sd_m, ROUGH_M)
+    turn = wrapped(off[:, 0]) / np.hypot(sd_rad, ROUGH_RAD)
+    return np.asarray(np.hypot(way, turn) > OTHERWISE)
+
+
+def _poses(motions: Floats) -> Floats:
+    """Return motions (k, 3) as poses (k, 4, 4) of the robot in the previous frame."""
+    return np.asarray(np.linalg.inv(matrices(motions)))

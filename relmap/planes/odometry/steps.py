@@ -1,0 +1,181 @@
+"""Odometry for the map of a whole run: without systematic errors, with its own noise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.motion_noise import STILL_M, MotionNoise, motion_noise
+from relmap.planes.motions import from_matrices, matrices
+from relmap.planes.odometry.motion_factors import MotionFactors
+
+BESIDE = 8
+"""Scans next to those that depend on odometry that it also constrains: walls come into view
+gradually."""
+WAY_M = 3.0
+"""Distance over which the noise of odometry is measured."""
+APART = 4
+"""Minimum number of such distances in a path that determines constant errors."""
+
+
+@dataclass(frozen=True, eq=False)
+class Steps:
+    """Odometry of a whole run, for motions that walls do not determine.
+
+    `motion` (i, 3): pose of each iteration in the frame of the previous one, without systematic
+    errors: yaw, x, y; NaN if unknown. `variance` (i, 2): variance of the yaw, square radians, and
+    of x and y, square metres. `needed` (i,): which motions it constrains. `hanging` (i,): which
+    motions depend on it.
+    """
+
+    motion: Floats
+    variance: Floats
+    needed: Bools
+    hanging: Bools
+
+    def lengthened(self, motions: Floats) -> Floats:
+        """Return motions (i, 3) from scan to scan, as long as odometry where they depend on it.
+
+        During the run, their length was computed with the scale estimated until then.
+        """
+        way, found = np.hypot(*self.motion[:, 1:].T), motions.copy()
+        own = np.hypot(*motions[:, 1:].T)
+        rows = np.flatnonzero(self.hanging & np.isfinite(way) & (own > STILL_M))
+        found[rows, 1:] *= (way[rows] / own[rows])[:, None]
+        return found
+
+    def between(self, iterations: Ints) -> MotionFactors:
+        """Return the needed factors between these iterations (k,) and their successors."""
+        needed = np.append(0, np.cumsum(self.needed))[iterations + 1]
+        pairs = np.flatnonzero(np.diff(needed) > 0)
+        both, motion, sd = [], [], []
+        for k in pairs.tolist():
+            rows = slice(iterations[k] + 1, iterations[k + 1] + 1)
+            if np.isfinite(self.motion[rows]).all():
+                both.append((k, k + 1))
+                motion.append(path_of(self.motion[rows])[-1])
+                sd.append(np.sqrt(self.variance[rows].sum(axis=0)))
+        if not both:
+            return MotionFactors()
+        return MotionFactors(np.array(both), np.array(motion), np.array(sd))
+
+
+def steps_of(
+    noise: MotionNoise,
+    given: Floats,
+    n_measured: int,
+    submaps: Sequence[tuple[slice, Floats]],
+    hanging: Bools,
+) -> Steps:
+    """Return the odometry of a whole run for use in its map.
+
+    Its noise is estimated over distances of at least `WAY_M` for which walls determine the motion:
+    from scan to scan these are not more accurate.
+
+    `noise`: combined noise of odometry and of the motions from scan to scan. `given` (i, 4, 4):
+    odometry; NaN where it is rejected. `n_measured`: number of steps used for that estimate.
+    `submaps`, sequence of (slice, (k, 4, 4)): the iterations of each and their poses; NaN for
+    iterations of other submaps. `hanging` (i,): which motions depend on odometry.
+    """
+    steps, (sd_m, sd_rad) = corrected(noise, given), noise.sigmas(given)
+    way, typical_m = np.hypot(steps[:, 1], steps[:, 2]), _typical(steps)
+    known = np.isfinite(way)
+    variance = np.column_stack([sd_rad**2, sd_m**2])
+    over, true = _compared(steps, submaps, known & ~hanging)
+    found, n, length = motion_noise(over, true), max(n_measured, 1), typical_m
+    sd = np.array([noise.sigma_rad, noise.sigma_way * typical_m])
+    if found is not None:
+        length = float(np.median(np.hypot(*over[:, :2, 3].T)))
+        n = max(round(way[known & ~hanging].sum() / length), 1)
+        sd = np.array([found.sigma_rad, found.sigma_way * length])
+        variance = np.maximum(way, STILL_M)[:, None] / length * sd**2
+        steps = _again(found, steps)
+    # The errors of the systematic part are common to all steps, and so add up.
+    variance += (way * _together(way, hanging))[:, None] * (sd / length) ** 2 / n
+    beside = np.convolve(hanging, np.ones(2 * BESIDE + 1))[BESIDE : BESIDE + len(hanging)] > 0
+    return Steps(steps, variance, beside & known, hanging)
+
+
+def _compared(
+    steps: Floats, submaps: Sequence[tuple[slice, Floats]], known: Bools
+) -> tuple[Floats, Floats]:
+    """Return motions (k, 4, 4) over `WAY_M` by steps (i, 3) and by the poses of submaps."""
+    way, path = np.hypot(steps[:, 1], steps[:, 2]), matrices(path_of(np.nan_to_num(steps)))
+    pairs = [(np.empty((0, 4, 4)), np.empty((0, 4, 4)))]
+    for rows, poses in submaps:
+        a, b = _windows(poses, way[rows], known[rows])
+        given = path[rows]
+        pairs.append(
+            (np.linalg.inv(given[a]) @ given[b], np.linalg.inv(poses[a]) @ poses[b]),
+        )
+    over, true = (np.concatenate(each) for each in zip(*pairs, strict=True))
+    return over, true
+
+
+def constant_errors(steps: Floats, true: Floats) -> MotionNoise | None:
+    """Return the constant errors of steps (k, 4, 4) with measured motions (k, 4, 4).
+
+    They are compared over paths of `WAY_M`, joined from these steps only: jitter lengthens single
+    steps, which biases the scale. None if the whole path is too short.
+    """
+    way = np.cumsum(np.linalg.norm(steps[:, :2, 3], axis=1))
+    if not len(way) or way[-1] < APART * WAY_M:
+        return None
+    end = np.searchsorted(way, way + WAY_M)
+    a = np.flatnonzero(end < len(way))
+    given, measured = (matrices(path_of(from_matrices(of))) for of in (steps, true))
+    over = [np.linalg.inv(path[a]) @ path[end[a]] for path in (given, measured)]
+    return motion_noise(over[0], over[1])
+
+
+def corrected(noise: MotionNoise, steps: Floats) -> Floats:
+    """Return planar steps (k, 4, 4) without the systematic errors (k, 3): yaw, x, y."""
+    return _again(noise, from_matrices(steps))
+
+
+def _again(noise: MotionNoise, steps: Floats) -> Floats:
+    """Return steps (k, 3) without systematic errors."""
+    way = np.hypot(steps[:, 1], steps[:, 2])
+    yaw = steps[:, 0] + way * noise.turn_per_m[2]
+    return np.column_stack([yaw, noise.scale * steps[:, 1:]])
+
+
+def _typical(steps: Floats) -> float:
+    """Return the typical length of the known steps (i, 3); metres."""
+    way = np.hypot(steps[:, 1], steps[:, 2])
+    known = way[np.isfinite(way)]
+    return max(float(np.median(known)), STILL_M) if len(known) else STILL_M
+
+
+def _together(way: Floats, needed: Bools) -> Floats:
+    """Return the length (i,) of the run of consecutive needed steps that contains each, metres.
+
+    Residual systematic errors, unlike noise, grow linearly with it.
+    """
+    run = np.cumsum(np.diff(needed, prepend=False))
+    return np.asarray(np.bincount(run, np.nan_to_num(way) * needed)[run])
+
+
+def path_of(steps: Floats) -> Floats:
+    """Return the poses (k, 3) after steps (k, 3), in the frame before the first: yaw, x, y."""
+    yaw = np.cumsum(steps[:, 0])
+    c, s = np.cos(yaw - steps[:, 0]), np.sin(yaw - steps[:, 0])
+    x, y = steps[:, 1:].T
+    return np.column_stack([yaw, np.cumsum(c * x - s * y), np.cumsum(s * x + c * y)])
+
+
+def _windows(poses: Floats, way: Floats, known: Bools) -> tuple[Ints, Ints]:
+    """Return first and last iteration of sections of `WAY_M` with known poses (i, 4, 4).
+
+    They overlap. `way` (i,) is the length of each step, and `known` (i,) whether it is known.
+    """
+    goes_on = known & np.isfinite(poses[:, 0, 0])
+    goes_on[1:] &= np.isfinite(poses[:-1, 0, 0])
+    gone = np.cumsum(np.nan_to_num(way))
+    ends = np.searchsorted(gone, gone + WAY_M)
+    broken = np.append(np.cumsum(~goes_on), len(way) + 1)
+    whole = broken[ends] == broken[:-1]
+    return np.flatnonzero(whole), ends[whole]

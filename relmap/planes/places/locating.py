@@ -1,0 +1,138 @@
+"""Localising scans in the map of a plane mapper, and adding another log to it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from relmap.core.arrays import Floats
+from relmap.core.errors import RelmapError
+from relmap.core.guard import reads_whole
+from relmap.mapper import Place
+from relmap.planes.mapped import MappedWalls
+from relmap.planes.motions import from_matrices
+from relmap.planes.places.finding import WallFinder
+from relmap.planes.places.taking_up import MapOfBefore, RunOnto
+from relmap.planes.scans.observation import PlaneObservation, checked_planes
+
+
+@reads_whole("take_up")
+class LocatingMapper(MappedWalls):
+    """The part of `PlaneMapper` that localises scans."""
+
+    _finder: tuple[object, WallFinder] | None = None
+    _onto: RunOnto | None = None
+    _tied_at: int | None = None
+
+    @property
+    def tied_at(self) -> int | None:
+        """The iteration at which the last log was tied to the map by `finish`; None if it was not.
+
+        See `take_up`.
+        """
+        return self._tied_at
+
+    def locate(self, points: Any, beams: ArrayLike | None = None) -> Place:
+        """Localise a scan using only the map; the mapper does not change.
+
+        Parameters
+        ----------
+        points, beams
+            As for `update`; planes without beams are not localised.
+
+        Returns
+        -------
+        Place
+            The pose ``T_map_robot`` (4, 4), and the number of places in which the scan fits. The
+            pose is NaN unless that is one: at least half of its walls, and 3 m, must lie on mapped
+            walls that are not all parallel, 70 % of its beams must end there, and no other place
+            may score nearly as well.
+
+        Raises
+        ------
+        RelmapError
+            If the scan is invalid.
+        """
+        seen, latest = self._checked(points, beams), self._guard.latest
+        known = self._finder
+        if known is None or known[0] is not latest:
+            known = self._finder = latest, MapOfBefore.of(self.planes, self.submaps).finder
+        return known[1].find(seen)
+
+    def localise(self, points: Any, beams: ArrayLike | None = None) -> Floats:
+        """Localise a scan using only the map; the mapper does not change.
+
+        Parameters
+        ----------
+        points, beams
+            As for `locate`.
+
+        Returns
+        -------
+        (4, 4) float64
+            ``T_map_robot``; NaN if the scan is not found, or is ambiguous.
+
+        Raises
+        ------
+        RelmapError
+            If the scan is invalid.
+        """
+        return self.locate(points, beams).T_map_robot
+
+    def take_up(self, points: Any, beams: ArrayLike | None = None) -> bool:
+        """Begin another log with the next scan, which may be taken anywhere in the map.
+
+        The log has separate submaps until `finish`. A submap then becomes part of the map if,
+        along 7 m of its path, half of the scans, 0.5 m apart, fit in the map at the same placement
+        of the submap, and no other placement agrees with half as many scans; see `tied_at`. Further
+        calls change nothing until `finish`.
+
+        Parameters
+        ----------
+        points, beams
+            The scan of the next `update`, as for that.
+
+        Returns
+        -------
+        bool
+            Whether this scan alone would be localised, see `locate`.
+
+        Raises
+        ------
+        RelmapError
+            If the scan is invalid, or a journal is kept, which cannot record this.
+        """
+        if self._journal is not None:
+            raise RelmapError("a run that keeps a journal begins with an empty map")
+        seen = self._checked(points, beams)
+        if self._onto is None:
+            before = MapOfBefore.of(self.planes, self.submaps)
+            with self._guard.change():
+                self._planes.begin_run()
+                self._onto, self._tied_at = RunOnto(before), None
+        return self._onto.before.finder.find(seen).n_places == 1
+
+    def _attach(self) -> None:
+        """Tie the submaps of the last log to the map, where their place is certain."""
+        run, links = self._onto, self._planes.links
+        if run is None:
+            return
+        for tie in run.ties(links):
+            before = run.before.carried_on(links.motions[: tie.first])
+            into = from_matrices((np.linalg.inv(tie.T_map_first) @ before)[None])[0]
+            self._planes.attach(tie.first, into, run.before.scan, tie.same)
+            self._tied_at = tie.scan if self._tied_at is None else self._tied_at
+        self._onto = None
+
+    def _segmented(self, points: Any) -> Any:
+        """Return the planes of a scan."""
+        raise NotImplementedError
+
+    def _checked(self, points: Any, beams: Any) -> PlaneObservation:
+        """Return the walls of a scan given by walls or points."""
+        if not hasattr(points, "ends"):
+            beams = points if beams is None else beams
+            points = self._segmented(points)
+        return checked_planes(points, beams)

@@ -1,0 +1,1 @@
+"""The floor plan: which refined walls exist, and where they end."""

@@ -1,0 +1,122 @@
+"""The floor plan: existing walls of a submap, without duplicates and at full length.
+
+A wall is drawn where scans saw it and beams ended on it instead of passing through; the poses are
+used for this test only, not to place walls. Of two adjacent walls that face the same way, the one
+observed more often is kept.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from relmap.core.arrays import Bools, Ints
+from relmap.planes.plan.evidence import BIN_M, Stretches, stretches_of
+from relmap.planes.plan.pieces import SHORTEST_M, Pieces, met, with_corners, without_clutter
+from relmap.planes.plan.regrouping import regrouped
+from relmap.planes.plan.walls import drawn_walls
+from relmap.planes.scans.beams import BeamStore
+from relmap.planes.submaps.submap import WallSubmap
+from relmap.planes.walls.assembly import OFTEN, WallNumbers
+from relmap.planes.walls.history import PlaneHistory
+
+SEEN = 3
+"""Observations of a stretch of wall required to draw it; one stretch needs as many as a wall."""
+AGAINST = 0.7
+"""Largest ratio of beams against a wall to beams that end on it."""
+SOLID = 0.7
+"""Smallest fraction of the beams towards a wall that must end on it."""
+GAP_M = 0.5
+"""A gap longer than this is kept even if no beam passed through."""
+DOUBLED_M, PARALLEL = 0.12, np.cos(np.deg2rad(12.0))
+"""Distance and rotation (cosine) up to which a wall is a duplicate of another."""
+
+
+def floor_plan(
+    submap: WallSubmap, numbers: WallNumbers, history: PlaneHistory, beams: BeamStore, moving: Bools
+) -> tuple[WallSubmap, WallNumbers, Ints]:
+    """Return a submap with only the walls of its floor plan; one without walls unchanged.
+
+    `numbers`: its association; `beams`: if empty, only the observed walls are used; `moving` (p,):
+    plane tracks that move. Returns `moved` (m,): tracks found to have moved.
+    """
+    if submap.assembled is None:
+        return submap, numbers, np.empty(0, dtype=np.int64)
+    walls, numbers, moved = regrouped(submap, numbers, history, moving)
+    stretches = stretches_of(walls, submap.poses, submap.span, beams)
+    pieces = with_corners(_pieces(stretches, _standing(stretches)), walls)
+    pieces = without_clutter(met(pieces, stretches), stretches)
+    drawn, numbers = drawn_walls(walls, pieces, numbers, history)
+    return WallSubmap.of(submap.span, submap.poses, drawn, submap.refined), numbers, moved
+
+
+def _standing(walls: Stretches) -> Bools:
+    """Return where walls exist (b,): seen, not seen through, and no duplicate of a stronger one."""
+    hits, against = _around(walls.hits, 1), _around(walls.against, 1)
+    no_wall = (against > AGAINST * hits) & (against > 1)
+    there = (walls.seen >= SEEN) & ~no_wall
+    if walls.hits.any():
+        there &= _around(walls.hits, 2) > 0
+    doubled = _doubled(walls, there)
+    there &= ~doubled
+    return there | _small_gaps(walls, there, no_wall | doubled)
+
+
+def _around(counts: Ints, beside: int) -> Ints:
+    """Return counts summed over neighbouring stretches; margins separate the walls."""
+    return np.asarray(np.convolve(counts, np.ones(2 * beside + 1, dtype=np.int64), "same"))
+
+
+def _doubled(walls: Stretches, there: Bools) -> Bools:
+    """Return where a wall (b,) duplicates a wall that faces the same way and was seen more."""
+    wall, half = walls.wall, BIN_M * np.diff(walls.first) / 2
+    points = walls.base[wall] + walls.place[:, None] * walls.along[wall]
+    middle = walls.base + (walls.low + half)[:, None] * walls.along
+    seen = np.bincount(wall, np.where(there, walls.seen, 0), minlength=len(half))
+    beside_m = DOUBLED_M + half * np.sqrt(1 - PARALLEL**2)
+    doubled, order = np.zeros(len(wall), dtype=np.bool_), np.argsort(-seen, kind="stable")
+    for rank, k in enumerate(order.tolist()):
+        others, own = order[:rank], slice(walls.first[k], walls.first[k + 1])
+        offset = middle[others] - middle[k]
+        near = np.abs(offset @ walls.along[k]) < half[others] + half[k]
+        near &= np.abs(offset @ walls.normal[k]) < beside_m[others]
+        near &= walls.normal[others] @ walls.normal[k] > PARALLEL
+        for other in others[near].tolist():
+            off = points[own] - walls.base[other]
+            at = ((off @ walls.along[other] - walls.low[other]) / BIN_M).astype(np.int64)
+            at = walls.first[other] + np.clip(at, 0, np.diff(walls.first)[other] - 1)
+            beside = np.abs(off @ walls.normal[other]) < DOUBLED_M
+            doubled[own] |= there[at] & ~doubled[at] & beside
+    return doubled
+
+
+def _small_gaps(walls: Stretches, there: Bools, known: Bools) -> Bools:
+    """Return which stretches (b,) are gaps in a wall without evidence of an opening."""
+    begin, end = _runs(~there & ~known)
+    inside = (begin > 0) & (end < len(there)) & (BIN_M * (end - begin) <= GAP_M)
+    begin, end = begin[inside], end[inside]
+    inside = there[begin - 1] & there[end] & (walls.wall[begin - 1] == walls.wall[end])
+    change = np.zeros(len(there) + 1, dtype=np.int64)
+    change[begin[inside]] = 1
+    change[end[inside]] = -1
+    return np.asarray(np.cumsum(change)[:-1] > 0)
+
+
+def _runs(mask: Bools) -> tuple[Ints, Ints]:
+    """Return start and end of each run of True."""
+    edges = np.flatnonzero(np.diff(mask, prepend=False, append=False))
+    return edges[::2], edges[1::2]
+
+
+def _pieces(walls: Stretches, there: Bools) -> Pieces:
+    """Return the existing parts of walls, without marginal ones."""
+    begin, end = _runs(there)
+    sums = [np.append(0, np.cumsum(counts)) for counts in (walls.hits, walls.against)]
+    hits, against = (total[end] - total[begin] for total in sums)
+    bounds = np.column_stack([begin, end]).ravel()
+    most = np.maximum.reduceat(np.append(walls.seen, 0), bounds)[::2] if len(begin) else begin
+    kept = (hits >= SOLID * (hits + against)) & (most >= OFTEN)
+    kept &= BIN_M * (end - begin) >= SHORTEST_M
+    begin, end = begin[kept], end[kept]
+    low = walls.place[begin] - BIN_M / 2
+    reach = np.column_stack([low, low + BIN_M * (end - begin)])
+    return Pieces(walls.wall[begin], reach, np.full((len(begin), 2), -1))

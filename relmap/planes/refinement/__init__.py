@@ -1,0 +1,1 @@
+"""The refined map: least squares over all observations, loops closed, walls joined."""

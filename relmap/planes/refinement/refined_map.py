@@ -1,0 +1,138 @@
+"""The refined map: solving, closing loops and joining walls, alternately.
+
+Identical walls are recognised only in an accurate map, and the map is accurate only after identical
+walls were joined.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from relmap.core.arrays import Bools, Floats, Ints
+from relmap.planes.refinement.closing import walls_seen_again
+from relmap.planes.refinement.solving import refined, refined_to_the_noise
+from relmap.planes.scans.beams import BeamStore
+from relmap.planes.submaps.stitching import stitched, with_strays_put_back
+from relmap.planes.submaps.submap import WallSubmap, among_all, torn_in
+from relmap.planes.submaps.tearing import contradicted_steps, disagreement
+from relmap.planes.walls.assembly import Assembled, WallNumbers, assemble
+from relmap.planes.walls.history import PlaneHistory
+from relmap.planes.walls.joining import join_pairs, join_walls
+
+_LOG = logging.getLogger(__name__)
+
+WIDELY = ((2, 1e4), (1, 300.0), (1, 50.0), (1, 15.0), (2, 5.0))
+"""Rounds of solutions for closing loops, for any amount of drift."""
+CLOSELY = ((5, 1e4), (2, 300.0), (1, 100.0), (1, 20.0), (1, 5.0))
+CLOSED = 2
+"""The same once a loop is closed, and the maximum number of searches for loops."""
+ROUGHLY = ((1, 8.0), (1, 5.0))
+"""Rounds of solutions for joining walls; see `relmap.planes.refinement.solving.refined`."""
+WORSE, WORSE_M, WORSE_SHARE, WORSE_SD = 2.0, 0.001, 0.1, 30.0
+"""Largest error of a refined map at the links, relative to the chained map, and absolute: in
+metres, or, where it is more, as a fraction of the usual step, but no more than a multiple of the
+standard deviation of a wall. Links are approximate with noise, the more the longer they are, and
+almost exact without."""
+ROUGH_M = 0.1
+"""The same with odometry, where links may be the only initial information."""
+HELD = 0.0, 1e-4, 1e-3
+"""Damping of each step for maps that are torn with less; see `WallSystem`."""
+HELD_M = 100.0
+"""Longest path of a map that is damped: it stays near the chained one, whose error grows with the
+path."""
+JOINED = 4
+"""Maximum number of rounds of joining coinciding walls and refining."""
+
+
+def refined_map(
+    history: PlaneHistory,
+    numbers: WallNumbers,
+    chained: WallSubmap,
+    moving: Bools,
+    beams: BeamStore,
+) -> tuple[WallSubmap, WallNumbers]:
+    """Move walls, corners and poses of a submap to the joint optimum of all observations.
+
+    Walls that then coincide are joined, which closes loops.
+
+    `numbers`: initial association; `chained`: initial submap; `moving` (p,): plane tracks ignored
+    because they move; `beams`: evaluate changed steps. Returns `submap`: not refined if nothing is
+    mapped, or if refinement does not converge or makes the map worse.
+    """
+    if chained.assembled is None:
+        return chained, numbers
+    torn = list[Ints]()
+    for held in HELD if chained.length_m < HELD_M else HELD[:1]:
+        found, found_numbers = _solved(history, numbers, chained, moving, held, beams)
+        if _better(found, chained, history):
+            return found, found_numbers
+        torn.append(torn_in([found], history))
+    _LOG.warning("scans %d:%d: refinement tears the submap; it is kept as chained", *chained.span)
+    return replace(chained, torn=torn[0]), numbers
+
+
+def _solved(
+    history: PlaneHistory,
+    numbers: WallNumbers,
+    chained: WallSubmap,
+    moving: Bools,
+    held: float,
+    beams: BeamStore,
+) -> tuple[WallSubmap, WallNumbers]:
+    """Return the refined submap and its association."""
+    span = chained.span
+    assert chained.assembled is not None
+    motions = history.motion[slice(*span)]
+
+    def again(joined: WallNumbers, rounds: Sequence[tuple[int, float]]) -> tuple[Assembled, Floats]:
+        """Return the map and its poses after a change of the association."""
+        laid = assemble(history, joined, among_all(poses, span, history), moving)
+        found = best if laid is None else refined(laid, rounds, held)
+        return found, poses_of(found, span, history)
+
+    best = refined(chained.assembled, WIDELY, held)
+    poses = before = poses_of(best, span, history)
+    torn = max(disagreement(path, motions)[0] for path in (chained.poses, poses))
+    for _ in range(CLOSED):
+        joined = join_pairs(best, numbers, walls_seen_again(best, history))
+        if joined.same_as(numbers):
+            break
+        tied = again(joined, CLOSELY)
+        if disagreement(tied[1], motions)[0] > torn:
+            break  # similar places were confused
+        numbers, (best, poses) = joined, tied
+    for _ in range(JOINED):
+        joined = join_walls(best, numbers)
+        if joined.same_as(numbers):
+            break
+        numbers, (best, poses) = joined, again(joined, ROUGHLY)
+    best = refined_to_the_noise(best, held)
+    found = WallSubmap.of(span, poses_of(best, span, history), best, refined=True)
+    against = contradicted_steps(before, found.poses, span[0], history, beams)
+    return replace(found, torn=against), numbers
+
+
+def _better(found: WallSubmap, chained: WallSubmap, history: PlaneHistory) -> bool:
+    """Return whether a refined map converged and agrees with the links between its scans."""
+    assert found.assembled is not None
+    motions = history.motion[slice(*found.span)]
+    torn, off_m = disagreement(found.poses, motions)
+    torn_before, off_before_m = disagreement(chained.poses, motions)
+    step_m = float(np.median(np.hypot(*history.motion[:, 1:].T)))
+    rough_m = min(WORSE_SHARE * step_m, WORSE_SD * float(np.median(history.sd)))
+    worse_m = ROUGH_M if history.odometry else max(WORSE_M, rough_m)
+    agrees = torn <= torn_before and off_m <= WORSE * off_before_m + worse_m
+    return found.assembled.settled and agrees
+
+
+def poses_of(assembled: Assembled, span: tuple[int, int], history: PlaneHistory) -> Floats:
+    """Return the poses (k, 4, 4) of a submap by its refined map, else by the motion since."""
+    rows = slice(*span)
+    poses, motion = assembled.poses(history.n_iterations)[rows], history.motion[rows]
+    own = history.own(span)[:, None, None]
+    whole = with_strays_put_back(stitched([poses], motion), motion)
+    return np.where(own, whole, np.nan)

@@ -1,0 +1,119 @@
+"""Refinement of wall submaps, each followed by its floor plan."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from relmap.core.arrays import Bools, Ints
+from relmap.planes.linking.scan_links import ScanLinks
+from relmap.planes.odometry.steps import Steps, steps_of
+from relmap.planes.plan.floor_plan import floor_plan
+from relmap.planes.refinement.refined_map import refined_map
+from relmap.planes.scans.beams import BeamStore
+from relmap.planes.submaps.grouped_map import GroupedMap
+from relmap.planes.submaps.submap import WallSubmap
+from relmap.planes.walls.assembly import WallNumbers
+from relmap.planes.walls.history import PlaneHistory
+
+
+class RefinedWalls(NamedTuple):
+    """Submaps, their association, and the plane tracks (k,) that do not fit them."""
+
+    submaps: list[WallSubmap]
+    numbers: WallNumbers
+    moved: Ints
+
+
+def refined_submaps(grouped: GroupedMap, moving: Bools, links: ScanLinks) -> RefinedWalls:
+    """Refine each submap by itself, from the poses given by the groups.
+
+    The association is computed anew from the refined positions of walls: some merges based on
+    drifted positions are wrong. A submap that cannot be refined is kept as chained.
+
+    `moving` (p,): plane tracks ignored because they move; `links`: provides beams, to remove walls
+    that are seen through, and odometry.
+    """
+    merged, moved = grouped.at_rest(grouped.numbers), [np.empty(0, dtype=np.int64)]
+    first = partial(grouped.submaps, merged, moving)
+    grouped = with_odometry(grouped, odometry_steps(links, grouped.history, first))
+    submaps, numbers = _refined(grouped, merged, moving, links.beams)
+    odometry = grouped.history.odometry
+    if odometry and odometry.needed.any():  # estimated again, more accurately
+        grouped = with_odometry(grouped, odometry_steps(links, grouped.history, lambda: submaps))
+        submaps, numbers = _refined(grouped, merged, moving, links.beams)
+    history = grouped.history
+    for k, submap in enumerate(submaps):
+        plan, numbers, gone = floor_plan(submap, numbers, history, links.beams, moving)
+        # Without beams no link was verified, and the chained map is as good as any part of it.
+        submaps[k] = replace(plan, torn=submap.torn[: len(links.beams)])
+        moved.append(gone)
+    return RefinedWalls(submaps, numbers, np.concatenate(moved))
+
+
+def _refined(
+    grouped: GroupedMap, merged: WallNumbers, moving: Bools, beams: BeamStore
+) -> tuple[list[WallSubmap], WallNumbers]:
+    """Return the submaps and the association; `merged` is that of the grouped map."""
+    numbers, submaps = grouped.at_rest(grouped.unmerged), grouped.submaps(merged, moving)
+    for k, submap in enumerate(grouped.submaps(numbers, moving)):
+        found, own = refined_map(grouped.history, numbers, submap, moving, beams)
+        if found.refined:
+            submaps[k], numbers = found, own
+        else:
+            submaps[k] = replace(submaps[k], torn=found.torn)
+            numbers = grouped.with_those_of(submap.span, numbers, merged)
+    return submaps, numbers
+
+
+def with_odometry(grouped: GroupedMap, odometry: Steps | None) -> GroupedMap:
+    """Return the map from the groups, with odometry if available."""
+    if odometry is None:
+        return grouped
+    motion = odometry.lengthened(grouped.history.motion)
+    return replace(grouped, history=replace(grouped.history, odometry=odometry, motion=motion))
+
+
+def on_odometry(links: ScanLinks, history: PlaneHistory) -> Bools:
+    """Return which iterations (i,) depend on odometry for their motion.
+
+    There, walls do not determine the motion in all directions.
+    """
+    weak = np.zeros(history.n_iterations, dtype=np.bool_)
+    weak[history.weak_links] = True
+    same = (np.diff(history.submap, prepend=-1) == 0) & (history.submap >= 0)
+    known = np.isfinite(links.wheels.given.over(history.n_iterations)[:, 0, 0])
+    known &= links.wheels.noise_over_all(links.motions, links.measured) is not None
+    return np.asarray((weak | links.bridged | ~links.measured) & same & known)
+
+
+def odometry_left_out(links: ScanLinks, history: PlaneHistory) -> Bools:
+    """Return in which iterations (i,) odometry is rejected.
+
+    There, walls measured another motion, or observations contradict it; all, if it is wrong too
+    often.
+    """
+    known = np.isfinite(links.wheels.given.over(history.n_iterations)[:, 0, 0])
+    broken = (np.diff(history.submap, prepend=history.submap[:1]) != 0) & known
+    return np.asarray(links.wheels.left_out(links.motions, links.measured) | broken)
+
+
+def odometry_steps(
+    links: ScanLinks, history: PlaneHistory, submaps: Callable[[], Sequence[WallSubmap]]
+) -> Steps | None:
+    """Return the odometry factors for the map; None if there is none, or it is rejected.
+
+    `submaps` are used to estimate its quality.
+    """
+    noise = links.wheels.noise_over_all(links.motions, links.measured)
+    if noise is None:
+        return None
+    given = links.wheels.given.over(history.n_iterations)
+    given[odometry_left_out(links, history)] = np.nan
+    paths = [(slice(*submap.span), submap.poses) for submap in submaps()]
+    hanging = on_odometry(links, history)
+    return steps_of(noise, given, int(links.measured.sum()), paths, hanging)

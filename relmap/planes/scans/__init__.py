@@ -1,0 +1,1 @@
+"""What one scan shows: its walls, their corners, and its beams."""

@@ -1,0 +1,1 @@
+"""Submaps: parts of a run without links, and where they are torn."""

@@ -1,0 +1,104 @@
+"""The map from groups: walls, association and moving landmarks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.map.pose import trajectory
+from relmap.core.mapper import RelativeMapper
+from relmap.core.state.table import NONE
+from relmap.planes.linking.registration import PlaneRegistration
+from relmap.planes.submaps.submap import WallSubmap, among_all, chained_poses
+from relmap.planes.walls.assembly import WallNumbers, assemble, first_of
+from relmap.planes.walls.history import PlaneHistory
+
+
+@dataclass(frozen=True, eq=False)
+class GroupedMap:
+    """Results of the engine for corners, converted to walls.
+
+    `known`, sequence of (i, 4, 4): poses in joined submaps, in one frame each, that take
+    precedence; NaN for other scans.
+    """
+
+    engine: RelativeMapper
+    walls: PlaneRegistration
+    history: PlaneHistory
+    known: Sequence[Floats] = ()
+
+    @property
+    def numbers(self) -> WallNumbers:
+        """The association: walls whose corners the engine merged are one wall."""
+        wall_end = self.walls.wall_end
+        corner_of, merged = np.arange(len(wall_end)), self.engine.table.landmark_of[::2] // 2
+        corner_of[: len(merged)] = merged
+        return WallNumbers.of(self.walls.n_planes, wall_end, corner_of)
+
+    @property
+    def unmerged(self) -> WallNumbers:
+        """The association before any merge, except for joined submaps."""
+        wall_of = first_of(self.walls.n_planes, self.walls.links.same_walls)
+        return WallNumbers(wall_of, np.arange(len(self.walls.wall_end)))
+
+    def at_rest(self, numbers: WallNumbers) -> WallNumbers:
+        """Return the association without corners that were seen moving (-1)."""
+        corner_of = numbers.corner_of.copy()
+        corner_of[self.moving_corners] = -1
+        return WallNumbers(numbers.wall_of, corner_of)
+
+    def with_those_of(
+        self, span: tuple[int, int], numbers: WallNumbers, others: WallNumbers
+    ) -> WallNumbers:
+        """Return the association, with that of others within one submap."""
+        there = self.history.plane[self.history.within(span)]
+        own = np.isin(np.arange(self.walls.n_planes), there)
+        corner = own[self.walls.wall_end // 2]
+        return WallNumbers(
+            np.where(own, others.wall_of, numbers.wall_of),
+            np.where(corner, others.corner_of, numbers.corner_of),
+        )
+
+    @property
+    def moving_corners(self) -> Ints:
+        """Corners (k,) that were seen moving."""
+        return np.flatnonzero(self.engine.table.dynamic[::2])
+
+    @property
+    def moving_walls(self) -> Bools:
+        """Whether plane tracks were seen moving: all their known corners move; (p,)."""
+        table, n = self.engine.table, self.walls.n_planes
+        dynamic = table.dynamic[::2] | table.dynamic[1::2]
+        at_rest = (table.weight[::2] > 0) & ~dynamic
+        planes = self.walls.wall_end[: len(dynamic)] // 2
+        moves = np.bincount(planes[dynamic], minlength=n) > 0
+        return np.asarray(moves & (np.bincount(planes[at_rest], minlength=n) == 0))
+
+    def submaps(self, numbers: WallNumbers, moving: Bools) -> list[WallSubmap]:
+        """Return the submaps without moving plane tracks (p,), those with most scans first.
+
+        Scan-to-scan motions bridge between groups; a submap without any group maps nothing.
+        """
+        history, paths, found = self.history, self._paths, list[WallSubmap]()
+        for span in history.spans:
+            poses, assembled = chained_poses(paths, span, history), None
+            if any(np.isfinite(path[slice(*span), 0, 0]).any() for path in paths):
+                there = among_all(poses, span, history)
+                assembled = assemble(history, numbers, there, moving)
+            found.append(WallSubmap.of(span, poses, assembled))
+        return found
+
+    @cached_property
+    def _paths(self) -> list[Floats]:
+        """The poses (i, 4, 4) that are known, and from each of the engine's submaps."""
+        table, rows = self.engine.table, self.engine.rows
+        submaps, counts = np.unique(table.submap[table.submap != NONE], return_counts=True)
+        paths = list(self.known)
+        for submap in submaps[np.argsort(-counts, kind="stable")]:
+            positions = np.where((table.submap == submap)[:, None], table.position, np.nan)
+            paths.append(trajectory(rows, positions, table.landmark_of))
+        return paths

@@ -1,0 +1,233 @@
+"""From landmarks to walls: which tracks are one wall, its line, and its extent."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from relmap.core.arrays import Bools, Floats, Ints
+from relmap.planes.walls.equations import WallEquations, Walls
+from relmap.planes.walls.history import PlaneHistory
+
+FLAT_M = 0.003
+SHARP_M = 0.01
+"""Minimum standard deviations of a wall and of its corner, with noisy data: no real wall is exactly
+flat or sharp."""
+BLUNT = 3.0
+"""Initial ratio of the standard deviation of a corner to that of its wall."""
+MISSED, MISSED_M = 0.5, 0.2
+"""Standard deviation of a corner due to the distance between the points of its wall there, as a
+fraction of that; and the maximum, above which wrong corners would not be rejected."""
+OFTEN = 4
+"""Observations required for a corner."""
+
+
+@dataclass(frozen=True, eq=False)
+class WallNumbers:
+    """Assignment of tracks to walls, and of corner numbers to corners.
+
+    `wall_of` (p,): wall of each plane track, identified by the lowest track number of the wall;
+    `corner_of` (c,): corner of each corner number, after merging.
+    """
+
+    wall_of: Ints
+    corner_of: Ints
+
+    def same_as(self, other: WallNumbers) -> bool:
+        """Return whether two assignments are equal."""
+        return np.array_equal(self.wall_of, other.wall_of) and np.array_equal(
+            self.corner_of, other.corner_of
+        )
+
+    @classmethod
+    def of(cls, n_planes: int, wall_end: Ints, corner_of: Ints) -> WallNumbers:
+        """Join tracks whose corners turned out to be the same."""
+        return cls(
+            first_of(n_planes, np.column_stack([wall_end, wall_end[corner_of]]) // 2), corner_of
+        )
+
+
+def first_of(n: int, pairs: Ints) -> Ints:
+    """Return for each of n walls the first wall joined to it by pairs (k, 2)."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
+    n_parts, part = connected_components(graph, directed=False)
+    first = np.full(n_parts, n)
+    np.minimum.at(first, part, np.arange(n))
+    return np.asarray(first[part])
+
+
+@dataclass(frozen=True, eq=False)
+class Assembled:
+    """Walls and poses that fit all observations.
+
+    `given`: equations with compact numbers of iterations, walls and corners. `typical_m`: noise of
+    a typical single observation of a wall. `iterations`, `walls`, `corners`: original
+    numbers of the compact ones. `rows` (n,): rows of the history. `all_corners` (m,): every corner
+    ever numbered. `settled`: whether the last solution converged. `reach` (w, 2), metres: extent of
+    each wall along itself; None if given by the observations.
+    """
+
+    given: WallEquations
+    typical_m: float
+    state: Walls
+    iterations: Ints
+    walls: Ints
+    corners: Ints
+    rows: Ints
+    all_corners: Ints
+    settled: bool = True
+    reach: Floats | None = None
+
+    @property
+    def corner_wall(self) -> Ints:
+        """Compact number of the wall of each corner; (c,)."""
+        wall = np.zeros(len(self.corners), dtype=np.int64)
+        wall[self.given.corner] = self.given.wall[self.given.corner_row]
+        return wall
+
+    @property
+    def corner_at(self) -> Floats:
+        """Positions of the corners; (c, 2), map frame, metres."""
+        wall, state = self.corner_wall, self.state
+        normal, along = directions(state.angle[wall])
+        return (
+            state.centre[wall] + state.across[wall][:, None] * normal + state.along[:, None] * along
+        )
+
+    @property
+    def corner_sd(self) -> Floats:
+        """Standard deviation of the average of each corner along its wall; (c,) metres."""
+        weight = np.bincount(self.given.corner, 1 / self.given.corner_sd**2)
+        return np.asarray(1 / np.sqrt(weight))
+
+    def only(self, kept: Bools) -> Assembled:
+        """Return the walls of some rows (n,) with all poses, without solving again."""
+        given, state = self.given, self.state
+        seen = kept[given.corner_row]
+        walls, wall = np.unique(given.wall[kept], return_inverse=True)
+        corners, corner = np.unique(given.corner[seen], return_inverse=True)
+        row = np.cumsum(kept) - 1
+        own = WallEquations(
+            given.iteration[kept],
+            wall,
+            given.ends[kept],
+            given.sd[kept],
+            row[given.corner_row[seen]],
+            given.corner_end[seen],
+            corner,
+            given.corner_sd[seen],
+            given.odometry,
+        )
+        return replace(
+            self,
+            given=own,
+            state=replace(
+                state,
+                centre=state.centre[walls],
+                angle=state.angle[walls],
+                across=state.across[walls],
+                along=state.along[corners],
+            ),
+            walls=self.walls[walls],
+            corners=self.corners[corners],
+            rows=self.rows[kept],
+            reach=None if self.reach is None else self.reach[walls],
+        )
+
+    def poses(self, n: int) -> Floats:
+        """Return ``T_map_robot`` of all iterations (n, 4, 4); NaN where unknown."""
+        poses = np.full((n, 4, 4), np.nan)
+        poses[self.iterations] = np.eye(4)
+        c, s = np.cos(self.state.yaw), np.sin(self.state.yaw)
+        poses[self.iterations, 0, 0] = poses[self.iterations, 1, 1] = c
+        poses[self.iterations, 1, 0], poses[self.iterations, 0, 1] = s, -s
+        poses[self.iterations, :2, 3] = self.state.t
+        return poses
+
+
+def directions(angle: Floats) -> tuple[Floats, Floats]:
+    """Return unit normals (n, 2) at these angles, and directions along the walls, right to left."""
+    normal = np.column_stack([np.cos(angle), np.sin(angle)])
+    return normal, np.column_stack([normal[:, 1], -normal[:, 0]])
+
+
+def assemble(
+    history: PlaneHistory, numbers: WallNumbers, poses: Floats, moving: Bools
+) -> Assembled | None:
+    """Place all observations of walls by given poses.
+
+    `poses` (i, 4, 4): ``T_map_robot``; NaN where unknown. `moving` (p,): plane tracks ignored
+    because they move. Returns None if no iteration has a pose.
+    """
+    usable = np.isfinite(poses[history.iteration, 0, 0]) & ~moving[history.plane]
+    wall = numbers.wall_of[history.plane]
+    seen = np.bincount(wall[usable], minlength=len(numbers.wall_of))
+    rows = np.flatnonzero(usable & (seen[wall] >= OFTEN))
+    if not len(rows):
+        return None
+    iterations, iteration = np.unique(history.iteration[rows], return_inverse=True)
+    walls, wall = np.unique(wall[rows], return_inverse=True)
+    row, end, corners, corner = _corners(history.corner[rows], numbers.corner_of)
+    sd = np.hypot(history.sd[rows], FLAT_M)
+    ends = history.ends[rows]
+    corner_sd = np.hypot(BLUNT * history.sd[rows][row], SHARP_M)
+    corner_sd = np.hypot(corner_sd, _missed_m(iteration, ends, history.spacing_rad)[row, end])
+    motions = history.factors(iterations)
+    given = WallEquations(iteration, wall, ends, sd, row, end, corner, corner_sd, motions)
+    state = laid_out(given, poses[iterations])
+    typical = float(np.median(history.sd[rows]))
+    every = np.arange(len(numbers.corner_of))
+    return Assembled(given, typical, state, iterations, walls, corners, rows, every)
+
+
+def _missed_m(iteration: Ints, ends: Floats, spacing_rad: float) -> Floats:
+    """Return how far corners may be from the ends (n, 2, 2) of walls, robot frame; (n, 2), metres.
+
+    The farther a wall and the more grazing the beams, the larger the distance between its points.
+    0 where two walls meet, for their lines determine the corner.
+    """
+    along = ends[:, 1] - ends[:, 0]
+    off_m = np.abs(ends[:, 0, 0] * along[:, 1] - ends[:, 0, 1] * along[:, 0]) / np.hypot(*along.T)
+    apart_m = spacing_rad * (ends**2).sum(axis=2) / np.maximum(off_m, 1e-9)[:, None]
+    each = np.column_stack([np.repeat(iteration, 2), ends.reshape(-1, 2)])
+    order = np.lexsort(each.T)
+    same = np.concatenate([[False], (np.diff(each[order], axis=0) == 0).all(axis=1), [False]])
+    meet = np.zeros(len(each), dtype=np.bool_)
+    meet[order] = same[1:] | same[:-1]
+    return np.where(meet.reshape(-1, 2), 0.0, np.minimum(MISSED * apart_m, MISSED_M))
+
+
+def _corners(corner: Ints, corner_of: Ints) -> tuple[Ints, Ints, Ints, Ints]:
+    """Return row and end of each observation of frequent corners; these corners, and the index."""
+    row, end = np.nonzero(corner >= 0)
+    which = corner_of[corner[row, end]]
+    row, end, which = (each[which >= 0] for each in (row, end, which))
+    often = np.bincount(which, minlength=1)[which] >= OFTEN
+    corners, compact = np.unique(which[often], return_inverse=True)
+    row, end = row[often], end[often]
+    return row, end, corners, compact
+
+
+def laid_out(given: WallEquations, poses: Floats) -> Walls:
+    """Return walls and corners as averages of their observations, by given poses."""
+    R, t = poses[:, :2, :2], poses[:, :2, 3]
+    placed = np.einsum("nij,nej->nei", R[given.iteration], given.ends)
+    placed += t[given.iteration][:, None]
+    weight = 1 / given.sd**2
+    total = np.bincount(given.wall, weight)
+    centre = np.column_stack(
+        [np.bincount(given.wall, weight * axis) / total for axis in placed.mean(axis=1).T]
+    )
+    along = placed[:, 1] - placed[:, 0]
+    x, y = (np.bincount(given.wall, weight * axis) for axis in along.T)
+    angle = np.arctan2(x, -y)
+    of = given.wall[given.corner_row]
+    off = placed[given.corner_row, given.corner_end] - centre[of]
+    reach = (off * directions(angle)[1][of]).sum(axis=1)
+    at = np.bincount(given.corner, reach) / np.bincount(given.corner)
+    yaw = np.arctan2(R[:, 1, 0], R[:, 0, 0])
+    return Walls(yaw, t, centre, angle, np.zeros(len(angle)), at)

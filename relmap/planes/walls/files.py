@@ -1,0 +1,164 @@
+"""Reading and writing ``planes.csv``, the walls of a result folder."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from relmap.core.arrays import Floats, Ints
+from relmap.core.errors import RelmapError
+from relmap.io.files import atomic_write, write_tum
+from relmap.io.results import Result, read_result
+from relmap.io.tables import Kind, csv_text, read_table
+from relmap.planes.walls.table import PlaneTable
+
+PLANES = "planes.csv"
+CORNER, OPEN = "corner", "open"
+
+COLUMNS: dict[str, Kind] = {
+    "plane": "int",
+    "x0": "float or empty",
+    "y0": "float or empty",
+    "x1": "float or empty",
+    "y1": "float or empty",
+    "z0": "float or empty",
+    "z1": "float or empty",
+    "nx": "float or empty",
+    "ny": "float or empty",
+    "nz": "float or empty",
+    "end0": "text",
+    "end1": "text",
+    "observations": "int",
+    "first_iteration": "int",
+    "last_iteration": "int",
+    "status": "text",
+    "corner0": "int",
+    "corner1": "int",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnSubmap:
+    """A submap for files and pictures.
+
+    `iterations` (k,): iteration numbers of the log; `stamps_s` (k,): NaN of scans of earlier logs;
+    `poses` (k, 4, 4): ``T_submap_robot``; `planes`: walls in its frame; `points` (n, 2), frame of
+    the submap, metres: end points of some of the beams; `point_scan` (n,), ascending: index in
+    `poses` of the scan of each point; `weak` (w,): indices in `poses` of the scans whose motion
+    since the previous one is not fully determined.
+    """
+
+    iterations: Ints
+    stamps_s: Floats
+    poses: Floats
+    planes: PlaneTable
+    points: Floats
+    point_scan: Ints
+    weak: Ints
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class PlaneResult(Result):
+    """A result whose landmarks are the corners of walls.
+
+    In its tracks, `row` is the index of a wall in its scan and `landmark` the number of the wall.
+
+    Attributes
+    ----------
+    planes : PlaneTable
+        With the iteration numbers of the log.
+    drawn : tuple of DrawnSubmap
+        The submaps, the map itself first; empty for a result read from files.
+    """
+
+    planes: PlaneTable
+    drawn: tuple[DrawnSubmap, ...] = ()
+
+    @property
+    def planar(self) -> bool:
+        """Whether the world is planar; walls are always mapped in the plane."""
+        return True
+
+
+def write_planes(folder: Path, table: PlaneTable) -> None:
+    """Write ``planes.csv`` into an existing folder.
+
+    Raises `RelmapError` if the file cannot be written.
+    """
+    n = len(table.plane)
+    kind = np.where(table.corner >= 0, CORNER, OPEN)
+    columns = [
+        table.plane.tolist(),
+        *table.ends.reshape(n, 4).T.tolist(),
+        *table.z_extent.T.tolist(),
+        *np.column_stack([table.normal, np.zeros(n)]).T.tolist(),
+        *kind.T.tolist(),
+        table.observations.tolist(),
+        table.first_iteration.tolist(),
+        table.last_iteration.tolist(),
+        table.status.tolist(),
+        *table.corner.T.tolist(),
+    ]
+    text = csv_text(list(COLUMNS), zip(*columns, strict=True))
+    atomic_write(folder / PLANES, text)
+
+
+def write_submaps(folder: Path, submaps: Sequence[tuple[Floats, Floats]]) -> None:
+    """Write times (k,) and poses (k, 4, 4) of all submaps except the first: ``submap-K.tum``.
+
+    Scans of earlier logs, whose times are NaN, are left out.
+
+    Raises `RelmapError` if a file cannot be written.
+    """
+    for number, (stamps_s, poses) in enumerate(submaps[1:], start=1):
+        own = np.isfinite(stamps_s)
+        if own.any():
+            write_tum(folder / f"submap-{number}.tum", stamps_s[own], poses[own])
+
+
+def submap_files(folder: Path) -> list[str]:
+    """Return the names of the submap files in a folder."""
+    try:
+        return sorted(path.name for path in folder.glob("submap-*.tum"))
+    except OSError:  # a folder cannot have this name: the error is reported on writing
+        return []
+
+
+def read_planes(folder: Path) -> PlaneTable:
+    """Read ``planes.csv`` of a result folder.
+
+    Raises `RelmapError` if it is missing or was not written by `write_planes`.
+    """
+    table = read_table(folder / PLANES, COLUMNS)
+    for name in ("x0", "y0", "x1", "y1", "nx", "ny"):
+        empty = np.flatnonzero((table["status"] == "static") & np.isnan(table[name]))
+        if len(empty):
+            which = f"wall {table['plane'][empty[0]]} is static, but its field {name} is empty"
+            raise RelmapError(f"{folder / PLANES}: {which}")
+    ends = np.column_stack([table[name] for name in ("x0", "y0", "x1", "y1")])
+    return PlaneTable(
+        plane=table["plane"],
+        ends=ends.reshape(-1, 2, 2),
+        z_extent=np.column_stack([table["z0"], table["z1"]]),
+        normal=np.column_stack([table["nx"], table["ny"]]),
+        corner=np.column_stack([table["corner0"], table["corner1"]]),
+        observations=table["observations"],
+        first_iteration=table["first_iteration"],
+        last_iteration=table["last_iteration"],
+        status=table["status"],
+    )
+
+
+def read_any(folder: Path) -> Result:
+    """Read a result folder; for walls a `PlaneResult`.
+
+    Raises `RelmapError` if a file is missing or invalid.
+    """
+    result = read_result(folder)
+    # Planes in space use a file of the same name.
+    if not (folder / PLANES).exists() or result.summary.get("variant") == "planes3d":
+        return result
+    return PlaneResult(**vars(result), planes=read_planes(folder))
