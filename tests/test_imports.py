@@ -270,6 +270,24 @@ def test_the_folders_of_planes_import_one_way(imports: set[Import], repo_root: P
     assert wrong == set()
 
 
+@pytest.mark.parametrize(
+    "folder", ["relmap.core.association.reobservation", "relmap.core.refinement.chain"]
+)
+def test_modules_beside_a_folder_of_the_core_do_not_import_it(
+    imports: set[Import], folder: str
+) -> None:
+    """What registers a scan needs no map, and refinement no odometry."""
+    inside = {item.by for item in imports if item.by.startswith(f"{folder}.")}
+    assert inside
+    beside = folder.rpartition(".")[0]
+    wrong = {
+        (item.by, item.of)
+        for item in imports
+        if item.by.rpartition(".")[0] == beside and item.of.startswith(f"{folder}.")
+    }
+    assert wrong == set()
+
+
 def test_rules_hold_every_part_and_let_none_import_itself(repo_root: Path) -> None:
     assert {part_of(name) for name in modules_of(repo_root)} == {*MAY_IMPORT}
     assert "figures" in MAY_IMPORT["cli"]

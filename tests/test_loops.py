@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from relmap import PointMapper
-from relmap.core.association import loops
-from relmap.core.association.evidence import Evidence, chosen
-from relmap.core.association.loops import LoopFinder
+from relmap.core.association.reobservation import loops
+from relmap.core.association.reobservation.evidence import Evidence, chosen
+from relmap.core.association.reobservation.loops import LoopFinder
 from relmap.core.association.search import search
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.state.table import LandmarkState

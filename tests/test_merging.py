@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from relmap import PointMapper
 from relmap.comparison.baselines.batch import Batch, batch_least_squares
 from relmap.core.arrays import Ints
-from relmap.core.association.evidence import chosen
-from relmap.core.association.merging import Merger
+from relmap.core.association.reobservation.evidence import chosen
+from relmap.core.association.reobservation.merging import Merger
 from relmap.core.geometry.spatialindex import SpatialIndex
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.state.table import LandmarkState

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.testing import assert_array_equal
 
 from relmap.core.arrays import Floats
-from relmap.core.association.gathering import gathered
-from relmap.core.refinement.resting import at_rest, drifting
+from relmap.core.association.reobservation.gathering import gathered
+from relmap.core.refinement.chain.resting import at_rest, drifting
 
 N = 20
 SIGMA_M = 0.1

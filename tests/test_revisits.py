@@ -8,14 +8,14 @@ from numpy.testing import assert_allclose
 
 from relmap import PointMapper
 from relmap.core.arrays import Floats
-from relmap.core.association.coinciding import neighbours_fit, within
-from relmap.core.association.voting_kernels import most_voted
+from relmap.core.association.reobservation.coinciding import neighbours_fit, within
+from relmap.core.association.reobservation.voting_kernels import most_voted
 from relmap.core.geometry.alignment import fit_rigid
 from relmap.core.geometry.motions import derivatives
 from relmap.core.geometry.robust import huber
 from relmap.core.motion_noise import MotionNoise
-from relmap.core.refinement.chained import Chain, Chained, ChainProblem, Sigmas
-from relmap.core.refinement.drift import Drift
+from relmap.core.refinement.chain.chained import Chain, Chained, ChainProblem, Sigmas
+from relmap.core.refinement.chain.drift import Drift
 from relmap.core.refinement.settling import Settled
 from relmap.core.revisiting import mergeable
 from relmap.core.state.table import LandmarkState

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from relmap import PointMapper
 from relmap.core.arrays import Floats
-from relmap.core.association.tying import NEIGHBOURHOOD, neighbourhoods, tie_submaps
+from relmap.core.association.reobservation.tying import NEIGHBOURHOOD, neighbourhoods, tie_submaps
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.state.table import NONE, LandmarkState
 from tests.worlds import aligned_rmse, random_rotation, two_visits, walk

@@ -7,7 +7,7 @@ import pytest
 
 from relmap import MapperConfig, PointMapper
 from relmap.core.arrays import Ints
-from relmap.core.association.sightings import Sightings, rows_of_tracks
+from relmap.core.association.reobservation.sightings import Sightings, rows_of_tracks
 from relmap.core.state.table import LandmarkState
 from relmap.evaluation.metrics import majority_ids, purity
 from relmap.simulation import World, WorldSpec, simulate_figure_eight, simulate_world

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.core.association.loops import LoopFinder
-from relmap.core.association.merging import merge_doubles
-from relmap.core.association.sightings import Sightings, rows_of_tracks
-from relmap.core.association.strays import find_strays
-from relmap.core.association.tying import CLEAR, tie_submaps
+from relmap.core.association.reobservation.loops import LoopFinder
+from relmap.core.association.reobservation.merging import merge_doubles
+from relmap.core.association.reobservation.sightings import Sightings, rows_of_tracks
+from relmap.core.association.reobservation.strays import find_strays
+from relmap.core.association.reobservation.tying import CLEAR, tie_submaps
 from relmap.core.gaps import bridge_gaps, is_bridged
 from relmap.core.grouping.chart import PointChart
 from relmap.core.grouping.dynamics import FEWEST

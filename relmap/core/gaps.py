@@ -8,15 +8,15 @@ from dataclasses import replace
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.association.sightings import rows_of_tracks
+from relmap.core.association.reobservation.sightings import rows_of_tracks
 from relmap.core.mapper import RelativeMapper
 from relmap.core.motion_noise import MotionNoise
 from relmap.core.odometry import OdometryUse
-from relmap.core.refinement.bridging import Bridged, bridge, measured_motions, noise_of
-from relmap.core.refinement.chained import Sigmas
-from relmap.core.refinement.chaining import PartSolver, Solved, join_parts
+from relmap.core.refinement.chain.bridging import Bridged, bridge, measured_motions, noise_of
+from relmap.core.refinement.chain.chained import Sigmas
+from relmap.core.refinement.chain.chaining import PartSolver, Solved, join_parts
+from relmap.core.refinement.chain.resting import at_rest, placed_observations
 from relmap.core.refinement.condensing import SegmentRows
-from relmap.core.refinement.resting import at_rest, placed_observations
 from relmap.core.state.table import NONE
 
 AGAIN = 2

@@ -13,7 +13,7 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association.choice import DataAssociation
-from relmap.core.association.merging import Merger
+from relmap.core.association.reobservation.merging import Merger
 from relmap.core.config import MapperConfig
 from relmap.core.grouping.averaging import Averaging
 from relmap.core.grouping.chart import PointChart

@@ -9,10 +9,15 @@ import numpy as np
 from relmap.core.afterwards import FEW, extent, find_again, rarely_seen, tie
 from relmap.core.arrays import Ints
 from relmap.core.association import Constellation
-from relmap.core.association.coinciding import compatible
-from relmap.core.association.merging import doubtful, merge_doubles
-from relmap.core.association.sightings import Sightings, rows_of_tracks
-from relmap.core.association.undoing import contradicted, nearer_another, pieces, places_of
+from relmap.core.association.reobservation.coinciding import compatible
+from relmap.core.association.reobservation.merging import doubtful, merge_doubles
+from relmap.core.association.reobservation.sightings import Sightings, rows_of_tracks
+from relmap.core.association.reobservation.undoing import (
+    contradicted,
+    nearer_another,
+    pieces,
+    places_of,
+)
 from relmap.core.gaps import bridge_gaps, is_bridged
 from relmap.core.mapper import RelativeMapper
 from relmap.core.refinement.condensing import SegmentRows

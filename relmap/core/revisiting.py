@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.core.association.coinciding import (
+from relmap.core.association.reobservation.coinciding import (
     CLEAR_SIGMAS,
     SIGMAS,
     lying_together,
@@ -16,17 +16,17 @@ from relmap.core.association.coinciding import (
     seen_with_both,
     within,
 )
-from relmap.core.association.gathering import gathered
-from relmap.core.association.loops import TIED
-from relmap.core.association.merging import merge_doubles
-from relmap.core.association.revisits import TOLERANCE, RevisitFinder
+from relmap.core.association.reobservation.gathering import gathered
+from relmap.core.association.reobservation.loops import TIED
+from relmap.core.association.reobservation.merging import merge_doubles
+from relmap.core.association.reobservation.revisits import TOLERANCE, RevisitFinder
+from relmap.core.association.reobservation.sightings import Sightings, rows_of_tracks
+from relmap.core.association.reobservation.tying import CLEAR
 from relmap.core.association.scale import spacing_of
-from relmap.core.association.sightings import Sightings, rows_of_tracks
-from relmap.core.association.tying import CLEAR
 from relmap.core.gaps import bridge_gaps
 from relmap.core.mapper import RelativeMapper
-from relmap.core.refinement.drift import Drift
-from relmap.core.refinement.resting import at_rest, by_landmark, placed_observations
+from relmap.core.refinement.chain.drift import Drift
+from relmap.core.refinement.chain.resting import at_rest, by_landmark, placed_observations
 from relmap.core.state.table import NONE, LandmarkState
 
 SURE = 3.0

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.core.association.pairing import Motion, paired
+from relmap.core.association.reobservation.pairing import Motion, paired
 from relmap.core.errors import RelmapError
 from relmap.datasets.base import ObservationLog
 from relmap.evaluation import metrics

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.association.pairing import Motion, paired
-from relmap.core.association.tying import tie_submaps
+from relmap.core.association.reobservation.pairing import Motion, paired
+from relmap.core.association.reobservation.tying import tie_submaps
 from relmap.core.errors import RelmapError
 from relmap.core.geometry.alignment import fit_rigid
 from relmap.core.landmarks import LandmarkTable

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.association.pairing import Motion
+from relmap.core.association.reobservation.pairing import Motion
 from relmap.core.landmarks import LandmarkTable
 from relmap.planes.places.wall_tie import NEAR_M, SAMPLE_M, WallPoints, WallTie, lying
 from relmap.planes.walls.table import PlaneTable

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from relmap.core import afterwards, repairing
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association.placement import Placement
-from relmap.core.association.recognition import PlaceFinder
+from relmap.core.association.reobservation.recognition import PlaceFinder
 from relmap.core.config import MapperConfig
 from relmap.core.errors import RelmapError
 from relmap.core.gaps import bridge_gaps

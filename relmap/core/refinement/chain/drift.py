@@ -8,7 +8,7 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.motions import derivatives
-from relmap.core.refinement.chained import Chained, ChainProblem
+from relmap.core.refinement.chain.chained import Chained, ChainProblem
 from relmap.core.refinement.settling import Settled
 
 

@@ -10,9 +10,9 @@ import numpy as np
 from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import fit_rigid, fixes_rotation, sums_each
 from relmap.core.motion_noise import MotionNoise
-from relmap.core.refinement.bridging import Bridged
-from relmap.core.refinement.chain_solving import settled_chain
-from relmap.core.refinement.chained import Chain, Chained, ChainProblem, Sigmas
+from relmap.core.refinement.chain.bridging import Bridged
+from relmap.core.refinement.chain.chain_solving import settled_chain
+from relmap.core.refinement.chain.chained import Chain, Chained, ChainProblem, Sigmas
 from relmap.core.refinement.condensing import SegmentRows
 from relmap.core.refinement.joint import Refined, Spread, joint_rows
 from relmap.core.refinement.residuals import (

@@ -13,10 +13,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Bools, Ints
-from relmap.core.association.evidence import Evidence, chosen
+from relmap.core.association.reobservation.evidence import Evidence, chosen
+from relmap.core.association.reobservation.sightings import RARELY, Sightings
+from relmap.core.association.reobservation.tying import NEIGHBOURHOOD, OVERLAP
 from relmap.core.association.scale import spacing_of
-from relmap.core.association.sightings import RARELY, Sightings
-from relmap.core.association.tying import NEIGHBOURHOOD, OVERLAP
 from relmap.core.geometry.spatialindex import SpatialIndex
 from relmap.core.model import LandmarkModel
 from relmap.core.state.table import NONE, LandmarkState

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from scipy.special import chdtri
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.association.sightings import RARELY, Sightings
+from relmap.core.association.reobservation.sightings import RARELY, Sightings
 from relmap.core.geometry.alignment import sums_each
 from relmap.core.refinement.condensing import SegmentRows
 from relmap.core.refinement.joint import Refined, laid_on

@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.association.base import nearest
-from relmap.core.association.revisits import TOLERANCE
+from relmap.core.association.reobservation.revisits import TOLERANCE
 from relmap.core.refinement.condensing import LENGTH
 from relmap.core.scan import FARTHEST_M
 from relmap.core.state.table import NONE, LandmarkState

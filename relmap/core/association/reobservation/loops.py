@@ -12,13 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.core.association.evidence import LOCAL_DRIFT
 from relmap.core.association.placement import Placement
-from relmap.core.association.recognition import ENOUGH, HITS, PlaceFinder
 from relmap.core.association.registering import LOG_CLEAR
+from relmap.core.association.reobservation.evidence import LOCAL_DRIFT
+from relmap.core.association.reobservation.recognition import ENOUGH, HITS, PlaceFinder
+from relmap.core.association.reobservation.tying import BY_CHANCE, CLEAR, NEIGHBOURHOOD, OVERLAP
 from relmap.core.association.scale import spacing_of
 from relmap.core.association.soft import SoftMatching, likely_links
-from relmap.core.association.tying import BY_CHANCE, CLEAR, NEIGHBOURHOOD, OVERLAP
 from relmap.core.state.table import NONE, LandmarkState
 
 FARTHEST = 10.0

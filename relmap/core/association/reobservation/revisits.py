@@ -19,11 +19,11 @@ from scipy.special import bdtrc
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association.base import nearest
 from relmap.core.association.placement import Placement, consistent_placements
+from relmap.core.association.reobservation.tying import BY_CHANCE, CLEAR
 from relmap.core.association.search import settled
-from relmap.core.association.tying import BY_CHANCE, CLEAR
 from relmap.core.motion_noise import FLOOR_M
+from relmap.core.refinement.chain.drift import Drift
 from relmap.core.refinement.condensing import LENGTH
-from relmap.core.refinement.drift import Drift
 from relmap.core.state.table import NONE, LandmarkState
 
 SOLID = 3
@@ -268,7 +268,7 @@ def _elsewhere(matches: Ints, others: Ints) -> int:
 
 def _voted(stretch: Stretch, tolerance_m: float) -> Iterator[Placement]:
     """Yield the placements in the plane that most pairs of landmarks vote for (Ballard, 1981)."""
-    from relmap.core.association.voting_kernels import most_voted
+    from relmap.core.association.reobservation.voting_kernels import most_voted
 
     middle = stretch.points.mean(axis=0)
     points, there = stretch.points - middle, stretch.there - middle

@@ -8,7 +8,7 @@ import numpy as np
 
 from relmap.core.arrays import Floats
 from relmap.core.geometry.robust import OUTLIER, huber, lenient, limit_of, robust_cost, strict
-from relmap.core.refinement.chained import Chain, Chained, ChainProblem, Sigmas
+from relmap.core.refinement.chain.chained import Chain, Chained, ChainProblem, Sigmas
 from relmap.core.refinement.gauss_newton import Solution, Weigh, gauss_newton
 from relmap.core.refinement.settling import FAINT, WORTH_SAYING, Settled
 

@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association.base import nearest
 from relmap.core.association.placement import Placement
-from relmap.core.association.recognition import ENOUGH, HITS, PlaceFinder
+from relmap.core.association.reobservation.recognition import ENOUGH, HITS, PlaceFinder
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.state.table import NONE, LandmarkState
 

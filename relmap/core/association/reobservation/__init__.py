@@ -1,0 +1,1 @@
+"""Landmarks seen again: merging, place recognition, loops, and submaps that are tied."""
