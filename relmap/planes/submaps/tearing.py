@@ -14,7 +14,7 @@ TORN_M = 1.0
 """Disagreement of a map with a link above which the map is torn."""
 CHANGED_M, CHANGED_RAD = 0.2, np.deg2rad(3.0)
 """Change of a step by refinement above which the beams evaluate it."""
-BESIDE = 2
+BESIDE = 10
 """Number of scans before and after over which it must persist: else one scan is misplaced."""
 AGAINST, SHARE = 30.0, 0.3
 """Log odds by which the beams prefer the step as it was, and by what fraction of them. In ten logs
