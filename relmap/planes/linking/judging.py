@@ -25,9 +25,10 @@ PAIR = np.array([6.7, 2.8, 2.5, -1.8, -13.6])
 logarithm of the contradicting ones, constant."""
 MEASURED = 2.4
 """Added if the motion is determined in all directions."""
-TIE_AGREES, TIE_CONTRADICTS = 0.36, 0.01
-"""Smallest fraction of points that must agree to tie two scans, and largest that may contradict if
-only parallel walls match: they look the same farther along, and from the other end."""
+TIE_AGREES, TIE_CONTRADICTS, TIE_TURN = 0.36, 0.01, 1.2
+"""Smallest fraction of points that must agree to tie two scans; and, if only parallel walls match,
+which look the same farther along and from the other end, the largest fraction that may contradict
+and the largest rotation, radians."""
 
 NO_MATCH = Match(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), 0.0)
 

@@ -18,6 +18,7 @@ from relmap.planes.linking.judging import (
     NO_MATCH,
     TIE_AGREES,
     TIE_CONTRADICTS,
+    TIE_TURN,
     Candidates,
     Found,
     Judged,
@@ -143,8 +144,9 @@ class Search(ScanComparison):
     def _is_doubtful(self, one: Judged) -> bool:
         """Return whether too few points support a motion to tie two scans."""
         parallel = self._crossing(one.matches[0]) < CROSSING
-        against = parallel and one.contradict[0] > TIE_CONTRADICTS
-        return bool(one.agree[0] < TIE_AGREES or against)
+        turned = abs(one.motions[0, 0]) > TIE_TURN
+        either = parallel and (turned or one.contradict[0] > TIE_CONTRADICTS)
+        return bool(one.agree[0] < TIE_AGREES or either)
 
     def judged(self, motion: Floats) -> tuple[float, float, bool]:
         """Return the evidence of the scans for a motion (3,), after local optimisation.
