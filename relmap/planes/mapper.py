@@ -23,6 +23,7 @@ from relmap.planes.places.submap_ties import MapPart, tied_parts
 from relmap.planes.refinement.refining import refined_submaps
 from relmap.planes.scans.beams import GivenBeams
 from relmap.planes.scans.observation import PlaneObservation, checked_planes, journaled, of_journal
+from relmap.planes.submaps.revisits import contradicted_revisits
 from relmap.planes.submaps.submap import WallSubmap, among_all, torn_in
 from relmap.planes.walls.history import PlaneHistory
 
@@ -193,6 +194,20 @@ class PlaneMapper(LocatingMapper):
         if joined and len(torn := self._joints(parts)):
             self._planes.links.cut(torn)
             self._refine_until_whole(joined)
+        for _ in range(CUTS):
+            if not len(torn := self._contradicted()):
+                break
+            self._planes.links.cut(torn)
+            self._refine_until_whole(joined)
+
+    def _contradicted(self) -> Ints:
+        """Return the scans (t,) before which to cut submaps that contradict themselves."""
+        beams, history = self._planes.links.beams, self.history
+        found = [
+            contradicted_revisits(submap.poses, submap.first_iteration, history, beams)
+            for submap in self.submaps
+        ]
+        return np.concatenate([np.empty(0, dtype=np.int64), *found])
 
     def _joints(self, before: Ints) -> Ints:
         """Return where submaps were joined to one that cannot be refined, given those before."""

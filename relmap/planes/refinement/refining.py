@@ -16,7 +16,6 @@ from relmap.planes.plan.floor_plan import floor_plan
 from relmap.planes.refinement.refined_map import refined_map
 from relmap.planes.scans.beams import BeamStore
 from relmap.planes.submaps.grouped_map import GroupedMap
-from relmap.planes.submaps.revisits import contradicted_revisits
 from relmap.planes.submaps.submap import WallSubmap
 from relmap.planes.walls.assembly import WallNumbers
 from relmap.planes.walls.history import PlaneHistory
@@ -51,11 +50,7 @@ def refined_submaps(grouped: GroupedMap, moving: Bools, links: ScanLinks) -> Ref
     for k, submap in enumerate(submaps):
         plan, numbers, gone = floor_plan(submap, numbers, history, links.beams, moving)
         # Without beams no link was verified, and the chained map is as good as any part of it.
-        torn = submap.torn
-        if not len(torn):
-            begin, _ = submap.span
-            torn = contradicted_revisits(submap.poses, begin, history, links.beams)
-        submaps[k] = replace(plan, torn=torn[: len(links.beams)])
+        submaps[k] = replace(plan, torn=submap.torn[: len(links.beams)])
         moved.append(gone)
     return RefinedWalls(submaps, numbers, np.concatenate(moved))
 
