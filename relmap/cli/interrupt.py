@@ -1,4 +1,4 @@
-"""Ctrl-C that ends a loop gracefully."""
+"""Ctrl-C that ends a loop gracefully, or a command at once."""
 
 from __future__ import annotations
 
@@ -6,6 +6,58 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from types import FrameType
+
+CALLED_FROM_C = ("llvmlite.", "numba.core.serialize", "numba.core.types.abstract")
+"""Modules of the compiler whose functions are called back from C, where an exception is lost."""
+DELETING = ("__del__", "cb")
+"""Functions called when an object is deleted, where an exception is lost; `cb` is the import's."""
+AGAIN_S = 0.01
+"""Time after which an interrupt that would be lost is sent again."""
+
+
+@contextmanager
+def interruptible() -> Iterator[None]:
+    """Raise KeyboardInterrupt on Ctrl-C, also while compiled code is made or loaded.
+
+    Python's own handler may raise it in a function that C code calls: there it is printed and
+    forgotten. Outside the main thread, or if Ctrl-C is handled already, nothing is changed.
+    """
+    main = threading.current_thread() is threading.main_thread()
+    if not main or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        yield
+        return
+    signal.signal(signal.SIGINT, _raise_where_heard)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def _raise_where_heard(number: int, frame: FrameType | None) -> None:
+    """Raise KeyboardInterrupt, or send the signal again soon if the exception would be lost."""
+    if not _is_lost(frame):
+        raise KeyboardInterrupt
+    threading.Timer(AGAIN_S, _send_again, (number,)).start()
+
+
+def _send_again(number: int) -> None:
+    """Send a signal to the main thread, which may wait for something meanwhile."""
+    main = threading.main_thread().ident
+    if hasattr(signal, "pthread_kill") and main is not None:
+        signal.pthread_kill(main, number)
+    else:  # Windows
+        signal.raise_signal(number)
+
+
+def _is_lost(frame: FrameType | None) -> bool:
+    """Return whether an exception raised in this frame may be swallowed by the code around it."""
+    while frame is not None:
+        module = str(frame.f_globals.get("__name__", ""))
+        if module.startswith(CALLED_FROM_C) or frame.f_code.co_name in DELETING:
+            return True
+        frame = frame.f_back
+    return False
 
 
 @contextmanager

@@ -27,6 +27,7 @@ from relmap.cli import (
     sweep,
 )
 from relmap.cli.console import INTERRUPTED
+from relmap.cli.interrupt import interruptible
 from relmap.core.errors import RelmapError
 
 # typer exports the exception for a bad value, but not its base class for all usage errors.
@@ -90,7 +91,9 @@ def run(arguments: Sequence[str]) -> int:
     """Run a command, and return its exit status; see `relmap.cli.main`."""
     _announce()
     try:
-        code = typer.main.get_command(app).main(list(arguments), "relmap", standalone_mode=False)
+        with interruptible():
+            command = typer.main.get_command(app)
+            code = command.main(list(arguments), "relmap", standalone_mode=False)
         if sys.stdout is not None:
             sys.stdout.flush()
     except RelmapError as error:

@@ -1,0 +1,64 @@
+"""Ctrl-C is not lost where Python or the compiler would swallow the exception."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Callable
+
+import llvmlite.binding as llvm
+import pytest
+
+from relmap.cli.interrupt import interruptible
+
+LONG_S = 60.0
+
+
+class Pressed:
+    """Ctrl-C is pressed while it is deleted."""
+
+    def __del__(self) -> None:
+        signal.raise_signal(signal.SIGINT)
+
+
+def pressed_while_deleted() -> None:
+    Pressed()
+
+
+def pressed_while_compiled() -> None:
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    machine = llvm.Target.from_default_triple().create_target_machine()
+    module = llvm.parse_assembly("define i32 @one() { ret i32 1 }")
+    engine = llvm.create_mcjit_compiler(module, machine)
+    engine.set_object_cache(lambda *_: signal.raise_signal(signal.SIGINT), lambda _: None)
+    engine.finalize_object()
+    assert engine.get_function_address("one")
+
+
+def wait_after(press: Callable[[], None]) -> None:
+    with interruptible():
+        press()
+        time.sleep(LONG_S)
+
+
+@pytest.mark.parametrize("press", [pressed_while_deleted, pressed_while_compiled])
+def test_ctrl_c_is_raised_after_the_function_that_would_swallow_it(
+    press: Callable[[], None],
+) -> None:
+    began = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        wait_after(press)
+    assert time.monotonic() - began < LONG_S
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_ctrl_c_that_is_handled_already_is_not_changed() -> None:
+    pressed: list[int] = []
+    before = signal.signal(signal.SIGINT, lambda number, _: pressed.append(number))
+    try:
+        with interruptible():
+            signal.raise_signal(signal.SIGINT)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert pressed == [signal.SIGINT]
