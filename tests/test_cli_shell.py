@@ -15,7 +15,7 @@ import relmap
 from relmap.cli import main
 from relmap.datasets import FORMATS, write_observation_csv
 from relmap.simulation import simulate_figure_eight
-from tests.commands import PATIENCE_S, RELMAP, RESULT_FILES, load, names, run_process
+from tests.commands import GOOD, PATIENCE_S, RELMAP, RESULT_FILES, load, names, run_process
 
 USUAL = re.compile(r"relmap: .*(so far|left|half a minute|\d of \d+)")
 """A busy machine prints progress, and a new one that it compiles."""
@@ -164,3 +164,17 @@ def test_tracked_yields_everything_in_order() -> None:
     from relmap.cli.console import tracked
 
     assert list(tracked(range(5), 5, "mapping")) == list(range(5))
+
+
+@pytest.mark.parametrize("encoding", ["utf-8:strict", "ascii:strict"])
+def test_names_that_are_not_utf8_are_mapped(
+    tmp_path: Path, child_env: dict[str, str], encoding: str
+) -> None:
+    name = os.fsdecode(b"caf\xe9")
+    (tmp_path / f"{name}.csv").write_text(GOOD)
+    strict = child_env | {"PYTHONIOENCODING": encoding}
+    done = run(["map", f"{name}.csv", "-o", name], tmp_path, strict)
+    assert (done.returncode, unusual(done.stderr)) == (0, [])
+    assert done.stdout.startswith("wrote 9 files to caf")
+    assert names(tmp_path / name) == RESULT_FILES
+    assert "caf\\udce9.csv" in (tmp_path / name / "report.html").read_text(encoding="utf-8")

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import signal
+import subprocess
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import llvmlite.binding as llvm
 import pytest
 
 from relmap.cli.interrupt import interruptible
+from tests.commands import PATIENCE_S, RELMAP, names
 
 LONG_S = 60.0
 
@@ -51,6 +54,18 @@ def test_ctrl_c_is_raised_after_the_function_that_would_swallow_it(
         wait_after(press)
     assert time.monotonic() - began < LONG_S
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_sigterm_leaves_nothing_behind(tmp_path: Path, child_env: dict[str, str]) -> None:
+    command = [*RELMAP, "figures", "12", "-o", "out"]
+    child = subprocess.Popen(command, stderr=subprocess.PIPE, env=child_env, cwd=tmp_path)
+    while not ((tmp_path / "out").is_dir() and names(tmp_path / "out")):
+        assert child.poll() is None
+        time.sleep(0.01)
+    child.terminate()
+    errors = child.communicate(timeout=PATIENCE_S)[1]
+    assert (child.returncode, errors) == (130, b"relmap: interrupted\n")
+    assert names(tmp_path) == []
 
 
 def test_ctrl_c_that_is_handled_already_is_not_changed() -> None:

@@ -1,4 +1,4 @@
-"""Ctrl-C that ends a loop gracefully, or a command at once."""
+"""Ctrl-C that ends a loop gracefully, or a command at once, as SIGTERM does."""
 
 from __future__ import annotations
 
@@ -12,26 +12,28 @@ CALLED_FROM_C = ("llvmlite.", "numba.core.serialize", "numba.core.types.abstract
 """Modules of the compiler whose functions are called back from C, where an exception is lost."""
 DELETING = ("__del__", "cb")
 """Functions called when an object is deleted, where an exception is lost; `cb` is the import's."""
+UNHANDLED = (signal.default_int_handler, signal.SIG_DFL)
 AGAIN_S = 0.01
 """Time after which an interrupt that would be lost is sent again."""
 
 
 @contextmanager
 def interruptible() -> Iterator[None]:
-    """Raise KeyboardInterrupt on Ctrl-C, also while compiled code is made or loaded.
+    """Raise KeyboardInterrupt on Ctrl-C and SIGTERM, also while compiled code is made or loaded.
 
     Python's own handler may raise it in a function that C code calls: there it is printed and
-    forgotten. Outside the main thread, or if Ctrl-C is handled already, nothing is changed.
+    forgotten. Outside the main thread nothing is changed, nor is a signal that is handled already.
     """
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     main = threading.current_thread() is threading.main_thread()
-    if not main or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
-        yield
-        return
-    signal.signal(signal.SIGINT, _raise_where_heard)
+    changed = [number for number in before if main and before[number] in UNHANDLED]
+    for number in changed:
+        signal.signal(number, _raise_where_heard)
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+        for number in changed:
+            signal.signal(number, before[number])
 
 
 def _raise_where_heard(number: int, frame: FrameType | None) -> None:

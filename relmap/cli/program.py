@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import io
 import logging
 import os
 import sys
@@ -90,6 +91,9 @@ def _root(
 def run(arguments: Sequence[str]) -> int:
     """Run a command, and return its exit status; see `relmap.cli.main`."""
     _announce()
+    if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout.errors == "strict":
+        # Names of files may hold characters that the output's encoding does not.
+        sys.stdout.reconfigure(errors="backslashreplace")
     try:
         with interruptible():
             command = typer.main.get_command(app)

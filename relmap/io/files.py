@@ -40,11 +40,14 @@ MAX_TEXT = 1 << 26
 def atomic_write(path: Path, content: str | bytes | memoryview) -> None:
     """Write a whole file or nothing: an earlier file of that name is kept until then.
 
-    `path`: the file; its folder exists. `content`: text is written as UTF-8. Raises `RelmapError`
-    if the file cannot be written; no part of it is left behind.
+    `path`: the file; its folder exists. `content`: text is written as UTF-8, and what UTF-8 cannot
+    hold, such as bytes of file names, with a backslash. Raises `RelmapError` if the file cannot be
+    written; no part of it is left behind.
     """
+    if isinstance(content, str):
+        content = content.encode(errors="backslashreplace")
     with replacing(path) as file:
-        file.write(content.encode() if isinstance(content, str) else content)
+        file.write(content)
 
 
 @contextmanager
