@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import os
+import secrets
 import shutil
-import tempfile
 import tomllib
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -67,7 +67,9 @@ def staged_folder(folder: Path, stale: Sequence[str] = ()) -> Iterator[Path]:
     try:
         made = [level for level in (folder, *folder.parents) if not level.exists()]
         folder.mkdir(parents=True, exist_ok=True)
-        staging = Path(tempfile.mkdtemp(prefix=".relmap-", dir=folder))
+        # The name first: an interrupt may come between a folder and the assignment of its name.
+        staging = folder / f".relmap-{secrets.token_hex(4)}"
+        staging.mkdir(mode=0o700)
         yield staging
         with _no_other_moves(folder):
             _move_files(staging, folder, stale)
