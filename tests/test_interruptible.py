@@ -64,7 +64,7 @@ def test_sigterm_leaves_nothing_behind(tmp_path: Path, child_env: dict[str, str]
         time.sleep(0.01)
     child.terminate()
     errors = child.communicate(timeout=PATIENCE_S)[1]
-    # A shell says 130 in both cases: Python ends itself by SIGINT if the exception came through exec.
+    # Python ends itself by SIGINT if the exception came through exec; a shell says 130 to both.
     assert child.returncode in (130, -signal.SIGINT)
     assert errors == b"relmap: interrupted\n"
     assert names(tmp_path) == []
