@@ -18,7 +18,7 @@ from relmap.planes.linking.placement import STILL
 from relmap.planes.linking.search import Search
 from relmap.planes.linking.tracks import PlaneTracks
 from relmap.planes.motions import inverse
-from relmap.planes.scans.beams import NEAR_M, Beams, GivenBeams, compared
+from relmap.planes.scans.beams import NEAR_M, Beams, GivenBeams, compared, leads, log_odds
 from relmap.planes.scans.observation import PlaneObservation, checked_planes
 from relmap.planes.submaps.submap import torn_in
 from relmap.simulation import Building, simulate_building
@@ -83,6 +83,35 @@ def test_beams_agree_with_the_true_motion_alone() -> None:
     assert agree[0] > 0.75 * 2 * 361
     assert (contradict[1:] > 20).all()
     assert (agree[1:] < agree[0]).all()
+
+
+def in_corridor(at_m: float, ledge_m: float = 0.0) -> Beams:
+    """Return a scan in a corridor 2 m wide, the ranges longer where beams graze the walls.
+
+    `ledge_m`: the left wall stands back so much, from 2 to 3 m along the corridor.
+    """
+    bearing = np.deg2rad(np.arange(-179.5, 180.0))
+    range_m = 1.0 / np.abs(np.sin(bearing))
+    along_m = at_m + range_m * np.cos(bearing)
+    range_m *= 1 + ledge_m * ((along_m > 2) & (along_m < 3) & (bearing > 0))
+    range_m += 0.01 * np.abs(np.cos(bearing))
+    near = range_m < 5.6
+    points = (range_m * [np.cos(bearing), np.sin(bearing)]).T[near]
+    solid = np.ones(len(points), dtype=np.bool_)
+    return Beams(points, bearing[near], np.zeros(2), solid, ~solid)
+
+
+@pytest.mark.parametrize(("ledge_m", "is_told"), [(0.0, False), (0.1, True)])
+def test_a_bias_of_the_ranges_does_not_make_a_robot_stand_still(
+    ledge_m: float, is_told: bool
+) -> None:
+    moved = np.array([0.0, -0.5, 0.0])
+    earlier, later = in_corridor(0.0, ledge_m), in_corridor(0.5, ledge_m)
+    lead, sd = leads(earlier, later, moved[None], STILL, NEAR_M)
+    if is_told:
+        assert log_odds(lead, sd**2)[0] > 3.0
+    else:
+        assert lead == sd == 0.0
 
 
 def test_a_motion_back_undoes_it() -> None:

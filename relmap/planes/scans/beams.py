@@ -20,6 +20,9 @@ from relmap.core.state.growing import GrowingArray
 
 NEAR_M = 0.12
 """A point nearer to a surface agrees with it; one twice as far in front of it contradicts it."""
+SAME = 0.01
+"""Difference of the agreement of a point below which it favours no motion: measured ranges of a
+wall are off by some millimetres, depending on the angle, which standing still repeats."""
 LOOSE_M = 0.7
 APART_M, APART = 0.2, 0.05
 """Largest size of what may be a person, and distance of neighbouring points on different objects:
@@ -244,6 +247,7 @@ def leads(
     both = np.vstack([motion[None], motions])
     values = beam_kernels.agreement(earlier.arrays, later.arrays, both, near_m, firm)
     off = np.nan_to_num(values[1:] - values[0])
+    off[np.abs(off) < SAME] = 0.0
     return off.sum(axis=1), np.sqrt((off**2).sum(axis=1))
 
 
