@@ -56,7 +56,8 @@ LOGS = {
     "orebro": f"{CARMEN}/orebro-corrected.log.gz",
     "mrpt-simul": "mrpt-sim-laser2d/simul.scans.csv.gz",
 }
-VARIED = "freiburg-079"
+VARIED, SHORT = "freiburg-079", "range-8"
+"""The log that is changed in all ways, and the change of all logs."""
 RELATIONS, CHECKED = f"{CARMEN}/fr079.relations", ("freiburg-079", "fr079")
 """Relations checked by hand, and the logs of the same run."""
 LOST = 0.1
@@ -72,7 +73,7 @@ LEFT_OUT = {"real": ("found", "true"), "simulated": ("disputed", "relations [m]"
 
 def main() -> None:
     """Print the tables of real logs and of simulated ones."""
-    varied = [f"{VARIED}/{name}" for name in VARIANTS]
+    varied = [f"{VARIED}/{name}" for name in VARIANTS] + [f"{name}/{SHORT}" for name in LOGS]
     names = ", ".join([*LOGS, *varied, *(f"sim/{name}/SEED" for name in WORLDS)])
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0], epilog=names)
     parser.add_argument("data", type=Path)
@@ -107,7 +108,7 @@ Change = Callable[[ScanLog], ScanLog]
 def _sources(data: Path, seeds: int) -> Iterator[tuple[str, Load]]:
     """Yield the name of each log, and what loads it."""
     for name, file in LOGS.items():
-        variants = VARIANTS if name == VARIED else {}
+        variants = VARIANTS if name == VARIED else {SHORT: VARIANTS[SHORT]}
         yield name, partial(_loaded, data / file)
         for own, change in variants.items():
             yield f"{name}/{own}", partial(_loaded, data / file, change)
@@ -167,6 +168,13 @@ def _noisy(sigma_m: float, log: ScanLog) -> ScanLog:
     return _with_points(log, noisy)
 
 
+def _short(range_m: float, log: ScanLog) -> ScanLog:
+    """Return a log as of a laser that sees less far."""
+    at = np.array([log.sensor.x_m, log.sensor.y_m])
+    near = _with_points(log, lambda points: points[np.hypot(*(points - at).T) <= range_m])
+    return replace(near, sensor=replace(log.sensor, range_m=range_m))
+
+
 def _mirrored(log: ScanLog) -> ScanLog:
     assert log.poses is not None
     view = replace(log.sensor, y_m=-log.sensor.y_m, yaw_rad=-log.sensor.yaw_rad)
@@ -201,9 +209,10 @@ VARIANTS: dict[str, Change] = {
     "noise-1": lambda log: _noisy(0.01, log),
     "noise-3": lambda log: _noisy(0.03, log),
     "noise-5": lambda log: _noisy(0.05, log),
+    SHORT: lambda log: _short(8.0, log),
 }
 """Every 2nd beam, 10 % of the beams lost, mirrored, from the end to the beginning, every so
-many-th scan, and range noise of so many centimetres more (standard deviation)."""
+many-th scan, so many centimetres of range noise more (standard deviation), and a range in metres."""
 
 
 LASER: dict[str, Any] = {"points": 361, "sigma": 0.01, "sampling": "laser", "step_m": 0.1}
