@@ -212,7 +212,7 @@ VARIANTS: dict[str, Change] = {
     SHORT: lambda log: _short(8.0, log),
 }
 """Every 2nd beam, 10 % of the beams lost, mirrored, from the end to the beginning, every so
-many-th scan, so many centimetres of range noise more (standard deviation), and a range in metres."""
+many-th scan, so many centimetres of range noise more (standard deviation), and range in metres."""
 
 
 LASER: dict[str, Any] = {"points": 361, "sigma": 0.01, "sampling": "laser", "step_m": 0.1}
