@@ -71,7 +71,8 @@ class Search(ScanComparison):
             return None
         every = self._judged([self._before, STILL])
         best = int(np.argmax(every.evidence))
-        clear = every.agree[best] > CLEARLY and every.contradict[best] < HARDLY
+        is_usual = not others(every.motions[[best]], self._before)[0]
+        clear = is_usual and every.agree[best] > CLEARLY and every.contradict[best] < HARDLY
         if not clear or not self._measured(every, best):
             every = every.and_those(self._judged(self._guesses()))
             for k in np.argsort(-every.evidence, kind="stable")[:SLID]:
