@@ -57,14 +57,17 @@ def observed(points: Floats) -> PlaneObservation:
 
 
 def searched(
-    corners: Floats, first: tuple[float, float, float], second: tuple[float, float, float]
+    corners: Floats,
+    first: tuple[float, float, float],
+    second: tuple[float, float, float],
+    usual: Floats = STILL,
 ) -> Any:
     """Search for the motion between two scans of a room."""
     earlier, later = (observed(cast(corners, pose)) for pose in (first, second))
     tracks = PlaneTracks.begun(np.arange(len(earlier)), earlier)
     tracks.corner_at = np.where(earlier.static[..., None], earlier.ends, np.nan)
     seen, before = (Beams.of(scan.beams, scan.ends) for scan in (later, earlier))
-    return Search(tracks, later, seen, [View(before, np.zeros(3))], STILL).found()
+    return Search(tracks, later, seen, [View(before, np.zeros(3))], usual).found()
 
 
 def test_beams_agree_with_the_true_motion_alone() -> None:
@@ -112,6 +115,23 @@ def test_a_bias_of_the_ranges_does_not_make_a_robot_stand_still(
         assert log_odds(lead, sd**2)[0] > 3.0
     else:
         assert lead == sd == 0.0
+
+
+@pytest.mark.parametrize(("usual_m", "searches"), [(0.0, 0), (0.6, 1)])
+def test_only_the_usual_motion_is_accepted_without_a_search_for_rivals(
+    usual_m: float, searches: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made, guesses = [], Search._guesses
+
+    def counted(self: Search) -> Floats:
+        made.append(guesses(self))
+        return made[-1]
+
+    monkeypatch.setattr(Search, "_guesses", counted)
+    stays = (-1.5, -1.0, 0.3)
+    found = searched(CORNERS, stays, stays, np.array([0.0, usual_m, 0.0]))
+    np.testing.assert_allclose(found.motion, 0, atol=1e-9)
+    assert len(made) == searches
 
 
 def test_a_motion_back_undoes_it() -> None:
