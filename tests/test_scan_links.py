@@ -13,6 +13,7 @@ from relmap.core.arrays import Floats
 from relmap.datasets.scans import ScanLog, SensorView, stored_scans
 from relmap.evaluation.feeding import segment_scan, segmenter_for
 from relmap.evaluation.metrics import ate
+from relmap.planes.linking import guess_kernels
 from relmap.planes.linking.judging import View
 from relmap.planes.linking.placement import STILL
 from relmap.planes.linking.search import Search
@@ -121,13 +122,13 @@ def test_a_bias_of_the_ranges_does_not_make_a_robot_stand_still(
 def test_only_the_usual_motion_is_accepted_without_a_search_for_rivals(
     usual_m: float, searches: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    made, guesses = [], Search._guesses
+    made, implied = [], guess_kernels.implied
 
-    def counted(self: Search) -> Floats:
-        made.append(guesses(self))
+    def counted(*arguments: Any) -> Floats:
+        made.append(implied(*arguments))
         return made[-1]
 
-    monkeypatch.setattr(Search, "_guesses", counted)
+    monkeypatch.setattr(guess_kernels, "implied", counted)
     stays = (-1.5, -1.0, 0.3)
     found = searched(CORNERS, stays, stays, np.array([0.0, usual_m, 0.0]))
     np.testing.assert_allclose(found.motion, 0, atol=1e-9)

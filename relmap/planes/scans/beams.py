@@ -20,7 +20,7 @@ from relmap.core.state.growing import GrowingArray
 
 NEAR_M = 0.12
 """A point nearer to a surface agrees with it; one twice as far in front of it contradicts it."""
-SAME = 0.01
+SAME = 0.005
 """Difference of the agreement of a point below which it favours no motion: measured ranges of a
 wall are off by some millimetres, depending on the angle, which standing still repeats."""
 LOOSE_M = 0.7
