@@ -1,4 +1,4 @@
-"""``relmap simulate storey``: a lidar or depth camera carried through two rooms."""
+"""``relmap simulate storey``: a lidar or depth camera carried through rooms, or upstairs."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ HELP = """Simulate a lidar or depth camera carried through rooms.
 
 It writes DIR/scans.npz and the truth: DIR/truth/faces.csv (the corners of every face, its plane and
 the area that two scans saw) and DIR/truth/trajectory.tum. Two rooms of a house have a floor, a
-ceiling, a sloped roof, tables and cupboards; the sensor sways and tilts.
+ceiling, a sloped roof, tables and cupboards; the sensor sways and tilts. With --storeys 2 it is
+carried on up the stairs and through two rooms under a gable roof.
 
 \b
 Example:
@@ -37,13 +38,17 @@ def storey_command(
     ] = 0.01,
     iterations: Annotated[int, typer.Option(help="Scans.")] = 60,
     seed: Seed = 0,
+    storeys: Annotated[int, typer.Option(help="1, or 2 with stairs.")] = 1,
+    moving: Annotated[
+        int, typer.Option(help="Boxes that are moved to and fro; the truth leaves them out.")
+    ] = 0,
 ) -> None:
     """Write a simulated storey; the help text explains the arguments."""
     from relmap.io.files import staged_folder
     from relmap.simulation.storey import simulate_storey
 
     with staged_folder(out) as staging, busy("simulating"):
-        storey = simulate_storey(sensor, sigma, iterations, seed)
+        storey = simulate_storey(sensor, sigma, iterations, seed, storeys, moving)
         _write(staging, storey)
     count = sum(map(len, storey.scans))
     typer.echo(f"wrote 3 files to {out}: {iterations} scans, {count} points")

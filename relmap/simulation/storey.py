@@ -1,7 +1,6 @@
-"""A storey in space with exact truth: two rooms, a sloped roof, tables, and a carried sensor.
+"""A sensor carried through rooms in space, of one storey or two, with exact truth.
 
-Faces are two-sided parallelograms. Rays of the sensor end at the first face they hit; the noise is
-along the ray.
+Rays of the sensor end at the first face they hit; the noise is along the ray.
 """
 
 from __future__ import annotations
@@ -10,12 +9,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.brief import Brief
 from relmap.core.errors import RelmapError
+from relmap.simulation.house import House, house, moving_box
 
 Sensor = Literal["lidar", "depth"]
 RINGS, BEAMS, HIGHEST_RAD, LOWEST_RAD = 32, 300, np.deg2rad(40.0), np.deg2rad(-40.0)
@@ -25,8 +24,10 @@ ROWS, COLUMNS, FOCAL = 120, 160, 104.0
 FARTHEST_M = 30.0
 SQUARE_M = 0.1
 """Size of the squares in which the area that was seen is counted."""
-DOOR = 3.0, 3.9, 2.0
-"""Start and end of the door along the wall between the rooms, and its height, metres."""
+MOVED_M = 0.1, 0.3
+"""Least and largest way of a moving box from scan to scan."""
+SWAY_M, SMOOTH_M = 4.0, 0.3
+"""The sensor of a house sways once in the first distance; its path is rounded over the second."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -37,7 +38,7 @@ class Storey(Brief):
     ----------
     scans : list of (n, 3) float64, sensor frame, metres
     faces : list of (n,) int64
-        The face of each point.
+        The face of each point; -1 on a moving box.
     plane_of : (f,) int64
         The plane of each face: coplanar adjacent faces share one.
     corners : (f, 4, 3) float64, map frame, metres
@@ -58,9 +59,14 @@ class Storey(Brief):
 
 
 def simulate_storey(
-    sensor: Sensor = "lidar", sigma: float = 0.01, iterations: int = 60, seed: int = 0
+    sensor: Sensor = "lidar",
+    sigma: float = 0.01,
+    iterations: int = 60,
+    seed: int = 0,
+    storeys: int = 1,
+    moving: int = 0,
 ) -> Storey:
-    """Simulate a sensor carried through a storey.
+    """Simulate a sensor carried through a storey, or up the stairs of a house with two.
 
     Parameters
     ----------
@@ -70,6 +76,10 @@ def simulate_storey(
         Standard deviation of a range; of the depth camera at 2 m.
     iterations : int
     seed : int
+    storeys : 1 or 2
+        Two rooms, one with a sloped roof, or a house of four rooms with stairs and a gable roof.
+    moving : int
+        Number of boxes, 0.8 m long and 1.1 m high, that are moved to and fro.
 
     Returns
     -------
@@ -85,25 +95,30 @@ def simulate_storey(
         raise RelmapError(f"sensor is {sensor!r}; it must be 'lidar' or 'depth'")
     if not 0 <= sigma < np.inf or iterations < 1:
         raise RelmapError("sigma must be 0 or more, and iterations at least 1")
-    rng = np.random.default_rng(seed)
-    origin, sides = storey_faces()
+    if storeys not in (1, 2) or moving < 0:
+        raise RelmapError("storeys must be 1 or 2, and moving 0 or more")
+    rng, rooms = np.random.default_rng(seed), house(storeys)
     rays = _lidar_rays() if sensor == "lidar" else _camera_rays()
-    trajectory = _carried(iterations, sensor)
-    scans, faces, squares = [], [], Squares(origin, sides)
-    for pose in trajectory:
-        range_m, face = cast_rays(pose[:3, 3], rays @ pose[:3, :3].T, origin, sides)
-        seen = range_m < FARTHEST_M
-        squares.see(pose[:3, 3] + range_m[seen, None] * rays[seen] @ pose[:3, :3].T, face[seen])
+    poses = (_carried if storeys == 1 else _carried_upstairs)(iterations, sensor, rooms.stops)
+    boxes = _moved(moving, iterations, rooms, seed)
+    scans, faces, squares = [], [], Squares(rooms.origin, rooms.sides)
+    for pose, (origin, sides) in zip(poses, boxes, strict=True):
+        there = np.concatenate([rooms.origin, origin]), np.concatenate([rooms.sides, sides])
+        range_m, face = cast_rays(pose[:3, 3], rays @ pose[:3, :3].T, *there)
+        seen, face = range_m < FARTHEST_M, np.where(face < len(rooms.origin), face, -1)
+        still = seen & (face >= 0)
+        points = pose[:3, 3] + range_m[still, None] * rays[still] @ pose[:3, :3].T
+        squares.see(points, face[still])
         noise = sigma * rng.standard_normal(seen.sum())
         if sensor == "depth":
             noise *= (range_m[seen] * rays[seen, 0] / 2) ** 2
         scans.append((range_m[seen] + noise)[:, None] * rays[seen])
         faces.append(face[seen])
     steps = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
-    corners = origin[:, None] + steps @ sides
+    corners = rooms.origin[:, None] + steps @ rooms.sides
     stamps_s = np.arange(iterations, dtype=np.float64)
-    plane_of = _plane_of(origin, sides)
-    return Storey(scans, faces, plane_of, corners, squares.seen_m2, stamps_s, trajectory)
+    plane_of = _plane_of(rooms.origin, rooms.sides)
+    return Storey(scans, faces, plane_of, corners, squares.seen_m2, stamps_s, poses)
 
 
 class Squares:
@@ -134,32 +149,6 @@ class Squares:
         return np.asarray(share * self._length_m.prod(axis=1))
 
 
-def storey_faces() -> tuple[Floats, Floats]:
-    """Return the faces: a corner (f, 3) of each, and its two sides (f, 2, 3), metres."""
-    begin, end, high = DOOR
-    faces: list[tuple[ArrayLike, ArrayLike, ArrayLike]] = [
-        ((0, 0, 0), (12, 0, 0), (0, 7, 0)),  # floor
-        ((0, 0, 2.7), (6, 0, 0), (0, 7, 0)),  # ceiling of the first room
-        ((6, 0, 3.4), (6, 0, 0), (0, 7, -1.9)),  # sloped roof of the second
-        ((0, 0, 0), (12, 0, 0), (0, 0, 3.5)),
-        ((0, 7, 0), (12, 0, 0), (0, 0, 3.5)),
-        ((0, 0, 0), (0, 7, 0), (0, 0, 3.5)),
-        ((12, 0, 0), (0, 7, 0), (0, 0, 3.5)),
-        ((6, 0, 0), (0, begin, 0), (0, 0, 3.5)),  # the wall with the door
-        ((6, end, 0), (0, 7 - end, 0), (0, 0, 3.5)),
-        ((6, begin, high), (0, end - begin, 0), (0, 0, 3.5 - high)),
-    ]
-    for x, y, z, wide, deep, tall, turn in (
-        (1.2, 5.2, 0.65, 1.6, 0.9, 0.1, 0.3),  # tables: thick boards
-        (8.5, 2.2, 0.7, 1.8, 1.0, 0.1, -0.4),
-        (0.2, 0.2, 0.0, 0.6, 1.5, 1.9, 0.0),  # cupboards
-        (10.3, 5.6, 0.0, 1.2, 0.8, 1.1, 0.2),
-    ):
-        faces += _box(np.array([x, y, z]), wide, deep, tall, turn)
-    array = np.array(faces, dtype=np.float64)
-    return array[:, 0], array[:, 1:]
-
-
 def cast_rays(start: Floats, rays: Floats, origin: Floats, sides: Floats) -> tuple[Floats, Ints]:
     """Return the distances of rays (n, 3) from a point to the faces (n,) they hit."""
     range_m, face = np.full(len(rays), np.inf), np.full(len(rays), -1)
@@ -173,17 +162,6 @@ def cast_rays(start: Floats, rays: Floats, origin: Floats, sides: Floats) -> tup
             hit = (t > 1e-6) & (t < range_m) & ((share >= 0) & (share <= 1)).all(axis=1)
         range_m[hit], face[hit] = t[hit], k
     return range_m, face
-
-
-def _box(
-    corner: Floats, wide: float, deep: float, tall: float, turn: float
-) -> list[tuple[ArrayLike, ArrayLike, ArrayLike]]:
-    u = wide * np.array([np.cos(turn), np.sin(turn), 0.0])
-    v = deep * np.array([-np.sin(turn), np.cos(turn), 0.0])
-    w = np.array([0.0, 0.0, tall])
-    sides = [(u, v), (u, w), (v, w)]
-    far = [corner + opposite for opposite in (w, v, u)]
-    return [(at, a, b) for at, (a, b) in zip([corner] * 3 + far, sides * 2, strict=True)]
 
 
 def _plane_of(origin: Floats, sides: Floats) -> Ints:
@@ -215,16 +193,50 @@ def _camera_rays() -> Floats:
     return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
 
 
-def _carried(iterations: int, sensor: Sensor) -> Floats:
+def _moved(count: int, iterations: int, rooms: House, seed: int) -> list[tuple[Floats, Floats]]:
+    """Return the faces of all moving boxes in each scan: corners and sides, as in `House`."""
+    rng = np.random.default_rng([seed, 1])
+    origin, sides = np.empty((iterations, 6 * count, 3)), np.empty((iterations, 6 * count, 2, 3))
+    for number in range(count):
+        track = rooms.tracks[number % len(rooms.tracks)]
+        step = rng.uniform(*MOVED_M) / np.linalg.norm(track[1] - track[0])
+        way = rng.uniform(0, 2) + step * np.arange(iterations)
+        rows = slice(6 * number, 6 * number + 6)
+        for k, share in enumerate(1 - np.abs(way % 2 - 1)):
+            origin[k, rows], sides[k, rows] = moving_box(track, share)
+    return list(zip(origin, sides, strict=True))
+
+
+def _carried(iterations: int, sensor: Sensor, stops: Floats) -> Floats:
     """Return a path from the first room through the door into the second, with hand-held tilt."""
     s = np.linspace(0, 1, iterations)
-    stops = np.array([[1.8, 2.0, 1.3], [3.5, 3.6, 1.5], [6.0, 3.45, 1.4], [8.0, 4.2, 1.3]])
-    stops = np.concatenate([stops, [[10.4, 3.4, 1.5]]])
     place = np.column_stack([np.interp(s, np.linspace(0, 1, len(stops)), axis) for axis in stops.T])
     sway = np.sin(2 * np.pi * s)
     yaw = 0.5 * np.sin(4 * np.pi * s) if sensor == "lidar" else 0.9 * sway
-    angles = np.column_stack([yaw, 0.15 * np.sin(6 * np.pi * s), 0.2 * np.sin(5 * np.pi * s)])
-    trajectory = np.tile(np.eye(4), (iterations, 1, 1))
+    return _poses(place, yaw, 0.15 * np.sin(6 * np.pi * s), 0.2 * np.sin(5 * np.pi * s))
+
+
+def _carried_upstairs(iterations: int, sensor: Sensor, stops: Floats) -> Floats:
+    """Return a path at constant speed, looking ahead, with hand-held tilt."""
+    from scipy.ndimage import gaussian_filter1d
+
+    step_m = 0.01
+    length_m = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(stops, axis=0), axis=1)))
+    s = np.arange(0.0, length_m[-1], step_m)
+    way = np.column_stack([np.interp(s, length_m, axis) for axis in stops.T])
+    way = gaussian_filter1d(way, SMOOTH_M / step_m, axis=0, mode="nearest")
+    heading = np.unwrap(np.arctan2(*np.gradient(way, axis=0)[:, 1::-1].T))
+    heading = gaussian_filter1d(heading, SMOOTH_M / step_m, mode="nearest")
+    rows = np.round(np.linspace(0, len(s) - 1, iterations)).astype(np.int64)
+    phase = 2 * np.pi * s[rows] / SWAY_M
+    yaw = heading[rows] + (0.5 if sensor == "lidar" else 0.2) * np.sin(0.7 * phase)
+    return _poses(way[rows], yaw, 0.15 * np.sin(phase), 0.2 * np.sin(0.8 * phase))
+
+
+def _poses(place: Floats, yaw: Floats, pitch: Floats, roll: Floats) -> Floats:
+    """Return ``T_map_sensor`` (k, 4, 4)."""
+    trajectory = np.tile(np.eye(4), (len(place), 1, 1))
+    angles = np.column_stack([yaw, pitch, roll])
     trajectory[:, :3, :3] = Rotation.from_euler("ZYX", angles).as_matrix()
     trajectory[:, :3, 3] = place
     return trajectory
