@@ -55,9 +55,18 @@ def read(data: Path, name: str) -> Clouds:
     return Clouds(points, np.array([scan.T_reference_robot for scan in scans]))
 
 
-def stored(sensor: str, sigma: float, seed: int, iterations: int = 60) -> Clouds:
-    """Return a simulated storey."""
-    world = simulate_storey(sensor, sigma, iterations, seed)  # type: ignore[arg-type]
+def stored(
+    sensor: str, sigma: float, seed: int, iterations: int = 60, storeys: int = 1, moving: int = 0
+) -> Clouds:
+    """Return a simulated storey or house."""
+    world = simulate_storey(
+        sensor,  # type: ignore[arg-type]
+        sigma,
+        iterations,
+        seed,
+        storeys,
+        moving,
+    )
     faces = Faces(world.plane_of, world.corners, world.seen_m2)
     return Clouds(world.scans, world.trajectory, faces)
 
@@ -132,11 +141,20 @@ def blocks(data: Path) -> Iterator[tuple[str, Callable[[], Clouds]]]:
 
 def storeys(_: Path) -> Iterator[tuple[str, Callable[[], Clouds]]]:
     """Yield simulated storeys."""
-    for sensor, sigmas in (("lidar", (0.0, 0.01, 0.02, 0.05)), ("depth", (0.0, 0.01, 0.02))):
+    for sensor, sigmas in (("lidar", (0.0, 0.01, 0.02, 0.05)), ("depth", (0.0, 0.005, 0.01, 0.02))):
         for sigma in sigmas:
             for seed in (0, 7) if sigma else (0,):
                 yield f"storey/{sensor}-{sigma}-seed-{seed}", partial(stored, sensor, sigma, seed)
         yield f"storey/{sensor}-20-scans", partial(stored, sensor, 0.01, 1, 20)
+    for sensor, sigma, scans in (("lidar", 0.01, 60), ("depth", 0.005, 60)):
+        for seed in (0, 1, 3):
+            given = sensor, sigma, seed, scans, 1, 2
+            yield f"storey/{sensor}-2-boxes-seed-{seed}", partial(stored, *given)
+    for sensor, sigma, each in (("lidar", 0.01, (60, 150)), ("depth", 0.005, (150, 300))):
+        for scans in each:
+            yield f"storey/house-{sensor}-{scans}", partial(stored, sensor, sigma, 0, scans, 2)
+        given = sensor, sigma, 1, each[1], 2, 3
+        yield f"storey/house-{sensor}-3-boxes", partial(stored, *given)
 
 
 def main() -> None:

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from relmap import Plane3dMapper
 from relmap.core.arrays import Floats
 from relmap.evaluation.space_run import submap_row
-from relmap.planes3d.doubting import is_doubtful, is_tied_doubtfully, seen_through
+from relmap.planes3d.doubting import is_doubtful, is_tied_doubtfully, sight_of
 from relmap.planes3d.fitting import matched
 from relmap.planes3d.placing import Placed
 from relmap.planes3d.submap import Submap
@@ -40,10 +40,11 @@ def carried(count: int, first: int = 0) -> Submap:
 @pytest.mark.parametrize(("yaw", "doubtful"), [(0.8, False), (np.pi, True)])
 def test_a_leap_far_beyond_the_fastest_step_is_not_accepted(yaw: float, doubtful: bool) -> None:
     part = carried(7)
-    assert is_doubtful(placed(yaw), part.scan(0), part.all_planes(), part, 1) is doubtful
+    sight = sight_of(STILL, ORIGIN, part.scan(0), part.all_planes())
+    assert is_doubtful(placed(yaw), part.scan(0), sight, part, 1) is doubtful
     # How fast the sensor turns is not known yet.
     part = carried(3)
-    assert not is_doubtful(placed(np.pi), part.scan(0), part.all_planes(), part, 1)
+    assert not is_doubtful(placed(np.pi), part.scan(0), sight, part, 1)
 
 
 @pytest.mark.parametrize(
@@ -72,7 +73,8 @@ def test_a_jump_between_submaps_needs_more_planes(shared: int, doubtful: bool) -
 @pytest.mark.parametrize(("at", "least", "most"), [(3.0, 0, 0), (4.0, 0, 0), (1.5, 0.6, 1)])
 def test_a_scan_sees_no_surface_through_another(at: float, least: float, most: float) -> None:
     there = part_of((patches(wall(0, at)), [0])).all_planes()
-    assert least <= seen_through(STILL, ORIGIN, patches(wall(0, 3.0)), there) <= most
+    sight = sight_of(STILL, ORIGIN, patches(wall(0, 3.0)), there)
+    assert least <= sight.seen_through <= most
 
 
 def test_a_scan_that_sees_through_the_map_begins_a_submap() -> None:

@@ -71,3 +71,20 @@ def test_a_house_is_mapped_over_the_stairs() -> None:
     mapper.refine()
     assert len(mapper.submaps[0].iteration) == 60
     assert (metrics.ate(mapper.trajectory, world.trajectory, False) or 1.0) < 0.005
+
+
+def test_planes_of_a_box_that_moves_are_dynamic() -> None:
+    world, mapper = simulate_storey("lidar", 0.01, 60, 4, moving=1), Plane3dMapper()
+    for scan in world.scans:
+        mapper.update(scan)
+    mapper.finish()
+    mapper.refine()
+    planes, pose = mapper.planes, world.trajectory[0]
+    centre = planes.centre @ pose[:3, :3].T + pose[:3, 3]
+    # The box is moved along x = 4 to 4.6; nothing else is there between the walls and below 1.2 m.
+    x, y, z = centre.T
+    of_box = (x > 3.8) & (x < 4.8) & (y > 0.3) & (y < 6.5) & (z > 0.2) & (z < 1.2)
+    moved = planes.status == "dynamic"
+    assert (of_box & moved).sum() >= 1
+    assert not (moved & ~of_box).any()
+    assert not (of_box & (planes.status == "static") & (planes.area_m2 > 0.5)).any()

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.spatial import cKDTree
 
-from relmap.core.arrays import Floats
+from relmap.core.arrays import Bools, Floats
 from relmap.planes3d.placing import LEAP, Placed
 from relmap.planes3d.submap import Pose, Submap
 from relmap.segmentation.space import Patches
 
-SAMPLE, FEWEST = 1500, 40
-"""Number of cells of the map that are looked at, and of those in view, below which more are assumed
-to be."""
+FEWEST = 40
+"""Number of cells of the map in view, below which more are assumed to be."""
 FACING, BESIDE = 0.3, 0.7
 """Minimum cosine at which a surface is seen, and largest distance of a ray from the nearest cell of
 the scan, in cells."""
@@ -32,16 +33,34 @@ SOON, PLANES, SURFACES = 2, 0.7, 0.8
 of the planes or of the surfaces of the other: halls look much the same from both ends."""
 
 
-def is_doubtful(placed: Placed, seen: Patches, planes: Patches, part: Submap, gap: int) -> bool:
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """What a scan sees of the cells (c,) of a map.
+
+    `in_view`: which of them the scan faces, where it has a surface nearby or beyond; `there`: which
+    of these lie on a surface of the scan; `through`: which of them the scan sees through.
+    """
+
+    in_view: Bools
+    there: Bools
+    through: Bools
+
+    @property
+    def seen_through(self) -> float:
+        """Fraction of the cells in view that the scan sees through."""
+        return float(self.through.sum() / max(self.in_view.sum(), FEWEST))
+
+
+def is_doubtful(placed: Placed, seen: Patches, sight: Sight, part: Submap, gap: int) -> bool:
     """Return whether a scan, `gap` scans after the last one of a submap, cannot be there.
 
-    `seen`, `planes`: of the scan, robot frame, and of the map, map frame.
+    `seen`: planes of the scan, robot frame; `sight`: of the map, see `sight_of`.
     """
     way_m = moved_m(part.poses[-1], (placed.R, placed.t), seen.reach_m)
     leap = len(part.poses) >= SEVERAL and way_m > LEAP * seen.reach_m
     if leap and way_m > FASTER * gap * fastest_m(part):
         return True
-    return seen_through(placed.R, placed.t, seen, planes) > THROUGH
+    return sight.seen_through > THROUGH
 
 
 def is_tied_doubtfully(placed: Placed, part: Submap, other: Submap) -> bool:
@@ -80,22 +99,22 @@ def fastest_m(part: Submap, turns: float = 1.0) -> float:
     return max(lengths, default=np.inf)
 
 
-def seen_through(R: Floats, t: Floats, seen: Patches, planes: Patches) -> float:
-    """Return the fraction of the surfaces of a map in view of a scan that it sees through.
+def sight_of(R: Floats, t: Floats, seen: Patches, planes: Patches) -> Sight:
+    """Return what a scan sees of the surfaces of a map.
 
     `R` (3, 3), `t` (3,): pose of the scan; `seen`, `planes`: of the scan, robot frame, and of the
     map, map frame.
     """
-    rows = np.linspace(0, len(planes.cells) - 1, min(SAMPLE, len(planes.cells))).astype(np.int64)
-    cells = (planes.cells[rows] - t) @ R
+    cells, size_m = (planes.cells - t) @ R, max(seen.cell_m, planes.cell_m)
     away = np.linalg.norm(cells, axis=1)
     ray = cells / away[:, None]
-    facing = np.abs(np.einsum("ci,ci->c", ray, planes.normal[planes.cell_patch[rows]] @ R))
+    facing = np.abs(np.einsum("ci,ci->c", ray, planes.normal[planes.cell_patch] @ R))
     range_m = np.linalg.norm(seen.cells, axis=1)
     beside, cell = cKDTree(seen.cells / range_m[:, None]).query(ray)
     in_view = (facing > FACING) & (beside * range_m[cell] < BESIDE * seen.cell_m)
     plane = seen.cell_patch[cell]
     # Normals face the sensor.
     ahead = np.einsum("ci,ci->c", cells - seen.centre[plane], seen.normal[plane])
-    nearer = (ahead > max(seen.cell_m, planes.cell_m)) & (away < range_m[cell] - seen.cell_m)
-    return float((in_view & nearer).sum() / max(in_view.sum(), FEWEST))
+    there = (np.abs(ahead) <= size_m / 2) & (np.abs(away - range_m[cell]) < 2 * size_m)
+    through = (ahead > size_m) & (away < range_m[cell] - seen.cell_m)
+    return Sight(in_view, in_view & there, in_view & through)

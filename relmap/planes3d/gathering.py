@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from relmap.core.arrays import Floats, Ints
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.scan import TINY
 from relmap.planes3d.adjustment import NORMAL, across
 from relmap.planes3d.submap import Submap
@@ -29,6 +29,8 @@ TRIMMED, TRIM_SD = 12, 2.0
 are: other points in its voxels would tilt it."""
 WIDE = 0.25
 """Minimum standard deviation of the points of a plane along its width, by the size of voxels."""
+BESIDE_CELLS = 3.0
+"""Points within this many cells of a plane that moved away belong to what moves."""
 FEWEST, FEWEST_SCANS = 24, 3
 """Minimum number of points of a plane, and of scans that see it."""
 
@@ -49,7 +51,7 @@ def gathered(part: Submap, number: int) -> Submap | None:
     points = np.concatenate([x @ R.T + t for x, (R, t) in zip(own, part.poses, strict=True)])
     label, count = np.full(len(points), -1), 0
     of, off = _nearby(points, planes)
-    left = np.flatnonzero((off > KNOWN_SD).all(axis=1))
+    left = np.flatnonzero((off > KNOWN_SD).all(axis=1) & ~_moves(points, part))
     sigma = max(float(np.median(planes.spread[:, 2])), ROUNDING * planes.reach_m + TINY)
     for size in SIZES:
         size_m = size * planes.cell_m
@@ -60,6 +62,14 @@ def gathered(part: Submap, number: int) -> Submap | None:
                 label[rows], count = count, count + 1
         left = left[label[left] < 0]
     return _with_planes(part, points, scan, label, number, sigma) if count else None
+
+
+def _moves(points: Floats, part: Submap) -> Bools:
+    """Return which points (n, 3) are near a dynamic landmark: they are of the thing that moves."""
+    moving = part.planes(np.flatnonzero(part.is_dynamic))
+    if not len(moving):
+        return np.zeros(len(points), dtype=bool)
+    return Surfaces(moving).near(points, BESIDE_CELLS * moving.cell_m) >= 0
 
 
 def _nearby(points: Floats, planes: Patches) -> tuple[Ints, Floats]:
@@ -119,7 +129,7 @@ def _with_planes(
         seen = replace(seen, loose=seen.loose[which < 0])
         new = number + np.unique(which[which >= 0])
         again.add(iteration, seen, (R, t), np.append(part.number[part.match[k]], new))
-    again.take_over(part)
+    again.take_over(part, {})
     return again
 
 

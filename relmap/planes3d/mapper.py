@@ -14,7 +14,7 @@ from relmap.core.errors import RelmapError
 from relmap.core.guard import ChangeGuard, reads_whole
 from relmap.core.scan import checked_labels
 from relmap.core.stamps import Stamps
-from relmap.planes3d.doubting import is_doubtful, is_tied_doubtfully
+from relmap.planes3d.doubting import is_doubtful, is_tied_doubtfully, sight_of
 from relmap.planes3d.hypotheses import Held
 from relmap.planes3d.placing import Placed, place
 from relmap.planes3d.refining import refined, unsure_steps
@@ -242,15 +242,22 @@ class Plane3dMapper:
             part.unsure = unsure_steps(part) if len(part.iteration) > 1 else {}
 
     def _placed(self, seen: Patches, iteration: int) -> Placed | None:
-        """Return the placement of a scan in the last submap; its matches are landmark numbers."""
+        """Return the placement of a scan in the last submap; its matches are landmark numbers.
+
+        What the scan sees of the landmarks is counted.
+        """
         part = self._parts[-1]
         chosen = np.flatnonzero(part.recent(iteration, self.max_missed))
         if not len(chosen):
             return None
         planes, gap = part.planes(chosen), iteration - part.iteration[-1]
         placed = place(seen, Surfaces(planes), part.poses[-1], _going_on(part))
-        if placed is None or is_doubtful(placed, seen, planes, part, gap):
+        if placed is None:
             return None
+        sight = sight_of(placed.R, placed.t, seen, planes)
+        if is_doubtful(placed, seen, sight, part, gap):
+            return None
+        part.count_sights(part.number[chosen], planes.cell_patch, sight.there, sight.through)
         return placed.named(part.number[chosen])
 
     def _tied_two(self, failed: set[tuple[Span, Span]]) -> bool:

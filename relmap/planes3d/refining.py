@@ -14,6 +14,7 @@ from relmap.planes3d.fitting import (
     distances,
 )
 from relmap.planes3d.gathering import gathered
+from relmap.planes3d.reliance import unreliable_steps
 from relmap.planes3d.steps import step_covariances
 from relmap.planes3d.submap import Submap
 from relmap.planes3d.surfaces import SIDE, Surfaces
@@ -59,18 +60,20 @@ def unsure_steps(part: Submap) -> dict[int, Floats]:
 
     A step is unsure if in some direction the standard deviation of the translation, or of the
     displacement by the rotation at the range, exceeds 1.25 % of the range; or if three of them
-    exceed 1.5 % and it is two and a half times the usual one.
+    exceed 1.5 % and it is two and a half times the usual one. So is a step that is unsteady in
+    a direction in which a single landmark determines it, see `relmap.planes3d.reliance`.
 
     Each has the direction (3,) in which the translation is least certain, sensor frame.
     """
     share = SYSTEMATIC if part.share is None else part.share
-    covariance = step_covariances(sightings(part), scene(part), share)
+    seen, state = sightings(part), scene(part)
+    covariance = step_covariances(seen, state, share)
     turn_m2 = np.linalg.eigvalsh(covariance[:, :3, :3])[:, 2]
     way_m2, axes = np.linalg.eigh(covariance[:, 3:, 3:])
     reach_m = np.array([each.reach_m for each in part.seen])
+    unsure = unreliable_steps(seen, state, share, np.array(part.iteration), reach_m)
     reach_m = np.minimum(reach_m[1:], reach_m[:-1])
     known = ~np.isin(part.iteration[1:], list(part.weak))
-    unsure = np.zeros(len(reach_m), dtype=bool)
     for variance in (turn_m2 * reach_m**2, way_m2[:, 2]):
         sd_m = np.sqrt(np.maximum(variance, 0.0))
         usual_m = np.median(sd_m[known]) if known.any() else np.inf

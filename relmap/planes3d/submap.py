@@ -13,6 +13,9 @@ from relmap.segmentation.space.patches import reach_of
 Pose = tuple[Floats, Floats]
 MOST_LOOSE = 20
 """Maximum number of points on no plane that are kept in a cube of half a cell of the map."""
+THROUGH, MANY = 0.5, 10
+"""A plane is dynamic if more than this fraction of the looks at its cells, and this number of them,
+go through: the surface was there, and is not any more."""
 NOWHERE, NOTHING = np.empty((0, 3)), np.empty(0, dtype=np.int64)
 
 
@@ -42,6 +45,9 @@ class Submap:
         Condensed points of each landmark, submap frame; see `Patches`.
     last : (l,) int64
         Iteration in which each landmark was last seen.
+    sights : dict of int to (2,) int64
+        For the number of a landmark, how often scans saw one of its cells where it is, and how
+        often they saw through one.
     share : float or None
         Error that the points of an observation have in common, as a fraction of their noise;
         None before it is estimated by refinement.
@@ -58,6 +64,7 @@ class Submap:
         self.number = np.empty(0, dtype=np.int64)
         self.scatter = np.empty((0, 4, 4))
         self.last = np.empty(0, dtype=np.int64)
+        self.sights: dict[int, Ints] = {}
         self.share: float | None = None
         self._row: dict[int, int] = {}
         self._normal = np.empty((0, 3))
@@ -99,6 +106,27 @@ class Submap:
             seen = replace(seen, loose=seen.loose[self._sparse(seen.loose @ R.T + t, seen.cell_m)])
         self.seen.append(replace(seen, cells=NOWHERE, cell_patch=NOTHING))
         self.match.append(match)
+
+    def count_sights(self, number: Ints, of: Ints, there: Bools, through: Bools) -> None:
+        """Count what a scan sees of landmarks.
+
+        `number` (k,): of the landmarks; `of`, `there`, `through` (c,): the landmark, 0 to k - 1, of
+        each of their cells, whether it is seen there, and whether it is seen through.
+        """
+        counts = np.stack([np.bincount(of, each, len(number)) for each in (there, through)], axis=1)
+        for row in np.flatnonzero(counts.any(axis=1)):
+            self._add_sights(int(number[row]), counts[row].astype(np.int64))
+
+    def _add_sights(self, number: int, counts: Ints) -> None:
+        self.sights[number] = counts + self.sights.get(number, 0)
+
+    @property
+    def is_dynamic(self) -> Bools:
+        """Which landmarks (l,) moved away: scans mostly saw through them."""
+        none = np.zeros(2, dtype=np.int64)
+        looks = [self.sights.get(number, none) for number in self.number.tolist()]
+        there, through = np.reshape(looks, (-1, 2)).T
+        return np.asarray((through > MANY) & (through > THROUGH * (there + through)))
 
     def scan(self, k: int) -> Patches:
         """Return the patches of a scan, robot frame, with the cells that it saw first."""
@@ -178,14 +206,19 @@ class Submap:
             numbers = self.number[self.match[k]].tolist()
             renamed = np.array([name.get(number, number) for number in numbers], dtype=np.int64)
             part.add(iteration, self.scan(k), poses[k], renamed, sparse=True)
-        part.take_over(self)
+        part.take_over(self, name)
         part._loose = dict(self._loose)
         return part
 
-    def take_over(self, other: Submap) -> None:
-        """Copy the results for the steps of another submap of the same scans."""
+    def take_over(self, other: Submap, name: dict[int, int]) -> None:
+        """Copy the results for the steps and the sights of another submap of the same scans.
+
+        `name`: new numbers of landmarks that were renamed.
+        """
         self.weak, self.held, self.share = dict(other.weak), set(other.held), other.share
         self.unsure = dict(other.unsure)
+        for number, counts in other.sights.items():
+            self._add_sights(name.get(number, number), counts)
 
     def joined(self, other: Submap, pose: Pose, name: dict[int, int]) -> Submap:
         """Return the submap and another as one, in the frame of the first scan of both.
@@ -208,6 +241,9 @@ class Submap:
             both.add(iteration, part.scan(k), there, part.number[part.match[k]])
         both.weak, both.held = self.weak | other.weak, self.held | other.held
         both.unsure = self.unsure | other.unsure
+        for part in (self, placed):
+            for number, counts in part.sights.items():
+                both._add_sights(number, counts)
         return both
 
 

@@ -40,7 +40,8 @@ class Plane3dTable(Table):
     observations, first_iteration, last_iteration : (n,) int64
         Number of scans that saw it, the first and the last.
     status : (n,) str
-        "static" if it is in the first submap and at least two scans saw it, else "unmapped".
+        "dynamic" if later scans mostly saw through it; "static" if not, and if it is in the first
+        submap and at least two scans saw it; else "unmapped".
     submap : (n,) int64
         Rank of the submap, the largest first.
     """
@@ -106,6 +107,7 @@ def _rows(part: Submap, rank: int) -> dict[str, Any]:
     first = np.full(len(part), np.iinfo(np.int64).max)
     np.minimum.at(first, landmark, scan)
     static = (sights >= FEWEST) & (rank == 0)
+    status = np.where(part.is_dynamic, "dynamic", np.where(static, "static", "unmapped"))
     return {
         "plane": part.number[order],
         "normal": planes.normal[order],
@@ -117,7 +119,7 @@ def _rows(part: Submap, rank: int) -> dict[str, Any]:
         "observations": sights[order],
         "first_iteration": first[order],
         "last_iteration": part.last[order],
-        "status": np.where(static, "static", "unmapped")[order],
+        "status": status[order],
         "submap": np.full(len(part), rank),
     }
 

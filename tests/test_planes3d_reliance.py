@@ -1,0 +1,63 @@
+"""Planes in space: unsteady steps that a single landmark implies are listed, others are not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from relmap.core.arrays import Floats, Ints
+from relmap.planes3d.refining import refined, scene, sightings, unsure_steps
+from relmap.planes3d.reliance import changes, fragile
+from relmap.planes3d.submap import Submap
+from tests.test_planes3d_steps import patches, wall
+
+
+def carried(way_m: list[float], *walls_m: float) -> Submap:
+    """Return scans at positions on the x axis, of walls across it, of another wall and a floor."""
+    part = Submap()
+    for k, x in enumerate(way_m):
+        seen = patches(*(wall(0, at - x) for at in walls_m), wall(1, 2.0), wall(2, -2.0))
+        part.add(k, seen, (np.eye(3), np.array([x, 0.0, 0.0])), np.arange(len(seen)))
+    return part
+
+
+@pytest.mark.parametrize("walls_m", [(3.0,), (3.0, -3.0)])
+def test_a_jump_that_one_wall_implies_is_listed(walls_m: tuple[float, ...]) -> None:
+    # If the wall moved in the fourth scan, the planes agree all the same.
+    way_m = [0.0, 0.1, 0.2, 0.6, 0.4, 0.5, 0.6]
+    part, _ = refined(carried(way_m, *walls_m), 4)
+    assert sorted(unsure_steps(part)) == ([3, 4] if len(walls_m) == 1 else [])
+
+
+def test_a_steady_path_that_depends_on_one_wall_is_not_listed() -> None:
+    part, _ = refined(carried([0.1 * k for k in range(7)], 3.0), 3)
+    assert unsure_steps(part) == {}
+
+
+def test_a_room_with_parallel_walls_is_not_fragile_but_a_corner_is() -> None:
+    room_scan, _ = fragile_of(carried([0.0, 0.1], 3.0, -3.0))
+    corner_scan, along = fragile_of(carried([0.0, 0.1], 3.0))
+    assert sorted(room_scan.tolist()) == [0, 0, 1, 1]  # across the single walls only
+    assert sorted(corner_scan.tolist()) == [0, 0, 0, 1, 1, 1]
+    assert np.sort(np.abs(along).argmax(axis=1)).tolist() == [0, 0, 1, 1, 2, 2]
+
+
+def fragile_of(part: Submap) -> tuple[Ints, Floats]:
+    reach_m = np.array([each.reach_m for each in part.seen])
+    return fragile(sightings(part), scene(part), 0.0, reach_m)
+
+
+def path(*steps_m: float) -> Floats:
+    way_m = np.append(0.0, np.cumsum(steps_m))
+    return np.column_stack([way_m, 0 * way_m, 0 * way_m])
+
+
+def test_changes_compare_a_step_with_its_neighbours() -> None:
+    iteration = np.arange(6)
+    assert np.abs(changes(path(*[0.3] * 5), iteration)).max() < 1e-12
+    jump = changes(path(0.3, 0.3, 0.8, 0.3, 0.3), iteration)
+    np.testing.assert_allclose(jump[:, 0], [0.0, -0.25, 0.5, -0.25, 0.0], atol=1e-12)
+    # A missing scan makes a step twice as long, not unsteady.
+    later = np.array([0, 1, 2, 4, 5, 6])
+    assert np.abs(changes(path(0.3, 0.3, 0.6, 0.3, 0.3), later)).max() < 1e-12
+    assert not changes(path(0.3), np.arange(2)).any()
