@@ -32,6 +32,7 @@ def table(*squares: tuple[list[float], float]) -> Plane3dTable:
         sd=flat,
         area_m2=np.array([size**2 for _, size in squares]),
         outline=outline,
+        meets=[np.full(len(SQUARE), -1)] * n,
         observations=number,
         first_iteration=number,
         last_iteration=number,

@@ -16,6 +16,7 @@ from relmap.planes3d.adjustment import PlaneAdjustment, Scene
 from relmap.planes3d.files import COLUMNS
 from relmap.planes3d.refining import sightings
 from relmap.planes3d.submap import Submap
+from relmap.planes3d.table import RAGGED
 from relmap.segmentation.space import PatchSegmenter
 from relmap.simulation.storey import Storey, cast_rays, simulate_storey
 
@@ -60,7 +61,7 @@ def test_the_mapper_and_its_planes_print_their_content(noisy: tuple[Storey, Plan
     assert repr(Plane3dMapper()) == "Plane3dMapper(0 iterations, 0 planes mapped)"
     assert len(mapper.planes) == len(mapper.planes.plane)
     columns = mapper.planes.columns()
-    assert list(columns) == [name for name in COLUMNS if name != "outline"]
+    assert list(columns) == [name for name in COLUMNS if name not in RAGGED]
     np.testing.assert_array_equal(columns["nz"], mapper.planes.normal[:, 2])
     html = methodcaller("_repr_html_")(mapper)
     assert f"<p>{mapper!r}</p>" in html

@@ -40,11 +40,15 @@ def storey(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+def rows_of(path: Path) -> list[dict[str, str]]:
+    with path.open() as stream:
+        return list(csv.DictReader(stream))
+
+
 def test_result_folder_is_complete(storey: Path) -> None:
     result = storey / "result"
     assert names(result) == FILES
-    with (result / "planes.csv").open() as stream:
-        rows = list(csv.DictReader(stream))
+    rows = rows_of(result / "planes.csv")
     assert list(rows[0]) == list(COLUMNS)
     static = [row for row in rows if row["status"] == "static"]
     assert len(static) >= 8
@@ -100,17 +104,36 @@ def test_a_broken_run_says_so_with_advice(
     assert "odometry" not in said
 
 
-def test_mesh_holds_rectangles_on_the_planes(storey: Path) -> None:
+def test_mesh_holds_polygons_on_the_planes(storey: Path) -> None:
     lines = (storey / "result" / "map.ply").read_text().splitlines()
     begin = lines.index("end_header") + 1
     points = int(next(line for line in lines if line.startswith("element vertex")).split()[2])
-    faces = [line.split() for line in lines[begin + points :]]
+    faces = [np.array(line.split(), dtype=np.int64) for line in lines[begin + points :]]
     assert len(faces) > 20
+    assert all(len(face) == 1 + face[0] >= 4 for face in faces)
     vertices = np.array([line.split()[:3] for line in lines[begin : begin + points]], dtype=float)
-    quads = vertices[np.array(faces, dtype=np.int64)[:, 1:]]
-    sides = quads[:, 1] - quads[:, 0], quads[:, 3] - quads[:, 0]
-    assert np.abs(quads[:, 2] - quads[:, 0] - sides[0] - sides[1]).max() < 1e-3
-    assert np.abs((sides[0] * sides[1]).sum(axis=1)).max() < 1e-3
+    assert np.array_equal(np.concatenate([face[1:] for face in faces]), np.arange(points))
+    planes = [row for row in rows_of(storey / "result" / "planes.csv") if row["status"] == "static"]
+    normal = np.array([[float(row[name]) for name in ("nx", "ny", "nz")] for row in planes])
+    off_m = np.abs(vertices @ normal.T - [float(row["offset"]) for row in planes])
+    for face in faces:
+        assert off_m[face[1:]].max(axis=0).min() < 1e-4
+
+
+def test_outlines_name_the_planes_that_they_meet(storey: Path) -> None:
+    rows = {row["plane"]: row for row in rows_of(storey / "result" / "planes.csv")}
+    met = 0
+    for row in rows.values():
+        corners = np.array([corner.split() for corner in row["outline"].split(";")], dtype=float)
+        meets = row["meets"].split(";")
+        assert len(meets) == len(corners)
+        for begin, end, name in zip(corners, np.roll(corners, -1, axis=0), meets, strict=True):
+            if name != "-1":
+                normal = np.array([float(rows[name][axis]) for axis in ("nx", "ny", "nz")])
+                off_m = np.stack([begin, end]) @ normal - float(rows[name]["offset"])
+                assert np.abs(off_m).max() < 1e-3
+                met += 1
+    assert met > 20
 
 
 def test_path_is_that_of_the_truth(storey: Path, capsys: pytest.CaptureFixture[str]) -> None:

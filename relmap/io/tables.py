@@ -19,10 +19,11 @@ from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
 from relmap.datasets.textfile import numbered_lines, quoted, shown
 
-Kind = Literal["int", "float", "float or empty", "text", "corners"]
+Kind = Literal["int", "float", "float or empty", "text", "corners", "int list"]
 """Type of a column of a table.
 
-``corners`` is points in space, ``x y z;x y z;...``, and reads as an array (k, 3).
+``corners`` is points in space, ``x y z;x y z;...``, and reads as an array (k, 3), and ``int list``
+is ``k;k;...``.
 ``float`` is measured or given, at most `MAX_COORDINATE_M`; ``float or empty`` is computed, at most
 `MAX_RESULT_M`, and an empty cell reads as NaN.
 """
@@ -33,7 +34,11 @@ MAX_RESULT_M = 1e70
 MAX_WORD = 32
 """Maximum number of characters of a text: numpy allocates the longest for each row."""
 
-WANTED = {"int": "a whole number", "corners": "corners x y z;x y z;..."}
+WANTED = {
+    "int": "a whole number",
+    "corners": "corners x y z;x y z;...",
+    "int list": "whole numbers k;k;...",
+}
 """What is said to be expected in a cell; else metres."""
 
 
@@ -110,7 +115,7 @@ class _Column:
         self._place = place
         self._numbers: array[Any] = array("q" if kind == "int" else "d")
         self._texts: list[str] = []
-        self._corners: list[Floats] = []
+        self._ragged: list[NDArray[Any]] = []
 
     def add(self, path: Path, line: int, cells: list[str]) -> None:
         """Add the cell of a record."""
@@ -123,7 +128,9 @@ class _Column:
         wanted = WANTED.get(self._kind, "a number of metres")
         try:
             if self._kind == "corners":
-                self._corners.append(_corners(text))
+                self._ragged.append(_corners(text))
+            elif self._kind == "int list":
+                self._ragged.append(np.array([int(k) for k in text.split(";") if text], np.int64))
             else:
                 self._numbers.append(self._number(text))
         except (ValueError, OverflowError):
@@ -149,9 +156,9 @@ class _Column:
         """The cells, (n,)."""
         if self._kind == "text":
             return np.array(self._texts, dtype=np.str_)
-        if self._kind == "corners":
-            ragged = np.empty(len(self._corners), dtype=object)
-            ragged[:] = self._corners
+        if self._kind in ("corners", "int list"):
+            ragged = np.empty(len(self._ragged), dtype=object)
+            ragged[:] = self._ragged
             return ragged
         return np.array(self._numbers, dtype=np.int64 if self._kind == "int" else np.float64)
 

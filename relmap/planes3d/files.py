@@ -13,8 +13,9 @@ from relmap.core.errors import RelmapError
 from relmap.io.files import atomic_write
 from relmap.io.results import MAP_PLY, Result, read_result
 from relmap.io.tables import Kind, csv_text, read_table
+from relmap.planes3d.outlines import surfaces_of
 from relmap.planes3d.submap import Submap
-from relmap.planes3d.table import Plane3dTable, raster
+from relmap.planes3d.table import Plane3dTable
 
 PLANES = "planes.csv"
 _NORMAL, _CENTRE = ("nx", "ny", "nz"), ("x", "y", "z")
@@ -25,6 +26,7 @@ COLUMNS: dict[str, Kind] = {
     "status": "text",
     "submap": "int",
     "outline": "corners",
+    "meets": "int list",
 }
 UNIT = 1e-3
 """Largest deviation of the length of a normal from 1."""
@@ -59,9 +61,10 @@ class Plane3dResult(Result):
 
 
 def write_planes3d(folder: Path, table: Plane3dTable) -> None:
-    """Write ``planes.csv`` into an existing folder; an outline is written as ``x y z;x y z;...``.
+    """Write ``planes.csv`` into an existing folder.
 
-    Raises `RelmapError` if the file cannot be written.
+    Outlines are written as ``x y z;x y z;...``, the planes that meet them as ``k;k;...``. Raises
+    `RelmapError` if the file cannot be written.
     """
     columns = [
         table.plane.tolist(),
@@ -76,6 +79,7 @@ def write_planes3d(folder: Path, table: Plane3dTable) -> None:
         table.status.tolist(),
         table.submap.tolist(),
         [_text(outline) for outline in table.outline],
+        [";".join(map(str, meets.tolist())) for meets in table.meets],
     ]
     atomic_write(folder / PLANES, csv_text(list(COLUMNS), zip(*columns, strict=True)))
 
@@ -93,8 +97,12 @@ def read_result3d(folder: Path) -> Plane3dResult:
     )
     length = np.hypot.reduce(normal, axis=1)
     _require(folder, table, np.abs(length - 1) <= UNIT, "its normal is not of length 1")
-    outline = list(table.pop("outline"))
-    planes = Plane3dTable(normal=normal, centre=centre, outline=outline, **table)
+    outline, meets = list(table.pop("outline")), list(table.pop("meets"))
+    alike = np.array(
+        [len(a) == len(b) for a, b in zip(outline, meets, strict=True)], dtype=np.bool_
+    )
+    _require(folder, table, alike, "its fields outline and meets differ in length")
+    planes = Plane3dTable(normal=normal, centre=centre, outline=outline, meets=meets, **table)
     return Plane3dResult(**vars(read_result(folder)), planes=planes)
 
 
@@ -114,35 +122,27 @@ def write_mesh(folder: Path, part: Submap | None, chosen: Ints) -> None:
 
     Raises `RelmapError` if the file cannot be written.
     """
-    corners, colours = [np.empty((0, 3))], [np.empty((0, 3), dtype=np.int64)]
+    polygons, numbers = list[Floats](), list[int]()
     if part is not None:
-        planes = part.all_planes()
-        for k in np.flatnonzero(np.isin(part.number, chosen)):
-            surface = raster(planes, int(k))
-            corners.append(surface.in_space(_quads(surface.filled)))
-            shade = COLOURS[part.number[k] % len(COLOURS)]
-            colours.append(np.tile(shade, (len(corners[-1]), 1)))
-    points, shades = np.concatenate(corners), np.concatenate(colours)
-    faces = len(points) // 4
+        surfaces = surfaces_of(part.all_planes(), np.flatnonzero(np.isin(part.number, chosen)))
+        for number in np.intersect1d(part.number, chosen).tolist():
+            polygons += surfaces[int(np.flatnonzero(part.number == number)[0])].polygons()
+            numbers += [number] * (len(polygons) - len(numbers))
+    sizes = [len(polygon) for polygon in polygons]
+    points = np.concatenate([np.empty((0, 3)), *polygons])
+    shades = np.repeat(COLOURS[np.array(numbers, dtype=np.int64) % len(COLOURS)], sizes, axis=0)
     header = (
         "ply\nformat ascii 1.0\ncomment map frame, metres\n"
         f"element vertex {len(points)}\nproperty double x\nproperty double y\nproperty double z\n"
         "property uchar red\nproperty uchar green\nproperty uchar blue\n"
-        f"element face {faces}\nproperty list uchar int vertex_indices\nend_header\n"
+        f"element face {len(sizes)}\nproperty list uchar int vertex_indices\nend_header\n"
     )
     vertices = [
         f"{x:.5f} {y:.5f} {z:.5f} {r} {g} {b}\n"
         for (x, y, z), (r, g, b) in zip(points.tolist(), shades.tolist(), strict=True)
     ]
-    quads = [f"4 {4 * k} {4 * k + 1} {4 * k + 2} {4 * k + 3}\n" for k in range(faces)]
-    atomic_write(folder / MAP_PLY, header + "".join(vertices) + "".join(quads))
-
-
-def _quads(filled: Bools) -> Floats:
-    """Return the corners (4 f, 2) of rectangles that cover the squares, one per run of a row."""
-    edges = np.diff(np.pad(filled, ((0, 0), (1, 1))).astype(np.int8), axis=1)
-    row, begin = np.nonzero(edges == 1)
-    end = np.nonzero(edges == -1)[1]
-    corners = [(row, begin), (row + 1, begin), (row + 1, end), (row, end)]
-    quads = np.stack([np.column_stack(corner) for corner in corners], axis=1)
-    return np.asarray(quads.reshape(-1, 2), dtype=np.float64)
+    faces = [
+        f"{size} {' '.join(str(k) for k in range(end - size, end))}\n"
+        for size, end in zip(sizes, np.cumsum(sizes).tolist(), strict=True)
+    ]
+    atomic_write(folder / MAP_PLY, header + "".join(vertices) + "".join(faces))

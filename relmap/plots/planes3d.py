@@ -68,7 +68,8 @@ def plot_planes3d(table: Plane3dTable, poses: Floats, stamps_s: Floats, weak: In
     draw_limits(above, (low[:2], high[:2]))
     finish(above, "from above", "x [m]", "y [m]")
     legend_below(figure, 2, above)
-    space.set_title(f"{len(rows)} planes, {len(way)} scans", fontsize=10)
+    # The layout does not know how high the box is.
+    space.set_title(f"{len(rows)} planes, {len(way)} scans", fontsize=10, y=1.0)
     return figure
 
 
