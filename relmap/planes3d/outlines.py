@@ -263,7 +263,7 @@ def _field(surface: Raster, edges: list[Edge]) -> Floats:
     """Return the field of a surface, whose outline is straight along the edges."""
     from scipy.ndimage import gaussian_filter
 
-    middle = np.moveaxis(np.indices(surface.filled.shape), 0, -1) + 0.5
+    middle = np.asarray(np.moveaxis(np.indices(surface.filled.shape), 0, -1) + 0.5, float)
     placed = [edge.place(middle) for edge in edges]
     filled = surface.filled.copy()
     for off, beyond in placed:
