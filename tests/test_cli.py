@@ -113,8 +113,12 @@ def test_summary(world: Path, result: Path) -> None:
         "first_100_median_ms",
         "last_100_median_ms",
         "refine_ms",
+        "mapping_s",
+        "finish_s",
+        "refine_s",
     ]
     assert all(value > 0 for value in summary["timing"].values())
+    assert summary["timing"]["mapping_s"] >= 60e-3 * summary["timing"]["median_ms"] / 2
 
 
 def test_ply_holds_the_mapped_landmarks(result: Path) -> None:
