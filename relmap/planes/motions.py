@@ -28,11 +28,11 @@ def distinct(
     by more are distinct. Returns (k,): rows of the motions.
     """
     kept: list[int] = []
-    for k in order.tolist():
-        if all(others(motions[kept], motions[k], apart_m, apart_rad)):
-            kept.append(k)
-        if len(kept) == most:
-            break
+    while len(order) and len(kept) < most:
+        kept.append(int(order[0]))
+        turn, x, y = (motions[kept[-1]] - motions[order]).T
+        far = (np.hypot(x, y) > apart_m) | (np.abs(wrapped(turn)) > apart_rad)
+        order = order[far]
     return np.array(kept, dtype=np.int64)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -79,14 +80,14 @@ class Judged:
             np.concatenate([self.surprise, more.surprise]),
         )
 
-    @property
+    @cached_property
     def evidence(self) -> Floats:
         """Log odds that each motion is right, (k,)."""
         evidence = NONE + MATCHED * self.match + MATCHES * self._many - self.surprise
         evidence += AGREEING * self.agree + CONTRADICTING * self.contradict
         return np.where((self.agree >= AGREES) & (self._many > 0), evidence, -np.inf)
 
-    @property
+    @cached_property
     def of_pair(self) -> Floats:
         """Evidence of two scans alone for each motion, (k,): log odds, without `MEASURED`."""
         against = np.log(self.contradict + HARDLY)
@@ -94,7 +95,7 @@ class Judged:
         known = (self.agree >= PAIR_AGREES) & (self._many > 0)
         return np.where(known, PAIR @ np.array(features), -np.inf)
 
-    @property
+    @cached_property
     def _many(self) -> Floats:
         return np.minimum([match.score for match in self.matches], MANY) / MANY
 

@@ -63,9 +63,19 @@ def usual_motion(motions: Floats, measured: Bools | None = None) -> Floats:
     are enough: where none is measured, the robot is assumed to go on as before.
     """
     last = _middle(motions)
-    if measured is not None and measured.sum() >= STEADY:
-        last[1:] = _middle(motions[measured])[1:]
+    if measured is not None:
+        known = _last_measured(motions, measured)
+        last[1:] = _middle(known)[1:] if len(known) == STEADY else last[1:]
     return last
+
+
+def _last_measured(motions: Floats, measured: Bools) -> Floats:
+    """Return the last `STEADY` measured motions (k, 3), fewer if there are not as many."""
+    begin = max(len(measured) - VARYING, 0)
+    rows = begin + np.flatnonzero(measured[begin:])
+    if len(rows) < STEADY:
+        rows = np.flatnonzero(measured)
+    return np.asarray(motions[rows[-STEADY:]])
 
 
 def _middle(motions: Floats) -> Floats:

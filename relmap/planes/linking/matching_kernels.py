@@ -58,7 +58,10 @@ def carried(tracks: Tracks, motion: Floats) -> Tracks:
 @helper
 def half_turn(angle: float) -> float:
     """Return an angle wrapped to half a turn around 0."""
-    return (angle + math.pi) % (2 * math.pi) - math.pi
+    turned = angle + math.pi
+    if 0 <= turned < 2 * math.pi:  # the remainder is slow
+        return turned - math.pi
+    return turned % (2 * math.pi) - math.pi
 
 
 @helper
@@ -237,16 +240,39 @@ def correction(tracks: Tracks, seen: Seen, track_of: Ints, held: float, least_m:
 def settled(
     tracks: Tracks,
     seen: Seen,
+    guesses: Floats,
+    roughly: float,
+    rounds: int,
+    held: float,
+    least_m: float,
+) -> tuple[Floats, Ints, Floats]:
+    """Fit motions (k, 3) to the walls that match, alternating with matching.
+
+    Returns the motions, the track of each of m walls (k, m), -1 for none, and the total scores.
+    """
+    found, scores = np.empty((len(guesses), 3)), np.empty(len(guesses))
+    every = np.empty((len(guesses), len(seen[1])), dtype=np.int64)
+    for k in range(len(guesses)):
+        motion, track_of, scores[k] = _settled(
+            tracks, seen, guesses[k], roughly, rounds, held, least_m
+        )
+        for i in range(3):
+            found[k, i] = motion[i]
+        for j in range(len(track_of)):
+            every[k, j] = track_of[j]
+    return found, every, scores
+
+
+@helper
+def _settled(
+    tracks: Tracks,
+    seen: Seen,
     guess: Floats,
     roughly: float,
     rounds: int,
     held: float,
     least_m: float,
 ) -> tuple[Floats, Ints, float]:
-    """Fit a motion to the walls that match, alternating with matching.
-
-    Returns the motion, the track of each wall (-1: none), and the total score.
-    """
     motion, widened = guess, roughly
     for _ in range(rounds):
         there = carried(tracks, motion)

@@ -7,6 +7,7 @@ alone split csail into 91 submaps instead of 58, and fhw into 42 instead of 35.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -113,10 +114,22 @@ def settled(
     tracks: PlaneTracks, seen: PlaneObservation, guess: Floats, rounds: int = ROUNDS
 ) -> tuple[Floats, Match]:
     """Fit a motion (3,) to the walls that match, and match again."""
+    motions, matches = settled_each(tracks, seen, [guess], rounds)
+    return motions[0], matches[0]
+
+
+def settled_each(
+    tracks: PlaneTracks, seen: PlaneObservation, guesses: Sequence[Floats] | Floats, rounds: int
+) -> tuple[Floats, list[Match]]:
+    """Fit each of some motions (3,) to the walls that match, and match again; (k, 3)."""
     from relmap.planes.linking import matching_kernels
 
-    motion, track_of, score = matching_kernels.settled(
-        tracks.arrays, seen.arrays, guess, ROUGHLY, rounds, HELD, LEAST_M
+    starts = np.array(guesses).reshape(-1, 3)
+    motions, track_of, scores = matching_kernels.settled(
+        tracks.arrays, seen.arrays, starts, ROUGHLY, rounds, HELD, LEAST_M
     )
-    walls = np.flatnonzero(track_of >= 0)
-    return motion, Match(track_of[walls], walls, score)
+    matches = list[Match]()
+    for own, score in zip(track_of, scores.tolist(), strict=True):
+        walls = np.flatnonzero(own >= 0)
+        matches.append(Match(own[walls], walls, score))
+    return motions, matches

@@ -90,10 +90,12 @@ class PlaneRegistration(Registration):
         If no link to earlier scans is accepted, a submap begins.
         """
         walls, goes_on = np.full(len(seen), -1), self.links.goes_on
-        motion, tracks, found = self.links.usual, self._tracks, None  # constant motion
+        tracks, found = self._tracks, None
         if tracks is not None and len(seen):
             found = self.links.into(tracks, seen)
-            motion, goes_on = (found.motion, goes_on) if found else (motion, False)
+            goes_on = goes_on and found is not None
+        motion = found.motion if found else self.links.usual  # constant motion
+        if tracks is not None and len(seen):
             tracks = _followed(tracks, seen, found, walls) if found else None
         elif tracks is not None:
             tracks = tracks.carried(motion)

@@ -6,13 +6,14 @@ A motion is fitted to the walls that match, slid along the longest of them, and 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 
 from relmap.core.arrays import Floats
 from relmap.planes.linking.judging import Judged, View
 from relmap.planes.linking.links import spread
-from relmap.planes.linking.placement import ROUNDS, Match, settled, worth
+from relmap.planes.linking.placement import ROUNDS, Match, settled_each, worth
 from relmap.planes.linking.tracks import PlaneTracks
 from relmap.planes.motions import after, wrapped
 from relmap.planes.odometry.prediction import Expected
@@ -74,7 +75,8 @@ class ScanComparison:
         self._expected, self._firm = expected, firm
         kept, own = ~(tracks.loose & firm), ~(seen.loose & firm)
         self._rows, self._walls = np.flatnonzero(kept), np.flatnonzero(own)
-        self._tracks, self._seen = tracks.kept(kept), seen.only(own)
+        self._tracks = tracks if len(self._rows) == len(tracks) else tracks.kept(kept)
+        self._seen = seen if len(self._walls) == len(seen) else seen.only(own)
 
     @property
     def _is_empty(self) -> bool:
@@ -96,20 +98,24 @@ class ScanComparison:
     def _judged(self, guesses: Sequence[Floats] | Floats, rounds: int = ROUNDS) -> Judged:
         """Fit motions to the walls that match in some rounds, and compare the beams."""
         tracks, seen = self._tracks, self._seen
-        found = [settled(tracks, seen, guess, rounds) for guess in guesses]
-        motions = np.array([motion for motion, _ in found]).reshape(-1, 3)
+        motions, matches = settled_each(tracks, seen, guesses, rounds)
         step = 1 + len(self._beams) // JUDGES
         sums = np.array([self._counts(view, motions, NEAR_M, step) for view in self._views])
-        possible = max(min(worth(tracks, seen, np.ones(len(tracks), dtype=np.bool_))), 1.0)
         total = sums.sum(axis=2)
         return Judged(
             motions,
-            [match for _, match in found],
+            matches,
             (sums[..., 0] / np.maximum(total, 1.0)).max(axis=0),
             sums[..., 1].sum(axis=0) / np.maximum(total.sum(axis=0), 1.0),
-            np.array([match.score / possible for _, match in found]),
+            np.array([match.score / self._possible for match in matches]),
             self._surprise(motions),
         )
+
+    @cached_property
+    def _possible(self) -> float:
+        """The maximum score of the walls, at least 1."""
+        every = np.ones(len(self._tracks), dtype=np.bool_)
+        return max(min(worth(self._tracks, self._seen, every)), 1.0)
 
     def _slid(self, judged: Judged, k: int) -> Judged:
         """Return a motion slid along the longest wall to the best agreement of beams."""

@@ -73,7 +73,8 @@ class Search(ScanComparison):
         best = int(np.argmax(every.evidence))
         is_usual = not others(every.motions[[best]], self._before)[0]
         clear = is_usual and every.agree[best] > CLEARLY and every.contradict[best] < HARDLY
-        if not clear or not self._measured(every, best):
+        clear = clear and self._measured(every, best)
+        if not clear:
             every = every.and_those(self._judged(self._guesses()))
             for k in np.argsort(-every.evidence, kind="stable")[:SLID]:
                 every = every.and_those(self._slid(every, k))
@@ -86,7 +87,8 @@ class Search(ScanComparison):
         likely = every.evidence > every.evidence[best] - RIVAL
         rivals = likely & others(every.motions, motion)
         one = self._corrected(every, best)
-        measured = self._measured(one, 0)
+        stays = clear and np.array_equal(one.motions[0], motion)
+        measured = stays or self._measured(one, 0)
         if not measured:
             rivals &= np.hypot(*(every.motions[:, 1:] - motion[1:]).T) > FREE_REACH_M
         if rivals.any():

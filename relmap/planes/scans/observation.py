@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from types import SimpleNamespace
 from typing import Any
 
@@ -79,17 +80,17 @@ class PlaneObservation:
         """Return the number of walls."""
         return len(self.ends)
 
-    @property
+    @cached_property
     def static(self) -> Bools:
         """Whether an end is given as an end of the wall itself; (m, 2)."""
         return np.asarray(self.kind % LOOSE == CORNER)
 
-    @property
+    @cached_property
     def loose(self) -> Bools:
         """Which walls (m,) are on small free-standing objects, such as people."""
         return np.asarray((self.kind >= LOOSE).any(axis=1))
 
-    @property
+    @cached_property
     def arrays(self) -> Any:
         """The walls in the form used by the compiled matching."""
         return self.ends, self.along, self.normal, self.size, self.sd, self.static
