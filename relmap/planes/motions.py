@@ -45,6 +45,14 @@ def after(first: Floats, second: Floats) -> Floats:
     return both
 
 
+def then(first: Floats, second: Floats) -> Floats:
+    """Return the composition of two motions (3,)."""
+    yaw, x, y = first.tolist()
+    turn, ahead, aside = second.tolist()
+    c, s = float(np.cos(turn)), float(np.sin(turn))
+    return np.array([yaw + turn, c * x - s * y + ahead, s * x + c * y + aside])
+
+
 def motion_over(motions: Floats) -> Floats:
     """Return the composition of motions (k, 3), in order, as one (3,)."""
     cosines, sines = np.cos(motions[:, 0]).tolist(), np.sin(motions[:, 0]).tolist()

@@ -7,7 +7,7 @@ import numpy as np
 from relmap.core.arrays import Bools, Floats
 from relmap.planes.linking.tying import Scans
 from relmap.planes.motions import motion_over
-from relmap.planes.scans.beams import Beams
+from relmap.planes.scans.beams import BeamStore
 
 LINKS = 200
 """Approximate number of links that are examined."""
@@ -36,16 +36,19 @@ def share_at_rest(scans: Scans, is_tied: Bools, most: int = LINKS) -> float:
         between = slice(later - apart + 1, later + 1)
         if is_tied[between].all():
             motion = motion_over(scans.motions[between])
-            seen = _seen_again(scans.beams_of(later - apart), scans.beams_of(later), motion)
+            seen = _seen_again(scans.beams, later - apart, later, motion)
             there, gone = there + seen[0], gone + seen[1]
     return there / (there + gone + UNKNOWN)
 
 
-def _seen_again(earlier: Beams, later: Beams, motion: Floats) -> tuple[int, int]:
+def _seen_again(beams: BeamStore, earlier: int, later: int, motion: Floats) -> tuple[int, int]:
     """Return how many points on loose objects of one scan are there, and gone, in a later one."""
     from relmap.planes.scans.loose_kernels import seen_again
 
-    if not len(later):
+    points, _, loose = beams.given(earlier).by_bearing
+    given = beams.given(later)
+    if not loose.any() or not len(given.points):
         return 0, 0
-    seen = later.points, later.bearings, later.origin
-    return seen_again(earlier.points[earlier.loose], seen, motion, NEAR_M, BEHIND_M)
+    found, bearings, _ = given.by_bearing
+    seen = found, bearings, given.origin
+    return seen_again(points[loose], seen, motion, NEAR_M, BEHIND_M)

@@ -17,7 +17,7 @@ import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.planes.linking.judging import Candidates
-from relmap.planes.motions import after, others
+from relmap.planes.motions import others, then
 from relmap.planes.odometry.prediction import Expected
 
 MOST = 40
@@ -152,7 +152,7 @@ def _two_back(last: Layer, found: Candidates, looked_at: Bools, judge: Judge) ->
     for u, motion in enumerate(unique):
         own = rows[which.ravel() == u]
         for k in np.flatnonzero(looked_at[own].any(axis=0)).tolist():
-            evidence, contradict, stays = judge(after(motion, found.motions[k][None])[0])
+            evidence, contradict, stays = judge(then(motion, found.motions[k]))
             weight[own, k] = BEFORE * np.clip(evidence, LOWEST, HIGHEST)
             if not stays or not np.isfinite(evidence):
                 weight[own, k] = ASTRAY + AGAINST * (np.log(contradict + HARDLY) - np.log(HARDLY))

@@ -26,7 +26,7 @@ from relmap.planes.linking.links import (
 from relmap.planes.linking.placement import STILL, place, settled, worth
 from relmap.planes.linking.search import Search
 from relmap.planes.linking.tracks import PlaneTracks
-from relmap.planes.motions import after, others
+from relmap.planes.motions import others, then
 from relmap.planes.odometry.prediction import OTHERWISE, Expected
 from relmap.planes.scans.beams import Beams
 from relmap.planes.scans.observation import PlaneObservation
@@ -140,7 +140,7 @@ class ScanLinks(LinkRecord):
         usual = (known[(len(known) - 1) // 2] + known[len(known) // 2]) / 2
         if found.evidence > max(SURE, USUALLY * usual) or len(views) < 2:
             return True
-        expected = after(views[1].motion, found.motion[None])[0]
+        expected = then(views[1].motion, found.motion)
         tracks = self._scans.tracks_of(len(self._motions) - 2)
         view = [View(views[1].beams, STILL)]
         again = Search(tracks, seen, beams, view, expected, firm=firm).found()
@@ -168,5 +168,5 @@ class ScanLinks(LinkRecord):
             beams = self.beams.of(i, ends[self.store.rows(i)])
             if len(beams):
                 found.append(View(beams, motion))
-            motion = after(motions[i], motion[None])[0]
+            motion = then(motions[i], motion)
         return found

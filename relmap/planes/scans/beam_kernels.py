@@ -184,15 +184,28 @@ def compared(
 
 
 @compiled
-def agreement(earlier: Fan, later: Fan, motions: Floats, near_m: float, firm: bool) -> Floats:
-    """Return the agreement of each point of both scans, of n and m points: (k, n + m).
+def differences(
+    earlier: Fan, later: Fan, motions: Floats, near_m: float, firm: bool, least: float
+) -> Floats:
+    """Return by how much each point of both scans agrees better with motions than with the first.
 
-    0.5 to 1 if it agrees, -1 if it contradicts, 0 if undecided, NaN if out of view or loose.
+    Of 1 + k motions, and n and m points: (k, n + m). A point contributes 0.5 to 1 if it agrees, -1
+    if it contradicts, 0 if undecided. Differences below `least`, and of points that are out of view
+    by one of both motions or loose, are 0.
     """
     n, sums = len(earlier[0]), np.zeros(4)
-    values = np.nan * np.ones((len(motions), n + len(later[0])))
+    size = n + len(later[0])
+    first, values, off = np.empty(size), np.empty(size), np.zeros((len(motions) - 1, size))
     for k in range(len(motions)):
-        motion, back, own = motions[k], _inverse(motions[k]), values[k]
+        own = values if k > 0 else first
+        for i in range(size):
+            own[i] = np.nan
+        motion, back = motions[k], _inverse(motions[k])
         _compare(later, earlier, motion, near_m, 1, firm, sums, own[:n])
         _compare(earlier, later, back, near_m, 1, firm, sums, own[n:])
-    return values
+        if k > 0:
+            for i in range(size):
+                difference = values[i] - first[i]
+                if abs(difference) >= least:  # not if NaN
+                    off[k - 1, i] = difference
+    return off

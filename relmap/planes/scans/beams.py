@@ -151,7 +151,7 @@ class BeamStore:
         self._offsets.extend(np.zeros(1, dtype=np.int64))
         self._origins: GrowingArray[np.float64] = GrowingArray(np.float64, (2,))
         self._in_order: GrowingArray[np.bool_] = GrowingArray(np.bool_)
-        self._recent: dict[int, tuple[Floats, Beams]] = {}  # by scan, with the ends of its walls
+        self._recent: dict[int, tuple[bytes, Beams]] = {}  # by scan, with the ends of its walls
 
     def append(self, given: GivenBeams) -> None:
         """Add the beams of a scan."""
@@ -181,12 +181,15 @@ class BeamStore:
         None if they are not ordered, as for a cloud.
         """
         known = self._recent.get(scan)
-        if known is not None and np.array_equal(known[0], ends):
+        if known is not None and known[0] == ends.tobytes():
             return known[1]
+        return self._remembered(scan, self.given(scan), ends)
+
+    def given(self, scan: int) -> GivenBeams:
+        """Return the beams of a laser scan as given; none if they are not ordered."""
         begin, end = self._offsets.values[scan : scan + 2].tolist()
         end = end if self._in_order.values[scan] else begin
-        given = GivenBeams(self._points.values[begin:end], self._origins.values[scan], True)
-        return self._remembered(scan, given, ends)
+        return GivenBeams(self._points.values[begin:end], self._origins.values[scan], True)
 
     def of_next(self, given: GivenBeams, ends: Floats) -> Beams:
         """Return the beams of the laser scan that is added next, given the ends of its walls."""
@@ -194,7 +197,7 @@ class BeamStore:
 
     def _remembered(self, scan: int, given: GivenBeams, ends: Floats) -> Beams:
         found = Beams.of(given, ends)
-        self._recent[scan] = ends, found
+        self._recent[scan] = ends.tobytes(), found
         if len(self._recent) > RECENT:
             del self._recent[next(iter(self._recent))]
         return found
@@ -245,9 +248,7 @@ def leads(
     from relmap.planes.scans import beam_kernels
 
     both = np.vstack([motion[None], motions])
-    values = beam_kernels.agreement(earlier.arrays, later.arrays, both, near_m, firm)
-    off = np.nan_to_num(values[1:] - values[0])
-    off[np.abs(off) < SAME] = 0.0
+    off = beam_kernels.differences(earlier.arrays, later.arrays, both, near_m, firm, SAME)
     return off.sum(axis=1), np.sqrt((off**2).sum(axis=1))
 
 
