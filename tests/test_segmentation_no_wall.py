@@ -8,7 +8,7 @@ import pytest
 from relmap import PlaneSegmenter
 from relmap.core.arrays import Floats
 from relmap.segmentation.planes import Planes
-from relmap.segmentation.scanline.lines import scan_walls
+from relmap.segmentation.scanline.lines import LaserScan, scan_walls
 from tests.test_planes_closing import refined_error_m
 
 NOISE_M = 0.01
@@ -30,7 +30,7 @@ def test_clutter_hardly_parts_a_wall(seed: int) -> None:
     met = rng.uniform(size=len(ranges)) < 0.2
     met[:6] = met[-6:] = False
     ranges = np.where(met, rng.uniform(0.1, 0.95, len(ranges)) * ranges, ranges)
-    mixture, labels = scan_walls(ranges[:, None] * RAY, None)
+    mixture, labels = scan_walls(LaserScan(ranges[:, None] * RAY), None)
     assert len(mixture.walls) <= 4
     assert (labels[~met] >= 0).mean() > 0.95
     assert (labels[met] < 0).mean() > 0.95

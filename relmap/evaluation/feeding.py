@@ -187,7 +187,8 @@ def segment_scan(
     found = segmenter.fit(points_sensor).planes_
     ends = found.ends @ R.T + t
     front = ends[:, 0, 0] * ends[:, 1, 1] > ends[:, 0, 1] * ends[:, 1, 0]
-    seen = SimpleNamespace(ends=ends[front], origin=t)
-    for name in ("end_type", "noise", "n_points", "z_extent"):
-        setattr(seen, name, getattr(found, name)[front])
-    return seen
+    names = ("end_type", "noise", "n_points", "z_extent")
+    columns = {name: getattr(found, name) for name in names} | {"ends": ends}
+    if not front.all():
+        columns = {name: values[front] for name, values in columns.items()}
+    return SimpleNamespace(**columns, origin=t)

@@ -63,7 +63,8 @@ def make_planes(
     size = np.hypot(along[:, 0], along[:, 1])
     normal = np.column_stack([-along[:, 1], along[:, 0]]) / size[:, None]
     middle, at = ends.mean(axis=1), labels[own]
-    across = ((points[own, :2] - middle[at]) * normal[at]).sum(axis=1)
+    off, direction = points[own, :2] - middle[at], normal[at]
+    across = off[:, 0] * direction[:, 0] + off[:, 1] * direction[:, 1]
     n_points = np.bincount(at, minlength=m)
     squares = np.bincount(at, weights=across**2, minlength=m)
     z_extent = np.zeros((m, 2))

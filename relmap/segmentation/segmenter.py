@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any, Self
 
 import numpy as np
@@ -167,7 +166,7 @@ class PlaneSegmenter:
             self._unordered += method == "scanlines" and not is_ordered(xy)
             if self._unordered == CHECKED:
                 raise RelmapError(UNORDERED)
-        if len(xy) < 2 or not np.ptp(xy, axis=0).any():
+        if len(xy) < 2 or not (xy[1:] != xy[0]).any():
             sharp = meet(_no_walls(self.noise), max(len(xy), 1))
             labels = np.full(len(xy), -1)
         else:
@@ -201,13 +200,16 @@ class PlaneSegmenter:
         from relmap.segmentation.scanline import lines
 
         if method == "scanlines":
-            once = np.append(True, (np.diff(xy, axis=0) != 0).any(axis=1))
+            once = np.append(True, (xy[1:] != xy[:-1]).any(axis=1))
             every, xy = np.cumsum(once) - 1, xy[once]
-            mixture, labels = lines.scan_walls(xy, self.noise)
-            sharp = meet(lines.extend_to_beams(mixture, xy, labels), len(xy))
-            curved = lines.on_curves(mixture, xy, labels)
-            hidden = lines.hidden_ends(xy, labels) | curved
-            return replace(sharp, joined=sharp.joined & ~curved, hidden=hidden), labels[every]
+            scan = lines.LaserScan(xy)
+            mixture, labels = lines.scan_walls(scan, self.noise)
+            bounds = lines.first_and_last(labels)
+            sharp = meet(lines.extend_to_beams(mixture, scan, bounds), len(xy))
+            curved = lines.on_curves(mixture, xy, labels, bounds)
+            hidden = lines.hidden_ends(scan, bounds) | curved
+            joined = sharp.joined & ~curved
+            return Sharpened(sharp.mixture, sharp.spread, joined, hidden), labels[every]
         rng = np.random.default_rng(self.random_state)
         if method == "em":
             mixture = search.fit_walls(xy, self.noise, rng)
@@ -254,9 +256,8 @@ def planes_of(
     walls = sharp.mixture.walls
     ends = walls[:, None, :2] + walls[:, BEGIN : END + 1, None] * walls[:, None, UX : UY + 1]
     count = np.bincount(labels[labels >= 0], minlength=len(ends))
-    long = (ends[:, 0] != ends[:, 1]).any(
-        axis=1
-    )  # far from the origin, rounding may cancel a whole length
+    # Far from the origin, rounding may cancel a whole length.
+    long = (ends[:, 0] != ends[:, 1]).any(axis=1)
     kept = np.flatnonzero((count > 0) & long)
     number = np.full(len(ends) + 1, -1)
     number[kept] = np.arange(len(kept))
@@ -264,7 +265,7 @@ def planes_of(
     spread, joined = sharp.spread[kept], sharp.joined[kept]
     turned = ends[:, 0, 0] * ends[:, 1, 1] < ends[:, 0, 1] * ends[:, 1, 0]
     hidden = None if sharp.hidden is None else sharp.hidden[kept]
-    for pair in (ends, spread, joined, hidden):
+    for pair in (ends, spread, joined, hidden) if turned.any() else ():
         if pair is not None:
             pair[turned] = pair[turned][:, ::-1]
     limits = sensor_limits(ends, spread, joined, view_rad, range_m)
@@ -302,9 +303,8 @@ def _as_points(points: ArrayLike) -> Floats:
         raise RelmapError(f"points are not numbers: {error}") from error
     if xyz.ndim != 2 or xyz.shape[1] not in (2, 3):
         raise RelmapError(f"points have shape {xyz.shape}; it must be (n, 2) or (n, 3)")
-    bad = ~(np.abs(xyz) <= FARTHEST_M).all(axis=1)
-    if bad.any():
-        row = int(bad.argmax())
+    if not np.abs(xyz).max(initial=0.0) <= FARTHEST_M:
+        row = int(np.argmin((np.abs(xyz) <= FARTHEST_M).all(axis=1)))
         raise RelmapError(
             f"point {row} is {xyz[row].tolist()}; coordinates must be finite, and metres up to "
             f"{FARTHEST_M:g}"

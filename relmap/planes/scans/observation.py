@@ -141,10 +141,8 @@ def checked_planes(planes: Any, beams: Any = None) -> PlaneObservation:
 
 def _coded(end_type: NDArray[np.str_]) -> NDArray[np.int8]:
     """Return the kinds of ends given by name; any other is an end of the visible part."""
-    kind = np.full(end_type.shape, CUT, dtype=np.int8)
-    for name, code in CODES.items():
-        kind[end_type == name] = code
-    return kind
+    codes = [CODES.get(name, CUT) for name in end_type.ravel().tolist()]
+    return np.array(codes, dtype=np.int8).reshape(end_type.shape)
 
 
 def checked_ends(ends: Any) -> Floats:

@@ -108,7 +108,8 @@ def wall_cost(n: int) -> float:
 
 def scan_area(xy: Floats, sigma: float) -> float:
     """Return the area (square metres) of the box about points (n, 2), blurred by the noise."""
-    return float(np.prod(np.ptp(xy, axis=0) + 6 * sigma + 1e-3))
+    width_m, height_m = (xy.max(axis=0) - xy.min(axis=0) + 6 * sigma + 1e-3).tolist()
+    return float(width_m * height_m)
 
 
 def maximise(

@@ -83,16 +83,17 @@ def meet(mixture: WallMixture, n: int) -> Sharpened:
     loose = np.hypot(blur, CONTESTED * mixture.sigma)
     moved, accuracy = walls.copy(), blur.copy()
     joined = np.zeros(blur.shape, dtype=np.bool_)
+    reach, every = GATE * np.hypot(spread, loose.max(axis=1)), np.arange(len(t))
+    reached = (walls[:, BEGIN] - reach < t.T) & (walls[:, END] + reach > t.T) & (sine > LEAST_SINE)
+    farthest = np.maximum(WANDER * mixture.sigma, 0.5 * length[:, 0])
     for side, end in enumerate((BEGIN, END)) if len(walls) > 1 else ():
         gate = GATE * np.hypot(spread, loose[:, side, None])
-        usable = (sine > LEAST_SINE) & (spread < WORTH * blur[:, side, None])
-        reach = GATE * np.hypot(spread, loose.max(axis=1)[None, :])
-        usable &= (walls[:, BEGIN] - reach < t.T) & (walls[:, END] + reach > t.T)
-        miss = np.where(usable, np.abs(t - walls[:, end, None]) / gate, 2.0)
+        usable = reached & (spread < WORTH * blur[:, side, None])
+        far = np.abs(t - walls[:, end, None])
+        miss = np.where(usable, far / gate, 2.0)
         nearest = miss.argmin(axis=1)
-        far = np.abs(t[np.arange(len(t)), nearest] - walls[:, end])
-        near = far < np.maximum(WANDER * mixture.sigma, 0.5 * length[:, 0])
-        rows = np.flatnonzero((miss.min(axis=1) < 1) & near)
+        near = far[every, nearest] < farthest
+        rows = ((miss[every, nearest] < 1) & near).nonzero()[0]
         moved[rows, end] = t[rows, nearest[rows]]
         accuracy[rows, side] = spread[rows, nearest[rows]]
         joined[rows, side] = True
@@ -127,5 +128,6 @@ def crossings(walls: Floats) -> tuple[Floats, Floats]:
     ux, uy = walls[:, UX], walls[:, UY]
     cross = ux[:, None] * uy - uy[:, None] * ux
     dx, dy = walls[:, PX] - walls[:, PX, None], walls[:, PY] - walls[:, PY, None]
-    sine = np.maximum(np.abs(cross), 1e-12)
-    return (dx * uy - dy * ux) / np.where(np.abs(cross) < 1e-12, 1e-12, cross), sine
+    size = np.abs(cross)
+    along = (dx * uy - dy * ux) / np.where(size < 1e-12, 1e-12, cross)
+    return along, np.maximum(size, 1e-12)

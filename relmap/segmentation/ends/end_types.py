@@ -14,6 +14,8 @@ SURE = 2.5
 """Distance from a limit, in standard deviations, within which an end is cut by it."""
 SLACK_RAD = 0.003
 SLACK_M = 0.01
+SIDES, NAMES = np.array([-1.0, 1.0]), np.array(END_TYPES)
+"""Signs of the bearings of right and left ends, and the types by number."""
 ALL_ROUND_RAD = np.deg2rad(170.0)
 """Bearing to a side above which the view has no edge."""
 
@@ -72,13 +74,13 @@ def type_ends(
     far = np.hypot(ends[..., 0], ends[..., 1])
     along = ends[:, 1] - ends[:, 0]
     along /= np.hypot(along[:, 0], along[:, 1])[:, None]
-    radial = np.abs((ends * along[:, None]).sum(axis=2)) / np.maximum(far, 1e-9)
-    turn = SURE * spread * np.sqrt(np.clip(1 - radial**2, 0.05, 1)) / np.maximum(far, 1e-9)
-    turn += SLACK_RAD
+    range_m = np.maximum(far, 1e-9)
+    radial = np.abs(ends[..., 0] * along[:, :1] + ends[..., 1] * along[:, 1:]) / range_m
+    tangent = np.minimum(np.maximum(1 - radial**2, 0.05), 1)
+    turn = SURE * spread * np.sqrt(tangent) / range_m + SLACK_RAD
     bearing = bearings(ends)
-    side = np.array([-1.0, 1.0])
     cut_by = {
-        "view": side * bearing > limits.half_view_rad - turn,
+        "view": SIDES * bearing > limits.half_view_rad - turn,
         "range": far > limits.range_m - SURE * spread * np.maximum(radial, 0.1) - SLACK_M,
         "occluded": _hidden(bearing, far, turn, spread) & ~joined,
     }
@@ -91,7 +93,7 @@ def type_ends(
         "view",
     ):  # written in reverse, so that the first type in order wins
         kind[cut_by[reason]] = END_TYPES.index(reason)
-    return np.array(END_TYPES)[kind]
+    return NAMES[kind]
 
 
 def _hidden(bearing: Floats, far: Floats, turn: Floats, spread: Floats) -> Bools:

@@ -8,6 +8,8 @@ joined again where it does.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -34,6 +36,31 @@ NOISE_AT_LEAST_M = 0.005
 """Minimum deviation of real walls from flatness."""
 
 
+@dataclass(frozen=True, eq=False)
+class LaserScan:
+    """The points of a 2-D laser scan and what several steps need to know of them.
+
+    `xy` (n, 2), robot frame, metres: in the order of their beams, right to left or left to right.
+    """
+
+    xy: Floats
+
+    @cached_property
+    def bearing(self) -> Floats:
+        """The bearings (n,) of the points, radians, without jumps."""
+        return _bearings(self.xy)
+
+    @cached_property
+    def step_rad(self) -> float:
+        """The angle from one beam to the next, positive to the left."""
+        return _beam_step(self.bearing)
+
+    @cached_property
+    def noise_m(self) -> float:
+        """The noise; see `beam_noise`."""
+        return beam_noise(self.xy)
+
+
 def beam_noise(xy: Floats) -> float:
     """Return the noise (metres) from the distance of each point from the chord of its neighbours.
 
@@ -47,15 +74,15 @@ def beam_noise(xy: Floats) -> float:
     return max(middle / (MEDIAN * math.sqrt(1.5)), FLOOR_M)
 
 
-def scan_walls(xy: Floats, noise: float | None) -> tuple[WallMixture, Ints]:
-    """Return the walls of points (n, 2) in the order of their beams, and the wall of each.
+def scan_walls(scan: LaserScan, noise: float | None) -> tuple[WallMixture, Ints]:
+    """Return the walls of a scan of n points, and the wall of each point (n,), -1 for none.
 
-    `xy` (n, 2), robot frame, metres: right to left or left to right. `noise`: metres; None:
-    estimated.
+    `noise`: metres; None: estimated.
     """
     from relmap.segmentation.scanline.beam_kernels import line_pieces, piece_walls
 
-    sigma = beam_noise(xy) if noise is None else max(noise, FLOOR_M)
+    xy = scan.xy
+    sigma = scan.noise_m if noise is None else max(noise, FLOOR_M)
     solid = _beyond_clutter(xy, max(sigma, NOISE_AT_LEAST_M))
     own = np.ascontiguousarray(xy[solid])
     if noise is None and len(own) < len(xy):
@@ -65,10 +92,10 @@ def scan_walls(xy: Floats, noise: float | None) -> tuple[WallMixture, Ints]:
     kept = walls[:, END] - walls[:, BEGIN] > NOISE_AT_LEAST_M
     walls, pieces = walls[kept], pieces[kept]
     labels = np.full(len(xy), -1)
-    for k, (first, last) in enumerate(pieces):
+    for k, (first, last) in enumerate(pieces.tolist()):
         labels[solid[first:last]] = k
-    beam = abs(_beam_step(_bearings(xy)))
-    return WallMixture(walls, sigma, 0.0, scan_area(xy, sigma), beam=beam), labels
+    area, beam = scan_area(xy, sigma), abs(scan.step_rad)
+    return WallMixture(walls, sigma, 0.0, area, beam=beam), labels
 
 
 def _beyond_clutter(xy: Floats, sigma: float) -> Ints:
@@ -80,82 +107,87 @@ def _beyond_clutter(xy: Floats, sigma: float) -> Ints:
 
     speck = specks(np.ascontiguousarray(xy), sigma)
     alone = speck[1:-1] & ~speck[:-2] & ~speck[2:]
-    return np.flatnonzero(~speck | (alone.sum() < MANY * len(xy)))
+    return (~speck | (np.count_nonzero(alone) < MANY * len(xy))).nonzero()[0]
 
 
 def _bearings(xy: Floats) -> Floats:
     """Return the bearings (n,) of points, radians, without jumps."""
     bearing = np.arctan2(xy[:, 1], xy[:, 0])
-    turns = np.cumsum(np.rint(np.diff(bearing) / (2 * np.pi)))
-    bearing[1:] -= 2 * np.pi * turns
+    jumps = np.rint((bearing[1:] - bearing[:-1]) / (2 * np.pi))
+    if jumps.any():
+        bearing[1:] -= 2 * np.pi * np.cumsum(jumps)
     return np.asarray(bearing)
 
 
 def _beam_step(bearing: Floats) -> float:
     """Return the angle (radians) from one beam to the next, positive to the left."""
-    step = np.sort(np.diff(bearing))
+    step = np.sort(bearing[1:] - bearing[:-1])
     return float(step[(len(step) - 1) // 2] + step[len(step) // 2]) / 2 if len(step) else 0.0
 
 
-def _first_and_last(labels: Ints) -> tuple[Ints, Ints]:
+def first_and_last(labels: Ints) -> tuple[Ints, Ints]:
     """Return the first and the last point of each wall; labels (n,) ascend, except -1."""
-    rows = np.flatnonzero(labels >= 0)
+    rows = (labels >= 0).nonzero()[0]
     bounds = np.arange(int(labels.max(initial=-1)) + 2)
     begin = np.searchsorted(labels[rows], bounds)
     return rows[begin[:-1]], rows[begin[1:] - 1]
 
 
-def extend_to_beams(mixture: WallMixture, xy: Floats, labels: Ints) -> WallMixture:
+def extend_to_beams(
+    mixture: WallMixture, scan: LaserScan, bounds: tuple[Ints, Ints]
+) -> WallMixture:
     """Return walls extended by half a beam at each end, except at the ends of the scan.
 
-    An end is uniform between its last beam and the next one, which hits something else.
+    An end is uniform between its last beam and the next one, which hits something else. `bounds`:
+    see `first_and_last`.
     """
     if len(mixture.walls) == 0:
         return mixture
-    bearing, walls = _bearings(xy), mixture.walls.copy()
-    step = 0.5 * _beam_step(bearing)
-    for end, rows, side in zip((BEGIN, END), _first_and_last(labels), (-1, 1), strict=True):
-        met = _where_met(walls, bearing[rows] + side * step, walls[:, end])
-        inside = (rows > 0) & (rows < len(xy) - 1)
+    walls, step = mixture.walls.copy(), 0.5 * scan.step_rad
+    for end, rows, side in zip((BEGIN, END), bounds, (-1, 1), strict=True):
+        met = _where_met(walls, scan.bearing[rows] + side * step, walls[:, end])
+        inside = (rows > 0) & (rows < len(scan.xy) - 1)
         walls[:, end] = np.where(inside, met, walls[:, end])
     return mixture.with_walls(walls)
 
 
-def hidden_ends(xy: Floats, labels: Ints) -> Bools:
+def hidden_ends(scan: LaserScan, bounds: tuple[Ints, Ints]) -> Bools:
     """Return which ends (k, 2) of walls have something nearer right next to them.
 
     A few beams suffice: a wall at a grazing angle may be undetected but still hides others.
     """
     from relmap.segmentation.scanline.beam_kernels import range_breaks
 
-    broken = range_breaks(xy, max(beam_noise(xy), NOISE_AT_LEAST_M))
+    xy, (first, last) = scan.xy, bounds
+    broken = range_breaks(xy, max(scan.noise_m, NOISE_AT_LEAST_M))
     radius = np.hypot(xy[:, 0], xy[:, 1])
-    first, last = _first_and_last(labels)
     right, left = np.maximum(first - 1, 0), np.minimum(last + 1, len(xy) - 1)
     hidden = [
         (broken[right] > 0) & (radius[right] < radius[first]) & (first > 0),
         (broken[last] > 0) & (radius[left] < radius[last]),
     ]
-    return np.column_stack(hidden)
+    return np.array(hidden).T
 
 
-def on_curves(mixture: WallMixture, xy: Floats, labels: Ints) -> Bools:
+def on_curves(mixture: WallMixture, xy: Floats, labels: Ints, bounds: tuple[Ints, Ints]) -> Bools:
     """Return which ends (k, 2) of walls are not corners because the surface continues as a curve.
 
     Where a curve is cut into straight pieces depends on the point of view.
     """
-    along, swing = mixture.walls[:, UX : UY + 1], _swings(mixture, xy, labels)
-    x, y = (along[:-1] * along[1:]).sum(axis=1), along[:-1, 0] * along[1:, 1]
-    turn = np.arctan2(y - along[:-1, 1] * along[1:, 0], x)
-    first, last = _first_and_last(labels)
+    (ux, uy), swing = mixture.walls[:, UX : UY + 1].T, _swings(mixture, xy, labels)
+    x, y = ux[:-1] * ux[1:] + uy[:-1] * uy[1:], ux[:-1] * uy[1:]
+    turn = np.arctan2(y - uy[:-1] * ux[1:], x)
+    first, last = bounds
     goes_on = (first[1:] - last[:-1] <= NEXT) & (swing[:-1] * turn > 0) & (swing[1:] * turn > 0)
     goes_on &= np.abs(turn - swing[:-1] - swing[1:]) < EXPLAINED * np.abs(turn)
-    return np.column_stack([np.append(False, goes_on), np.append(goes_on, False)])
+    curved = np.zeros((len(swing), 2), dtype=np.bool_)
+    curved[1:, 0] = curved[:-1, 1] = goes_on
+    return curved
 
 
 def _swings(mixture: WallMixture, xy: Floats, labels: Ints) -> Floats:
     """Return the turn of each wall (k,) from its middle to its end, radians; 0 if uncertain."""
-    walls, own = mixture.walls, np.flatnonzero(labels >= 0)
+    walls, own = mixture.walls, (labels >= 0).nonzero()[0]
     of, n = labels[own], len(walls)
     x, y = (xy[own] - walls[of, :2]).T
     place = x * walls[of, UX] + y * walls[of, UY]
@@ -167,8 +199,10 @@ def _swings(mixture: WallMixture, xy: Floats, labels: Ints) -> Floats:
     count = np.bincount(of, minlength=n)
     place -= (total(place) / count)[of]
     # Difference between a parabola and its line, and the part of it in the residuals.
-    slope, level = total(place**3) / total(place**2), total(place**2) / count
-    bend = place**2 - slope[of] * place - level[of]
+    squares = place**2
+    total_squares = total(squares)
+    slope, level = total(place**3) / total_squares, total_squares / count
+    bend = squares - slope[of] * place - level[of]
     weight = np.maximum(total(bend**2), 1e-12)
     bow, sd = total(off * bend) / weight, max(mixture.sigma, NOISE_AT_LEAST_M) / np.sqrt(weight)
     sure = (np.abs(bow) > BOWED * sd) & (count > 3)
