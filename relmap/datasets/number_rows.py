@@ -44,7 +44,9 @@ def finite_numbers(cells: Iterable[str]) -> list[float]:
         numbers = [*map(float, cells)]
     except ValueError:
         return []
-    return numbers if all(map(math.isfinite, numbers)) else []
+    # A sum of finite numbers is finite, unless it overflows.
+    finite = math.isfinite(sum(numbers)) or all(map(math.isfinite, numbers))
+    return numbers if finite else []
 
 
 def _is_plain(text: str) -> bool:

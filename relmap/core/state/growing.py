@@ -57,9 +57,18 @@ class GrowingArray(Generic[Scalar]):
 
     def extend(self, rows: NDArray[Any]) -> None:
         """Append rows (k, *width)."""
-        self._make_room(len(rows))
-        self._rows[self._end : self._end + len(rows)] = rows
-        self._end += len(rows)
+        n = len(rows)
+        if self._end + n > len(self._rows):
+            self._make_room(n)
+        self._rows[self._end : self._end + n] = rows
+        self._end += n
+
+    def append(self, row: Any) -> None:
+        """Append one row."""
+        if self._end == len(self._rows):
+            self._make_room(1)
+        self._rows[self._end] = row
+        self._end += 1
 
     def drop(self, n: int) -> None:
         """Drop the first `n` rows."""
@@ -69,19 +78,18 @@ class GrowingArray(Generic[Scalar]):
         """Grow to `n` rows, the new ones filled with `fill`."""
         more = n - len(self)
         if more > 0:
-            self._make_room(more)
+            if self._end + more > len(self._rows):
+                self._make_room(more)
             self._rows[self._end : self._end + more] = fill
             self._end += more
 
     def _make_room(self, more: int) -> None:
-        end = self._end + more
-        if end > len(self._rows):
-            # Space is reclaimed at the front first, where rows were dropped.
-            n = len(self)
-            size = len(self._rows)
-            if n + more > size // 2:
-                larger = max(2 * size, min(FEW * size, self._expected))
-                size = max(n + more, larger)
-            room = np.empty((size, *self._rows.shape[1:]), self._rows.dtype)
-            room[:n] = self.values
-            self._rows, self._begin, self._end = room, 0, n
+        # Space is reclaimed at the front first, where rows were dropped.
+        n = len(self)
+        size = len(self._rows)
+        if n + more > size // 2:
+            larger = max(2 * size, min(FEW * size, self._expected))
+            size = max(n + more, larger)
+        room = np.empty((size, *self._rows.shape[1:]), self._rows.dtype)
+        room[:n] = self.values
+        self._rows, self._begin, self._end = room, 0, n

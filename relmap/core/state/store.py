@@ -117,7 +117,7 @@ class ObservationStore:
                     room = MANY if self._keeps else FEW
                     self._columns[name] = GrowingArray(values.dtype, values.shape[1:], room)
                 self._columns[name].extend(values)
-        self._offsets.extend(self._offsets.values[-1:] + len(landmark))
+        self._offsets.append(self._offsets.values[-1] + len(landmark))
 
     def forget(self, before: int) -> None:
         """Forget the iterations before one; their rows are dropped or kept."""

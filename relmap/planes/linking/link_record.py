@@ -126,12 +126,12 @@ class LinkRecord:
 
         Without a match (`found`), the source is odometry if the submap `goes_on`.
         """
-        self._evidence.extend(np.array([found.evidence if found else np.nan]))
-        self._measured.extend(np.array([found is not None and found.measured]))
-        self._bridged.extend(np.array([found.bridged if found else goes_on]))
+        self._evidence.append(found.evidence if found else np.nan)
+        self._measured.append(found is not None and found.measured)
+        self._bridged.append(found.bridged if found else goes_on)
         self.beams.append(seen.beams)
-        self._motions.extend(motion[None])
-        self._submaps.extend(np.array([self.submap if is_tied else -1]))
+        self._motions.append(motion)
+        self._submaps.append(self.submap if is_tied else -1)
 
     def leave_to_odometry(self, scans: Ints) -> bool:
         """Leave links into scans (t,) to odometry where it agrees; return whether any changed.

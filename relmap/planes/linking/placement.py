@@ -74,7 +74,8 @@ def place(
     """
     from relmap.planes.linking.matching_kernels import guesses
 
-    best, still = (settled(tracks, seen, guess) for guess in (before, STILL))
+    motions, matches = settled_each(tracks, seen, [before, STILL], ROUNDS)
+    best, still = zip(motions, matches, strict=True)
     if still[1].score > best[1].score + HALTED:
         best = still
     recent = tracks.missed == tracks.missed.min(initial=0)

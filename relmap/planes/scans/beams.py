@@ -156,9 +156,9 @@ class BeamStore:
     def append(self, given: GivenBeams) -> None:
         """Add the beams of a scan."""
         self._points.extend(given.points)
-        self._offsets.extend(np.array([len(self._points)]))
-        self._origins.extend(given.origin[None])
-        self._in_order.extend(np.array([given.in_order]))
+        self._offsets.append(len(self._points))
+        self._origins.append(given.origin)
+        self._in_order.append(given.in_order)
 
     def __len__(self) -> int:
         """Return the number of points."""

@@ -63,30 +63,39 @@ def free_standing(
     `gap` of the range of the nearer one.  On one side, another such object may be in front instead.
     """
     found = np.zeros(len(points), dtype=np.bool_)
-    seen, limits = (points, bearings, origin), (size_m, gap_m, gap)
-    _mark_free(seen, limits, found.copy(), found)
-    _mark_free(seen, limits, found.copy(), found)
+    seen, starts = (points, bearings, origin), _starts(points, origin, gap_m, gap)
+    _mark_free(seen, starts, size_m, found.copy(), found)
+    _mark_free(seen, starts, size_m, found.copy(), found)
     return found
+
+
+@helper
+def _starts(points: Floats, origin: Floats, gap_m: float, gap: float) -> Bools:
+    """Return which points (n,) are on another object than the one before."""
+    starts, before_m = np.zeros(len(points), dtype=np.bool_), 0.0
+    for k in range(len(points)):
+        range_m = math.hypot(points[k, 0] - origin[0], points[k, 1] - origin[1])
+        if k > 0:
+            apart = math.hypot(points[k, 0] - points[k - 1, 0], points[k, 1] - points[k - 1, 1])
+            starts[k] = not apart <= gap_m + gap * min(before_m, range_m)
+        before_m = range_m
+    return starts
 
 
 @helper
 def _mark_free(
     seen: tuple[Floats, Floats, Floats],
-    limits: tuple[float, float, float],
+    starts: Bools,
+    size_m: float,
     known: Bools,
     found: Bools,
 ) -> None:
     """Mark the points on small objects with something behind them, or a known one on one side."""
-    points, _, origin = seen
-    size_m, gap_m, gap = limits
+    points = seen[0]
     n, first = len(points), 0
     for k in range(1, n + 1):
-        if k < n:
-            apart = math.hypot(points[k, 0] - points[k - 1, 0], points[k, 1] - points[k - 1, 1])
-            before_m = math.hypot(points[k - 1, 0] - origin[0], points[k - 1, 1] - origin[1])
-            range_m = math.hypot(points[k, 0] - origin[0], points[k, 1] - origin[1])
-            if apart <= gap_m + gap * min(before_m, range_m):
-                continue
+        if k < n and not starts[k]:
+            continue
         right, left = _is_behind(seen, first, first - 1), _is_behind(seen, k - 1, k)
         free = (
             (right and left)

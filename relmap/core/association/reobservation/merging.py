@@ -204,11 +204,20 @@ class Merger:
         of, near = self._index.near(positions[landmarks])
         new = landmarks[of]
         close = np.linalg.norm(positions[near] - positions[new], axis=1) <= self._index.cell_m
+        close &= self._may_be_earlier(near, new)
         found: dict[int, list[int]] = {}
         for one, old in zip(new[close].tolist(), near[close].tolist(), strict=True):
             if self._may_be(one, old):
                 found.setdefault(one, []).append(old)
         self._old_near.update((one, sorted(old)) for one, old in found.items())
+
+    def _may_be_earlier(self, old: Ints, new: Ints) -> Bools:
+        """Return which landmarks (k,) are of the same submap as others, and were last seen earlier.
+
+        Of the conditions of `_may_be` those that can be tested for many pairs at once.
+        """
+        submap, last = self._table.submap, self._table.last
+        return np.asarray((submap[old] == submap[new]) & (last[old] <= last[new]))
 
     def _may_be(self, new: int, old: int) -> bool:
         """Return whether a landmark may be an older one: same submap, and never seen with it."""
