@@ -63,10 +63,10 @@ def motion_over(motions: Floats) -> Floats:
 
 
 def inverse(motion: Floats) -> Floats:
-    """Return the inverse of a motion (3,)."""
-    c, s = np.cos(motion[0]), np.sin(motion[0])
-    x, y = motion[1:]
-    return np.array([-motion[0], -c * x - s * y, s * x - c * y])
+    """Return the inverse of a motion (3,), or of each of some (k, 3)."""
+    turn, x, y = motion.T
+    c, s = np.cos(turn), np.sin(turn)
+    return np.array([-turn, -c * x - s * y, s * x - c * y]).T
 
 
 def matrices(motions: Floats) -> Floats:

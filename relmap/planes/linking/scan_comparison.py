@@ -69,14 +69,18 @@ class ScanComparison:
         expected: Expected | None = None,
         firm: bool = True,
     ) -> None:
-        self._beams, self._views = beams, views[:VERIFYING]
-        self._nearby = [v for v in views[1:] if np.hypot(*v.motion[1:]) <= NEARBY_M]
+        self._beams, self._views, self._last = beams, views[:VERIFYING], views
         self._before = expected.motion if expected else before
         self._expected, self._firm = expected, firm
         kept, own = ~(tracks.loose & firm), ~(seen.loose & firm)
         self._rows, self._walls = np.flatnonzero(kept), np.flatnonzero(own)
         self._tracks = tracks if len(self._rows) == len(tracks) else tracks.kept(kept)
         self._seen = seen if len(self._walls) == len(seen) else seen.only(own)
+
+    @cached_property
+    def _nearby(self) -> list[View]:
+        """The earlier scans by which a motion along a wall is corrected."""
+        return [v for v in self._last[1:] if np.hypot(*v.motion[1:]) <= NEARBY_M]
 
     @property
     def _is_empty(self) -> bool:

@@ -59,13 +59,15 @@ def _refined(
     grouped: GroupedMap, merged: WallNumbers, moving: Bools, beams: BeamStore
 ) -> tuple[list[WallSubmap], WallNumbers]:
     """Return the submaps and the association; `merged` is that of the grouped map."""
-    numbers, submaps = grouped.at_rest(grouped.unmerged), grouped.submaps(merged, moving)
-    for k, submap in enumerate(grouped.submaps(numbers, moving)):
+    numbers, submaps = grouped.at_rest(grouped.unmerged), list[WallSubmap]()
+    for submap in grouped.submaps(numbers, moving):
         found, own = refined_map(grouped.history, numbers, submap, moving, beams)
         if found.refined:
-            submaps[k], numbers = found, own
+            submaps.append(found)
+            numbers = own
         else:
-            submaps[k] = replace(submaps[k], torn=found.torn)
+            chained = grouped.submap(submap.span, merged, moving)
+            submaps.append(replace(chained, torn=found.torn))
             numbers = grouped.with_those_of(submap.span, numbers, merged)
     return submaps, numbers
 

@@ -83,14 +83,16 @@ class GroupedMap:
 
         Scan-to-scan motions bridge between groups; a submap without any group maps nothing.
         """
-        history, paths, found = self.history, self._paths, list[WallSubmap]()
-        for span in history.spans:
-            poses, assembled = chained_poses(paths, span, history), None
-            if any(np.isfinite(path[slice(*span), 0, 0]).any() for path in paths):
-                there = among_all(poses, span, history)
-                assembled = assemble(history, numbers, there, moving)
-            found.append(WallSubmap.of(span, poses, assembled))
-        return found
+        return [self.submap(span, numbers, moving) for span in self.history.spans]
+
+    def submap(self, span: tuple[int, int], numbers: WallNumbers, moving: Bools) -> WallSubmap:
+        """Return one of the submaps, by its span."""
+        history, paths = self.history, self._paths
+        poses, assembled = chained_poses(paths, span, history), None
+        if any(np.isfinite(path[slice(*span), 0, 0]).any() for path in paths):
+            there = among_all(poses, span, history)
+            assembled = assemble(history, numbers, there, moving)
+        return WallSubmap.of(span, poses, assembled)
 
     @cached_property
     def _paths(self) -> list[Floats]:

@@ -193,12 +193,23 @@ def _missed_m(iteration: Ints, ends: Floats, spacing_rad: float) -> Floats:
     along = ends[:, 1] - ends[:, 0]
     off_m = np.abs(ends[:, 0, 0] * along[:, 1] - ends[:, 0, 1] * along[:, 0]) / np.hypot(*along.T)
     apart_m = spacing_rad * (ends**2).sum(axis=2) / np.maximum(off_m, 1e-9)[:, None]
-    each = np.column_stack([np.repeat(iteration, 2), ends.reshape(-1, 2)])
-    order = np.lexsort(each.T)
-    same = np.concatenate([[False], (np.diff(each[order], axis=0) == 0).all(axis=1), [False]])
-    meet = np.zeros(len(each), dtype=np.bool_)
-    meet[order] = same[1:] | same[:-1]
-    return np.where(meet.reshape(-1, 2), 0.0, np.minimum(MISSED * apart_m, MISSED_M))
+    meet = _meeting(np.repeat(iteration, 2), *ends.reshape(-1, 2).T).reshape(-1, 2)
+    return np.where(meet, 0.0, np.minimum(MISSED * apart_m, MISSED_M))
+
+
+def _meeting(iteration: Ints, x: Floats, y: Floats) -> Bools:
+    """Return which ends (n,) are also those of another wall of the same scan."""
+    order = np.argsort(x)
+    same = np.zeros(len(x) + 1, dtype=np.bool_)
+    same[1:-1] = x[order][1:] == x[order][:-1]
+    rows = order[same[1:] | same[:-1]]  # the others differ in x
+    rows = rows[np.lexsort((iteration[rows], x[rows], y[rows]))]
+    same = np.zeros(len(rows) + 1, dtype=np.bool_)
+    one, other = rows[1:], rows[:-1]
+    same[1:-1] = (iteration[one] == iteration[other]) & (x[one] == x[other]) & (y[one] == y[other])
+    meet = np.zeros(len(x), dtype=np.bool_)
+    meet[rows[same[1:] | same[:-1]]] = True
+    return meet
 
 
 def _corners(corner: Ints, corner_of: Ints) -> tuple[Ints, Ints, Ints, Ints]:

@@ -103,9 +103,9 @@ class PlaneHistory:
         if self.odometry:
             known &= ~self.odometry.needed[after]
         pairs = np.flatnonzero(known & (self.submap[before] == self.submap[after]))
-        steps = np.array([inverse(motion) for motion in self.motion[after[pairs]]])
+        steps = inverse(self.motion[after[pairs]])
         sd = np.where(sure[pairs, None], (LINK_RAD, LINK_M), (WEAK_RAD, WEAK_M))
-        return MotionFactors(np.column_stack([pairs, pairs + 1]), steps.reshape(-1, 3), sd)
+        return MotionFactors(np.column_stack([pairs, pairs + 1]), steps, sd)
 
     @cached_property
     def _shared(self) -> tuple[Floats, Bools]:
