@@ -102,9 +102,9 @@ class PlaneRegistration(Registration):
             tracks.missed += 1
         if tracks is None and len(seen) and not goes_on:
             self.links.begin_submap()
-        new = walls < 0
-        walls[new] = self.n_planes + np.arange(new.sum())
-        self.n_planes += int(new.sum())
+        new, n_new = walls < 0, int(np.count_nonzero(walls < 0))
+        walls[new] = self.n_planes + np.arange(n_new)
+        self.n_planes += n_new
         self._type.resize(self.n_planes, UNTYPED)
         self._since.resize(self.n_planes, len(self.links))
         self._test_ends()
@@ -152,29 +152,32 @@ class PlaneRegistration(Registration):
         row_of = {plane: row for row, plane in enumerate(tracks.plane.tolist())}
         types = self._type.values[walls]
         untyped = seen.kind % LOOSE == UNKNOWN
-        wall, end = np.nonzero(np.where(untyped, types == STATIC, seen.static))
+        wall, end = np.where(untyped, types == STATIC, seen.static).nonzero()
         row = np.array([row_of[plane] for plane in walls[wall].tolist()], dtype=np.int64)
-        at = seen.ends[wall, end]
-        off = np.abs(((at - tracks.corner_at[row, end]) * seen.along[wall]).sum(axis=1))
+        at, before = seen.ends[wall, end], tracks.corner_at[row, end]
+        off = (at - before) * seen.along[wall]
         # The standard deviation of an end along its wall is about three times that across it.
-        fresh = ~(off <= STRAYED_M + SIGMAS * (3 * seen.sd[wall]))
-        strayed = untyped[wall, end] & fresh & (tracks.corner[row, end] >= 0)
+        fresh = ~(np.abs(off[:, 0] + off[:, 1]) <= STRAYED_M + SIGMAS * (3 * seen.sd[wall]))
+        corners = tracks.corner[row, end]
+        strayed = untyped[wall, end] & fresh & (corners >= 0)
         if strayed.any():  # the static corners are out of view: a new interval begins
             tracks.corner[row[strayed], end[strayed]] = NO_CORNER
             self._ask_again(walls[wall[strayed]], end[strayed])
-            wall, end, row, at, fresh = (v[~strayed] for v in (wall, end, row, at, fresh))
-        corners = tracks.corner[row, end]
-        corners[fresh] = len(self._half) + np.arange(fresh.sum())
-        self._half.extend(seen.size[wall[fresh]] / 2)
-        self._submap_of.extend(np.full(fresh.sum(), self.links.submap))
-        self._wall_end.extend(2 * walls[wall[fresh]] + end[fresh])
+            columns = (wall, end, row, at, before, fresh, corners)
+            wall, end, row, at, before, fresh, corners = (v[~strayed] for v in columns)
+        if fresh.any():
+            new = fresh.nonzero()[0]
+            corners[new] = len(self._half) + np.arange(len(new))
+            self._half.extend(seen.size[wall[new]] / 2)
+            self._submap_of.extend(np.full(len(new), self.links.submap))
+            self._wall_end.extend(2 * walls[wall[new]] + end[new])
+            before[new] = at[new]
         times = np.where(fresh, 1, tracks.corner_seen[row, end] + 1)
         share = (1 / np.minimum(times, MEMORY))[:, None]
-        before = np.where(fresh[:, None], at, tracks.corner_at[row, end])
         tracks.corner_at[row, end] = before + share * (at - before)
         tracks.corner_seen[row, end] = times
         tracks.corner[row, end] = corners
-        for k in np.flatnonzero(fresh & untyped[wall, end]).tolist():
+        for k in (fresh & untyped[wall, end]).nonzero()[0].tolist():
             self._name(walls[wall[k]], end[k], corners[k])
         self.corner, self.landmark = np.full((2, len(seen), 2), NO_CORNER)
         self.corner[wall, end] = corners

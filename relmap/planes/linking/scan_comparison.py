@@ -5,7 +5,7 @@ A motion is fitted to the walls that match, slid along the longest of them, and 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -54,9 +54,9 @@ CONTRADICTED = -5.0
 class ScanComparison:
     """A scan compared with tracks and earlier scans.
 
-    `beams`: beams of the same scan; `views`: earlier scans, the last one first; `before`: usual
-    motion of the robot; `expected`: motion expected from odometry; `firm`: whether to leave out
-    walls and beams on small free-standing objects.
+    `beams`: beams of the same scan; `views`: the last scans, latest first, at most `VERIFYING`;
+    `before`: usual motion of the robot; `expected`: motion expected from odometry; `firm`: whether
+    to leave out walls and beams on small free-standing objects; `more`: the scans before `views`.
     """
 
     def __init__(
@@ -68,19 +68,21 @@ class ScanComparison:
         before: Floats,
         expected: Expected | None = None,
         firm: bool = True,
+        more: Iterable[View] = (),
     ) -> None:
-        self._beams, self._views, self._last = beams, views[:VERIFYING], views
+        self._beams, self._views, self._more = beams, views, more
         self._before = expected.motion if expected else before
         self._expected, self._firm = expected, firm
         kept, own = ~(tracks.loose & firm), ~(seen.loose & firm)
-        self._rows, self._walls = np.flatnonzero(kept), np.flatnonzero(own)
+        self._rows, self._walls = kept.nonzero()[0], own.nonzero()[0]
         self._tracks = tracks if len(self._rows) == len(tracks) else tracks.kept(kept)
         self._seen = seen if len(self._walls) == len(seen) else seen.only(own)
 
     @cached_property
     def _nearby(self) -> list[View]:
         """The earlier scans by which a motion along a wall is corrected."""
-        return [v for v in self._last[1:] if np.hypot(*v.motion[1:]) <= NEARBY_M]
+        last = (*self._views[1:], *self._more)
+        return [v for v in last if np.hypot(*v.motion[1:]) <= NEARBY_M]
 
     @property
     def _is_empty(self) -> bool:
@@ -213,8 +215,10 @@ class ScanComparison:
 
     def _moved(self, motion: Floats, match: Match, way_m: Floats) -> Floats:
         """Return a motion (3,) moved along the longest wall that matches by distances (k,)."""
-        motions = np.tile(motion, (len(way_m), 1))
-        motions[:, 1:] += way_m[:, None] * self._along_longest(match)
+        x, y = self._along_longest(match)
+        motions = np.empty((len(way_m), 3))
+        motions[:, 0] = motion[0]
+        motions[:, 1], motions[:, 2] = motion[1] + way_m * x, motion[2] + way_m * y
         return motions
 
     def _along_longest(self, match: Match) -> Floats:

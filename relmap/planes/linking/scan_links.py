@@ -6,6 +6,9 @@ Walls imply a motion; for a laser it is verified by beams (`search`), otherwise 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from itertools import islice
+
 import numpy as np
 
 from relmap.core.arrays import Floats
@@ -24,6 +27,7 @@ from relmap.planes.linking.links import (
     usual_motion,
 )
 from relmap.planes.linking.placement import STILL, place, settled, worth
+from relmap.planes.linking.scan_comparison import VERIFYING
 from relmap.planes.linking.search import Search
 from relmap.planes.linking.tracks import PlaneTracks
 from relmap.planes.motions import others, then
@@ -96,11 +100,12 @@ class ScanLinks(LinkRecord):
         self, tracks: PlaneTracks, seen: PlaneObservation, expected: Expected | None
     ) -> Found | None:
         """Return the accepted motion into a scan, and the resulting association."""
-        views, usual = self._views(seen), self.usual
+        every, usual = self._views(seen), self.usual
+        views = [*islice(every, VERIFYING)]
         if views:
             beams = self.beams.of_next(seen.beams, seen.ends)
             firm = not self._rests()
-            judged = Search(tracks, seen, beams, views, usual, expected, firm).found()
+            judged = Search(tracks, seen, beams, views, usual, expected, firm, every).found()
             return judged if judged and self._confirmed(judged, seen, beams, views, firm) else None
         found = place(tracks, seen, usual, farthest_m(self._last_links))
         if found is None or not is_supported(tracks, seen, found, usual):
@@ -118,7 +123,7 @@ class ScanLinks(LinkRecord):
         self, tracks: PlaneTracks, seen: PlaneObservation, expected: Expected
     ) -> Found | None:
         """Return the motion by odometry alone; None if observations contradict it."""
-        views = self._views(seen)
+        views = [*islice(self._views(seen), VERIFYING)]
         if views:
             beams = self.beams.of_next(seen.beams, seen.ends)
             return Search(tracks, seen, beams, views, self.usual, expected).bridged(expected)
@@ -155,11 +160,11 @@ class ScanLinks(LinkRecord):
         motions, submaps = self.motions[last], self.submaps[last]
         return np.asarray(motions[1:][(np.diff(submaps) == 0) & (submaps[1:] >= 0)])
 
-    def _views(self, seen: PlaneObservation) -> list[View]:
-        """Return the beams of the last scans of the submap, latest first."""
-        found, motion = list[View](), STILL
+    def _views(self, seen: PlaneObservation) -> Iterator[View]:
+        """Yield the beams of the last scans of the submap, latest first."""
         if not (seen.beams.in_order and len(seen.beams.points)):
-            return found
+            return
+        motion = STILL
         now, motions, ends = len(self._motions), self.motions, self.store.column("location")
         first = max(now - VIEWS, 0, *self._begun.values[-1:].tolist())  # of the same run
         outside = np.flatnonzero(self.submaps[first:] != self.submaps[-1])
@@ -167,6 +172,5 @@ class ScanLinks(LinkRecord):
         for i in reversed(range(first, now)):
             beams = self.beams.of(i, ends[self.store.rows(i)])
             if len(beams):
-                found.append(View(beams, motion))
+                yield View(beams, motion)
             motion = then(motions[i], motion)
-        return found

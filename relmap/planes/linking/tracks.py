@@ -81,7 +81,10 @@ class PlaneTracks(Tracks):
     @property
     def normal(self) -> Floats:
         """Unit vectors (n, 2) towards where the robot was."""
-        return np.column_stack([np.cos(self.angle), np.sin(self.angle)])
+        normal = np.empty((len(self.angle), 2))
+        np.cos(self.angle, out=normal[:, 0])
+        np.sin(self.angle, out=normal[:, 1])
+        return normal
 
     @property
     def arrays(self) -> Any:
@@ -114,12 +117,13 @@ class PlaneTracks(Tracks):
         self.seen[rows] += 1
         share = 1 / np.minimum(self.seen[rows], MEMORY)
         angle = np.arctan2(seen.normal[at, 1], seen.normal[at, 0])
-        middle = seen.ends[at].mean(axis=1)
+        ends = seen.ends[at]
+        middle = (ends[:, 0] + ends[:, 1]) / 2
         across = (self.normal[rows] * middle).sum(axis=1) - self.offset[rows]
         self.angle[rows] += share * wrapped(angle - self.angle[rows])
         # The average is taken at the observed part of the wall, not where its line passes the
         # robot.
         now = (self.normal[rows] * middle).sum(axis=1)
         self.offset[rows] = now - (1 - share) * across
-        self.ends[rows] = seen.ends[at]
+        self.ends[rows] = ends
         self.sd[rows] = seen.sd[at]

@@ -72,8 +72,10 @@ class PlaneObservation:
         across = ends[:, 1] - ends[:, 0]
         size = np.hypot(across[:, 0], across[:, 1])
         along = across / size[:, None]
-        normal = np.column_stack([-along[:, 1], along[:, 0]])
-        offset = (normal * ends.mean(axis=1)).sum(axis=1)
+        normal = np.empty_like(along)
+        normal[:, 0], normal[:, 1] = -along[:, 1], along[:, 0]
+        middle = normal * ((ends[:, 0] + ends[:, 1]) / 2)
+        offset = middle[:, 0] + middle[:, 1]
         return cls(ends, kind, along, normal, offset, size, sd, z_extent)
 
     def __len__(self) -> int:
@@ -127,12 +129,15 @@ def checked_planes(planes: Any, beams: Any = None) -> PlaneObservation:
     given = NO_BEAMS
     if beams is not None:
         given = GivenBeams.checked(beams, getattr(planes, "origin", np.zeros(2)))
-    kept = np.hypot(*(ends[:, 1] - ends[:, 0]).T) > SHORTEST_M
-    kind = _coded(kind.reshape(m, 2)[kept])
-    kind[on_loose_things(ends[kept], given)] += LOOSE
-    seen = PlaneObservation.of(ends[kept], kind, sd[kept], z_extent[kept])
-    if (seen.offset > 0).any():
-        wall = int(np.flatnonzero(kept)[np.argmax(seen.offset > 0)])
+    kept, kind = np.hypot(*(ends[:, 1] - ends[:, 0]).T) > SHORTEST_M, kind.reshape(m, 2)
+    if not kept.all():
+        ends, kind, sd, z_extent = ends[kept], kind[kept], sd[kept], z_extent[kept]
+    kind = _coded(kind)
+    kind[on_loose_things(ends, given)] += LOOSE
+    seen = PlaneObservation.of(ends, kind, sd, z_extent)
+    behind = seen.offset > 0
+    if behind.any():
+        wall = int(np.flatnonzero(kept)[np.argmax(behind)])
         raise RelmapError(
             f"wall {wall} is seen from behind; its ends must go from right to left as seen"
         )
