@@ -20,7 +20,7 @@ from relmap.planes.linking.registration import PlaneRegistration
 from relmap.planes.model import WallModel
 from relmap.planes.places.locating import LocatingMapper
 from relmap.planes.places.submap_ties import MapPart, tied_parts
-from relmap.planes.refinement.refining import refined_submaps
+from relmap.planes.refinement.refining import RefinedWalls, planned_submaps, refined_submaps
 from relmap.planes.scans.beams import GivenBeams
 from relmap.planes.scans.observation import PlaneObservation, checked_planes, journaled, of_journal
 from relmap.planes.submaps.revisits import contradicted_revisits
@@ -240,21 +240,31 @@ class PlaneMapper(LocatingMapper):
                 break
             self._planes.links.cut(torn)
         else:
-            self._refined(known)
+            self._plan(self._refined(known))
 
     def _torn(self, known: list[Floats]) -> Ints:
-        """Refine all submaps; return the scans (t,) into which they are torn."""
-        torn = torn_in(self._refined(known), self.history)
+        """Refine all submaps; return the scans (t,) into which they are torn.
+
+        Torn maps are not kept.
+        """
+        found = self._refined(known)
+        torn = torn_in(found.submaps, self.history)
         if len(torn) and self._planes.links.leave_to_odometry(torn):
-            torn = torn_in(self._refined(known), self.history)
+            found = self._refined(known)
+            torn = torn_in(found.submaps, self.history)
+        if not len(torn):
+            self._plan(found)
         return torn
 
-    def _refined(self, known: list[Floats]) -> list[WallSubmap]:
+    def _refined(self, known: list[Floats]) -> RefinedWalls:
         self._moved = np.empty(0, dtype=np.int64)
         grouped = replace(self._grouped, known=known)
-        found = refined_submaps(grouped, self._moving, self._planes.links)
+        return refined_submaps(grouped, self._moving, self._planes.links)
+
+    def _plan(self, refined: RefinedWalls) -> None:
+        """Make refined submaps with their floor plans the current map."""
+        found = planned_submaps(refined, self._moving, self._planes.links.beams)
         self._refined_walls, self._moved = (found.submaps, found.numbers), found.moved
-        return found.submaps
 
     def _current(self, labels: ArrayLike) -> Ints:
         labels = checked_labels(labels, np.arange(self._planes.n_planes))

@@ -82,8 +82,8 @@ def place(
     possible = min(worth(tracks, seen, recent))
     if best[1].score < CONTENT * possible:
         motions, scores = guesses(tracks.arrays, seen.arrays, ROUGHLY, REACH_M, TURN_RAD, GUESSES)
-        for motion in motions[scores > best[1].score]:
-            found = settled(tracks, seen, motion)
+        likely = motions[scores > best[1].score]
+        for found in zip(*settled_each(tracks, seen, likely, ROUNDS), strict=True):
             doubt = _doubt(found[0], before)
             if not _jumps(*found, farthest_m) and found[1].score > best[1].score + doubt:
                 best = found

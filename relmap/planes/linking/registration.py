@@ -165,13 +165,9 @@ class PlaneRegistration(Registration):
             self._ask_again(walls[wall[strayed]], end[strayed])
             columns = (wall, end, row, at, before, fresh, corners)
             wall, end, row, at, before, fresh, corners = (v[~strayed] for v in columns)
-        if fresh.any():
-            new = fresh.nonzero()[0]
-            corners[new] = len(self._half) + np.arange(len(new))
-            self._half.extend(seen.size[wall[new]] / 2)
-            self._submap_of.extend(np.full(len(new), self.links.submap))
-            self._wall_end.extend(2 * walls[wall[new]] + end[new])
-            before[new] = at[new]
+        new = fresh.nonzero()[0]
+        corners[new] = self._begun(2 * walls[wall[new]] + end[new], seen.size[wall[new]])
+        before[new] = at[new]
         times = np.where(fresh, 1, tracks.corner_seen[row, end] + 1)
         share = (1 / np.minimum(times, MEMORY))[:, None]
         tracks.corner_at[row, end] = before + share * (at - before)
@@ -183,6 +179,15 @@ class PlaneRegistration(Registration):
         self.corner[wall, end] = corners
         best = _best(seen.size[wall], times)
         self.landmark[wall[best], end[best]] = 2 * corners[best]
+
+    def _begun(self, wall_end: Ints, size_m: Floats) -> Ints:
+        """Return the numbers of new corners (k,), given their wall ends and the wall sizes."""
+        n = len(self._half)
+        if len(wall_end):
+            self._half.extend(size_m / 2)
+            self._submap_of.extend(np.full(len(wall_end), self.links.submap))
+            self._wall_end.extend(wall_end)
+        return np.arange(n, len(self._half))
 
     def _test_ends(self) -> None:
         """Determine from the last iterations which ends are static, if no types are given (Fig. 4).

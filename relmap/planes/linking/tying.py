@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property, lru_cache, partial
 from itertools import product
 from typing import NamedTuple
 
@@ -23,8 +24,8 @@ from relmap.planes.linking.search import Search
 from relmap.planes.linking.tracks import PlaneTracks
 from relmap.planes.motions import others
 from relmap.planes.odometry.prediction import OTHERWISE, Expected
-from relmap.planes.scans.beams import Beams, BeamStore
-from relmap.planes.scans.observation import seen_before
+from relmap.planes.scans.beams import RECENT, Beams, BeamStore
+from relmap.planes.scans.observation import PlaneObservation, seen_before
 
 ACCEPTED = 2.5
 """Log odds above which a new motion is accepted."""
@@ -87,16 +88,25 @@ class Scans:
         both = np.intersect1d(self.plane(link.earlier), self.plane(link.later))
         return np.array_equal(np.unique(link.walls), both) and not np.diff(link.walls).any()
 
-    def tracks_of(self, scan: int) -> PlaneTracks:
-        """Return the walls of one scan as tracks that a later scan may continue."""
-        seen = seen_before(self.store, scan)
+    @cached_property
+    def seen(self) -> Callable[[int], PlaneObservation]:
+        """Returns the walls of one scan; the last ones are kept."""
+        return lru_cache(RECENT)(partial(seen_before, self.store))
+
+    @cached_property
+    def tracks_of(self) -> Callable[[int], PlaneTracks]:
+        """Returns the walls of one scan as tracks that a later scan may continue."""
+        return lru_cache(RECENT)(self._tracks_of)
+
+    def _tracks_of(self, scan: int) -> PlaneTracks:
+        seen = self.seen(scan)
         tracks = PlaneTracks.begun(self.plane(scan), seen)
         tracks.corner_at = np.where(seen.static[..., None], seen.ends, np.nan)
         return tracks
 
     def search(self, earlier: int, later: int, before: Floats) -> Search | None:
         """Return the search for the motion of one scan into another; None if one is empty."""
-        tracks, seen = self.tracks_of(earlier), seen_before(self.store, later)
+        tracks, seen = self.tracks_of(earlier), self.seen(later)
         beams = [self.beams_of(scan) for scan in (earlier, later)]
         if not min(len(tracks), len(seen), *map(len, beams)):
             return None

@@ -22,6 +22,14 @@ from relmap.planes.walls.history import PlaneHistory
 
 
 class RefinedWalls(NamedTuple):
+    """Refined submaps, their association, and the history that they were computed from."""
+
+    submaps: list[WallSubmap]
+    numbers: WallNumbers
+    history: PlaneHistory
+
+
+class PlannedWalls(NamedTuple):
     """Submaps, their association, and the plane tracks (k,) that do not fit them."""
 
     submaps: list[WallSubmap]
@@ -35,10 +43,9 @@ def refined_submaps(grouped: GroupedMap, moving: Bools, links: ScanLinks) -> Ref
     The association is computed anew from the refined positions of walls: some merges based on
     drifted positions are wrong. A submap that cannot be refined is kept as chained.
 
-    `moving` (p,): plane tracks ignored because they move; `links`: provides beams, to remove walls
-    that are seen through, and odometry.
+    `moving` (p,): plane tracks ignored because they move; `links`: provides beams and odometry.
     """
-    merged, moved = grouped.at_rest(grouped.numbers), [np.empty(0, dtype=np.int64)]
+    merged = grouped.at_rest(grouped.numbers)
     first = partial(grouped.submaps, merged, moving)
     grouped = with_odometry(grouped, odometry_steps(links, grouped.history, first))
     submaps, numbers = _refined(grouped, merged, moving, links.beams)
@@ -46,13 +53,23 @@ def refined_submaps(grouped: GroupedMap, moving: Bools, links: ScanLinks) -> Ref
     if odometry and odometry.needed.any():  # estimated again, more accurately
         grouped = with_odometry(grouped, odometry_steps(links, grouped.history, lambda: submaps))
         submaps, numbers = _refined(grouped, merged, moving, links.beams)
-    history = grouped.history
-    for k, submap in enumerate(submaps):
-        plan, numbers, gone = floor_plan(submap, numbers, history, links.beams, moving)
-        # Without beams no link was verified, and the chained map is as good as any part of it.
-        submaps[k] = replace(plan, torn=submap.torn[: len(links.beams)])
+    # Without beams no link was verified, and the chained map is as good as any part of it.
+    submaps = [replace(one, torn=one.torn[: len(links.beams)]) for one in submaps]
+    return RefinedWalls(submaps, numbers, grouped.history)
+
+
+def planned_submaps(refined: RefinedWalls, moving: Bools, beams: BeamStore) -> PlannedWalls:
+    """Return refined submaps with the walls of their floor plans.
+
+    `moving` (p,): plane tracks ignored because they move; `beams`: remove walls that are seen
+    through.
+    """
+    submaps, numbers, moved = list[WallSubmap](), refined.numbers, [np.empty(0, dtype=np.int64)]
+    for submap in refined.submaps:
+        plan, numbers, gone = floor_plan(submap, numbers, refined.history, beams, moving)
+        submaps.append(replace(plan, torn=submap.torn))
         moved.append(gone)
-    return RefinedWalls(submaps, numbers, np.concatenate(moved))
+    return PlannedWalls(submaps, numbers, np.concatenate(moved))
 
 
 def _refined(

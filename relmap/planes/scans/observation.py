@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from types import SimpleNamespace
 from typing import Any
@@ -99,8 +99,16 @@ class PlaneObservation:
 
     def only(self, rows: Bools | slice) -> PlaneObservation:
         """Return some of the walls, without beams."""
-        walls = (getattr(self, field.name)[rows] for field in fields(self)[:-1])
-        return PlaneObservation(*walls)
+        return PlaneObservation(
+            self.ends[rows],
+            self.kind[rows],
+            self.along[rows],
+            self.normal[rows],
+            self.offset[rows],
+            self.size[rows],
+            self.sd[rows],
+            self.z_extent[rows],
+        )
 
 
 def seen_before(store: ObservationStore, scan: int) -> PlaneObservation:
