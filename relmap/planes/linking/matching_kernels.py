@@ -122,16 +122,22 @@ def agreement(tracks: Tracks, seen: Seen, widened: float) -> Floats:
 
 @helper
 def _cheapest_path(
-    worth: Floats, start: int, column_of: Ints, price_column: Floats, price_row: Floats
-) -> tuple[int, Ints]:
+    worth: Floats,
+    start: int,
+    column_of: Ints,
+    price_column: Floats,
+    price_row: Floats,
+    work: tuple[Floats, Ints, Bools],
+) -> int:
     """Find the shortest path from a column to a free row, and update the prices (Dijkstra).
 
-    Returns that row, and for each row its predecessor on the path.
+    `work` are a distance, the predecessor on the path, and whether it is known, of each row.
+    Returns the free row.
     """
     n, rows = len(worth), len(price_row)
-    least, before, done = np.empty(rows), unset(rows), np.zeros(rows, dtype=np.bool_)
+    least, before, done = work
     for r in range(rows):
-        least[r] = np.inf
+        least[r], before[r], done[r] = np.inf, -1, False
     column, last = start, -1
     while column >= 0:
         best, row = np.inf, -1
@@ -151,7 +157,7 @@ def _cheapest_path(
             else:
                 least[r] -= best
         done[row], last, column = True, row, column_of[row]
-    return last, before
+    return last
 
 
 @helper
@@ -164,8 +170,10 @@ def assigned(worth: Floats) -> Ints:
     n, m = worth.shape
     rows = max(n, m)
     column_of, price_column, price_row = unset(rows), np.zeros(m), np.zeros(rows)
+    before = unset(rows)
+    work = np.empty(rows), before, np.zeros(rows, dtype=np.bool_)
     for start in range(m):
-        last, before = _cheapest_path(worth, start, column_of, price_column, price_row)
+        last = _cheapest_path(worth, start, column_of, price_column, price_row, work)
         while last >= 0:
             row, last = last, before[last]
             column_of[row] = column_of[last] if last >= 0 else start
