@@ -10,6 +10,8 @@ scans without a pose are left out. Times are processor time.
   wrong steps  consecutive scans of one submap whose relative pose is off by more than 0.3 m or
                10 degrees; disputed: with the poses of the map a tenth more points match those
                of the previous scan than with the poses of the log, which may be wrong
+  unlisted, listed
+               the other wrong steps that are not in `weak_links`, and right ones that are
   found, true, doubled
                shares of the length of walls: of the true ones over 0.5 m that were seen and are
                mapped; of the mapped ones over 0.5 m that are true; and that are mapped twice
@@ -64,7 +66,7 @@ LOST = 0.1
 MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
 COLUMNS = (
     "log | scans | submaps | largest | right | ATE of the largest [m] | worst ATE [m] "
-    "| wrong steps | disputed | relations [m] | [deg] | found | true | doubled "
+    "| wrong steps | disputed | unlisted | listed | relations [m] | [deg] | found | true | doubled "
     "| scan, median [ms] | mean [ms] | refine [s] | all [s]"
 )
 LEFT_OUT = {"real": ("found", "true"), "simulated": ("disputed", "relations [m]", "[deg]")}

@@ -82,9 +82,13 @@ def share_right(scans: Floats, ates_m: Floats, n_scans: int, most_m: float = 0.3
 
 
 def judged(mapper: PlaneMapper, log: ScanLog) -> Floats:
-    """Return scans, ATE [m], wrong steps and disputed ones of each submap, the largest first."""
+    """Return figures of each submap, the largest first.
+
+    Scans, ATE [m], wrong steps and disputed ones; the other wrong ones that are not listed as weak,
+    and right ones that are.
+    """
     assert log.poses is not None
-    rows = []
+    rows, weak = [], mapper.weak_links
     for submap in mapper.submaps:
         truth = log.poses[slice(*submap.span)]
         known = np.isfinite(submap.poses).all(axis=(1, 2)) & np.isfinite(truth).all(axis=(1, 2))
@@ -94,10 +98,16 @@ def judged(mapper: PlaneMapper, log: ScanLog) -> Floats:
             submap.span[0] + np.flatnonzero(known),
         )
         ate_m = ate(poses, truth, planar=True)
-        steps = wrong_steps(poses, truth).tolist()
-        disputed = [_disputed(log, scan[k - 1 : k + 1], poses[k - 1 : k + 1]) for k in steps]
-        rows.append((len(poses), np.inf if ate_m is None else ate_m, len(steps), sum(disputed)))
-    table = np.array(rows).reshape(-1, 4)
+        steps = wrong_steps(poses, truth)
+        disputed = np.array(
+            [_disputed(log, scan[k - 1 : k + 1], poses[k - 1 : k + 1]) for k in steps.tolist()],
+            dtype=np.bool_,
+        )
+        listed = np.isin(scan, weak)
+        counts = len(steps), disputed.sum(), (~listed[steps[~disputed]]).sum()
+        right = listed.sum() - listed[steps].sum()
+        rows.append((len(poses), np.inf if ate_m is None else ate_m, *counts, right))
+    table = np.array(rows).reshape(-1, 6)
     return np.asarray(table[np.argsort(-table[:, 0], kind="stable")])
 
 
@@ -114,12 +124,12 @@ def _disputed(log: ScanLog, scans: Ints, poses: Floats) -> bool:
 def judged_cells(submaps: Floats, n_scans: int) -> list[str]:
     """Return the cells of the errors of submaps."""
     if not len(submaps):
-        return ["0 | 0 | 0.0% | - | - | 0 | 0"]
-    scans, ates_m, wrong, disputed = submaps.T
+        return ["0 | 0 | 0.0% | - | - | 0 | 0 | 0 | 0"]
+    scans, ates_m, *steps = submaps.T
     worst_m = ates_m[scans >= FEWEST].max(initial=0.0)
     return [
         f"{len(scans)} | {scans[0]:.0f}",
         f"{share_right(scans, ates_m, n_scans):.1%}",
         f"{ates_m[0]:.3f} | {worst_m:.3f}",
-        f"{wrong.sum():.0f} | {disputed.sum():.0f}",
+        *(f"{each.sum():.0f}" for each in steps),
     ]

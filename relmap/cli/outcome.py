@@ -99,9 +99,7 @@ def torn(summary: dict[str, Any], farthest_m: float) -> str:
     bridged = odometry["tied_by_it_alone"]["stretches"] if odometry else []
     weak = [k for k in summary["weak_links"] if not any(a <= k <= b for a, b in bridged)]
     if weak:
-        message += (
-            f"; links with unmeasured length, for which constant motion was assumed: {len(weak)}"
-        )
+        message += f"; steps that the scans do not determine, and that may be wrong: {len(weak)}"
     return message + advice(summary, farthest_m)
 
 

@@ -187,20 +187,23 @@ def result_of(
     if not isinstance(method, PlaneMapper):
         return result
     every_s = np.concatenate([np.full(first - offset, np.nan), stamps_s])
+    weak = method.weak_links
     drawn = tuple(
-        _drawn(method, number, every_s[slice(*submap.span)], offset)
+        _drawn(method, number, every_s[slice(*submap.span)], offset, weak)
         for number, submap in enumerate(method.submaps)
         if number == 0 or submap.n_scans >= FEWEST_DRAWN
     )
     return PlaneResult(**vars(result), planes=shifted(method.planes, offset), drawn=drawn)
 
 
-def _drawn(mapper: PlaneMapper, number: int, stamps_s: Floats, offset: int) -> DrawnSubmap:
+def _drawn(
+    mapper: PlaneMapper, number: int, stamps_s: Floats, offset: int, weak_links: Ints
+) -> DrawnSubmap:
     """Return a submap for files and pictures."""
     submap = mapper.submaps[number]
     known = np.flatnonzero(np.isfinite(submap.poses[:, 0, 3]))
     beams = mapper.beams_of(number, POINTS_DRAWN)
-    weak = np.searchsorted(known, np.intersect1d(mapper.weak_links - submap.span[0], known))
+    weak = np.searchsorted(known, np.intersect1d(weak_links - submap.span[0], known))
     return DrawnSubmap(
         offset + submap.span[0] + known,
         stamps_s[known],

@@ -16,6 +16,7 @@ from relmap.planes.refinement.residuals import corner_covariances, refined_walls
 from relmap.planes.scans.beams import PlacedBeams
 from relmap.planes.submaps.grouped_map import GroupedMap
 from relmap.planes.submaps.submap import WallSubmap, among_all
+from relmap.planes.submaps.undetermined import undetermined_steps
 from relmap.planes.walls.assembly import Assembled, WallNumbers
 from relmap.planes.walls.history import PlaneHistory
 from relmap.planes.walls.table import (
@@ -34,6 +35,7 @@ class MappedWalls(Mapper):
     _planes: PlaneRegistration
     _refined_walls: tuple[list[WallSubmap], WallNumbers] | None
     _spread: tuple[Assembled, Floats] | None = None
+    _weak: tuple[tuple[list[WallSubmap], WallNumbers], Ints] | None = None
     _moved: Ints
 
     @property
@@ -155,8 +157,20 @@ class MappedWalls(Mapper):
 
     @property
     def weak_links(self) -> Ints:
-        """Iterations (k,) whose motion since the previous one is not fully determined."""
-        return self.history.weak_links
+        """Iterations (k,) whose motion since the previous one is not fully determined.
+
+        By the beams of a laser: they do not exclude a motion 0.3 m off. With odometry, or without
+        beams, by the walls: the scans share neither two crossing walls nor a corner.
+        """
+        links, history = self._planes.links, self.history
+        if links.wheels.noise_over_all(links.motions, links.measured) is not None:
+            return history.weak_links
+        if self._refined_walls is None:
+            return undetermined_steps(self.submaps, history, links.beams)
+        if self._weak is None or self._weak[0] is not self._refined_walls:
+            weak = undetermined_steps(self.submaps, history, links.beams)
+            self._weak = self._refined_walls, weak
+        return self._weak[1].copy()
 
     @property
     def odometry(self) -> OdometryUse | None:

@@ -96,7 +96,7 @@ def _sections(summary: Mapping[str, Any]) -> Iterator[str]:
         yield '<p class="small">Residuals are relative to what the noise explains.</p></section>'
     if "weak_links" in summary:
         yield '<section id="weak"><h2>Weak links</h2><p class="small">Scans that show too little to'
-        yield " determine the motion since the previous scan; constant motion was assumed.</p>"
+        yield " determine the motion since the previous scan: these steps may be wrong.</p>"
         yield '<p id="links"></p></section>'
 
 

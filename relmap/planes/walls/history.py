@@ -108,15 +108,27 @@ class PlaneHistory:
         return MotionFactors(np.column_stack([pairs, pairs + 1]), steps, sd)
 
     @cached_property
-    def _shared(self) -> tuple[Floats, Bools]:
-        """Spread (i,) of the directions of walls in common with the scan before; common corners."""
-        n = self.n_iterations
+    def _before(self) -> tuple[Ints, Ints]:
+        """Rows of walls that the scan before shows too, and their rows there."""
         n_planes = int(self.plane.max(initial=-1)) + 1
         key = self.iteration * n_planes + self.plane
         order = np.argsort(key, kind="stable")
         before = np.searchsorted(key[order], key - n_planes).clip(max=max(len(key) - 1, 0))
         row = np.flatnonzero((self.iteration > 0) & (key[order][before] == key - n_planes))
-        other, iteration = order[before[row]], self.iteration[row]
+        return row, order[before[row]]
+
+    @property
+    def in_common(self) -> Bools:
+        """Whether each observed wall (n,) was seen in the scan before."""
+        common = np.zeros(len(self.plane), dtype=np.bool_)
+        common[self._before[0]] = True
+        return common
+
+    @cached_property
+    def _shared(self) -> tuple[Floats, Bools]:
+        """Spread (i,) of the directions of walls in common with the scan before; common corners."""
+        n, (row, other) = self.n_iterations, self._before
+        iteration = self.iteration[row]
         corner = self.corner[row]
         both = ((corner >= 0) & (corner == self.corner[other])).any(axis=1)
         along = self.ends[row, 1] - self.ends[row, 0]

@@ -1,0 +1,60 @@
+"""Steps that the scans do not determine are listed."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from relmap.planes import PlaneMapper
+
+FAR = np.array([[6.0, -0.8], [6.8, 0.0], [7.0, 1.0]])
+"""Two walls of a metre that meet at 34 degrees: an arc at the end of the range."""
+NEAR = np.array([[1.0, -3.0], [3.0, -3.0], [3.0, -1.0]])
+"""Two walls that meet at a right angle, nearby."""
+
+
+def along(line: NDArray[np.float64], spacing_m: float) -> NDArray[np.float64]:
+    """Return points along a line (k, 2)."""
+    parts = [
+        a + (b - a) * np.arange(0.0, 1.0, spacing_m / np.linalg.norm(b - a))[:, None]
+        for a, b in pairwise(line)
+    ]
+    return np.concatenate(parts)
+
+
+def mapped(*lines: NDArray[np.float64], with_beams: bool = True) -> PlaneMapper:
+    """Return a map of walls along lines, seen from a robot that advances by 2 cm a scan.
+
+    The noise of the points is 3 cm.
+    """
+    mapper, rng = PlaneMapper(), np.random.default_rng(0)
+    ends = np.concatenate([np.stack([line[:-1], line[1:]], axis=1) for line in lines])
+    kind = [["corner", "corner"]] * len(ends)
+    points = np.concatenate([along(line, 0.1) for line in lines])
+    for x in 0.02 * np.arange(12):
+        seen = SimpleNamespace(ends=ends - [x, 0.0], end_type=kind)
+        beams = points - [x, 0.0] + rng.normal(0.0, 0.03, points.shape)
+        mapper.update(seen, beams=beams if with_beams else None)
+    mapper.finish()
+    assert len(mapper.submaps) == 1
+    return mapper
+
+
+@pytest.mark.parametrize("refine", [False, True])
+def test_an_arc_at_the_end_of_the_range_determines_no_step(refine: bool) -> None:
+    """The robot may turn about it; its corners and crossing walls alone do not show that."""
+    arc, room = mapped(FAR), mapped(FAR, NEAR)
+    if refine:
+        arc.refine()
+        room.refine()
+    assert len(room.weak_links) == 0
+    assert arc.weak_links.tolist() == list(range(1, 12))
+    assert arc.history.weak_links.tolist() == []
+
+
+def test_without_beams_the_walls_decide() -> None:
+    assert len(mapped(FAR, with_beams=False).weak_links) == 0
