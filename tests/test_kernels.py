@@ -12,12 +12,8 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from relmap.core.arrays import Floats
-from relmap.core.association.matching_kernels import (
-    claims,
-    continued,
-    nearest_of_sample,
-    nearest_within,
-)
+from relmap.core.association import matching_kernels, tracking_kernels
+from relmap.core.association.matching_kernels import claims, nearest_within
 from relmap.core.geometry import fitting_kernels, rotation_kernels
 from relmap.core.geometry.alignment import fit_rigid, rotation_of_moment
 from relmap.core.grouping import binning_kernels
@@ -27,6 +23,8 @@ from relmap.core.linalg import small_kernels
 from tests.kernels import callable_here
 from tests.worlds import random_rotation
 
+continued = callable_here(tracking_kernels.continued)
+nearest_of_sample = callable_here(matching_kernels.nearest_of_sample)
 fit_rows = callable_here(fitting_kernels.fit_rows)
 best_rotation = callable_here(rotation_kernels.best_rotation)
 keeps_distance = callable_here(binning_kernels.keeps_distance)

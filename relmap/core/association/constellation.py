@@ -15,10 +15,10 @@ from relmap.core.association.base import UNIDENTIFIED, Numbered
 from relmap.core.association.chance import ENOUGH, Chance
 from relmap.core.association.estimated import EstimatedCovariances
 from relmap.core.association.guiding import OdometryGuide
-from relmap.core.association.metric import rows_of, stretch_of
+from relmap.core.association.metric import stretch_of
 from relmap.core.association.placement import Placement
 from relmap.core.association.registering import BLIND, TrackPlacing
-from relmap.core.association.scale import Scale, spacing_of
+from relmap.core.association.scale import FEW, Scale, spacing_of
 from relmap.core.association.soft import likely_links
 from relmap.core.association.tracks import LiveTracks
 from relmap.core.state.weighed import WeighedObservations
@@ -65,21 +65,16 @@ class Constellation(Numbered):
 
     def match(self, points_robot: Floats, ids: Ints | None) -> Ints:
         """Match points (n, d) to the live tracks; unmatched points are new landmarks."""
-        landmarks = np.full(len(points_robot), UNIDENTIFIED)
-        continued = None
+        landmarks = None
         if len(points_robot) or self._guide.knows:
-            continued = self._continue(points_robot, landmarks)
-        new = self.number_new(landmarks)
-        begun = LiveTracks.begun(landmarks[new], points_robot[new])
-        if continued is None:
-            if len(begun):
+            landmarks = self._continued(points_robot)
+        if landmarks is None:
+            landmarks = np.full(len(points_robot), UNIDENTIFIED)
+            self.number_new(landmarks)
+            if len(landmarks):
                 self._alone.append(self._n_scans)
                 self._n_open += 1
-            self._begin_anew(begun)
-        else:
-            self._tracks, self._stray, self._idle = continued.joined(begun), None, 0
-            self._tracks_since = None
-            self._guide.forget()
+            self._begin_anew(LiveTracks.begun(landmarks.copy(), points_robot))
         self._n_scans += 1
         self._n_empty += not len(points_robot)
         return landmarks
@@ -142,8 +137,8 @@ class Constellation(Numbered):
         waits = self._tracks_since if self._stray is None else None
         return [scan for scan in self._alone if scan != waits]
 
-    def _continue(self, points_robot: Floats, landmarks: Ints) -> LiveTracks | None:
-        """Set the landmark of each point that continues a track; return the predicted tracks."""
+    def _continued(self, points_robot: Floats) -> Ints | None:
+        """Continue the tracks; return the landmarks of the points (n,), None if nothing matches."""
         metric = self._scale.rays.metric(points_robot)
         for tracks, since in ((self._tracks, self._tracks_since), (self._stray, self._stray_since)):
             if tracks is None:
@@ -161,20 +156,26 @@ class Constellation(Numbered):
             elif self._guide.knows and tracks is self._tracks:
                 placement = self._guided(tracks, points_robot)
             if placement is not None:
-                carried = tracks.carried(
-                    placement.apply(tracks.expected), placement.apply(tracks.latest)
-                )
-                rows, found, n_static = self._links(carried, points_robot, metric)
-                landmarks[found] = tracks.landmarks[rows]
-                there, known = points_robot[found], rows[:n_static]
-                own = rows_of(metric, found[:n_static])
-                expected, n_seen = carried.expected[known], carried.seen[known]
-                self._scale.learn(expected, there[:n_static], n_seen, own)
-                carried.see(rows, there, n_static)
                 if since is not None:
                     self._alone.remove(since)
-                return carried.kept(carried.missed <= self._max_missed)
+                return self._followed(tracks.carried(placement), points_robot, metric)
         return None
+
+    def _followed(self, carried: LiveTracks, points: Floats, metric: Floats | None) -> Ints:
+        """Continue predicted tracks by the points near them; return the landmarks of the points."""
+        rows, found, n_static = links = self._links(carried, points, metric)
+        rays, known = self._scale.rays, rows[:n_static]
+        if n_static > FEW and rays.is_due():
+            there = points[found[:n_static]]
+            rays.learn(carried.expected[known], there, carried.seen[known])
+        landmarks, self._tracks, square = carried.followed(
+            points, links, self.n_landmarks, self._max_missed, metric
+        )
+        self._scale.learn(square, n_static, points.shape[1])
+        self.n_landmarks = max(self.n_landmarks, int(landmarks.max(initial=-1)) + 1)
+        self._stray, self._tracks_since, self._idle = None, None, 0
+        self._guide.forget()
+        return landmarks
 
     def _is_unlikely(self, placement: Placement, tracks: LiveTracks) -> bool:
         """Return whether odometry contradicts a placement that may be due to chance."""
@@ -225,18 +226,13 @@ class Constellation(Numbered):
         Returns `rows`, `found` (k,): tracks and the points that continue them. `n_static`: number
         of these that are static, which come first; the others move.
         """
-        from relmap.core.association.matching_kernels import continued, nearest_within
+        from relmap.core.association.tracking_kernels import links
 
         if self._scale.is_blurred:
             variance = self._scale.variances(carried.seen)
             rows, found = likely_links(carried.expected, variance, carried.seen, points, metric)
             return rows, found, len(rows)
         gate_m, stretch = self._scale.gate_m, stretch_of(metric)
-        if metric is None or stretch is None:
-            distance, target = nearest_within(points, carried.expected, gate_m)
-        else:
-            reach_m = gate_m * float(stretch.max())
-            distance, target = nearest_within(points, carried.expected, gate_m, metric, reach_m)
-        counts = carried.missed, carried.seen, carried.restless
+        reach_m = gate_m if stretch is None else gate_m * float(stretch.max())
         reaches = max(CONTINUITY * self._scale.spacing_m, gate_m), gate_m, YOUNG
-        return continued(points, (target, distance), carried.latest, counts, reaches)
+        return links(points, carried.columns, reaches, metric, reach_m)

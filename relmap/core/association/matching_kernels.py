@@ -102,7 +102,7 @@ def nearest_within(
 
 
 @helper
-def _two_nearest(points: Floats, query: Floats) -> tuple[float, float, int]:
+def two_nearest(points: Floats, query: Floats) -> tuple[float, float, int]:
     """Return the squared distances of the two points (n, d) nearest to a query, and the nearest.
 
     For a few queries this is faster than building a grid. Infinite if there are fewer points.
@@ -120,7 +120,7 @@ def _two_nearest(points: Floats, query: Floats) -> tuple[float, float, int]:
     return first, second, index
 
 
-@compiled
+@helper
 def nearest_of_sample(
     points: Floats, expected: Floats, missed: Ints, most: int
 ) -> tuple[Ints, Ints, Floats, float]:
@@ -145,14 +145,14 @@ def nearest_of_sample(
     every = -(-len(crowd) // most)
     neighbour = np.empty(-(-len(crowd) // every))
     for k in range(len(neighbour)):
-        neighbour[k] = np.sqrt(_two_nearest(crowd, crowd[k * every])[1])
+        neighbour[k] = np.sqrt(two_nearest(crowd, crowd[k * every])[1])
     spacing = smallest(neighbour, len(neighbour) // 2)
     every = -(-n_latest // most)
     k = -(-n_latest // every)
     target, distance = np.empty(k, dtype=np.int64), np.empty(k)
     for i in range(k):
         latest[i] = latest[i * every]
-        first, _, target[i] = _two_nearest(points, expected[latest[i]])
+        first, _, target[i] = two_nearest(points, expected[latest[i]])
         distance[i] = np.sqrt(first)
     return latest[:k], target, distance, spacing
 
@@ -188,67 +188,28 @@ def middle_square(
 
 
 @compiled
-def continued(
-    points: Floats,
-    nearest: tuple[Ints, Floats],
-    latest: Floats,
-    counts: tuple[Ints, Ints, Ints],
-    reaches: tuple[float, float, int],
-) -> tuple[Ints, Ints, int]:
-    """Return the tracks (k,) that points (n, d) continue, these points, and how many are static.
+def matched_sample(
+    points: Floats, expected: Floats, missed: Ints, most: int, known: float, slowness: float
+) -> tuple[Ints, Ints, Ints, Floats, Floats, Floats, float]:
+    """Match a sample of the tracks (m, d) to the points (n, d) nearest to them, within the spacing.
 
-    Static tracks, which come first, claim the point nearest to their prediction, at a known
-    distance. The others that were seen last claim the point nearest to their latest observation,
-    within a reach for those that may move or, if seen often and never moving, for static ones.
+    `known`: the spacing so far, infinite before the first scan; `slowness`: weight of this scan in
+    it. Returns the sample; the tracks matched (k,), their points and the distances to them; the
+    positions of both (k, d); and the spacing.
     """
-    target, distance = nearest
-    missed, seen, restless = counts
-    widest, narrow, young = reaches
-    n, m = len(points), len(target)
-    rows, found, k = np.empty(m, dtype=np.int64), np.empty(m, dtype=np.int64), 0
-    linked, taken = claims(target, distance, n), np.zeros(n + 1, dtype=np.bool_)
-    for row in range(m):
-        if linked[row]:
-            rows[k], found[k], taken[target[row]] = row, target[row], True
+    sample, target, distance, spacing = nearest_of_sample(points, expected, missed, most)
+    (m, d), k = (len(sample), points.shape[1]), 0
+    rows, found, apart = np.empty_like(sample), np.empty_like(sample), np.empty(m)
+    here, there = np.empty((m, d)), np.empty((m, d))
+    if np.isfinite(known):
+        spacing = known + slowness * (spacing - known) if m else known
+    for j in range(m):
+        distance[j] = distance[j] if distance[j] <= spacing else np.inf
+    won = claims(target, distance, len(points))
+    for j in range(m):
+        if won[j]:
+            rows[k], found[k], apart[k] = sample[j], target[j], distance[j]
+            for a in range(d):
+                here[k, a], there[k, a] = expected[sample[j], a], points[target[j], a]
             k += 1
-    n_static = k
-    wanted, apart = np.empty(m, dtype=np.int64), np.empty(m)
-    for row in range(m):
-        apart[row] = np.inf
-        if not linked[row] and missed[row] == 0:
-            square, _, wanted[row] = _two_nearest(points, latest[row])
-            may_move = restless[row] > 0 or seen[row] < young
-            if np.sqrt(square) <= (widest if may_move else narrow) and not taken[wanted[row]]:
-                apart[row] = np.sqrt(square)
-    followed = claims(wanted, apart, n)
-    for row in range(m):
-        if followed[row]:
-            rows[k], found[k] = row, wanted[row]
-            k += 1
-    return rows[:k], found[:k], n_static
-
-
-@compiled
-def see_tracks(
-    expected: Floats,
-    latest: Floats,
-    counts: tuple[Ints, Ints, Ints],
-    rows: Ints,
-    points: Floats,
-    n_static: int,
-    memory: int,
-    careful: int,
-) -> None:
-    """Record which tracks were found and which were missed; see `LiveTracks.see`."""
-    missed, seen, restless = counts
-    for row in range(len(missed)):
-        missed[row] += 1
-    for j in range(len(rows)):
-        row = rows[j]
-        missed[row] = 0
-        seen[row] += 1
-        restless[row] = careful if j >= n_static else max(restless[row] - 1, 0)
-        share = 1.0 if restless[row] > 0 else 1 / min(seen[row], memory)
-        for a in range(points.shape[1]):
-            expected[row, a] += share * (points[j, a] - expected[row, a])
-            latest[row, a] = points[j, a]
+    return sample, rows[:k], found[:k], apart[:k], here[:k], there[:k], spacing

@@ -70,16 +70,18 @@ class RayNoise:
         """Whether the noise differs by direction or distance; None before it is known."""
         return self._is_unequal
 
+    def is_due(self) -> bool:
+        """Count a scan; return whether `learn` should be called with it."""
+        self._n_scans += 1
+        often = EVERY if self._n_scans > SETTLED else 1
+        return self._n_scans % (RARELY if self._is_unequal is False else often) == 0
+
     def learn(self, expected: Floats, found: Floats, n_seen: Ints) -> None:
         """Update the estimate from static landmarks.
 
         `expected`, `found` (n, d), robot frame, metres: predicted and observed; `n_seen` (n,):
         observations before.
         """
-        self._n_scans += 1
-        often = EVERY if self._n_scans > SETTLED else 1
-        if not len(found) or self._n_scans % (RARELY if self._is_unequal is False else often):
-            return
         distance, ray = _rays(found)
         self._unit_m = self._unit_m or float(distance.max())
         off = (expected - found) / np.sqrt(1 + 1 / np.minimum(n_seen, MEMORY))[:, None]

@@ -22,7 +22,7 @@ from relmap.core.association.chance import (
 )
 from relmap.core.association.metric import rows_of
 from relmap.core.association.placement import DISTINCT, Placement, trimmed_fit
-from relmap.core.association.scale import CHI2_MEDIAN, EXACT, SIGMAS, WIDER, Scale
+from relmap.core.association.scale import CHI2_MEDIAN, EXACT, SIGMAS, SLOWNESS, WIDER, Scale
 from relmap.core.association.search import fits_mirrored, search, settled
 from relmap.core.association.soft import SoftMatching
 from relmap.core.association.tracks import LiveTracks
@@ -190,21 +190,17 @@ class TrackPlacing:
 
         Also returns whether it is None because several placements explain most of the scan.
         """
-        from relmap.core.association.matching_kernels import claims, nearest_of_sample
+        from relmap.core.association.matching_kernels import matched_sample
 
         (n, d), metric = points.shape, self.metric
-        sample, target, distance, spacing_m = nearest_of_sample(
-            points, tracks.expected, tracks.missed, SAMPLE
+        sample, rows, target, distance, *matched, spacing_m = matched_sample(
+            points, tracks.expected, tracks.missed, SAMPLE, self.scale.spacing_m, SLOWNESS
         )
         if not len(sample):
             return None, False
-        missed = int(tracks.missed[sample[0]])
-        self.scale.see_spacing(spacing_m)
-        distance[distance > self.scale.spacing_m] = np.inf
-        claimed = claims(target, distance, n)
-        rows, tolerance_m = sample[claimed], self.scale.tolerance_m
-        matched = tracks.expected[rows], points[target[claimed]]
-        own = rows_of(metric, target[claimed])
+        self.scale.spacing_m = spacing_m
+        missed, tolerance_m = int(tracks.missed[sample[0]]), self.scale.tolerance_m
+        own = rows_of(metric, target)
         near = trimmed_fit(*matched, tolerance_m, own)
         is_sharp, share = self.scale.is_sharp, NEAR_SHARE * min(len(sample), n)
         if near is not None:
@@ -212,7 +208,7 @@ class TrackPlacing:
             if is_usual and near.n_agreeing >= max(PLENTY, share):
                 return near, False
             alone = near.n_agreeing == len(rows) == d == 2
-            if alone and self._is_familiar_pair(tracks, rows, distance[claimed]):
+            if alone and self._is_familiar_pair(tracks, rows, distance):
                 return near, False
             here = tracks.expected[sample]
             near = settled(here, points, near, tolerance_m, metric)

@@ -7,7 +7,7 @@ from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association.base import middle, nearest
-from relmap.core.association.metric import MEMORY, RayNoise, scaled
+from relmap.core.association.metric import MEMORY, RayNoise
 
 COARSE = 0.1
 """Tolerance before the noise is known, in spacings."""
@@ -86,33 +86,20 @@ class Scale:
         tolerance_m = self.tolerance_m
         return max(tolerance_m, min(2 * tolerance_m, 0.8 * COARSE * self.spacing_m))
 
-    def see_spacing(self, spacing_m: float) -> None:
-        """Update the spacing with that of one scan."""
-        if np.isfinite(self.spacing_m):
-            spacing_m = self.spacing_m + SLOWNESS * (spacing_m - self.spacing_m)
-        self.spacing_m = spacing_m
-
     def allow_noise(self) -> None:
         """Allow for a noise estimate that is too small."""
         if self.noise_m is not None:
             self.noise_m = max(self.noise_m, FAINT * self.spacing_m)
 
-    def learn(self, expected: Floats, found: Floats, n_seen: Ints, metric: Floats | None) -> None:
-        """Update the noise of a coordinate's difference from links of static landmarks.
+    def learn(self, middle_square: float, n: int, d: int) -> None:
+        """Update the noise of a coordinate's difference from links of n static landmarks.
 
-        `expected`, `found` (n, d), robot frame, metres: predicted and observed positions; `n_seen`
-        (n,): number of earlier observations of each landmark; `metric` (n, d, d): of the
+        `middle_square`: upper median of their squared misfits in d dimensions, in the metric of the
         observations.
         """
-        n, d = expected.shape
-        if n <= FEW:
-            return
-        self.rays.learn(expected, found, n_seen)
-        if self.is_blurred:
-            return
-        squares = np.sum(scaled(metric, expected - found) ** 2, axis=1)
-        variance = middle(squares) / CHI2_MEDIAN[d] * n * d / (n * d - d * (d + 1) / 2)
-        self._learn_variance(variance)
+        if n > FEW and not self.is_blurred:
+            variance = middle_square / CHI2_MEDIAN[d] * n * d / (n * d - d * (d + 1) / 2)
+            self._learn_variance(variance)
 
     def learn_misfit(self, misfit: float) -> None:
         """Update the noise from the variance of ambiguous matches, relative to that assumed."""

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.association.placement import Placement
 
 MEMORY = 8
 """Approximate number of observations averaged in the prediction of a track."""
@@ -71,16 +72,37 @@ class LiveTracks(Tracks):
         zeros = np.zeros(len(landmarks), dtype=np.int64)
         return cls(landmarks, points, points.copy(), zeros, zeros + 1, zeros.copy())
 
-    def see(self, rows: Ints, points: Floats, n_static: int) -> None:
-        """Record in place which tracks were found, the static ones first, and which were missed."""
-        from relmap.core.association.matching_kernels import see_tracks
+    @property
+    def columns(self) -> tuple[Ints, Floats, Floats, Ints, Ints, Ints]:
+        """All columns, in the order in which the compiled functions take them."""
+        return self.landmarks, self.expected, self.latest, self.missed, self.seen, self.restless
 
-        counts = (self.missed, self.seen, self.restless)
-        see_tracks(self.expected, self.latest, counts, rows, points, n_static, MEMORY, CAREFUL)
+    def carried(self, placement: Placement) -> LiveTracks:
+        """Return the tracks predicted in the frame of the next iteration."""
+        from relmap.core.association.tracking_kernels import carried
 
-    def carried(self, expected: Floats, latest: Floats) -> LiveTracks:
-        """Return the tracks with their predicted positions in the next iteration."""
-        return LiveTracks(self.landmarks, expected, latest, self.missed, self.seen, self.restless)
+        return LiveTracks(*carried(self.columns, placement.R, placement.t))
+
+    def followed(
+        self,
+        points: Floats,
+        links: tuple[Ints, Ints, int],
+        n_landmarks: int,
+        longest: int,
+        metric: Floats | None,
+    ) -> tuple[Ints, LiveTracks, float]:
+        """Return the tracks that predicted ones become with the points (n, d) of a scan.
+
+        `links`: tracks (k,) and the points that continue them, and how many of these are static,
+        which come first. Tracks missed for more than the `longest` time end; other points begin
+        tracks, of landmarks numbered from `n_landmarks`. Returns the landmark of each point (n,),
+        the tracks, and the median of the squared misfits of static ones, in the metric (n, d, d).
+        """
+        from relmap.core.association.tracking_kernels import followed
+
+        limits = MEMORY, CAREFUL, longest
+        found, columns, square = followed(points, self.columns, links, n_landmarks, limits, metric)
+        return found, LiveTracks(*columns), square
 
     def possible(self, points: Floats) -> int:
         """Return the number of matches with points (n, d) that a search may find."""

@@ -1,0 +1,165 @@
+"""Tracks that the points of a scan continue, compiled; see `constellation`."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from relmap.core.arrays import Floats, Ints
+from relmap.core.association.matching_kernels import claims, nearest_within, two_nearest
+from relmap.core.linalg.compiling import compiled, helper
+from relmap.core.linalg.order_kernels import smallest
+from relmap.core.linalg.small_kernels import square_between, unset
+
+Columns = tuple[Ints, Floats, Floats, Ints, Ints, Ints]
+"""The columns of `LiveTracks`."""
+
+
+@helper
+def _placed(points: Floats, R: Floats, t: Floats) -> Floats:
+    """Return points (n, d) transformed by R (d, d) and t (d,)."""
+    n, d = points.shape
+    placed = np.empty((n, d))
+    for i in range(n):
+        for a in range(d):
+            place = 0.0
+            for b in range(d):
+                place += R[a, b] * points[i, b]
+            placed[i, a] = place + t[a]
+    return placed
+
+
+@compiled
+def carried(tracks: Columns, R: Floats, t: Floats) -> Columns:
+    """Return the tracks in the frame of the next scan, at R (d, d) and t (d,) from theirs."""
+    landmarks, expected, latest, missed, seen, restless = tracks
+    return landmarks, _placed(expected, R, t), _placed(latest, R, t), missed, seen, restless
+
+
+@helper
+def continued(
+    points: Floats,
+    nearest: tuple[Ints, Floats],
+    latest: Floats,
+    counts: tuple[Ints, Ints, Ints],
+    reaches: tuple[float, float, int],
+) -> tuple[Ints, Ints, int]:
+    """Return the tracks (k,) that points (n, d) continue, these points, and how many are static.
+
+    Static tracks, which come first, claim the point nearest to their prediction, at a known
+    distance. The others that were seen last claim the point nearest to their latest observation,
+    within a reach for those that may move or, if seen often and never moving, for static ones.
+    """
+    target, distance = nearest
+    missed, seen, restless = counts
+    widest, narrow, young = reaches
+    n, m = len(points), len(target)
+    rows, found, k = np.empty(m, dtype=np.int64), np.empty(m, dtype=np.int64), 0
+    linked, taken = claims(target, distance, n), np.zeros(n + 1, dtype=np.bool_)
+    for row in range(m):
+        if linked[row]:
+            rows[k], found[k], taken[target[row]] = row, target[row], True
+            k += 1
+    n_static = k
+    wanted, apart = np.empty(m, dtype=np.int64), np.empty(m)
+    for row in range(m):
+        apart[row] = np.inf
+        if not linked[row] and missed[row] == 0:
+            square, _, wanted[row] = two_nearest(points, latest[row])
+            may_move = restless[row] > 0 or seen[row] < young
+            if np.sqrt(square) <= (widest if may_move else narrow) and not taken[wanted[row]]:
+                apart[row] = np.sqrt(square)
+    followed = claims(wanted, apart, n)
+    for row in range(m):
+        if followed[row]:
+            rows[k], found[k] = row, wanted[row]
+            k += 1
+    return rows[:k], found[:k], n_static
+
+
+@compiled
+def links(
+    points: Floats,
+    tracks: Columns,
+    reaches: tuple[float, float, int],
+    metric: Floats | None,
+    cell_m: float,
+) -> tuple[Ints, Ints, int]:
+    """Link predicted tracks to points (n, d); see `continued` and `nearest_within`."""
+    _, expected, latest, missed, seen, restless = tracks
+    distance, target = nearest_within(points, expected, reaches[1], metric, cell_m)
+    return continued(points, (target, distance), latest, (missed, seen, restless), reaches)
+
+
+@helper
+def _middle_square(
+    points: Floats, tracks: Columns, links: tuple[Ints, Ints, int], metric: Floats | None
+) -> float:
+    """Return the upper median of the squared misfits of static links; NaN if there are none."""
+    rows, found, n_static = links
+    squares, apart = np.empty(n_static), np.empty(points.shape[1])
+    for j in range(n_static):
+        squares[j] = square_between(tracks[1][rows[j]], points[found[j]], metric, found[j], apart)
+    return smallest(squares, n_static // 2) if n_static else np.nan
+
+
+@compiled
+def followed(
+    points: Floats,
+    tracks: Columns,
+    links: tuple[Ints, Ints, int],
+    n_landmarks: int,
+    limits: tuple[int, int, int],
+    metric: Floats | None,
+) -> tuple[Ints, Columns, float]:
+    """Continue predicted tracks by links to points (n, d), and begin one with each other point.
+
+    `limits`: observations that are averaged, iterations after which a moving track is static, and
+    iterations for which a track is missed. Returns the landmark of each point (n,), new ones
+    numbered from `n_landmarks`; the tracks; and the median of `_middle_square`.
+    """
+    before, expected, latest, missed, seen, restless = tracks
+    rows, found, n_static = links
+    memory, careful, longest = limits
+    (n, d), m, k = points.shape, len(before), 0
+    landmark, point_of, rests = unset(n), unset(m), np.zeros(m, dtype=np.bool_)
+    for j in range(len(rows)):
+        point_of[rows[j]], rests[rows[j]] = found[j], j < n_static
+    square = _middle_square(points, tracks, links, metric)
+    landmarks, counts, places = (
+        np.empty(m + n, np.int64),
+        unset(3 * (m + n)).reshape(3, -1),
+        np.empty((2, m + n, d)),
+    )
+    for row in range(m):
+        p = point_of[row]
+        if p < 0 and missed[row] >= longest:
+            continue
+        landmarks[k] = before[row]
+        counts[0, k], counts[1, k], counts[2, k] = missed[row] + 1, seen[row], restless[row]
+        for a in range(d):
+            places[0, k, a], places[1, k, a] = expected[row, a], latest[row, a]
+        if p >= 0:
+            landmark[p] = before[row]
+            counts[0, k], counts[1, k] = 0, seen[row] + 1
+            counts[2, k] = max(restless[row] - 1, 0) if rests[row] else careful
+            share = 1.0 if counts[2, k] > 0 else 1 / min(counts[1, k], memory)
+            for a in range(d):
+                places[0, k, a] += share * (points[p, a] - expected[row, a])
+                places[1, k, a] = points[p, a]
+        k += 1
+    for p in range(n):
+        if landmark[p] < 0:
+            landmarks[k] = landmark[p] = n_landmarks
+            counts[0, k], counts[1, k], counts[2, k] = 0, 1, 0
+            for a in range(d):
+                places[0, k, a] = places[1, k, a] = points[p, a]
+            n_landmarks, k = n_landmarks + 1, k + 1
+    columns = (
+        landmarks[:k],
+        places[0, :k],
+        places[1, :k],
+        counts[0, :k],
+        counts[1, :k],
+        counts[2, :k],
+    )
+    return landmark, columns, square
