@@ -151,10 +151,9 @@ class RelativeMapper:
         static = self.averaging.static(chart, weights)  # Fig. 12
         group = grow_group(chart, static, weights, fewest, min_shared)  # Fig. 11
         if group is not None:
-            core = chart.points_robot[group.rows][:, group.columns]
-            average = self.model.average_in_basis(core)  # Figs 1, 2 and 8
+            average = self.model.average_in_basis(group.points_robot)  # Figs 1, 2 and 8
             if average is not None:
-                relative = self.averaging.completed(chart, group, core, average)
+                relative = self.averaging.completed(chart, group, average)
         self.placing.leave_out_moving(chart.landmarks)
         return relative
 

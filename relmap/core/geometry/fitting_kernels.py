@@ -80,6 +80,16 @@ def fit_rows(
     return R, t, fixes(scatter, d), scatter, means
 
 
+@helper
+def scatter_of(points: Floats, rows: Bools) -> Floats:
+    """Return the scatter (3, 3) of some rows of points (n, d) about their mean."""
+    means = np.empty((2, 3))
+    means[0, 0], means[0, 1], means[0, 2], _ = centre_of(points, rows)
+    for a in range(3):
+        means[1, a] = means[0, a]
+    return _moments(points, points, rows, means)[1]
+
+
 @compiled
 def swings(points: Floats, rows: Bools) -> Floats:
     """Return the variance (n,) of points (n, d) placed by a fit to some rows of them.

@@ -49,15 +49,12 @@ class Averaging:
         """Allowed standard deviation of a static landmark, metres."""
         return self._noise_spread * self.noise.sigma_m
 
-    def completed(
-        self, chart: PointChart, group: Group, core: Floats, average: Floats
-    ) -> RelativeMap:
+    def completed(self, chart: PointChart, group: Group, average: Floats) -> RelativeMap:
         """Complete a group's relative map by all static landmarks of its chart; update motion.
 
-        `core` (g, i, d), robot frame, metres: the group's observations; `average` (g, d), group
-        frame, metres: its relative map.
+        `average` (g, d), group frame, metres: the relative map.
         """
-        self.noise.add(core)
+        self.noise.add(group.points_robot)
         relative = self._completed(chart, group, average)
         at_rest = self._motion.test(relative, self._tolerated_m)
         self._bin_movers(chart)

@@ -6,6 +6,7 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.linalg.compiling import compiled, helper
+from relmap.core.linalg.order_kernels import ordered
 
 
 @helper
@@ -41,10 +42,15 @@ def chart_block(
     `landmarks` (k,); `points` (k, d): observations in order of iteration. `offsets` (i + 1,): first
     observation of each iteration, and the end. `seed`: -1 for the observations of all iterations.
     `slots` (m,): work space, one entry per landmark, all -1; restored on return. Returns
-    `landmarks` (n,): the seed, if any, then the others in order of first observation, `columns`
-    (j,): iterations, counted from the first and `block` (n, j, d): NaN where missing.
+    `landmarks` (n,): the seed, if any, then the others, ascending, `columns` (j,): iterations, counted from the first and `block` (n, j, d): NaN where missing.
     """
     members, columns = _members_and_columns(landmarks, offsets, seed, slots)
+    first = 1 if seed >= 0 else 0
+    others = members.copy()
+    order = ordered(members[first:])
+    for k in range(len(order)):
+        members[first + k] = others[first + order[k]]
+        slots[members[first + k]] = first + k
     block = np.empty((len(members), len(columns), points.shape[1]))
     block[:] = np.nan
     for column in range(len(columns)):
@@ -55,3 +61,47 @@ def chart_block(
     for k in range(len(members)):
         slots[members[k]] = -1
     return members, columns, block
+
+
+@helper
+def _descending(rows: Ints, values: Floats) -> Ints:
+    """Return rows (k,) in the order of their descending values, equal ones as they are."""
+    keys, listed = np.empty(len(rows)), np.empty_like(rows)
+    for j in range(len(rows)):
+        keys[j] = -values[rows[j]]
+    order = ordered(keys)
+    for j in range(len(rows)):
+        listed[j] = rows[order[j]]
+    return listed
+
+
+@compiled
+def grown(
+    block: Floats, candidates: Ints, counts: Ints, weights: Floats, fewest: tuple[int, int]
+) -> tuple[Ints, Ints, Floats]:
+    """Grow a group from candidates (c,), rows of a block (n, i, d); see `growth.grow_group`.
+
+    `counts`, `weights` (n,): common interval and weight in the map of each row; `fewest`: minimum
+    number of members, and of mapped ones. Returns the members (g,), the columns (k,) of their common
+    interval, and their observations (g, k, d); no members if there is no group.
+    """
+    c, m, d = len(candidates), block.shape[1], block.shape[2]
+    rows = _descending(_descending(candidates, weights), counts)
+    common, n_common, shared, best, area = np.ones(m, dtype=np.bool_), m, 0, 0, 0
+    columns, n_columns = np.empty(m, dtype=np.int64), 0
+    for j in range(c):
+        shared += weights[rows[j]] > 0
+        for i in range(m):
+            if common[i] and np.isnan(block[rows[j], i, 0]):
+                common[i], n_common = False, n_common - 1
+        if j + 1 >= fewest[0] and shared >= fewest[1] and (j + 1) * n_common > area:
+            best, area, n_columns = j + 1, (j + 1) * n_common, 0
+            for i in range(m):
+                if common[i]:
+                    columns[n_columns], n_columns = i, n_columns + 1
+    core = np.empty((best, n_columns, d))
+    for j in range(best):
+        for i in range(n_columns):
+            for a in range(d):
+                core[j, i, a] = block[rows[j], columns[i], a]
+    return rows[:best], columns[:n_columns], core

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from relmap.core.arrays import Floats, Ints
 from relmap.core.grouping.chart import PointChart
 
@@ -15,11 +13,12 @@ class Group:
     """Landmarks of a chart that were all visible in each iteration of a common interval.
 
     `rows` (g,): rows of the members in the chart; `columns` (i,), ascending: columns of the common
-    interval in the chart.
+    interval in the chart; `points_robot` (g, i, d), robot frame, metres: their observations.
     """
 
     rows: Ints
     columns: Ints
+    points_robot: Floats
 
 
 def grow_group(
@@ -36,14 +35,10 @@ def grow_group(
     size of a group. `min_shared`: minimum number of mapped landmarks in it; 0 for the first group
     of a map. Returns None if the chart contains no such group.
     """
+    from relmap.core.grouping.chart_kernels import grown
+
     if len(candidates) < min_members:
         return None
-    order = candidates[chart.sorted_by_common_interval(candidates, weights[candidates])]
-    together = np.logical_and.accumulate(chart.visible[order], axis=0)
-    size = np.arange(1, len(order) + 1)
-    shared = np.cumsum(weights[order] > 0)
-    area = np.where((size >= min_members) & (shared >= min_shared), size * together.sum(axis=1), 0)
-    best = int(np.argmax(area))
-    if area[best] == 0:
-        return None
-    return Group(order[: best + 1], np.flatnonzero(together[best]))
+    fewest = min_members, min_shared
+    found = grown(chart.points_robot, candidates, chart.common_interval, weights, fewest)
+    return Group(*found) if len(found[0]) else None

@@ -166,8 +166,7 @@ class ObservationStore:
         landmarks, columns, block = chart_block(
             shown.landmarks, shown.points_robot, offsets, seed, self._slots.values
         )
-        order = np.argsort(np.where(landmarks == seed, -1, landmarks))
-        return landmarks[order], columns + begin, block[order]
+        return landmarks, columns + begin, block
 
     def _rows(self, begin: int, end: int) -> tuple[slice, Ints]:
         """Return the rows of some iterations, and where those of each begin and end."""
