@@ -10,8 +10,10 @@ from relmap.comparison.baselines.batch import Batch, batch_least_squares
 from relmap.core.arrays import Ints
 from relmap.core.association.reobservation.evidence import chosen
 from relmap.core.association.reobservation.merging import Merger
+from relmap.core.config import MapperConfig
 from relmap.core.geometry.spatialindex import SpatialIndex
 from relmap.core.map.globalmap import GlobalMap
+from relmap.core.state.schedule import GroupingSchedule
 from relmap.core.state.table import LandmarkState
 from relmap.evaluation.metrics import majority_ids, purity
 from relmap.points.model import PointModel
@@ -73,14 +75,14 @@ def test_old_landmarks_are_found_where_the_map_has_moved_them() -> None:
     places = np.random.default_rng(0).uniform(0, 20, (6, 2))
     submap = global_map.new_submap()
     global_map.place(submap, old, places, np.full(6, 10.0))
-    table.see(old, 1)
+    GroupingSchedule(table, MapperConfig()).see(old, 1)
     assert not len(merger.find(old, np.full(6, 3), 0.01))
     merger.leave(old)
     global_map.move(old, places + 100.0)
     merger.look_again()
     merger.go_on()
     table.first[new] = 50
-    table.see(new, 60)
+    GroupingSchedule(table, MapperConfig()).see(new, 60)
     global_map.place(submap, new, places + 100.0, np.full(6, 10.0))
     found = merger.find(new, np.full(6, 3), 0.01)
     assert sorted(found.tolist()) == np.column_stack([new, old]).tolist()

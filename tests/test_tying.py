@@ -10,7 +10,9 @@ from hypothesis import strategies as st
 from relmap import PointMapper
 from relmap.core.arrays import Floats
 from relmap.core.association.reobservation.tying import NEIGHBOURHOOD, neighbourhoods, tie_submaps
+from relmap.core.config import MapperConfig
 from relmap.core.map.globalmap import GlobalMap
+from relmap.core.state.schedule import GroupingSchedule
 from relmap.core.state.table import NONE, LandmarkState
 from tests.worlds import aligned_rmse, random_rotation, two_visits, walk
 
@@ -174,7 +176,7 @@ def test_later_landmarks_were_never_seen_meanwhile(seed: int) -> None:
         table.resize(number + 1, int(begin[k]), 2)
         for iteration in range(begin[k], begin[k] + length[k]):
             table.enter(np.array([number]), np.zeros((1, 2)), iteration)
-            table.see(np.array([number]), iteration)
+            GroupingSchedule(table, MapperConfig()).see(np.array([number]), iteration)
         seen[number] = set(range(begin[k], begin[k] + length[k]))
     present = list(range(6))
     while len(present) > 1:

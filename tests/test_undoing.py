@@ -8,6 +8,7 @@ import pytest
 from relmap import MapperConfig, PointMapper
 from relmap.core.arrays import Ints
 from relmap.core.association.reobservation.sightings import Sightings, rows_of_tracks
+from relmap.core.state.schedule import GroupingSchedule
 from relmap.core.state.table import LandmarkState
 from relmap.evaluation.metrics import majority_ids, purity
 from relmap.simulation import World, WorldSpec, simulate_figure_eight, simulate_world
@@ -36,7 +37,7 @@ def test_a_track_that_is_parted_is_as_if_it_had_never_been_merged() -> None:
     table = LandmarkState()
     for iteration, label in enumerate([0, 0, 1, 1, 1, 2, 2]):
         table.enter(np.array([label]), np.zeros((1, 2)), iteration)
-        table.see(np.array([label]), iteration)
+        GroupingSchedule(table, MapperConfig()).see(np.array([label]), iteration)
     columns = ["landmark_of", "first", "last", "since", "observations"]
     before = {name: getattr(table, name).copy() for name in columns}
     table.merge(1, 0)

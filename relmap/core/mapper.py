@@ -100,7 +100,7 @@ class RelativeMapper:
             named = found >= 0
             self.weighed.append(found[named], seen[named], covariances[named], iteration)
         else:
-            self.association.current.weigh_own(found[found >= 0], seen, iteration, self.weighed)
+            self.association.current.weigh_own(found, seen, iteration, self.weighed)
         if len(self.motions) and len(landmarks) and not self.model.keeps_observations:
             named = found >= 0
             self.kept.append(found[named], seen[named], iteration)

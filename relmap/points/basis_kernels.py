@@ -100,7 +100,7 @@ def into_basis(block: Floats, basis: Ints) -> Floats:
 
 @compiled
 def average_in_basis(block: Floats) -> tuple[Floats, bool]:
-    """Return the mean positions (g, d) of a group (g, i, d) in its basis, and whether it has one."""
+    """Return the mean positions (g, d) of a group (g, i, d) in its basis, if it has one."""
     g, m, d = block.shape
     mean, now, finite = np.zeros((g, d)), np.empty((g, d)), True
     for k in range(g):

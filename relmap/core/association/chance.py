@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,17 +63,17 @@ class Chance:
         tolerance_m, d, placements = self.scale.tolerance_m, here.shape[1], 0.0
         if far_m is None:
             far_m = extent_of(there)
-            placements = (2 * d - 3) * np.log(2 * np.pi)
+            placements = (2 * d - 3) * math.log(2 * math.pi)
         placements += self.log_placements(d, far_m)
         # The volume of a gate relative to that of a sphere, on average over the points.
         volume = 1.0 if self.metric is None else float(np.mean(1 / np.linalg.det(self.metric)))
-        share = min(np.log(2) * volume * (tolerance_m / self.scale.spacing_m) ** d, 0.5)
+        share = min(math.log(2) * volume * (tolerance_m / self.scale.spacing_m) ** d, 0.5)
         n = max(min(len(here), len(there)), n_agreeing)
         return log_chance(n, n_agreeing, share, placements)
 
     def log_placements(self, d: int, far_m: float) -> float:
         """Return the log of the number of placements that move no point farther."""
-        return float(d * (d + 1) / 2 * np.log(1 + 2 * far_m / self.scale.tolerance_m))
+        return d * (d + 1) / 2 * math.log(1 + 2 * far_m / self.scale.tolerance_m)
 
 
 def moved_m(placement: Placement, points: Floats) -> float:

@@ -6,6 +6,8 @@ restricts the possible matches; with none, it predicts the tracks.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats
@@ -22,6 +24,8 @@ SIGMAS = 4.0
 """Standard deviations within which a landmark is matched."""
 UNLIKELY = 6.0
 """Standard deviations beyond which a placement that may be due to chance is rejected."""
+UNKNOWN = np.full((4, 4), np.nan)
+"""A motion that is not known."""
 ALONE = 0.5
 """Largest ratio of the distance of a match to that of the next candidate."""
 
@@ -35,25 +39,25 @@ class OdometryGuide:
         self.noise = MotionNoise()
         self._odometry: GrowingArray[np.float64] = GrowingArray(np.float64, (4, 4))
         self._measured: GrowingArray[np.float64] = GrowingArray(np.float64, (4, 4))
-        self._since = np.full((4, 4), np.nan)
+        self._since = UNKNOWN
         self._steps = 0
         self._n_seen = 0
 
     def note(self, motion: Floats | None) -> None:
         """Add the motion (4, 4) since the previous scan; None if unknown."""
         if motion is None:
-            motion = np.full((4, 4), np.nan)
+            motion = UNKNOWN
         self._since = self._since @ motion if self._steps else motion
         self._steps += 1
 
     def forget(self) -> None:
         """Start again from the latest scan."""
-        self._since, self._steps = np.full((4, 4), np.nan), 0
+        self._since, self._steps = UNKNOWN, 0
 
     @property
     def knows(self) -> bool:
         """Whether odometry covers the motion since the tracks were last predicted."""
-        return bool(np.isfinite(self._since[0, 0])) and not self.noise.is_wrong
+        return math.isfinite(self._since[0, 0]) and not self.noise.is_wrong
 
     def predicted(self, d: int) -> Placement:
         """Return the placement of the tracks' frame in the scan's by odometry."""
@@ -76,7 +80,7 @@ class OdometryGuide:
 
     def learn(self, placement: Placement) -> None:
         """Compare odometry with a placement that many landmarks support."""
-        if self._steps != 1 or not np.isfinite(self._since[0, 0]):
+        if self._steps != 1 or not math.isfinite(self._since[0, 0]):
             return
         d = len(placement.t)
         moved = np.eye(4)

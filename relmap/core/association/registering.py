@@ -126,9 +126,8 @@ class TrackPlacing:
 
         In a mirrored scan, points near a plane fit all the same.
         """
-        possible = tracks.possible(points)
         is_wide = self.scale.noise_m is None
-        is_certain = not is_wide and found.n_agreeing >= SHARE * possible
+        is_certain = not is_wide and found.n_agreeing >= SHARE * tracks.possible(points)
         if is_certain or moved_m(found, tracks.expected) <= self.scale.spacing_m:
             return False
         known, seen = tracks.crowd(points)

@@ -74,16 +74,16 @@ class Averaging:
         for _ in range(ROUNDS):
             relative = complete(landmarks, chart.iterations, block, reference)
             if chart.variance is not None:
-                seen = np.isin(landmarks, relative.landmarks)
-                relative = replace(relative, given=chart.variance[seen])
+                given = chart.variance[_rows_of(relative, landmarks)]
+                relative = replace(relative, given=given)
             solid = (relative.n_used >= FEWEST) & rests(relative, self._tolerated_m)
             solid &= ~self._table.dynamic[relative.landmarks]
             solid &= relative.amplified <= SOLID * relative.n_used
-            if solid.sum() <= AMPLE * n_members:
+            n_solid = int(np.count_nonzero(solid))
+            if n_solid <= AMPLE * n_members:
                 break
-            n_members = int(solid.sum())
-            reference = np.full_like(reference, np.nan)
-            reference[np.isin(landmarks, relative.landmarks[solid])] = relative.positions[solid]
+            n_members, reference = n_solid, np.full_like(reference, np.nan)
+            reference[_rows_of(relative, landmarks)[solid]] = relative.positions[solid]
         return relative
 
     def static(self, chart: PointChart, weights: Floats) -> Ints:
@@ -126,3 +126,10 @@ class Averaging:
         compared = self.n_comparisons + len(rest) <= allowed  # none was skipped for lack of budget
         alone = chart.landmarks[rest] if compared else rest[:0]
         self._motion.go_together(together, alone)
+
+
+def _rows_of(relative: RelativeMap, landmarks: Ints) -> Ints:
+    """Return the rows of a relative map's landmarks among those of its chart (n,), in order."""
+    if len(relative.landmarks) == len(landmarks):
+        return np.arange(len(landmarks))
+    return np.flatnonzero(np.isin(landmarks, relative.landmarks))

@@ -72,8 +72,8 @@ def place_iterations(
     """Fit every iteration of a block (n, i, d) to a reference (n, d) and average; see `complete`.
 
     Returns R (i, d, d), t (i, d), which observations are placed (n, i), and how many of each
-    landmark (n,); then, defined for landmarks ever placed, the mean place (n, d), the sum of
-    squared deviations except the largest, and its variance relative to the noise.
+    landmark (n,); then, defined for landmarks ever placed, the mean place (n, d), its variance
+    without the largest deviation, and that variance relative to the noise.
     """
     n, m, d = block.shape
     R, t, used = np.empty((m, d, d)), np.empty((m, d)), np.zeros((n, m), dtype=np.bool_)
@@ -108,8 +108,10 @@ def place_iterations(
                 for a in range(d):
                     mean[k, a] += placed[p, a]
                 p += 1
-    squares = _averages(placed, of[:p], counts, amplified, mean)
-    return R, t, used, counts, mean, squares, amplified
+    variance = _averages(placed, of[:p], counts, amplified, mean)
+    for k in range(n):
+        variance[k] = variance[k] / (d * (counts[k] - 2)) if counts[k] > 2 else np.nan
+    return R, t, used, counts, mean, variance, amplified
 
 
 @helper

@@ -42,7 +42,8 @@ def chart_block(
     `landmarks` (k,); `points` (k, d): observations in order of iteration. `offsets` (i + 1,): first
     observation of each iteration, and the end. `seed`: -1 for the observations of all iterations.
     `slots` (m,): work space, one entry per landmark, all -1; restored on return. Returns
-    `landmarks` (n,): the seed, if any, then the others, ascending, `columns` (j,): iterations, counted from the first and `block` (n, j, d): NaN where missing.
+    `landmarks` (n,): the seed, if any, then the others, ascending; `columns` (j,): iterations,
+    counted from the first; and `block` (n, j, d): NaN where missing.
     """
     members, columns = _members_and_columns(landmarks, offsets, seed, slots)
     first = 1 if seed >= 0 else 0
@@ -82,8 +83,8 @@ def grown(
     """Grow a group from candidates (c,), rows of a block (n, i, d); see `growth.grow_group`.
 
     `counts`, `weights` (n,): common interval and weight in the map of each row; `fewest`: minimum
-    number of members, and of mapped ones. Returns the members (g,), the columns (k,) of their common
-    interval, and their observations (g, k, d); no members if there is no group.
+    number of members, and of mapped ones. Returns the members (g,), the columns (k,) of their
+    common interval, and their observations (g, k, d); no members if there is no group.
     """
     c, m, d = len(candidates), block.shape[1], block.shape[2]
     rows = _descending(_descending(candidates, weights), counts)

@@ -80,8 +80,6 @@ def complete(landmarks: Ints, iterations: Ints, block: Floats, reference: Floats
     """
     from relmap.core.grouping.averaging_kernels import place_iterations
 
-    R, t, used, n_used, positions, squares, amplified = place_iterations(block, reference)
-    freedoms = block.shape[2] * (n_used - 2)
-    variance = np.divide(squares, freedoms, out=np.full(len(used), np.nan), where=freedoms > 0)
+    R, t, used, n_used, positions, variance, amplified = place_iterations(block, reference)
     whole = RelativeMap(landmarks, positions, variance, amplified, used, n_used, iterations, R, t)
     return whole.only(n_used > 0)

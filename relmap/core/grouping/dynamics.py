@@ -82,30 +82,14 @@ class DynamicStatus:
         A landmark whose position varies more than noise explains, in several consecutive groups, is
         dynamic; one that has been at rest for long is static again.
         """
-        table = self.table
-        landmarks = relative.landmarks
-        still = rests(relative, noise_m)
-        table.restless[landmarks] = ~still & (relative.n_used >= FEWEST)
-        tested = relative.n_used >= ENOUGH
-        moves = tested & ~still
-        # Observations of the last group that saw it move are not counted twice.
-        later = relative.iterations > table.struck_until[landmarks][:, None]
-        fresh = np.sum(relative.used & later, axis=1) >= FEWEST
-        struck = moves & fresh
-        table.strikes[landmarks[tested & ~moves & fresh]] = 0
-        table.strikes[landmarks[struck]] += 1
-        table.struck_until[landmarks[struck]] = relative.iterations[-1]
-        table.dynamic[landmarks[table.strikes[landmarks] >= STRIKES]] = True
-        begin = relative.iterations[np.argmax(relative.used, axis=1)]
-        end = relative.iterations[-1 - np.argmax(relative.used[:, ::-1], axis=1)]
-        out_of_sight = np.maximum(begin - 1 - table.tested_until[landmarks], 0)
-        table.tested_until[landmarks] = np.maximum(table.tested_until[landmarks], end)
-        table.moved_until[landmarks] += out_of_sight
-        table.moved_until[landmarks[moves]] = end[moves]
-        settled = tested & ~moves & (end - table.moved_until[landmarks] > STILL)
-        table.dynamic[landmarks[settled]] = False
-        table.moving_bin[landmarks[settled]] = NONE
-        return np.asarray((relative.n_used >= FEWEST) & still & ~table.dynamic[landmarks])
+        from relmap.core.grouping.motion_kernels import tested
+
+        of, still = self.table, rests(relative, noise_m)
+        columns = of.restless, of.strikes, of.struck_until, of.dynamic
+        columns += of.tested_until, of.moved_until, of.moving_bin
+        seen = relative.used, relative.n_used, relative.iterations
+        limits = FEWEST, ENOUGH, STRIKES, STILL, NONE
+        return tested(columns, relative.landmarks, still, *seen, limits)
 
 
 def judge_at_last(table: LandmarkState, landmarks: Ints) -> None:
@@ -118,13 +102,10 @@ def rests(relative: RelativeMap, noise_m: float) -> Bools:
 
     The noise is that of most landmarks, or the landmark's own if known.
     """
-    places = relative.positions
-    exact_m = _exact(float(np.nanmax(np.abs(places), initial=0.0)), places.shape[1])
-    variance = np.array(max(noise_m, exact_m) ** 2)
-    if relative.given is not None:
-        variance = np.maximum(variance, relative.given)
-    limit = LIMIT * variance
-    return np.asarray(np.nan_to_num(relative.variance) <= limit * relative.amplified)
+    from relmap.core.grouping.motion_kernels import steady
+
+    of = relative.positions, relative.variance, relative.amplified, relative.given
+    return steady(*of, noise_m, EXACT, LIMIT)
 
 
 class Binning:

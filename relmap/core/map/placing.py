@@ -52,7 +52,8 @@ class Placing:
             iterations=relative.common_interval,
         )
         self._levels.take(group, members, reached, n_averaged)
-        self._close(members[reached == 3])
+        if (reached == 3).any():
+            self._close(members[reached == 3])
         return landmarks[self._table.weight[landmarks] > 0]
 
     def leave_out_moving(self, landmarks: Ints) -> None:

@@ -58,18 +58,14 @@ class GroupingSchedule:
 
     def see(self, landmarks: Ints, iteration: int) -> Ints:
         """Record which landmarks are seen in this iteration; return those that left in it."""
-        table = self._table
-        arrived = landmarks[iteration - table.last[landmarks] > self._max_missed + 1]
-        if len(arrived):
-            self.begin_anew(arrived[~table.is_gone[arrived]], iteration)
-            table.is_gone[arrived] = False
-        table.see(landmarks, iteration)
-        stays = iteration - table.last[self._in_view] <= self._max_missed
-        left = self._in_view[~stays]
+        from relmap.core.state.seeing_kernels import see
+
+        of = self._table
+        columns = of.last, of.observations, of.in_interval, of.is_gone, of.begin
+        in_view, left, arrived = see(columns, landmarks, self._in_view, iteration, self._max_missed)
         if len(left) or len(arrived):
-            self._in_view = np.concatenate([self._in_view[stays], arrived])
+            self._in_view = in_view
             self._gone = np.concatenate([self.gone, left])
-            table.is_gone[left] = True
         return left
 
     def note_due(self, landmarks: Ints) -> None:
@@ -77,13 +73,10 @@ class GroupingSchedule:
 
         A landmark whose group fails is due again after as many more observations.
         """
-        ready = landmarks[self._table.in_interval[landmarks] % self.group_after == 0]
-        if not len(ready):
-            return
-        ready = ready[self.level_due(ready) > 0]
-        queued = set(self._due.tolist())
-        fresh = [landmark for landmark in ready.tolist() if landmark not in queued]
-        self._due = np.append(self._due, np.array(fresh, dtype=np.int64))
+        ready, _ = self._due_among(landmarks, self.group_after)
+        if len(ready):
+            fresh = ready[~np.isin(ready, self._due)] if len(self._due) else ready
+            self._due = np.append(self._due, fresh)
 
     def next_due(self) -> tuple[int, int] | None:
         """Remove a landmark that is still due from the queue; return it with its level.
@@ -92,8 +85,7 @@ class GroupingSchedule:
         """
         if not len(self._due):
             return None
-        level = self.level_due(self._due)
-        self._due, level = self._due[level > 0], level[level > 0]
+        self._due, level = self._due_among(self._due)
         if not len(self._due):
             return None
         counts, begin = self._table.in_interval[self._due], self._table.begin[self._due]
@@ -102,10 +94,15 @@ class GroupingSchedule:
         self._due = np.delete(self._due, first)
         return seed, int(level[first])
 
-    def level_due(self, landmarks: Ints) -> Ints:
-        """Return the level (n,) that landmarks in view should have by now; 0 if reached."""
-        level = np.searchsorted(self._thresholds, self._table.in_interval[landmarks], side="right")
-        return np.where(level > self._table.level[landmarks], level, 0)
+    def _due_among(self, landmarks: Ints, every: int = 1) -> tuple[Ints, Ints]:
+        """Return which of landmarks (k,) in view are due, and the level that they should have.
+
+        Only those with a multiple of `every` observations.
+        """
+        from relmap.core.state.seeing_kernels import due
+
+        of = self._table
+        return due(of.in_interval, of.level, landmarks, self._thresholds, every)
 
     def waited(self, iteration: int) -> Ints:
         """Return the landmarks due at level 3 because they left the view long ago; (k,)."""

@@ -179,15 +179,9 @@ class LandmarkState:
 
     def now(self, landmarks: Ints) -> Ints:
         """Return the landmarks (any shape) after merging, given their numbers; -1 stays."""
-        if not len(self):
+        if not self._merged_into:
             return landmarks.copy()
         return np.where(landmarks >= 0, self.landmark_of[landmarks], landmarks)
-
-    def see(self, landmarks: Ints, iteration: int) -> None:
-        """Record which landmarks (k,) are seen."""
-        self.last[landmarks] = iteration
-        self.observations[landmarks] += 1
-        self.in_interval[landmarks] += 1
 
     def settle(self, landmarks: Ints) -> None:
         """Settle the positions of landmarks (k,): later positions are averaged with them."""

@@ -128,6 +128,8 @@ class Merger:
         ask = landmarks[mature & (levels > asked)]
         self._table.asked_level[landmarks] = np.maximum(asked, levels * mature)
         self._ask(ask)
+        if not self._old_near:
+            return np.empty((0, 2), dtype=np.int64)
         pairs = [
             (new, old)
             for new in landmarks.tolist()
