@@ -52,18 +52,12 @@ class GlobalMap:
         submap, metres, or None if the members determine no rotation: NaN for landmarks whose
         position is poorly determined by the rotation.
         """
-        from relmap.core.geometry.fitting_kernels import swings
+        from relmap.core.geometry.robust_kernels import aligned
 
         in_map = self.weights_in(submap, landmarks)
-        shared = in_map > 0
-        there = self.table.position[landmarks[shared]]
-        if not fixes_rotation(there):
-            return None
-        weights = 1 / (1 / in_map[shared] + 1 / n_iterations[shared])
-        R, t = fit_rigid(relative_map[shared], there, weights)
-        placed = relative_map @ R.T + t
-        placed[~(swings(relative_map, shared) <= LOOSE)] = np.nan
-        return placed
+        weights = in_map * n_iterations / (in_map + n_iterations)
+        placed, is_fixed = aligned(relative_map, self.table.position[landmarks], weights, LOOSE)
+        return placed if is_fixed else None
 
     def new_submap(self) -> int:
         """Return the number of a new, empty submap."""

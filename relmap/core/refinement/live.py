@@ -14,7 +14,7 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import fit_rigid, place_each, sums_each
-from relmap.core.geometry.robust import fit_robust_each
+from relmap.core.geometry.robust import ROBUST, fit_robust_each
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.refinement.condensing import SEEN, CondensedSegments
 from relmap.core.refinement.equations import FreeLandmarks, Laid
@@ -200,17 +200,21 @@ class LiveRefinement:
 
 def laid_together(one: Body, other: Body) -> Body | None:
     """Align one body to another and merge them; None if they share too little."""
-    _, mine, its = np.intersect1d(one.landmark, other.landmark, return_indices=True)
-    if len(mine) < one.points.shape[1]:
+    from relmap.core.geometry.robust_kernels import robust_fit
+
+    landmark, of = np.unique(np.append(one.landmark, other.landmark), return_inverse=True)
+    n, d = one.points.shape
+    rows = np.full((2, len(landmark)), NONE)
+    rows[0, of[:n]], rows[1, of[n:]] = np.arange(n), np.arange(len(of) - n)
+    mine, its = rows[:, (rows != NONE).all(axis=0)]
+    if len(mine) < d:
         return None
     counts = np.minimum(one.weight[mine], other.weight[its])
-    at = np.zeros(len(mine), dtype=np.int64)
-    R, t, fixed, _ = fit_robust_each(other.points[its], one.points[mine], counts, at, 1)
-    if not fixed[0]:
+    R, t, is_fixed = robust_fit(other.points[its], one.points[mine], counts, *ROBUST[d])
+    if not is_fixed:
         return None
-    landmark, of = np.unique(np.append(one.landmark, other.landmark), return_inverse=True)
     weight = np.append(one.weight, other.weight)
-    placed = np.concatenate([one.points, other.points @ R[0].T + t[0]])
+    placed = np.concatenate([one.points, other.points @ R.T + t])
     total = np.bincount(of, weights=weight).astype(np.float64)
     means = sums_each(weight[:, None] * placed, of, len(landmark)) / total[:, None]
     return Body(landmark, means, total, one.n_segments + other.n_segments)
