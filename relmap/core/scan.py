@@ -84,10 +84,11 @@ def checked_ids(ids: ArrayLike, n_points: int) -> Ints:
     if array.dtype.kind == "u" and array.max() > np.iinfo(np.int64).max:
         raise RelmapError(f"ids holds {array.max()}; the largest id is {np.iinfo(np.int64).max}")
     array = array.astype(np.int64)
-    known, counts = np.unique(array[array >= 0], return_counts=True)
-    if (counts > 1).any():
+    ordered = np.sort(array)
+    twice = (ordered[1:] == ordered[:-1]) & (ordered[1:] >= 0)
+    if twice.any():
         raise RelmapError(
-            f"ids holds {known[counts > 1][0]} twice; a landmark is seen once in a scan"
+            f"ids holds {ordered[1:][twice][0]} twice; a landmark is seen once in a scan"
         )
     return array
 

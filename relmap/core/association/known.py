@@ -9,8 +9,8 @@ from relmap.core.association.base import UNIDENTIFIED, Registration
 from relmap.core.association.rigidity import Rigidity
 from relmap.core.state.growing import GrowingArray
 
-PARTS = 64
-"""Number of dictionaries that hold the ids: a single large one would stall when it grows."""
+SLOTS = 2**12
+"""Initial slots of the table of ids, which are at least twice as many as the ids."""
 
 
 class KnownAssociation(Registration):
@@ -29,7 +29,7 @@ class KnownAssociation(Registration):
         self._rejected, self.overruled_scans, self.overruled_rows = [], [], []
         self._n_scans = 0
         self._rigidity = Rigidity()
-        self._parts: list[dict[int, int]] = [{} for _ in range(PARTS)]
+        self._slots = np.full(SLOTS, UNIDENTIFIED)
         self._labels: GrowingArray[np.int64] = GrowingArray(np.int64)
 
     @property
@@ -39,8 +39,8 @@ class KnownAssociation(Registration):
 
     def restored(self) -> None:
         """Look up the current ids."""
-        for number, label in enumerate(self._labels.values.tolist()):
-            self._parts[label % PARTS][label] = number
+        self._slots = np.full(SLOTS, UNIDENTIFIED)
+        self._enter(0)
 
     def labels_of(self, landmarks: Ints) -> Ints:
         """Return the ids of landmarks (n,)."""
@@ -51,18 +51,30 @@ class KnownAssociation(Registration):
 
         Observations with negative ids, and inconsistent ones, belong to none.
         """
+        from relmap.core.association.known_kernels import numbers_of
+
         known = np.empty(0, dtype=np.int64) if ids is None else ids
         self._n_scans += 1
         known = self._checked(known, points_robot)
-        found = [self._parts[i % PARTS].get(i, UNIDENTIFIED) for i in known.tolist()]
-        landmarks = np.array(found, dtype=np.int64)
+        landmarks = numbers_of(self._slots, self._labels.values, known)
         new = (landmarks == UNIDENTIFIED) & (known >= 0)
         if new.any():
-            landmarks[new] = np.arange(len(self._labels), len(self._labels) + new.sum())
-            for label, number in zip(known[new].tolist(), landmarks[new].tolist(), strict=True):
-                self._parts[label % PARTS][label] = number
+            before = len(self._labels)
             self._labels.extend(known[new])
+            landmarks[new] = np.arange(before, len(self._labels))
+            self._enter(before)
         return landmarks
+
+    def _enter(self, first: int) -> None:
+        """Enter the ids from the first on into the table, which grows with them."""
+        from relmap.core.association.known_kernels import enter
+
+        if 2 * len(self._labels) > len(self._slots):
+            n_slots = len(self._slots)
+            while n_slots < 4 * len(self._labels):
+                n_slots *= 2
+            self._slots, first = np.full(n_slots, UNIDENTIFIED), 0
+        enter(self._slots, self._labels.values, first)
 
     def _checked(self, ids: Ints, points_robot: Floats) -> Ints:
         """Return the ids (n,), replaced or `UNIDENTIFIED` for inconsistent observations.

@@ -109,11 +109,10 @@ class Rigidity:
         `ids` (n,): all different; `points_robot` (n, d), metres. Returns (n,): the ids, replaced
         where inconsistent, or `UNIDENTIFIED`; None if the whole scan is rejected.
         """
-        from relmap.core.association.rigidity_kernels import extent_of
+        from relmap.core.association.rigidity_kernels import in_order
 
-        self._extent_m = extent_of(points_robot)
-        order = np.argsort(ids)
-        scan = _Places.begun(ids[order], points_robot[order])
+        order, *parts, self._extent_m = in_order(ids, points_robot)
+        scan = _Places(*parts)
         fit = self._fit(self._last, scan)
         if fit is None:
             if self._last is None or len(ids) >= PLENTY:
@@ -162,21 +161,13 @@ class Rigidity:
 
     def _fit(self, places: _Places | None, scan: _Places) -> _Fit | None:
         """Align places to a scan; None if they have too few landmarks in common."""
-        from relmap.core.association.rigidity_kernels import matched, misfits
-        from relmap.core.geometry.fitting_kernels import trimmed_fit_rows
+        from relmap.core.association.rigidity_kernels import fitted
 
         if places is None or len(scan.ids) < PLENTY:
             return None
-        rows, shared, source, target = matched(
-            places.ids, places.points, scan.ids, scan.points, SAMPLE
-        )
-        if len(rows) < PLENTY:
-            return None
-        R, t, n_agreeing = trimmed_fit_rows(source, target, self._tolerance_m())
-        if n_agreeing < 0:
-            return _Fit(rows, shared, R, t, np.empty(0), np.inf, np.inf)
-        of = misfits(places.points, scan.points, (rows, shared), R, t)
-        return _Fit(rows, shared, R, t, *of)
+        limits, tolerance_m = (PLENTY, SAMPLE), self._tolerance_m()
+        found = fitted(places.ids, places.points, (scan.ids, scan.points), limits, tolerance_m)
+        return _Fit(*found) if len(found[0]) else None
 
     def _usual(self) -> float:
         """Return the usual median misfit, metres."""

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.linalg.compiling import compiled
-from relmap.core.linalg.order_kernels import smallest
+from relmap.core.geometry.fitting_kernels import trimmed_fit_rows
+from relmap.core.linalg.compiling import compiled, helper
+from relmap.core.linalg.order_kernels import ordered, smallest
 
 
 @compiled
@@ -22,7 +23,24 @@ def extent_of(points: Floats) -> float:
 
 
 @compiled
-def matched(
+def in_order(ids: Ints, points: Floats) -> tuple[Ints, Ints, Floats, Ints, Ints, float]:
+    """Return the ascending order (n,) of the ids of a scan, and its landmarks in this order.
+
+    That is ids, points (n, d), scans missed, which is 0, and how often each was seen, 1. The extent
+    of the points follows.
+    """
+    (n, d), order = points.shape, ordered(ids)
+    own, places = np.empty(n, dtype=np.int64), np.empty((n, d))
+    missed, times = np.zeros(n, dtype=np.int64), np.ones(n, dtype=np.int64)
+    for k in range(n):
+        own[k] = ids[order[k]]
+        for a in range(d):
+            places[k, a] = points[order[k], a]
+    return order, own, places, missed, times, extent_of(points)
+
+
+@helper
+def _matched(
     ids: Ints, points: Floats, scan_ids: Ints, scan_points: Floats, most: int
 ) -> tuple[Ints, Ints, Floats, Floats]:
     """Return the rows (k,) in two ascending lists of the ids in both, and a sample of the points.
@@ -50,8 +68,8 @@ def matched(
     return rows[:k], shared[:k], source, target
 
 
-@compiled
-def misfits(
+@helper
+def _misfits(
     points: Floats, scan_points: Floats, pairs: tuple[Ints, Ints], R: Floats, t: Floats
 ) -> tuple[Floats, float, float]:
     """Return the misfits (k,) of placed pairs of points, their upper median and the largest."""
@@ -68,6 +86,33 @@ def misfits(
         misfit[pair] = listed[pair] = np.sqrt(square)
         largest = max(largest, misfit[pair])
     return misfit, smallest(listed, k // 2), largest
+
+
+@compiled
+def fitted(
+    ids: Ints,
+    points: Floats,
+    scan: tuple[Ints, Floats],
+    limits: tuple[int, int],
+    tolerance_m: float,
+) -> tuple[Ints, Ints, Floats, Floats, Floats, float, float]:
+    """Align landmarks with ascending ids to a scan, by those with the same ids.
+
+    `limits`: minimum number of these, and maximum number used for the fit. Returns their rows (k,)
+    in both, none if they are too few; R and t; and their misfits (k,), the median and the largest:
+    none and infinite if too few agree within the tolerance.
+    """
+    fewest, most = limits
+    scan_ids, scan_points = scan
+    rows, shared, source, target = _matched(ids, points, scan_ids, scan_points, most)
+    misfit = np.empty(0)
+    if len(rows) < fewest:
+        return rows[:0], shared[:0], points[:0], misfit, misfit, np.inf, np.inf
+    R, t, n_agreeing = trimmed_fit_rows(source, target, tolerance_m)
+    if n_agreeing < 0:
+        return rows, shared, R, t, misfit, np.inf, np.inf
+    misfit, usual, largest = _misfits(points, scan_points, (rows, shared), R, t)
+    return rows, shared, R, t, misfit, usual, largest
 
 
 @compiled
