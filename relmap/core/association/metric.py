@@ -158,16 +158,11 @@ def _fitted(terms: Floats, squares: Floats, before: Floats) -> Floats:
 
     Weighted, nonnegative least squares, from the coefficients before; outliers are clipped.
     """
-    from scipy.optimize import nnls
+    from relmap.core.association.metric_kernels import fitted
 
     typical = middle(squares) / CHI2_MEDIAN
-    least, found = max(LEAST * typical, TINY), before
-    variance = np.maximum(terms @ before, least) if before.any() else typical + 0 * squares + least
-    for _ in range(ROUNDS):
-        clipped = np.minimum(squares, OUTLIER * variance) / variance
-        found, _residual = nnls(terms / variance[:, None], clipped)
-        variance = np.maximum(terms @ found, least)
-    return found
+    limits = OUTLIER, max(LEAST * typical, TINY), typical
+    return fitted(terms, squares, before, limits, ROUNDS)
 
 
 def rows_of(metric: Floats | None, rows: Ints) -> Floats | None:

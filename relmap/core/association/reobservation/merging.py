@@ -205,6 +205,11 @@ class Merger:
         positions = self._table.position
         of, near = self._index.near(positions[landmarks])
         new = landmarks[of]
+        if self.sightings is None:  # most are seen now too, and are not older ones
+            earlier = self._table.last[near] < self._table.last[new]
+            new, near = new[earlier], near[earlier]
+            if not len(new):
+                return
         close = np.linalg.norm(positions[near] - positions[new], axis=1) <= self._index.cell_m
         close &= self._may_be_earlier(near, new)
         found: dict[int, list[int]] = {}
