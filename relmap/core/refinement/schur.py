@@ -79,10 +79,13 @@ class Elimination:
         self._bodies = begin, seen, times, free, free_in_matrix
         first = np.append(np.flatnonzero(np.diff(stretch, prepend=-1)), len(stretch))
         u, of = pattern.n_unknowns, np.repeat(np.arange(len(first) - 1), np.diff(begin[first]))
-        found, number = np.unique(of[:, None] * u + kept[seen], return_inverse=True)
+        k = kept.shape[1] if _are_blocks(kept) else 1  # of blocks, only the first one is sorted
+        found, number = np.unique(of[:, None] * u + kept[seen, ::k], return_inverse=True)
+        found = (found[:, None] + np.arange(k)).ravel()
+        number = k * number.reshape(len(seen), -1, 1) + np.arange(k)
         starts = np.searchsorted(found, np.arange(len(first)) * u)
         self._number = np.zeros_like(kept)
-        self._number[seen] = number.reshape(-1, kept.shape[1]) - starts[of][:, None]
+        self._number[seen] = number.reshape(len(seen), -1) - starts[of][:, None]
         self._stretches = first, starts, found % u
 
     def equations(
@@ -127,3 +130,13 @@ class Elimination:
         none = np.zeros((len(self._bodies[2]), linear.by_eliminated.shape[1]))
         rows = linear.off, linear.by_eliminated, linear.by_kept, weight, self._number
         return rows, (*self._bodies, none if along is None else along)
+
+
+def _are_blocks(kept: Ints) -> bool:
+    """Return whether the kept unknowns (r, k) of each residual are a block, and none overlap."""
+    k = kept.shape[1]
+    if not len(kept) or not (kept == kept[:, :1] + np.arange(k)).all():
+        return False
+    begins = np.zeros(kept.max() + 1, dtype=bool)
+    begins[kept[:, 0]] = True
+    return bool((np.diff(np.flatnonzero(begins)) >= k).all())
