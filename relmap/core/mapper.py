@@ -92,9 +92,11 @@ class RelativeMapper:
         self.refined = []
         self.odometry = None
         rows = self.model.rows(seen, found)
-        landmarks = self.table.enter(*self.model.points(rows)[:2], iteration)
+        shown = self.model.points(rows)
+        landmarks = self.table.enter(shown.landmarks, shown.points_robot, iteration)
         # Store every observation untransformed (Fig. 3).
-        rows["landmark"] = self.table.now(rows["landmark"])
+        is_shown = shown.landmarks is rows["landmark"]
+        rows["landmark"] = landmarks if is_shown else self.table.now(rows["landmark"])
         self.store.append(**rows)
         if covariances is not None:
             named = found >= 0

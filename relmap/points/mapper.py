@@ -104,7 +104,7 @@ class PointMapper(Mapper):
             If the scan is invalid; the mapper is then unchanged.
         """
         with self._guard.change():
-            points_robot = checked_points(points, self.engine.store.dimension)
+            points_robot = checked_points(points, self._engine.store.dimension)
             known = None if ids is None else checked_ids(ids, len(points_robot))
             noise = None if covariances is None else checked_covariances(covariances, points_robot)
             motion = None if odometry is None else checked_odometry(odometry)
@@ -126,7 +126,7 @@ class PointMapper(Mapper):
             )
         if self._journal is not None:
             self._journal.ready()
-        engine = self.engine
+        engine = self._engine
         labels = engine.update(points_robot, known, noise, motion)
         self._stamps.append(stamp_s, engine.store.n_iterations - 1)
         seen = labels >= 0
@@ -140,9 +140,9 @@ class PointMapper(Mapper):
     @property
     def _has_covariances(self) -> bool | None:
         """Whether covariances are given with observations; None before the first one."""
-        if len(self.engine.weighed):
-            return not self.engine.association.current.estimates_covariances
-        return False if len(self.engine.table) else None
+        if len(self._engine.weighed):
+            return not self._engine.association.current.estimates_covariances
+        return False if len(self._engine.table) else None
 
     @property
     def rejected_observations(self) -> Ints:

@@ -22,7 +22,7 @@ from relmap.core.association.chance import (
 )
 from relmap.core.association.metric import rows_of
 from relmap.core.association.placement import DISTINCT, Placement, trimmed_fit
-from relmap.core.association.scale import CHI2_MEDIAN, EXACT, SIGMAS, SLOWNESS, WIDER, Scale
+from relmap.core.association.scale import CHI2_MEDIAN, EXACT, SHARP, SIGMAS, SLOWNESS, WIDER, Scale
 from relmap.core.association.search import fits_mirrored, search, settled
 from relmap.core.association.soft import SoftMatching
 from relmap.core.association.tracks import LiveTracks
@@ -201,9 +201,10 @@ class TrackPlacing:
         missed, tolerance_m = int(tracks.missed[sample[0]]), self.scale.tolerance_m
         own = rows_of(metric, target)
         near = trimmed_fit(*matched, tolerance_m, own)
-        is_sharp, share = self.scale.is_sharp, NEAR_SHARE * min(len(sample), n)
+        is_sharp = tolerance_m <= SHARP * spacing_m
+        share = NEAR_SHARE * min(len(sample), n)
         if near is not None:
-            is_usual = is_sharp and not missed and self._is_usual(near, *matched, own)
+            is_usual = is_sharp and not missed and self._is_usual(near, *matched, tolerance_m, own)
             if is_usual and near.n_agreeing >= max(PLENTY, share):
                 return near, False
             alone = near.n_agreeing == len(rows) == d == 2
@@ -223,14 +224,19 @@ class TrackPlacing:
         return far.placement, far.placement is None and far.is_ambiguous and explains
 
     def _is_usual(
-        self, placement: Placement, here: Floats, there: Floats, metric: Floats | None
+        self,
+        placement: Placement,
+        here: Floats,
+        there: Floats,
+        tolerance_m: float,
+        metric: Floats | None,
     ) -> bool:
         """Return whether matches of tracks (n, d) and points (n, d) scatter as they usually do."""
         from relmap.core.association.matching_kernels import middle_square
 
         if self.scale.noise_m is None:
             return False
-        R, t, tolerance_m = placement.R, placement.t, self.scale.tolerance_m
+        R, t = placement.R, placement.t
         variance = middle_square(here, there, R, t, tolerance_m, metric) / CHI2_MEDIAN[len(t)]
         usual_m = max(self.scale.noise_m, EXACT / SIGMAS * self.scale.spacing_m)
         return bool(variance <= MISFIT * usual_m**2)

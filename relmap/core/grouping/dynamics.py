@@ -8,6 +8,7 @@ bins are started in the order of a priority queue.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -138,14 +139,14 @@ class Binning:
         bin_of, n_comparisons = sort_into_bins(
             self._block, self._often.copy(), priority, self._limit, FEWEST, SAMPLE, int(allowed)
         )
-        sizes = np.bincount(bin_of[bin_of >= 0])
+        sizes = np.bincount(bin_of + 1)[1:]
         bins = np.argsort(-sizes, kind="stable")
         return Bins([np.flatnonzero(bin_of == number) for number in bins], n_comparisons)
 
 
 def n_log_n(n: int) -> float:
     """Return n log2 n, the maximum number of comparisons among n landmarks."""
-    return float(n * np.log2(max(n, 2)))
+    return n * math.log2(max(n, 2))
 
 
 def _exact(largest_m: float, d: int) -> float:
