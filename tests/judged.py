@@ -26,14 +26,7 @@ def make_truth() -> Truth:
 
 def make_log() -> ObservationLog:
     """Every landmark in every iteration."""
-    return ObservationLog(
-        points_robot=np.zeros((N * K, 3)),
-        iteration=np.repeat(np.arange(K), N),
-        rows=np.arange(N * K),
-        first_iteration=0,
-        end_iteration=K,
-        ids=np.tile(np.arange(N), K),
-    )
+    return ObservationLog.of_scans([np.zeros((N, 3))] * K, [np.arange(N)] * K)
 
 
 def make_result() -> Result:

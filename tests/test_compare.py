@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -243,13 +242,7 @@ def test_a_map_in_submaps_is_judged_by_the_largest() -> None:
     assert log.ids is not None
     early, late = log.iteration < 50, log.iteration >= 65
     kept = early | (late & ~np.isin(log.ids, log.ids[early]))
-    parted = replace(
-        log,
-        points_robot=log.points_robot[kept],
-        iteration=log.iteration[kept],
-        rows=log.rows[kept],
-        ids=log.ids[kept],
-    )
+    parted = log.only(kept)
     for association in ASSOCIATIONS:
         data = Data(parted, world.truth)
         run = run_method(find_method("relmap-points"), data, association)

@@ -178,10 +178,7 @@ def markers(types: Types, T: Poses) -> list[object]:
     colour = types.make("std_msgs/ColorRGBA", r=0.0, g=0.0, b=0.0, a=0.0)
     nothing = np.empty(0, np.uint8)
     texture = types.make(
-        "sensor_msgs/CompressedImage",
-        header=types.header(3, "a"),
-        format="",
-        data=nothing,
+        "sensor_msgs/CompressedImage", header=types.header(3, "a"), format="", data=nothing
     )
     return [
         types.make(

@@ -106,10 +106,7 @@ def test_order_of_rows_does_not_matter(tmp_path: Path, seed: int) -> None:
         ("iteration,x\n0,1\n", ["line 1", "missing column y", "iteration,x,y[,z][,id]"]),
         ("iteration\n0\n", ["missing columns x, y"]),
         ("# c\nframe,x,y\n0,1,2\n", ["line 2", "missing column iteration", "'frame'"]),
-        (
-            "iteration|x|y\n0|1|2\n",
-            ["line 1", "columns iteration, x, y", "'iteration|x|y'"],
-        ),
+        ("iteration|x|y\n0|1|2\n", ["line 1", "columns iteration, x, y", "'iteration|x|y'"]),
         ("iteration,x,y,x\n0,1,2,3\n", ["line 1", "duplicate column x"]),
         ("iteration,x,y,w,v\n0,1,2,3,4\n", ["unknown columns 'w', 'v'", "x, y, z, id"]),
         ("iteration,x,y,\n0,1,2,\n", ["unknown column ''"]),

@@ -12,15 +12,7 @@ import pytest
 from relmap.datasets import open_scans
 from relmap.datasets.scans import SensorView
 from tests.logs import put
-from tests.scanlogs import (
-    CORRECTED,
-    GRAPH,
-    LASER,
-    LASER_COMMENT,
-    LASER_HEADER,
-    failure,
-    points_of,
-)
+from tests.scanlogs import CORRECTED, GRAPH, LASER, LASER_COMMENT, LASER_HEADER, failure, points_of
 
 
 def test_corrected_log(tmp_path: Path) -> None:

@@ -134,11 +134,7 @@ def test_a_trajectory_in_space_beside_a_planar_log_is_in_the_plane(tmp_path: Pat
 @pytest.mark.parametrize(
     ("name", "content", "problem"),
     [
-        (
-            "odometry.csv",
-            "iteration,x,y\n3,1,2\n",
-            "columns x, y, expected iteration and x, y",
-        ),
+        ("odometry.csv", "iteration,x,y\n3,1,2\n", "columns x, y, expected iteration and x, y"),
         ("odometry.csv", "iteration,x,y,z,yaw\n3,1,2,0,1\n", "columns x, y, z, yaw, expected"),
         ("odometry.csv", "iteration,x,y,yaw,id\n3,1,2,0,1\n", "unknown column 'id'"),
         ("odometry.csv", MOTIONS + "5,1,1,1\n", "line 7, field iteration: 5 occurs twice"),

@@ -177,11 +177,7 @@ def test_times_of_an_observation_log(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "columns", "problem"),
     [
-        (
-            OWN,
-            NAMES | {"x": "left"},
-            "no column 'left', expected one; there are 'frame', 't'",
-        ),
+        (OWN, NAMES | {"x": "left"}, "no column 'left', expected one; there are 'frame', 't'"),
         (OWN, {"x": "px", "y": "py"}, "no column 'iteration', expected one"),
         (OWN.replace("colour", "px"), NAMES, "two columns 'px', expected one"),
         (OWN, NAMES | {"w": "t"}, "columns: 'w', expected some of iteration, x, y, z, id, stamp"),

@@ -35,14 +35,7 @@ def planar_log(sigma: float = 0.0, iterations: int = 40) -> ObservationLog:
     rng = np.random.default_rng(0)
     trees = rng.uniform([0, -20], [40, 20], (8, 2))
     seen = [trees - [0.2 * k, 0] + sigma * rng.standard_normal((8, 2)) for k in range(iterations)]
-    return ObservationLog(
-        points_robot=np.concatenate(seen),
-        iteration=np.repeat(np.arange(iterations), 8),
-        rows=np.arange(8 * iterations),
-        first_iteration=0,
-        end_iteration=iterations,
-        ids=np.tile([0, 1, 2, 3, 4, 5, 6, -1], iterations),
-    )
+    return ObservationLog.of_scans(seen, [np.array([0, 1, 2, 3, 4, 5, 6, -1])] * iterations)
 
 
 def test_truth_of_slsjf(tmp_path: Path) -> None:

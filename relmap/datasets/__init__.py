@@ -33,7 +33,7 @@ from relmap.datasets.relations import Relations, read_relations
 from relmap.datasets.scans import PointScan, ScanLog
 from relmap.datasets.scans_npz import ScansNpz, write_scans_npz
 from relmap.datasets.slsjf import SlsjfSimulation
-from relmap.datasets.textfile import open_text, quoted, require_path, shown
+from relmap.datasets.textfile import invalid, open_text, quoted, require_path, shown
 from relmap.datasets.victoria_park import VictoriaPark
 
 __all__ = [
@@ -152,11 +152,10 @@ def open_scans(path: Path | str, format: str | None = None, topics: Sequence[str
 
 
 def _of_topics(path: Path, dataset: Dataset[Log], topics: Sequence[str]) -> Dataset[Log]:
-    """Return the format that reads these topics."""
     if not topics:
         return dataset
     if not isinstance(dataset, BagScans | BagDetections):
-        raise RelmapError(f"{shown(path)}: is not a bag ({dataset.name}), so it has no topics")
+        raise invalid(path, f"is not a bag ({dataset.name}), so it has no topics")
     return replace(dataset, topics=tuple(topics))
 
 
@@ -175,11 +174,9 @@ def _choose(
         return found[0]
     if found:
         candidates = " and ".join(dataset.name for dataset in found)
-        raise RelmapError(
-            f"{shown(path)}: may be {candidates}, expected one: name it with --format"
-        )
+        raise invalid(path, f"may be {candidates}, expected one: name it with --format")
     known = "; ".join(f"{dataset.name}: {dataset.description}" for dataset in datasets)
-    raise RelmapError(f"{shown(path)}: {_found_instead(path, what, names)}, expected {known}")
+    raise invalid(path, f"{_found_instead(path, what, names)}, expected {known}")
 
 
 def _found_instead(path: Path, what: str, formats: Sequence[str]) -> str:
@@ -190,15 +187,12 @@ def _found_instead(path: Path, what: str, formats: Sequence[str]) -> str:
         others, other, variant = SCAN_DATASETS, _SCAN_LOG, "planes"
     for dataset in others:
         if dataset.recognises(path):
-            raise RelmapError(
-                f"{shown(path)}: is a {other} ({dataset.name}), expected a {what}; "
-                f"'relmap map --variant {variant}' maps these"
-            )
+            found = f"is a {other} ({dataset.name}), expected a {what}"
+            raise invalid(path, f"{found}; 'relmap map --variant {variant}' maps these")
     if path.is_dir() and what == _SCAN_LOG and (logs := carmen_logs(path)):
-        raise RelmapError(
-            f"{shown(path)}: holds {len(logs)} log{'s' * (len(logs) > 1)} of CARMEN, expected the "
-            f"name of one of them: {', '.join(shown(file.name) for file in logs)}"
-        )
+        found = f"holds {len(logs)} log{'s' * (len(logs) > 1)} of CARMEN"
+        names = ", ".join(shown(file.name) for file in logs)
+        raise invalid(path, f"{found}, expected the name of one of them: {names}")
     foreign = foreign_at(path)
     if path.is_dir():
         return f"the folder holds no {what}" + (f" but {foreign}" if foreign else "")
@@ -208,8 +202,6 @@ def _found_instead(path: Path, what: str, formats: Sequence[str]) -> str:
         head = read_head(path, stream)
     found = f"line {head.line}: {quoted(','.join(head.columns))} does not start a {what}"
     if what == _LANDMARK_LOG and len(head.columns) > 1:
-        raise RelmapError(
-            f"{shown(path)}: {found}, expected iteration,x,y[,z][,id] or, {OTHER_NAMES}; "
-            f"formats: {', '.join(formats)}"
-        )
+        expected = f"expected iteration,x,y[,z][,id] or, {OTHER_NAMES}"
+        raise invalid(path, f"{found}, {expected}; formats: {', '.join(formats)}")
     return found

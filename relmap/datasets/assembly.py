@@ -65,16 +65,9 @@ def assemble_log(
     _warn_of_stride(table, np.unique(iteration))
     if ids is not None:
         _check_unique(table, iteration, ids)
-        ids = ids[order]
-    return ObservationLog(
-        points_robot=points_robot[order],
-        iteration=iteration[order],
-        rows=order,
-        first_iteration=int(iteration[order[0]]),
-        end_iteration=int(iteration[order[-1]]) + 1,
-        ids=ids,
-        covariances=None if covariances is None else covariances[order],
-    )
+    first, end, rows = int(iteration.min()), int(iteration.max()) + 1, np.arange(len(order))
+    log = ObservationLog(points_robot, iteration, rows, first, end, ids, covariances=covariances)
+    return log.only(order)
 
 
 def with_stamps(table: Table, log: ObservationLog) -> ObservationLog:
@@ -93,27 +86,16 @@ def with_stamps(table: Table, log: ObservationLog) -> ObservationLog:
     _check_apart(table, log.rows[stamps_s > following_s[which]])
     rows = np.argsort(later[which], kind="stable")
     every = np.arange(log.first_iteration, log.end_iteration)
-    return replace(
-        log,
-        points_robot=log.points_robot[rows],
-        iteration=numbers[later[which]][rows],
-        rows=log.rows[rows],
-        ids=None if log.ids is None else log.ids[rows],
-        covariances=None if log.covariances is None else log.covariances[rows],
-        stamps_s=np.interp(every, numbers, ascending),
-    )
+    iteration, stamps_s = numbers[later[which]][rows], np.interp(every, numbers, ascending)
+    return replace(log.only(rows), iteration=iteration, stamps_s=stamps_s)
 
 
 def _check_apart(table: Table, late: Ints) -> None:
     """Check that no rows (n,) of an iteration are later than the start of the following one."""
     if len(late):
         row = int(late.min())
-        table.fail(
-            row,
-            "stamp",
-            f"{table.columns['stamp'][row]:.10g} is later than the first of another iteration, "
-            "expected the rows of an iteration to have one time",
-        )
+        found = f"{table.columns['stamp'][row]:.10g} is later than the first of another iteration"
+        table.fail(row, "stamp", f"{found}, expected the rows of an iteration to have one time")
 
 
 def _check_span(table: Table, name: str, ascending: Ints, order: Ints) -> None:
@@ -121,12 +103,10 @@ def _check_span(table: Table, name: str, ascending: Ints, order: Ints) -> None:
     empty = int(np.maximum(steps - 1, 0).sum())
     if empty > MAX_EMPTY_ITERATIONS:
         widest = int(np.argmax(steps))
-        table.fail(
-            int(order[widest + 1]),
-            name,
-            f"{ascending[widest + 1]} comes after {ascending[widest]}, and in all {empty} "
-            f"iterations have no row, expected at most {MAX_EMPTY_ITERATIONS}: a count of scans",
-        )
+        found = f"{ascending[widest + 1]} comes after {ascending[widest]}"
+        expected = f"expected at most {MAX_EMPTY_ITERATIONS}: a count of scans"
+        problem = f"{found}, and in all {empty} iterations have no row, {expected}"
+        table.fail(int(order[widest + 1]), name, problem)
 
 
 def _warn_of_stride(table: Table, numbers: Ints) -> None:
@@ -143,7 +123,6 @@ def _warn_of_stride(table: Table, numbers: Ints) -> None:
 
 
 def _check_unique(table: Table, iteration: Ints, ids: Ints) -> None:
-    """Check that no landmark occurs twice in one iteration."""
     known = np.flatnonzero(ids >= 0)
     order = known[np.lexsort((ids[known], iteration[known]))]
     same = (np.diff(ids[order]) == 0) & (np.diff(iteration[order]) == 0)
@@ -151,9 +130,6 @@ def _check_unique(table: Table, iteration: Ints, ids: Ints) -> None:
         again = np.flatnonzero(same)
         k = int(again[np.argmin(order[again + 1])])
         row, before = int(order[k + 1]), int(order[k])
-        table.fail(
-            row,
-            "id",
-            f"{ids[row]} occurs twice in iteration {iteration[row]} (before in "
-            f"{table.place} {table.lines[before]}), expected each landmark once",
-        )
+        found = f"{ids[row]} occurs twice in iteration {iteration[row]}"
+        there = f"before in {table.place} {table.lines[before]}"
+        table.fail(row, "id", f"{found} ({there}), expected each landmark once")

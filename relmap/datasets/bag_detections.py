@@ -93,11 +93,7 @@ def _log(path: Path, values: Floats, stamps: list[float], ids: Ids | None) -> Ob
     """Return the log of detections (n, 5): message, x, y, z, and a placeholder for the id."""
     order, stamps_s = in_time_order(path, np.array(stamps))
     values[:, 0] = np.argsort(order)[values[:, 0].astype(np.int64)]
-    names = None
-    if ids is not None:
-        values[:, 4], names = ids.numbered()
-    lines = np.arange(1, len(values) + 1)
-    log = log_of(path, (_USED, values, lines, "detection", names))
+    log = log_of(path, _USED, values, np.arange(1, len(values) + 1), "detection", ids)
     known = log.ids is not None and bool((log.ids >= 0).any())
     stamps_s = stamps_s[log.first_iteration : log.end_iteration]
     return replace(log, stamps_s=stamps_s, ids=log.ids if known else None)

@@ -51,8 +51,7 @@ def pose_of(position: Any, orientation: Any, where: str) -> Floats:
     if not np.isfinite([*quaternion, *at]).all() or not 0.5 < np.linalg.norm(quaternion) < 2:
         found = f"position {at}, orientation {quaternion}"
         raise RelmapError(f"{where}: {found}, expected finite numbers and a unit quaternion")
-    pose: Floats = poses_of(Rotation.from_quat([quaternion]), np.array([at]))[0]
-    return pose
+    return np.asarray(poses_of(Rotation.from_quat([quaternion]), np.array([at]))[0])
 
 
 class Mounting:

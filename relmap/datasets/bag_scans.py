@@ -21,7 +21,7 @@ from relmap.datasets.bag_detections import DETECTIONS
 from relmap.datasets.bag_frames import Driven, Mounting, stamp_s
 from relmap.datasets.bags import Bag, bag_errors, is_bag, topics_in
 from relmap.datasets.scans import ScanLog, in_time_order, laser_scans, require_memory
-from relmap.datasets.textfile import shown
+from relmap.datasets.textfile import invalid, shown
 
 LASER, CLOUD = "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/PointCloud2"
 LEVEL = np.cos(np.deg2rad(5.0))
@@ -76,7 +76,7 @@ def _lasers(bag: Bag, topic: str, mounting: Mounting) -> tuple[ScanLog, str]:
         frames.add(frame)
         limits.append(float(message.range_max))
     if not stamps or not beams:
-        raise RelmapError(f"{shown(bag.path)}: topic {topic} holds no scan, expected some")
+        raise invalid(bag.path, f"topic {topic} holds no scan, expected some")
     order, stamps_s = in_time_order(bag.path, np.array(stamps))
     finite = [limit for limit in limits if 0 < limit < np.inf]
     log = laser_scans(
@@ -98,10 +98,8 @@ def _beams(bag: Bag, message: Any, T_robot_laser: Floats) -> tuple[Floats, Float
     bearing = first + step * np.arange(len(r), dtype=np.float64)
     up = T_robot_laser[2, 2]
     if abs(up) < LEVEL or not np.isfinite([first, step]).all() or abs(first) > 7 or abs(step) > 7:
-        raise RelmapError(
-            f"{shown(bag.path)}: the laser is not level on the robot, or its angles are invalid; "
-            "expected a laser that scans the plane"
-        )
+        problem = "the laser is not level on the robot, or its angles are invalid"
+        raise invalid(bag.path, f"{problem}; expected a laser that scans the plane")
     nothing = ~np.isfinite(r) | (r < message.range_min) | (np.abs(r) > MAX_COORDINATE_M)
     r = np.where(nothing, 0.0, r)
     bearing = bearing if up > 0 else -bearing
@@ -120,7 +118,7 @@ def _clouds(bag: Bag, topic: str, mounting: Mounting) -> tuple[ScanLog, str]:
         written[t] += 1
         stamps.append(stamp_s(t, message))
     if not stamps:
-        raise RelmapError(f"{shown(bag.path)}: topic {topic} holds no cloud, expected some")
+        raise invalid(bag.path, f"topic {topic} holds no cloud, expected some")
     order, stamps_s = in_time_order(bag.path, np.array(stamps))
 
     reopened: list[Bag] = []

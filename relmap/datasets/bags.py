@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Self
 from relmap.core.errors import RelmapError
 from relmap.datasets.foreign import BAGS, foreign_at
 from relmap.datasets.headers import members_of
-from relmap.datasets.textfile import quoted, shown
+from relmap.datasets.textfile import invalid, quoted, shown
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
@@ -61,7 +61,7 @@ class Bag:
     def __init__(self, path: Path) -> None:
         if not can_read():
             found = foreign_at(path)
-            raise RelmapError(f"{shown(path)}: is {found}: pip install 'relmap[bags]' to read it")
+            raise invalid(path, f"is {found}: pip install 'relmap[bags]' to read it")
         self.path = path
         self.types: dict[str, str] = {}
         self._reader: Any = None
@@ -158,9 +158,8 @@ class Bag:
     def chosen(self, types: Sequence[str], topics: Sequence[str], what: str) -> str:
         """Return the only topic of given types, among the named ones or all.
 
-        Logs a warning if the bag is damaged.
-
-        Raises `RelmapError` if there is none, or several; the message lists what the bag holds.
+        Logs a warning if the bag is damaged. Raises `RelmapError` if there is none, or several; the
+        message lists what the bag holds.
         """
         if self._damage is not None:
             self._warn(self._damage, len(self._found))
@@ -178,7 +177,7 @@ class Bag:
     def _refused(self, problem: str) -> RelmapError:
         names = [f"{topic} ({type_})" for topic, type_ in sorted(self.types.items())]
         listed = ", ".join(names[:_MOST_LISTED]) + ", ..." * (len(names) > _MOST_LISTED)
-        return RelmapError(f"{shown(self.path)}: {problem}; the bag holds {shown(listed)}")
+        return invalid(self.path, f"{problem}; the bag holds {shown(listed)}")
 
 
 @contextmanager
@@ -191,7 +190,7 @@ def bag_errors(path: Path) -> Iterator[None]:
     except Exception as error:  # damaged files can raise any error
         reason = quoted(str(error).partition("\n")[0] or type(error).__name__)
         found = foreign_at(path) or "a bag"
-        raise RelmapError(f"{shown(path)}: is {found}, but cannot be read: {reason}") from error
+        raise invalid(path, f"is {found}, but cannot be read: {reason}") from error
 
 
 def _files(path: Path) -> list[Path]:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol, TypeVar
 
 import numpy as np
 
-from relmap.core.arrays import Floats, Ints
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.brief import Brief
 from relmap.core.errors import RelmapError
 
@@ -96,6 +96,14 @@ class ObservationLog(Brief):
     no_odometry: str = ""
     names: tuple[str, ...] | None = None
 
+    @classmethod
+    def of_scans(cls, points: Sequence[Floats], ids: Sequence[Ints]) -> ObservationLog:
+        """Make the log of k scans in memory: the points (n, d) and the ids (n,) of each."""
+        counts = [len(each) for each in points]
+        iteration, rows = np.repeat(np.arange(len(counts)), counts), np.arange(sum(counts))
+        known = np.concatenate(ids).astype(np.int64, copy=False)
+        return cls(np.concatenate(points), iteration, rows, 0, len(counts), known)
+
     @property
     def dimension(self) -> int:
         """2 for a planar world, else 3."""
@@ -134,7 +142,7 @@ class ObservationLog(Brief):
         rows = slice(*np.searchsorted(self.iteration, [first, last]))
         steps = slice(first - self.first_iteration, last - self.first_iteration)
         return replace(
-            self._only(rows),
+            self.only(rows),
             first_iteration=first,
             end_iteration=last,
             stamps_s=None if self.stamps_s is None else self.stamps_s[steps],
@@ -146,9 +154,10 @@ class ObservationLog(Brief):
         table = np.column_stack([self.iteration, self.points_robot])
         order = np.lexsort(table.T)
         again = order[1:][(np.diff(table[order], axis=0) == 0).all(axis=1)]
-        return self._only(np.delete(np.arange(len(table)), again)) if len(again) else self
+        return self.only(np.delete(np.arange(len(table)), again)) if len(again) else self
 
-    def _only(self, rows: Ints | slice) -> ObservationLog:
+    def only(self, rows: Ints | Bools | slice) -> ObservationLog:
+        """Return the log with some of its rows, given by index or chosen (n,)."""
         return replace(
             self,
             points_robot=self.points_robot[rows],

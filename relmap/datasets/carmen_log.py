@@ -32,14 +32,8 @@ from relmap.datasets.assembly import MAX_COORDINATE_M
 from relmap.datasets.carmen_odometry import Hints, odometry_of
 from relmap.datasets.headers import members_of
 from relmap.datasets.number_rows import NumberRows, finite_numbers
-from relmap.datasets.scans import (
-    ScanLog,
-    in_time_order,
-    laser_scans,
-    planar_poses,
-    require_memory,
-)
-from relmap.datasets.textfile import numbered_lines, quoted, shown
+from relmap.datasets.scans import ScanLog, in_time_order, laser_scans, planar_poses, require_memory
+from relmap.datasets.textfile import invalid, numbered_lines, quoted, shown
 
 FULL_SCALES_M = (32.767, 51.16, 81.91)
 """A SICK LMS reports missing returns and other failures as the last steps of its scale."""
@@ -114,7 +108,7 @@ class CarmenLog:
             else:
                 hints = hints.seen(line.cells)
         if not scans:
-            raise RelmapError(f"{shown(path)}: holds no scan, expected {self.description}")
+            raise invalid(path, f"holds no scan, expected {self.description}")
         return _log(path, scans, vertices.values, hints)
 
 
@@ -229,10 +223,8 @@ class _Line:
         wrong = ranges > MAX_COORDINATE_M
         if wrong.any():
             beam = int(np.argmax(wrong))
-            raise RelmapError(
-                f"{shown(self.path)}: line {self.number}: the range of beam {beam} is "
-                f"{values[beam]:.10g}, expected metres up to {MAX_COORDINATE_M:g}"
-            )
+            problem = f"line {self.number}: the range of beam {beam} is {values[beam]:.10g}"
+            raise invalid(self.path, f"{problem}, expected metres up to {MAX_COORDINATE_M:g}")
         return ranges
 
     def wrong(self, cells: list[str], why: str = "") -> RelmapError:

@@ -24,7 +24,7 @@ from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
 from relmap.datasets.foreign import HEAD_BYTES, foreign_format
-from relmap.datasets.textfile import quoted, shown, unreadable
+from relmap.datasets.textfile import invalid, quoted, unreadable
 
 MAX_BYTES, MAX_POINTS = 1 << 28, 1 << 23
 """Limits of an unpacked cloud, 256 MiB and eight million points: all of it is held in memory."""
@@ -87,20 +87,19 @@ def read_cloud(file: Path) -> Floats:
     if end is None:
         found = foreign_format(data[:HEAD_BYTES])
         what = f"is {found}, not a point cloud" if found else "no header of a cloud"
-        raise RelmapError(f"{shown(file)}: {what}, expected a PCD or PLY file")
+        raise invalid(file, f"{what}, expected a PCD or PLY file")
     try:
         header = [line.split() for line in data[:end].decode("ascii").splitlines()]
         layout = (_ply if header[0] == ["ply"] else _pcd)([line for line in header if line])
         points = _points(layout, data, end)
     except (ValueError, KeyError, IndexError) as error:
-        raise RelmapError(
-            f"{shown(file)}: damaged: {quoted(str(error))}; expected a whole PCD or PLY file"
-        ) from error
+        problem = f"damaged: {quoted(str(error))}"
+        raise invalid(file, f"{problem}; expected a whole PCD or PLY file") from error
     points = points[~np.isnan(points).any(axis=1)]
     far = ~(np.abs(points) <= MAX_COORDINATE_M).all(axis=1)
     if far.any() or not len(points):
         what = "a point is out of range" if far.any() else "holds no point"
-        raise RelmapError(f"{shown(file)}: {what}, expected coordinates in metres")
+        raise invalid(file, f"{what}, expected coordinates in metres")
     return points
 
 
@@ -113,11 +112,11 @@ def _unpacked(file: Path, most: int) -> bytes:
             data = _without_xz(stream, most + 1) if packed else stream.read(most + 1)
     except (lzma.LZMAError, EOFError) as error:
         reason = quoted(str(error))
-        raise RelmapError(f"{shown(file)}: damaged xz: {reason}; expected a whole file") from error
+        raise invalid(file, f"damaged xz: {reason}; expected a whole file") from error
     except (OSError, ValueError) as error:
         raise unreadable(file, error) from error
     if len(data) > MAX_BYTES:
-        raise RelmapError(f"{shown(file)}: more than {MAX_BYTES} bytes, expected at most that")
+        raise invalid(file, f"more than {MAX_BYTES} bytes, expected at most that")
     return data
 
 

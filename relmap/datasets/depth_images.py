@@ -16,10 +16,9 @@ from pathlib import Path
 import numpy as np
 
 from relmap.core.arrays import Floats
-from relmap.core.errors import RelmapError
 from relmap.datasets.kitti_bin import numbers_in
 from relmap.datasets.scans import ScanLog, require_rotations
-from relmap.datasets.textfile import require_path, shown, unreadable
+from relmap.datasets.textfile import invalid, require_path, unreadable
 
 INTRINSICS, DEPTH, POSE = "camera-intrinsics.txt", ".depth.png", ".pose.txt"
 UNIT_M, NO_READING = 1e-3, (0, 65535)
@@ -48,12 +47,12 @@ class DepthImages:
         require_path(path)
         files = _files(path) if os.path.isdir(path) else []
         if not files:
-            raise RelmapError(f"{shown(path)}: holds no *{DEPTH}, expected {self.description}")
+            raise invalid(path, f"holds no *{DEPTH}, expected {self.description}")
         K = _matrix(path / INTRINSICS, 3)
         if not (K[0, 0] > 0 and K[1, 1] > 0):
-            raise RelmapError(f"{shown(path / INTRINSICS)}: expected focal lengths above 0")
+            raise invalid(path / INTRINSICS, "expected focal lengths above 0")
         if K[1, 0] or (K[2] != [0, 0, 1]).any():
-            raise RelmapError(f"{shown(path / INTRINSICS)}: expected rows fx s cx, 0 fy cy, 0 0 1")
+            raise invalid(path / INTRINSICS, "expected rows fx s cx, 0 fy cy, 0 0 1")
         stamps_s = np.arange(len(files), dtype=np.float64)
         return ScanLog(3, stamps_s, lambda index: _points(files[index], K), _poses(files))
 
@@ -72,12 +71,12 @@ def _points(file: Path, K: Floats) -> Floats:
     try:
         with Image.open(file) as image:
             if image.width * image.height > MOST_PIXELS:
-                raise RelmapError(f"{shown(file)}: more than {MOST_PIXELS} pixels")
+                raise invalid(file, f"more than {MOST_PIXELS} pixels")
             depth = np.asarray(image)[::EVERY, ::EVERY]
     except DAMAGE as error:
         raise unreadable(file, error) from error
     if depth.ndim != 2 or depth.dtype == np.uint8:
-        raise RelmapError(f"{shown(file)}: is not a depth image, expected one channel of 16 bits")
+        raise invalid(file, "is not a depth image, expected one channel of 16 bits")
     row, column = np.nonzero(~np.isin(depth, NO_READING))
     z = depth[row, column] * UNIT_M
     right = (EVERY * column - K[0, 2]) / K[0, 0] * z
@@ -90,20 +89,17 @@ def _poses(files: list[Path]) -> Floats | None:
     each = [file.with_name(file.name.removesuffix(DEPTH) + POSE) for file in files]
     if not all(file.is_file() for file in each):
         return None
-    return np.asarray(np.array([_pose(file) for file in each]) @ T_CAMERA_ROBOT)
-
-
-def _pose(file: Path) -> Floats:
-    """Return T_reference_camera (4, 4)."""
-    pose = _matrix(file, 4)
-    if (pose[3] != [0, 0, 0, 1]).any():
-        raise RelmapError(f"{shown(file)}: the last row is not 0 0 0 1, expected a pose")
-    require_rotations(file, pose[None])
-    return pose
+    poses = []
+    for file in each:
+        poses.append(_matrix(file, 4))
+        if (poses[-1][3] != [0, 0, 0, 1]).any():
+            raise invalid(file, "the last row is not 0 0 0 1, expected a pose")
+        require_rotations(file, poses[-1][None])
+    return np.asarray(np.array(poses) @ T_CAMERA_ROBOT)
 
 
 def _matrix(file: Path, size: int) -> Floats:
     rows = numbers_in(file, size)
     if len(rows) != size:
-        raise RelmapError(f"{shown(file)}: {len(rows)} rows, expected a {size} x {size} matrix")
+        raise invalid(file, f"{len(rows)} rows, expected a {size} x {size} matrix")
     return rows

@@ -22,7 +22,6 @@ from pathlib import Path
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import (
     MAX_COORDINATE_M,
     assemble_log,
@@ -35,7 +34,7 @@ from relmap.datasets.headers import columns_of, members_of, only_one
 from relmap.datasets.number_rows import NumberRows, finite_numbers
 from relmap.datasets.scans import planar_poses
 from relmap.datasets.table import Column, Table, checked_table
-from relmap.datasets.textfile import numbered_lines, quoted, shown
+from relmap.datasets.textfile import invalid, numbered_lines, quoted
 
 STEP = "STEP image dX dY dPhi cXX cXY cYY cXPhi cYPhi cPhiPhi"
 LANDMARK = "LANDMARK_C pX pY quality cXX cXY cYY id"
@@ -125,7 +124,7 @@ def _read(path: Path) -> tuple[Table, Floats]:
             only_id = circle[6] if len(circle) == 7 else -1.0
             rows.add([len(steps.lines) - 1.0, *circle[:2], only_id, *circle[3:6]], number)
         if problem:
-            raise RelmapError(f"{shown(path)}: line {number}: {quoted(line)}: {problem}")
+            raise invalid(path, f"line {number}: {quoted(line)}: {problem}")
     if not len(rows.lines):
-        raise RelmapError(f"{shown(path)}: holds no circle, expected lines {LANDMARK}")
+        raise invalid(path, f"holds no circle, expected lines {LANDMARK}")
     return checked_table(path, _COLUMNS, rows.values, rows.lines), steps.values

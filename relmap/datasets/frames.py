@@ -13,17 +13,9 @@ from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.foreign import PARQUET
-from relmap.datasets.own_columns import (
-    BY_NAME,
-    Ids,
-    Numbers,
-    check_columns,
-    chosen,
-    log_of,
-    with_ids,
-)
+from relmap.datasets.own_columns import BY_NAME, Ids, check_columns, chosen, log_of
 from relmap.datasets.table import MAX_NUMBERS, Column
-from relmap.datasets.textfile import quoted, shown
+from relmap.datasets.textfile import invalid, quoted, shown
 
 
 def log_of_frame(frame: Any, columns: Mapping[str, str] | None = None) -> ObservationLog:
@@ -53,7 +45,7 @@ def log_of_frame(frame: Any, columns: Mapping[str, str] | None = None) -> Observ
         raise RelmapError(f"expected a DataFrame of pandas or polars, got a {type(frame).__name__}")
     theirs = chosen(path, [str(name) for name in frame.columns], columns or {})
     found = {ours: frame[name].to_numpy() for ours, name in theirs.items()}
-    return log_of(path, numbers_of(path, found, "row", first=0))
+    return log_of_columns(path, found, first=0)
 
 
 def read_parquet(path: Path, columns: Mapping[str, str]) -> dict[str, NDArray[Any]]:
@@ -61,25 +53,21 @@ def read_parquet(path: Path, columns: Mapping[str, str]) -> dict[str, NDArray[An
     try:
         from pyarrow import ArrowException, parquet
     except ImportError:
-        raise RelmapError(
-            f"{shown(path)}: is {PARQUET}: pip install 'relmap[parquet]' to read it"
-        ) from None
+        raise invalid(path, f"is {PARQUET}: pip install 'relmap[parquet]' to read it") from None
     try:
         with parquet.ParquetFile(path) as file:
             wanted = chosen(path, list(file.schema_arrow.names), columns)
             if file.metadata.num_rows * len(wanted) > MAX_NUMBERS:
-                raise RelmapError(f"{shown(path)}: more than {MAX_NUMBERS} numbers in its columns")
+                raise invalid(path, f"more than {MAX_NUMBERS} numbers in its columns")
             table = file.read(columns=list(wanted.values()))
             return {ours: table.column(name).to_numpy() for ours, name in wanted.items()}
     except (ArrowException, OSError, ValueError, KeyError, TypeError) as error:
         reason = quoted(str(error).partition("\n")[0])
-        raise RelmapError(f"{shown(path)}: cannot be read as {PARQUET}: {reason}") from error
+        raise invalid(path, f"cannot be read as {PARQUET}: {reason}") from error
 
 
-def numbers_of(
-    path: Path, found: Mapping[str, NDArray[Any]], place: str, first: int = 1
-) -> Numbers:
-    """Return the numbers in the columns of a frame."""
+def log_of_columns(path: Path, found: Mapping[str, NDArray[Any]], first: int = 1) -> ObservationLog:
+    """Return the log in the columns of a frame, whose rows are counted from `first`."""
     used, ids, columns = [BY_NAME[ours] for ours in found], Ids(), []
     n = len(next(iter(found.values())))
     for column in used:
@@ -90,7 +78,7 @@ def numbers_of(
         for row, cell in enumerate(cells.tolist()):
             ids.add(_as_text(cell), f"{shown(path)}: row {first + row}, field id")
         columns.append(np.full(n, -1.0))
-    return with_ids(used, np.column_stack(columns), np.arange(first, first + n), place, ids)
+    return log_of(path, used, np.column_stack(columns), np.arange(first, first + n), "row", ids)
 
 
 def _as_text(cell: object) -> str:
@@ -105,21 +93,13 @@ def _as_floats(path: Path, column: Column, cells: NDArray[Any], first: int) -> F
     try:
         if column.name == "stamp" and all(hasattr(cell, "timestamp") for cell in cells):
             return np.array([cell.timestamp() for cell in cells])  # times in a time zone
-        if cells.dtype.kind not in "biufO" or _has_lists(cells):
+        # Old versions of numpy convert a list with a single number.
+        has_lists = cells.dtype.kind == "O" and any(map(np.ndim, cells))
+        if cells.dtype.kind not in "biufO" or has_lists:
             raise ValueError(cells.dtype)
         return np.asarray(cells, dtype=np.float64)
     except (TypeError, ValueError):
-        wrong = next((k for k, cell in enumerate(cells.tolist()) if not _is_number(cell)), 0)
-        raise RelmapError(
-            f"{shown(path)}: row {first + wrong}, field {column.name}: "
-            f"{quoted(str(cells[wrong]))}, expected {column.expected}"
-        ) from None
-
-
-def _has_lists(cells: NDArray[Any]) -> bool:
-    """Return whether a cell is a list; old versions of numpy convert one with a single number."""
-    return cells.dtype.kind == "O" and any(map(np.ndim, cells))
-
-
-def _is_number(cell: object) -> bool:
-    return isinstance(cell, int | float)
+        kinds = (isinstance(cell, int | float) for cell in cells.tolist())
+        wrong = next((k for k, is_number in enumerate(kinds) if not is_number), 0)
+        problem = f"row {first + wrong}, field {column.name}: {quoted(str(cells[wrong]))}"
+        raise invalid(path, f"{problem}, expected {column.expected}") from None

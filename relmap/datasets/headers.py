@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NamedTuple, TextIO
 
 from relmap.core.errors import RelmapError
-from relmap.datasets.textfile import open_text, require_utf8, shown, unreadable
+from relmap.datasets.textfile import invalid, open_text, require_utf8, shown, unreadable
 
 
 def only_one(path: Path, found: Sequence[Path], what: str, names: str) -> Path:
@@ -20,10 +20,10 @@ def only_one(path: Path, found: Sequence[Path], what: str, names: str) -> Path:
     if not os.path.isdir(path):
         return path
     if not found:
-        raise RelmapError(f"{shown(path)}: holds no {what}, expected one {names}")
+        raise invalid(path, f"holds no {what}, expected one {names}")
     if len(found) > 1:
         several = ", ".join(shown(file.name) for file in found)
-        raise RelmapError(f"{shown(path)}: holds {len(found)} {what}s, expected one of {several}")
+        raise invalid(path, f"holds {len(found)} {what}s, expected one of {several}")
     return found[0]
 
 
@@ -82,7 +82,7 @@ def read_head(path: Path, stream: TextIO) -> Head:
             separator = max(SEPARATORS, key=text.count)
             return Head(tuple(comments), tuple(cells_of(text, separator)), number, separator)
     problem = "holds no header" if number else "is empty"
-    raise RelmapError(f"{shown(path)}: {problem}, expected a table with a header line")
+    raise invalid(path, f"{problem}, expected a table with a header line")
 
 
 def columns_of(path: Path) -> frozenset[str]:

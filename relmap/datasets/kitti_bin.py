@@ -17,13 +17,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from relmap.core.arrays import Floats
-from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
 from relmap.datasets.cloud_file import MAX_BYTES
 from relmap.datasets.foreign import is_kitti
 from relmap.datasets.number_rows import MAX_LISTED, finite_numbers, too_many
 from relmap.datasets.scans import ScanLog, poses_of, require_rotations
-from relmap.datasets.textfile import numbered_lines, require_path, shown, unreadable
+from relmap.datasets.textfile import invalid, numbered_lines, require_path, unreadable
 
 POSES, POSES_FOLDER = "poses.txt", "poses"
 FOLDERS = ("", "lidar", "velodyne", "velodyne_points/data")
@@ -46,7 +45,7 @@ class KittiBin:
         require_path(path)
         files = _files(path) if os.path.isdir(path) else []
         if not files:
-            raise RelmapError(f"{shown(path)}: holds no .bin file, expected {self.description}")
+            raise invalid(path, f"holds no .bin file, expected {self.description}")
         stamps_s = np.arange(len(files), dtype=np.float64)
         return ScanLog(3, stamps_s, lambda index: _read_cloud(files[index]), _poses(files))
 
@@ -71,17 +70,16 @@ def _read_cloud(file: Path) -> Floats:
     """Return the points (n, 3) of a file, metres."""
     try:
         if file.stat().st_size > MAX_BYTES:
-            raise RelmapError(f"{shown(file)}: more than {MAX_BYTES} bytes, expected at most that")
+            raise invalid(file, f"more than {MAX_BYTES} bytes, expected at most that")
         data = file.read_bytes()
     except OSError as error:
         raise unreadable(file, error) from error
     if not data or len(data) % 16:
-        problem = f"{len(data)} bytes, expected 16 for each point: x, y, z and intensity"
-        raise RelmapError(f"{shown(file)}: {problem}")
+        raise invalid(file, f"{len(data)} bytes, expected 16 for each point: x, y, z and intensity")
     points = np.frombuffer(data, "<f4").reshape(-1, 4)[:, :3].astype(np.float64)
     points = points[~np.isnan(points).any(axis=1)]
     if not len(points) or not (np.abs(points) <= MAX_COORDINATE_M).all():
-        raise RelmapError(f"{shown(file)}: a point is out of range, expected metres")
+        raise invalid(file, "a point is out of range, expected metres")
     return points
 
 
@@ -93,7 +91,7 @@ def _poses(files: list[Path]) -> Floats | None:
             rows = numbers_in(file, 12)
             if len(rows) < len(files):
                 problem = f"{len(rows)} poses, expected one for each of {len(files)} clouds"
-                raise RelmapError(f"{shown(file)}: {problem}")
+                raise invalid(file, problem)
             poses = np.tile(np.eye(4), (len(files), 1, 1))
             poses[:, :3] = rows[: len(files)].reshape(-1, 3, 4)
             require_rotations(file, poses)
@@ -111,8 +109,7 @@ def _seven(file: Path) -> Floats:
     if len(numbers) == 3:
         numbers = np.append(numbers, [0.0, 0.0, 0.0, 1.0])
     if len(numbers) != 7 or not numbers[3:].any():
-        problem = f"{len(numbers)} numbers, expected x, y, z, qx, qy, qz, qw"
-        raise RelmapError(f"{shown(file)}: {problem}")
+        raise invalid(file, f"{len(numbers)} numbers, expected x, y, z, qx, qy, qz, qw")
     return numbers
 
 
@@ -128,7 +125,7 @@ def numbers_in(file: Path, width: int | None = None) -> Floats:
         row = finite_numbers(cells)
         if len(row) != len(cells) or (row and len(row) != (width or len(row))):
             what = f"{width} numbers" if width else "numbers"
-            raise RelmapError(f"{shown(file)}: line {number}: expected {what}")
+            raise invalid(file, f"line {number}: expected {what}")
         if len(rows) * len(row) > MAX_LISTED:
             raise too_many(file, number, MAX_LISTED)
         rows += [row] if row else []

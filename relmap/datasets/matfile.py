@@ -16,8 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from relmap.core.arrays import Floats
-from relmap.core.errors import RelmapError
-from relmap.datasets.textfile import quoted, shown
+from relmap.datasets.textfile import invalid, quoted
 
 MAX_BYTES = 1 << 28
 """Limit of the unpacked size, 256 MiB: a hundred times the largest file in use."""
@@ -27,10 +26,8 @@ MAX_NUMBERS = 1 << 24
 _MAGIC = b"MATLAB 5.0 MAT-file"
 _HEADER_BYTES = 128
 _MATRIX, _COMPRESSED = 14, 15
-_NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8"} | {
-    12: "i8",
-    13: "u8",
-}
+_NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8"}
+_NUMBERS |= {12: "i8", 13: "u8"}
 _NUMERIC_CLASSES = range(6, 16)
 _COMPLEX = 0x0800
 
@@ -67,9 +64,8 @@ def read_matrix(file: Path, name: str) -> Floats:
         raise ValueError(f"it holds no {name}")
     except (OSError, ValueError, zlib.error) as error:
         reason = quoted(getattr(error, "strerror", None) or str(error))
-        raise RelmapError(
-            f"{shown(file)}: cannot be read: {reason}, expected a MATLAB file with {name}"
-        ) from error
+        problem = f"cannot be read: {reason}"
+        raise invalid(file, f"{problem}, expected a MATLAB file with {name}") from error
 
 
 def _elements(data: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:

@@ -20,13 +20,13 @@ from __future__ import annotations
 import logging
 import os
 import re
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.headers import file_beside
@@ -34,7 +34,7 @@ from relmap.datasets.number_rows import read_rows, warn_unsorted
 from relmap.datasets.odometry import driven, poses_at
 from relmap.datasets.scans import planar_poses
 from relmap.datasets.table import MAX_EXACT_INTEGER
-from relmap.datasets.textfile import shown
+from relmap.datasets.textfile import invalid, shown
 
 BARCODES, LANDMARKS = "Barcodes.dat", "Landmark_Groundtruth.dat"
 ROBOTS = 5
@@ -64,70 +64,43 @@ class Mrclam:
         """Read the log: planar, with the available odometry."""
         robots = _robots(path)
         if not robots:
-            raise RelmapError(f"{shown(path)}: holds no measurements, expected {self.description}")
-        subjects, before, drives = _subjects(file_beside(path, BARCODES)), 0, []
+            raise invalid(path, f"holds no measurements, expected {self.description}")
+        subjects, parts, n_scans, n_rows = _subjects(file_beside(path, BARCODES)), [], 0, 0
         for robot, file in robots.items():
-            drive = _Drive.of(robot, file, subjects, before)
-            drives.append(drive)
-            before += drive.n_measured
-        stamps_s = np.concatenate([drive.stamps_s for drive in drives])
-        if not len(stamps_s):
-            raise RelmapError(f"{shown(path)}: no bar code is that of a landmark, expected some")
-        if (np.diff(stamps_s) <= 0).any():
-            raise RelmapError(f"{shown(path)}: robots are days apart, expected those of one run")
-        row_stamps = np.concatenate([drive.row_stamps_s for drive in drives])
-        known = any(drive.counted for drive in drives)
-        return ObservationLog(
-            points_robot=np.concatenate([drive.points_robot for drive in drives]),
-            iteration=np.searchsorted(stamps_s, row_stamps).astype(np.int64),
-            rows=np.concatenate([drive.rows for drive in drives]),
-            first_iteration=0,
-            end_iteration=len(stamps_s),
-            ids=np.concatenate([drive.ids for drive in drives]),
-            stamps_s=stamps_s,
-            odometry=np.concatenate([drive.odometry for drive in drives]) if known else None,
-        )
+            part, n_measured = _drive(robot, file, subjects)
+            iteration, rows = n_scans + part.iteration, n_rows + part.rows
+            parts.append(vars(replace(part, iteration=iteration, rows=rows)))
+            n_scans, n_rows = n_scans + len(part), n_rows + n_measured
+        names = ("points_robot", "iteration", "rows", "ids", "stamps_s", "odometry")
+        whole: dict[str, Any] = {
+            name: np.concatenate([part[name] for part in parts]) for name in names
+        }
+        if not n_scans:
+            raise invalid(path, "no bar code is that of a landmark, expected some")
+        if (np.diff(whole["stamps_s"]) <= 0).any():
+            raise invalid(path, "robots are days apart, expected those of one run")
+        log = ObservationLog(**whole, first_iteration=0, end_iteration=n_scans)
+        known = any(_file(file.parent, robot, "Odometry") for robot, file in robots.items())
+        return log if known else replace(log, odometry=None)
 
 
-@dataclass(frozen=True, eq=False)
-class _Drive:
-    """Landmark observations of one robot, in order of time, and its motions."""
-
-    row_stamps_s: Floats
-    points_robot: Floats
-    ids: Ints
-    rows: Ints
-    stamps_s: Floats
-    odometry: Floats
-    counted: bool
-    n_measured: int
-
-    @classmethod
-    def of(cls, robot: int, file: Path, subjects: dict[int, int], before: int) -> _Drive:
-        """Read the files of a robot; `before` is the number of rows of earlier robots."""
-        measured = read_rows(file, _MEASUREMENT, "#", "measurement", f"4 numbers: {_SEEN}").values
-        measured[:, 1] = [subjects.get(int(code), -1) for code in measured[:, 1]]
-        warn_unsorted(file, measured[:, 0], "measurements")
-        if unknown := int((measured[:, 1] < 0).sum()):
-            _LOG.warning("%s: %d unknown bar codes are left out", shown(file), unknown)
-        rows = np.flatnonzero(measured[:, 1] > ROBOTS)
-        rows = rows[np.lexsort((rows, measured[rows, 1], measured[rows, 0]))]
-        same = (np.diff(measured[rows, :2], axis=0) == 0).all(axis=1)
-        rows = np.delete(rows, np.flatnonzero(same) + 1)  # duplicate landmark in one image
-        t, subject, range_m, bearing_rad = measured[rows].T
-        directions = np.column_stack([np.cos(bearing_rad), np.sin(bearing_rad)])
-        stamps_s = np.unique(t)
-        motion = _odometry(_file(file.parent, robot, "Odometry"), stamps_s)
-        return cls(
-            row_stamps_s=_shifted(t, robot),
-            points_robot=range_m[:, None] * directions,
-            ids=subject.astype(np.int64),
-            rows=before + rows,
-            stamps_s=_shifted(stamps_s, robot),
-            odometry=np.full((len(stamps_s), 4, 4), np.nan) if motion is None else motion,
-            counted=motion is not None,
-            n_measured=len(measured),
-        )
+def _drive(robot: int, file: Path, subjects: dict[int, int]) -> tuple[ObservationLog, int]:
+    """Return the log of one robot, with unknown motion without a file, and its number of rows."""
+    measured = read_rows(file, _MEASUREMENT, "#", "measurement", f"4 numbers: {_SEEN}").values
+    measured[:, 1] = [subjects.get(int(code), -1) for code in measured[:, 1]]
+    warn_unsorted(file, measured[:, 0], "measurements")
+    if unknown := int((measured[:, 1] < 0).sum()):
+        _LOG.warning("%s: %d unknown bar codes are left out", shown(file), unknown)
+    rows = np.flatnonzero(measured[:, 1] > ROBOTS)
+    rows = rows[np.lexsort((rows, measured[rows, 1], measured[rows, 0]))]
+    same = (np.diff(measured[rows, :2], axis=0) == 0).all(axis=1)
+    rows = np.delete(rows, np.flatnonzero(same) + 1)  # duplicate landmark in one image
+    t, subject, range_m, bearing_rad = measured[rows].T
+    points = range_m[:, None] * np.column_stack([np.cos(bearing_rad), np.sin(bearing_rad)])
+    stamps_s, iteration = np.unique(t, return_inverse=True)
+    motion = _odometry(_file(file.parent, robot, "Odometry"), stamps_s)
+    log = ObservationLog(points, iteration, rows, 0, len(stamps_s), subject.astype(np.int64))
+    return replace(log, stamps_s=_shifted(stamps_s, robot), odometry=motion), len(measured)
 
 
 def is_ground_truth(path: Path) -> bool:
@@ -172,10 +145,10 @@ def _vicon(file: Path, at_s: Floats) -> Floats:
     return poses_at(t, planar_poses(*rows[first, 1:].T), at_s)
 
 
-def _odometry(file: Path | None, at_s: Floats) -> Floats | None:
-    """Return the motions (k, 4, 4) of a robot between images; None without a file."""
+def _odometry(file: Path | None, at_s: Floats) -> Floats:
+    """Return the motions (k, 4, 4) of a robot between images; NaN without a file."""
     if file is None:
-        return None
+        return np.full((len(at_s), 4, 4), np.nan)
     limits = (_TIME, _SPEED, _SPEED)
     rows = read_rows(file, limits, "#", "velocity", "3 numbers: t forward angular").values
     warn_unsorted(file, rows[:, 0], "velocities")
@@ -188,11 +161,10 @@ def _shifted(stamps_s: Floats, robot: int) -> Floats:
 
 
 def _subjects(file: Path) -> dict[int, int]:
-    """Return the subject of each bar code."""
     rows = read_rows(file, [MAX_EXACT_INTEGER] * 2, "#", "bar code", "2 numbers: subject bar code")
     codes, counts = np.unique(rows.values[:, 1], return_counts=True)
     if (counts > 1).any():
-        raise RelmapError(f"{shown(file)}: bar code {codes[counts > 1][0]:.0f} is duplicated")
+        raise invalid(file, f"bar code {codes[counts > 1][0]:.0f} is duplicated")
     return {int(code): int(subject) for subject, code in rows.values}
 
 

@@ -26,7 +26,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.errors import RelmapError
 from relmap.core.sensor import range_bearing_covariances
 from relmap.datasets.assembly import (
     MAX_COORDINATE_M,
@@ -40,7 +39,7 @@ from relmap.datasets.headers import TABLES, columns_of, only_one, tables_with
 from relmap.datasets.number_rows import NumberRows, finite_numbers, read_rows
 from relmap.datasets.scans import poses_of
 from relmap.datasets.table import Column, Table, header_text, read_table
-from relmap.datasets.textfile import shown
+from relmap.datasets.textfile import invalid
 
 _COLUMNS = (
     iteration_column("step"),
@@ -95,14 +94,11 @@ class MrptLandmarks:
             R = R_robot_sensor[:d, :d]
             noise = R @ range_bearing_covariances(_points_sensor(table)[:, :d], *sigmas[:d]) @ R.T
         log = assemble_log(table, "step", points_robot[:, :d], table.integers("id"), noise)
-        odometry = next((other for other in _odometry_files(file) if os.path.isfile(other)), None)
-        return log if odometry is None else replace(log, odometry=_odometry(odometry, log))
-
-
-def _odometry_files(file: Path) -> list[Path]:
-    """Return the possible names of the odometry file of a log."""
-    base, n = _LOG.subn("", file.name)
-    return [file.with_name(f"{base}.odometry.csv{end}") for end in ("", ".gz")] if n else []
+        base, n = _LOG.subn("", file.name)
+        for odometry in (file.with_name(f"{base}.odometry.csv{end}") for end in ("", ".gz")):
+            if n and os.path.isfile(odometry):
+                return replace(log, odometry=_odometry(odometry, log))
+        return log
 
 
 def _odometry(file: Path, log: ObservationLog) -> Floats:
@@ -122,8 +118,7 @@ def _points_sensor(table: Table) -> Floats:
     yaw, pitch = table.columns["yaw_rad"], table.columns["pitch_rad"]
     ahead, left = np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch)
     directions = np.column_stack([ahead, left, -np.sin(pitch)])
-    points: Floats = table.columns["range_m"][:, None] * directions
-    return points
+    return np.asarray(table.columns["range_m"][:, None] * directions)
 
 
 def _sensor_pose(table: Table) -> tuple[Floats, Floats]:
@@ -139,10 +134,9 @@ def _sensor_pose(table: Table) -> tuple[Floats, Floats]:
             if rigid and np.linalg.det(R) > 0:
                 return R, t
             break
-    raise RelmapError(
-        f"{shown(table.path)}: comments above the header: no usable sensor pose, expected "
-        "'# sensor on robot: t = 0 0 0 ; R (row major) = 1 0 0 0 1 0 0 0 1' (t in metres)"
-    )
+    expected = "'# sensor on robot: t = 0 0 0 ; R (row major) = 1 0 0 0 1 0 0 0 1' (t in metres)"
+    problem = f"comments above the header: no usable sensor pose, expected {expected}"
+    raise invalid(table.path, problem)
 
 
 def _sigmas(table: Table) -> Floats:
@@ -178,10 +172,9 @@ def read_ground_truth(path: Path | str) -> tuple[Ints, Floats, Floats]:
     wrong = (ids != np.rint(ids)) | np.isin(ids, different[counts > 1])
     if wrong.any():
         row = int(np.argmax(wrong))
-        raise RelmapError(
-            f"{shown(file)}: line {rows.lines[row]}, field id: {ids[row]:.10g} is not an "
-            "integer or occurs twice, expected each landmark's own number"
-        )
+        problem = f"field id: {ids[row]:.10g} is not an integer or occurs twice"
+        where = f"line {rows.lines[row]}"
+        raise invalid(file, f"{where}, {problem}, expected each landmark's own number")
     path_6d = _rows(Path(f"{base}{_PATH}"), "x y z yaw pitch roll").values
     poses = poses_of(Rotation.from_euler("ZYX", path_6d[:, 3:]), path_6d[:, :3])
     return ids.astype(np.int64), landmarks[:, :3].copy(), poses

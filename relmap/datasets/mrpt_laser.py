@@ -18,20 +18,13 @@ from pathlib import Path
 import numpy as np
 
 from relmap.core.arrays import Floats
-from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
 from relmap.datasets.headers import TABLES, columns_of, only_one, tables_with
 from relmap.datasets.number_rows import finite_numbers
 from relmap.datasets.odometry import motions, path_of
-from relmap.datasets.scans import (
-    ScanLog,
-    in_time_order,
-    laser_scans,
-    planar_poses,
-    require_memory,
-)
+from relmap.datasets.scans import ScanLog, in_time_order, laser_scans, planar_poses, require_memory
 from relmap.datasets.table import Column, Table, read_table
-from relmap.datasets.textfile import shown
+from relmap.datasets.textfile import invalid, shown
 
 _HALLMARK = frozenset({"t_s", "gt_theta", "r0"})
 _BEAM = re.compile(r"r(0|[1-9]\d{0,4})$")
@@ -67,13 +60,8 @@ class MrptLaser:
         log = laser_scans(
             file, list(ranges), [bearing] * k, limit_m, mounted, stamps_s, poses[order]
         )
-        return replace(log, odometry=motions(_path(table)[order]))
-
-
-def _path(table: Table) -> Floats:
-    """Return the poses (k, 4, 4) integrated from the odometry."""
-    steps = planar_poses(*(table.columns[name] for name in ("odo_dx", "odo_dy", "odo_dtheta")))
-    return path_of(np.roll(steps, 1, axis=0))
+        steps = planar_poses(*(table.columns[name] for name in ("odo_dx", "odo_dy", "odo_dtheta")))
+        return replace(log, odometry=motions(path_of(np.roll(steps, 1, axis=0))[order]))
 
 
 def _columns(beams: int) -> list[Column]:
@@ -94,7 +82,5 @@ def _sensor(table: Table) -> tuple[Floats, float]:
         numbers = finite_numbers((*pose.groups(), maximum[1]))
         if numbers and numbers[-1] > 0:
             return np.array(numbers[:3]), numbers[3]
-    raise RelmapError(
-        f"{shown(table.path)}: comments above the header: no usable sensor, expected "
-        "'# sensor on robot x=0 y=0 z=0 yaw=0 ; max range 80 m'"
-    )
+    expected = "'# sensor on robot x=0 y=0 z=0 yaw=0 ; max range 80 m'"
+    raise invalid(table.path, f"comments above the header: no usable sensor, expected {expected}")

@@ -24,14 +24,8 @@ def no_return_m(path: Path, ranges_m: list[Floats], bearings_rad: list[Floats]) 
     """Return the range of beams without a return, infinity if there are none.
 
     It is the largest one of a log if in several scans wide sectors have it: no wall looks like this
-    from several places.
-
-    Parameters
-    ----------
-    path : Path
-        The log, for the warning.
-    ranges_m, bearings_rad : list of k (b,) float64
-        Beams of each scan, in their order.
+    from several places. `path`: the log, for the warning; `ranges_m`, `bearings_rad`, list of k
+    (b,): beams of each scan, in their order.
     """
     every = np.concatenate([*ranges_m, np.zeros(1)])
     least = float(every.max() * (1 - SAME))

@@ -12,7 +12,7 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
-from relmap.datasets.textfile import numbered_lines, quoted, shown
+from relmap.datasets.textfile import invalid, numbered_lines, quoted, shown
 
 _LOG = logging.getLogger(__name__)
 MAX_LISTED = 1 << 24
@@ -22,7 +22,7 @@ MAX_LISTED = 1 << 24
 def too_many(path: Path, line: int, most: int) -> RelmapError:
     """Return the error for a file with more numbers than the memory limit."""
     problem = f"more than {most} numbers, expected at most that"
-    return RelmapError(f"{shown(path)}: line {line}: {problem}")
+    return invalid(path, f"line {line}: {problem}")
 
 
 def parse_number(cell: str) -> float:
@@ -76,9 +76,9 @@ def read_rows(
         if len(row) == len(limits) and (np.abs(row) <= limits).all():
             rows.add(row, number)
         elif any(cells):
-            raise RelmapError(f"{shown(path)}: line {number}: {quoted(line)}, expected {expected}")
+            raise invalid(path, f"line {number}: {quoted(line)}, expected {expected}")
     if not len(rows.lines):
-        raise RelmapError(f"{shown(path)}: holds no {what}, expected {expected}")
+        raise invalid(path, f"holds no {what}, expected {expected}")
     return rows
 
 

@@ -33,7 +33,7 @@ from relmap.datasets.assembly import (
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.headers import columns_of, only_one
 from relmap.datasets.table import Column, Table, header_text, read_table
-from relmap.datasets.textfile import replacing, shown
+from relmap.datasets.textfile import invalid, replacing
 
 FILE_NAMES = ("observations.csv", "observations.csv.gz")
 """The log's name in a folder."""
@@ -103,10 +103,8 @@ def covariances_of(table: Table, points: Floats) -> Floats | None:
     if not found:
         return None
     if sorted(found) != sorted(wanted):
-        raise RelmapError(
-            f"{shown(table.path)}: covariances need the columns {', '.join(wanted)}, and there are "
-            f"{', '.join(found)}"
-        )
+        problem = f"covariances need the columns {', '.join(wanted)}"
+        raise invalid(table.path, f"{problem}, and there are {', '.join(found)}")
     covariances = np.empty((len(points), d, d))
     for name in wanted:
         a, b = ("xyz".index(axis) for axis in name[1:])
@@ -114,7 +112,7 @@ def covariances_of(table: Table, points: Floats) -> Floats | None:
     try:
         return checked_covariances(covariances, points)
     except RelmapError as error:
-        raise RelmapError(f"{shown(table.path)}: {error}") from error
+        raise invalid(table.path, str(error)) from error
 
 
 def write_observation_csv(path: Path | str, log: ObservationLog) -> None:
@@ -129,13 +127,11 @@ def write_observation_csv(path: Path | str, log: ObservationLog) -> None:
     """
     path = Path(path)
     if not len(log.points_robot):
-        raise RelmapError(f"{shown(path)}: not written: the log has no observation")
+        raise invalid(path, "not written: the log has no observation")
     good = (np.abs(log.points_robot) <= MAX_COORDINATE_M).all(axis=1)
     if not good.all():
-        raise RelmapError(
-            f"{shown(path)}: not written: observation {np.argmin(good)} is not finite or out of "
-            f"range, expected coordinates within {MAX_COORDINATE_M:g} metres"
-        )
+        problem = f"not written: observation {np.argmin(good)} is not finite or out of range"
+        raise invalid(path, f"{problem}, expected coordinates within {MAX_COORDINATE_M:g} metres")
     with replacing(path) as file, ExitStack() as opened:
         packed: BinaryIO | gzip.GzipFile = file
         if path.suffix == ".gz":

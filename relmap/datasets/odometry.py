@@ -24,14 +24,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M, iteration_column, metres_column
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.headers import file_beside
 from relmap.datasets.number_rows import read_rows
 from relmap.datasets.scans import ScanLog, planar_poses, poses_of
 from relmap.datasets.table import Column, Table, read_table
-from relmap.datasets.textfile import replacing, shown
+from relmap.datasets.textfile import invalid, replacing, shown
 
 TABLES, TRAJECTORY = ("odometry.csv", "odometry.csv.gz"), "odometry.tum"
 """Names of the odometry files beside a log."""
@@ -142,7 +141,7 @@ def with_odometry_beside(log: Log, path: Path) -> Log:
     if not names:
         return log
     if len(names) > 1:
-        raise RelmapError(f"{shown(path)}: {' and '.join(names)} exist beside it, expected one")
+        raise invalid(path, f"{' and '.join(names)} exist beside it, expected one")
     file = file_beside(path, names[0])
     found = _read_trajectory(file, log) if names[0] == TRAJECTORY else _read_motions(file, log)
     return replace(log, odometry=_in_plane(found) if log.dimension == 2 else found)
@@ -163,12 +162,8 @@ def _read_motions(file: Path, log: ObservationLog | ScanLog) -> Floats:
     if len(again):
         row = int(order[again[0] + 1])
         table.fail(row, "iteration", f"{iteration[row]} occurs twice, expected each once")
-    _require_common(
-        file,
-        "iterations",
-        iteration,
-        np.array([log.first_iteration, log.first_iteration + len(log) - 1]),
-    )
+    ends = np.array([log.first_iteration, log.first_iteration + len(log) - 1])
+    _require_common(file, "iterations", iteration, ends)
     odometry = np.full((len(log), 4, 4), np.nan)
     index = iteration - log.first_iteration
     there = (index >= 0) & (index < len(log))
@@ -181,10 +176,8 @@ def _poses(table: Table) -> Floats:
     if sorted(names) == sorted(_PLANAR):
         return planar_poses(*(table.columns[name] for name in _PLANAR))
     if sorted(names) != sorted(_SPATIAL):
-        raise RelmapError(
-            f"{shown(table.path)}: columns {', '.join(names)}, expected iteration and "
-            f"{', '.join(_PLANAR)}, or iteration and {', '.join(_SPATIAL)}"
-        )
+        expected = f"iteration and {', '.join(_PLANAR)}, or iteration and {', '.join(_SPATIAL)}"
+        raise invalid(table.path, f"columns {', '.join(names)}, expected {expected}")
     numbers = np.column_stack([table.columns[name] for name in _SPATIAL])
     return _with_quaternions(table.path, numbers, table.lines)
 
@@ -194,10 +187,9 @@ def _with_quaternions(file: Path, numbers: Floats, lines: Ints) -> Floats:
     length = np.linalg.norm(numbers[:, 3:], axis=1)
     wrong = np.abs(length - 1) > _UNIT
     if wrong.any():
-        raise RelmapError(
-            f"{shown(file)}: line {lines[np.argmax(wrong)]}: the quaternion has the length "
-            f"{length[np.argmax(wrong)]:.4g}, expected 1"
-        )
+        row = np.argmax(wrong)
+        problem = f"the quaternion has the length {length[row]:.4g}, expected 1"
+        raise invalid(file, f"line {lines[row]}: {problem}")
     return poses_of(Rotation.from_quat(numbers[:, 3:]), numbers[:, :3])
 
 
@@ -212,10 +204,9 @@ def _read_trajectory(file: Path, log: ObservationLog | ScanLog) -> Floats:
     stamps_s, poses, lines = read_tum(file)
     late = np.flatnonzero(np.diff(stamps_s) <= 0)
     if len(late):
-        raise RelmapError(
-            f"{shown(file)}: line {lines[late[0] + 1]}: the time {stamps_s[late[0] + 1]:.10g} "
-            "does not increase, expected poses sorted by time"
-        )
+        row = late[0] + 1
+        problem = f"line {lines[row]}: the time {stamps_s[row]:.10g} does not increase"
+        raise invalid(file, f"{problem}, expected poses sorted by time")
     at_s = log.stamps_s
     if at_s is None:
         at_s = log.first_iteration + np.arange(len(log), dtype=np.float64)
@@ -226,10 +217,8 @@ def _read_trajectory(file: Path, log: ObservationLog | ScanLog) -> Floats:
 def _require_common(file: Path, what: str, own: Ints | Floats, of_log: Ints | Floats) -> None:
     """Check that iterations or times of odometry reach into those of its log."""
     if len(own) and (own.max() < of_log.min() or own.min() > of_log.max()):
-        raise RelmapError(
-            f"{shown(file)}: {what} {own.min():.10g} to {own.max():.10g}, expected some within "
-            f"those of the log, {of_log.min():.10g} to {of_log.max():.10g}"
-        )
+        found, there = (f"{of.min():.10g} to {of.max():.10g}" for of in (own, of_log))
+        raise invalid(file, f"{what} {found}, expected some within those of the log, {there}")
 
 
 def poses_at(stamps_s: Floats, poses: Floats, at_s: Floats) -> Floats:
@@ -252,9 +241,8 @@ def poses_at(stamps_s: Floats, poses: Floats, at_s: Floats) -> Floats:
 def write_odometry_csv(path: Path, odometry: Floats, first_iteration: int = 0) -> None:
     """Write motions (k, 4, 4) so that they can be read back, up to rounding.
 
-    Planar ones, without height, roll and pitch, are written as x, y and yaw.
-
-    Raises `RelmapError` if the file cannot be written.
+    Planar ones, without height, roll and pitch, are written as x, y and yaw. Raises `RelmapError`
+    if the file cannot be written.
     """
     known = np.flatnonzero(np.isfinite(odometry).all(axis=(1, 2)))
     there = odometry[known]

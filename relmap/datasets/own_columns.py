@@ -18,16 +18,13 @@ from relmap.datasets.base import ObservationLog
 from relmap.datasets.number_rows import parse_number
 from relmap.datasets.observation_csv import COLUMNS, covariances_of, points_of
 from relmap.datasets.table import MAX_EXACT_INTEGER, Column, checked_table
-from relmap.datasets.textfile import quoted, shown
+from relmap.datasets.textfile import invalid, quoted, shown
 
 MAX_NAME = 200
 """Maximum number of characters of a text id."""
 
 BY_NAME = {column.name: column for column in COLUMNS}
 _LOG = logging.getLogger(__name__)
-
-Numbers = tuple[list[Column], Floats, Ints, str, tuple[str, ...] | None]
-"""Columns, numbers (n, columns), line of each row, name of a line, and text ids."""
 
 
 def check_columns(columns: Mapping[str, str]) -> None:
@@ -53,7 +50,7 @@ def chosen(path: Path, there: list[str], columns: Mapping[str, str]) -> dict[str
     if missing or several:
         problem = f"no column {missing[0]}" if missing else f"two columns {several[0]}"
         listed = ", ".join(map(quoted, there[:12])) + ", ..." * (len(there) > 12)
-        raise RelmapError(f"{shown(path)}: {problem}, expected one; there are {listed}")
+        raise invalid(path, f"{problem}, expected one; there are {listed}")
     others = [quoted(name) for name in there if name not in wanted.values()]
     if others:
         listed = ", ".join(others[:12]) + ", ..." * (len(others) > 12)
@@ -96,30 +93,27 @@ def _whole(text: str) -> float | None:
     return value if abs(value) <= MAX_EXACT_INTEGER and value == math.floor(value) else None
 
 
-def with_ids(used: list[Column], values: Floats, lines: Ints, place: str, ids: Ids) -> Numbers:
-    """Return a table (n, columns), with `ids` in place of the id column, if any."""
+def log_of(
+    path: Path, used: list[Column], values: Floats, lines: Ints, place: str, ids: Ids | None
+) -> ObservationLog:
+    """Return the log given by the numbers (n, columns) of a table, and its ids.
+
+    `lines`, `place`: as for `Table`; `ids`: the content of the id column, if any. Raises
+    `RelmapError` if there is no row, or a number is out of the range of its column.
+    """
     names = None
     for k, column in enumerate(used):
-        if column.name == "id":
+        if column.name == "id" and ids is not None:
             values[:, k], names = ids.numbered()
-    return used, values, lines, place, names
-
-
-def log_of(path: Path, numbers: Numbers) -> ObservationLog:
-    """Return the log given by the numbers of a table.
-
-    Raises `RelmapError` if there is no row, or a number is out of the range of its column.
-    """
-    used, values, lines, place, names = numbers
     if not len(values):
-        raise RelmapError(f"{shown(path)}: holds no row, expected at least one")
+        raise invalid(path, "holds no row, expected at least one")
     table = checked_table(path, used, values, lines, place)
     stamps_s = table.columns.get("stamp")
     if "iteration" not in table.columns and stamps_s is not None:
         _, iteration = np.unique(stamps_s, return_inverse=True)
         table.columns["iteration"] = iteration.astype(np.float64)
-    ids = table.integers("id") if "id" in table.columns else None
+    numbers = table.integers("id") if "id" in table.columns else None
     points = points_of(table)
-    log = assemble_log(table, "iteration", points, ids, covariances_of(table, points))
+    log = assemble_log(table, "iteration", points, numbers, covariances_of(table, points))
     log = log if stamps_s is None else with_stamps(table, log)
     return replace(log, names=names)

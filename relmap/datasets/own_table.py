@@ -18,20 +18,12 @@ import numpy as np
 from relmap.core.errors import RelmapError
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.foreign import PARQUET, foreign_at
-from relmap.datasets.frames import numbers_of, read_parquet
+from relmap.datasets.frames import log_of_columns, read_parquet
 from relmap.datasets.headers import read_head
 from relmap.datasets.number_rows import parse_number, too_many
-from relmap.datasets.own_columns import (
-    BY_NAME,
-    Ids,
-    Numbers,
-    check_columns,
-    chosen,
-    log_of,
-    with_ids,
-)
+from relmap.datasets.own_columns import BY_NAME, Ids, check_columns, chosen, log_of
 from relmap.datasets.table import MAX_NUMBERS, Column
-from relmap.datasets.textfile import open_text, quoted, require_utf8, shown
+from relmap.datasets.textfile import invalid, open_text, quoted, require_utf8, shown
 
 
 @dataclass(frozen=True)
@@ -53,12 +45,11 @@ class OwnTable:
         """Read the log."""
         check_columns(self.columns)
         if foreign_at(path) == PARQUET:
-            return log_of(path, numbers_of(path, read_parquet(path, self.columns), "row"))
-        return log_of(path, _text_table(path, self.columns))
+            return log_of_columns(path, read_parquet(path, self.columns))
+        return _read_text(path, self.columns)
 
 
-def _text_table(path: Path, columns: Mapping[str, str]) -> Numbers:
-    """Read a text table."""
+def _read_text(path: Path, columns: Mapping[str, str]) -> ObservationLog:
     values, lines, ids = array("d"), array("q"), Ids()
     with open_text(path) as stream:
         head = read_head(path, stream)
@@ -67,24 +58,21 @@ def _text_table(path: Path, columns: Mapping[str, str]) -> Numbers:
         used = [BY_NAME[ours] for ours in wanted]
         at = [(BY_NAME[ours], there.index(theirs)) for ours, theirs in wanted.items()]
         for line, cells in _rows(path, stream, head.line, head.separator):
-            where = f"{shown(path)}: line {line}"
             if len(cells) != len(there):
-                expected = f"expected {len(there)} as in the header"
-                raise RelmapError(f"{where}: {len(cells)} fields, {expected}")
+                problem = f"{len(cells)} fields, expected {len(there)} as in the header"
+                raise invalid(path, f"line {line}: {problem}")
             for column, k in at:
-                text = cells[k].strip()
+                text, where = cells[k].strip(), f"{shown(path)}: line {line}, field {there[k]}"
                 if column.name == "id":
-                    ids.add(text, f"{where}, field {there[k]}")
+                    ids.add(text, where)
                     values.append(-1.0)
                 else:
-                    values.append(
-                        _number(text, head.separator, column, f"{where}, field {there[k]}")
-                    )
+                    values.append(_number(text, head.separator, column, where))
             lines.append(line)
             if len(values) > MAX_NUMBERS:
                 raise too_many(path, line, MAX_NUMBERS)
     table = np.array(values, dtype=np.float64).reshape(-1, len(used))
-    return with_ids(used, table, np.array(lines, dtype=np.int64), "line", ids)
+    return log_of(path, used, table, np.array(lines, dtype=np.int64), "line", ids)
 
 
 def _number(text: str, separator: str, column: Column, where: str) -> float:
@@ -110,4 +98,4 @@ def _rows(
             if any(cell.strip() for cell in cells):
                 yield line + reader.line_num, cells
     except csv.Error as error:
-        raise RelmapError(f"{shown(path)}: line {line + reader.line_num}: {error}") from error
+        raise invalid(path, f"line {line + reader.line_num}: {error}") from error

@@ -15,15 +15,10 @@ from pathlib import Path
 import numpy as np
 
 from relmap.core.arrays import Floats
-from relmap.core.errors import RelmapError
 from relmap.datasets.cloud_file import is_cloud, read_cloud
 from relmap.datasets.number_rows import read_rows
 from relmap.datasets.scans import ScanLog, in_time_order, require_rotations
-from relmap.datasets.textfile import (
-    require_path,
-    shown,
-    unreadable,
-)
+from relmap.datasets.textfile import invalid, require_path, shown, unreadable
 
 POSES_FILE = "alidarPose.csv"
 _ROW = "4 numbers: a row of a 4 x 4 matrix"
@@ -52,7 +47,7 @@ class PointClouds:
         require_path(path)
         files = _files(path) if os.path.isdir(path) else [path]
         if not files:
-            raise RelmapError(f"{shown(path)}: holds no cloud, expected {self.description}")
+            raise invalid(path, f"holds no cloud, expected {self.description}")
         stamps_s, poses = np.arange(len(files), dtype=np.float64), None
         poses_file = files[0].with_name(POSES_FILE)
         if poses_file.is_file():
@@ -82,12 +77,12 @@ def _read_poses(file: Path, clouds: list[Path]) -> tuple[Floats, Floats]:
     for cloud, name in zip(clouds, numbers, strict=True):
         if len(name) != 1 or 4 * name[0] + 4 > len(rows):
             problem = f"no rows for {shown(cloud.name)}, expected 4 for each number from 0"
-            raise RelmapError(f"{shown(file)}: {problem}")
+            raise invalid(file, problem)
     first = 4 * np.array(numbers)
     matrices = rows[first + np.arange(4)]
     stamps_s = matrices[:, 3, 3].copy()
     if matrices[:, 3, :3].any() or len(rows) % 4:
-        raise RelmapError(f"{shown(file)}: not 4 rows a pose, expected the last to be 0, 0, 0, t")
+        raise invalid(file, "not 4 rows a pose, expected the last to be 0, 0, 0, t")
     matrices[:, 3] = [0.0, 0.0, 0.0, 1.0]
     require_rotations(file, matrices)
     return stamps_s, matrices

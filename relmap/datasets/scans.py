@@ -15,7 +15,7 @@ from relmap.core.brief import Brief
 from relmap.core.errors import RelmapError
 from relmap.datasets.base import common_range
 from relmap.datasets.no_return import no_return_m
-from relmap.datasets.textfile import shown
+from relmap.datasets.textfile import invalid, shown
 
 MAX_BEAMS, MAX_SCANS = 1 << 24, 1 << 18
 """Maximum number of beams and scans of a laser log: some fifty thousand scans of 360 beams."""
@@ -219,14 +219,9 @@ def _laser_view(bearings_rad: list[Floats], limit_m: float, T_robot_laser: Float
     if np.ptp(T_robot_laser, axis=0).max() > FIXED:
         return SensorView()
     half = min(min(-bearings.min(), bearings.max()) for bearings in bearings_rad)
-    x, y, yaw = T_robot_laser[0].tolist()
-    return SensorView(
-        view_rad=2 * float(half) if half > 0 else None,
-        range_m=float(limit_m) if np.isfinite(limit_m) else None,
-        x_m=x,
-        y_m=y,
-        yaw_rad=yaw,
-    )
+    view_rad = 2 * float(half) if half > 0 else None
+    range_m = float(limit_m) if np.isfinite(limit_m) else None
+    return SensorView(view_rad, range_m, *T_robot_laser[0].tolist())
 
 
 def poses_of(rotation: Rotation, t: Floats) -> Floats:
@@ -243,7 +238,7 @@ def require_rotations(file: Path, poses: Floats) -> None:
     wrong = np.flatnonzero(~(off <= _ROUNDING) | (np.linalg.det(R) < 0))
     if len(wrong):
         problem = f"pose {wrong[0]} has no rotation, expected orthogonal rows of length 1"
-        raise RelmapError(f"{shown(file)}: {problem}")
+        raise invalid(file, problem)
 
 
 def planar_poses(x: Floats, y: Floats, yaw: Floats) -> Floats:

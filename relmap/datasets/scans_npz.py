@@ -19,14 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.arrays import Bools, Floats
-from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
 from relmap.datasets.foreign import ZIP, foreign_at
 from relmap.datasets.headers import file_in
 from relmap.datasets.no_return import no_return_m
 from relmap.datasets.npz import DAMAGE, read_array
 from relmap.datasets.scans import ScanLog, SensorView, in_time_order, stored_scans
-from relmap.datasets.textfile import quoted, replacing, require_path, shown, unreadable
+from relmap.datasets.textfile import invalid, quoted, replacing, require_path, unreadable
 
 FILE_NAME = "scans.npz"
 """The log's name in a folder."""
@@ -132,9 +131,7 @@ def _read_arrays(file: Path) -> dict[str, NDArray[Any]]:
         found = foreign_at(file)
         other = found if found != ZIP else None
         reason = quoted(other or str(error) or type(error).__name__)
-        raise RelmapError(
-            f"{shown(file)}: cannot be read: {reason}, expected {ScansNpz.description}"
-        ) from error
+        raise invalid(file, f"cannot be read: {reason}, expected {ScansNpz.description}") from error
 
 
 def _without_arrays(file: Path) -> bool:
@@ -162,24 +159,19 @@ def _check_directory(file: Path) -> None:
 
 
 def _limit(file: Path, name: str, array: NDArray[Any]) -> float:
-    """Return a sensor limit stated by a log."""
     if array.shape == () and array.dtype.kind in "fiu" and 0 < float(array) < np.inf:
         return float(array)
-    raise RelmapError(f"{shown(file)}: array {name}: {array!r}, expected one positive number")
+    raise invalid(file, f"array {name}: {array!r}, expected one positive number")
 
 
 def _check_view(file: Path, points: Floats, view_rad: float = 0.0, range_m: float = np.inf) -> None:
     """Check that a view is an angle, and that a range reaches the points (n, 2) or (n, 3)."""
     if view_rad > 2 * np.pi + 1e-3:  # rounded
-        raise RelmapError(
-            f"{shown(file)}: array view_rad: {view_rad:g}, expected radians, 2 pi at most"
-        )
+        raise invalid(file, f"array view_rad: {view_rad:g}, expected radians, 2 pi at most")
     farthest_m = np.hypot(points[:, 0], points[:, 1]).max()
     if farthest_m > _BEYOND * range_m:
-        raise RelmapError(
-            f"{shown(file)}: array range_m: {range_m:g}, but there are points up to "
-            f"{farthest_m:.4g} m away, expected the greatest range of the sensor, metres"
-        )
+        problem = f"array range_m: {range_m:g}, but there are points up to {farthest_m:.4g} m away"
+        raise invalid(file, f"{problem}, expected the greatest range of the sensor, metres")
 
 
 def _check_shapes(file: Path, arrays: dict[str, NDArray[Any]]) -> None:
@@ -196,10 +188,8 @@ def _check_shapes(file: Path, arrays: dict[str, NDArray[Any]]) -> None:
     }
     for name, kinds in _KINDS.items():
         if not fits[name] or arrays[name].dtype.kind not in kinds:
-            raise RelmapError(
-                f"{shown(file)}: array {name}: {arrays[name].dtype} {arrays[name].shape}, "
-                f"expected {expected[name]}"
-            )
+            problem = f"array {name}: {arrays[name].dtype} {arrays[name].shape}"
+            raise invalid(file, f"{problem}, expected {expected[name]}")
 
 
 def _check_values(file: Path, arrays: dict[str, NDArray[Any]]) -> None:
@@ -210,17 +200,12 @@ def _check_values(file: Path, arrays: dict[str, NDArray[Any]]) -> None:
     last = len(stamps_s) - 1
     near = (np.abs(points) <= MAX_COORDINATE_M).all(axis=1)
     there = (iteration >= 0) & (iteration <= last)
-    each_its_own = "expected seconds, a different time for each scan"
-    _require(
-        file,
-        "points",
-        near,
-        "is not finite or out of range, expected metres; leave out beams without a return",
-    )
-    _require(file, "iteration", there, f"is not a scan, expected 0 to {last}")
-    _require(file, "stamps_s", later, f"is not a later time, {each_its_own}")
-
-
-def _require(file: Path, array: str, good: Bools, problem: str) -> None:
-    if not good.all():
-        raise RelmapError(f"{shown(file)}: array {array}, row {np.argmin(good)}: {problem}")
+    far = "is not finite or out of range, expected metres; leave out beams without a return"
+    again = "is not a later time, expected seconds, a different time for each scan"
+    for array, good, problem in (
+        ("points", near, far),
+        ("iteration", there, f"is not a scan, expected 0 to {last}"),
+        ("stamps_s", later, again),
+    ):
+        if not good.all():
+            raise invalid(file, f"array {array}, row {np.argmin(good)}: {problem}")

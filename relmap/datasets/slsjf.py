@@ -24,7 +24,6 @@ from pathlib import Path
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.errors import RelmapError
 from relmap.core.sensor import range_bearing_covariances
 from relmap.datasets.assembly import assemble_log, id_column, metres_column
 from relmap.datasets.base import MAX_ITERATION, ObservationLog
@@ -34,7 +33,7 @@ from relmap.datasets.number_rows import finite_numbers
 from relmap.datasets.odometry import motions
 from relmap.datasets.scans import planar_poses
 from relmap.datasets.table import MAX_EXACT_INTEGER, Column, Table, checked_table
-from relmap.datasets.textfile import numbered_lines, shown
+from relmap.datasets.textfile import invalid, numbered_lines
 
 LOG_FILE = "sensor_data.mat"
 BEACONS_FILE = "store_beaconsTrue.mat"
@@ -109,21 +108,16 @@ def _sigmas(file: Path) -> tuple[float, float] | None:
         return None
     text = "".join(line for _, line in numbered_lines(file))
     found = _SIGMA_RANGE.search(text), _SIGMA_BEARING.search(text)
-    if found[0] is None or found[1] is None:
-        return None
-    sigmas = finite_numbers([found[0][1], found[1][1]])
-    if len(sigmas) != 2 or min(sigmas) <= 0:
-        return None
-    return sigmas[0], math.radians(sigmas[1])
+    sigmas = finite_numbers(match[1] for match in found if match)
+    known = len(sigmas) == 2 and min(sigmas) > 0
+    return (sigmas[0], math.radians(sigmas[1])) if known else None
 
 
 def _table(file: Path, matrix: Floats, columns: tuple[Column, ...], place: str) -> Table:
     """Check a matrix with a row per observation, beacon or pose."""
     if matrix.shape[1] != len(columns):
-        raise RelmapError(
-            f"{shown(file)}: {matrix.shape[1]} numbers per {place}, "
-            f"expected {len(columns)}: {', '.join(column.name for column in columns)}"
-        )
+        expected = f"{len(columns)}: {', '.join(column.name for column in columns)}"
+        raise invalid(file, f"{matrix.shape[1]} numbers per {place}, expected {expected}")
     return checked_table(file, columns, matrix, np.arange(1, len(matrix) + 1), place)
 
 
@@ -152,8 +146,4 @@ def read_ground_truth(path: Path | str) -> tuple[Ints, Floats, Floats]:
     file = file_beside(path, BEACONS_FILE)
     beacons = _table(file, read_matrix(file, file.stem), _BEACON, "row").columns
     positions = np.column_stack([beacons["x"], beacons["y"], np.zeros(len(beacons["x"]))])
-    return (
-        beacons["id"].astype(np.int64),
-        positions,
-        _path(file_beside(path, ROBOT_FILE)),
-    )
+    return beacons["id"].astype(np.int64), positions, _path(file_beside(path, ROBOT_FILE))

@@ -13,7 +13,7 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.datasets.headers import Head, cells_of, read_head
 from relmap.datasets.number_rows import parse_number, too_many
-from relmap.datasets.textfile import open_text, quoted, require_utf8, shown
+from relmap.datasets.textfile import invalid, open_text, quoted, require_utf8, shown
 
 MAX_EXACT_INTEGER = 2**53 - 1
 """Largest number below which float64 represents every integer."""
@@ -70,7 +70,7 @@ class Table:
     def fail(self, row: int, name: str, problem: str) -> NoReturn:
         """Raise a RelmapError with file, line and field of a 0-based row."""
         where = f"{self.place} {self.lines[row]}, field {name}"
-        raise RelmapError(f"{shown(self.path)}: {where}: {problem}")
+        raise invalid(self.path, f"{where}: {problem}")
 
 
 def read_table(path: Path, columns: Sequence[Column], advice: str = "") -> Table:
@@ -78,9 +78,8 @@ def read_table(path: Path, columns: Sequence[Column], advice: str = "") -> Table
 
     Empty lines are skipped, and so are lines above the header that start with ``#``. Cells are
     separated as in the header, by commas, semicolons or tabs, and may be quoted; between semicolons
-    numbers may have a decimal comma. The `advice` ends the message about a wrong header.
-
-    Raises `RelmapError` if header, row, cell or file are invalid.
+    numbers may have a decimal comma. The `advice` ends the message about a wrong header. Raises
+    `RelmapError` if header, row, cell or file are invalid.
     """
     parts, count = [], 0
     with open_text(path) as stream:
@@ -95,7 +94,7 @@ def read_table(path: Path, columns: Sequence[Column], advice: str = "") -> Table
                 raise too_many(path, int(lines[-1]), MAX_NUMBERS)
             parts.append((values, lines))
     if not count:
-        raise RelmapError(f"{shown(path)}: holds a header but no row, expected at least one")
+        raise invalid(path, "holds a header but no row, expected at least one")
     values = np.concatenate([values for values, _ in parts])
     by_name = {column.name: values[:, k].copy() for k, column in enumerate(found)}
     return Table(path, head.comments, by_name, np.concatenate([lines for _, lines in parts]))
@@ -125,7 +124,6 @@ def header_text(columns: Sequence[Column]) -> str:
 
 
 def _names(columns: Sequence[Column], comma: str) -> str:
-    """Return the names of the columns for a message."""
     names = [column.name for column in columns]
     return comma.join(names[:_MOST_NAMES] + ["..."] * (len(names) > _MOST_NAMES))
 
@@ -144,11 +142,9 @@ def _columns_in_file(
         if names
     ]
     if problems:
-        raise RelmapError(
-            f"{shown(path)}: line {head.line}: {' and '.join(problems)}; "
-            f"expected the header {header_text(columns)} (known columns: {_names(columns, ', ')})"
-            f"{advice}"
-        )
+        expected = f"{header_text(columns)} (known columns: {_names(columns, ', ')}){advice}"
+        problem = f"line {head.line}: {' and '.join(problems)}"
+        raise invalid(path, f"{problem}; expected the header {expected}")
     return [known[cell] for cell in head.columns]
 
 
@@ -175,14 +171,11 @@ def _parsed(
 def _exact(
     path: Path, text: str, line: int, columns: Sequence[Column], separator: str
 ) -> list[float]:
-    """Return the numbers in a line."""
     require_utf8(path, line, text)
     cells = cells_of(text, separator)
     if len(cells) != len(columns):
-        raise RelmapError(
-            f"{shown(path)}: line {line}: {len(cells)} fields in {quoted(text)}, "
-            f"expected {len(columns)}: {_names(columns, ',')}"
-        )
+        problem = f"line {line}: {len(cells)} fields in {quoted(text)}"
+        raise invalid(path, f"{problem}, expected {len(columns)}: {_names(columns, ',')}")
     row = []
     for column, cell in zip(columns, cells, strict=True):
         if not cell and column.empty is not None:

@@ -45,6 +45,11 @@ def quoted(text: str) -> str:
     return ascii(text) if not text.isprintable() else repr(text)
 
 
+def invalid(path: Path | str, problem: str) -> RelmapError:
+    """Return the error for a file or folder whose content cannot be used."""
+    return RelmapError(f"{shown(path)}: {problem}")
+
+
 def require_path(path: Path) -> int:
     """Return the mode of a file or folder; RelmapError if the path is neither."""
     try:
@@ -52,16 +57,16 @@ def require_path(path: Path) -> int:
     except (OSError, ValueError) as error:
         raise unreadable(path, error) from error
     if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
-        raise RelmapError(f"{shown(path)}: is a device or pipe, expected a file or folder")
+        raise invalid(path, "is a device or pipe, expected a file or folder")
     return mode
 
 
 def unreadable(path: Path, error: Exception) -> RelmapError:
     """Return the error for a path that the operating system refuses to read."""
     if isinstance(error, FileNotFoundError):
-        return RelmapError(f"{shown(path)}: does not exist, expected a file or folder to read")
+        return invalid(path, "does not exist, expected a file or folder to read")
     reason = getattr(error, "strerror", None) or error
-    return RelmapError(f"{shown(path)}: cannot be read: {shown(reason)}")
+    return invalid(path, f"cannot be read: {shown(reason)}")
 
 
 @contextmanager
@@ -75,7 +80,7 @@ def open_text(path: Path) -> Iterator[TextIO]:
     larger than `MAX_BYTES` or not text.
     """
     if stat.S_ISDIR(require_path(path)):
-        raise RelmapError(f"{shown(path)}: is a folder, expected a file")
+        raise invalid(path, "is a folder, expected a file")
     try:
         file = path.open("rb")
     except OSError as error:
@@ -140,7 +145,7 @@ class _GuardedBytes(io.RawIOBase):
             raise self._fail(f"a line of more than {MAX_LINE_BYTES} bytes, expected a table")
 
     def _fail(self, problem: str) -> RelmapError:
-        return RelmapError(f"{shown(self._path)}: line {self._lines + 1}: {problem}")
+        return invalid(self._path, f"line {self._lines + 1}: {problem}")
 
 
 def require_utf8(path: Path, number: int, line: str) -> None:
@@ -151,9 +156,8 @@ def require_utf8(path: Path, number: int, line: str) -> None:
         line.encode()
     except UnicodeEncodeError as error:
         byte = ord(line[error.start]) & 0xFF
-        raise RelmapError(
-            f"{shown(path)}: line {number}: byte 0x{byte:02x} is not UTF-8, expected UTF-8 text"
-        ) from error
+        problem = f"line {number}: byte 0x{byte:02x} is not UTF-8"
+        raise invalid(path, f"{problem}, expected UTF-8 text") from error
 
 
 def why_not_written(error: Exception) -> str:

@@ -17,7 +17,7 @@ from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
 from relmap.datasets.number_rows import finite_numbers, read_rows
 from relmap.datasets.odometry import read_tum
-from relmap.datasets.textfile import numbered_lines, shown
+from relmap.datasets.textfile import invalid, numbered_lines, shown
 
 TIMES = "times.txt"
 _TUM, _KITTI = 8, 12
@@ -56,7 +56,7 @@ def read_trajectory(path: Path) -> tuple[Floats, Floats]:
     wrong = (off > _RIGID) | (np.linalg.det(R) < 0)
     if wrong.any():
         line = rows.lines[np.argmax(wrong)]
-        raise RelmapError(f"{shown(path)}: line {line}: its 3 x 3 part is not a rotation")
+        raise invalid(path, f"line {line}: its 3 x 3 part is not a rotation")
     return _times_of(path, len(poses)), poses
 
 
@@ -66,7 +66,5 @@ def _times_of(path: Path, n_poses: int) -> Floats:
         return np.arange(n_poses, dtype=np.float64)
     stamps_s = read_rows(times, [1e12], "#", "time", "one number: seconds").values[:, 0]
     if len(stamps_s) != n_poses:
-        raise RelmapError(
-            f"{shown(times)}: {len(stamps_s)} times, expected {n_poses} as in {shown(path.name)}"
-        )
+        raise invalid(times, f"{len(stamps_s)} times, expected {n_poses} as in {shown(path.name)}")
     return stamps_s

@@ -24,7 +24,6 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import assemble_log, iteration_column
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.headers import TABLES, columns_of, file_beside, only_one, tables_with
@@ -32,7 +31,7 @@ from relmap.datasets.matfile import read_matrix
 from relmap.datasets.odometry import driven, moved_frame
 from relmap.datasets.scans import planar_poses
 from relmap.datasets.table import Column, Table, header_text, read_table
-from relmap.datasets.textfile import shown
+from relmap.datasets.textfile import invalid
 
 CLOCK_FILE = "VictoriaParkSinSincronizar.mat"
 """File with the time of every scan, including those without a tree."""
@@ -125,8 +124,7 @@ def read_reference_map(path: Path | str) -> tuple[Ints, Floats]:
 def _points(range_m: Floats, bearing_rad: Floats) -> Floats:
     """Return the points, (n, 2), laser frame, metres."""
     ahead, left = np.sin(bearing_rad), -np.cos(bearing_rad)
-    points: Floats = range_m[:, None] * np.column_stack([ahead, left])
-    return points
+    return np.asarray(range_m[:, None] * np.column_stack([ahead, left]))
 
 
 def _with_clock(table: Table, log: ObservationLog, clock: Path) -> ObservationLog:
@@ -137,17 +135,14 @@ def _with_clock(table: Table, log: ObservationLog, clock: Path) -> ObservationLo
     wrong = row_stamps != np.repeat(scan_stamps, counts)
     wrong[first_rows[1:]] |= np.diff(scan_stamps) <= 0
     if wrong.any():
-        table.fail(
-            int(log.rows[np.argmax(wrong)]),
-            "t_ms",
-            "differs within a scan or does not increase, expected the time of each scan",
-        )
+        problem = "differs within a scan or does not increase, expected the time of each scan"
+        table.fail(int(log.rows[np.argmax(wrong)]), "t_ms", problem)
     if not os.path.isfile(clock):
         every_scan = np.arange(log.first_iteration, log.end_iteration)
         return replace(log, stamps_s=np.interp(every_scan, scans, scan_stamps))
     stamps_s = read_matrix(clock, "TLsr").ravel()
     if not np.isfinite(stamps_s).all() or (np.diff(stamps_s) <= 0).any():
-        raise RelmapError(f"{shown(clock)}: field TLsr: does not increase, expected seconds")
+        raise invalid(clock, "field TLsr: does not increase, expected seconds")
     late = scans >= len(stamps_s)
     late[~late] = np.abs(stamps_s[scans[~late]] - scan_stamps[~late]) > _SAME_SCAN_S
     if late.any():
@@ -164,8 +159,9 @@ def _match_ids(log: ObservationLog, file: Path) -> Ints:
     """
     rows = _read_association(file)
     assert log.stamps_s is not None
-    scan = _nearest(log.stamps_s, rows[:, 0] / 1000)
-    same = np.abs(log.stamps_s[scan] - rows[:, 0] / 1000) < _SAME_SCAN_S
+    stamps_s, middles_s = rows[:, 0] / 1000, (log.stamps_s[1:] + log.stamps_s[:-1]) / 2
+    scan = np.searchsorted(middles_s, stamps_s)
+    same = np.abs(log.stamps_s[scan] - stamps_s) < _SAME_SCAN_S
     rows, scan = rows[same], scan[same] + log.first_iteration
     theirs = np.column_stack([scan * _SCAN_APART_M, _points(rows[:, 1], rows[:, 2])])
     ours = np.column_stack([log.iteration * _SCAN_APART_M, log.points_robot])
@@ -173,10 +169,9 @@ def _match_ids(log: ObservationLog, file: Path) -> Ints:
     found = np.isfinite(distance)
     matched = np.asarray(match)[found]
     if len(matched) == 0 or len(np.unique(matched)) < len(matched):
-        raise RelmapError(
-            f"{shown(file)}: does not fit the trees beside it ({len(matched)} of {len(same)} rows "
-            "found there, not each once), expected detections of the same scans"
-        )
+        there = f"{len(matched)} of {len(same)} rows found there, not each once"
+        problem = f"does not fit the trees beside it ({there})"
+        raise invalid(file, f"{problem}, expected detections of the same scans")
     ids = np.full(len(log.iteration), -1, dtype=np.int64)
     ids[matched] = rows[found, 5].astype(np.int64)
     _LOG.info("%d of %d tree numbers matched to %d trees", len(matched), len(same), len(ids))
@@ -190,10 +185,9 @@ def _odometry(log: ObservationLog, file: Path) -> Floats:
     alike = len(time_ms) == len(speed) == len(steering) > 1
     turned = alike and bool((np.abs(steering) < math.pi / 3).all())
     if not turned or not (np.diff(time_ms) > 0).all() or not (np.abs(speed) < 100).all():
-        raise RelmapError(
-            f"{shown(file)}: fields {', '.join(names)} differ in length or are out of "
-            "range, expected increasing milliseconds, metres per second and radians"
-        )
+        problem = f"fields {', '.join(names)} differ in length or are out of range"
+        expected = "increasing milliseconds, metres per second and radians"
+        raise invalid(file, f"{problem}, expected {expected}")
     assert log.stamps_s is not None
     curvature = np.tan(steering) / WHEELBASE_M
     centre_m_s = speed / (1 - curvature * WHEEL_M)
@@ -202,19 +196,11 @@ def _odometry(log: ObservationLog, file: Path) -> Floats:
     return moved_frame(moved, laser[0])
 
 
-def _nearest(ascending: Floats, values: Floats) -> Ints:
-    """Return the index of the element nearest to each value."""
-    middles = (ascending[1:] + ascending[:-1]) / 2
-    return np.asarray(np.searchsorted(middles, values), dtype=np.int64)
-
-
 def _read_association(file: Path) -> Floats:
     """Return t ms, range m, bearing rad, x m, y m, id, as (n, 6)."""
     rows = read_matrix(file, file.stem)
     good = rows.shape[1] == 6 and bool(np.isfinite(rows).all())
     if not good or (np.abs(rows) > 1e12).any() or (rows[:, 5] != np.rint(rows[:, 5])).any():
-        raise RelmapError(
-            f"{shown(file)}: field {file.stem}: is not finite rows of 6 with an integer id, "
-            "expected t_ms, range_m, bearing_rad, x_est_m, y_est_m, id"
-        )
+        problem = f"field {file.stem}: is not finite rows of 6 with an integer id"
+        raise invalid(file, f"{problem}, expected t_ms, range_m, bearing_rad, x_est_m, y_est_m, id")
     return rows
