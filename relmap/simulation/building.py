@@ -7,7 +7,7 @@ is its sensor's, is `SENSOR_HEIGHT_M` above the floor; there the map's z is 0.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TypeAlias, get_args
+from typing import get_args
 
 import numpy as np
 
@@ -23,8 +23,6 @@ from relmap.simulation.sensor import BuildingScan, Sampling, Scanner, Sensor, se
 from relmap.simulation.shapes import CLEARANCE_M, FloorPlan, wall_distances
 from relmap.simulation.things import Things, walking
 from relmap.simulation.visibility import seen_walls
-
-Limit: TypeAlias = tuple[bool, str]
 
 SENSOR_HEIGHT_M = 1.0
 STEP_S = 0.2
@@ -146,15 +144,15 @@ def simulate_building(
     """
     sensor = sensor or sensor_of(sampling)
     scanner = Scanner(points, sigma, noise, sampling, sensor, sample_ends)
-    limits = _drive_limits(iterations, world, loops, moving, step_m)
-    limits += _object_limits(people, clutter, world == "glass", sampling)
-    _check(scanner, seed, *limits)
+    _check(scanner, seed, iterations, world, loops, moving, step_m, people, clutter)
     rng = np.random.default_rng(seed)
     plan = make_floor_plan(world, rng)
     trajectory = drive_round(plan.loop, loops, iterations, step_m, rng)
     stamps_s = STEP_S * (step_m / STEP_M) * np.arange(len(trajectory), dtype=np.float64)
     # Moving walls and objects have separate generators, so the rest is unchanged.
-    things = _things(plan, people, clutter, stamps_s, trajectory, seed)
+    walkers, others = (np.random.default_rng([seed, people, which]) for which in (1, 2))
+    crowd = walking(plan, people, stamps_s, trajectory, walkers)
+    things = [Things(at, plan.glass, clutter, others) for at in crowd]
     plan, movers = make_moving(plan, world, moving, np.random.default_rng([seed, moving]))
     scans = [
         _scan(movers.at(plan.walls, k), pose, scanner, rng, things[k])
@@ -199,69 +197,42 @@ def building_scene(
     return _scan(plan.walls, _random_pose(plan, rng), scanner, rng)
 
 
-def _check(scanner: Scanner, seed: int, *limits: Limit) -> None:
-    """Raise an error for arguments out of range: those of the scanner, then others."""
+def _check(
+    scanner: Scanner,
+    seed: int,
+    iterations: int | None = None,
+    world: str = "building",
+    loops: int = 1,
+    moving: int = 0,
+    step_m: float = STEP_M,
+    people: int = 0,
+    clutter: float = 0.0,
+) -> None:
+    """Raise an error for arguments out of range."""
     points, sampling, sensor = scanner.points, scanner.sampling, scanner.sensor
-    range_m, view_rad = sensor.range_m, sensor.view_rad
-    of_scanner = [
+    range_m, views_rad = sensor.range_m, (sensor.view_rad, sensor.vertical_view_rad)
+    seen = 0 < views_rad[0] < 2 * np.pi and 0 < views_rad[1] < np.pi
+    some = iterations is None or 1 <= iterations <= 10**6
+    sampled, worlds = sampling in get_args(Sampling), get_args(World)
+    fits = sampling == "laser" or not (people or clutter or world == "glass")
+    limits = (
         (1 <= points <= 10**7, f"points is {points}; it must lie in [1, 10000000]"),
-        (
-            sampling in get_args(Sampling),
-            f"sampling is {sampling!r}; it must be surface, rays or laser",
-        ),
+        (sampled, f"sampling is {sampling!r}; it must be surface, rays or laser"),
         (
             0 < range_m < np.inf,
             f"the range of the sensor is {range_m}; it must be positive, metres",
         ),
-        (
-            0 < view_rad < 2 * np.pi and 0 < sensor.vertical_view_rad < np.pi,
-            "the field of view must lie in (0, 2 pi) radians, the vertical one in (0, pi)",
-        ),
-    ]
-    check_arguments(scanner.noise, scanner.sigma, seed, *of_scanner, *limits)
-
-
-def _drive_limits(
-    iterations: int | None, world: str, loops: int, moving: int, step_m: float
-) -> list[Limit]:
-    return [
-        (
-            iterations is None or 1 <= iterations <= 10**6,
-            f"iterations is {iterations}; it must lie in [1, 1000000]",
-        ),
-        (
-            world in get_args(World),
-            f"world is {world!r}; it must be one of {', '.join(get_args(World))}",
-        ),
+        (seen, "the field of view must lie in (0, 2 pi) radians, the vertical one in (0, pi)"),
+        (some, f"iterations is {iterations}; it must lie in [1, 1000000]"),
+        (world in worlds, f"world is {world!r}; it must be one of {', '.join(worlds)}"),
         (1 <= loops <= 1000, f"loops is {loops}; it must lie in [1, 1000]"),
         (0 <= moving <= 1000, f"moving is {moving}; it must lie in [0, 1000]"),
         (0 < step_m <= 10, f"step is {step_m}; it must lie in (0, 10] metres"),
-    ]
-
-
-def _object_limits(people: int, clutter: float, glass: bool, sampling: str) -> list[Limit]:
-    return [
         (0 <= people <= 1000, f"people is {people}; it must lie in [0, 1000]"),
         (0 <= clutter <= 0.5, f"clutter is {clutter}; it must lie in [0, 0.5]"),
-        (
-            sampling == "laser" or not (people or clutter or glass),
-            "people, clutter and glass are only for lasers; sampling must be laser",
-        ),
-    ]
-
-
-def _things(
-    plan: FloorPlan,
-    people: int,
-    clutter: float,
-    stamps_s: Floats,
-    trajectory: Floats,
-    seed: int,
-) -> list[Things]:
-    """Return the objects in front of the walls in each scan."""
-    walkers, others = (np.random.default_rng([seed, people, which]) for which in (1, 2))
-    crowd = walking(plan, people, stamps_s, trajectory, walkers)
-    return [Things(at, plan.glass, clutter, others) for at in crowd]
+        (fits, "people, clutter and glass are only for lasers; sampling must be laser"),
+    )
+    check_arguments(scanner.noise, scanner.sigma, seed, *limits)
 
 
 def _random_pose(plan: FloorPlan, rng: np.random.Generator) -> Floats:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from relmap.core.arrays import Floats
@@ -45,19 +47,20 @@ def twin_rooms(rng: np.random.Generator) -> FloorPlan:
 def corridor(rng: np.random.Generator) -> FloorPlan:
     """Draw a square corridor with four identical sides and identical closed doors."""
     del rng
-    block = np.array([0.0, 0.0, ALIKE_M, ALIKE_M])
-    hall = block + CORRIDOR_M * np.array([-1, -1, 1, 1])
-    sides = [*edges(hall), *edges(block)[:, ::-1]]
-    walls = np.vstack([_with_doors(side) for side in sides])
-    return FloorPlan(walls, ring(hall, block), rounded((hall + block) / 2))
+    return _square(ALIKE_M, _with_doors)
 
 
 def bare_corridor(rng: np.random.Generator) -> FloorPlan:
     """Draw a square corridor without doors: half way along a side no end is in range."""
     del rng
-    block = np.array([0.0, 0.0, BARE_M, BARE_M])
+    return _square(BARE_M, lambda side: side.reshape(1, 4))
+
+
+def _square(size_m: float, walls_of: Callable[[Floats], Floats]) -> FloorPlan:
+    """Return a corridor round a square block, given the walls (w, 4) of each side (2, 2)."""
+    block = np.array([0.0, 0.0, size_m, size_m])
     hall = block + CORRIDOR_M * np.array([-1, -1, 1, 1])
-    walls = np.concatenate([edges(hall), edges(block)[:, ::-1]]).reshape(-1, 4)
+    walls = np.vstack([walls_of(side) for side in (*edges(hall), *edges(block)[:, ::-1])])
     return FloorPlan(walls, ring(hall, block), rounded((hall + block) / 2))
 
 
@@ -122,13 +125,7 @@ def _pillar(end: int, angle: float) -> Floats:
     along = np.array([-outwards[1], outwards[0]]) * PILLAR_M[0] / 2
     foot = np.sqrt(RADIUS_M**2 - (PILLAR_M[0] / 2) ** 2) - CHORD_M / 10
     top = foot - PILLAR_M[1]
-    corners = np.array(
-        [
-            outwards * foot - along,
-            outwards * top - along,
-            outwards * top + along,
-            outwards * foot + along,
-        ]
-    )
+    ways = ((foot, -along), (top, -along), (top, along), (foot, along))
+    corners = np.array([outwards * away + aside for away, aside in ways])
     corners += [STRAIGHT_M / 2, 0.0]
     return np.hstack([corners[:-1], corners[1:]]) * (1 - 2 * end)

@@ -1,8 +1,11 @@
-"""Driving round a closed line: at a steady pace, slower in turns, weaving."""
+"""Ways: positions along them, and driving round a closed one, slower in turns, weaving."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from relmap.core.arrays import Floats
@@ -16,6 +19,16 @@ WEAVE_M = 0.15
 WEAVES = 5
 GRID_M = 0.01
 SMOOTH_M = 0.4
+
+
+def lengths_along(way: Floats) -> Floats:
+    """Return the length (n,) of a way (n, d) up to each of its points."""
+    return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1)))
+
+
+def places_along(way: Floats, lengths: NDArray[Any], at: Floats) -> Floats:
+    """Return the positions (k, d) on a way (n, d) at lengths (k,); `lengths`: of its points."""
+    return np.column_stack([np.interp(at, lengths, axis) for axis in way.T])
 
 
 def drive_round(
@@ -42,10 +55,10 @@ def drive_round(
 def _fine_line(loop: Floats, rng: np.random.Generator) -> tuple[Floats, Floats, Floats]:
     """Return points (g + 1, 2), yaw (g + 1,) and turn rate per metre (g,) of a path of g cells."""
     closed = np.vstack([loop, loop[:1]])
-    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=1))])
+    length = lengths_along(closed)
     g = round(length[-1] / GRID_M)
     s = np.arange(g) * (length[-1] / g) + rng.uniform(0, length[-1])
-    points = np.column_stack([np.interp(s % length[-1], length, axis) for axis in closed.T])
+    points = places_along(closed, length, s % length[-1])
     points = gaussian_filter1d(points, SMOOTH_M / GRID_M / 2, axis=0, mode="wrap")
     ahead = np.roll(points, -1, axis=0) - np.roll(points, 1, axis=0)
     left = np.column_stack([-ahead[:, 1], ahead[:, 0]])

@@ -17,6 +17,7 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.brief import Brief
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.scans import poses_of
+from relmap.simulation.drive import lengths_along
 from relmap.simulation.noise import Noise, check_arguments, draw_noise
 
 LOOP_LENGTH_M = 740.0
@@ -112,11 +113,12 @@ def simulate_figure_eight(
         here = landmarks_map.copy()
         here[moving] += offset
         in_robot = (here - T_map_robot[:3, 3]) @ T_map_robot[:3, :3]
-        seen = _in_view(in_robot)
+        distance = np.linalg.norm(in_robot, axis=1)
+        ahead = in_robot[:, 0] >= distance * np.cos(HALF_VIEW_RAD)
+        seen = np.flatnonzero(ahead & (distance <= RANGE_M))
         ids.append(seen)
         points.append(in_robot[seen] + draw_noise(noise, sigma, (len(seen), 3), rng))
-    log = _log_of(ids, points)
-    status = np.where(moving, "dynamic", "static")
+    log, status = ObservationLog.of_scans(points, ids), np.where(moving, "dynamic", "static")
     return FigureEight(log, np.arange(m), landmarks_map, status, trajectory)
 
 
@@ -169,15 +171,12 @@ def _phase_of_length() -> tuple[float, Floats, Floats]:
     """Return the half size that gives the required length of the loop, and phase over length."""
     phase = np.linspace(0, 2 * np.pi, 20_001)
 
-    def lengths(half_size_m: float) -> Floats:
-        steps = np.linalg.norm(np.diff(_path(phase, half_size_m), axis=0), axis=1)
-        return np.concatenate([[0.0], np.cumsum(steps)])
-
     low, high = 1.0, LOOP_LENGTH_M
     for _ in range(60):
         middle = (low + high) / 2
-        low, high = (middle, high) if lengths(middle)[-1] < LOOP_LENGTH_M else (low, middle)
-    return low, phase, lengths(low)
+        short = lengths_along(_path(phase, middle))[-1] < LOOP_LENGTH_M
+        low, high = (middle, high) if short else (low, middle)
+    return low, phase, lengths_along(_path(phase, low))
 
 
 def _frames(length_m: Floats) -> Floats:
@@ -199,21 +198,3 @@ def _scatter_landmarks(density: float, rng: np.random.Generator) -> Floats:
     side = rng.uniform(-HALF_WIDTH_M, HALF_WIDTH_M, m)
     up = rng.uniform(-HALF_HEIGHT_M, HALF_HEIGHT_M, m)
     return np.asarray(frames[:, :3, 3] + side[:, None] * frames[:, :3, 1] + up[:, None] * [0, 0, 1])
-
-
-def _in_view(in_robot: Floats) -> Ints:
-    distance = np.linalg.norm(in_robot, axis=1)
-    ahead = in_robot[:, 0] >= distance * np.cos(HALF_VIEW_RAD)
-    return np.flatnonzero(ahead & (distance <= RANGE_M))
-
-
-def _log_of(ids: list[Ints], points: list[Floats]) -> ObservationLog:
-    counts = [len(seen) for seen in ids]
-    return ObservationLog(
-        points_robot=np.concatenate(points),
-        iteration=np.repeat(np.arange(len(ids)), counts),
-        rows=np.arange(sum(counts)),
-        first_iteration=0,
-        end_iteration=len(ids),
-        ids=np.concatenate(ids).astype(np.int64),
-    )

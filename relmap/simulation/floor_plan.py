@@ -56,7 +56,6 @@ def make_floor_plan(world: World, rng: np.random.Generator) -> FloorPlan:
 
 
 def _field(rng: np.random.Generator) -> FloorPlan:
-    """Draw panels in the open."""
     square = FIELD_M * np.array([-1.0, -1.0, 1.0, 1.0])
     angle = np.linspace(0, 2 * np.pi, 400, endpoint=False)
     radius = FIELD_LOOP_M * (1 + 0.12 * np.sin(2 * angle + rng.uniform(0, 2 * np.pi)))

@@ -122,15 +122,12 @@ def _two_storeys() -> tuple[list[Face], list[ArrayLike], list[ArrayLike]]:
         (11.4, 0.8, 1.4), (11.4, end, top), (11.2, 6.1, top), (9.5, 5.0, top), (6.0, 3.45, top),
         (3.5, 3.0, top), (1.6, 2.2, top),
     ]  # fmt: skip
-    return (
-        faces,
-        stops,
-        [
-            ((4.6, 0.5, 0.0), (4.6, 5.5, 0.0)),
-            ((9.9, 5.4, 0.0), (9.9, 2.4, 0.0)),
-            ((4.2, 0.5, STOREY_M), (4.2, 5.5, STOREY_M)),
-        ],
-    )
+    tracks: list[ArrayLike] = [
+        ((4.6, 0.5, 0.0), (4.6, 5.5, 0.0)),
+        ((9.9, 5.4, 0.0), (9.9, 2.4, 0.0)),
+        ((4.2, 0.5, STOREY_M), (4.2, 5.5, STOREY_M)),
+    ]
+    return faces, stops, tracks
 
 
 def _outer_walls(side_m: float, gable_m: float) -> list[Face]:

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from relmap.core.arrays import Floats
+from relmap.simulation.drive import lengths_along, places_along
 
 ROUNDING_M = 2.0
 """Standard deviation of the filter that rounds the corners of a path, metres."""
@@ -119,8 +120,7 @@ def stairs(length_m: float, spacing_m: float, rng: np.random.Generator) -> Place
     n = int((length_m + BEYOND_M) / side) + 2
     way = np.column_stack([corners[np.arange(n) % 4], rise * side * np.arange(n)])
     gap_m = spacing_m / STEPS
-    at = np.arange(0, side * (n - 1), gap_m)
-    middle = np.column_stack([np.interp(at, side * np.arange(n), axis) for axis in way.T])
+    middle = places_along(way, side * np.arange(n), np.arange(0, side * (n - 1), gap_m))
     outward = middle[:, :2] - side / 2
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
     marks = np.concatenate([middle, middle])
@@ -145,9 +145,8 @@ def raised(place: Place, rng: np.random.Generator) -> Place:
 
 def sampled(way: Floats, step_m: float) -> Floats:
     """Return the points (n, 3) of a path at a given spacing."""
-    lengths = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1)))
-    at = np.arange(0, lengths[-1] + 1e-9, step_m)
-    return np.column_stack([np.interp(at, lengths, axis) for axis in way.T])
+    lengths = lengths_along(way)
+    return places_along(way, lengths, np.arange(0, lengths[-1] + 1e-9, step_m))
 
 
 def driven(way: Floats, iterations: int) -> tuple[Floats, Floats]:
@@ -155,8 +154,7 @@ def driven(way: Floats, iterations: int) -> tuple[Floats, Floats]:
     fine = gaussian_filter1d(sampled(way, FINE_M), ROUNDING_M / FINE_M, axis=0, mode="nearest")
     ahead = np.gradient(fine, axis=0)
     at = np.linspace(0, len(fine) - 1, iterations)
-    where = [np.interp(at, np.arange(len(fine)), axis) for axis in np.hstack([fine, ahead]).T]
-    both = np.column_stack(where)
+    both = places_along(np.hstack([fine, ahead]), np.arange(len(fine)), at)
     return both[:, :3], both[:, 3:]
 
 

@@ -9,11 +9,14 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.brief import Brief
 from relmap.core.errors import RelmapError
+from relmap.datasets.scans import poses_of
+from relmap.simulation.drive import lengths_along, places_along
 from relmap.simulation.house import House, house, moving_box
 
 Sensor = Literal["lidar", "depth"]
@@ -175,15 +178,8 @@ def _plane_of(origin: Floats, sides: Floats) -> Ints:
 def _lidar_rays() -> Floats:
     elevation = np.linspace(LOWEST_RAD, HIGHEST_RAD, RINGS)[:, None]
     azimuth = np.linspace(-np.pi, np.pi, BEAMS, endpoint=False)
-    rays = np.stack(
-        [
-            np.cos(elevation) * np.cos(azimuth),
-            np.cos(elevation) * np.sin(azimuth),
-            np.sin(elevation) * np.ones(BEAMS),
-        ],
-        axis=-1,
-    )
-    return rays.reshape(-1, 3)
+    x, y = np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth)
+    return np.stack([x, y, np.sin(elevation) * np.ones(BEAMS)], axis=-1).reshape(-1, 3)
 
 
 def _camera_rays() -> Floats:
@@ -210,7 +206,7 @@ def _moved(count: int, iterations: int, rooms: House, seed: int) -> list[tuple[F
 def _carried(iterations: int, sensor: Sensor, stops: Floats) -> Floats:
     """Return a path from the first room through the door into the second, with hand-held tilt."""
     s = np.linspace(0, 1, iterations)
-    place = np.column_stack([np.interp(s, np.linspace(0, 1, len(stops)), axis) for axis in stops.T])
+    place = places_along(stops, np.linspace(0, 1, len(stops)), s)
     sway = np.sin(2 * np.pi * s)
     yaw = 0.5 * np.sin(4 * np.pi * s) if sensor == "lidar" else 0.9 * sway
     return _poses(place, yaw, 0.15 * np.sin(6 * np.pi * s), 0.2 * np.sin(5 * np.pi * s))
@@ -218,12 +214,9 @@ def _carried(iterations: int, sensor: Sensor, stops: Floats) -> Floats:
 
 def _carried_upstairs(iterations: int, sensor: Sensor, stops: Floats) -> Floats:
     """Return a path at constant speed, looking ahead, with hand-held tilt."""
-    from scipy.ndimage import gaussian_filter1d
-
-    step_m = 0.01
-    length_m = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(stops, axis=0), axis=1)))
+    step_m, length_m = 0.01, lengths_along(stops)
     s = np.arange(0.0, length_m[-1], step_m)
-    way = np.column_stack([np.interp(s, length_m, axis) for axis in stops.T])
+    way = places_along(stops, length_m, s)
     way = gaussian_filter1d(way, SMOOTH_M / step_m, axis=0, mode="nearest")
     heading = np.unwrap(np.arctan2(*np.gradient(way, axis=0)[:, 1::-1].T))
     heading = gaussian_filter1d(heading, SMOOTH_M / step_m, mode="nearest")
@@ -235,8 +228,4 @@ def _carried_upstairs(iterations: int, sensor: Sensor, stops: Floats) -> Floats:
 
 def _poses(place: Floats, yaw: Floats, pitch: Floats, roll: Floats) -> Floats:
     """Return ``T_map_sensor`` (k, 4, 4)."""
-    trajectory = np.tile(np.eye(4), (len(place), 1, 1))
-    angles = np.column_stack([yaw, pitch, roll])
-    trajectory[:, :3, :3] = Rotation.from_euler("ZYX", angles).as_matrix()
-    trajectory[:, :3, 3] = place
-    return trajectory
+    return poses_of(Rotation.from_euler("ZYX", np.column_stack([yaw, pitch, roll])), place)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
+from relmap.simulation.drive import lengths_along, places_along
 from relmap.simulation.sensor import Before
 from relmap.simulation.shapes import FloorPlan, wall_distances
 from relmap.simulation.visibility import ray_distances
@@ -104,9 +105,9 @@ def walking(
     people = np.empty((len(stamps_s), count, 3))
     for k in range(count):
         way, speed_m_s = _way(plan, rng), rng.uniform(*WALK_M_S)
-        done_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))])
+        done_m = lengths_along(way)
         at_m = (rng.uniform(0, done_m[-1]) + speed_m_s * stamps_s) % done_m[-1]
-        people[:, k, :2] = np.column_stack([np.interp(at_m, done_m, axis) for axis in way.T])
+        people[:, k, :2] = places_along(way, done_m, at_m)
         people[:, k, 2] = rng.uniform(*BODY_M)
     robot = trajectory[:, None, :2, 3]
     away = people[..., :2] - robot
@@ -117,7 +118,9 @@ def walking(
 
 def _way(plan: FloorPlan, rng: np.random.Generator) -> Floats:
     """Return the closed path (n, 2) of a person: along the corridor from door to door."""
-    line = _dense(plan.loop)
+    closed = np.vstack([plan.loop, plan.loop[:1]])
+    length_m = lengths_along(closed)
+    line = places_along(closed, length_m, np.arange(0, length_m[-1], LANE_STEP_M))
     ahead = np.roll(line, -1, axis=0) - np.roll(line, 1, axis=0)
     left = np.column_stack([-ahead[:, 1], ahead[:, 0]]) / np.linalg.norm(ahead, axis=1)[:, None]
     lane = line + rng.uniform(-ASIDE_M, ASIDE_M) * left
@@ -136,14 +139,6 @@ def _way(plan: FloorPlan, rng: np.random.Generator) -> Floats:
         parts += [_along(lane, at, goal), visit]
         at = goal
     return np.vstack([*parts, _along(lane, at, start)])
-
-
-def _dense(loop: Floats) -> Floats:
-    """Return points of a closed line some `LANE_STEP_M` apart."""
-    closed = np.vstack([loop, loop[:1]])
-    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=1))])
-    at = np.arange(0, length[-1], LANE_STEP_M)
-    return np.column_stack([np.interp(at, length, axis) for axis in closed.T])
 
 
 def _along(line: Floats, at: int, goal: int) -> Floats:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -144,17 +144,12 @@ def simulate_world(spec: WorldSpec) -> World:
     read = [_misread(ids, spec.wrong_ids, m, rng) for ids, _ in scans]
     points = np.concatenate([points for _, points in scans])
     covariances = covariances_of(points, spec.sigma, spec.noise)
-    noise = _roots(covariances) @ rng.normal(size=(*points.shape, 1))
-    log = ObservationLog(
-        points_robot=points + noise[:, :, 0],
-        iteration=np.repeat(np.arange(spec.iterations), [len(ids) for ids, _ in scans]),
-        rows=np.arange(len(points)),
-        first_iteration=0,
-        end_iteration=spec.iterations,
-        ids=np.concatenate(read),
-    )
-    status = np.full(m, "static")
-    ids = np.arange(m)
+    values, vectors = np.linalg.eigh(covariances)
+    roots = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
+    noise = roots @ rng.normal(size=(*points.shape, 1))
+    log = ObservationLog.of_scans([points for _, points in scans], read)
+    log = replace(log, points_robot=points + noise[:, :, 0])
+    ids, status = np.arange(m), np.full(m, "static")
     return World(log, true_ids, covariances, ids, place.landmarks_map, status, trajectory)
 
 
@@ -169,10 +164,8 @@ def covariances_of(points_robot: Floats, sigma: float, noise: str) -> Floats:
     along, across = SENSORS[noise](distance / (REACH_M / 2))
     outer = ray[:, :, None] * ray[:, None]
     within = np.eye(points_robot.shape[1]) - outer
-    scale = sigma**2
-    return np.asarray(
-        scale * ((along**2)[:, None, None] * outer + (across**2)[:, None, None] * within)
-    )
+    squared = (along**2)[:, None, None] * outer + (across**2)[:, None, None] * within
+    return np.asarray(sigma**2 * squared)
 
 
 SENSORS: dict[str, Callable[[Floats], tuple[Floats, Floats]]] = {
@@ -236,9 +229,3 @@ def _misread(ids: Ints, share: float, n_landmarks: int, rng: np.random.Generator
     elsewhere = rng.permutation(np.setdiff1d(np.arange(n_landmarks), ids))[: len(other)]
     read[other[: len(elsewhere)]] = elsewhere
     return read
-
-
-def _roots(covariances: Floats) -> Floats:
-    """Return matrices (n, d, d) whose products with their transposes are the covariances."""
-    values, vectors = np.linalg.eigh(covariances)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :])
