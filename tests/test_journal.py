@@ -168,9 +168,7 @@ def test_a_journal_is_never_written_over(tmp_path: Path) -> None:
         PointMapper(journal=tmp_path / "missing" / "run.journal")
 
 
-def test_files_of_a_killed_run_are_not_used_by_the_next(
-    tmp_path: Path,
-) -> None:
+def test_files_of_a_killed_run_are_not_used_by_the_next(tmp_path: Path) -> None:
     path, wal = tmp_path / "run.journal", tmp_path / "run.journal-wal"
     mapper = begun(path, 30, close=False)
     mapper.flush()

@@ -23,10 +23,7 @@ from tests.journals import begun, changed, finished, run, scans_of
         ("DELETE FROM meta WHERE key = 'variant'", "lacks variant or configuration"),
         ("UPDATE meta SET value = '{' WHERE key = 'variant'", "header is damaged"),
         ("UPDATE calls SET call = 'x'", ""),
-        (
-            "CREATE TRIGGER more AFTER INSERT ON scans BEGIN DELETE FROM meta; END",
-            "has a trigger",
-        ),
+        ("CREATE TRIGGER more AFTER INSERT ON scans BEGIN DELETE FROM meta; END", "has a trigger"),
         ("UPDATE scans SET checksum = 0 WHERE iteration = 30", "30 scans before can be recovered"),
         ("UPDATE observations SET x = x + 1e-9 WHERE iteration = 20", "at iteration 20"),
         ("UPDATE observations SET x = 'far' WHERE iteration = 20", "at iteration 20"),

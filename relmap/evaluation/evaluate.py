@@ -17,16 +17,10 @@ from relmap.io.results import Result
 from relmap.planes.walls.files import PlaneResult
 from relmap.planes3d.files import Plane3dResult
 
+OF_WALLS = ("wall_recall", "wall_precision", "doubled_length")
 ONLY: dict[Judged, tuple[str, ...]] = {
     "points": ("landmark_rmse_m",),
-    "planes": (
-        "corner_rmse_m",
-        "wall_recall",
-        "wall_precision",
-        "doubled_length",
-        "relation_m",
-        "relation_rad",
-    ),
+    "planes": ("corner_rmse_m", *OF_WALLS, "relation_m", "relation_rad"),
     "planes3d": ("plane_recall", "plane_precision", "plane_rmse_m", "doubled_area"),
 }
 """Figures specific to one variant."""

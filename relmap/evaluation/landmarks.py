@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.association.reobservation.pairing import Motion, paired
@@ -147,7 +146,7 @@ def identify(result: Result, log: ObservationLog | None) -> Identified | None:
             return None
         seen = (tracks.landmark, tracks.iteration)
         return Identified(tracks.landmark, tracks.landmark, tracks.iteration, *seen)
-    at = _find(log.rows, tracks.row)
+    at = metrics.positions_of(log.rows, tracks.row)
     return Identified(tracks.landmark, log.ids[at], tracks.iteration, log.ids, log.iteration)
 
 
@@ -161,7 +160,7 @@ def mapped_part(result: Result, log: ObservationLog) -> ObservationLog:
         raise RelmapError("summary.json of the result: scans is not a pair of iteration numbers")
     part = log.between(*scans)
     tracks = result.tracks
-    at = _find(part.rows, tracks.row)
+    at = metrics.positions_of(part.rows, tracks.row)
     same = [part.first_iteration, part.end_iteration] == scans and bool((at >= 0).all())
     same = same and np.array_equal(part.iteration[at], tracks.iteration)
     if not same:
@@ -183,10 +182,12 @@ def match_landmarks(
     if often:
         seen = metrics.seen_often(identified.seen_id, identified.seen_iteration)
         labels, ids = labels[np.isin(ids, seen)], ids[np.isin(ids, seen)]
-    at = _find(truth.landmark_ids, ids)
+    at = metrics.positions_of(truth.landmark_ids, ids)
     comparable = (truth.status == "static") & np.isfinite(truth.landmarks_map).all(axis=1)
     there = (at >= 0) & comparable[at] if len(comparable) else at >= 0
-    position = result.landmarks.position[_find(result.landmarks.landmark, labels[there])]
+    position = result.landmarks.position[
+        metrics.positions_of(result.landmarks.landmark, labels[there])
+    ]
     true_position = truth.landmarks_map[at[there]]
     R, t = np.eye(3), np.zeros(3)
     d = 2 if result.planar else 3
@@ -202,12 +203,3 @@ def _standing_for(
     labels, ids, _ = metrics.majority_ids(identified.landmark, identified.true_id)
     chosen = np.isin(labels, result.landmarks.landmark[result.mapped & wanted])
     return labels[chosen], ids[chosen]
-
-
-def _find(keys: Ints, wanted: Ints) -> NDArray[np.intp]:
-    """Return the index of each wanted number in the keys, -1 if missing."""
-    if not len(keys):
-        return np.full(len(wanted), -1, np.intp)
-    order = np.argsort(keys, kind="stable")
-    at = order[np.searchsorted(keys[order], wanted).clip(0, len(keys) - 1)]
-    return np.where(keys[at] == wanted, at, -1)

@@ -23,10 +23,8 @@ def shows_floors(log: ScanLog) -> bool:
 def levelled(log: ScanLog) -> ScanLog:
     """Return a log of clouds as one of level 2-D scans of their walls; see `level_scan`.
 
-    The vertical is estimated in each cloud on its own.
-
-    Raises `RelmapError` if a scan of the log is damaged, or none of the first clouds has a vertical
-    and walls.
+    The vertical is estimated in each cloud on its own. Raises `RelmapError` if a scan of the log is
+    damaged, or none of the first clouds has a vertical and walls.
     """
     segmenter = PatchSegmenter()
     if not any(len(level_scan(cloud, segmenter)) for cloud in _first(log)):

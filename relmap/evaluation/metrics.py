@@ -29,6 +29,15 @@ class Matched:
     rmse_m: float | None
 
 
+def positions_of(keys: Ints, wanted: Ints) -> NDArray[np.intp]:
+    """Return the index of each wanted number (n,) among the keys (m,), -1 if missing."""
+    if not len(keys):
+        return np.full(len(wanted), -1, np.intp)
+    order = np.argsort(keys, kind="stable")
+    at = order[np.searchsorted(keys[order], wanted).clip(0, len(keys) - 1)]
+    return np.where(keys[at] == wanted, at, -1)
+
+
 def no_common_times(found_s: Floats, true_s: Floats) -> str:
     """Return the note that no pose of the result has the time of a true one."""
     found, true = (
@@ -129,11 +138,8 @@ def ate(poses: Floats, true_poses: Floats, planar: bool) -> float | None:
     """Return the absolute trajectory error: RMSE of the positions after rigid alignment, metres.
 
     `poses`, `true_poses` (k, 4, 4): T_map_robot of the same instants; `planar`: whether to align
-    and compare in the plane. Returns None if k is 0.
-
-    References
-    ----------
-    Sturm et al., "A benchmark for the evaluation of RGB-D SLAM systems", IROS 2012.
+    and compare in the plane. Returns None if k is 0. See Sturm et al., "A benchmark for the
+    evaluation of RGB-D SLAM systems", IROS 2012.
     """
     d = 2 if planar else 3
     position, truth = poses[:, :d, 3], true_poses[:, :d, 3]
@@ -146,11 +152,7 @@ def rpe(poses: Floats, true_poses: Floats, instant: NDArray[np.intp]) -> float |
 
     `poses`, `true_poses` (k, 4, 4): T_map_robot of the same instants. `instant` (k,) int,
     ascending: number of each instant; only consecutive numbers are compared. Returns None if there
-    is no such pair.
-
-    References
-    ----------
-    Sturm et al., "A benchmark for the evaluation of RGB-D SLAM systems", IROS 2012.
+    is no such pair. See Sturm et al. as for `ate`.
     """
     step = np.flatnonzero(np.diff(instant) == 1)
     motion = np.linalg.solve(poses[step], poses[step + 1])

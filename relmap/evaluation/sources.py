@@ -9,8 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, Literal, Protocol, TypeVar, cast
 
-import numpy as np
-
 from relmap.core.arrays import Ints
 from relmap.core.errors import RelmapError
 from relmap.datasets import DATASETS, FORMATS, SCAN_DATASETS, SCAN_FORMATS, open_log, open_scans
@@ -18,18 +16,12 @@ from relmap.datasets.bag_detections import BagDetections
 from relmap.datasets.bag_scans import BagScans
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.own_table import OwnTable
-from relmap.datasets.scans import ScanLog, SensorView, stored_scans
-from relmap.datasets.textfile import quoted, require_path, shown
+from relmap.datasets.scans import ScanLog, SensorView
+from relmap.datasets.textfile import invalid, quoted, require_path
 from relmap.evaluation.feeding import Log
 from relmap.evaluation.run import stamps_of
 from relmap.evaluation.truth import Truth, Variant, read_truth
-from relmap.simulation import (
-    Building,
-    FigureEight,
-    World,
-    simulate_building,
-    simulate_figure_eight,
-)
+from relmap.simulation import Building, FigureEight, World, simulate_building, simulate_figure_eight
 from relmap.simulation.noise import Noise
 
 LogKind = Literal["landmarks", "scans"]
@@ -110,10 +102,9 @@ class BuildingSource:
         building = simulate_building(
             sigma=self.sigma, noise=noise, iterations=self.iterations, seed=self.seed
         )
-        offsets = np.cumsum([0, *(len(scan.points) for scan in building.scans)])
-        points = np.concatenate([scan.points for scan in building.scans])
         view = SensorView(building.sensor.view_rad, building.sensor.range_m)
-        log = stored_scans(points, offsets, building.stamps_s, sensor=view)
+        scans, stamps_s = building.scans, building.stamps_s
+        log = ScanLog(3, stamps_s, lambda index: scans[index].points, sensor=view)
         return Data(log, truth_of(building))
 
     @property
@@ -139,10 +130,7 @@ class FileSource:
     topics: Sequence[str] = ()
 
     def load(self) -> Data[Log]:
-        """Read it.
-
-        Raises `RelmapError` if the log or the truth is invalid.
-        """
+        """Read it; RelmapError if the log or the truth is invalid."""
         variant: Variant = "planes" if self._holds_scans() else "points"
         truth, folder = self.truth, self.path if self.path.is_dir() else self.path.parent
         if truth is None and (folder / "truth").is_dir():
@@ -166,10 +154,8 @@ class FileSource:
         scans = any(dataset.recognises(self.path) for dataset in SCAN_DATASETS)
         landmarks = any(dataset.recognises(self.path) for dataset in DATASETS)
         if not (scans or landmarks) and self.path.is_dir():
-            raise RelmapError(
-                f"{shown(self.path)}: the folder holds neither a landmark log nor a log of point "
-                "scans, expected a format that 'relmap map --help' lists"
-            )
+            problem = "the folder holds neither a landmark log nor a log of point scans"
+            raise invalid(self.path, f"{problem}, expected a format that 'relmap map --help' lists")
         return scans and not landmarks
 
     @property
@@ -216,9 +202,8 @@ def read_log(
 def read_again(path: Path, variant: Variant, summary: Mapping[str, Any]) -> Log:
     """Read a log as the run of a result read it.
 
-    Format, columns and topics are those of its summary, unless the format is recognised.
-
-    Raises `RelmapError` if there is no such log or it is damaged.
+    Format, columns and topics are those of its summary, unless the format is recognised. Raises
+    `RelmapError` if there is no such log or it is damaged.
     """
     form, columns, topics = (summary.get(key) for key in ("format", "columns", "topics"))
     known = recognised_format(path, variant)

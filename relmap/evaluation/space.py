@@ -37,23 +37,13 @@ def judge_planes(
 ) -> dict[str, float | None]:
     """Evaluate the mapped planes.
 
-    Parameters
-    ----------
-    table : Plane3dTable
-    faces : Faces or None
-        Without any, only `doubled_area` is known.
-    poses, true_poses : (k, 4, 4) float64
-        Of the same instants; they align the map to the truth.
-
-    Returns
-    -------
-    dict
-        `plane_recall`, fraction of the true planes, of which at least 0.25 m2 were seen twice, that
-        are mapped; `plane_precision`, fraction of the mapped planes over 0.25 m2 that lie on true
-        ones; `doubled_area`, fraction of the mapped area covered by another mapped plane;
-        `plane_rmse_m`, root mean square distance of the corners of mapped planes from the true
-        planes on which they lie.  Planes coincide within 0.05 m and 5 degrees.  None if there is
-        nothing to compare.
+    `faces`: without any, only `doubled_area` is known; `poses`, `true_poses` (k, 4, 4): of the same
+    instants; they align the map to the truth. Returns `plane_recall`, fraction of the true planes,
+    of which at least 0.25 m2 were seen twice, that are mapped; `plane_precision`, fraction of the
+    mapped planes over 0.25 m2 that lie on true ones; `doubled_area`, fraction of the mapped area
+    covered by another mapped plane; `plane_rmse_m`, root mean square distance of the corners of
+    mapped planes from the true planes on which they lie. Planes coincide within 0.05 m and 5
+    degrees. None if there is nothing to compare.
     """
     figures: dict[str, float | None] = {"doubled_area": doubled_area(table)}
     if faces is None or not len(faces.plane) or not len(poses):

@@ -28,13 +28,8 @@ LEAST_SCANS = 10
 class SpaceResult(Plane3dResult):
     """A result of planes in space, with its parts.
 
-    Attributes
-    ----------
-    parts : list of Submap
-    paths : list of (stamps (k,), poses (k, 4, 4))
-        For each submap.
-    weak : (w,) int64
-        Indices in `poses` of the scans with constant motion assumed in a direction.
+    `paths`, list of (stamps (k,), poses (k, 4, 4)): of each submap; `weak` (w,): indices in `poses`
+    of the scans with constant motion assumed in a direction.
     """
 
     parts: list[Submap]

@@ -35,11 +35,7 @@ MERGE = {name: name for name in ("landmark", "apart_m", "residual")} | {"seen_ag
 
 
 def summary_of(
-    mapper: AnyMapper,
-    result: Result,
-    log: Log,
-    offset: int,
-    n_groups: int,
+    mapper: AnyMapper, result: Result, log: Log, offset: int, n_groups: int
 ) -> dict[str, Any]:
     """Return the summary of a map.
 
@@ -76,6 +72,11 @@ def _odometry(use: OdometryUse | None, result: Result, offset: int) -> dict[str,
     """Return how odometry was used, and its estimated quality; None if there was none."""
     if use is None:
         return None
+    sd = np.empty(0) if isinstance(result, PlaneResult) else result.landmarks.sd
+    largest_m = np.nanmax(sd[np.isfinite(sd)], initial=-1.0)
+    hanging = use.hanging + offset
+    runs = np.split(hanging, np.flatnonzero(np.diff(hanging) > 1) + 1)
+    stretches = [[int(run[0]), int(run[-1])] for run in runs if len(run)]
     return {
         "used": bool(use.is_used),
         "wrong_throughout": bool(use.noise.is_wrong),
@@ -83,24 +84,10 @@ def _odometry(use: OdometryUse | None, result: Result, offset: int) -> dict[str,
         "sigma_share_of_way": float(use.noise.sigma_way),
         "sigma_rad": float(use.noise.sigma_rad),
         "drift_over_noise": float(use.drift),
-        "largest_sd_m": _largest_sd(result) if use.is_used else None,
-        "tied_by_it_alone": ends_of(use.hanging + offset, "iterations")
-        | {"stretches": _stretches(use.hanging + offset)},
+        "largest_sd_m": float(largest_m) if use.is_used and largest_m >= 0 else None,
+        "tied_by_it_alone": ends_of(hanging, "iterations") | {"stretches": stretches},
         "left_out": ends_of(use.left_out + offset, "iterations"),
     }
-
-
-def _stretches(numbers: Ints) -> list[list[int]]:
-    """Return the first and the last of each run of consecutive numbers (n,), ascending."""
-    runs = np.split(numbers, np.flatnonzero(np.diff(numbers) > 1) + 1)
-    return [[int(run[0]), int(run[-1])] for run in runs if len(run)]
-
-
-def _largest_sd(result: Result) -> float | None:
-    """Return the standard deviation of the least certain landmark; None if none is known."""
-    sd = np.empty(0) if isinstance(result, PlaneResult) else result.landmarks.sd
-    known = sd[np.isfinite(sd)]
-    return float(known.max()) if len(known) else None
 
 
 def _rejected_rows(mapper: PointMapper, log: ObservationLog | ScanLog, offset: int) -> Ints:

@@ -7,14 +7,14 @@ each time.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.datasets.base import ObservationLog
-from relmap.datasets.scans import ScanLog, stored_scans
+from relmap.datasets.scans import ScanLog
 from relmap.evaluation.sources import truth_of
 from relmap.evaluation.truth import Truth
 from relmap.simulation import Building, BuildingScan, simulate_building
@@ -74,18 +74,13 @@ def scan_surface_points(
     places, wall, along = _points_on(building.walls, spacing_m, rng)
     pairs = list(zip(building.scans, building.trajectory, strict=True))
     seen = [rng.permutation(_in_view(scan, T, building.walls, wall, along)) for scan, T in pairs]
-    sigma, counts = noise * spacing_m, [len(rows) for rows in seen]
-    points = np.concatenate(
-        [
-            (places[rows] - T[:3, 3]) @ T[:3, :3] + sigma * rng.standard_normal((len(rows), 3))
-            for rows, T in zip(seen, building.trajectory, strict=True)
-        ]
-    )
-    stamps_s, poses = building.stamps_s, building.trajectory
-    iteration = np.repeat(np.arange(len(seen)), counts)
-    ids = np.concatenate(seen)
-    log = ObservationLog(points, iteration, np.arange(len(points)), 0, len(seen), ids, stamps_s)
-    scans = stored_scans(points, np.cumsum([0, *counts]), stamps_s, poses)
+    sigma, stamps_s, poses = noise * spacing_m, building.stamps_s, building.trajectory
+    points = [
+        (places[rows] - T[:3, 3]) @ T[:3, :3] + sigma * rng.standard_normal((len(rows), 3))
+        for rows, T in zip(seen, poses, strict=True)
+    ]
+    log = replace(ObservationLog.of_scans(points, seen), stamps_s=stamps_s)
+    scans = ScanLog(3, stamps_s, points.__getitem__, poses)
     status = np.full(len(places), "static")
     points_truth = Truth(np.arange(len(places)), places, status, stamps_s, poses)
     return SurfacePoints(scans, log, truth_of(building), points_truth, spacing_m, noise, seed)

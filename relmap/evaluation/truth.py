@@ -13,13 +13,13 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.brief import Brief
 from relmap.core.errors import RelmapError
 from relmap.datasets import Relations, open_scans
-from relmap.datasets.textfile import quoted, require_path, shown
+from relmap.datasets.textfile import invalid, quoted, require_path
 from relmap.datasets.trajectories import is_trajectory, read_trajectory
 from relmap.evaluation.relations import RELATIONS, relations_by_clocks
 from relmap.evaluation.space import Faces
 from relmap.io.files import atomic_write, read_text, read_tum, write_tum
 from relmap.io.results import SUMMARY
-from relmap.io.tables import Kind, csv_text, read_table
+from relmap.io.tables import Kind, columns_text, read_table
 
 Variant = Literal["points", "planes"]
 Judged = Literal["points", "planes", "planes3d"]
@@ -31,13 +31,7 @@ _EXPECTED = (
     f"truth/{TABLES['points']} or {TABLES['points']} in it, MRPT's ..._ground_truth.txt, "
     "or the folder of a known data set"
 )
-_COLUMNS: dict[str, Kind] = {
-    "landmark": "int",
-    "x": "float",
-    "y": "float",
-    "z": "float",
-    "status": "text",
-}
+_COLUMNS: dict[str, Kind] = {"landmark": "int", **dict.fromkeys("xyz", "float"), "status": "text"}
 _ENDS, _SEEN = ("x0", "y0", "x1", "y1"), ("seen0", "seen1")
 _NOWHERE = np.empty((0, 2))
 
@@ -83,44 +77,34 @@ class Truth(Brief):
 
 
 def read_truth(path: Path, variant: Variant = "points") -> Truth:
-    """Read the truth, or a reference instead.
+    """Read the truth, or a reference instead, for a mapped variant.
 
-    Parameters
-    ----------
-    path : Path
-        A folder written by `relmap simulate`, with ``truth/landmarks.csv`` or ``landmarks.csv``
-        (for walls ``planes.csv``), and ``trajectory.tum`` beside it if the path is known. Or a
-        trajectory in TUM or KITTI format (`relmap.datasets.trajectories`). For points also
+    `path`: a folder written by `relmap simulate`, with ``truth/landmarks.csv`` or ``landmarks.csv``
+    (for walls ``planes.csv``), and ``trajectory.tum`` beside it if the path is known. Or a
+    trajectory in TUM or KITTI format (`relmap.datasets.trajectories`). For points also
 
-        * MRPT's ``..._ground_truth.txt`` or its folder;
-        * the folder of I-SLSJF's simulation, or of MRCLAM;
-        * the folder of Victoria Park, whose trees were not surveyed: the published estimates of
-          another program are a reference to compare with, not a truth;
-        * the folder of DLR's circles, which has ids but no positions.
+    * MRPT's ``..._ground_truth.txt`` or its folder;
+    * the folder of I-SLSJF's simulation, or of MRCLAM;
+    * the folder of Victoria Park, whose trees were not surveyed: the published estimates of another
+      program are a reference to compare with, not a truth;
+    * the folder of DLR's circles, which has ids but no positions.
 
-        For walls also
+    For walls also
 
-        * a log of point scans, for the poses that it gives: a reference, or exact if simulated;
-        * a ``.relations`` file, of pairs of poses that were checked by hand.  Its times are the
-          robot's; a CARMEN log of the same name beside it adds the logger's times.
-    variant : "points" or "planes"
-        The mapped variant.
+    * a log of point scans, for the poses that it gives: a reference, or exact if simulated;
+    * a ``.relations`` file, of pairs of poses that were checked by hand. Its times are the robot's;
+      a CARMEN log of the same name beside it adds the logger's times.
 
-    Raises
-    ------
-    RelmapError
-        If it is none of these or is damaged.
+    Raises `RelmapError` if it is none of these or is damaged.
     """
     require_path(path)
     name = TABLES[variant]
     folder = path / "truth"
     if not (folder / name).is_file():
         if variant == "planes" and folder.is_dir():
-            raise RelmapError(
-                f"{shown(path)}: contains no truth/{name} with the walls to compare with"
-            )
+            raise invalid(path, f"contains no truth/{name} with the walls to compare with")
         if (path / SUMMARY).exists():
-            raise RelmapError(f"{shown(path)}: is a result folder without truth, expected a truth")
+            raise invalid(path, "is a result folder without truth, expected a truth")
         folder = path
     if (folder / name).is_file():
         truth = (_read_walls if variant == "planes" else _read_landmarks)(folder / name)
@@ -134,7 +118,7 @@ def read_truth(path: Path, variant: Variant = "points") -> Truth:
         truth = (_read_path if variant == "planes" else _read_data_set)(path)
     ids, counts = np.unique(truth.landmark_ids, return_counts=True)
     if (counts > 1).any():
-        raise RelmapError(f"{shown(path)}: landmark {ids[counts > 1][0]} occurs twice")
+        raise invalid(path, f"landmark {ids[counts > 1][0]} occurs twice")
     return truth
 
 
@@ -162,9 +146,9 @@ def write_truth(folder: Path, truth: Truth) -> None:
 
     Raises `RelmapError` if a file cannot be written.
     """
-    x, y, z = truth.landmarks_map.T.tolist()
-    rows = zip(truth.landmark_ids.tolist(), x, y, z, truth.status.tolist(), strict=True)
-    atomic_write(folder / TABLES["points"], csv_text(list(_COLUMNS), rows))
+    columns = (truth.landmark_ids, *truth.landmarks_map.T, truth.status)
+    table = dict(zip(_COLUMNS, columns, strict=True))
+    atomic_write(folder / TABLES["points"], columns_text(table))
     write_tum(folder / TRAJECTORY, truth.stamps_s, truth.poses)
 
 
@@ -172,10 +156,8 @@ def _read_landmarks(path: Path) -> Truth:
     table = read_table(path, _COLUMNS)
     for landmark, status in zip(table["landmark"], table["status"].tolist(), strict=True):
         if status not in ("static", "dynamic"):
-            raise RelmapError(
-                f"{shown(path)}: status of landmark {landmark} is {quoted(status)}, "
-                "neither static nor dynamic"
-            )
+            problem = f"status of landmark {landmark} is {quoted(status)}"
+            raise invalid(path, f"{problem}, neither static nor dynamic")
     position = np.column_stack([table["x"], table["y"], table["z"]])
     return Truth(table["landmark"], position, table["status"])
 
@@ -201,7 +183,7 @@ def _read_faces(path: Path) -> Faces:
     columns: dict[str, Kind] = {"plane": "int", **dict.fromkeys((*places, "seen_m2"), "float")}
     table = read_table(path, columns)
     if len(table["plane"]) and table["plane"].min() < 0:
-        raise RelmapError(f"{shown(path)}: a plane has a number below 0")
+        raise invalid(path, "a plane has a number below 0")
     corners = np.column_stack([table[name] for name in places]).reshape(-1, 4, 3)
     plane = np.unique(table["plane"], return_inverse=True)[1]  # they may be of any size
     return Faces(plane, corners, table["seen_m2"])
@@ -217,7 +199,7 @@ def _read_path(path: Path) -> Truth:
         expected = f"truth/{TABLES['planes']}, a log of point scans or a {RELATIONS} file"
         raise RelmapError(f"{error}; to compare walls with, expected {expected}") from error
     if log.poses is None:
-        raise RelmapError(f"{shown(path)}: the log gives no poses, expected one that does")
+        raise invalid(path, "the log gives no poses, expected one that does")
     return Truth(stamps_s=log.stamps_s, poses=log.poses)
 
 
@@ -238,7 +220,7 @@ def _read_data_set(path: Path) -> Truth:
         ids = dlr_circles.read_ids(path)
         return _static(ids, np.full((len(ids), 3), np.nan))
     what = "holds no truth" if path.is_dir() else "is not a truth"
-    raise RelmapError(f"{shown(path)}: {what}, expected {_EXPECTED}")
+    raise invalid(path, f"{what}, expected {_EXPECTED}")
 
 
 def _static(ids: Ints, position: Floats, poses: Floats | None = None) -> Truth:

@@ -26,23 +26,12 @@ def judge_walls(
 ) -> dict[str, float | None]:
     """Evaluate the mapped walls by their length.
 
-    Parameters
-    ----------
-    planes : PlaneTable
-    truth : Truth
-    poses, true_poses : (k, 4, 4) float64
-        Poses of the same instants, used for alignment without `motion`.
-    motion : tuple of (2, 2) and (2,) float64, optional
-        R and t from the map to the truth.
-
-    Returns
-    -------
-    dict
-        `wall_recall`, fraction of the observed length of true walls over 0.5 m that is mapped;
-        `wall_precision`, fraction of the length of mapped walls over 0.5 m that coincides with true
-        ones; `doubled_length`, fraction of all mapped length that coincides with another mapped
-        wall. Walls coincide within 0.1 m and 5 degrees, with fronts on the same side. None if there
-        is nothing to compare.
+    `poses`, `true_poses` (k, 4, 4): of the same instants, used for alignment without `motion`, R
+    (2, 2) and t (2,) from the map to the truth. Returns `wall_recall`, fraction of the observed
+    length of true walls over 0.5 m that is mapped; `wall_precision`, fraction of the length of
+    mapped walls over 0.5 m that coincides with true ones; `doubled_length`, fraction of all mapped
+    length that coincides with another mapped wall. Walls coincide within 0.1 m and 5 degrees, with
+    fronts on the same side. None if there is nothing to compare.
     """
     mapped = planes.ends[planes.status == "static"]
     figures = {"doubled_length": doubled_length(mapped)}

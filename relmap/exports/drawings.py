@@ -7,7 +7,7 @@ from xml.sax.saxutils import escape
 
 import numpy as np
 
-from relmap.core.arrays import Floats, Ints
+from relmap.core.arrays import Floats
 from relmap.exports.content import MapContent
 
 LAYERS = {"WALLS": 5, "CORNERS": 3, "LANDMARKS": 7, "PATH": 8}
@@ -117,11 +117,8 @@ def ply_text(content: MapContent) -> str:
     A wall has an edge along its foot and, if its height is known, a face with the same front.
     Landmarks are vertices only.
     """
-    vertices, edges, faces = (
-        content.landmarks.position,
-        np.empty((0, 2), int),
-        np.empty((0, 4), int),
-    )
+    vertices = content.landmarks.position
+    edges, faces = np.empty((0, 2), int), np.empty((0, 4), int)
     if content.walls is not None:
         ends, z = content.walls.ends, content.walls.z_extent
         foot, head = (np.dstack([ends, np.repeat(z[:, [k]], 2, axis=1)]) for k in (0, 1))
@@ -140,10 +137,5 @@ def ply_text(content: MapContent) -> str:
     if len(faces):
         header += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
     counted = np.column_stack([np.full(len(faces), 4), faces])
-    return (
-        "\n".join([*header, "end_header"]) + "\n" + "".join(map(_lines, (vertices, edges, counted)))
-    )
-
-
-def _lines(rows: Floats | Ints) -> str:
-    return "".join(" ".join(map(repr, row)) + "\n" for row in rows.tolist())
+    rows = [row for part in (vertices, edges, counted) for row in part.tolist()]
+    return "\n".join([*header, "end_header", *(" ".join(map(repr, row)) for row in rows)]) + "\n"

@@ -102,16 +102,11 @@ def _grid(path: Path, content: MapContent, order: Order) -> Rendered:
     grid = grid_of(content, lines, order.resolution_m)
     rows, columns = grid.pixels.shape
     description = f"{columns} x {rows} cells of {grid.resolution_m:g} m, "
-    if lines is None:
-        description += (
-            "all unknown except the map: free space needs mapper.npz in the result folder, "
-        )
-        description += "or --log LOG"
-    else:
-        description += f"free space from {len(lines[0])} beams"
-    picture = path.with_suffix(".pgm").name
-    about = yaml_text(picture, grid)
-    return {picture: pgm_bytes(grid), path.with_suffix(".yaml").name: about}, description
+    needs = "free space needs mapper.npz in the result folder, or --log LOG"
+    unknown = f"all unknown except the map: {needs}"
+    description += unknown if lines is None else f"free space from {len(lines[0])} beams"
+    picture, about = path.with_suffix(".pgm").name, path.with_suffix(".yaml").name
+    return {picture: pgm_bytes(grid), about: yaml_text(picture, grid)}, description
 
 
 FORMATS = {

@@ -47,25 +47,20 @@ def g2o_text(content: MapContent, seen: Sightings | None) -> str:
 
 
 def _sights(content: MapContent, seen: Sightings, tag: str) -> Iterator[str]:
-    """Yield an edge for each observation."""
     poses, d = content.result.poses, 2 if content.result.planar else 3
     at, T = content.landmarks.position[seen.landmark], poses[seen.pose]
     points = np.einsum("nji,nj->ni", T[:, :3, :3], at - T[:, :3, 3])[:, :d]
     weight = 1.0
     if seen.points_robot is not None:
-        points, weight = seen.points_robot, _information(content)
+        refinement = content.result.summary.get("refinement")
+        noise_m = refinement.get("noise_m") if isinstance(refinement, dict) else None
+        points = seen.points_robot
+        weight = 1.0 / noise_m**2 if isinstance(noise_m, float) and noise_m > 0 else 1.0
     about = _upper(weight * np.eye(d))
     sensor = "" if content.result.planar else f" {SENSOR}"
     vertices = zip(seen.pose.tolist(), (len(poses) + seen.landmark).tolist(), strict=True)
     for (a, b), point in zip(vertices, points.tolist(), strict=True):
         yield f"{tag} {a} {b}{sensor} {_numbers(point)} {about}"
-
-
-def _information(content: MapContent) -> float:
-    """Return the inverse variance of an observed coordinate, if estimated by the refinement."""
-    refinement = content.result.summary.get("refinement")
-    noise_m = refinement.get("noise_m") if isinstance(refinement, dict) else None
-    return 1.0 / noise_m**2 if isinstance(noise_m, float) and noise_m > 0 else 1.0
 
 
 def _pose(T: Floats, planar: bool) -> str:

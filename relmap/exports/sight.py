@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -13,7 +12,7 @@ from relmap.core.errors import RelmapError
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.scans import ScanLog
 from relmap.evaluation.feeding import Log
-from relmap.evaluation.metrics import match_stamps
+from relmap.evaluation.metrics import match_stamps, positions_of
 from relmap.evaluation.run import stamps_of
 from relmap.evaluation.sources import read_again
 from relmap.evaluation.truth import Variant
@@ -72,11 +71,11 @@ def sightings(folder: Path, content: MapContent, log: Path | None) -> Sightings 
     if iterations is None:
         return None
     tracks = content.result.tracks
-    pose = _positions(iterations, tracks.iteration)
-    landmark = _positions(content.landmarks.landmark, tracks.landmark)
+    pose = positions_of(iterations, tracks.iteration)
+    landmark = positions_of(content.landmarks.landmark, tracks.landmark)
     row = np.zeros(len(pose), dtype=np.int64)
     if isinstance(read, ObservationLog):
-        row = _positions(read.rows, tracks.row)
+        row = positions_of(read.rows, tracks.row)
     known = (pose >= 0) & (landmark >= 0) & (row >= 0)
     if log is not None and len(content.landmarks.landmark) and not known.any():
         raise RelmapError(
@@ -88,18 +87,8 @@ def sightings(folder: Path, content: MapContent, log: Path | None) -> Sightings 
 
 
 def _read(content: MapContent, log: Path) -> Log:
-    """Read the log that was mapped."""
     variant: Variant = "points" if content.walls is None else "planes"
     return read_again(log, variant, content.result.summary)
-
-
-def _positions(of: Ints, wanted: Ints) -> Ints:
-    """Return the index of each number (n,) among others (m,), -1 if missing."""
-    if not len(of):
-        return np.full(len(wanted), -1)
-    order = np.argsort(of, kind="stable")
-    at = order[np.minimum(np.searchsorted(of[order], wanted), len(of) - 1)]
-    return np.where(of[at] == wanted, at, -1)
 
 
 def _iterations(folder: Path, content: MapContent, log: Log | None) -> Ints | None:
@@ -111,18 +100,14 @@ def _iterations(folder: Path, content: MapContent, log: Log | None) -> Ints | No
         return None
     mapper = PointMapper.load(folder / MAPPER)
     there = np.flatnonzero(np.isfinite(mapper.trajectory[:, 0, 0]))
-    first = _end(folder, result.summary.get("scans")) - mapper.n_iterations
+    scans = result.summary.get("scans")
+    if not (isinstance(scans, list) and len(scans) == 2 and isinstance(scans[1], int)):
+        raise RelmapError(f"{folder / SUMMARY}: scans is {scans!r:.40}, expected [first, end]")
+    first = scans[1] - mapper.n_iterations
     numbers = first + there[len(there) - len(result.poses) :]
     if len(numbers) < len(result.poses):
         raise RelmapError(f"{folder / MAPPER} is not of the same run as {TRAJECTORY} beside it")
     return numbers
-
-
-def _end(folder: Path, scans: Any) -> int:
-    """Return the iteration after the last mapped one, from `scans` in a summary."""
-    if isinstance(scans, list) and len(scans) == 2 and isinstance(scans[1], int):
-        return scans[1]
-    raise RelmapError(f"{folder / SUMMARY}: scans is {scans!r:.40}, expected [first, end]")
 
 
 def _scans(content: MapContent, log: Log) -> Ints:

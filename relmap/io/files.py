@@ -19,6 +19,7 @@ from relmap.core.errors import RelmapError, reason
 from relmap.datasets.number_rows import NumberRows
 from relmap.datasets.scans import poses_of
 from relmap.datasets.textfile import (
+    invalid,
     numbered_lines,
     open_text,
     quoted,
@@ -153,7 +154,7 @@ def read_text(path: Path) -> str:
     with open_text(path) as stream:
         text = stream.read(MAX_TEXT + 1)
     if len(text) > MAX_TEXT:
-        raise RelmapError(f"{shown(path)}: more than {MAX_TEXT} characters, expected at most that")
+        raise invalid(path, f"more than {MAX_TEXT} characters, expected at most that")
     if not text.isascii():
         for number, line in enumerate(text.split("\n"), 1):
             require_utf8(path, number, line)
@@ -161,14 +162,11 @@ def read_text(path: Path) -> str:
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Read a small TOML file.
-
-    Raises `RelmapError` if it cannot be read or is not TOML.
-    """
+    """Read a small TOML file; RelmapError if it cannot be read or is not TOML."""
     try:
         return tomllib.loads(read_text(path))
     except (ValueError, RecursionError) as error:  # huge numbers, deep nesting
-        raise RelmapError(f"{shown(path)}: not TOML: {reason(error)}") from error
+        raise invalid(path, f"not TOML: {reason(error)}") from error
 
 
 def write_tum(path: Path, stamps_s: Floats, poses: Floats) -> None:

@@ -17,7 +17,7 @@ from relmap.core.brief import Brief
 from relmap.core.errors import RelmapError
 from relmap.core.landmarks import LandmarkTable, Submap
 from relmap.io.files import atomic_write, read_text, read_tum, write_tum
-from relmap.io.tables import Kind, compressed, csv_text, read_table
+from relmap.io.tables import Kind, columns_text, compressed, csv_text, read_table
 
 T = TypeVar("T", bound=Any)
 
@@ -32,22 +32,15 @@ MAPPER = "mapper.npz"
 EVALUATION = "evaluation.json"
 NAMES = "names.csv"
 
-LANDMARK_COLUMNS: dict[str, Kind] = {
-    "landmark": "int",
-    "x": "float or empty",
-    "y": "float or empty",
-    "z": "float or empty",
-    "sd": "float or empty",
-    "observations": "int",
-    "first_iteration": "int",
-    "last_iteration": "int",
-    "level": "int",
-    "status": "text",
-    "submap": "int",
-    "moving_bin": "int",
-}
 OPTIONAL = ("submap", "moving_bin")
 """Columns that may be missing in results of other programs and earlier versions."""
+LANDMARK_COLUMNS: dict[str, Kind] = {
+    "landmark": "int",
+    **dict.fromkeys(("x", "y", "z", "sd"), "float or empty"),
+    **dict.fromkeys(("observations", "first_iteration", "last_iteration", "level"), "int"),
+    "status": "text",
+    **dict.fromkeys(OPTIONAL, "int"),
+}
 SUBMAP_COLUMNS = ("submap", "landmark", "x", "y", "z")
 REJECTED = "rejected_id"
 TRACK_COLUMNS: dict[str, Kind] = dict.fromkeys(("iteration", "row", "landmark", REJECTED), "int")
@@ -129,19 +122,12 @@ def write_result(folder: Path, result: Result) -> None:
     `folder`: an existing folder; see `relmap.io.files.staged_folder` for all or nothing. Raises
     `RelmapError` if a file cannot be written.
     """
-    table, tracks = result.landmarks, result.tracks
-    x, y, z = table.position.T.tolist()
-    columns = [
-        table.landmark.tolist(),
-        *(x, y, z),
-        *(getattr(table, name).tolist() for name in list(LANDMARK_COLUMNS)[4:]),
-    ]
-    landmark_rows = zip(*columns, strict=True)
-    atomic_write(folder / LANDMARKS, csv_text(list(LANDMARK_COLUMNS), landmark_rows))
-    names = [name for name in TRACK_COLUMNS if getattr(tracks, name) is not None]
-    labels = [getattr(tracks, name).tolist() for name in names]
-    track_text = csv_text(names, zip(*labels, strict=True))
-    atomic_write(folder / TRACKS, compressed(track_text))
+    table, tracks = result.landmarks, vars(result.tracks)
+    places = dict(zip("xyz", table.position.T, strict=True))
+    columns = {name: (vars(table) | places)[name] for name in LANDMARK_COLUMNS}
+    atomic_write(folder / LANDMARKS, columns_text(columns))
+    labels = {name: tracks[name] for name in TRACK_COLUMNS if tracks[name] is not None}
+    atomic_write(folder / TRACKS, compressed(columns_text(labels)))
     atomic_write(folder / SUBMAPS, submaps_text(result.submaps))
     write_tum(folder / TRAJECTORY, result.stamps_s, result.poses)
     atomic_write(folder / MAP_PLY, ply_text(table.position[result.mapped]))
@@ -151,13 +137,11 @@ def write_result(folder: Path, result: Result) -> None:
 def submaps_text(submaps: tuple[Submap, ...]) -> str:
     """Return the landmarks not connected to the map as CSV, each in the frame of its submap."""
     rows = [
-        (number, label, *position)
+        (number, label, *position.tolist())
         for number, submap in enumerate(submaps[1:], start=1)
-        for label, position in zip(
-            submap.landmark_ids.tolist(), submap.positions.tolist(), strict=True
-        )
+        for label, position in zip(submap.landmark_ids, submap.positions, strict=True)
     ]
-    return csv_text(list(SUBMAP_COLUMNS), rows)
+    return csv_text(SUBMAP_COLUMNS, rows)
 
 
 def ply_text(points_map: Floats) -> str:

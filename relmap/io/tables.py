@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
-from relmap.datasets.textfile import numbered_lines, quoted, shown
+from relmap.datasets.textfile import invalid, numbered_lines, quoted, shown
 
 Kind = Literal["int", "float", "float or empty", "text", "corners", "int list"]
 """Type of a column of a table.
@@ -53,13 +53,21 @@ def number(value: float) -> str:
 
 
 def csv_text(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """Return a table as CSV text; floats in full precision, NaN as an empty cell."""
-    lines = [",".join(header)]
-    lines.extend(
-        ",".join(number(cell) if isinstance(cell, float) else str(cell) for cell in row)
-        for row in rows
-    )
-    return "\n".join(lines) + "\n"
+    """Return a table as CSV text; floats in full precision, NaN and None as empty cells."""
+    lines = [header, *(map(_cell, row) for row in rows)]
+    return "\n".join(map(",".join, lines)) + "\n"
+
+
+def _cell(value: object) -> str:
+    if value is None:
+        return ""
+    return number(value) if isinstance(value, float) else str(value)
+
+
+def columns_text(columns: Mapping[str, NDArray[Any]]) -> str:
+    """Return columns (n,) as CSV text, see `csv_text`."""
+    cells = (column.tolist() for column in columns.values())
+    return csv_text(list(columns), zip(*cells, strict=True))
 
 
 def read_table(
@@ -92,18 +100,17 @@ def read_table(
         for column in found.values():
             column.add(path, reader.line_num, cells)
     if not found:
-        raise RelmapError(f"{shown(path)}: is empty, expected the header {','.join(columns)}")
+        raise invalid(path, f"is empty, expected the header {','.join(columns)}")
     return {name: column.values for name, column in found.items()}
 
 
 def _records(path: Path, reader: Iterator[list[str]]) -> Iterator[list[str]]:
-    """Yield the non-empty records."""
     try:
         for cells in reader:
             if cells:
                 yield cells
     except csv.Error as error:
-        raise RelmapError(f"{shown(path)}: not a CSV file: {error}") from error
+        raise invalid(path, f"not a CSV file: {error}") from error
 
 
 class _Column:

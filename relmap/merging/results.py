@@ -16,6 +16,7 @@ from relmap.core.geometry.alignment import fit_rigid
 from relmap.core.landmarks import LandmarkTable
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.state.table import LandmarkState
+from relmap.evaluation.metrics import positions_of
 from relmap.evaluation.summary import versions
 from relmap.io.results import Result, Tracks, shifted
 from relmap.merging.tables import joined, joined_walls, moved
@@ -45,10 +46,8 @@ class Merged:
 def merge_results(one: Path, other: Path) -> Merged:
     """Return the merged map of two result folders, in the frame of the first.
 
-    If a run broke into submaps, its largest is merged.
-
-    Raises `RelmapError` if a folder is not a result, they are of different kinds, or have no unique
-    alignment.
+    If a run broke into submaps, its largest is merged. Raises `RelmapError` if a folder is not a
+    result, they are of different kinds, or have no unique alignment.
     """
     a, b = (_read(folder) for folder in (one, other))
     walls = isinstance(a, PlaneResult), isinstance(b, PlaneResult)
@@ -88,9 +87,8 @@ def _joined(a: Result, b: Result, motion: Motion, record: Record) -> tuple[Resul
         base = label[0] - b.landmarks.landmark[0] if len(label) else 0
         others = replace(others, corner=np.where(others.corner >= 0, others.corner + base, -1))
         planes, corners = joined_walls(a.planes, others)
-        pairs = np.column_stack(
-            [_rows(label, corners[:, 0]), _rows(a.landmarks.landmark, corners[:, 1])]
-        )
+        mine = positions_of(a.landmarks.landmark, corners[:, 1])
+        pairs = np.column_stack([positions_of(label, corners[:, 0]), mine])
     else:
         motion, pairs = _paired(a, b, motion)
     theirs = replace(_alone(b.landmarks), position=motion.apply(b.landmarks.position))
@@ -109,12 +107,6 @@ def _paired(a: Result, b: Result, motion: Motion) -> tuple[Motion, Ints]:
     theirs, mine = (r.landmarks.position[k][:, :d] for r, k in zip((b, a), rows, strict=True))
     motion, pairs = paired(theirs, mine, motion)
     return motion, np.column_stack([rows[0][pairs[:, 0]], rows[1][pairs[:, 1]]])
-
-
-def _rows(labels: Ints, wanted: Ints) -> Ints:
-    """Return the rows (k,) of the landmarks with the given labels, which all exist."""
-    order = np.argsort(labels, kind="stable")
-    return np.asarray(order[np.searchsorted(labels[order], wanted)])
 
 
 def _tie_of_points(a: Result, b: Result, named: str) -> tuple[Motion, Record]:
@@ -167,11 +159,10 @@ def _alone(table: LandmarkTable) -> LandmarkTable:
 
 
 def _of_walls(result: Result, planes: PlaneTable) -> PlaneResult:
-    """Return a result of walls, with their ends as corners."""
     wall, end = np.nonzero((planes.corner >= 0) & (planes.status == "static")[:, None])
     table = result.landmarks
     at = np.full((len(table.landmark), 3), np.nan)
-    row = _rows(table.landmark, planes.corner[wall, end])
+    row = positions_of(table.landmark, planes.corner[wall, end])
     at[row] = np.column_stack([planes.ends[wall, end], np.zeros(len(row))])
     there = np.isfinite(at[:, 0])
     gone = ~there & (table.status == "static")

@@ -50,10 +50,8 @@ def joined_walls(one: PlaneTable, other: PlaneTable) -> tuple[PlaneTable, Ints]:
 
     Overlapping walls are merged: the line is their average, weighted by the number of observations,
     and the extent is the union. Other walls of `other` that are mostly covered by walls of `one`
-    are left out. Walls of `one` keep their numbers.
-
-    Returns `corners` (k, 2): corners of `other` and of `one` that are one; they keep the number
-    from `one`.
+    are left out. Walls of `one` keep their numbers. Returns `corners` (k, 2): corners of `other`
+    and of `one` that are one; they keep the number from `one`.
     """
     own, new = (np.flatnonzero(table.status == "static") for table in (one, other))
     lying_m = lying_on(other.ends[new], one.ends[own])

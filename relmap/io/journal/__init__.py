@@ -7,7 +7,8 @@ exactly; nothing else is stored.
 
 from __future__ import annotations
 
-from relmap.io.journal.reading import JournalReader, RecordedScan
+from relmap.io.journal.layout import RecordedScan
+from relmap.io.journal.reading import JournalReader
 from relmap.io.journal.salvage import salvage
 from relmap.io.journal.writing import Journal
 

@@ -117,6 +117,25 @@ PLANES = Layout("planes", (*_WALL, "end0 INTEGER", "end1 INTEGER"), has_ids=Fals
 LAYOUTS = {layout.variant: layout for layout in (POINTS, PLANES)}
 
 
+@dataclass(frozen=True, eq=False)
+class RecordedScan:
+    """One scan, as given to the mapper.
+
+    `values` (n, c): in the order of the layout's columns; for points (n, 2) in a planar world.
+    `ids` (n,); `labels` (n,): labels assigned by the mapper. `covariances` (n, d, d): for points,
+    if given; None for a scan without observations. `odometry` (4, 4): motion of the robot since the
+    previous scan, if given. `stamp_s`: its time, seconds, if given.
+    """
+
+    values: Floats
+    ids: Ints | None
+    labels: Ints
+    covariances: Floats | None = None
+    beams: bytes = b""
+    odometry: Floats | None = None
+    stamp_s: float | None = None
+
+
 @dataclass(frozen=True)
 class End:
     """The end of a journal.
@@ -144,31 +163,21 @@ def call_checksum(name: str, before: int) -> int:
     return zlib.crc32(name.encode(), before)
 
 
-def checksum(
-    iteration: int,
-    values: Floats,
-    ids: Ints | None,
-    labels: Ints,
-    covariances: Floats | None = None,
-    beams: bytes = b"",
-    odometry: Floats | None = None,
-    stamp_s: float | None = None,
-    before: int = 0,
-) -> int:
+def checksum(iteration: int, scan: RecordedScan, before: int) -> int:
     """Return the CRC-32 continued with a scan.
 
     It covers the iteration number, n, n c, and 1 or 0 for the presence of ids, the values (n, c)
     row by row, the ids if any, the landmarks (n,), the covariances (n, d, d) row by row, the
     odometry (4, 4) and the time if any; all as little-endian numbers of 8 bytes; and the beams.
     """
-    head = struct.pack("<4q", iteration, len(labels), values.size, ids is not None)
-    time_s = None if stamp_s is None else np.array([stamp_s])
-    came = [part for part in (ids, labels, covariances, odometry, time_s) if part is not None]
-    total = zlib.crc32(head, before)
-    for part in (values, *came):
+    numbers = (iteration, len(scan.labels), scan.values.size, scan.ids is not None)
+    time_s = None if scan.stamp_s is None else np.array([scan.stamp_s])
+    parts = (scan.values, scan.ids, scan.labels, scan.covariances, scan.odometry, time_s)
+    total = zlib.crc32(struct.pack("<4q", *numbers), before)
+    for part in (part for part in parts if part is not None):
         kind = "<f8" if part.dtype.kind == "f" else "<i8"
         total = zlib.crc32(np.ascontiguousarray(part, dtype=kind).tobytes(), total)
-    return zlib.crc32(beams, total)
+    return zlib.crc32(scan.beams, total)
 
 
 def observation_rows(

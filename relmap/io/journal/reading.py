@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sqlite3
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,7 @@ from relmap.io.journal.layout import (
     STAMPS,
     End,
     Layout,
+    RecordedScan,
     call_checksum,
     checksum,
     meta_checksum,
@@ -37,25 +38,6 @@ MOST_ROWS = 10_000_000
 NOWHERE = End(-1, 0)
 """End of a journal that does not state it."""
 _WRONG = (sqlite3.Error, TypeError, ValueError, OverflowError, UnicodeError, RecursionError)
-
-
-@dataclass(frozen=True, eq=False)
-class RecordedScan:
-    """One scan, as given to the mapper.
-
-    `values` (n, c): in the order of the layout's columns; for points (n, 2) in a planar world.
-    `ids` (n,); `labels` (n,): labels assigned by the mapper. `covariances` (n, d, d): for points,
-    if given; None for a scan without observations. `odometry` (4, 4): motion of the robot since the
-    previous scan, if given. `stamp_s`: its time, seconds, if given.
-    """
-
-    values: Floats
-    ids: Ints | None
-    labels: Ints
-    covariances: Floats | None = None
-    beams: bytes = b""
-    odometry: Floats | None = None
-    stamp_s: float | None = None
 
 
 class JournalReader:
@@ -128,7 +110,11 @@ class JournalReader:
             rows = self._connection.execute(
                 f"SELECT {self.layout.names} FROM observations ORDER BY rowid"
             )
-            covariances, motions, stamps_s = self._covariances(), self._motions(), self._stamps()
+            covariances = self._covariances()
+            motions, stamps_s = (
+                self._by_scan("odometry", "motion"),
+                self._by_scan("stamps", "stamp"),
+            )
             for k, (iteration, n, known, check, *beams) in enumerate(scans):
                 if iteration != k:
                     raise ValueError("a scan is missing")
@@ -136,9 +122,10 @@ class JournalReader:
                 if covariances is not None and n:
                     scan = replace(scan, covariances=_matrices(covariances, k, *scan.values.shape))
                 if k in motions:
-                    scan = replace(scan, odometry=motions.pop(k))
+                    motion = np.frombuffer(motions.pop(k), dtype="<f8").reshape(4, 4)
+                    scan = replace(scan, odometry=motion)
                 scan = replace(scan, stamp_s=stamps_s.pop(k, None))
-                if check != checksum(k, **vars(scan), before=self._called(k)):
+                if check != checksum(k, scan, self._called(k)):
                     raise ValueError("its checksum does not match")
                 self.read = End(k + 1, check)
                 yield scan
@@ -170,18 +157,12 @@ class JournalReader:
         names = ", ".join(("iteration", "row", *PAIRS))
         return self._connection.execute(f"SELECT {names} FROM covariances ORDER BY rowid")
 
-    def _motions(self) -> dict[int, Floats]:
-        """Return the odometry of each scan that has it."""
-        if "odometry" not in self._more:
+    def _by_scan(self, table: str, column: str) -> dict[int, Any]:
+        """Return the value in a table, if there is such a one, of each scan that has it."""
+        if table not in self._more:
             return {}
-        rows = self._connection.execute("SELECT iteration, motion FROM odometry").fetchall()
-        return {k: np.frombuffer(motion, dtype="<f8").reshape(4, 4) for k, motion in rows}
-
-    def _stamps(self) -> dict[int, float]:
-        """Return the time of each scan that has one."""
-        if "stamps" not in self._more:
-            return {}
-        return dict(self._connection.execute("SELECT iteration, stamp FROM stamps").fetchall())
+        query = f"SELECT iteration, {column} FROM {table}"
+        return dict(self._connection.execute(query).fetchall())
 
     def _scan(
         self, cursor: sqlite3.Cursor, k: int, n: int, known: int, beams: list[bytes]

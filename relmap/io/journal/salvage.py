@@ -18,10 +18,8 @@ MOST_MISSING = 1 << 40
 def salvage(path: Path) -> int:
     """Replace a damaged journal by one with the scans before the damage.
 
-    The damaged file is kept, with ``.damaged`` appended to its name.
-
-    Returns the number of scans recovered. Raises `RelmapError` if nothing can be recovered, or a
-    file cannot be written.
+    The damaged file is kept, with ``.damaged`` appended to its name. Returns the number of scans
+    recovered. Raises `RelmapError` if nothing can be recovered, or a file cannot be written.
     """
     damaged, whole, rest = (_beside(path, name) for name in (".damaged", ".whole", ".rest"))
     if damaged.exists() and whole.exists() and not path.exists():  # killed before the last step

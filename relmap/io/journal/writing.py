@@ -15,6 +15,7 @@ from relmap.io.journal.layout import (
     END,
     End,
     Layout,
+    RecordedScan,
     Statements,
     call_checksum,
     checksum,
@@ -75,9 +76,8 @@ class Journal:
     def go_on(cls, reader: JournalReader) -> Journal:
         """Continue a journal after its last scan, which a reader has read.
 
-        Later calls are dropped: the continuing program repeats them.
-
-        Raises `RelmapError` if it cannot be written.
+        Later calls are dropped: the continuing program repeats them. Raises `RelmapError` if it
+        cannot be written.
         """
         journal, last = cls(reader.path, reader.layout, reader.end), reader.read
         without = "DELETE FROM calls WHERE iteration >= ?"
@@ -126,12 +126,11 @@ class Journal:
             statements += odometry_rows(k, odometry)
         if stamp_s is not None:
             statements += stamp_rows(k, stamp_s)
-        kept = (beams,) * self._layout.has_beams
-        before = self._end.checksum
-        check = checksum(k, values, ids, labels, covariances, beams, odometry, stamp_s, before)
-        scan = (k, n, int(ids is not None), check, *kept)
-        slots = ", ".join("?" * len(scan))
-        statements.append((f"INSERT INTO scans VALUES ({slots})", [scan]))
+        scan = RecordedScan(values, ids, labels, covariances, beams, odometry, stamp_s)
+        check = checksum(k, scan, self._end.checksum)
+        row = (k, n, int(ids is not None), check, *(beams,) * self._layout.has_beams)
+        slots = ", ".join("?" * len(row))
+        statements.append((f"INSERT INTO scans VALUES ({slots})", [row]))
         # All of it or nothing, whenever an interrupt comes.
         self._waiting.append(Entry(statements, End(k + 1, check)))
         self._try(sure=monotonic() - self._sure_at >= INTERVAL_S)
