@@ -39,11 +39,9 @@ class Compared:
     note: str = ""
 
     def row(self, association: Association) -> list[object]:
-        """Return the cells of `CSV_COLUMNS`; NaN where a figure is not available."""
+        """Return the cells of `CSV_COLUMNS`; None where a figure is not available."""
         figures = self.run.figures if self.run else {}
-        values = [figures.get(name) for name in FIGURES]
-        cells = [float("nan") if value is None else value for value in values]
-        return [self.method, association, *cells, self.note.replace(",", ";")]
+        return [self.method, association, *map(figures.get, FIGURES), self.note.replace(",", ";")]
 
 
 def chosen_methods(

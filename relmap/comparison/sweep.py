@@ -76,10 +76,7 @@ class CellStore:
         return Finished(figures, note) if whole else None
 
     def save(self, cell: Cell, finished: Finished) -> None:
-        """Store a finished cell.
-
-        Raises `RelmapError` if it cannot be written.
-        """
+        """Store a finished cell; RelmapError if it cannot be written."""
         if finished.again:
             return
         atomic_write(self._path(cell), json.dumps(_record(cell, finished.figures, finished.note)))
@@ -163,16 +160,12 @@ def _rows(
     cells: Sequence[Cell], finished: Sequence[Finished], names: Sequence[str], notes: bool
 ) -> Iterator[list[object]]:
     for cell, done in zip(cells, finished, strict=True):
-        values = [done.figures[name] for name in names]
-        figures = [float("nan") if value is None else value for value in values]
-        yield [*asdict(cell).values(), *figures, *([done.note.replace(",", ";")] * notes)]
+        figures, note = map(done.figures.__getitem__, names), done.note.replace(",", ";")
+        yield [*asdict(cell).values(), *figures, *([note] * notes)]
 
 
 def write_parquet(path: Path, cells: Sequence[Cell], finished: Sequence[Finished]) -> None:
-    """Write the table of `accuracy_csv` as Parquet.
-
-    Raises `RelmapError` if pyarrow is not installed.
-    """
+    """Write the table of `accuracy_csv` as Parquet; RelmapError if pyarrow is not installed."""
     try:
         import pyarrow as pa
         import pyarrow.parquet as pq

@@ -13,7 +13,7 @@ from typing import Any
 
 from relmap.comparison.methods.registry import check_method, find_method
 from relmap.core.errors import RelmapError, brief, known_name
-from relmap.evaluation.sources import BuildingSource, EightSource, Source
+from relmap.evaluation.sources import BuildingSource, EightSource, LogKind, Source
 from relmap.io.files import read_toml
 
 MOST_CELLS = 1_000_000
@@ -102,10 +102,7 @@ def cells_of(spec: Mapping[str, Any]) -> list[Cell]:
 
 
 def _choices(key: str, given: Any) -> list[Any]:
-    """Return the values of a key.
-
-    Raises `RelmapError` if there is none, or one is duplicated or invalid.
-    """
+    """Return the values of a key; RelmapError if there is none, or one is duplicated or invalid."""
     kind = type(_DEFAULTS[key])
     if kind is int and isinstance(given, str):
         given = _span(key, given)
@@ -116,7 +113,6 @@ def _choices(key: str, given: Any) -> list[Any]:
 
 
 def _value(key: str, kind: type, value: Any) -> Any:
-    """Return one validated value of a key."""
     right = (int, float) if kind is float else kind
     if isinstance(value, bool) or not isinstance(value, right):
         raise RelmapError(f"{key} is {brief(value)}; it must be {_KINDS[kind]} or a list of such")
@@ -143,13 +139,11 @@ def _span(key: str, text: str) -> list[int]:
 
 
 def _check(world: str, association: str, method: str) -> None:
-    if world == "building":
-        if association == "known":
-            raise RelmapError("walls have no ids: a building needs association = 'nearest'")
-        check_method(find_method(method), "scans", "nearest")
-    else:
-        known = association == "known"
-        check_method(find_method(method), "landmarks", "known" if known else "nearest")
+    walls, known = world == "building", association == "known"
+    if walls and known:
+        raise RelmapError("walls have no ids: a building needs association = 'nearest'")
+    log: LogKind = "scans" if walls else "landmarks"
+    check_method(find_method(method), log, "known" if known else "nearest")
 
 
 def varying(cells: list[Cell]) -> list[str]:

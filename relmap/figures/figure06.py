@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.errors import RelmapError
-from relmap.datasets.scans import stored_scans
+from relmap.datasets.scans import ScanLog
 from relmap.evaluation import metrics
 from relmap.evaluation.feeding import Through
 from relmap.evaluation.run import run_mapper
@@ -91,10 +91,7 @@ class PartialWall:
 
 
 def run_partial_wall(
-    points: int = 1000,
-    sigma: float = 0.0,
-    beside: int = BESIDE,
-    through: Through = iter,
+    points: int = 1000, sigma: float = 0.0, beside: int = BESIDE, through: Through = iter
 ) -> PartialWall:
     """Drive past a long wall that stands alone, and map it.
 
@@ -103,10 +100,8 @@ def run_partial_wall(
     """
     building = simulate_building(points, sigma, world="long-wall", sample_ends=sigma == 0.0)
     part = _beside_the_wall(building, beside)
-    scans = [building.scans[k].points for k in part]
-    offsets = np.cumsum([0, *map(len, scans)])
-    true_poses = building.trajectory[part]
-    log = stored_scans(np.concatenate(scans), offsets, building.stamps_s[: len(part)])
+    scans, true_poses = [building.scans[k].points for k in part], building.trajectory[part]
+    log = ScanLog(3, building.stamps_s[: len(part)], scans.__getitem__)
     # The ends of a wall alone in view do not show the limits of the sensor.
     segmenter = PlaneSegmenter(view_rad=DEPTH_SENSOR.view_rad, range_m=DEPTH_SENSOR.range_m)
     mapper = PlaneMapper()
@@ -199,13 +194,8 @@ def _draw_map(axes: Axes, run: PartialWall) -> None:
     draw_walls(axes, run.walls)
     axes.plot(*run.corners.T, "o", color=CORNER, markersize=3.5, label="mapped corner")
     axes.plot(*path.T, color=PATH, linewidth=1.2, label="path of the robot, from the map")
-    axes.plot(
-        *weak.T,
-        color=ORANGE,
-        linewidth=4.0,
-        alpha=0.8,
-        label="weak: position along the wall not fixed",
-    )
+    label = "weak: position along the wall not fixed"
+    axes.plot(*weak.T, color=ORANGE, linewidth=4.0, alpha=0.8, label=label)
     axes.plot(*path[0], "o", color=PATH, markersize=6, linestyle="", label="start")
     draw_limits(axes, limits_of(run.walls.reshape(-1, 2), path, MARGIN_M))
     finish(axes, f"{len(run.walls)} walls mapped, {len(run.corners)} corners", "x [m]", "y [m]")

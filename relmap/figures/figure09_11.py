@@ -173,7 +173,6 @@ def _draw(axes: Axes, chart: ChartPicture, cells: Ints, rows: Ints, title: str) 
 
 
 def _draw_area(axes: Axes, chart: ChartPicture) -> None:
-    """Draw the area as landmarks are added one by one."""
     n = np.arange(len(chart.area))
     axes.plot(chart.area, n, "o-", color=BLUE, markersize=3, linewidth=1.0)
     last, first_dip = chart.members - 1, paper_stops(chart.area) - 1

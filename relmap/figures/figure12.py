@@ -109,9 +109,8 @@ def _judge(data: Comparisons) -> Outcome:
 def observed_places(seed: int, largest: int) -> tuple[Floats, Bools]:
     """Return landmarks that a robot sees in each of `BLOCK` iterations, without noise.
 
-    Dynamic ones that never move are excluded: they cannot be detected.
-
-    Returns `places` (n, i, 3), robot frame, metres and `static` (n,).
+    Dynamic ones that never move are excluded: they cannot be detected. Returns `places` (n, i, 3),
+    robot frame, metres and `static` (n,).
     """
     world = simulate_figure_eight(6 * largest, BLOCK, sigma=0.0, dynamic=0.4, seed=seed)
     log = world.log

@@ -17,17 +17,7 @@ from matplotlib.transforms import ScaledTranslation
 from relmap.core.errors import RelmapError
 from relmap.plots.bench_recorder import BenchFrame
 from relmap.plots.planes import CORNER, draw_true_walls, draw_walls
-from relmap.plots.sheet import (
-    GREY,
-    INK,
-    RED,
-    Limits,
-    blank,
-    draw_limits,
-    finish,
-    limits_of,
-    to_png,
-)
+from relmap.plots.sheet import GREY, INK, RED, Limits, blank, draw_limits, finish, limits_of, to_png
 
 TITLE = "the test bench"
 ROBOT_FRAME = ", robot frame"
@@ -119,7 +109,6 @@ def _draw_mapped(axes: Axes, frame: BenchFrame) -> None:
 
 
 def _draw_map(axes: Axes, frame: BenchFrame) -> None:
-    """Draw walls, corners and the robot."""
     draw_walls(axes, frame.walls)
     style: dict[str, Any] = {"linestyle": "", "zorder": 6}
     axes.plot(*frame.corners.T, "o", color=CORNER, markersize=2.5, label="corner", **style)

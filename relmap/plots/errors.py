@@ -21,7 +21,8 @@ STEPS = (1.0, 2.0, 5.0)
 
 def shared_scale(overlays: Sequence[Overlay]) -> float:
     """Return the common factor by which the errors of all methods are enlarged: 1, 2, 5, 10, ..."""
-    usual = [float(np.median(_lengths(each))) for each in overlays if len(each.errors_map)]
+    pairs = [each.errors_map for each in overlays if len(each.errors_map)]
+    usual = [float(np.median(np.linalg.norm(each[:, 0] - each[:, 1], axis=1))) for each in pairs]
     extent = max((_extent(each.landmarks_map) for each in overlays), default=0.0)
     middle = float(np.median(usual)) if usual else 0.0
     wanted = USUAL * extent / middle if middle > 0 else 1.0
@@ -62,10 +63,6 @@ def plot_errors(result: Result, truth: Overlay, scale: float, title: str) -> Fig
                 axes.plot([], [], color=colour, label=name)
     sheet.finish(title)
     return sheet.figure
-
-
-def _lengths(truth: Overlay) -> Floats:
-    return np.asarray(np.linalg.norm(truth.errors_map[:, 0] - truth.errors_map[:, 1], axis=1))
 
 
 def _extent(places: Floats) -> float:

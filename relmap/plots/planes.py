@@ -74,7 +74,6 @@ def plot_submaps(submaps: Sequence[DrawnSubmap], n_submaps: int) -> Figure:
 
 
 def _plot_submap(submap: DrawnSubmap, n_submaps: int) -> Figure:
-    """Draw the only submap."""
     planes, poses = submap.planes, submap.poses
     sheet = _sheet(planes.ends[planes.status == "static"].reshape(-1, 2), poses)
     n_walls, n_corners = _draw_submap(sheet.views[0][0], submap)

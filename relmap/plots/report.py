@@ -43,6 +43,7 @@ def report_page(result: Result, command: str, name: str) -> str:
     run; `name`: name of the log. The same run gives the same page.
     """
     summary = result.summary
+    data = json.dumps(views_of(result), allow_nan=False, separators=(",", ":")).translate(UNSAFE)
     body = [
         f"<h1>Map of {escape(name)}</h1>",
         f"<p>{escape(_caption(result))}</p>",
@@ -52,7 +53,7 @@ def report_page(result: Result, command: str, name: str) -> str:
         f"<p><code>{escape(command)}</code></p>",
         table((), _made(summary)),
         "</section>",
-        f'<script id="data" type="application/json">{_safe(views_of(result))}</script>',
+        f'<script id="data" type="application/json">{data}</script>',
         f"<script>{_resource('report.js')}</script>",
     ]
     return document(f"Map of {name}", body, _resource("report.css"))
@@ -60,10 +61,6 @@ def report_page(result: Result, command: str, name: str) -> str:
 
 def _resource(name: str) -> str:
     return files("relmap.plots").joinpath(name).read_text(encoding="utf-8")
-
-
-def _safe(content: Any) -> str:
-    return json.dumps(content, allow_nan=False, separators=(",", ":")).translate(UNSAFE)
 
 
 def _caption(result: Result) -> str:
@@ -78,7 +75,6 @@ def _caption(result: Result) -> str:
 
 
 def _sections(summary: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the tables of results."""
     yield "<section><h2>Results</h2>"
     yield table((), [*_flat(summary["counts"]), *_flat(summary["association_trust"])])
     yield "</section>"
@@ -101,7 +97,6 @@ def _sections(summary: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _made(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Yield the tables of provenance."""
     for key in ("format", "variant", "association", "dimensions", "scans", "seed", "refined"):
         yield key, _cell(summary.get(key))
     yield from _flat(summary["configuration"])

@@ -58,7 +58,6 @@ def plot_sweep(rows: Sequence[SweepRow], along: str) -> Figure:
 
 
 def _draw(axes: Axes, rows: Sequence[SweepRow], key: str, name: str, k: int) -> None:
-    """Draw one figure of the experiments of one name."""
     at = np.array([row.at for row in rows if row.figures.get(key)])
     value = np.array([row.figures[key] for row in rows if row.figures.get(key)])
     colour, marker = f"C{k % 10}", MARKERS[k % len(MARKERS)]

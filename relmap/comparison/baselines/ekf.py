@@ -89,7 +89,6 @@ class Ekf(KnownBaseline):
         self._P[np.arange(self._q), np.arange(self._q)] += noise
 
     def _correct(self, points: Floats, rows: Ints) -> None:
-        """Update with observations of mapped landmarks, all at once."""
         if not len(rows):
             return
         innovation, by_pose, by_landmark, variance = predicted(
@@ -116,7 +115,6 @@ class Ekf(KnownBaseline):
         self._map = self._map + step[q:].reshape(-1, d)
 
     def _add(self, labels: list[int], points: Floats) -> None:
-        """Add new landmarks to the map."""
         if not labels:
             return
         d, n = self._d, len(labels)

@@ -14,9 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from relmap.comparison.baselines.base import KnownBaseline, Pose, fitted, map_of
+from relmap.comparison.baselines.base import KnownBaseline, Pose, SolvedAtTheEnd, fitted, map_of
 from relmap.comparison.baselines.frame_to_map import FrameToMap, frame_to_map
-from relmap.comparison.baselines.solved import SolvedAtTheEnd
 from relmap.core.arrays import Floats, Ints
 from relmap.core.landmarks import LandmarkMap
 from relmap.datasets.base import ObservationLog

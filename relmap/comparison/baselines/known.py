@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
+from relmap.comparison.baselines.base import SolvedAtTheEnd
 from relmap.comparison.baselines.batch import Batch, batch_least_squares
 from relmap.comparison.baselines.frame_to_map import frame_to_map
-from relmap.comparison.baselines.solved import SolvedAtTheEnd
 from relmap.core.arrays import Ints
 from relmap.core.errors import RelmapError
 from relmap.core.landmarks import LandmarkMap, in_space
@@ -45,13 +43,7 @@ def _of_landmarks(log: ObservationLog, labels: Ints) -> ObservationLog:
     used = np.isin(log.ids, labels)
     seen = np.bincount(log.iteration[used] - log.first_iteration, minlength=len(log))
     used &= (seen >= log.points_robot.shape[1])[log.iteration - log.first_iteration]
-    return replace(
-        log,
-        points_robot=log.points_robot[used],
-        iteration=log.iteration[used],
-        rows=log.rows[used],
-        ids=log.ids[used],
-    )
+    return log.only(used)
 
 
 class BatchLeastSquares(SolvedAtTheEnd):

@@ -43,10 +43,7 @@ METHODS: tuple[MethodInfo, ...] = (
 
 
 def find_method(name: str) -> MethodInfo:
-    """Return a method by its name.
-
-    Raises `RelmapError` if there is none of that name.
-    """
+    """Return a method by its name; RelmapError if there is none of that name."""
     known = {method.name: method for method in METHODS}
     return known[known_name(name, known, "method")]
 
@@ -61,10 +58,7 @@ def fitting_methods(log: LogKind, association: Association) -> list[MethodInfo]:
 
 
 def check_method(method: MethodInfo, log: LogKind, association: Association) -> None:
-    """Check that a method accepts such a log.
-
-    Raises `RelmapError` if it does not.
-    """
+    """Check that a method accepts such a log; RelmapError if it does not."""
     fit = ", ".join(other.name for other in fitting_methods(log, association))
     if log not in method.logs:
         has = "point scans" if log == "scans" else "landmarks"

@@ -26,24 +26,14 @@ from relmap.io.results import Result
 from relmap.planes.walls.files import PlaneResult
 from relmap.points.mapper import PointMapper
 
-ACCURACY = (
-    "landmark_rmse_m",
-    "often_rmse_m",
-    "corner_rmse_m",
-    "matched",
-    "coverage",
-    "landmarks_per_true",
-    "purity",
-    "ate_m",
-    "rpe_m",
-)
+OF_A_MAP = ("matched", "coverage", "landmarks_per_true", "purity")
+"""Figures that a method without a map does not have."""
+ACCURACY = ("landmark_rmse_m", "often_rmse_m", "corner_rmse_m", *OF_A_MAP, "ate_m", "rpe_m")
 """Figures that are the same in every run.
 
 `matched` is the number of landmarks or corners in the RMSE; `often_rmse_m` covers only landmarks
 seen in ten iterations, as coverage does, for comparison with methods that map landmarks seen once.
 """
-OF_A_MAP = ("matched", "coverage", "landmarks_per_true", "purity")
-"""Figures that a method without a map does not have."""
 PATH = ("path_coverage", "relation_m", "relation_rad")
 """Further figures of the path: the fraction of iterations with a pose in the map, which for a map
 in submaps is the largest one, and the error of checked relations between poses."""
@@ -124,20 +114,15 @@ def setup_for(data: Data[Log], sigma_m: float | None = None) -> Setup:
     if isinstance(log, ScanLog):
         points = log.points_of(0) if len(log) else np.empty((0, log.dimension))
         return Setup(log.dimension, sigma_m or FEW_M, _reach(points))
-    sigma = sigma_m or _noise_of(log)
-    return Setup(log.points_robot.shape[1], sigma, _reach(log.points_robot))
+    if not sigma_m:
+        mapper, first = PointMapper(), log.first_iteration
+        feed(mapper, log.between(first, first + GUESSED_FROM), "nearest")
+        sigma_m = mapper.noise_m if mapper.noise_m > 0 else FEW_M
+    return Setup(log.points_robot.shape[1], sigma_m, _reach(log.points_robot))
 
 
 def _reach(points: Floats) -> float:
     return float(np.linalg.norm(points, axis=1).max(initial=1.0))
-
-
-def _noise_of(log: ObservationLog) -> float:
-    """Estimate the noise of a landmark log, metres."""
-    mapper = PointMapper()
-    first = log.first_iteration
-    feed(mapper, log.between(first, first + GUESSED_FROM), "nearest")
-    return mapper.noise_m if mapper.noise_m > 0 else FEW_M
 
 
 def _accuracy(result: Result, data: Data[Log]) -> dict[str, float | None]:
