@@ -160,10 +160,7 @@ def test_figures_that_cannot_be_written_change_nothing(
 
 def test_ctrl_c_leaves_nothing_behind(tmp_path: Path, child_env: dict[str, str]) -> None:
     child = subprocess.Popen(
-        [*RELMAP, "figures", "12", "-o", "out"],
-        stderr=subprocess.PIPE,
-        env=child_env,
-        cwd=tmp_path,
+        [*RELMAP, "figures", "12", "-o", "out"], stderr=subprocess.PIPE, env=child_env, cwd=tmp_path
     )
     deadline = time.monotonic() + PATIENCE_S
     while not ((tmp_path / "out").is_dir() and names(tmp_path / "out")):

@@ -16,14 +16,7 @@ import pytest
 from relmap.cli import main
 from relmap.comparison import sweep as sweep_module
 from relmap.comparison.methods.running import ACCURACY
-from relmap.comparison.sweep import (
-    TIMES,
-    CellStore,
-    Finished,
-    accuracy_csv,
-    run_cell,
-    run_cells,
-)
+from relmap.comparison.sweep import TIMES, CellStore, Finished, accuracy_csv, run_cell, run_cells
 from relmap.comparison.sweep_spec import KEYS, Cell, cells_of, varying
 from relmap.core.errors import RelmapError
 from tests.commands import PATIENCE_S, Check, names, table
@@ -39,8 +32,7 @@ seed = "0:2"
 N = 8
 FIGURES: dict[str, float | None] = dict.fromkeys((*ACCURACY, *TIMES), 1.0)
 NEEDS_DASK = pytest.mark.skipif(
-    importlib.util.find_spec("distributed") is None,
-    reason="no dask: pip install 'relmap[cluster]'",
+    importlib.util.find_spec("distributed") is None, reason="no dask: pip install 'relmap[cluster]'"
 )
 
 

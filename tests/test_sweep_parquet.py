@@ -9,12 +9,7 @@ import pytest
 
 from relmap.cli import main
 from relmap.comparison.methods.running import ACCURACY
-from relmap.comparison.sweep import (
-    TIMES,
-    Finished,
-    accuracy_csv,
-    write_parquet,
-)
+from relmap.comparison.sweep import TIMES, Finished, accuracy_csv, write_parquet
 from relmap.comparison.sweep_spec import cells_of
 from relmap.core.errors import RelmapError
 from relmap.io.files import atomic_write

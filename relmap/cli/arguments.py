@@ -52,21 +52,19 @@ def columns(text: str) -> dict[str, str]:
     return found
 
 
-def log(text: str) -> Path:
-    """Return the file or folder of a log; typer.BadParameter if it is empty, as for `folder`."""
-    if not text:
-        raise typer.BadParameter("it is empty, expected the name of a file or folder")
-    return Path(text)
-
-
-def folder(text: str) -> Path:
-    """Return the folder given by an option.
+def folder(text: str, what: str = "a folder") -> Path:
+    """Return the folder, or what else is expected, given by an argument.
 
     Raises `typer.BadParameter` if it is empty, for example because of an unset shell variable.
     """
     if not text:
-        raise typer.BadParameter("it is empty, expected the name of a folder")
+        raise typer.BadParameter(f"it is empty, expected the name of {what}")
     return Path(text)
+
+
+def log(text: str) -> Path:
+    """Return the file or folder of a log; errors as for `folder`."""
+    return folder(text, "a file or folder")
 
 
 Log = Annotated[
@@ -143,9 +141,7 @@ def refuse_to_write_into(out: Path, *results: Path) -> None:
 
 
 def read_config(
-    path: Path | None,
-    registration: str | None = None,
-    unused: Mapping[str, str] | None = None,
+    path: Path | None, registration: str | None = None, unused: Mapping[str, str] | None = None
 ) -> MapperConfig:
     """Read a mapper's configuration from a TOML file; defaults without a file.
 

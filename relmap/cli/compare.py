@@ -141,46 +141,30 @@ def compare_command(
     seed: args.Seed = 0,
 ) -> None:
     """Compare; the help text explains the arguments."""
+    from relmap.evaluation.sources import FileSource
+
     neither = (source is None) == (simulate is None)
     args.refuse(neither, "compare takes either INPUT, a log, or --simulate with a world")
+    of_log = any(each is not None for each in (truth, scans, log_format, columns, topic))
+    of_world = (density, dynamic, iterations, noise, seed) != (DENSITY, 0.0, None, "gaussian", 0)
     given: Source
     if source is not None:
-        of_world = (density, dynamic, iterations, noise, seed)
-        args.refuse(
-            of_world != (DENSITY, 0.0, None, "gaussian", 0),
-            "--density, --iterations, --noise, --dynamic and --seed are for --simulate",
-        )
-        given = _log(source, log_format, scans, truth, columns, topic, sigma)
+        message = "--density, --iterations, --noise, --dynamic and --seed are for --simulate"
+        args.refuse(of_world, message)
+        outside = sigma is not None and not 0 < sigma < 1000
+        args.refuse(outside, f"--sigma is {sigma}; it must lie above 0 and below 1000 metres")
+        args.refuse(columns and log_format, "--columns applies only to tables of landmarks")
+        given = FileSource(source, log_format, scans, truth, columns, tuple(topic or ()))
     else:
-        of_log = any(given is not None for given in (truth, scans, log_format, columns, topic))
-        args.refuse(
-            of_log,
-            "--truth, --scans, --format, --columns and --topic are for INPUT, not for --simulate",
-        )
+        names = "--truth, --scans, --format, --columns and --topic"
+        args.refuse(of_log, f"{names} are for INPUT, not for --simulate")
         given = _world(simulate, density, iterations, noise, sigma, dynamic, seed)
         sigma = sigma or SIGMA_M
-    names = None if methods is None else [name.strip() for name in methods.split(",")]
-    rows = _compare_into(out, given, names, association, sigma)
+    chosen = None if methods is None else [name.strip() for name in methods.split(",")]
+    rows = _compare_into(out, given, chosen, association, sigma)
     ran = sum(row.run is not None for row in rows)
     each = f"{ran} trajector{'ies' if ran > 1 else 'y'} and map{'s' if ran > 1 else ''}"
     typer.echo(f"wrote comparison.csv, {each} and {ran + 1} pictures to {out}")
-
-
-def _log(
-    source: Path,
-    log_format: str | None,
-    scans: args.Interval | None,
-    truth: Path | None,
-    columns: dict[str, str] | None,
-    topic: list[str] | None,
-    sigma: float | None,
-) -> Source:
-    from relmap.evaluation.sources import FileSource
-
-    outside = sigma is not None and not 0 < sigma < 1000
-    args.refuse(outside, f"--sigma is {sigma}; it must lie above 0 and below 1000 metres")
-    args.refuse(columns and log_format, "--columns applies only to tables of landmarks")
-    return FileSource(source, log_format, scans, truth, columns, tuple(topic or ()))
 
 
 def _world(

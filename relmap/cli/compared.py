@@ -10,6 +10,8 @@ from relmap.cli.arguments import Association
 from relmap.cli.console import figure
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from relmap.comparison.compare import Compared
     from relmap.comparison.methods.running import MethodRun
     from relmap.evaluation.feeding import Log
@@ -23,7 +25,7 @@ def write_compared(folder: Path, rows: Sequence[Compared], association: Associat
     """Write the table, and the path and map of every method that ran."""
     from relmap.comparison.compare import CSV_COLUMNS
     from relmap.io.files import atomic_write, write_tum
-    from relmap.io.tables import csv_text
+    from relmap.io.tables import columns_text, csv_text
 
     lines = (row.row(association) for row in rows)
     atomic_write(folder / "comparison.csv", csv_text(CSV_COLUMNS, lines))
@@ -31,25 +33,21 @@ def write_compared(folder: Path, rows: Sequence[Compared], association: Associat
         if row.run is not None:
             found = row.run.result
             write_tum(folder / f"trajectory-{row.method}.tum", found.stamps_s, found.poses)
-            atomic_write(folder / f"map-{row.method}.csv", csv_text(*_map_of(found)))
+            atomic_write(folder / f"map-{row.method}.csv", columns_text(_map_of(found)))
 
 
-def _map_of(result: Result) -> tuple[tuple[str, ...], list[list[Any]]]:
-    """Return the header and rows of a map: landmarks, or the ends of walls."""
+def _map_of(result: Result) -> dict[str, NDArray[Any]]:
+    """Return the columns of a map: landmarks, or the ends of walls."""
     from relmap.planes.walls.files import PlaneResult
 
     if isinstance(result, PlaneResult):
-        table = result.planes
-        mapped = table.status == "static"
-        columns = [table.plane[mapped], *table.ends[mapped].reshape(-1, 4).T]
-        return ("plane", "x0", "y0", "x1", "y1"), _rows(columns)
-    landmarks = result.landmarks
-    columns = [landmarks.landmark[result.mapped], *landmarks.position[result.mapped].T]
-    return ("landmark", "x", "y", "z"), _rows(columns)
-
-
-def _rows(columns: list[Any]) -> list[list[Any]]:
-    return [list(row) for row in zip(*(column.tolist() for column in columns), strict=True)]
+        mapped = result.planes.status == "static"
+        ends = zip(
+            ("x0", "y0", "x1", "y1"), result.planes.ends[mapped].reshape(-1, 4).T, strict=True
+        )
+        return {"plane": result.planes.plane[mapped], **dict(ends)}
+    places = zip("xyz", result.landmarks.position[result.mapped].T, strict=True)
+    return {"landmark": result.landmarks.landmark[result.mapped], **dict(places)}
 
 
 def draw(folder: Path, rows: Iterable[Compared], data: Data[Log], title: str) -> None:
@@ -75,7 +73,6 @@ def draw(folder: Path, rows: Iterable[Compared], data: Data[Log], title: str) ->
 
 
 def _titled(name: str, run: MethodRun) -> str:
-    """Return the name of a method with its errors."""
     rmse_m, ate_m = (run.figures[key] for key in ("landmark_rmse_m", "ate_m"))
     message = [f"RMSE {figure(rmse_m)} m"] if rmse_m is not None else []
     message += [f"ATE {figure(ate_m)} m"] if ate_m is not None else []
@@ -95,7 +92,6 @@ def _overlay(result: Result, data: Data[Log]) -> Overlay | None:
 
 
 def _draw_walls(picture: Path, result: PlaneResult, data: Data[Log], name: str) -> None:
-    """Draw the walls of a method, and the true ones if known."""
     from relmap.evaluation.evaluate import match_walls
     from relmap.plots.planes import write_planes_png
 

@@ -44,10 +44,7 @@ NOISES = {"little": 0.05, "much": 0.3}
 Rows = Sequence[Sequence[str]]
 
 
-def demo_command(
-    out: Out = Path("relmap-demo"),
-    seed: Seed = 0,
-) -> None:
+def demo_command(out: Out = Path("relmap-demo"), seed: Seed = 0) -> None:
     """Run the demonstration; the help text explains the arguments."""
     parts = [_figure_eight(out, seed)]
     parts += [_both_variants(out, name, noise, seed) for name, noise in NOISES.items()]
@@ -79,7 +76,6 @@ def _figure_eight(out: Path, seed: int) -> str:
 
 
 def _draw(folder: Path, out: Path, run: Run, evaluation: Evaluation) -> None:
-    """Draw the map of a result folder again, with the truth of the simulated log."""
     from relmap.cli.evaluate import find_log
     from relmap.evaluation.landmarks import overlay
     from relmap.evaluation.truth import read_truth

@@ -87,8 +87,7 @@ def evaluate_command(
     log: Annotated[
         Path | None,
         typer.Option(
-            metavar="LOG",
-            help="Points only: the log that was mapped, if it was moved since.",
+            metavar="LOG", help="Points only: the log that was mapped, if it was moved since."
         ),
     ] = None,
 ) -> None:
@@ -102,14 +101,10 @@ def evaluate_command(
     print_table(f"{folder} against {truth}", ("metric", "value"), rows_of(evaluation))
     for note in evaluation.notes:
         typer.echo(note)
-    if evaluation.purity is None and evaluation.variant == "points" and not _merged(evaluation):
+    merged = any("merged" in note for note in evaluation.notes)  # no log applies to such a map
+    if evaluation.purity is None and evaluation.variant == "points" and not merged:
         typer.echo("no log with ids was found: give it with --log to get all metrics")
     typer.echo(f"wrote evaluation.json to {folder}")
-
-
-def _merged(evaluation: Evaluation) -> bool:
-    """Return whether the map was merged: no log applies to it."""
-    return any("merged" in note for note in evaluation.notes)
 
 
 def rows_of(*evaluations: Evaluation) -> list[tuple[str, ...]]:

@@ -43,8 +43,7 @@ def export_command(
         str, typer.Option("--out", "-o", metavar="OUT", help="File or folder to write to.")
     ],
     log: Annotated[
-        Path | None,
-        typer.Option(metavar="LOG", help="For grid and g2o: the log that was mapped."),
+        Path | None, typer.Option(metavar="LOG", help="For grid and g2o: the log that was mapped.")
     ] = None,
     resolution: Annotated[
         float | None,

@@ -22,36 +22,12 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, kw_only=True)
 class Job:
-    """A log to be mapped into a folder.
+    """A log to be mapped into a folder: the arguments of the command line, and more.
 
-    Attributes
-    ----------
-    source, out, settings, variant, association, interval, log_format, refine, journal
-        Arguments of the command line.
-    folder : Path
-        Folder to which other paths are relative.
-    resumed : bool
-        Whether to continue an existing journal.
-    onto : Path or None
-        Result folder with the map to which the log is added.
-    animate : bool
-        For walls: whether to draw the whole run.
-    odometry : "auto" or "none"
-        Whether to use the odometry of the log, if any.
-    level : "auto" or "none"
-        For walls, whether to level clouds that show floors, ceilings or tilted walls.
-    segmenter : str or None
-        For walls, the method of the segmenter; the default if None.
-    columns : dict of str to str, or None
-        Column names of a table.
-    topics : tuple of str
-        Topics of a bag to read if there are several of a kind.
-    live, live_file : bool, Path or None
-        Whether to show the run live, and the file to record it in instead, if any.
-    sigmas : tuple of float or None
-        Noise of range, metres, bearing and elevation, radians; those of the log if None.
-    stopped : callable
-        Returns whether to stop before the end of the log.
+    `folder`: to which other paths are relative; `resumed`: whether to continue an existing journal;
+    `sigmas`: noise of range, metres, bearing and elevation, radians; those of the log if None;
+    `live`, `live_file`: whether to show the run live, and the file to record it in instead, if any;
+    `stopped`: returns whether to stop before the end of the log.
     """
 
     source: Path
@@ -120,10 +96,7 @@ class Job:
 
     @classmethod
     def of_journal(cls, path: Path, meta: dict[str, Any], variant: Variant) -> Job:
-        """Return the job stored in a journal.
-
-        Raises `RelmapError` if it was written by another program.
-        """
+        """Return the job stored in a journal; RelmapError if it was written by another program."""
         from relmap.core.config import MapperConfig
 
         run = meta.get("run")

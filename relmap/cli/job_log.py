@@ -49,7 +49,6 @@ def _level(job: Job, log: Log) -> Log:
 
 
 def _each_once(job: Job, log: Log) -> Log:
-    """Return a log without points that repeat another one of their scan exactly."""
     from relmap.datasets.base import ObservationLog
 
     if not isinstance(log, ObservationLog):
@@ -63,7 +62,6 @@ def _each_once(job: Job, log: Log) -> Log:
 
 
 def _with_noise(log: Log, sigmas: tuple[float, ...]) -> Log:
-    """Return a log with the covariances of a range and bearing sensor."""
     from dataclasses import replace
 
     from relmap.core.sensor import range_bearing_covariances

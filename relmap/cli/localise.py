@@ -85,7 +85,6 @@ def localise_command(
 
 
 def _places(mapper: AnyMapper, log: Log) -> list[Place]:
-    """Return where each scan was taken."""
     from relmap.evaluation.feeding import preparation
     from relmap.planes import PlaneMapper
 

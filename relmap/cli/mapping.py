@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, closing
 from functools import partial
 from pathlib import Path
@@ -18,12 +18,12 @@ from relmap.cli.job_log import log_of
 from relmap.core.errors import RelmapError
 
 if TYPE_CHECKING:
+    from relmap.datasets.scans import ScanLog
     from relmap.evaluation.feeding import AnyMapper, Log
     from relmap.evaluation.run import Run
     from relmap.evaluation.truth import Truth
     from relmap.planes import PlaneMapper
     from relmap.plots.bench_recorder import BenchRecorder
-    from relmap.plots.live import LiveView
 
 BENCH_PNG = "bench.png"
 BENCH_GIF = "bench.gif"
@@ -69,17 +69,18 @@ def _check_journal(journal: Path | None, out: Path) -> None:
 def _mapped_into(folder: Path, job: Job, log: Log) -> Run:
     """Map a log, and write results and pictures into an existing folder."""
     from relmap.evaluation.run import run_mapper
-    from relmap.io.results import MAPPER, write_names
+    from relmap.io.results import MAPPER
+    from relmap.plots.live import LiveView
 
     seen, about = journaled_labels(job, log), _about(job, log)
     with ExitStack() as afterwards:
         counter = afterwards.enter_context(closing(Counter("mapping")))
-        bench, see_again = _bench(job, log, len(seen))
-        mapper = job.mapper(see_again)
+        bench = _bench(job, log, len(seen))
+        mapper = job.mapper(partial(bench.see_again, cast("ScanLog", log)) if bench else None)
         afterwards.callback(mapper.close)
         if bench is not None:
             bench.follow(cast("PlaneMapper", mapper), mapper.n_iterations if job.onto else 0)
-        view = _live(job, afterwards)
+        view = afterwards.enter_context(closing(LiveView(job.live_file))) if job.live else None
 
         def watched(scans: Iterable[Any]) -> Iterator[Any]:
             followed = _taken_up(job, mapper, log, job.scans(scans), about)
@@ -104,10 +105,7 @@ def _mapped_into(folder: Path, job: Job, log: Log) -> Run:
         if view is not None:
             view.show(mapper)
         _note_tie(run, mapper, log)
-        _write(folder, run, job)
-        names = getattr(log, "names", None)
-        if names and job.association == "known":
-            write_names(folder, names)
+        _write(folder, run, job, getattr(log, "names", None))
         mapper.save(folder / MAPPER)
     if bench is not None:
         _draw_bench(folder, bench, job.animate)
@@ -143,7 +141,6 @@ def _note_tie(run: Run, mapper: AnyMapper, log: Log) -> None:
 
 
 def _about(job: Job, log: Log) -> dict[str, Any]:
-    """Return the job for the summary."""
     from relmap.evaluation.sources import recognised_format
 
     about: dict[str, Any] = {
@@ -173,9 +170,9 @@ def stale_files(out: Path) -> list[str]:
     return own + list(submap_files(out))
 
 
-def _write(folder: Path, run: Run, job: Job) -> None:
+def _write(folder: Path, run: Run, job: Job, names: Sequence[str] | None) -> None:
     from relmap.io.files import atomic_write
-    from relmap.io.results import MAP_PNG, write_result
+    from relmap.io.results import MAP_PNG, write_names, write_result
     from relmap.planes.walls.files import PlaneResult, write_planes, write_submaps
     from relmap.plots.planes import write_submaps_png
     from relmap.plots.report import REPORT, report_page
@@ -188,6 +185,8 @@ def _write(folder: Path, run: Run, job: Job) -> None:
             "(for planes of any direction: --variant planes3d)"
         )
     write_result(folder, result)
+    if names and job.association == "known":
+        write_names(folder, names)
     atomic_write(folder / REPORT, report_page(result, job.command, job.source.name))
     if not isinstance(result, PlaneResult):
         write_map_png(picture, result, run.groups)
@@ -197,38 +196,22 @@ def _write(folder: Path, run: Run, job: Job) -> None:
     write_submaps_png(picture, result.drawn, len(result.summary["submaps"]))
 
 
-def _bench(
-    job: Job, log: Log, n_seen: int
-) -> tuple[BenchRecorder | None, Callable[[PlaneMapper], None] | None]:
+def _bench(job: Job, log: Log, n_seen: int) -> BenchRecorder | None:
     """Return the recorder of wall mapping; None for points."""
     from relmap.datasets.scans import ScanLog
 
     if not isinstance(log, ScanLog):
-        return None, None
+        return None
     from relmap.evaluation.feeding import segmenter_for
     from relmap.plots.bench_recorder import BenchRecorder, frame_step
 
     every = frame_step(len(log)) if job.animate else 0
     before_s, truth = log.stamps_s[:n_seen].tolist(), _truth_beside(job.at(job.source))
-    bench = BenchRecorder(
-        None, segmenter_for(log.sensor, job.segmenter), truth, every, log.sensor, before_s
-    )
-    return bench, partial(bench.see_again, log)
-
-
-def _live(job: Job, afterwards: ExitStack) -> LiveView | None:
-    """Return the live view if requested; it is closed afterwards."""
-    if not job.live:
-        return None
-    from relmap.plots.live import LiveView
-
-    view = LiveView(job.live_file)
-    afterwards.callback(view.close)
-    return view
+    segmenter = segmenter_for(log.sensor, job.segmenter)
+    return BenchRecorder(None, segmenter, truth, every, log.sensor, before_s)
 
 
 def _draw_bench(folder: Path, bench: BenchRecorder, animate: bool) -> None:
-    """Draw the last scan and, if requested, the animation."""
     from relmap.plots.bench import write_bench_gif, write_bench_png
 
     last = bench.last()

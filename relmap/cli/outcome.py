@@ -32,10 +32,7 @@ NOTHING = (
 
 
 def report(job: Job) -> None:
-    """Map a log, and report the result.
-
-    Raises `typer.Exit` if the run was interrupted.
-    """
+    """Map a log, and report the result; typer.Exit if the run was interrupted."""
     began = monotonic()
     run, n_files = map_log(job)
     took = f", {lasting(monotonic() - began)} in all"

@@ -103,7 +103,10 @@ def run(arguments: Sequence[str]) -> int:
     except RelmapError as error:
         return _complain(str(error))
     except _UsageError as error:
-        return _complain(_usage_line(error))
+        usage: Any = error
+        message = usage.format_message().rstrip(".").replace("Value error, ", "")
+        help_of = f"; see '{usage.ctx.command_path} --help'" if usage.ctx else ""
+        return _complain(message + help_of)
     except MemoryError:
         return _complain("not enough memory")
     except (KeyboardInterrupt, typer.Abort):
@@ -140,11 +143,6 @@ def _complain(message: str) -> int:
     shown = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
     typer.echo(f"relmap: error: {shown}", err=True)
     return BAD_INPUT
-
-
-def _usage_line(error: Any) -> str:
-    message = error.format_message().rstrip(".").replace("Value error, ", "")
-    return f"{message}; see '{error.ctx.command_path} --help'" if error.ctx else message
 
 
 def _leave_pipe() -> int:

@@ -33,8 +33,7 @@ def storey_command(
         Literal["lidar", "depth"], typer.Option(help="Rings all around, or a depth camera.")
     ] = "lidar",
     sigma: Annotated[
-        float,
-        typer.Option(help="Noise of a range, metres; of the depth camera at a depth of 2 m."),
+        float, typer.Option(help="Noise of a range, metres; of the depth camera at a depth of 2 m.")
     ] = 0.01,
     iterations: Annotated[int, typer.Option(help="Scans.")] = 60,
     seed: Seed = 0,
@@ -55,20 +54,18 @@ def storey_command(
 
 
 def _write(folder: Path, storey: Storey) -> None:
+    import numpy as np
+
     from relmap.datasets import write_scans_npz
     from relmap.io.files import atomic_write, write_tum
-    from relmap.io.tables import csv_text
+    from relmap.io.tables import columns_text
 
     truth = folder / "truth"
     truth.mkdir()
     write_scans_npz(folder / "scans.npz", storey.scans, storey.stamps_s)
-    header = ["face", "plane", *(f"{axis}{corner}" for corner in range(4) for axis in "xyz")]
-    header.append("seen_m2")
-    corners = storey.corners.reshape(len(storey.corners), 12).tolist()
-    columns = storey.plane_of.tolist(), corners, storey.seen_m2.tolist()
-    rows = [
-        [face, plane, *corner, seen]
-        for face, (plane, corner, seen) in enumerate(zip(*columns, strict=True))
-    ]
-    atomic_write(truth / "faces.csv", csv_text(header, rows))
+    places = (f"{axis}{corner}" for corner in range(4) for axis in "xyz")
+    face, corners = np.arange(len(storey.corners)), storey.corners.reshape(-1, 12)
+    columns = (face, storey.plane_of, *corners.T, storey.seen_m2)
+    table = dict(zip(("face", "plane", *places, "seen_m2"), columns, strict=True))
+    atomic_write(truth / "faces.csv", columns_text(table))
     write_tum(truth / "trajectory.tum", storey.stamps_s, storey.trajectory)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Annotated, TypeVar
@@ -88,7 +88,6 @@ def sweep_command(
 def _sweep_into(
     out: Path, cells: Sequence[Cell], workers: int, scheduler: str | None
 ) -> list[Finished]:
-    """Run the unfinished cells, and write the tables."""
     from relmap.comparison.sweep import CellStore, run_cells
 
     store = CellStore(out)
@@ -116,7 +115,6 @@ def _sweep_into(
 
 
 def _write(out: Path, cells: Sequence[Cell], rows: Sequence[Finished]) -> None:
-    """Write the tables."""
     from relmap.comparison.sweep import accuracy_csv, times_csv, write_parquet
     from relmap.io.files import atomic_write, staged_folder
 
@@ -164,13 +162,12 @@ def _print_medians(cells: Sequence[Cell], finished: Sequence[Finished]) -> None:
     of_map = OF_CORNERS if cells[0].world == "building" else {}
     columns = {heading: (COLUMNS | of_map)[heading] for heading in MEDIANS}
     table = [
-        [*name, *_medians(group, columns.values()), str(len(group))]
+        [*name, *(_median(group, *column) for column in columns.values()), str(len(group))]
         for name, group in sorted(rows.items(), key=lambda row: (row[0][1:], row[0][0]))
     ]
     print_table("medians over the seeds", ["method", *keys, *columns, "seeds"], table)
 
 
-def _medians(group: Sequence[Finished], columns: Iterable[tuple[str, str]]) -> Iterator[str]:
-    for key, kind in columns:
-        values = [value for done in group if (value := done.figures[key]) is not None]
-        yield figure(median(values) if values else None, kind)
+def _median(group: Sequence[Finished], key: str, kind: str) -> str:
+    values = [value for done in group if (value := done.figures[key]) is not None]
+    return figure(median(values) if values else None, kind)

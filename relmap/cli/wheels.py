@@ -34,10 +34,7 @@ class Pair(NamedTuple):
 
 
 def pair(text: str) -> Pair:
-    """Return the two numbers in ``WAY:TURN``.
-
-    Raises `RelmapError` if it is not two finite numbers.
-    """
+    """Return the two numbers in ``WAY:TURN``; RelmapError if it is not two finite numbers."""
     try:
         way, turn = map(float, text.split(":"))
     except ValueError:

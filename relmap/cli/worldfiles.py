@@ -32,7 +32,7 @@ def write_building(folder: Path, building: Building) -> None:
     from relmap.datasets import write_scans_npz
     from relmap.datasets.scans import SensorView
     from relmap.io.files import atomic_write, write_tum
-    from relmap.io.tables import csv_text
+    from relmap.io.tables import columns_text
     from relmap.plots.planes import write_building_png
 
     truth = folder / "truth"
@@ -41,15 +41,11 @@ def write_building(folder: Path, building: Building) -> None:
     scans = [scan.points[:, axes] for scan in building.scans]
     view = SensorView(building.sensor.view_rad, building.sensor.range_m)
     write_scans_npz(folder / "scans.npz", scans, building.stamps_s, view)
-    ends = ("plane", "x0", "y0", "x1", "y1", "z0", "z1")
-    header = (*ends, "scans", "corner0", "corner1", "status", "seen0", "seen1")
-    status = np.where(building.moving, "dynamic", "static").tolist()
-    walls, seen = building.walls.tolist(), building.times_seen().tolist()
-    columns = walls, seen, status, building.seen_extents().tolist()
-    rows = [
-        [number, *wall, *times, moves, *extent]
-        for number, (wall, times, moves, extent) in enumerate(zip(*columns, strict=True))
-    ]
-    atomic_write(truth / "planes.csv", csv_text(header, rows))
+    ends, extent = ("plane", "x0", "y0", "x1", "y1", "z0", "z1"), ("seen0", "seen1")
+    names = (*ends, "scans", "corner0", "corner1", "status", *extent)
+    number, status = np.arange(len(building.walls)), np.where(building.moving, "dynamic", "static")
+    columns = (number, *building.walls.T, *building.times_seen().T, status)
+    table = dict(zip(names, (*columns, *building.seen_extents().T), strict=True))
+    atomic_write(truth / "planes.csv", columns_text(table))
     write_tum(truth / "trajectory.tum", building.stamps_s, building.trajectory)
     write_building_png(folder / "building.png", building)
