@@ -113,7 +113,9 @@ def run(arguments: Sequence[str]) -> int:
         code = INTERRUPTED
     except OSError as error:
         if error.errno == errno.EPIPE:
-            return _leave_pipe()
+            # The reader of the output has closed it; prevent Python from flushing to it at exit.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return UNHEARD
         where = f": {error.filename}" if error.filename else ""
         return _complain(f"{error.strerror or error}{where}")
     if code == INTERRUPTED:
@@ -143,9 +145,3 @@ def _complain(message: str) -> int:
     shown = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
     typer.echo(f"relmap: error: {shown}", err=True)
     return BAD_INPUT
-
-
-def _leave_pipe() -> int:
-    # The reader of the output has closed it; prevent Python from flushing to it at exit.
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    return UNHEARD

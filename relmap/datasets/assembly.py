@@ -35,11 +35,6 @@ def metres_column(name: str, required: bool = True) -> Column:
     return Column(name, -MAX_COORDINATE_M, MAX_COORDINATE_M, "metres", required=required)
 
 
-def stamp_column(name: str, required: bool = True) -> Column:
-    """Return a column of times."""
-    return Column(name, -1e12, 1e12, "seconds", required=required)
-
-
 def id_column(name: str, required: bool = True) -> Column:
     """Return the column of known associations; negative or empty without an id."""
     limit = MAX_EXACT_INTEGER

@@ -27,7 +27,6 @@ from relmap.datasets.assembly import (
     id_column,
     iteration_column,
     metres_column,
-    stamp_column,
     with_stamps,
 )
 from relmap.datasets.base import ObservationLog
@@ -45,7 +44,7 @@ COLUMNS = (
     metres_column("y"),
     metres_column("z", required=False),
     id_column("id", required=False),
-    stamp_column("stamp", required=False),
+    Column("stamp", -1e12, 1e12, "seconds", required=False),
     *(Column(f"c{pair}", -1e18, 1e18, "square metres", required=False) for pair in _PAIRS),
 )
 """Columns of an observation log."""

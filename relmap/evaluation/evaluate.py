@@ -115,12 +115,15 @@ def evaluate(result: Result, truth: Truth, log: ObservationLog | None = None) ->
     figures: dict[str, Any] = {}
     counts: dict[str, int] = {"poses": len(mine)}
     notes: list[str] = []
+    variant: Judged = "points"
     if isinstance(result, PlaneResult):
+        variant = "planes"
         figures, counts, notes = judge_corners(result.planes, truth, poses, true_poses)
         matched = match_corners(result.planes, truth, poses, true_poses)
         motion = (matched.R, matched.t) if matched else None
         figures |= judge_walls(result.planes, truth, poses, true_poses, motion)
     elif isinstance(result, Plane3dResult):
+        variant = "planes3d"
         figures = dict(judge_planes(result.planes, truth.faces, poses, true_poses))
     else:
         figures, counts, notes = judge_landmarks(result, truth, log, len(mine))
@@ -128,7 +131,8 @@ def evaluate(result: Result, truth: Truth, log: ObservationLog | None = None) ->
     if len(truth.stamps_s) and not len(mine):
         notes.append(metrics.no_common_times(result.stamps_s, truth.stamps_s))
     elif len(mine) > 1 and rpe_m is None:
-        notes.append(metrics.no_steps(len(mine), len(result.stamps_s)))
+        common = f"{len(mine)} of {len(result.stamps_s)} poses have the times of true ones"
+        notes.append(f"no RPE: {common}, and other true poses lie between them")
     relation = relation_errors(result.stamps_s, result.poses, truth.relations)
     if truth.relations and relation is None:
         notes.append("no checked relation lies within the times of the result")
@@ -141,15 +145,8 @@ def evaluate(result: Result, truth: Truth, log: ObservationLog | None = None) ->
         relation_rad=relation_rad,
         counts=counts,
         notes=tuple(notes),
-        variant=variant_of(result),
+        variant=variant,
     )
-
-
-def variant_of(result: Result) -> Judged:
-    """Return the mapped variant."""
-    if isinstance(result, Plane3dResult):
-        return "planes3d"
-    return "planes" if isinstance(result, PlaneResult) else "points"
 
 
 def match_walls(result: PlaneResult, truth: Truth) -> MatchedCorners | None:

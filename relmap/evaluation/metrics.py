@@ -48,12 +48,6 @@ def no_common_times(found_s: Floats, true_s: Floats) -> str:
     return f"{note} ({found}, true: {true})"
 
 
-def no_steps(n_common: int, n_poses: int) -> str:
-    """Return the note that no two poses with the times of true ones are consecutive there."""
-    common = f"{n_common} of {n_poses} poses have the times of true ones"
-    return f"no RPE: {common}, and other true poses lie between them"
-
-
 def rms(errors: Floats) -> float | None:
     """Return the root mean square of the lengths of error vectors (n, d); None if n is 0."""
     if not len(errors):

@@ -128,20 +128,16 @@ def write_result(folder: Path, result: Result) -> None:
     atomic_write(folder / LANDMARKS, columns_text(columns))
     labels = {name: tracks[name] for name in TRACK_COLUMNS if tracks[name] is not None}
     atomic_write(folder / TRACKS, compressed(columns_text(labels)))
-    atomic_write(folder / SUBMAPS, submaps_text(result.submaps))
+    # Landmarks not connected to the map, each in the frame of its submap.
+    rows = [
+        (number, label, *position.tolist())
+        for number, submap in enumerate(result.submaps[1:], start=1)
+        for label, position in zip(submap.landmark_ids, submap.positions, strict=True)
+    ]
+    atomic_write(folder / SUBMAPS, csv_text(SUBMAP_COLUMNS, rows))
     write_tum(folder / TRAJECTORY, result.stamps_s, result.poses)
     atomic_write(folder / MAP_PLY, ply_text(table.position[result.mapped]))
     atomic_write(folder / SUMMARY, json_text(result.summary))
-
-
-def submaps_text(submaps: tuple[Submap, ...]) -> str:
-    """Return the landmarks not connected to the map as CSV, each in the frame of its submap."""
-    rows = [
-        (number, label, *position.tolist())
-        for number, submap in enumerate(submaps[1:], start=1)
-        for label, position in zip(submap.landmark_ids, submap.positions, strict=True)
-    ]
-    return csv_text(SUBMAP_COLUMNS, rows)
 
 
 def ply_text(points_map: Floats) -> str:

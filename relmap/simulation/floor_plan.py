@@ -44,7 +44,7 @@ def make_floor_plan(world: World, rng: np.random.Generator) -> FloorPlan:
         "panels": _field,
         "long-wall": _long_wall,
         "oblique": rooms.oblique,
-        "glass": rooms.with_panes,
+        "glass": lambda rng: rooms.building(rng, glass=True),
         "furniture": rooms.furnished,
         "twin-rooms": corridors.twin_rooms,
         "corridor": corridors.corridor,

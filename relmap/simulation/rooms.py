@@ -103,11 +103,6 @@ def _pane(edge: Floats, door: Floats) -> Floats:
     return np.array([right + frame, left - frame])
 
 
-def with_panes(rng: np.random.Generator) -> FloorPlan:
-    """Draw a building with a pane of glass beside each door."""
-    return building(rng, glass=True)
-
-
 def furnished(rng: np.random.Generator) -> FloorPlan:
     """Draw a building with boxes for furniture."""
     plan = building(rng)

@@ -80,7 +80,8 @@ def _seen_ahead(ends_robot: Floats, range_m: float, half_view_rad: float) -> See
     runs = runs[nearest[runs[:, 0]] >= 0]
     part = nearest[runs[:, 0]]
     whole = at[part] == runs
-    hidden = _on_rays(ends_robot[wall[part], None], events[runs])
+    ray = np.stack([np.cos(events[runs]), np.sin(events[runs])], axis=-1)
+    hidden = ray_distances(ends_robot[wall[part], None], events[runs])[..., None] * ray
     types = np.array(END_TYPES)[np.where(whole, kind[part], END_TYPES.index("occluded"))]
     return SeenWalls(wall[part], np.where(whole[..., None], ends[part], hidden), types)
 
@@ -95,11 +96,6 @@ def ray_distances(walls: Floats, bearing: Floats) -> Floats:
     first, last = walls[..., 0, :], walls[..., 1, :]
     across = _cross(np.stack([np.cos(bearing), np.sin(bearing)], axis=-1), last - first)
     return np.asarray(_cross(first, last) / np.where(across == 0, np.nan, across))
-
-
-def _on_rays(walls: Floats, bearing: Floats) -> Floats:
-    ray = np.stack([np.cos(bearing), np.sin(bearing)], axis=-1)
-    return np.asarray(ray_distances(walls, bearing)[..., None] * ray)
 
 
 def _clipped(ends: Floats, range_m: float, half_view_rad: float) -> tuple[Ints, Floats, Ints]:

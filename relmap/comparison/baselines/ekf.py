@@ -105,11 +105,8 @@ class Ekf(KnownBaseline):
         # L'^-1.
         L = np.linalg.cholesky(S)
         W = solve_triangular(L, PHt.T, lower=True, check_finite=False).T
-        self._move(W @ solve_triangular(L, innovation.ravel(), lower=True, check_finite=False))
+        step = W @ solve_triangular(L, innovation.ravel(), lower=True, check_finite=False)
         self._P -= W @ W.T
-
-    def _move(self, step: Floats) -> None:
-        d, q = self._d, self._q
         self._t = self._t + step[:d]
         self._R = rotations(step[None, d:q])[0] @ self._R
         self._map = self._map + step[q:].reshape(-1, d)

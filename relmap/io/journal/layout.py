@@ -202,24 +202,14 @@ def covariance_rows(k: int, covariances: Floats) -> Statements:
         for a, b in zip(*np.triu_indices(d), strict=True)
     }
     columns = [entries.get(pair, [None] * n) for pair in PAIRS]
-    rows = list(zip(repeat(k, n), range(n), *columns, strict=True))
-    slots = ", ".join("?" * (2 + len(PAIRS)))
-    return [_made(COVARIANCES), (f"INSERT INTO covariances VALUES ({slots})", rows)]
+    return rows_into(COVARIANCES, list(zip(repeat(k, n), range(n), *columns, strict=True)))
 
 
-def odometry_rows(k: int, motion: Floats) -> Statements:
-    """Return the statements that write the motion (4, 4) to scan k into its table."""
-    row = (k, np.ascontiguousarray(motion, dtype="<f8").tobytes())
-    return [_made(ODOMETRY), ("INSERT INTO odometry VALUES (?, ?)", [row])]
-
-
-def stamp_rows(k: int, stamp_s: float) -> Statements:
-    """Return the statements that write the time of scan k, seconds, into its table."""
-    return [_made(STAMPS), ("INSERT INTO stamps VALUES (?, ?)", [(k, stamp_s)])]
-
-
-def _made(table: str) -> tuple[str, list[tuple[Any, ...]]]:
-    return table.replace("TABLE", "TABLE IF NOT EXISTS", 1), [()]
+def rows_into(table: str, rows: list[tuple[Any, ...]]) -> Statements:
+    """Return the statements that write rows into a table, given by its SQL, and make it first."""
+    made = table.replace("TABLE", "TABLE IF NOT EXISTS", 1)
+    slots = ", ".join("?" * len(rows[0]))
+    return [(made, [()]), (f"INSERT INTO {table.split()[2]} VALUES ({slots})", rows)]
 
 
 def _blocks(slots: str, numbers: list[float], n: int) -> Statements:

@@ -68,7 +68,8 @@ class JournalReader:
             self.layout: Layout = LAYOUTS[self.meta["variant"]]
             self._require(self.layout.tables)
             more = {"covariances": COVARIANCES, "odometry": ODOMETRY, "stamps": STAMPS}
-            self._more = {name: sql for name, sql in more.items() if self._holds(name)}
+            there = {name for (name,) in self._connection.execute("SELECT name FROM sqlite_master")}
+            self._more = {name: sql for name, sql in more.items() if name in there}
             self._require(self._more)
             self.calls = self._read_calls()
         except _WRONG as error:
@@ -212,10 +213,6 @@ class JournalReader:
         end = meta.pop(END, None)
         whole = isinstance(end, dict) and end.keys() == {"scans", "checksum"}
         return meta, End(**end) if whole else NOWHERE, meta_checksum(rows)
-
-    def _holds(self, table: str) -> bool:
-        sql = "SELECT count(*) FROM sqlite_master WHERE name = ?"
-        return bool(self._connection.execute(sql, (table,)).fetchone()[0])
 
     def _require(self, tables: dict[str, str]) -> None:
         """Check that tables are as expected, without triggers or views."""

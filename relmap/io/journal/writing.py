@@ -8,11 +8,15 @@ from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError, reason
 from relmap.io.journal.file import connected, create_file
 from relmap.io.journal.layout import (
     END,
+    ODOMETRY,
+    STAMPS,
     End,
     Layout,
     RecordedScan,
@@ -21,8 +25,7 @@ from relmap.io.journal.layout import (
     checksum,
     covariance_rows,
     observation_rows,
-    odometry_rows,
-    stamp_rows,
+    rows_into,
 )
 
 if TYPE_CHECKING:
@@ -123,9 +126,10 @@ class Journal:
         if covariances is not None and n:
             statements += covariance_rows(k, covariances)
         if odometry is not None:
-            statements += odometry_rows(k, odometry)
+            motion = np.ascontiguousarray(odometry, dtype="<f8").tobytes()
+            statements += rows_into(ODOMETRY, [(k, motion)])
         if stamp_s is not None:
-            statements += stamp_rows(k, stamp_s)
+            statements += rows_into(STAMPS, [(k, stamp_s)])
         scan = RecordedScan(values, ids, labels, covariances, beams, odometry, stamp_s)
         check = checksum(k, scan, self._end.checksum)
         row = (k, n, int(ids is not None), check, *(beams,) * self._layout.has_beams)
