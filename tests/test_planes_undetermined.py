@@ -15,6 +15,8 @@ FAR = np.array([[6.0, -0.8], [6.8, 0.0], [7.0, 1.0]])
 """Two walls of a metre that meet at 34 degrees: an arc at the end of the range."""
 NEAR = np.array([[1.0, -3.0], [3.0, -3.0], [3.0, -1.0]])
 """Two walls that meet at a right angle, nearby."""
+LEAP = 6
+"""The scan after a leap."""
 
 
 def along(line: NDArray[np.float64], spacing_m: float) -> NDArray[np.float64]:
@@ -26,8 +28,10 @@ def along(line: NDArray[np.float64], spacing_m: float) -> NDArray[np.float64]:
     return np.concatenate(parts)
 
 
-def mapped(*lines: NDArray[np.float64], with_beams: bool = True) -> PlaneMapper:
-    """Return a map of walls along lines, seen from a robot that advances by 2 cm a scan.
+def driven(
+    *lines: NDArray[np.float64], leap_m: float = 0.0, with_beams: bool = True
+) -> PlaneMapper:
+    """Return a mapper of walls along lines, whose robot advances by 2 cm a scan, and leaps once.
 
     The noise of the points is 3 cm.
     """
@@ -35,10 +39,16 @@ def mapped(*lines: NDArray[np.float64], with_beams: bool = True) -> PlaneMapper:
     ends = np.concatenate([np.stack([line[:-1], line[1:]], axis=1) for line in lines])
     kind = [["corner", "corner"]] * len(ends)
     points = np.concatenate([along(line, 0.1) for line in lines])
-    for x in 0.02 * np.arange(12):
+    for x in 0.02 * np.arange(12) + leap_m * (np.arange(12) >= LEAP):
         seen = SimpleNamespace(ends=ends - [x, 0.0], end_type=kind)
         beams = points - [x, 0.0] + rng.normal(0.0, 0.03, points.shape)
         mapper.update(seen, beams=beams if with_beams else None)
+    return mapper
+
+
+def mapped(*lines: NDArray[np.float64], with_beams: bool = True) -> PlaneMapper:
+    """Return a finished map in one part."""
+    mapper = driven(*lines, with_beams=with_beams)
     mapper.finish()
     assert len(mapper.submaps) == 1
     return mapper
@@ -58,3 +68,23 @@ def test_an_arc_at_the_end_of_the_range_determines_no_step(refine: bool) -> None
 
 def test_without_beams_the_walls_decide() -> None:
     assert len(mapped(FAR, with_beams=False).weak_links) == 0
+
+
+def test_a_link_turned_about_an_arc_is_cut() -> None:
+    """The beams prefer another, and the others are steady."""
+    mapper = driven(FAR)
+    links, about = mapper._planes.links, FAR[1]
+    c, s = np.cos(0.06), np.sin(0.06)
+    turned = about - np.array([[c, -s], [s, c]]) @ about
+    links.motions[LEAP] = 0.06, *(turned - [0.02, 0.0])
+    links.evidence[LEAP] = 20.0  # Not evaluated again by `tie`.
+    mapper.finish()
+    assert [submap.span for submap in mapper.submaps] == [(0, LEAP), (LEAP, 12)]
+
+
+def test_a_leap_that_beams_confirm_is_kept() -> None:
+    mapper = driven(FAR, NEAR, leap_m=0.5)
+    mapper.finish()
+    assert len(mapper.submaps) == 1
+    steps = np.diff(mapper.trajectory[:, 0, 3])
+    assert abs(steps[LEAP - 1]) == pytest.approx(0.52, abs=0.02)

@@ -162,13 +162,11 @@ class MappedWalls(Mapper):
         By the beams of a laser: they do not exclude a motion 0.3 m off. With odometry, or without
         beams, by the walls: the scans share neither two crossing walls nor a corner.
         """
-        links, history = self._planes.links, self.history
-        if links.wheels.noise_over_all(links.motions, links.measured) is not None:
-            return history.weak_links
+        links = self._planes.links
         if self._refined_walls is None:
-            return undetermined_steps(self.submaps, history, links.beams)
+            return undetermined_steps(self.submaps, self.history, links)
         if self._weak is None or self._weak[0] is not self._refined_walls:
-            weak = undetermined_steps(self.submaps, history, links.beams)
+            weak = undetermined_steps(self.submaps, self.history, links)
             self._weak = self._refined_walls, weak
         return self._weak[1].copy()
 

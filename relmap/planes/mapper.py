@@ -25,6 +25,7 @@ from relmap.planes.scans.beams import GivenBeams
 from relmap.planes.scans.observation import PlaneObservation, checked_planes, journaled, of_journal
 from relmap.planes.submaps.revisits import contradicted_revisits
 from relmap.planes.submaps.submap import WallSubmap, among_all, torn_in
+from relmap.planes.submaps.undetermined import unsupported_links
 from relmap.planes.walls.history import PlaneHistory
 
 if TYPE_CHECKING:
@@ -164,7 +165,7 @@ class PlaneMapper(LocatingMapper):
         self._attach()
         cut = self._planes.tie()
         super()._finish()
-        self._planes.links.cut(cut)
+        self._planes.links.cut(np.union1d(cut, unsupported_links(self.history, self._planes.links)))
         for span in self.history.spans:
             afterwards.found_late(self.engine, *span)
 

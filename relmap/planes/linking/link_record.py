@@ -85,6 +85,11 @@ class LinkRecord:
         return self._measured.values
 
     @property
+    def evidence(self) -> Floats:
+        """Log odds (i,) of each motion; NaN if unknown, infinite if it is by maps."""
+        return self._evidence.values
+
+    @property
     def bridged(self) -> Bools:
         """Which motions (i,) are determined by odometry only."""
         return self._bridged.values

@@ -1,4 +1,4 @@
-"""Steps from scan to scan that the scans do not determine."""
+"""Steps from scan to scan that the scans do not determine: weak links, and links that are cut."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from relmap.core.arrays import Floats, Ints
-from relmap.planes.motions import from_matrices
+from relmap.core.arrays import Bools, Floats, Ints
+from relmap.planes.linking.link_record import LinkRecord
+from relmap.planes.motions import from_matrices, inverse
 from relmap.planes.scans.beams import NEAR_M, Beams, BeamStore, leads, log_odds
 from relmap.planes.submaps.submap import WallSubmap
 from relmap.planes.walls.history import PlaneHistory
@@ -18,21 +19,27 @@ EXCLUDED, CLEARLY = 3.0, 20.0
 """Log odds by which they must, and where the walls in common leave a direction open: there the
 motion model or another match gave the step. In 30 short-sighted logs, with 5 for both, 25 wrong
 steps more are not listed, and 53 right ones of 15,000 fewer are."""
+UNUSUAL_M, BESIDE = 0.3, 4
+"""Difference between a link and those around it above which it is evaluated again, and how many on
+either side these are."""
 LOOSE = np.diag([1e-3, 1e-4, 1e-4])
 """Information that keeps directions finite that no wall determines: rotation, x, y; as of so many
 metres of wall."""
 
 
 def undetermined_steps(
-    submaps: Sequence[WallSubmap], history: PlaneHistory, beams: BeamStore
+    submaps: Sequence[WallSubmap], history: PlaneHistory, links: LinkRecord
 ) -> Ints:
     """Return the iterations (k,) whose motion since the previous one is not determined, ascending.
 
     Short walls far away, such as an arc at the end of the range, leave a motion open that turns
     the robot about them. So a step is moved by 0.3 m in the direction that the walls in common
     determine least, and turned as they allow. It is determined if the beams of both scans exclude
-    this on either side. Without beams, the walls decide (`PlaneHistory.weak_links`).
+    this on either side. Without beams, and with odometry, the walls decide
+    (`PlaneHistory.weak_links`).
     """
+    if _have_odometry(links):
+        return history.weak_links
     weak = np.zeros(history.n_iterations, dtype=np.bool_)
     weak[history.weak_links] = True
     free, least = _free_directions(history), np.where(weak, CLEARLY, EXCLUDED)
@@ -41,10 +48,44 @@ def undetermined_steps(
         after = 1 + np.flatnonzero(known[1:] & known[:-1])
         steps = from_matrices(np.linalg.inv(submap.poses[after - 1]) @ submap.poses[after])
         for scan, step in zip((submap.first_iteration + after).tolist(), steps, strict=True):
-            earlier, later = (_beams_of(k, history, beams) for k in (scan - 1, scan))
+            earlier, later = (_beams_of(k, history, links.beams) for k in (scan - 1, scan))
             if len(earlier) and len(later):
                 weak[scan] = _excluded(step, free[scan], earlier, later) < least[scan]
     return np.flatnonzero(weak)
+
+
+def unsupported_links(history: PlaneHistory, links: LinkRecord) -> Ints:
+    """Return the iterations (k,) into which a link is unlike those around it, and may be another.
+
+    It differs from their median by more than 0.3 m, and the beams prefer one that is 0.3 m off in
+    the direction that walls determine least. Links by maps and by odometry are left as they are.
+    """
+    if _have_odometry(links):
+        return np.empty(0, dtype=np.int64)
+    tied = 1 + np.flatnonzero((np.diff(history.submap) == 0) & (history.submap[1:] >= 0))
+    free, found = _free_directions(history), list[int]()
+    for scan in tied[_unusual(tied, history) & ~np.isinf(links.evidence[tied])].tolist():
+        earlier, later = (_beams_of(k, history, links.beams) for k in (scan - 1, scan))
+        step = inverse(history.motion[scan])
+        if len(earlier) and len(later) and _excluded(step, free[scan], earlier, later) < 0:
+            found.append(scan)
+    return np.array(found, dtype=np.int64)
+
+
+def _unusual(tied: Ints, history: PlaneHistory) -> Bools:
+    """Return which links into scans (k,), ascending, differ from those around them."""
+    off_m, moved = np.zeros(len(tied)), history.motion[:, 1:]
+    for k, scan in enumerate(tied.tolist()):
+        near = tied[max(k - BESIDE, 0) : k + BESIDE + 1]
+        near = near[(near != scan) & (np.abs(near - scan) <= BESIDE)]
+        near = near[history.submap[near] == history.submap[scan]]
+        if len(near):
+            off_m[k] = np.hypot(*(moved[scan] - np.median(moved[near], axis=0)))
+    return off_m > UNUSUAL_M
+
+
+def _have_odometry(links: LinkRecord) -> bool:
+    return links.wheels.noise_over_all(links.motions, links.measured) is not None
 
 
 def _beams_of(scan: int, history: PlaneHistory, beams: BeamStore) -> Beams:
