@@ -138,7 +138,14 @@ def _new_ids(log: ObservationLog) -> int:
 
 def _rows(log: ObservationLog, rows: Ints) -> ObservationLog:
     """Return some observations, renumbered."""
-    return replace(log.only(rows), rows=np.arange(len(rows)))
+    return replace(
+        log,
+        points_robot=log.points_robot[rows],
+        iteration=log.iteration[rows],
+        rows=np.arange(len(rows)),
+        ids=None if log.ids is None else log.ids[rows],
+        covariances=None if log.covariances is None else log.covariances[rows],
+    )
 
 
 def _joined(log: ObservationLog, beside: Ints, points: Floats, ids: Ints) -> ObservationLog:
