@@ -13,7 +13,6 @@ from scipy.spatial.transform import Rotation
 
 from relmap.core.arrays import Floats
 from relmap.core.association import matching_kernels, tracking_kernels
-from relmap.core.association.matching_kernels import claims, nearest_within
 from relmap.core.geometry import fitting_kernels, rotation_kernels
 from relmap.core.geometry.alignment import fit_rigid, rotation_of_moment
 from relmap.core.grouping import binning_kernels
@@ -23,6 +22,8 @@ from relmap.core.linalg import small_kernels
 from tests.kernels import callable_here
 from tests.worlds import random_rotation
 
+claims = callable_here(matching_kernels.claims)
+nearest_within = callable_here(matching_kernels.nearest_within)
 continued = callable_here(tracking_kernels.continued)
 nearest_of_sample = callable_here(matching_kernels.nearest_of_sample)
 fit_rows = callable_here(fitting_kernels.fit_rows)

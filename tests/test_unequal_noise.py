@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 from relmap import PointMapper
 from relmap.comparison.baselines.batch import Batch, batch_least_squares
 from relmap.core.arrays import Floats
+from relmap.core.association import matching_kernels
 from relmap.core.association.estimated import LONGEST, EstimatedCovariances
-from relmap.core.association.matching_kernels import nearest_within
 from relmap.core.association.metric import RayNoise, stretch_of
 from relmap.core.association.placement import trimmed_fit
 from relmap.core.association.reobservation.coinciding import compatible
@@ -22,8 +22,10 @@ from relmap.core.state.weighed import WeighedObservations
 from relmap.evaluation.metrics import majority_ids
 from relmap.simulation import World, WorldSpec, simulate_world
 from relmap.simulation.worlds import covariances_of
+from tests.kernels import callable_here
 from tests.worlds import random_rotation
 
+nearest_within = callable_here(matching_kernels.nearest_within)
 Array = Floats
 SIGMA = 0.05
 

@@ -11,11 +11,11 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.association.base import UNIDENTIFIED, Numbered
+from relmap.core.association.base import UNIDENTIFIED, Numbered, middle
 from relmap.core.association.chance import ENOUGH, Chance
 from relmap.core.association.estimated import EstimatedCovariances
 from relmap.core.association.guiding import OdometryGuide
-from relmap.core.association.metric import stretch_of
+from relmap.core.association.metric import scaled, stretch_of
 from relmap.core.association.placement import Placement
 from relmap.core.association.registering import BLIND, TrackPlacing
 from relmap.core.association.scale import FEW, Scale, spacing_of
@@ -164,13 +164,15 @@ class Constellation(Numbered):
     def _followed(self, carried: LiveTracks, points: Floats, metric: Floats | None) -> Ints:
         """Continue predicted tracks by the points near them; return the landmarks of the points."""
         rows, found, n_static = links = self._links(carried, points, metric)
-        rays, known = self._scale.rays, rows[:n_static]
+        rays, known, seen = self._scale.rays, rows[:n_static], found[:n_static]
         if n_static > FEW and rays.is_due():
-            there = points[found[:n_static]]
-            rays.learn(carried.expected[known], there, carried.seen[known])
+            rays.learn(carried.expected[known], points[seen], carried.seen[known])
         landmarks, self._tracks, square = carried.followed(
-            points, links, self.n_landmarks, self._max_missed, metric
+            points, links, self.n_landmarks, self._max_missed
         )
+        if metric is not None and n_static:
+            off = scaled(metric[seen], carried.expected[known] - points[seen])
+            square = middle(np.sum(off**2, axis=1))
         self._scale.learn(square, n_static, points.shape[1])
         self.n_landmarks = max(self.n_landmarks, int(landmarks.max(initial=-1)) + 1)
         self._stray, self._tracks_since, self._idle = None, None, 0

@@ -45,8 +45,6 @@ class EstimatedCovariances:
 
         `landmarks` (n,); `points` (n, d), robot frame, metres.
         """
-        if self._is_unequal is False:
-            return
         if self._is_unequal:
             weighed.append(landmarks, points, rays.covariances(points), iteration)
         elif self._is_unequal is None and len(points):

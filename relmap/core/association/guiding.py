@@ -104,17 +104,16 @@ class OdometryGuide:
         `noise_m`: standard deviation of a coordinate's difference between two scans; `most_m`:
         largest distance of a match.
         """
-        from relmap.core.association.matching_kernels import claims, nearest_within
+        from relmap.core.association.tracking_kernels import claimed_within
 
         guess = self.predicted(points.shape[1])
         there = guess.apply(expected)
         reach = np.minimum(SIGMAS * np.hypot(self.sigma_at(there), noise_m), most_m)
         if not len(there) or not len(points):
             return guess
-        distance, target = nearest_within(points, there, float(reach.max()) / ALONE)
-        apart = np.where(distance <= reach, distance, np.inf)
-        matched = claims(target, apart, len(points)) & self._clear(there, points, distance)
-        rows = np.flatnonzero(matched)
+        found = claimed_within(points, there, reach, float(reach.max()) / ALONE)
+        distance, target, claimed = found
+        rows = np.flatnonzero(claimed & self._clear(there, points, distance))
         return self._fitted(guess, there[rows], points[target[rows]], noise_m)
 
     def _clear(self, there: Floats, points: Floats, distance: Floats) -> Bools:

@@ -66,7 +66,7 @@ class KnownAssociation(Registration):
         return landmarks
 
     def _enter(self, first: int) -> None:
-        """Enter the ids from the first on into the table, which grows with them."""
+        """Add the ids from the first on to the table, which grows with them."""
         from relmap.core.association.known_kernels import enter
 
         if 2 * len(self._labels) > len(self._slots):

@@ -35,6 +35,6 @@ def numbers_of(slots: Ints, labels: Ints, ids: Ints) -> Ints:
 
 @compiled
 def enter(slots: Ints, labels: Ints, first: int) -> None:
-    """Enter the landmarks from the first one on."""
+    """Add the landmarks from the first one on to the slots."""
     for number in range(first, len(labels)):
         slots[_slot(slots, labels, labels[number])] = number

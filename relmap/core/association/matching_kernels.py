@@ -13,7 +13,7 @@ CELL, MARGIN = 4.0, 0.2501
 """Side of a cell of the grid, in reaches, and a reach in sides, with room for rounding."""
 
 
-@compiled
+@helper
 def claims(wanted: Ints, distance: Floats, n: int) -> Bools:
     """Return which rows are the nearest among those that claim the same of n targets.
 
@@ -58,7 +58,7 @@ def buckets(points: Floats, cell: float) -> tuple[Ints, Ints]:
     return first, following
 
 
-@compiled
+@helper
 def nearest_within(
     points: Floats,
     queries: Floats,

@@ -192,7 +192,7 @@ class TrackPlacing:
         from relmap.core.association.matching_kernels import matched_sample
 
         (n, d), metric = points.shape, self.metric
-        sample, rows, target, distance, *matched, spacing_m = matched_sample(
+        sample, rows, target, distance, here, there, spacing_m = matched_sample(
             points, tracks.expected, tracks.missed, SAMPLE, self.scale.spacing_m, SLOWNESS
         )
         if not len(sample):
@@ -200,11 +200,13 @@ class TrackPlacing:
         self.scale.spacing_m = spacing_m
         missed, tolerance_m = int(tracks.missed[sample[0]]), self.scale.tolerance_m
         own = rows_of(metric, target)
-        near = trimmed_fit(*matched, tolerance_m, own)
+        near = trimmed_fit(here, there, tolerance_m, own)
         is_sharp = tolerance_m <= SHARP * spacing_m
         share = NEAR_SHARE * min(len(sample), n)
         if near is not None:
-            is_usual = is_sharp and not missed and self._is_usual(near, *matched, tolerance_m, own)
+            is_usual = (
+                is_sharp and not missed and self._is_usual(near, here, there, tolerance_m, own)
+            )
             if is_usual and near.n_agreeing >= max(PLENTY, share):
                 return near, False
             alone = near.n_agreeing == len(rows) == d == 2

@@ -111,8 +111,8 @@ class Rigidity:
         """
         from relmap.core.association.rigidity_kernels import in_order
 
-        order, *parts, self._extent_m = in_order(ids, points_robot)
-        scan = _Places(*parts)
+        order, own, points, missed, times, self._extent_m = in_order(ids, points_robot)
+        scan = _Places(own, points, missed, times)
         fit = self._fit(self._last, scan)
         if fit is None:
             if self._last is None or len(ids) >= PLENTY:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from relmap.core.arrays import Floats, Ints
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.association.matching_kernels import claims, nearest_within, two_nearest
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import smallest
-from relmap.core.linalg.small_kernels import square_between, unset
+from relmap.core.linalg.small_kernels import unset
 
 Columns = tuple[Ints, Floats, Floats, Ints, Ints, Ints]
 """The columns of `LiveTracks`."""
@@ -91,15 +91,23 @@ def links(
 
 
 @helper
-def _middle_square(
-    points: Floats, tracks: Columns, links: tuple[Ints, Ints, int], metric: Floats | None
-) -> float:
+def _middle_square(points: Floats, expected: Floats, links: tuple[Ints, Ints, int]) -> float:
     """Return the upper median of the squared misfits of static links; NaN if there are none."""
     rows, found, n_static = links
-    squares, apart = np.empty(n_static), np.empty(points.shape[1])
+    squares = np.zeros(n_static)
     for j in range(n_static):
-        squares[j] = square_between(tracks[1][rows[j]], points[found[j]], metric, found[j], apart)
+        for a in range(points.shape[1]):
+            squares[j] += (expected[rows[j], a] - points[found[j], a]) ** 2
     return smallest(squares, n_static // 2) if n_static else np.nan
+
+
+@helper
+def _n_kept(point_of: Ints, missed: Ints, longest: int) -> int:
+    """Return how many tracks (m,) are continued by a point, or not missed for too long."""
+    n = 0
+    for row in range(len(missed)):
+        n += point_of[row] >= 0 or missed[row] < longest
+    return n
 
 
 @compiled
@@ -109,13 +117,13 @@ def followed(
     links: tuple[Ints, Ints, int],
     n_landmarks: int,
     limits: tuple[int, int, int],
-    metric: Floats | None,
-) -> tuple[Ints, Columns, float]:
+) -> tuple[Ints, Ints, Floats, Ints, float]:
     """Continue predicted tracks by links to points (n, d), and begin one with each other point.
 
     `limits`: observations that are averaged, iterations after which a moving track is static, and
     iterations for which a track is missed. Returns the landmark of each point (n,), new ones
-    numbered from `n_landmarks`; the tracks; and the median of `_middle_square`.
+    numbered from `n_landmarks`; of the tracks the landmarks (k,), expected and latest positions
+    (2, k, d), and how often each was missed, seen and restless (3, k); and `_middle_square`.
     """
     before, expected, latest, missed, seen, restless = tracks
     rows, found, n_static = links
@@ -124,11 +132,12 @@ def followed(
     landmark, point_of, rests = unset(n), unset(m), np.zeros(m, dtype=np.bool_)
     for j in range(len(rows)):
         point_of[rows[j]], rests[rows[j]] = found[j], j < n_static
-    square = _middle_square(points, tracks, links, metric)
+    square = _middle_square(points, expected, links)
+    size = _n_kept(point_of, missed, longest) + n - len(rows)
     landmarks, counts, places = (
-        np.empty(m + n, np.int64),
-        unset(3 * (m + n)).reshape(3, -1),
-        np.empty((2, m + n, d)),
+        np.empty(size, np.int64),
+        np.empty((3, size), np.int64),
+        np.empty((2, size, d)),
     )
     for row in range(m):
         p = point_of[row]
@@ -139,8 +148,7 @@ def followed(
         for a in range(d):
             places[0, k, a], places[1, k, a] = expected[row, a], latest[row, a]
         if p >= 0:
-            landmark[p] = before[row]
-            counts[0, k], counts[1, k] = 0, seen[row] + 1
+            landmark[p], counts[0, k], counts[1, k] = before[row], 0, seen[row] + 1
             counts[2, k] = max(restless[row] - 1, 0) if rests[row] else careful
             share = 1.0 if counts[2, k] > 0 else 1 / min(counts[1, k], memory)
             for a in range(d):
@@ -154,12 +162,19 @@ def followed(
             for a in range(d):
                 places[0, k, a] = places[1, k, a] = points[p, a]
             n_landmarks, k = n_landmarks + 1, k + 1
-    columns = (
-        landmarks[:k],
-        places[0, :k],
-        places[1, :k],
-        counts[0, :k],
-        counts[1, :k],
-        counts[2, :k],
-    )
-    return landmark, columns, square
+    return landmark, landmarks, places, counts, square
+
+
+@compiled
+def claimed_within(
+    points: Floats, queries: Floats, reach_m: Floats, farthest_m: float
+) -> tuple[Floats, Ints, Bools]:
+    """Return what `nearest_within` does, and which queries (k, d) claim the point found.
+
+    `reach_m` (k,): largest distance at which each does; `farthest_m`: that of points found.
+    """
+    distance, target = nearest_within(points, queries, farthest_m)
+    apart = np.empty_like(distance)
+    for row in range(len(apart)):
+        apart[row] = distance[row] if distance[row] <= reach_m[row] else np.inf
+    return distance, target, claims(target, apart, len(points))

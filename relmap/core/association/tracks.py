@@ -89,20 +89,21 @@ class LiveTracks(Tracks):
         links: tuple[Ints, Ints, int],
         n_landmarks: int,
         longest: int,
-        metric: Floats | None,
     ) -> tuple[Ints, LiveTracks, float]:
         """Return the tracks that predicted ones become with the points (n, d) of a scan.
 
         `links`: tracks (k,) and the points that continue them, and how many of these are static,
         which come first. Tracks missed for more than the `longest` time end; other points begin
         tracks, of landmarks numbered from `n_landmarks`. Returns the landmark of each point (n,),
-        the tracks, and the median of the squared misfits of static ones, in the metric (n, d, d).
+        the tracks, and the upper median of the squared misfits of static ones.
         """
         from relmap.core.association.tracking_kernels import followed
 
         limits = MEMORY, CAREFUL, longest
-        found, columns, square = followed(points, self.columns, links, n_landmarks, limits, metric)
-        return found, LiveTracks(*columns), square
+        found, landmarks, places, counts, square = followed(
+            points, self.columns, links, n_landmarks, limits
+        )
+        return found, LiveTracks(landmarks, *places, *counts), square
 
     def possible(self, points: Floats) -> int:
         """Return the number of matches with points (n, d) that a search may find."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.arrays import Floats
-from relmap.core.geometry.fitting_kernels import scatter_of, swings
+from relmap.core.geometry.fitting_kernels import scatter_of, swings_of
 from relmap.core.geometry.rotation_kernels import best_rotation, fixes
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import median
@@ -73,7 +73,7 @@ def aligned(points: Floats, there: Floats, weights: Floats, loose: float) -> tup
         return placed, False
     R, t, _ = _weighted_fit(source[:k], target[:k], weight[:k], identity(d))
     _place(points, R, t, placed)
-    swing = swings(points, rows)
+    swing = swings_of(points, rows)
     for i in range(n):
         if not swing[i] <= loose:
             for a in range(d):

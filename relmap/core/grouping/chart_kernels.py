@@ -65,7 +65,7 @@ def chart_block(
 
 
 @helper
-def _descending(rows: Ints, values: Floats) -> Ints:
+def _descending(rows: Ints, values: Floats | Ints) -> Ints:
     """Return rows (k,) in the order of their descending values, equal ones as they are."""
     keys, listed = np.empty(len(rows)), np.empty_like(rows)
     for j in range(len(rows)):

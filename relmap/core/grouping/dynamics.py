@@ -86,8 +86,8 @@ class DynamicStatus:
         from relmap.core.grouping.motion_kernels import tested
 
         of, still = self.table, rests(relative, noise_m)
-        columns = of.restless, of.strikes, of.struck_until, of.dynamic
-        columns += of.tested_until, of.moved_until, of.moving_bin
+        strikes, until = (of.strikes, of.struck_until), (of.tested_until, of.moved_until)
+        columns = of.restless, *strikes, of.dynamic, *until, of.moving_bin
         seen = relative.used, relative.n_used, relative.iterations
         limits = FEWEST, ENOUGH, STRIKES, STILL, NONE
         return tested(columns, relative.landmarks, still, *seen, limits)

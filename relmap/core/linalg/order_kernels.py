@@ -43,7 +43,7 @@ def median(values: Floats) -> float:
 
 
 @helper
-def ordered(values: Floats) -> Ints:
+def ordered(values: Floats | Ints) -> Ints:
     """Return the stable sorting order (n,) of values, ascending (merge sort)."""
     n, width = len(values), 1
     order, merged = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
