@@ -17,6 +17,7 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.config import MapperConfig
 from relmap.core.errors import RelmapError
 from relmap.core.guard import ChangeGuard, reads_whole
+from relmap.core.linalg.threads import one_thread
 from relmap.core.mapper import RelativeMapper
 from relmap.core.model import LandmarkModel
 from relmap.core.stamps import Stamps
@@ -92,7 +93,7 @@ class Mapper(Mapped):
 
     def finish(self) -> None:
         """Group unmapped landmarks in view, and run the last pass of those that left."""
-        with self._guard.change():
+        with self._guard.change(), one_thread():
             self._note_call("finish")
             self._finish()
 

@@ -14,6 +14,7 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.config import WITH_WALLS, MapperConfig
 from relmap.core.errors import RelmapError
 from relmap.core.guard import reads_whole
+from relmap.core.linalg.threads import one_thread
 from relmap.core.odometry import checked_odometry
 from relmap.core.scan import checked_labels
 from relmap.planes.linking.registration import PlaneRegistration
@@ -177,7 +178,7 @@ class PlaneMapper(LocatingMapper):
         is where joined walls change a step by 0.2 m or 3 degrees and the beams contradict that, and
         between visits of a place that contradict each other.
         """
-        with self._guard.change():
+        with self._guard.change(), one_thread():
             self._note_call("refine")
             self._refine_and_cut()
 

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.core.guard import ChangeGuard, reads_whole
+from relmap.core.linalg.threads import one_thread
 from relmap.core.scan import checked_labels
 from relmap.core.stamps import Stamps
 from relmap.planes3d.doubting import is_doubtful, is_tied_doubtfully, sight_of
@@ -135,7 +136,7 @@ class Plane3dMapper:
         surfaces.
         """
         failed: set[tuple[Span, Span]] = set()
-        with self._guard.change():
+        with self._guard.change(), one_thread():
             while self._tied_two(failed):
                 pass
             self._name_unsure()
@@ -147,7 +148,7 @@ class Plane3dMapper:
         Points on no plane form further landmarks where those of several scans lie on one.
         Uncertain steps are found again, see `weak_links`.
         """
-        with self._guard.change():
+        with self._guard.change(), one_thread():
             for k, part in enumerate(self._parts):
                 if len(part.iteration) > 1:
                     self._parts[k], name = refined(part, self._n_planes)

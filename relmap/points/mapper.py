@@ -16,6 +16,7 @@ from relmap.core.config import MapperConfig
 from relmap.core.errors import RelmapError
 from relmap.core.gaps import bridge_gaps
 from relmap.core.guard import reads_whole
+from relmap.core.linalg.threads import one_thread
 from relmap.core.odometry import checked_odometry
 from relmap.core.readout import positions_in_largest_submap
 from relmap.core.scan import checked_covariances, checked_ids, checked_points
@@ -161,7 +162,7 @@ class PointMapper(Mapper):
         are merged (see `landmarks_of`). Covariances of the positions are available until the next
         update. With `keep_observations`, bounded noise is exploited.
         """
-        with self._guard.change():
+        with self._guard.change(), one_thread():
             self._note_call("refine")
             repairing.refine(self.engine)
 

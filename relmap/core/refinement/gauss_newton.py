@@ -78,7 +78,7 @@ class Solution(Generic[State]):
 
 def weighted_squares(residual: Floats, weight: Floats) -> float:
     """Return the least-squares cost."""
-    return float(weight @ residual**2)
+    return float((weight * residual**2).sum())
 
 
 def gauss_newton(
