@@ -14,9 +14,7 @@ from __future__ import annotations
 
 import gc
 import logging
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from functools import partial
+from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
 import llvmlite.binding as llvm
@@ -134,28 +132,8 @@ class _AsPart(FunctionPass):
         return False
 
 
-@contextmanager
-def _parts_only(context: Any) -> Iterator[None]:
-    """Treat what numba compiles meanwhile, such as `np.empty`, as helpers."""
-    codegen = context.codegen()
-    codegen.create_library = partial(_PartLibrary, codegen)
-    context.create_cfunc_wrapper = lambda *_, **__: None
-    try:
-        yield
-    finally:
-        del codegen.create_library, context.create_cfunc_wrapper
-
-
 class _KernelCompiler(CompilerBase):
     library: Any = _AsKernel
-
-    def compile_extra(self, function: Any) -> Any:
-        """Compile a function; numba's lock is held."""
-        context, plain = cast("Any", self).state.targetctx, cast("Any", super()).compile_extra
-        if "create_library" in vars(context.codegen()):  # as a part of another function
-            return plain(function)
-        with _parts_only(context):
-            return plain(function)
 
     def define_pipelines(self) -> list[Any]:
         passes = cast("Any", DefaultPassBuilder).define_nopython_pipeline(self.state)
