@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import gc
 import importlib
 import inspect
 import operator
@@ -72,6 +73,7 @@ def interrupted(work: Callable[[], object], at: int) -> int:
     frame = inspect.currentframe()
     assert frame is not None
     frame.f_trace_opcodes = True  # without it Python 3.12 traces none
+    gc.disable()  # an interrupt while earlier mappers are deleted would be lost
     sys.settrace(step)
     try:
         work()
@@ -79,6 +81,7 @@ def interrupted(work: Callable[[], object], at: int) -> int:
         pass
     finally:
         sys.settrace(before)
+        gc.enable()
     return count
 
 

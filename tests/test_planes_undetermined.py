@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from relmap.planes import PlaneMapper
+from relmap.planes.linking.registration import PlaneRegistration
 
 FAR = np.array([[6.0, -0.8], [6.8, 0.0], [7.0, 1.0]])
 """Two walls of a metre that meet at 34 degrees: an arc at the end of the range."""
@@ -73,7 +74,9 @@ def test_without_beams_the_walls_decide() -> None:
 def test_a_link_turned_about_an_arc_is_cut() -> None:
     """The beams prefer another, and the others are steady."""
     mapper = driven(FAR)
-    links, about = mapper._planes.links, FAR[1]
+    registration, about = mapper.engine.association.registration, FAR[1]
+    assert isinstance(registration, PlaneRegistration)
+    links = registration.links
     c, s = np.cos(0.06), np.sin(0.06)
     turned = about - np.array([[c, -s], [s, c]]) @ about
     links.motions[LEAP] = 0.06, *(turned - [0.02, 0.0])

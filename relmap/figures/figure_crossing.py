@@ -120,7 +120,7 @@ def _run(quick: bool, data: Path | None, watch: Watch) -> list[Crossing]:
 def _judge(data: list[Crossing]) -> Outcome:
     ahead = [each.planes_ahead("points") for each in data]
     begins = [interval[0] for interval in ahead if interval is not None]
-    rows = [astuple(run) for each in data for run in each.runs]
+    rows = [["" if v is None else v for v in astuple(run)] for each in data for run in each.runs]
     return Outcome(
         Table([field.name for field in fields(VariantRun)], rows),
         max(begins, default=float("nan")),

@@ -15,6 +15,7 @@ from __future__ import annotations
 import gc
 import logging
 from collections.abc import Callable
+from functools import cache
 from typing import Any, TypeVar, cast
 
 import llvmlite.binding as llvm
@@ -45,6 +46,14 @@ NOT_NEEDED = {
 NOT_KEPT = "in every run, unless NUMBA_CACHE_DIR names a folder that can be written"
 
 
+@cache
+def _machine() -> Any:
+    """Return the processor for which code is optimised."""
+    target = llvm.Target.from_triple(llvm.get_process_triple())
+    features = llvm.get_host_cpu_features().flatten()
+    return target.create_target_machine(llvm.get_host_cpu_name(), features)
+
+
 class _Unoptimised(cast("Any", JITCodeLibrary)):  # type: ignore[misc]
     """Code that is optimised once, with everything that it calls.
 
@@ -52,7 +61,7 @@ class _Unoptimised(cast("Any", JITCodeLibrary)):  # type: ignore[misc]
     """
 
     def _optimize_functions(self, module: Any) -> None:
-        module.data_layout = self._codegen._data_layout
+        module.data_layout = str(self._codegen.target_data)
 
 
 class _KernelLibrary(_Unoptimised):
@@ -67,7 +76,7 @@ class _KernelLibrary(_Unoptimised):
             options = llvm.create_pipeline_tuning_options(2)
             options.loop_unrolling = False
             options.loop_vectorization = options.loop_interleaving = False
-            builder = llvm.create_pass_builder(self._codegen._tm, options)
+            builder = llvm.create_pass_builder(_machine(), options)
             passes = builder.getModulePassManager()
             passes.add_refprune_pass()
         except (AttributeError, TypeError):  # another version of numba
@@ -85,7 +94,7 @@ class _PartLibrary(_Unoptimised):
     def _optimize_final_module(self) -> None:
         try:
             options = llvm.create_pipeline_tuning_options(1)
-            builder = llvm.create_pass_builder(self._codegen._tm, options)
+            builder = llvm.create_pass_builder(_machine(), options)
             passes = llvm.create_new_module_pass_manager()
             passes.add_sroa_pass()
             passes.add_instruction_combine_pass()

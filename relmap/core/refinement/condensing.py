@@ -154,7 +154,7 @@ class CondensedSegments:
         present, _, block = store.seen_with(-1, begin, end)
         steady = ~dynamic[present]
         own = block if steady.all() else block[steady]
-        free = np.count_nonzero(np.isfinite(own[:, :, 0]), axis=0) >= 2
+        free = np.isfinite(own[:, :, :1]).sum(axis=(0, 2)) >= 2
         while free.any():
             joined, R, t, points, seen, deviation = laid_together(own, free)
             visible, squares = _visibility(seen), float(np.sum(deviation**2))
