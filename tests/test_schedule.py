@@ -149,3 +149,13 @@ def test_one_in_view_is_there_once_after_a_merge() -> None:
     table.merge(1, 0)
     schedule.merge(1, 0)
     assert schedule.in_view.tolist() == [0]
+
+
+def test_one_merged_before_it_leaves_has_left_once() -> None:
+    schedule, table = begun()
+    for k, seen in enumerate([[0], [], [], [], [1], [], []]):
+        see(schedule, table, seen, k)
+    table.merge(1, 0)
+    schedule.merge(1, 0)
+    assert see(schedule, table, [], 7) == [0]
+    assert schedule.gone.tolist() == [0]

@@ -225,14 +225,10 @@ def _timing(fed: Fed, segmented: bool) -> dict[str, float | None]:
             "segmentation_share": float(prepare_s.sum() / total_s.sum()) if len(total_s) else None,
             "scan_median_ms": _median_ms(total_s),
         }
-    stages_s = {
-        "mapping": fed.durations_s[:, 1].sum(),
-        "finish": fed.finish_s,
-        "refine": fed.refine_s,
-    }
+    stages_s = {"mapping_s": fed.durations_s[:, 1].sum(), "finish_s": fed.finish_s}
     if segmented:
-        stages_s = {"segmentation": prepare_s.sum()} | stages_s
-    stages = {f"{stage}_s": float(seconds) for stage, seconds in stages_s.items()}
+        stages_s["segmentation_s"] = prepare_s.sum()
+    stages = {stage: float(seconds) for stage, seconds in stages_s.items()}
     return times | {"refine_ms": 1e3 * fed.refine_s} | stages
 
 

@@ -164,6 +164,7 @@ class PlaneMapper(LocatingMapper):
 
     def _finish(self) -> None:
         self._attach()
+        self._weak = None
         cut = self._planes.tie()
         super()._finish()
         self._planes.links.cut(np.union1d(cut, unsupported_links(self.history, self._planes.links)))

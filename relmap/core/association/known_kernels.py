@@ -14,7 +14,7 @@ MIX = 0x1E3779B97F4A7C15
 @helper
 def _slot(slots: Ints, labels: Ints, label: int) -> int:
     """Return the slot of an id, or the free one where it belongs, by linear probing."""
-    at = ((label * MIX) >> 32) & (len(slots) - 1)
+    at = (((label ^ (label >> 32)) * MIX) >> 32) & (len(slots) - 1)
     while slots[at] >= 0 and labels[slots[at]] != label:
         at = (at + 1) & (len(slots) - 1)
     return at

@@ -21,7 +21,7 @@ from typing import Any, TypeVar, cast
 import llvmlite.binding as llvm
 import numba
 from numba.core import event
-from numba.core.codegen import JITCodeLibrary
+from numba.core.codegen import JITCodeLibrary, get_host_cpu_features
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import FunctionPass, register_pass
 from numba.core.typed_passes import NopythonTypeInference
@@ -50,8 +50,9 @@ NOT_KEPT = "in every run, unless NUMBA_CACHE_DIR names a folder that can be writ
 def _machine() -> Any:
     """Return the processor for which code is optimised."""
     target = llvm.Target.from_triple(llvm.get_process_triple())
-    features = llvm.get_host_cpu_features().flatten()
-    return target.create_target_machine(llvm.get_host_cpu_name(), features)
+    return target.create_target_machine(
+        llvm.get_host_cpu_name(), cast("Any", get_host_cpu_features)()
+    )
 
 
 class _Unoptimised(cast("Any", JITCodeLibrary)):  # type: ignore[misc]

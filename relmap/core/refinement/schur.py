@@ -79,13 +79,14 @@ class Elimination:
         self._bodies = begin, seen, times, free, free_in_matrix
         first = np.append(np.flatnonzero(np.diff(stretch, prepend=-1)), len(stretch))
         u, of = pattern.n_unknowns, np.repeat(np.arange(len(first) - 1), np.diff(begin[first]))
-        k = kept.shape[1] if _are_blocks(kept) else 1  # of blocks, only the first one is sorted
+        width = kept.shape[1]
+        k = width if _are_blocks(kept) else 1  # of blocks, only the first one is sorted
         found, number = np.unique(of[:, None] * u + kept[seen, ::k], return_inverse=True)
         found = (found[:, None] + np.arange(k)).ravel()
-        number = k * number.reshape(len(seen), -1, 1) + np.arange(k)
+        number = k * number.reshape(-1, width // k, 1) + np.arange(k)
         starts = np.searchsorted(found, np.arange(len(first)) * u)
         self._number = np.zeros_like(kept)
-        self._number[seen] = number.reshape(len(seen), -1) - starts[of][:, None]
+        self._number[seen] = number.reshape(-1, width) - starts[of][:, None]
         self._stretches = first, starts, found % u
 
     def equations(

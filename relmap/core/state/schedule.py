@@ -66,6 +66,7 @@ class GroupingSchedule:
         if len(left) or len(arrived):
             self._in_view = in_view
             self._gone = np.concatenate([self.gone, left])
+            of.is_gone[left] = True
         return left
 
     def note_due(self, landmarks: Ints) -> None:

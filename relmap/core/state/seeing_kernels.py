@@ -37,7 +37,7 @@ def see(
         if iteration - last[one] <= max_missed:
             now[n_now], n_now = one, n_now + 1
         else:
-            left[n_left], n_left, is_gone[one] = one, n_left + 1, True
+            left[n_left], n_left = one, n_left + 1
     for k in range(n_arrived):
         now[n_now + k] = arrived[k]
     return now[: n_now + n_arrived], left[:n_left], arrived[:n_arrived]
