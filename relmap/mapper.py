@@ -1,34 +1,21 @@
-"""The public interface of all mappers: results, journal, saved state."""
+"""The public interface of the mappers of points and walls."""
 
 from __future__ import annotations
 
-import platform
 from abc import abstractmethod
-from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from os import PathLike
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, TypeVar
-
-import numpy as np
+from typing import Any, NamedTuple, Self
 
 from relmap.core import afterwards
-from relmap.core.arrays import Floats, Ints
+from relmap.core.arrays import Floats
 from relmap.core.config import MapperConfig
-from relmap.core.errors import RelmapError
-from relmap.core.guard import ChangeGuard, reads_whole
+from relmap.core.guard import reads_whole
 from relmap.core.linalg.threads import one_thread
 from relmap.core.mapper import RelativeMapper
 from relmap.core.model import LandmarkModel
-from relmap.core.stamps import Stamps
 from relmap.mapped import Mapped
-
-if TYPE_CHECKING:
-    from relmap.io.journal import Journal, JournalReader, RecordedScan
-
-M = TypeVar("M", bound="Mapper")
-
-_MAPS = {"PointMapper": "a map of points", "PlaneMapper": "a map of walls"}
+from relmap.recorded import Recorded
 
 
 class Place(NamedTuple):
@@ -46,26 +33,21 @@ class Place(NamedTuple):
     n_places: int
 
 
-@reads_whole("finish", "flush", "close")
-class Mapper(Mapped):
+@reads_whole("finish")
+class Mapper(Recorded, Mapped):
     """An engine with a journal, a saved state and tables of its results.
 
     Parameters
     ----------
     config : MapperConfig, optional
-    journal : path, optional
-        A new SQLite file, see `relmap.io.journal.layout`. Scans are committed about once a second
-        and by `flush`; `resume` continues from it after a crash.
-    run : dict, optional
-        Description of the run to store in the journal; must be JSON serialisable.
+    journal, run
+        See `Recorded`.
 
     Raises
     ------
     RelmapError
         If the journal already exists or cannot be written.
     """
-
-    _variant: ClassVar[str]
 
     def __init__(
         self,
@@ -75,21 +57,8 @@ class Mapper(Mapped):
     ) -> None:
         self.config = config or MapperConfig()
         self.config.refuse(self._unused)
-        self._guard = ChangeGuard()
-        self._stamps = Stamps()
         self._engine = RelativeMapper(self._model(), self.config)
-        self._journal: Journal | None = None
-        if journal is not None:
-            from relmap.io.journal import Journal
-            from relmap.io.journal.layout import LAYOUTS
-
-            meta = {
-                "variant": self._variant,
-                "configuration": asdict(self.config),
-                "versions": _versions(),
-                "run": run,
-            }
-            self._journal = Journal.create(Path(journal), LAYOUTS[self._variant], meta)
+        super().__init__(journal, run)
 
     def finish(self) -> None:
         """Group unmapped landmarks in view, and run the last pass of those that left."""
@@ -100,174 +69,18 @@ class Mapper(Mapped):
     def _finish(self) -> None:
         afterwards.finish(self.engine)
 
-    @classmethod
-    def resume(
-        cls, journal: PathLike[str] | str, after: Callable[[Self], object] | None = None
-    ) -> Self:
-        """Restore a mapper from its journal, in the state after the last recorded scan.
-
-        The scans of the journal are mapped again, which gives bit-identical results. The mapper
-        then continues to write the journal.
-
-        Parameters
-        ----------
-        journal : path
-        after : callable, optional
-            Called with the mapper after each scan.
-
-        Raises
-        ------
-        RelmapError
-            If there is no journal, it belongs to another variant or a newer relmap, is damaged, or
-            mapping the scans again gives other results than those recorded.
-        """
-        from relmap.io.journal import Journal, JournalReader
-
-        with JournalReader(Path(journal)) as reader:
-            if reader.layout.variant != cls._variant:
-                raise RelmapError(
-                    f"journal {reader.path} is of {reader.layout.variant}, and {cls.__name__} maps "
-                    f"{cls._variant}"
-                )
-            mapper = cls(MapperConfig.from_mapping(reader.meta["configuration"]))
-            for _ in mapper._replayed(reader):
-                if after is not None:
-                    after(mapper)
-        mapper._journal = Journal.go_on(reader)
-        return mapper
-
-    def save(self, path: PathLike[str] | str) -> None:
-        """Save the whole state; a mapper loaded from it continues with bit-identical results.
-
-        Neither the journal nor a segmenter is saved.
-
-        Parameters
-        ----------
-        path : path
-            The file, usually ``.npz``; an existing file is replaced.
-
-        Raises
-        ------
-        RelmapError
-            If it cannot be written.
-        """
-        from relmap.io.saving import save_state
-
-        kind, settings = type(self).__name__, asdict(self.config)
-        about = {"mapper": kind, "configuration": settings, "versions": _versions()}
-        save_state(Path(path), self._parts, about)
+    @property
+    def _configuration(self) -> dict[str, Any]:
+        return asdict(self.config)
 
     @classmethod
-    def load(cls, path: PathLike[str] | str) -> Self:
-        """Load a mapper that `save` wrote; `Mapper.load` accepts every variant.
-
-        No code in the file is executed, but its values are not verified: load only trusted files.
-
-        Parameters
-        ----------
-        path : path
-
-        Raises
-        ------
-        RelmapError
-            If there is no such file, it is damaged, or it was saved by another variant or an
-            incompatible version.
-        """
-        from relmap.io.saving import load_state
-
-        made: list[Self] = []
-
-        def begin(header: dict[str, Any]) -> list[Any]:
-            name = header["mapper"]
-            kind = next((kind for kind in _kinds(cls) if kind.__name__ == name), None)
-            if kind is None:
-                found, wanted = (_MAPS.get(of, f"a {of}") for of in (f"{name!s:.20}", cls.__name__))
-                raise RelmapError(f"{path} holds {found}, not {wanted}")
-            made.append(kind(MapperConfig.from_mapping(header["configuration"])))
-            return made[0]._parts
-
-        load_state(Path(path), begin)
-        return made[0]
-
-    def flush(self) -> None:
-        """Commit all scans to the journal; do nothing if there is none.
-
-        Raises
-        ------
-        RelmapError
-            If it cannot be written.
-        """
-        if self._journal is not None:
-            with self._guard.change():
-                self._journal.flush()
-
-    def close(self) -> None:
-        """Flush and close the journal; do nothing if there is none.
-
-        Raises
-        ------
-        RelmapError
-            If it cannot be written.
-        """
-        if self._journal is not None:
-            self._journal.close()
-            self._journal = None
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Leave out the journal: a copy has none."""
-        return self.__dict__ | {"_journal": None}
-
-    def _note_call(self, name: str) -> None:
-        if self._journal is not None:
-            self._journal.call(name)
-
-    def _replayed(self, reader: JournalReader) -> Iterator[None]:
-        """Map the scans of a journal, one at a time."""
-        for k, scan in enumerate(reader.scans()):
-            for call in reader.calls.get(k, []):
-                getattr(self, call)()
-            if not np.array_equal(self._again(scan), scan.labels):
-                raise RelmapError(
-                    f"journal {reader.path}: iteration {k} mapped again gives landmarks other than "
-                    f"were recorded; it was written by {_listed(reader.meta.get('versions'))}, "
-                    f"and this is {_listed(_versions())}"
-                )
-            yield
+    def _configured(cls, configuration: Any) -> Self:
+        return cls(MapperConfig.from_mapping(configuration))
 
     @property
     def _parts(self) -> list[Any]:
-        """The parts with state, see `relmap.core.state.saved`."""
         return [self._stamps, self.engine]
 
     @abstractmethod
     def _model(self) -> LandmarkModel:
         """Return the kind of landmark that is mapped."""
-
-    @abstractmethod
-    def _again(self, scan: RecordedScan) -> Ints:
-        """Map one scan of the journal."""
-
-
-def _kinds(mapper: type[M]) -> list[type[M]]:
-    """Return a class of mappers and all that are derived from it."""
-    return [mapper, *(kind for each in mapper.__subclasses__() for kind in _kinds(each))]
-
-
-def _versions() -> dict[str, str]:
-    import scipy
-
-    import relmap
-
-    return {
-        "relmap": relmap.__version__,
-        "python": platform.python_version(),
-        "numpy": np.__version__,
-        "scipy": scipy.__version__,
-        "machine": platform.machine(),
-    }
-
-
-def _listed(versions: Any) -> str:
-    if not isinstance(versions, dict):
-        return "unknown versions"
-    return ", ".join(f"{name} {version}" for name, version in versions.items())

@@ -189,7 +189,7 @@ def test_two_threads_that_share_a_mapper_are_refused() -> None:
     [
         (PointMapper(), POINTS[0], "relmap.core.readout.landmark_map"),
         (PlaneMapper(), WALLS[0], "relmap.planes.mapped.corner_map"),
-        (Plane3dMapper(), SIDES, "relmap.planes3d.mapper.plane_table"),
+        (Plane3dMapper(), SIDES, "relmap.planes3d.mapped.plane_table"),
     ],
     ids=["points", "walls", "planes3d"],
 )

@@ -157,7 +157,7 @@ class PlaneMapper(LocatingMapper):
         self._stamps.append(stamp_s, self.engine.store.n_iterations - 1)
         if self._journal is not None:
             values, beams = journaled(seen), seen.beams.to_bytes()
-            self._journal.append(values, None, walls, beams=beams, odometry=motion, stamp_s=stamp_s)
+            self._journal.append(values, None, walls, blob=beams, odometry=motion, stamp_s=stamp_s)
         if self._onto is not None:
             self._onto.see(seen, self._planes.links)
         return walls
@@ -283,7 +283,7 @@ class PlaneMapper(LocatingMapper):
 
     def _again(self, scan: RecordedScan) -> Ints:
         seen = checked_planes(of_journal(scan.values))
-        seen = replace(seen, beams=GivenBeams.from_bytes(scan.beams))
+        seen = replace(seen, beams=GivenBeams.from_bytes(scan.blob))
         time_s = None if scan.stamp_s is None else self._stamps.checked(scan.stamp_s)
         with self._guard.change():
             return self._take_in(seen, scan.odometry, time_s)

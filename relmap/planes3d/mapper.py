@@ -3,26 +3,28 @@
 from __future__ import annotations
 
 import itertools
-from html import escape
-from typing import Any
+from os import PathLike
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from relmap.core.arrays import Floats, Ints
+from relmap.core.arrays import Ints
 from relmap.core.errors import RelmapError
-from relmap.core.guard import ChangeGuard, reads_whole
+from relmap.core.guard import reads_whole
 from relmap.core.linalg.threads import one_thread
-from relmap.core.scan import checked_labels
-from relmap.core.stamps import Stamps
 from relmap.planes3d.doubting import is_doubtful, is_tied_doubtfully, sight_of
 from relmap.planes3d.hypotheses import Held
+from relmap.planes3d.journaled import checked_patches, journaled, of_journal
+from relmap.planes3d.mapped import Mapped3d
 from relmap.planes3d.placing import Placed, place
 from relmap.planes3d.refining import refined, unsure_steps
 from relmap.planes3d.submap import Submap
 from relmap.planes3d.surfaces import Surfaces
-from relmap.planes3d.table import Plane3dTable, plane_table
 from relmap.segmentation.space import Patches, PatchSegmenter
+
+if TYPE_CHECKING:
+    from relmap.io.journal import RecordedScan
 
 Span = tuple[int, int]
 LEAST_SCANS, MOST_TIED = 3, 12
@@ -32,7 +34,7 @@ STEADY = 6
 
 
 @reads_whole("update", "finish", "refine")
-class Plane3dMapper:
+class Plane3dMapper(Mapped3d):
     """Maps planes of any direction with a carried lidar or depth camera, in six degrees of freedom.
 
     A scan is placed among the planes of the previous scans by what does not depend on the motion:
@@ -45,11 +47,15 @@ class Plane3dMapper:
         Finds the planes of a cloud; default settings if omitted.
     max_missed : int
         A plane that was not seen in more than this many scans is not matched in the next one.
+    journal : path, optional
+        A new file that records the planes of every scan, so that `resume` can continue from it.
+    run : dict, optional
+        Description of the run to store in the journal.
 
     Raises
     ------
     RelmapError
-        If `max_missed` is less than 1.
+        If `max_missed` is less than 1, or the journal exists or cannot be written.
 
     Examples
     --------
@@ -66,15 +72,24 @@ class Plane3dMapper:
     [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.2, 0.0, 0.0]]
     """
 
-    def __init__(self, segmenter: PatchSegmenter | None = None, max_missed: int = 10) -> None:
+    _variant = "planes3d"
+
+    STATE = "submaps=_submaps _n_iterations _n_planes numbers=_name"
+
+    def __init__(
+        self,
+        segmenter: PatchSegmenter | None = None,
+        max_missed: int = 10,
+        journal: PathLike[str] | str | None = None,
+        run: dict[str, Any] | None = None,
+    ) -> None:
         if max_missed < 1:
             raise RelmapError(f"max_missed is {max_missed}; it must be at least 1")
         self.segmenter = segmenter or PatchSegmenter()
         self.max_missed = max_missed
-        self._guard, self._stamps = ChangeGuard(), Stamps()
-        self._parts: list[Submap] = []
+        self._submaps, self._name = [], {}
         self._n_iterations = self._n_planes = 0
-        self._name: dict[int, int] = {}
+        super().__init__(journal, run)
 
     def update(self, points: ArrayLike | Patches, stamp_s: float | None = None) -> Ints:
         """Add a scan.
@@ -96,11 +111,16 @@ class Plane3dMapper:
         RelmapError
             If the scan is invalid; the mapper is unchanged.
         """
-        seen = points if isinstance(points, Patches) else self._segmented(points)
+        seen = checked_patches(points if isinstance(points, Patches) else self._segmented(points))
         with self._guard.change():
             time_s = None if stamp_s is None else self._stamps.checked(stamp_s)
+            if self._journal is not None:
+                self._journal.ready()
             labels = self._take_in(seen)
             self._stamps.append(time_s, self._n_iterations - 1)
+            if self._journal is not None:
+                values, cells = journaled(seen)
+                self._journal.append(values, None, labels, blob=cells, stamp_s=time_s)
             return labels
 
     def _segmented(self, points: ArrayLike) -> Patches:
@@ -113,19 +133,19 @@ class Plane3dMapper:
         if not len(seen):
             return np.empty(0, dtype=np.int64)
         pose, number = (np.eye(3), np.zeros(3)), np.full(len(seen), -1)
-        placed = self._placed(seen, iteration) if self._parts else None
+        placed = self._placed(seen, iteration) if self._submaps else None
         if placed is None:
-            self._parts.append(Submap())
+            self._submaps.append(Submap())
         else:
             pose, number = (placed.R, placed.t), placed.match
             if placed.free is not None:
-                self._parts[-1].weak[iteration] = placed.R.T @ placed.free
+                self._submaps[-1].weak[iteration] = placed.R.T @ placed.free
             if placed.is_held:
-                self._parts[-1].held.add(iteration)
+                self._submaps[-1].held.add(iteration)
         new = number < 0
         number[new] = self._n_planes + np.arange(new.sum())
         self._n_planes += int(new.sum())
-        self._parts[-1].add(iteration, seen, pose, number)
+        self._submaps[-1].add(iteration, seen, pose, number)
         return number.copy()
 
     def finish(self) -> None:
@@ -137,6 +157,7 @@ class Plane3dMapper:
         """
         failed: set[tuple[Span, Span]] = set()
         with self._guard.change(), one_thread():
+            self._note_call("finish")
             while self._tied_two(failed):
                 pass
             self._name_unsure()
@@ -149,97 +170,38 @@ class Plane3dMapper:
         Uncertain steps are found again, see `weak_links`.
         """
         with self._guard.change(), one_thread():
-            for k, part in enumerate(self._parts):
+            self._note_call("refine")
+            for k, part in enumerate(self._submaps):
                 if len(part.iteration) > 1:
-                    self._parts[k], name = refined(part, self._n_planes)
-                    self._n_planes = max(self._n_planes, int(self._parts[k].number.max()) + 1)
+                    self._submaps[k], name = refined(part, self._n_planes)
+                    self._n_planes = max(self._n_planes, int(self._submaps[k].number.max()) + 1)
                     self._rename(name)
             self._name_unsure()
 
-    def landmarks_of(self, labels: ArrayLike) -> Ints:
-        """Return the current numbers of landmarks.
+    @property
+    def _configuration(self) -> dict[str, Any]:
+        return self.settings
 
-        Parameters
-        ----------
-        labels : (n,) array of int
-            Numbers that `update` returned.
+    @classmethod
+    def _configured(cls, configuration: Any) -> Self:
+        try:
+            settings = dict(configuration)
+            max_missed = settings.pop("max_missed")
+            return cls(PatchSegmenter(**settings), max_missed)
+        except (TypeError, LookupError, ValueError) as error:
+            raise RelmapError(f"{configuration!s:.80} are not settings of planes3d") from error
 
-        Returns
-        -------
-        (n,) int64
-
-        Raises
-        ------
-        RelmapError
-            If `update` has not returned one of the numbers.
-        """
+    @property
+    def _parts(self) -> list[Any]:
         self._guard.check()
-        checked = checked_labels(labels, np.arange(self._n_planes))
-        return np.array([self._name.get(label, label) for label in checked.tolist()], np.int64)
+        return [self._stamps, self]
 
-    @property
-    def n_iterations(self) -> int:
-        """Number of scans, empty ones included."""
-        self._guard.check()
-        return self._n_iterations
-
-    @property
-    def stamps_s(self) -> Floats:
-        """Time of each iteration (k,), seconds, as given to `update`; NaN where none was given."""
-        return self._stamps.of(self.n_iterations)
-
-    @property
-    def settings(self) -> dict[str, Any]:
-        """The settings, by name."""
-        chosen = self.segmenter
-        return {
-            "max_missed": self.max_missed,
-            "voxel_m": chosen.voxel_m,
-            "min_points": chosen.min_points,
-            "most": chosen.most,
-        }
-
-    @property
-    def submaps(self) -> list[Submap]:
-        """The parts of the run that are not tied to each other, largest number of scans first."""
-        self._guard.check()
-        return sorted(self._parts, key=lambda part: (-len(part.iteration), part.iteration[0]))
-
-    @property
-    def planes(self) -> Plane3dTable:
-        """All planes, each in the frame of its submap; those of the first submap are mapped."""
-        return plane_table(self.submaps)
-
-    @property
-    def trajectory(self) -> Floats:
-        """``T_map_sensor`` of each iteration (k, 4, 4); NaN outside the first submap."""
-        poses = np.full((self._n_iterations, 4, 4), np.nan)
-        for part in self.submaps[:1]:
-            poses[part.iteration] = part.trajectory
-        return poses
-
-    @property
-    def weak_links(self) -> dict[int, Floats]:
-        """The iterations whose position is poorly determined, and the direction.
-
-        The direction (3,), sensor frame, is one in which the planes of the scan did not determine
-        the position well, so that constant motion may have been assumed; or, after `finish` or
-        `refine`, one in which the step from the scan before is uncertain.
-        """
-        self._guard.check()
-        found = [part.unsure | part.weak for part in self._parts]
-        return {k: free for each in found for k, free in sorted(each.items())}
-
-    def __repr__(self) -> str:
-        mapped = np.sum(self.planes.status == "static")
-        return f"{type(self).__name__}({self.n_iterations} iterations, {mapped} planes mapped)"
-
-    def _repr_html_(self) -> str:
-        return f"<p>{escape(repr(self))}</p>{self.planes.to_html()}"
+    def _again(self, scan: RecordedScan) -> Ints:
+        return self.update(of_journal(scan.values, scan.blob), scan.stamp_s)
 
     def _name_unsure(self) -> None:
         """Find the uncertain steps of all submaps."""
-        for part in self._parts:
+        for part in self._submaps:
             part.unsure = unsure_steps(part) if len(part.iteration) > 1 else {}
 
     def _placed(self, seen: Patches, iteration: int) -> Placed | None:
@@ -247,7 +209,7 @@ class Plane3dMapper:
 
         What the scan sees of the landmarks is counted.
         """
-        part = self._parts[-1]
+        part = self._submaps[-1]
         chosen = np.flatnonzero(part.recent(iteration, self.max_missed))
         if not len(chosen):
             return None
@@ -282,9 +244,9 @@ class Plane3dMapper:
         match = placed.named(other.number).match.tolist()
         name = {a: b for a, b in zip(part.number.tolist(), match, strict=True) if b >= 0}
         both = other.joined(part, (placed.R, placed.t), name)
-        parts = [each for each in self._parts if each not in (part, other)]
+        parts = [each for each in self._submaps if each not in (part, other)]
         # The next scan is added to the last submap: the one that holds the latest scan.
-        self._parts = sorted([*parts, both], key=lambda each: each.iteration[-1])
+        self._submaps = sorted([*parts, both], key=lambda each: each.iteration[-1])
         self._rename(name)
         return True
 

@@ -16,7 +16,6 @@ MOST_LOOSE = 20
 THROUGH, MANY = 0.5, 10
 """A plane is dynamic if more than this fraction of the looks at its cells, and this number of them,
 go through: the surface was there, and is not any more."""
-NOWHERE, NOTHING = np.empty((0, 3)), np.empty(0, dtype=np.int64)
 
 
 class Submap:
@@ -36,7 +35,7 @@ class Submap:
         Iterations whose step from the scan before all observations together determine poorly, and
         the direction, robot frame; set by `finish` and `refine`.
     seen : list of Patches
-        Patches of each scan, robot frame; without cells, see `scan`.
+        Patches of each scan, robot frame, with the cells that it saw first.
     match : list of (m,) int64
         The landmark of each patch of a scan.
     number : (l,) int64
@@ -53,26 +52,46 @@ class Submap:
         None before it is estimated by refinement.
     """
 
+    iteration: list[int]
+    poses: list[Pose]
+    weak: dict[int, Floats]
+    held: set[int]
+    unsure: dict[int, Floats]
+    seen: list[Patches]
+    match: list[Ints]
+    sights: dict[int, Ints]
+    share: float | None
+    _loose: dict[int, int]
+
+    STATE = (
+        "iteration poses weak held unsure seen match number scatter last sights share "
+        "_normal _cells _cell_of _loose"
+    )
+
     def __init__(self) -> None:
-        self.iteration: list[int] = []
-        self.poses: list[Pose] = []
-        self.weak: dict[int, Floats] = {}
-        self.held: set[int] = set()
-        self.unsure: dict[int, Floats] = {}
-        self.seen: list[Patches] = []
-        self.match: list[Ints] = []
+        self.iteration, self.poses, self.seen, self.match = [], [], [], []
+        self.weak, self.held, self.unsure = {}, set(), {}
         self.number = np.empty(0, dtype=np.int64)
         self.scatter = np.empty((0, 4, 4))
         self.last = np.empty(0, dtype=np.int64)
-        self.sights: dict[int, Ints] = {}
-        self.share: float | None = None
+        self.sights, self.share = {}, None
         self._row: dict[int, int] = {}
         self._normal = np.empty((0, 3))
         self._cells = np.empty((0, 3))
         self._cell_of = np.empty(0, dtype=np.int64)
-        self._untransformed: list[tuple[Floats, Ints]] = []
         self._known: set[tuple[int, int]] = set()
-        self._loose: dict[int, int] = {}
+        self._loose = {}
+
+    def restored(self) -> None:
+        """Make what follows from the state."""
+        from relmap.planes3d.nearest_kernels import keys_of
+
+        self._row = {number: row for row, number in enumerate(self.number.tolist())}
+        ends = np.cumsum([len(seen.cells) for seen in self.seen])
+        parts = np.split(np.arange(len(self._cells)), ends[:-1])
+        for seen, part in zip(self.seen, parts, strict=True):
+            keys = keys_of(self._cells[part], seen.cell_m).tolist()
+            self._known.update(zip(self._cell_of[part].tolist(), keys, strict=True))
 
     def __len__(self) -> int:
         """Return the number of landmarks."""
@@ -98,13 +117,12 @@ class Submap:
         np.add.at(self.scatter, match, moved(seen.scatter, R, t))
         self.last[match] = iteration
         fresh = self._add_cells(seen.cells @ R.T + t, match[seen.cell_patch], seen.cell_m)
-        # Cells where a plane was seen before are dropped: memory grows with the map only.
-        self._untransformed.append((seen.cells[fresh], seen.cell_patch[fresh]))
         self.iteration.append(iteration)
         self.poses.append(pose)
         if not sparse:
             seen = replace(seen, loose=seen.loose[self._sparse(seen.loose @ R.T + t, seen.cell_m)])
-        self.seen.append(replace(seen, cells=NOWHERE, cell_patch=NOTHING))
+        # Cells where a plane was seen before are dropped: memory grows with the map only.
+        self.seen.append(replace(seen, cells=seen.cells[fresh], cell_patch=seen.cell_patch[fresh]))
         self.match.append(match)
 
     def count_sights(self, number: Ints, of: Ints, there: Bools, through: Bools) -> None:
@@ -130,8 +148,7 @@ class Submap:
 
     def scan(self, k: int) -> Patches:
         """Return the patches of a scan, robot frame, with the cells that it saw first."""
-        cells, patch = self._untransformed[k]
-        return replace(self.seen[k], cells=cells, cell_patch=patch)
+        return self.seen[k]
 
     def _add_cells(self, cells: Floats, of: Ints, cell_m: float) -> list[int]:
         """Add cells (c, 3) of landmarks (c,); return those that are new."""

@@ -2,14 +2,16 @@
 
 A part of the engine lists its state attributes in `STATE`, as ``_attribute``, saved without the
 underscore, or ``name=attribute``; for a dataclass without `STATE` it is all fields. The type of an
-attribute is given by its annotation in the class, or else by its value in a new part.
+attribute is given by its annotation in the class, or else by its value in a new part. A list or
+dictionary of arrays, or of records or tuples of arrays and numbers, has one column for each of
+them, with the number of rows of each array.
 """
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
 from functools import cache
 from types import NoneType
 from typing import Any, get_args, get_origin, get_type_hints
@@ -22,6 +24,7 @@ from relmap.core.state.growing import GrowingArray
 
 PLAIN = {bool: (bool,), int: (int,), float: (float, int), str: (str,), NoneType: ()}
 """Types of plain values, and their allowed JSON types."""
+NUMBERS = (bool, int, float)
 
 
 class OtherColumnsError(ValueError):
@@ -51,6 +54,24 @@ def _kind(hint: Any, now: Any) -> tuple[type, tuple[Any, ...]]:
     return get_origin(hint) or hint, get_args(hint)
 
 
+def _entries(hint: Any) -> dict[str, Any]:
+    """Return the types of the entries of a record or a tuple by name; none for other types."""
+    kind, of = _kind(hint, None)
+    if kind is tuple:
+        return {str(k): entry for k, entry in enumerate(of)}
+    if not is_dataclass(kind) or hasattr(kind, "STATE"):
+        return {}
+    return {name: entry for name, (_, entry) in _members(kind).items()}
+
+
+def _is_flat(hint: Any) -> bool:
+    """Return whether a type is an array, or a record or tuple of arrays and numbers."""
+    if get_origin(hint) is np.ndarray:
+        return True
+    entries = () if NoneType in get_args(hint) else _entries(hint).values()
+    return bool(entries) and all(entry in NUMBERS or _is_flat(entry) for entry in entries)
+
+
 class StateWriter:
     """Collects the columns of parts.
 
@@ -75,15 +96,12 @@ class StateWriter:
             self.columns[name] = value.item() if isinstance(value, np.generic) else value
         elif kind in (np.ndarray, GrowingArray):
             self.columns[name] = value if isinstance(value, np.ndarray) else value.values
-        elif kind is dict and of[0] is str:
-            for key, column in value.items():
-                self._add(f"{name}/{key}", column, None)
-        elif kind is dict and (of[1] is int or get_origin(of[1]) is list):
-            self.columns[name] = _rows(value)
         elif kind is dict:
-            self._add_records(name, value, of[1])
-        elif kind in (list, tuple) and set(of) <= set(PLAIN):
-            self.columns[name] = list(value)
+            self._add_dict(name, value, *of)
+        elif kind is list and of and _is_flat(of[0]):
+            self._add_each(name, value, of[0])
+        elif kind in (list, tuple, set) and set(of) <= set(PLAIN):
+            self.columns[name] = sorted(value) if kind is set else list(value)
         elif kind in (list, tuple):
             self.columns[name] = len(value)
             for k, item in enumerate(value):
@@ -91,13 +109,27 @@ class StateWriter:
         else:
             self.add(value, f"{name}/")
 
-    def _add_records(self, name: str, records: dict[int, Any], cls: type) -> None:
-        self.columns[f"{name}/number"] = np.array(list(records), dtype=np.int64)
-        for key, (attribute, _) in _members(cls).items():
-            arrays = [getattr(record, attribute) for record in records.values()]
-            self.columns[f"{name}/{key}_rows"] = np.array([len(a) for a in arrays], dtype=np.int64)
-            if arrays:
-                self.columns[f"{name}/{key}"] = np.concatenate(arrays)
+    def _add_dict(self, name: str, values: dict[Any, Any], key_type: Any, of: Any) -> None:
+        if key_type is str:
+            for key, column in values.items():
+                self._add(f"{name}/{key}", column, None)
+        elif of is int or get_origin(of) is list:
+            self.columns[name] = _rows(values)
+        else:
+            self.columns[f"{name}/number"] = np.array(list(values), dtype=np.int64)
+            self._add_each(name, list(values.values()), of)
+
+    def _add_each(self, name: str, items: list[Any], hint: Any) -> None:
+        """Add the columns of items of one flat type."""
+        if hint in NUMBERS:
+            self.columns[name] = np.array(items, dtype=hint)
+        elif get_origin(hint) is np.ndarray:
+            self.columns[f"{name}_rows"] = np.array([len(a) for a in items], dtype=np.int64)
+            if items:
+                self.columns[name] = np.concatenate(items)
+        for key, entry in _entries(hint).items():
+            values = [each[int(key)] if key.isdigit() else getattr(each, key) for each in items]
+            self._add_each(f"{name}/{key}", values, entry)
 
 
 def _rows(lists: dict[int, Any]) -> Ints:
@@ -154,10 +186,12 @@ class StateReader:
             return {key: self._value(f"{name}/{key}", None, value) for key, value in now.items()}
         if kind is dict:
             return self._dict(name, of[1])
-        if kind in (list, tuple):
+        if kind is list and of and _is_flat(of[0]):
+            return self._each(name, of[0])
+        if kind in (list, tuple, set):
             return kind(self._items(name, kind, of))
-        if hasattr(kind, "STATE") and not hasattr(kind, "__dataclass_fields__"):
-            made = part.blank() if now is None else now
+        if hasattr(kind, "STATE") and not is_dataclass(kind):
+            made = now if now is not None else kind() if part is None else part.blank()
             self.restore(made, f"{name}/")
             return made
         return self._record(kind, f"{name}/")
@@ -183,7 +217,8 @@ class StateReader:
 
     def _dict(self, name: str, of: Any) -> dict[int, Any]:
         if of is not int and get_origin(of) is not list:
-            return self._records(name, of)
+            numbers = self._array(f"{name}/number", np.int64, 1).tolist()
+            return dict(zip(numbers, self._each(name, of), strict=True))
         rows = self._array(name, np.int64, 2).reshape(-1, 2).tolist()
         if of is int:
             return dict(rows)
@@ -192,19 +227,22 @@ class StateReader:
             found.setdefault(key, []).append(item)
         return found
 
-    def _records(self, name: str, cls: type) -> dict[int, Any]:
-        """Return records, whose columns are stored concatenated."""
-        numbers = self._array(f"{name}/number", np.int64, 1).tolist()
-        columns = []
-        for key, (_, hint) in _members(cls).items():
-            sizes = self._array(f"{name}/{key}_rows", np.int64, 1)
-            values = self._value(f"{name}/{key}", hint, None) if len(sizes) else np.empty(0)
+    def _each(self, name: str, hint: Any) -> list[Any]:
+        """Return items of one flat type, whose columns are stored concatenated."""
+        if hint in NUMBERS:
+            found: list[Any] = self._array(name, np.dtype(hint), 1).tolist()
+            return found
+        if get_origin(hint) is np.ndarray:
+            sizes = self._array(f"{name}_rows", np.int64, 1)
+            values = self._value(name, hint, None) if len(sizes) else np.empty(0)
             ends = np.append(0, np.cumsum(sizes)).tolist()
-            if len(sizes) != len(numbers) or ends[-1] != len(values) or (sizes < 0).any():
-                raise ValueError(f"{name}/{key} has {len(values)} rows, and not {ends[-1]}")
-            columns.append([values[begin:end] for begin, end in itertools.pairwise(ends)])
-        records = (cls(*row) for row in zip(*columns, strict=True))
-        return dict(zip(numbers, records, strict=True))
+            if ends[-1] != len(values) or (sizes < 0).any():
+                raise ValueError(f"{name} has {len(values)} rows, and not {ends[-1]}")
+            return [values[begin:end] for begin, end in itertools.pairwise(ends)]
+        columns = [self._each(f"{name}/{key}", entry) for key, entry in _entries(hint).items()]
+        kind, _ = _kind(hint, None)
+        rows = zip(*columns, strict=True)
+        return list(rows) if kind is tuple else [kind(*row) for row in rows]
 
     def _items(self, name: str, kind: type, of: tuple[Any, ...]) -> Iterable[Any]:
         if set(of) <= set(PLAIN):

@@ -1,23 +1,26 @@
-"""The tables of a journal, for points and for planes, and the statements that write a scan.
+"""The tables of a journal, for each variant, and the statements that write a scan.
 
 ``PRAGMA application_id`` marks a journal among SQLite files, ``PRAGMA user_version`` is the version
 of the tables.
 
 ``meta``
-    ``key`` and ``value``, a text in JSON: ``variant`` ("points" or "planes"), ``configuration`` of
-    the mapper, ``versions`` of relmap and of its dependencies, and ``run``: the arguments of the
-    command line, null if a library user keeps the journal. ``end`` has the number of ``scans`` and
-    the ``checksum`` at the end; it changes with each transaction.
+    ``key`` and ``value``, a text in JSON: ``variant`` ("points", "planes" or "planes3d"),
+    ``configuration`` of the mapper, ``versions`` of relmap and of its dependencies, and ``run``:
+    the arguments of the command line, null if a library user keeps the journal. ``end`` has the
+    number of ``scans`` and the ``checksum`` at the end; it changes with each transaction.
 ``scans``
     One row per update: ``iteration`` from 0, ``rows`` in ``observations``, ``known`` (1 if it has
-    ids), ``checksum``; of planes ``beams``, see `relmap.planes.scans.beams`, in bytes.
+    ids), ``checksum``; and in bytes, of planes ``beams``, see `relmap.planes.scans.beams`, and of
+    planes3d ``cells``, see `relmap.planes3d.journaled`.
 ``observations``
     One row per observation in the order of ``iteration`` and ``row``, as given to the mapper. For
     points ``x``, ``y``, ``z`` in the robot frame, metres, ``z`` null in a planar world, ``id`` null
     without one, and ``landmark``, the label assigned by the mapper. For planes the right end
     ``x0``, ``y0`` and the left end ``x1``, ``y1``, robot frame, metres, the extent ``z0``, ``z1``,
     ``sd`` of the wall's distance, ``end0`` and ``end1`` (1 for a corner, else 0), and ``landmark``,
-    the number of the wall.
+    the number of the wall. For planes3d the centre ``x``, ``y``, ``z``, the axes ``ux`` to ``nz``
+    with ``information_u`` and ``spread_u`` to ``spread_n`` along them, and ``points``, as in
+    `relmap.segmentation.space.Patches`, and ``landmark``.
 ``covariances``
     Only if points have covariances: ``iteration``, ``row``, and ``xx``, ``xy``, ``xz``, ``yy``,
     ``yz``, ``zz``, robot frame, square metres, those of z null in a planar world.
@@ -74,13 +77,13 @@ class Layout:
     """The columns of the observations of one variant.
 
     `values`: the columns of the observations, with their types; `has_ids`: whether observations may
-    have ids; `has_beams`: whether scans may have beams.
+    have ids; `blob`: name of what else a scan has, in bytes; empty if nothing.
     """
 
     variant: str
     values: tuple[str, ...]
     has_ids: bool
-    has_beams: bool
+    blob: str = ""
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -96,25 +99,29 @@ class Layout:
     @property
     def scans(self) -> str:
         """The names of the columns of scans, as SQL lists them."""
-        return "iteration, rows, known, checksum" + ", beams" * self.has_beams
+        return "iteration, rows, known, checksum" + (self.blob and f", {self.blob}")
 
     @property
     def tables(self) -> dict[str, str]:
         """The SQL statements that create the tables."""
-        beams = ", beams BLOB" * self.has_beams
+        blob = self.blob and f", {self.blob} BLOB"
         return {
             "meta": META,
             "scans": "CREATE TABLE scans (iteration INTEGER PRIMARY KEY, rows INTEGER, "
-            f"known INTEGER, checksum INTEGER{beams})",
+            f"known INTEGER, checksum INTEGER{blob})",
             "observations": f"CREATE TABLE observations ({', '.join(self.columns)})",
             "calls": "CREATE TABLE calls (iteration INTEGER, call TEXT)",
         }
 
 
-POINTS = Layout("points", ("x REAL", "y REAL", "z REAL"), has_ids=True, has_beams=False)
+POINTS = Layout("points", ("x REAL", "y REAL", "z REAL"), has_ids=True)
 _WALL = [f"{name} REAL" for name in ("x0", "y0", "x1", "y1", "z0", "z1", "sd")]
-PLANES = Layout("planes", (*_WALL, "end0 INTEGER", "end1 INTEGER"), has_ids=False, has_beams=True)
-LAYOUTS = {layout.variant: layout for layout in (POINTS, PLANES)}
+PLANES = Layout("planes", (*_WALL, "end0 INTEGER", "end1 INTEGER"), has_ids=False, blob="beams")
+_PATCH = ["x", "y", "z", *(f"{axis}{of}" for axis in "uvn" for of in "xyz")]
+_PATCH += [f"{what}_{axis}" for what in ("information", "spread") for axis in "uvn"]
+_PATCH_VALUES = (*(f"{name} REAL" for name in _PATCH), "points INTEGER")
+PLANES3D = Layout("planes3d", _PATCH_VALUES, has_ids=False, blob="cells")
+LAYOUTS = {layout.variant: layout for layout in (POINTS, PLANES, PLANES3D)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +138,7 @@ class RecordedScan:
     ids: Ints | None
     labels: Ints
     covariances: Floats | None = None
-    beams: bytes = b""
+    blob: bytes = b""
     odometry: Floats | None = None
     stamp_s: float | None = None
 
@@ -168,7 +175,7 @@ def checksum(iteration: int, scan: RecordedScan, before: int) -> int:
 
     It covers the iteration number, n, n c, and 1 or 0 for the presence of ids, the values (n, c)
     row by row, the ids if any, the landmarks (n,), the covariances (n, d, d) row by row, the
-    odometry (4, 4) and the time if any; all as little-endian numbers of 8 bytes; and the beams.
+    odometry (4, 4) and the time if any; all as little-endian numbers of 8 bytes; and the blob.
     """
     numbers = (iteration, len(scan.labels), scan.values.size, scan.ids is not None)
     time_s = None if scan.stamp_s is None else np.array([scan.stamp_s])
@@ -177,7 +184,7 @@ def checksum(iteration: int, scan: RecordedScan, before: int) -> int:
     for part in (part for part in parts if part is not None):
         kind = "<f8" if part.dtype.kind == "f" else "<i8"
         total = zlib.crc32(np.ascontiguousarray(part, dtype=kind).tobytes(), total)
-    return zlib.crc32(scan.beams, total)
+    return zlib.crc32(scan.blob, total)
 
 
 def observation_rows(

@@ -111,15 +111,15 @@ class Journal:
         ids: Ints | None,
         labels: Ints,
         covariances: Floats | None = None,
-        beams: bytes = b"",
+        blob: bytes = b"",
         odometry: Floats | None = None,
         stamp_s: float | None = None,
     ) -> None:
         """Append one scan; if it cannot be written, the next `ready` or `flush` reports it.
 
         `values` (n, c): observations, in the order of the layout's columns; for points (n, 2) or
-        (n, 3). `ids` (n,); `labels` (n,); `covariances` (n, d, d): only for points. `beams`: if the
-        layout has beams. `odometry` (4, 4).
+        (n, 3). `ids` (n,); `labels` (n,); `covariances` (n, d, d): only for points. `blob`: if the
+        layout has one. `odometry` (4, 4).
         """
         k, n = self.n_scans, len(labels)
         statements = observation_rows(self._layout, k, values, ids, labels)
@@ -130,9 +130,9 @@ class Journal:
             statements += rows_into(ODOMETRY, [(k, motion)])
         if stamp_s is not None:
             statements += rows_into(STAMPS, [(k, stamp_s)])
-        scan = RecordedScan(values, ids, labels, covariances, beams, odometry, stamp_s)
+        scan = RecordedScan(values, ids, labels, covariances, blob, odometry, stamp_s)
         check = checksum(k, scan, self._end.checksum)
-        row = (k, n, int(ids is not None), check, *(beams,) * self._layout.has_beams)
+        row = (k, n, int(ids is not None), check, *(blob,) * bool(self._layout.blob))
         slots = ", ".join("?" * len(row))
         statements.append((f"INSERT INTO scans VALUES ({slots})", [row]))
         # All of it or nothing, whenever an interrupt comes.
