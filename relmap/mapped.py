@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC
 from collections.abc import Sequence
+from html import escape
 from typing import Any, ClassVar
 
 import numpy as np
@@ -167,3 +168,15 @@ class Mapped(Shown, ABC):
     def noise_m(self) -> float:
         """Estimated standard deviation of an observed coordinate, metres; NaN if unknown."""
         return float(self.engine.averaging.noise.sigma_m)
+
+    def __repr__(self) -> str:
+        mapped = self.map
+        text = f"{self.n_iterations} iterations, {len(mapped)} landmarks mapped"
+        if len(mapped):
+            low, high = mapped.positions.min(axis=0), mapped.positions.max(axis=0)
+            extent = " x ".join(f"{size:.4g}" for size in np.subtract(high, low) if size > 0)
+            text += f", {extent} m" if extent else ""
+        return f"{type(self).__name__}({text})"
+
+    def _repr_html_(self) -> str:
+        return f"<p>{escape(repr(self))}</p>{self.map.to_html()}"

@@ -61,6 +61,7 @@ VERBS = {
     "walls-journal": [OLD_WALLS, f"{WALLS} --journal j"],
     "walls-animate": [OLD_WALLS, f"{WALLS} --animate"],
     "planes3d": [OLD, CLOUDS],
+    "planes3d-journal": [OLD, f"{CLOUDS} --journal j"],
     "onto": [OLD, f"{POINTS} --onto r1"],
     "walls-onto": [OLD_WALLS, f"{WALLS} --onto rw"],
     "resume": [RECORDED, "cut", OLD, "resume j"],

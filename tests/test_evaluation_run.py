@@ -13,7 +13,8 @@ import relmap
 from relmap import MapperConfig, PlaneMapper, PointMapper, RelmapError
 from relmap.core.arrays import Ints
 from relmap.datasets.base import Scan
-from relmap.evaluation.run import run_mapper, stamps_of
+from relmap.evaluation.feeding import stamps_of
+from relmap.evaluation.run import run_mapper
 from relmap.evaluation.sources import BuildingSource
 from relmap.evaluation.summary import timing_of
 from relmap.simulation import simulate_figure_eight

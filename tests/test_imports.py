@@ -36,7 +36,7 @@ MAY_IMPORT = {
     "mapper": {"core", "mapped", "recorded"},
     "points": {"core", "io", "mapper"},
     "planes": {"core", "io", "mapper", "segmentation"},
-    "planes3d": {"core", "io", "recorded", "segmentation"},
+    "planes3d": {"core", "io", "recorded", "segmentation", "shown"},
     ROOT: {"core", "planes", "planes3d", "points", "segmentation"},
 }
 MAY_IMPORT["evaluation"] = {*MAY_IMPORT} - {"mapper"}

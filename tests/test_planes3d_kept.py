@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+import signal
+import subprocess
+import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from relmap import Plane3dMapper
+from relmap import Plane3dMapper, PlaneMapper, PointMapper, RelmapError
+from relmap.cli import main
 from relmap.core.arrays import Floats
+from relmap.io.journal import JournalReader
+from relmap.segmentation.space import PatchSegmenter
 from relmap.simulation.storey import simulate_storey
+from tests.commands import PATIENCE_S, load, names, run_relmap, unrendered
+from tests.journals import changed, end_after
 from tests.savedmaps import state
 
 N = 14
@@ -90,3 +99,138 @@ def test_runs_go_on_after_finish_and_refine(scans: list[Floats], tmp_path: Path)
     expected = ended(plain, tmp_path)
     assert ended(saved, tmp_path) == expected
     assert ended(kept, tmp_path) == expected
+
+
+def same(result: Path, other: Path) -> bool:
+    """Return whether two result folders agree but for times and pictures."""
+    files = {name for name in names(other) if not name.endswith((".json", ".html", ".png"))}
+    assert {"mapper.npz", "planes.csv", "map.ply", "trajectory.tum"} <= files
+    return all((result / name).read_bytes() == (other / name).read_bytes() for name in files)
+
+
+@pytest.fixture(scope="module")
+def storey(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A simulated log, and its map from a run that was not stopped."""
+    folder = tmp_path_factory.mktemp("storey")
+    run_relmap("simulate", "storey", "-o", folder / "log", "--iterations", "10")
+    with unrendered():
+        run_relmap("map", folder / "log", "-o", folder / "whole", "--variant", "planes3d")
+    return folder
+
+
+@unrendered()
+def test_relmap_resume_after_a_kill(
+    storey: Path, tmp_path: Path, child_env: dict[str, str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    journal = tmp_path / "run.journal"
+    code = (  # killed by itself in the middle, with a flush for every scan
+        "import os, signal, sys\n"
+        "from relmap.cli import main\n"
+        "from relmap.io.journal import writing\n"
+        "writing.INTERVAL_S = 0.0\n"
+        "append = writing.Journal.append\n"
+        "def half(self, *scan, **more):\n"
+        "    append(self, *scan, **more)\n"
+        "    if self.n_scans == 6:\n"
+        "        os.kill(os.getpid(), signal.SIGKILL)\n"
+        "writing.Journal.append = half\n"
+        "sys.exit(main(sys.argv[1:]))\n"
+    )
+    arguments = ["map", "log", "-o", str(tmp_path / "out"), "--variant", "planes3d"]
+    done = subprocess.run(
+        [sys.executable, "-c", code, *arguments, "--journal", str(journal)],
+        env=child_env,
+        cwd=storey,
+        timeout=PATIENCE_S,
+        check=False,
+    )
+    assert done.returncode == -signal.SIGKILL
+    assert not (tmp_path / "out" / "summary.json").exists()
+    with JournalReader(journal) as reader:
+        assert len(list(reader.scans())) == 6
+    run_relmap("resume", journal)
+    assert same(tmp_path / "out", storey / "whole")
+    run_relmap("resume", journal, "-o", tmp_path / "again")
+    assert "none of them new" in capsys.readouterr().out
+    assert same(tmp_path / "again", storey / "whole")
+
+
+@unrendered()
+def test_a_truncated_journal_is_recovered_and_resumed(storey: Path, tmp_path: Path) -> None:
+    journal, out = tmp_path / "run.journal", tmp_path / "out"
+    asked = ["-o", out, "--variant", "planes3d", "--voxel", "0.3", "--scans", "1:9"]
+    run_relmap("map", storey / "log", *asked, "--journal", journal)
+    whole = tmp_path / "whole"
+    out.rename(whole)
+    end_after(journal, 5)
+    data = journal.read_bytes()
+    journal.write_bytes(data[: len(data) * 3 // 4])
+    with pytest.raises(RelmapError, match="relmap resume --salvage"):
+        Plane3dMapper.resume(journal)
+    run_relmap("resume", journal, "--salvage")
+    assert same(out, whole)
+    assert load(out / "summary.json")["configuration"]["voxel_m"] == 0.3
+    assert "--voxel 0.3" in (out / "report.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("statement", "message"),
+    [
+        ("UPDATE observations SET spread_n = 0 WHERE iteration = 2 AND row = 1", "at iteration 2"),
+        ("UPDATE scans SET cells = zeroblob(30) WHERE iteration = 1", "at iteration 1"),
+        ("UPDATE scans SET cells = 'none' WHERE iteration = 1", "its cells are not bytes"),
+        ("UPDATE meta SET value = '{}' WHERE key = 'configuration'", "its configuration: {}"),
+    ],
+)
+def test_a_changed_journal_is_refused(
+    scans: list[Floats], tmp_path: Path, statement: str, message: str
+) -> None:
+    run(Plane3dMapper(journal=tmp_path / "run.journal"), scans[:4]).close()
+    changed(tmp_path / "run.journal", statement)
+    with pytest.raises(RelmapError, match=message):
+        Plane3dMapper.resume(tmp_path / "run.journal")
+
+
+def test_maps_and_journals_of_another_kind_are_refused(
+    storey: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    planes, points = storey / "whole" / "mapper.npz", tmp_path / "points.npz"
+    PointMapper().save(points)
+    for kind, path in ((PointMapper, planes), (PlaneMapper, planes), (Plane3dMapper, points)):
+        with pytest.raises(RelmapError, match=r"holds a map of .*, not a map of "):
+            kind.load(path)
+    Plane3dMapper(journal=tmp_path / "run.journal").close()
+    with pytest.raises(RelmapError, match="is of planes3d, and PlaneMapper maps planes"):
+        PlaneMapper.resume(tmp_path / "run.journal")
+    asked = ["localise", str(storey / "log"), "--map", str(storey / "whole")]
+    assert main([*asked, "-o", str(tmp_path / "no")]) == 2
+    assert "a map of planes in space, not a map of points or walls" in capsys.readouterr().err
+
+
+def test_layout_and_sign_of_zero_do_not_matter() -> None:
+    cloud = simulate_storey("lidar", 0.01, 2).scans
+    plain, other = Plane3dMapper(), Plane3dMapper()
+    for points in cloud:
+        seen = PatchSegmenter().fit(points).patches_
+        centre = np.asfortranarray(np.where(seen.centre == 0, -0.0, seen.centre))
+        plain.update(seen)
+        other.update(replace(seen, centre=centre, loose=np.asfortranarray(seen.loose)))
+    assert plain.trajectory.tobytes() == other.trajectory.tobytes()
+    with pytest.raises(RelmapError, match="spread of the patches has a number that is not finite"):
+        plain.update(replace(seen, spread=seen.spread * np.nan))
+    assert plain.n_iterations == 2
+
+
+def test_memory_of_a_saved_state_is_that_of_the_map(tmp_path: Path) -> None:
+    """Where the sensor stands still, a scan adds its patches, and hardly any points."""
+    seen = PatchSegmenter().fit(simulate_storey("lidar", 0.01, 1).scans[0]).patches_
+    mapper, sizes = Plane3dMapper(), []
+    for k in range(30):
+        mapper.update(seen)
+        if k in (9, 19, 29):
+            sizes.append(len(state(mapper, tmp_path)))
+    assert sizes[2] - sizes[1] <= 10 * 200 * len(seen)
+    with np.load(tmp_path / "state.npz") as content:
+        members = set(content)
+    assert {"submaps/0/seen/centre", "submaps/0/match", "submaps/0/scatter"} <= members
+    assert len(members) < 60

@@ -15,11 +15,9 @@ if TYPE_CHECKING:
     from relmap.core.config import MapperConfig
 
 Association = Literal["nearest", "known"]
-Variant = Literal["points", "planes"]
 Odometry = Literal["auto", "none"]
 Level = Literal["auto", "none"]
-Mapped = Literal["points", "planes", "planes3d"]
-"""Variants of `relmap map`; other verbs accept the first two."""
+Variant = Literal["points", "planes", "planes3d"]
 
 
 class Interval(NamedTuple):

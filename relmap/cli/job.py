@@ -18,21 +18,24 @@ if TYPE_CHECKING:
     from relmap.evaluation.feeding import AnyMapper, Log
 
 T = TypeVar("T")
+MAPPERS = {"points": "PointMapper", "planes": "PlaneMapper", "planes3d": "Plane3dMapper"}
+"""The mapper of each variant, a name in `relmap`."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Job:
     """A log to be mapped into a folder: the arguments of the command line, and more.
 
-    `folder`: to which other paths are relative; `resumed`: whether to continue an existing journal;
-    `sigmas`: noise of range, metres, bearing and elevation, radians; those of the log if None;
-    `live`, `live_file`: whether to show the run live, and the file to record it in instead, if any;
-    `stopped`: returns whether to stop before the end of the log.
+    `settings`: those of points and walls; `voxel_m`: that of planes in space; `folder`: to which
+    other paths are relative; `resumed`: whether to continue an existing journal; `sigmas`: noise of
+    range, metres, bearing and elevation, radians; those of the log if None; `live`, `live_file`:
+    whether to show the run live, and the file to record it in instead, if any; `stopped`: returns
+    whether to stop before the end of the log.
     """
 
     source: Path
     out: Path
-    settings: MapperConfig
+    settings: MapperConfig | None = None
     variant: Variant = "points"
     association: Association = "nearest"
     interval: Interval | None = None
@@ -47,6 +50,7 @@ class Job:
     odometry: Odometry = "none"
     level: Level = "none"
     segmenter: str | None = None
+    voxel_m: float | None = None
     columns: dict[str, str] | None = None
     topics: tuple[str, ...] = ()
     live: bool = False
@@ -69,6 +73,7 @@ class Job:
             "odometry": self.odometry,
             "level": self.level,
             "segmenter": self.segmenter,
+            "voxel": self.voxel_m,
             "columns": self.columns,
             "topics": self.topics,
         }
@@ -77,10 +82,12 @@ class Job:
     def command(self) -> str:
         """The part needed to map the log again, without folders and settings."""
         words = ["relmap", "map", self.source.name, "-o", "RESULT"]
-        if self.variant == "planes":
-            words += ["--variant", "planes"]
+        if self.variant != "points":
+            words += ["--variant", self.variant]
         if self.segmenter is not None:
             words += ["--segmenter", self.segmenter]
+        if self.voxel_m is not None:
+            words += ["--voxel", repr(self.voxel_m)]
         if self.association == "known":
             words += ["--association", "known"]
         if self.interval is not None:
@@ -95,23 +102,20 @@ class Job:
         return shlex.join(words if self.refine else [*words, "--no-refine"])
 
     @classmethod
-    def of_journal(cls, path: Path, meta: dict[str, Any], variant: Variant) -> Job:
+    def of_journal(cls, path: Path, meta: dict[str, Any]) -> Job:
         """Return the job stored in a journal; RelmapError if it was written by another program."""
-        from relmap.core.config import MapperConfig
-
         run = meta.get("run")
         if run is None:
             raise RelmapError(
                 f"journal {path} was not written by relmap map and does not name its log; "
-                "continue it with PointMapper.resume or PlaneMapper.resume"
+                f"continue it with {MAPPERS[meta['variant']]}.resume"
             )
         try:
             interval = run["scans"]
             return cls(
                 source=Path(run["input"]),
                 out=Path(run["out"]),
-                settings=MapperConfig.from_mapping(meta["configuration"]),
-                variant=variant,
+                variant=meta["variant"],
                 association="known" if run["association"] == "known" else "nearest",
                 interval=None if interval is None else Interval(*map(int, interval)),
                 log_format=run["format"],
@@ -121,6 +125,7 @@ class Job:
                 odometry="auto" if run.get("odometry") == "auto" else "none",
                 level="auto" if run.get("level") == "auto" else "none",
                 segmenter=run.get("segmenter"),
+                voxel_m=run.get("voxel"),
                 columns=dict(run["columns"]) if run.get("columns") else None,
                 topics=tuple(map(str, run.get("topics") or ())),
                 journal=path.absolute(),
@@ -136,16 +141,19 @@ class Job:
 
     def mapper(self, after: Callable[[Any], object] | None = None) -> AnyMapper:
         """Return the mapper to start or to continue with; `after` as for `Mapper.resume`."""
+        import relmap
         from relmap.io.results import MAPPER
-        from relmap.planes import PlaneMapper
-        from relmap.points import PointMapper
+        from relmap.segmentation.space import PatchSegmenter
 
-        kind: type[AnyMapper] = PlaneMapper if self.variant == "planes" else PointMapper
+        kind: type[AnyMapper] = getattr(relmap, MAPPERS[self.variant])
         if self.resumed and self.journal is not None:
             return kind.resume(self.journal, after)
         if self.onto is not None:
             return kind.load(self.onto / MAPPER)
-        return kind(self.settings, journal=self.journal, run=self.noted)
+        given: Any = self.settings
+        if self.variant == "planes3d":
+            given = PatchSegmenter(voxel_m=self.voxel_m)
+        return kind(given, journal=self.journal, run=self.noted)
 
     def scans(self, scans: Iterable[T]) -> Iterator[T]:
         """Yield scans until stopped."""
@@ -167,7 +175,7 @@ def journaled_labels(job: Job, log: Log) -> list[NDArray[Any]]:
     labels, now = [], iter(log.scans())
     with JournalReader(job.journal) as reader:
         for k, was in enumerate(reader.scans()):
-            # For walls the journal contains the segmented planes, not the points of the scans.
+            # Otherwise the journal contains the planes of the scans, not their points.
             if job.variant == "points" and not _is_same(was, next(now, None)):
                 raise RelmapError(
                     f"{job.source} is not the log of journal {job.journal}: scan {k} differs"

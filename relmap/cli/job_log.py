@@ -29,8 +29,30 @@ def log_of(job: Job) -> Log:
         raise RelmapError(f"--association known needs ids, and {source} has none")
     if job.odometry == "auto" and log.odometry is None and log.no_odometry:
         typer.echo(f"relmap: {source}: mapped without odometry: {log.no_odometry}", err=True)
+    if job.variant == "planes3d":
+        if job.odometry == "auto" and log.odometry is not None:
+            typer.echo(f"relmap: {source}: planes3d does not use the odometry of the log", err=True)
+        _doubt_unit(log)
     log = _level(job, log) if job.association == "known" else _each_once(job, _level(job, log))
     return log if job.sigmas is None else _with_noise(log, job.sigmas)
+
+
+def _doubt_unit(log: Log) -> None:
+    """Warn of coordinates that are hardly in metres: the map would be as good, in their unit."""
+    import numpy as np
+
+    from relmap.cli.outcome import BEYOND_M
+
+    first = next(
+        (scan.points_robot for scan in log.scans() if len(scan.points_robot)), np.zeros((1, 3))
+    )
+    middle_m = float(np.median(np.linalg.norm(first, axis=1)))
+    if middle_m > BEYOND_M:
+        typer.echo(
+            f"relmap: half of the points of a cloud are more than {middle_m:.0f} m away: "
+            "coordinates must be in metres",
+            err=True,
+        )
 
 
 def _level(job: Job, log: Log) -> Log:

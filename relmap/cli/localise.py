@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -14,7 +14,6 @@ from relmap.cli.arguments import (
     Out,
     Scans,
     Topics,
-    Variant,
     refuse,
     refuse_to_write_into,
 )
@@ -22,8 +21,10 @@ from relmap.cli.arguments import Log as LogPath
 from relmap.cli.console import tracked
 
 if TYPE_CHECKING:
-    from relmap.evaluation.feeding import AnyMapper, Log
+    from relmap.evaluation.feeding import Log
     from relmap.mapper import Place
+    from relmap.planes import PlaneMapper
+    from relmap.points import PointMapper
 
 HELP = """Find where scans were taken in an existing map.
 
@@ -68,7 +69,7 @@ def localise_command(
     refuse_to_write_into(out, result)
     mapper = Mapper.load(result / MAPPER)
     assert isinstance(mapper, PointMapper | PlaneMapper)
-    variant: Variant = "planes" if isinstance(mapper, PlaneMapper) else "points"
+    variant: Literal["points", "planes"] = "planes" if isinstance(mapper, PlaneMapper) else "points"
     of_table = columns and (variant == "planes" or log_format)
     refuse(of_table, "--columns applies only to tables of landmarks")
     log = read_log(source, variant, log_format, scans, columns, tuple(topic or ()))
@@ -84,7 +85,7 @@ def localise_command(
         typer.echo(ALIKE)
 
 
-def _places(mapper: AnyMapper, log: Log) -> list[Place]:
+def _places(mapper: PointMapper | PlaneMapper, log: Log) -> list[Place]:
     from relmap.evaluation.feeding import preparation
     from relmap.planes import PlaneMapper
 
@@ -97,11 +98,11 @@ def _places(mapper: AnyMapper, log: Log) -> list[Place]:
     return found
 
 
-def _write(folder: Path, mapper: AnyMapper, log: Log, places: list[Place]) -> None:
+def _write(folder: Path, mapper: PointMapper | PlaneMapper, log: Log, places: list[Place]) -> None:
     """Write the poses that were found, and a picture of them in the map."""
     import numpy as np
 
-    from relmap.evaluation.run import stamps_of
+    from relmap.evaluation.feeding import stamps_of
     from relmap.io.files import write_tum
     from relmap.io.results import MAP_PNG, TRAJECTORY
     from relmap.planes import PlaneMapper

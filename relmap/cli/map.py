@@ -9,7 +9,6 @@ from relmap.cli import arguments as args
 from relmap.cli import map_options as options
 from relmap.cli.interrupt import stoppable
 from relmap.cli.job import Job
-from relmap.cli.mapping3d import report_space
 from relmap.cli.outcome import report
 
 if TYPE_CHECKING:
@@ -47,8 +46,8 @@ def map_command(
     planes, known = variant == "planes", association == "known"
     sigmas = _sigmas(planes, range_sigma, bearing_sigma, elevation_sigma)
     args.refuse((level or segmenter) and not planes, FOR_WALLS)
-    others = (known, registration, config, journal, onto, animate, columns, topic, live, live_file)
-    _check_space(variant, voxel, any((*others, sigmas)) or odometry != "auto")
+    others = (known, registration, config, onto, animate, columns, sigmas)
+    _check_space(variant, voxel, any(others))
     args.refuse(columns and (planes or log_format), "--columns applies only to tables of landmarks")
     _check_onto(onto, journal, config or registration)
     args.refuse(animate and not planes, "--animate draws walls: give --variant planes with it")
@@ -56,7 +55,7 @@ def map_command(
         job = Job(
             source=source,
             out=out,
-            variant="planes" if planes else "points",
+            variant=variant,
             settings=_settings(config, registration, planes, known),
             association=association,
             interval=scans,
@@ -67,25 +66,26 @@ def map_command(
             animate=animate,
             sigmas=sigmas,
             odometry=odometry,
-            level=level or "auto",
+            level=level or ("auto" if planes else "none"),
             segmenter=segmenter,
+            voxel_m=voxel,
             columns=columns,
             topics=tuple(topic or ()),
             live=live or live_file is not None,
             live_file=live_file,
             stopped=stopped,
         )
-        if variant == "planes3d":
-            report_space(job, voxel)
-        else:
-            report(job)
+        report(job)
 
 
 def _check_space(variant: str, voxel: float | None, others: bool) -> None:
     """Check the options of planes in space; `others`: whether any that they ignore is given."""
     in_space = variant == "planes3d"
     args.refuse(voxel is not None and not in_space, "--voxel requires --variant planes3d")
-    message = "--variant planes3d accepts only --scans, --format, --refine and --voxel"
+    message = (
+        "--variant planes3d accepts only --scans, --format, --topic, --journal, --no-refine, "
+        "--odometry none, --live, --live-file and --voxel"
+    )
     args.refuse(in_space and others, message)
     low = voxel is not None and not 0 < voxel < float("inf")
     args.refuse(low, f"--voxel is {voxel}; it must be above 0")

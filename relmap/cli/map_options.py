@@ -44,13 +44,14 @@ With --variant planes INPUT is a log of point scans, and walls are mapped:
   depth-images     a folder of 16-bit depth images *.depth.png, with camera-intrinsics.txt
 
 With --variant planes3d the same formats are read, but planes of any direction are mapped, and the
-sensor may move in all directions and tilt: clouds of a lidar or a depth camera.
+sensor may move in all directions and tilt: clouds of a lidar or a depth camera. Of the options
+below it takes --voxel, --scans, --format, --topic, --journal, --no-refine, --live and --live-file.
 
 It writes DIR/landmarks.csv, tracks.csv.gz, trajectory.tum, map.ply, map.png, report.html (an
 interactive page with the map and a replay of the run), submaps.csv, summary.json and mapper.npz,
-the saved state, and for walls also planes.csv and bench.png: the last scan, its planes, the map and
-its groups; with --animate the whole run as bench.gif. Ctrl-C ends the mapping early and writes the
-map so far; pressed again it exits at once.
+the saved state, of walls and planes also planes.csv, and of walls bench.png: the last scan, its
+planes, the map and its groups; with --animate the whole run as bench.gif. Ctrl-C ends the mapping
+early and writes the map so far; pressed again it exits at once.
 
 \b
 Examples:
@@ -62,7 +63,7 @@ Examples:
 """
 
 Variant = Annotated[
-    args.Mapped,
+    args.Variant,
     typer.Option(
         help="Kind of landmarks: points; walls in point scans; or planes of any direction in "
         "clouds of a carried lidar or depth camera."

@@ -83,7 +83,9 @@ def _mapped_into(folder: Path, job: Job, log: Log) -> Run:
         view = afterwards.enter_context(closing(LiveView(job.live_file))) if job.live else None
 
         def watched(scans: Iterable[Any]) -> Iterator[Any]:
-            followed = _taken_up(job, mapper, log, job.scans(scans), about)
+            followed: Iterable[Any] = job.scans(scans)
+            if job.onto is not None and job.association != "known":
+                followed = _taken_up(mapper, log, followed, about)
             followed = view.watch(mapper, followed) if view else followed
             yield from bench.watch(followed) if bench else followed
             counter.close()
@@ -113,19 +115,19 @@ def _mapped_into(folder: Path, job: Job, log: Log) -> Run:
 
 
 def _taken_up(
-    job: Job, mapper: AnyMapper, log: Log, scans: Iterable[Any], about: dict[str, Any]
+    mapper: AnyMapper, log: Log, scans: Iterable[Any], about: dict[str, Any]
 ) -> Iterator[Any]:
-    """Yield scans; with an existing map, add them to it from the first one localised there."""
+    """Yield scans, and add them to an existing map from the first one localised there."""
     from relmap.evaluation.feeding import preparation
     from relmap.planes import PlaneMapper
+    from relmap.points import PointMapper
 
-    prepare = preparation(mapper, log)
-    tied = job.onto is None or job.association == "known"
+    prepare, tied = preparation(mapper, log), False
     for scan in scans:
         if not tied and isinstance(mapper, PlaneMapper):
             mapper.take_up(prepare(scan.points_robot), scan.points_robot)
             tied = True  # or not: `finish` decides
-        elif not tied:
+        elif not tied and isinstance(mapper, PointMapper):
             tied = mapper.take_up(prepare(scan.points_robot))
             about["tied_at"] = scan.iteration if tied else None
         yield scan
@@ -171,36 +173,27 @@ def stale_files(out: Path) -> list[str]:
 
 
 def _write(folder: Path, run: Run, job: Job, names: Sequence[str] | None) -> None:
-    from relmap.io.files import atomic_write
-    from relmap.io.results import MAP_PNG, write_names, write_result
-    from relmap.planes.walls.files import PlaneResult, write_planes, write_submaps
-    from relmap.plots.planes import write_submaps_png
-    from relmap.plots.report import REPORT, report_page
-    from relmap.plots.run import write_map_png
+    from relmap.evaluation.saved import write_tables
+    from relmap.io.results import write_names
+    from relmap.planes.walls.files import PlaneResult
+    from relmap.plots.of_mapper import write_pictures
 
-    result, picture = run.result, folder / MAP_PNG
-    if isinstance(result, PlaneResult) and not result.drawn:
+    if isinstance(run.result, PlaneResult) and not run.result.drawn:
         raise RelmapError(
             f"{job.source}: no wall was found in any scan; expected scans of upright walls, metres "
             "(for planes of any direction: --variant planes3d)"
         )
-    write_result(folder, result)
+    write_tables(folder, run.result)
     if names and job.association == "known":
         write_names(folder, names)
-    atomic_write(folder / REPORT, report_page(result, job.command, job.source.name))
-    if not isinstance(result, PlaneResult):
-        write_map_png(picture, result, run.groups)
-        return
-    write_planes(folder, result.planes)
-    write_submaps(folder, [(submap.stamps_s, submap.poses) for submap in result.drawn])
-    write_submaps_png(picture, result.drawn, len(result.summary["submaps"]))
+    write_pictures(folder, run.result, run.groups, job.command, job.source.name)
 
 
 def _bench(job: Job, log: Log, n_seen: int) -> BenchRecorder | None:
-    """Return the recorder of wall mapping; None for points."""
+    """Return the recorder of wall mapping; None for other variants."""
     from relmap.datasets.scans import ScanLog
 
-    if not isinstance(log, ScanLog):
+    if job.variant != "planes" or not isinstance(log, ScanLog):
         return None
     from relmap.evaluation.feeding import segmenter_for
     from relmap.plots.bench_recorder import BenchRecorder, frame_step

@@ -42,7 +42,10 @@ def report(job: Job) -> None:
     begun = f"stopped after {iterations} of {summary['input_iterations']}: "
     message = f"{begun if summary['interrupted'] else ''}wrote {n_files} files to {job.out}: "
     hanging = on_odometry(summary.get("odometry"))
-    if job.variant == "planes":
+    if job.variant == "planes3d":
+        planes = f"{counts['planes_static']} planes mapped in {iterations} iterations"
+        message += f"{planes}, {each(timing['scan_median_ms'])}{took}{in_space(summary)}"
+    elif job.variant == "planes":
         message += (
             f"{counts['planes_static']} walls with {counts['corners_static']} corners mapped in "
             f"{iterations} iterations, {each(timing['scan_median_ms'])}{took}{hanging}"
@@ -98,6 +101,15 @@ def torn(summary: dict[str, Any], farthest_m: float) -> str:
     if weak:
         message += f"; steps that the scans do not determine, and that may be wrong: {len(weak)}"
     return message + advice(summary, farthest_m)
+
+
+def in_space(summary: dict[str, Any]) -> str:
+    """Return the submaps and uncertain scans of a run in space: the end of a message."""
+    if not summary["submaps"]:
+        return "; no plane was found: the clouds show none, or are not in metres"
+    weak = len(summary["weak_links"])
+    unsure = f"; scans whose position is poorly determined in some direction: {weak}"
+    return broken(summary["submaps"]) + (unsure if weak else "") + advice(summary)
 
 
 def bare(summary: dict[str, Any], farthest_m: float) -> str:

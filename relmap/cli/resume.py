@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from relmap.cli.arguments import Variant, folder
+from relmap.cli.arguments import folder
 from relmap.cli.interrupt import stoppable
 from relmap.cli.job import Job
 from relmap.cli.outcome import report
@@ -52,8 +52,7 @@ def resume_command(
     if repair:
         typer.echo(f"recovered {salvage(journal)} scans of {journal}")
     with JournalReader(journal) as reader:
-        variant: Variant = "planes" if reader.layout.variant == "planes" else "points"
-        job = Job.of_journal(journal, reader.meta, variant)
+        job = Job.of_journal(journal, reader.meta)
     if out is not None:
         job = replace(job, out=out.absolute())
     with stoppable() as stopped:

@@ -22,7 +22,7 @@ from relmap.segmentation import PlaneSegmenter
 
 Association = Literal["nearest", "known"]
 Log = ObservationLog | ScanLog
-AnyMapper = PointMapper | PlaneMapper
+AnyMapper = PointMapper | PlaneMapper | Plane3dMapper
 Through = Callable[[Iterable[Any]], Iterable[Any]]
 """Wraps the scans of a run; it may end early."""
 Progress = Callable[[int, int], object]
@@ -122,7 +122,7 @@ def feed(
     over = clock()
     method.finish()
     finished = clock()
-    if refine and isinstance(method, PointMapper | PlaneMapper | Plane3dMapper):
+    if refine and isinstance(method, AnyMapper):
         method.refine()
     durations = np.array(durations_s).reshape(-1, 2)
     return Fed(labels, durations, finished - over, clock() - finished)
@@ -145,7 +145,7 @@ def _known_of(
 def _new_stamps(method: Method | Plane3dMapper, log: Log, n_seen: int) -> Floats | None:
     """Return the times of the log, if later than those of the scans that a mapper has seen."""
     stamps_s = log.stamps_s
-    if stamps_s is None or not isinstance(method, PointMapper | PlaneMapper):
+    if stamps_s is None or not isinstance(method, AnyMapper):
         return None
     known_s = method.stamps_s[np.isfinite(method.stamps_s)]
     return stamps_s if (np.diff(np.append(known_s[-1:], stamps_s[n_seen:])) > 0).all() else None
@@ -192,3 +192,10 @@ def segment_scan(
     if not front.all():
         columns = {name: values[front] for name, values in columns.items()}
     return SimpleNamespace(**columns, origin=t)
+
+
+def stamps_of(log: Log) -> Floats:
+    """Return the time of each iteration, seconds, or its number if the log has no clock."""
+    if log.stamps_s is not None:
+        return log.stamps_s
+    return np.arange(log.first_iteration, log.first_iteration + len(log), dtype=np.float64)

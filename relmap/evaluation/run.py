@@ -16,12 +16,23 @@ from relmap.core.brief import Brief
 from relmap.core.errors import RelmapError
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.scans import ScanLog
-from relmap.evaluation.feeding import AnyMapper, Association, Log, Method, Progress, Through, feed
+from relmap.evaluation.feeding import (
+    AnyMapper,
+    Association,
+    Log,
+    Method,
+    Progress,
+    Through,
+    feed,
+    stamps_of,
+)
+from relmap.evaluation.space_run import result_in_space
 from relmap.evaluation.summary import completion, summary_of
 from relmap.io.results import Result, Tracks, shifted
 from relmap.planes import PlaneMapper
 from relmap.planes.walls.files import DrawnSubmap, PlaneResult
 from relmap.planes.walls.table import PlaneTable
+from relmap.planes3d import Plane3dMapper
 from relmap.points import PointMapper
 from relmap.segmentation import PlaneSegmenter
 
@@ -38,7 +49,7 @@ class Run(Brief):
     Attributes
     ----------
     result : Result
-        For walls a `PlaneResult`.
+        For walls a `PlaneResult`, for planes in space a `Plane3dResult`.
     groups : tuple of (g,) int64
         Landmark labels of each group.
     """
@@ -69,10 +80,10 @@ def run_mapper(
 
     Parameters
     ----------
-    mapper : PointMapper or PlaneMapper
+    mapper : PointMapper, PlaneMapper or Plane3dMapper
         A new mapper, or one that has processed the first scans of the log or other logs.
     log : ObservationLog or ScanLog
-        Landmarks for a point mapper, point scans for a plane mapper.
+        Landmarks for a point mapper, point scans for the others.
     association : "nearest" or "known"
         ``known`` passes the ids of the log to the mapper, ``nearest`` does not.
     about : dict, optional
@@ -97,21 +108,25 @@ def run_mapper(
     Raises
     ------
     RelmapError
-        If ``known`` is requested for a log without ids, or a scan of the log is damaged.
+        If ``known`` is requested for a log without ids, a scan of the log is damaged, or planes in
+        space are to be found in scans of a 2-D laser.
     """
+    if isinstance(mapper, Plane3dMapper) and isinstance(log, ScanLog) and log.dimension != 3:
+        raise RelmapError(
+            "the log is from a 2-D laser, and planes3d maps clouds: use --variant planes"
+        )
     offset = log.first_iteration - (mapper.n_iterations - len(seen))
     fed = feed(mapper, log, association, refine, through, len(seen), segmenter, odometry, progress)
     labels = [*seen, *fed.labels]
     done = log.between(log.first_iteration, log.first_iteration + len(labels))
+    entries = {**(about or {}), "configuration": mapper.settings}
+    how = completion(log, done, fed, refine)
+    if isinstance(mapper, Plane3dMapper):
+        return Run(result_in_space(mapper, done, labels, entries | how), ())
     result = result_of(mapper, done, labels, association, offset)
     groups = tuple(group.landmarks for group in mapper.groups)
-    summary = {
-        **(about or {}),
-        "configuration": mapper.settings,
-        **result.summary,
-        **summary_of(mapper, result, done, offset, len(groups)),
-        **completion(log, done, fed, refine),
-    }
+    found = summary_of(mapper, result, done, offset, len(groups))
+    summary = entries | result.summary | found | how
     return Run(replace(result, summary=summary), groups)
 
 
@@ -130,7 +145,7 @@ def map_log(
     ----------
     log : ObservationLog or ScanLog
         As read by `relmap.datasets`, or made from a data frame.
-    mapper : PointMapper or PlaneMapper, optional
+    mapper : PointMapper, PlaneMapper or Plane3dMapper, optional
         Processes the log; by default a new one, for points or walls according to the log.
     association : "nearest" or "known"
         ``known`` passes the ids of the log to the mapper, ``nearest`` does not.
@@ -229,10 +244,3 @@ def _tracks(method: Method, log: Log, labels: Sequence[Ints], association: Assoc
         rejected = np.where(label != log.ids, log.ids, -1)[known]
     overruled = None if rejected is None or not (rejected >= 0).any() else rejected
     return Tracks(iteration[known], rows[known], label[known], overruled)
-
-
-def stamps_of(log: Log) -> Floats:
-    """Return the time of each iteration, seconds, or its number if the log has no clock."""
-    if log.stamps_s is not None:
-        return log.stamps_s
-    return np.arange(log.first_iteration, log.first_iteration + len(log), dtype=np.float64)

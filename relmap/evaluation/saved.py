@@ -12,11 +12,14 @@ from relmap.datasets.base import ObservationLog
 from relmap.datasets.scans import stored_scans
 from relmap.evaluation.feeding import AnyMapper, Association, Log
 from relmap.evaluation.run import result_of
+from relmap.evaluation.space_run import VARIANT, result_in_space
 from relmap.evaluation.summary import summary_of
 from relmap.io.files import staged_folder
 from relmap.io.results import MAPPER, Result, write_result
 from relmap.planes import PlaneMapper
 from relmap.planes.walls.files import PlaneResult, write_planes, write_submaps
+from relmap.planes3d import Plane3dMapper
+from relmap.planes3d.files import Plane3dResult, write_parts
 
 OF_THE_LOG = ("observations", "iterations_without_observation")
 """Counts that require the log."""
@@ -25,18 +28,26 @@ OF_THE_LOG = ("observations", "iterations_without_observation")
 def result_of_mapper(mapper: AnyMapper) -> Result:
     """Return the result of a mapper, without tracks.
 
-    For walls it is a `PlaneResult`.
+    For walls it is a `PlaneResult`, for planes in space a `Plane3dResult`.
     """
     walls, n = isinstance(mapper, PlaneMapper), mapper.n_iterations
     none = np.empty(0, dtype=np.int64)
-    association: Association = "known" if mapper.engine.association.has_ids else "nearest"
-    d = 2 if walls else max(mapper.engine.store.dimension, 2)
     times_s = mapper.stamps_s
     if np.isnan(times_s).any():
         times_s = np.arange(float(n))
+    scans = stored_scans(np.empty((0, 2)), np.zeros(n + 1, dtype=np.int64), times_s)
+    if isinstance(mapper, Plane3dMapper):
+        refined = any(part.share is not None for part in mapper.submaps)
+        about = {"variant": VARIANT, "configuration": mapper.settings}
+        more = {"interrupted": False, "refined": refined}
+        in_space = result_in_space(mapper, scans, [none] * n, about | more)
+        del in_space.summary["counts"]["observations"]
+        return in_space
+    association: Association = "known" if mapper.engine.association.has_ids else "nearest"
+    d = 2 if walls else max(mapper.engine.store.dimension, 2)
     log: Log = ObservationLog(np.empty((0, d)), none, none, 0, n, stamps_s=times_s)
     if walls:
-        log = stored_scans(np.empty((0, 2)), np.zeros(n + 1, dtype=np.int64), times_s)
+        log = scans
     result = result_of(mapper, log, [none] * n, association, 0)
     found = summary_of(mapper, result, log, 0, len(mapper.groups))
     for name in OF_THE_LOG:
@@ -46,6 +57,19 @@ def result_of_mapper(mapper: AnyMapper) -> Result:
     return replace(result, summary=about | result.summary | found | more)
 
 
+def write_tables(folder: Path, result: Result) -> None:
+    """Write the files of a result, except the pictures, into an existing folder.
+
+    Raises `RelmapError` if a file cannot be written.
+    """
+    write_result(folder, result)
+    if isinstance(result, Plane3dResult):
+        write_parts(folder, result)
+    elif isinstance(result, PlaneResult):
+        write_planes(folder, result.planes)
+        write_submaps(folder, [(each.stamps_s, each.poses) for each in result.drawn])
+
+
 def save_results(mapper: AnyMapper, folder: Path, pictures: Any) -> None:
     """Write a mapper's result into a folder, with the pictures that `relmap.plots.of_mapper` draws.
 
@@ -53,9 +77,7 @@ def save_results(mapper: AnyMapper, folder: Path, pictures: Any) -> None:
     """
     with staged_folder(folder) as staging:
         result = result_of_mapper(mapper)
-        write_result(staging, result)
-        if isinstance(result, PlaneResult):
-            write_planes(staging, result.planes)
-            write_submaps(staging, [(each.stamps_s, each.poses) for each in result.drawn])
-        pictures.write_pictures(staging, result, mapper)
+        write_tables(staging, result)
+        command = f"{type(mapper).__name__}.save_results"
+        pictures.write_pictures(staging, result, pictures.groups_of(mapper), command, "a run")
         mapper.save(staging / MAPPER)

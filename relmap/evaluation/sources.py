@@ -18,9 +18,8 @@ from relmap.datasets.base import ObservationLog
 from relmap.datasets.own_table import OwnTable
 from relmap.datasets.scans import ScanLog, SensorView
 from relmap.datasets.textfile import invalid, quoted, require_path
-from relmap.evaluation.feeding import Log
-from relmap.evaluation.run import stamps_of
-from relmap.evaluation.truth import Truth, Variant, read_truth
+from relmap.evaluation.feeding import Log, stamps_of
+from relmap.evaluation.truth import Judged, Truth, Variant, read_truth
 from relmap.simulation import Building, FigureEight, World, simulate_building, simulate_figure_eight
 from relmap.simulation.noise import Noise
 
@@ -179,7 +178,7 @@ def silent_readers() -> Iterator[None]:
 
 def read_log(
     path: Path,
-    variant: Variant,
+    variant: Judged,
     log_format: str | None = None,
     scans: tuple[int, int] | None = None,
     columns: Mapping[str, str] | None = None,
@@ -192,7 +191,7 @@ def read_log(
     `relmap.datasets.open_log`. Raises `RelmapError` if there is no such log or it is damaged.
     """
     whole: Log
-    if variant == "planes":
+    if variant != "points":
         whole = open_scans(path, log_format, topics)
     else:
         whole = open_log(path, log_format, columns, topics)
@@ -215,9 +214,9 @@ def read_again(path: Path, variant: Variant, summary: Mapping[str, Any]) -> Log:
     return read_log(path, variant, form, topics=list(map(str, topics or ())) if of_bag else ())
 
 
-def recognised_format(path: Path, variant: Variant) -> str | None:
+def recognised_format(path: Path, variant: Judged) -> str | None:
     """Return the recognised format of a log; None if it is not recognised."""
-    known = SCAN_DATASETS if variant == "planes" else DATASETS
+    known = DATASETS if variant == "points" else SCAN_DATASETS
     names = [dataset.name for dataset in known if dataset.recognises(path)]
     return names[0] if len(names) == 1 else None
 

@@ -1,18 +1,16 @@
-"""One run of a log of clouds through the mapper of planes in space."""
+"""The result of a run of the mapper of planes in space."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from relmap.core.arrays import Floats
-from relmap.core.errors import RelmapError
+from relmap.core.arrays import Floats, Ints
 from relmap.core.landmarks import LandmarkTable
-from relmap.datasets.scans import ScanLog
-from relmap.evaluation.feeding import Progress, Through, feed
-from relmap.evaluation.summary import completion, steps_of, versions
+from relmap.evaluation.feeding import Log, stamps_of
+from relmap.evaluation.summary import steps_of, versions
 from relmap.io.results import Tracks, shifted
 from relmap.planes3d import Plane3dMapper
 from relmap.planes3d.files import Plane3dResult
@@ -20,63 +18,29 @@ from relmap.planes3d.submap import Submap
 from relmap.planes3d.table import Plane3dTable
 
 VARIANT = "planes3d"
-LEAST_SCANS = 10
-"""Minimum scans of a submap with a separate file."""
 
 
-@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class SpaceResult(Plane3dResult):
-    """A result of planes in space, with its parts.
+def result_in_space(
+    mapper: Plane3dMapper, log: Log, labels: Sequence[Ints], entries: dict[str, Any]
+) -> Plane3dResult:
+    """Return the result of a mapper of planes in space.
 
-    `paths`, list of (stamps (k,), poses (k, 4, 4)): of each submap; `weak` (w,): indices in `poses`
-    of the scans with constant motion assumed in a direction.
+    `log`: the scans that it mapped; `labels`, sequence of (n,): of each of them; `entries`:
+    additional entries of the summary.
     """
-
-    parts: list[Submap]
-    paths: list[tuple[Floats, Floats]]
-    weak: np.ndarray
-
-
-def run_in_space(
-    mapper: Plane3dMapper,
-    log: ScanLog,
-    about: dict[str, Any],
-    refine: bool,
-    through: Through,
-    progress: Progress,
-) -> SpaceResult:
-    """Map a whole log of clouds.
-
-    `mapper`: a new mapper. `about`: additional entries of the summary. `through`: wraps the
-    iterable of scans; if it ends early, so does the run. `progress`: called after each scan with
-    the number of scans done and the total. Raises `RelmapError` if the log is from a 2-D laser, or
-    a scan of it is damaged.
-    """
-    if log.dimension != 3:
-        raise RelmapError(
-            "the log is from a 2-D laser, and planes3d maps clouds: use --variant planes"
-        )
-    fed = feed(mapper, log, "nearest", refine, through, progress=progress)
-    done = log.between(log.first_iteration, log.first_iteration + len(fed.labels))
-    entries = about | {"configuration": mapper.settings} | completion(log, done, fed, refine)
-    return _result(mapper, done, fed.labels, entries)
-
-
-def _result(
-    mapper: Plane3dMapper, log: ScanLog, labels: list[np.ndarray], entries: dict[str, Any]
-) -> SpaceResult:
     first = log.first_iteration
     table = shifted(mapper.planes, first)
-    parts = mapper.submaps
-    paths = [(log.stamps_s[part.iteration], part.trajectory) for part in parts]
+    parts, times_s = mapper.submaps, stamps_of(log)
+    paths = [(times_s[part.iteration], part.trajectory) for part in parts]
     counts = np.array([len(each) for each in labels], dtype=np.int64)
     rows = np.concatenate([*map(np.arange, counts), np.empty(0, np.int64)])
     named = mapper.landmarks_of(np.concatenate([*labels, np.empty(0, np.int64)]))
     tracks = Tracks(first + np.repeat(np.arange(len(counts)), counts), rows, named)
     stamps_s, poses = paths[0] if paths else (np.empty(0), np.empty((0, 4, 4)))
     weak = mapper.weak_links
-    own = parts[0].iteration if parts else []
+    own = np.array(parts[0].iteration if parts else [], dtype=np.int64)
     summary = entries | {
+        "association": "nearest",
         "dimensions": 3,
         "scans": [first, first + len(log)],
         "versions": versions(),
@@ -92,15 +56,16 @@ def _result(
         "weak_links": [first + k for k in weak],
         "weak_directions": [free.tolist() for free in weak.values()],
     }
-    return SpaceResult(
+    return Plane3dResult(
         _landmarks(table),
         tracks,
         stamps_s,
         poses,
         summary,
+        iterations=first + own,
         planes=table,
-        parts=parts,
-        paths=paths,
+        parts=tuple(parts),
+        paths=tuple(paths),
         weak=np.flatnonzero(np.isin(own, list(weak))),
     )
 

@@ -18,7 +18,7 @@ from relmap.core.odometry import OdometryUse
 from relmap.core.refinement.joint import Refined
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.scans import ScanLog
-from relmap.evaluation.feeding import AnyMapper, Fed, Log
+from relmap.evaluation.feeding import Fed, Log
 from relmap.io.results import Result
 from relmap.planes import PlaneMapper
 from relmap.planes.submaps.submap import WallSubmap
@@ -35,7 +35,7 @@ MERGE = {name: name for name in ("landmark", "apart_m", "residual")} | {"seen_ag
 
 
 def summary_of(
-    mapper: AnyMapper, result: Result, log: Log, offset: int, n_groups: int
+    mapper: PointMapper | PlaneMapper, result: Result, log: Log, offset: int, n_groups: int
 ) -> dict[str, Any]:
     """Return the summary of a map.
 

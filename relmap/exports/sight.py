@@ -11,9 +11,8 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.scans import ScanLog
-from relmap.evaluation.feeding import Log
+from relmap.evaluation.feeding import Log, stamps_of
 from relmap.evaluation.metrics import match_stamps, positions_of
-from relmap.evaluation.run import stamps_of
 from relmap.evaluation.sources import read_again
 from relmap.evaluation.truth import Variant
 from relmap.exports.content import MapContent

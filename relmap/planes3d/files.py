@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.errors import RelmapError
-from relmap.io.files import atomic_write
+from relmap.io.files import atomic_write, write_tum
 from relmap.io.results import MAP_PLY, Result, read_result
 from relmap.io.tables import Kind, csv_text, read_table
 from relmap.planes3d.outlines import surfaces_of
@@ -18,6 +18,8 @@ from relmap.planes3d.submap import Submap
 from relmap.planes3d.table import Plane3dTable
 
 PLANES = "planes.csv"
+LEAST_SCANS = 10
+"""Minimum scans of a submap with a separate file."""
 _NORMAL, _CENTRE = ("nx", "ny", "nz"), ("x", "y", "z")
 COLUMNS: dict[str, Kind] = {
     "plane": "int",
@@ -55,9 +57,31 @@ class Plane3dResult(Result):
     ----------
     planes : Plane3dTable
         Iterations are numbered as in the log.
+    parts : tuple of Submap
+        The submaps, the map itself first; empty for a result read from files.
+    paths : tuple of (k,) and (k, 4, 4) float64
+        Times and poses of each submap.
+    weak : (w,) int64
+        Indices in `poses` of the scans that are poorly determined in some direction.
     """
 
     planes: Plane3dTable
+    parts: tuple[Submap, ...] = ()
+    paths: tuple[tuple[Floats, Floats], ...] = ()
+    weak: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+
+
+def write_parts(folder: Path, result: Plane3dResult) -> None:
+    """Write the planes, the mesh and the paths of other submaps into an existing folder.
+
+    Raises `RelmapError` if a file cannot be written.
+    """
+    table = result.planes
+    write_planes3d(folder, table)
+    write_mesh(folder, next(iter(result.parts), None), table.plane[table.status == "static"])
+    for number, (stamps_s, poses) in enumerate(result.paths[1:], start=1):
+        if len(poses) >= LEAST_SCANS:
+            write_tum(folder / f"submap-{number}.tum", stamps_s, poses)
 
 
 def write_planes3d(folder: Path, table: Plane3dTable) -> None:

@@ -15,10 +15,11 @@ from relmap.planes3d.submap import Submap
 from relmap.planes3d.table import Plane3dTable, plane_table
 from relmap.recorded import Recorded
 from relmap.segmentation.space import PatchSegmenter
+from relmap.shown import Shown
 
 
 @reads_whole()
-class Mapped3d(Recorded):
+class Mapped3d(Recorded, Shown):
     """The results of `Plane3dMapper`."""
 
     segmenter: PatchSegmenter

@@ -16,6 +16,7 @@ from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.evaluation.feeding import AnyMapper
 from relmap.planes import PlaneMapper
+from relmap.planes3d import Plane3dMapper
 from relmap.plots.path import broken_at_jumps
 
 SHARE = 0.1
@@ -70,14 +71,17 @@ class LiveView:
 
     def show(self, mapper: AnyMapper) -> None:
         """Show the current map and path, and the last scan if it has a pose."""
-        walls = isinstance(mapper, PlaneMapper)
-        d = 2 if walls else mapper.engine.store.dimension or 2
+        d = 3
         if self._scan is not None:
             self._stream.set_time("iteration", sequence=self._scan.iteration)
-        if isinstance(mapper, PlaneMapper):
-            table = mapper.planes
+        if isinstance(mapper, Plane3dMapper):
+            cells = [part.all_planes().cells for part in mapper.submaps[:1]]
+            self._points(MAP, np.concatenate([np.empty((0, 3)), *cells]))
+        elif isinstance(mapper, PlaneMapper):
+            table, d = mapper.planes, 2
             self._lines(MAP, list(table.ends[table.status == "static"]), d)
         else:
+            d = mapper.engine.store.dimension or 2
             self._points(MAP, mapper.map.positions[:, :d])
         poses = mapper.trajectory
         way = broken_at_jumps(poses[np.isfinite(poses[:, 0, 3]), :d, 3])

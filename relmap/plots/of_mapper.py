@@ -1,37 +1,54 @@
-"""Pictures of a mapper without its log."""
+"""Pictures of the map of a mapper of any kind."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from matplotlib.figure import Figure
 
+from relmap.core.arrays import Ints
 from relmap.evaluation.feeding import AnyMapper
 from relmap.evaluation.saved import result_of_mapper
 from relmap.io.files import atomic_write
 from relmap.io.results import MAP_PNG, Result
 from relmap.planes.walls.files import PlaneResult
+from relmap.planes3d import Plane3dMapper
+from relmap.planes3d.files import Plane3dResult
 from relmap.plots.planes import plot_planes, plot_submaps
+from relmap.plots.planes3d import plot_planes3d
 from relmap.plots.report import REPORT, report_page
 from relmap.plots.run import plot_run
 from relmap.plots.sheet import write_png
 
 
 def plot_mapper(mapper: AnyMapper) -> Figure:
-    """Draw the map of a mapper: for points the landmarks, for walls each submap in a panel."""
-    return _drawn(result_of_mapper(mapper), mapper)
+    """Draw the map of a mapper: landmarks; of walls each submap in a panel; planes in space."""
+    return _drawn(result_of_mapper(mapper), groups_of(mapper))
 
 
-def write_pictures(folder: Path, result: Result, mapper: AnyMapper) -> None:
-    """Write ``map.png`` and ``report.html`` of a result without a log into a folder."""
-    write_png(folder / MAP_PNG, lambda: _drawn(result, mapper))
-    command = f"{type(mapper).__name__}.save_results"
-    atomic_write(folder / REPORT, report_page(result, command, "a run"))
+def groups_of(mapper: AnyMapper) -> list[Ints]:
+    """Return the labels of the landmarks of each group, if a mapper has groups."""
+    groups = [] if isinstance(mapper, Plane3dMapper) else mapper.groups
+    return [group.landmarks for group in groups]
 
 
-def _drawn(result: Result, mapper: AnyMapper) -> Figure:
+def write_pictures(
+    folder: Path, result: Result, groups: Sequence[Ints], command: str, name: str
+) -> None:
+    """Write ``map.png`` and ``report.html`` of a result into a folder.
+
+    `groups`: as for `relmap.plots.run.plot_run`; `command`, `name`: as for `report_page`.
+    """
+    write_png(folder / MAP_PNG, lambda: _drawn(result, groups))
+    atomic_write(folder / REPORT, report_page(result, command, name))
+
+
+def _drawn(result: Result, groups: Sequence[Ints]) -> Figure:
+    if isinstance(result, Plane3dResult):
+        return plot_planes3d(result.planes, result.poses, result.stamps_s, result.weak)
     if isinstance(result, PlaneResult):
         if not result.drawn:
             return plot_planes(result.planes, result.poses)
         return plot_submaps(result.drawn, len(result.summary["submaps"]))
-    return plot_run(result, [group.landmarks for group in mapper.groups])
+    return plot_run(result, groups)

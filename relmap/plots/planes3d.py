@@ -23,7 +23,6 @@ from relmap.plots.sheet import (
     finish,
     legend_below,
     limits_of,
-    to_png,
 )
 
 LIGHT = np.array([0.3, 0.5, 0.81])
@@ -38,7 +37,7 @@ def plot_planes3d(table: Plane3dTable, poses: Floats, stamps_s: Floats, weak: In
     """
     static = np.flatnonzero(table.status == "static").tolist()
     rows = [k for k in static if len(table.outline[k]) > 2]
-    up = _upward(table, rows)
+    up = upward(table, rows)
     outlines = [table.outline[k] @ up.T for k in rows]
     way = poses[:, :3, 3] @ up.T
     bright = np.abs(table.normal[rows] @ up.T @ LIGHT)[:, None] if rows else np.empty((0, 1))
@@ -73,7 +72,7 @@ def plot_planes3d(table: Plane3dTable, poses: Floats, stamps_s: Floats, weak: In
     return figure
 
 
-def _upward(table: Plane3dTable, rows: Sequence[int]) -> Floats:
+def upward(table: Plane3dTable, rows: Sequence[int]) -> Floats:
     """Return the rotation that makes the largest floor or ceiling planes level.
 
     Up is the direction with the largest area within 45 degrees of the first scan's z.
@@ -92,6 +91,3 @@ def _upward(table: Plane3dTable, rows: Sequence[int]) -> Floats:
     x = np.array([1.0, 0.0, 0.0]) - z[0] * z
     x /= np.linalg.norm(x)
     return np.stack([x, np.cross(z, x), z])
-
-
-write_planes3d_png = to_png(plot_planes3d)

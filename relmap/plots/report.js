@@ -142,15 +142,15 @@
   }
 
   function drawLines() {
-    const n = view.lines.length / 4;
+    const n = view.lines.length / (2 * view.axes);
     for (const later of [true, false]) {
       context.strokeStyle = later ? FAINT : WALL;
       context.lineWidth = later ? 1 : 1.8;
       context.beginPath();
       for (let k = 0; k < n; k++) {
         if (view.lineFirst[k] > now !== later) continue;
-        context.moveTo(...screen(view.lines[4 * k], view.lines[4 * k + 1]));
-        context.lineTo(...screen(view.lines[4 * k + 2], view.lines[4 * k + 3]));
+        context.moveTo(...place(view.lines, 2 * k));
+        context.lineTo(...place(view.lines, 2 * k + 1));
       }
       context.stroke();
     }
@@ -243,7 +243,8 @@
   }
 
   function legend() {
-    const shown = view.lines.length ? [[WALL, "wall"], [CORNER, "corner"]] : [[DOT, "landmark"]];
+    const walls = [[WALL, "wall"], [CORNER, "corner"]], edges = [[WALL, "edge of a plane"]];
+    const shown = !view.lines.length ? [[DOT, "landmark"]] : view.axes === 2 ? walls : edges;
     if (view.points.length) shown.push([POINT, "points of the scans"]);
     if (view.n) shown.push([PATH, "path"], ["#333", "start (round), end (square)"], [ROBOT, "robot"]);
     if (view.weak.length) shown.push([WEAK, "weak link"]);
@@ -295,14 +296,16 @@
   function name(px, py) {
     const [x, y] = world(px, py), words = [];
     let best = NEAR;
-    for (let k = 0; k < view.lines.length / 4; k++) {
-      const [x0, y0, x1, y1] = view.lines.subarray(4 * k, 4 * k + 4);
+    for (let k = 0; k < view.lines.length / (2 * view.axes); k++) {
+      const [[x0, y0], [x1, y1]] = [2 * k, 2 * k + 1].map((end) => world(...place(view.lines, end)));
       const dx = x1 - x0, dy = y1 - y0, long = Math.hypot(dx, dy);
       const t = Math.min(Math.max(((x - x0) * dx + (y - y0) * dy) / (long * long || 1), 0), 1);
       const off = Math.hypot(x - x0 - t * dx, y - y0 - t * dy) * scale;
       if (off >= best) continue;
       best = off;
-      words[0] = `wall ${view.lineNames[k]}: ${long.toFixed(2)} m, seen ${view.lineSeen[k]} times`;
+      const kind = view.axes === 2 ? "wall" : "plane";
+      const size = view.axes === 2 ? `: ${long.toFixed(2)} m` : "";
+      words[0] = `${kind} ${view.lineNames[k]}${size}, seen ${view.lineSeen[k]} times`;
     }
     for (let k = 0; k < view.dotNames.length; k++) {
       const [qx, qy] = place(view.dots, k), off = Math.hypot(px - qx, py - qy);

@@ -10,6 +10,7 @@ from typing import Any
 
 from relmap.io.results import Result
 from relmap.planes.walls.files import PlaneResult
+from relmap.planes3d.files import Plane3dResult
 from relmap.plots.html import document, table
 from relmap.plots.report_data import views_of
 
@@ -69,6 +70,8 @@ def _caption(result: Result) -> str:
     what = f"{counts.get('mapped')} of {counts.get('landmarks')} landmarks"
     if isinstance(result, PlaneResult):
         what = f"{counts['planes_static']} walls with {counts['corners_static']} corners"
+    if isinstance(result, Plane3dResult):
+        what = f"{counts['planes_static']} planes, shown with their floor level"
     early = ", stopped early" if result.summary["interrupted"] else ""
     apart = f"; the run broke into {n} submaps, each in its own frame" if n > 1 else ""
     return f"{what}, mapped in {counts['iterations']} iterations{early}{apart}."
@@ -76,7 +79,7 @@ def _caption(result: Result) -> str:
 
 def _sections(summary: Mapping[str, Any]) -> Iterator[str]:
     yield "<section><h2>Results</h2>"
-    yield table((), [*_flat(summary["counts"]), *_flat(summary["association_trust"])])
+    yield table((), [*_flat(summary["counts"]), *_flat(summary.get("association_trust", {}))])
     yield "</section>"
     submaps = summary["submaps"]
     if len(submaps) > 1:
@@ -85,7 +88,7 @@ def _sections(summary: Mapping[str, Any]) -> Iterator[str]:
         more = len(submaps) - LISTED
         yield f"<section><h2>Submaps</h2>{table(head, rows)}"
         yield f"<p>and {more} more</p></section>" if more > 0 else "</section>"
-    refinement = summary["refinement"]
+    refinement = summary.get("refinement")
     if refinement is not None:
         plain = {key: value for key, value in refinement.items() if not isinstance(value, list)}
         yield f"<section><h2>Refinement</h2>{table((), _flat(plain))}"

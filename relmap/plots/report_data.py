@@ -15,7 +15,10 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.landmarks import Submap
 from relmap.io.results import Result
 from relmap.planes.walls.files import DrawnSubmap, PlaneResult
+from relmap.planes3d.files import LEAST_SCANS, Plane3dResult
+from relmap.planes3d.table import FEWEST
 from relmap.plots.path import jumps
+from relmap.plots.planes3d import upward
 from relmap.plots.run import weak_places
 from relmap.plots.sheet import limits_of
 
@@ -32,6 +35,12 @@ def views_of(result: Result) -> list[View]:
         total = sum(len(submap.points) for submap in result.drawn)
         every = max(-(-total // POINTS), 1)
         return [_view_of_walls(k, submap, every) for k, submap in enumerate(result.drawn)]
+    if isinstance(result, Plane3dResult):
+        return [
+            _view_of_planes(result, rank)
+            for rank, (_, poses) in enumerate(result.paths)
+            if rank == 0 or len(poses) >= LEAST_SCANS
+        ]
     others = enumerate(result.submaps[1:], start=1)
     return [_view_of_points(result), *(_view_of_submap(k, s, result.planar) for k, s in others)]
 
@@ -57,6 +66,34 @@ def _view_of_walls(number: int, submap: DrawnSubmap, every: int) -> View:
         **_path(submap.iterations, submap.stamps_s, submap.poses, 2),
         "weak": submap.weak.tolist(),
         **_points(submap.points[::every], submap.point_scan[::every]),
+    }
+
+
+def _view_of_planes(result: Plane3dResult, rank: int) -> View:
+    """Return the edges of the planes of a submap, with its floor level."""
+    planes, (stamps_s, poses) = result.planes, result.paths[rank]
+    iterations = result.summary["scans"][0] + np.array(result.parts[rank].iteration)
+    shown = (planes.observations >= FEWEST) & (planes.status != "dynamic")
+    rows = np.flatnonzero(shown & (planes.submap == rank)).tolist()
+    level = np.eye(4)
+    level[:3, :3] = up = upward(planes, rows)
+    rings = [planes.outline[k] @ up.T for k in rows]
+    edges = [np.stack([ring, np.roll(ring, -1, axis=0)], axis=1) for ring in rings]
+    ends = np.concatenate([np.empty((0, 2, 3)), *edges])
+    of = np.repeat(np.array(rows, dtype=np.int64), [len(ring) for ring in rings])
+    first = np.searchsorted(iterations, planes.first_iteration[of])
+    weak = np.flatnonzero(np.isin(iterations, result.summary["weak_links"]))
+    return {
+        "name": _name(rank),
+        "caption": f"{len(poses)} scans, {len(rows)} planes",
+        "axes": 3,
+        "limits": _limits(ends.reshape(-1, 3), (level @ poses)[:, :3, 3]),
+        "lines": _packed(ends, "<f4"),
+        "lineNames": _packed(planes.plane[of], "<i4"),
+        "lineSeen": _packed(planes.observations[of], "<i4"),
+        "lineFirst": _packed(first, "<i4"),
+        **_path(iterations, stamps_s, level @ poses, 3),
+        "weak": weak[weak > 0].tolist(),
     }
 
 
