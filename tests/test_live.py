@@ -45,6 +45,15 @@ def test_a_run_is_recorded(logs: Path, tmp_path: Path, source: str) -> None:
     assert {"map", "path", "scan"} <= {*read_back(file)}
 
 
+def test_planes_in_space_are_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("rerun")
+    monkeypatch.chdir(tmp_path)
+    assert main(["simulate", "storey", "-o", "storey", "--iterations", "4"]) == 0
+    asked = "map storey -o out --variant planes3d --live-file run.rrd"
+    assert main(asked.split()) == 0
+    assert {"map", "path", "scan"} <= {*read_back(Path("run.rrd"))}
+
+
 def test_showing_takes_little_of_the_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """By a clock on which showing takes as long as four updates: one in forty is shown."""
     pytest.importorskip("rerun")

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 import shutil
+from base64 import b64decode
 from pathlib import Path
 
 import numpy as np
@@ -122,6 +124,20 @@ def test_mesh_holds_polygons_on_the_planes(storey: Path) -> None:
         assert off_m[face[1:]].max(axis=0).min() < 1e-4
 
 
+def test_report_shows_the_edges_of_the_planes(storey: Path) -> None:
+    page = (storey / "result" / "report.html").read_text()
+    (data,) = re.findall(r'<script id="data" type="application/json">(.*?)</script>', page)
+    (view,) = json.loads(data)
+    ends = np.frombuffer(b64decode(view["lines"]), "<f4").reshape(-1, 2, 3)
+    planes = [row for row in rows_of(storey / "result" / "planes.csv") if row["status"] == "static"]
+    assert len(ends) == sum(len(row["outline"].split(";")) for row in planes)
+    flat = np.abs(np.ptp(ends[:, :, 2], axis=1)) < 1e-3
+    assert 0.2 < flat.mean() < 1  # the floor is level
+    assert view["axes"] == 3
+    assert view["caption"] == f"10 scans, {len(planes)} planes"
+    assert len(b64decode(view["path"])) == 10 * 3 * 4
+
+
 def test_outlines_name_the_planes_that_they_meet(storey: Path) -> None:
     rows = {row["plane"]: row for row in rows_of(storey / "result" / "planes.csv")}
     met = 0
@@ -177,6 +193,26 @@ def test_planes_in_space_are_neither_exported_nor_merged(
         assert f"{result} is a map of planes in space: only points and walls" in printed
         assert printed.count("\n") == 1
     assert not (tmp_path / "out").exists()
+
+
+def test_compared_with_other_paths(storey: Path, tmp_path: Path) -> None:
+    log, out = str(storey / "world"), tmp_path / "compared"
+    run_relmap("compare", log, "-o", out, "--methods", "relmap-planes3d")
+    (row,) = rows_of(out / "comparison.csv")
+    assert float(row["ate_m"]) < 0.003
+    assert row["path_coverage"] == "1.0"
+    whole = rows_of(storey / "result" / "landmarks.csv")
+    mapped = [each["landmark"] for each in whole if each["status"] == "static"]
+    assert [each["landmark"] for each in rows_of(out / "map-relmap-planes3d.csv")] == mapped
+    assert (out / "map-relmap-planes3d.png").exists()
+
+
+def test_walls_are_not_compared_in_clouds_with_floors(
+    storey: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked = ["compare", str(storey / "world"), "-o", str(tmp_path / "no")]
+    assert main([*asked, "--methods", "relmap-planes"]) == 2
+    assert "clouds that show floors; these can: relmap-planes3d" in capsys.readouterr().err
 
 
 def test_scans_and_voxel(storey: Path, tmp_path: Path) -> None:

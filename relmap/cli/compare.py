@@ -49,6 +49,8 @@ Methods for landmarks:
   small-gicp +         small_gicp from scan to scan: a path, no landmarks
 Methods for point scans:
   relmap-planes, relmap-planes-live, relmap-planes-paper, kiss-icp +, small-gicp +
+Methods for clouds that show floors, ceilings or tilted walls:
+  relmap-planes3d, kiss-icp +, small-gicp +
 
 \b
   * needs known ids: --association known

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -53,9 +54,12 @@ def _map_of(result: Result) -> dict[str, NDArray[Any]]:
 def draw(folder: Path, rows: Iterable[Compared], data: Data[Log], title: str) -> None:
     """Draw the comparison, and the map or the errors of every method that ran."""
     from relmap.planes.walls.files import PlaneResult
+    from relmap.planes3d.files import Plane3dResult
     from relmap.plots.comparison import write_comparison_png
     from relmap.plots.errors import shared_scale, write_errors_png
+    from relmap.plots.of_mapper import plot_result
     from relmap.plots.run import write_map_png
+    from relmap.plots.sheet import write_png
 
     ran = [(row.method, row.run) for row in rows if row.run is not None]
     figures = [(name, run.figures) for name, run in ran]
@@ -66,6 +70,8 @@ def draw(folder: Path, rows: Iterable[Compared], data: Data[Log], title: str) ->
         picture, truth = folder / f"map-{name}.png", overlays[name]
         if isinstance(run.result, PlaneResult):
             _draw_walls(picture, run.result, data, name)
+        elif isinstance(run.result, Plane3dResult):
+            write_png(picture, partial(plot_result, run.result))
         elif truth is not None:
             write_errors_png(picture, run.result, truth, scale, _titled(name, run))
         else:
@@ -84,8 +90,9 @@ def _overlay(result: Result, data: Data[Log]) -> Overlay | None:
     from relmap.datasets.base import ObservationLog
     from relmap.evaluation.landmarks import overlay
     from relmap.planes.walls.files import PlaneResult
+    from relmap.planes3d.files import Plane3dResult
 
-    if data.truth is None or isinstance(result, PlaneResult):
+    if data.truth is None or isinstance(result, PlaneResult | Plane3dResult):
         return None
     log = data.log if isinstance(data.log, ObservationLog) else None
     return overlay(result, data.truth, log)

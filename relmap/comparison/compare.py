@@ -53,7 +53,7 @@ def chosen_methods(
     data.
     """
     if association == "known" and data.ids is None:
-        if data.kind == "scans":
+        if data.kind != "landmarks":
             raise RelmapError("--association known is for landmarks: point scans have no ids")
         raise RelmapError("--association known needs a log with ids, and this one has none")
     if names is None:

@@ -119,14 +119,13 @@ def run_mapper(
     fed = feed(mapper, log, association, refine, through, len(seen), segmenter, odometry, progress)
     labels = [*seen, *fed.labels]
     done = log.between(log.first_iteration, log.first_iteration + len(labels))
-    entries = {**(about or {}), "configuration": mapper.settings}
-    how = completion(log, done, fed, refine)
-    if isinstance(mapper, Plane3dMapper):
-        return Run(result_in_space(mapper, done, labels, entries | how), ())
     result = result_of(mapper, done, labels, association, offset)
-    groups = tuple(group.landmarks for group in mapper.groups)
-    found = summary_of(mapper, result, done, offset, len(groups))
-    summary = entries | result.summary | found | how
+    groups: tuple[Ints, ...] = ()
+    summary = (about or {}) | {"configuration": mapper.settings} | result.summary
+    if not isinstance(mapper, Plane3dMapper):
+        groups = tuple(group.landmarks for group in mapper.groups)
+        summary |= summary_of(mapper, result, done, offset, len(groups))
+    summary |= completion(log, done, fed, refine)
     return Run(replace(result, summary=summary), groups)
 
 
@@ -177,14 +176,21 @@ def map_log(
 
 
 def result_of(
-    method: Method, log: Log, labels: Sequence[Ints], association: Association, offset: int
+    method: Method | Plane3dMapper,
+    log: Log,
+    labels: Sequence[Ints],
+    association: Association,
+    offset: int,
 ) -> Result:
     """Return the result of a method on a log.
 
     `log`: the last processed iterations; `labels`, sequence of (n,): labels of each scan; `offset`:
-    log number of the method's first iteration. For walls the result is a `PlaneResult`. Its summary
-    only contains association, dimensions and iterations.
+    log number of the method's first iteration. For walls the result is a `PlaneResult`, for planes
+    in space a `Plane3dResult`. Otherwise its summary only contains association, dimensions and
+    iterations.
     """
+    if isinstance(method, Plane3dMapper):
+        return result_in_space(method, log, labels)
     first, k = log.first_iteration, len(log)
     poses, stamps_s = method.trajectory[first - offset :], stamps_of(log)
     there = np.isfinite(poses).all(axis=(1, 2))

@@ -37,12 +37,12 @@ def result_of_mapper(mapper: AnyMapper) -> Result:
         times_s = np.arange(float(n))
     scans = stored_scans(np.empty((0, 2)), np.zeros(n + 1, dtype=np.int64), times_s)
     if isinstance(mapper, Plane3dMapper):
-        refined = any(part.share is not None for part in mapper.submaps)
-        about = {"variant": VARIANT, "configuration": mapper.settings}
-        more = {"interrupted": False, "refined": refined}
-        in_space = result_in_space(mapper, scans, [none] * n, about | more)
+        in_space = result_in_space(mapper, scans, [none] * n)
         del in_space.summary["counts"]["observations"]
-        return in_space
+        refined = any(part.share is not None for part in mapper.submaps)
+        settings = {"variant": VARIANT, "configuration": mapper.settings}
+        state = {"interrupted": False, "refined": refined}
+        return replace(in_space, summary=settings | in_space.summary | state)
     association: Association = "known" if mapper.engine.association.has_ids else "nearest"
     d = 2 if walls else max(mapper.engine.store.dimension, 2)
     log: Log = ObservationLog(np.empty((0, d)), none, none, 0, n, stamps_s=times_s)

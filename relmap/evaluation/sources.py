@@ -5,7 +5,8 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Generic, Literal, Protocol, TypeVar, cast
 
@@ -19,11 +20,12 @@ from relmap.datasets.own_table import OwnTable
 from relmap.datasets.scans import ScanLog, SensorView
 from relmap.datasets.textfile import invalid, quoted, require_path
 from relmap.evaluation.feeding import Log, stamps_of
-from relmap.evaluation.truth import Judged, Truth, Variant, read_truth
+from relmap.evaluation.levelling import shows_floors
+from relmap.evaluation.truth import Judged, Truth, Variant, read_space_truth, read_truth
 from relmap.simulation import Building, FigureEight, World, simulate_building, simulate_figure_eight
 from relmap.simulation.noise import Noise
 
-LogKind = Literal["landmarks", "scans"]
+LogKind = Literal["landmarks", "scans", "clouds"]
 L = TypeVar("L", bound=Log, covariant=True)
 
 
@@ -34,10 +36,12 @@ class Data(Generic[L]):
     log: L
     truth: Truth | None
 
-    @property
+    @cached_property
     def kind(self) -> LogKind:
-        """The kind of log."""
-        return "scans" if isinstance(self.log, ScanLog) else "landmarks"
+        """The kind of log; "clouds" if scans show floors, ceilings or tilted walls."""
+        if not isinstance(self.log, ScanLog):
+            return "landmarks"
+        return "clouds" if shows_floors(self.log) else "scans"
 
     @property
     def ids(self) -> Ints | None:
@@ -135,10 +139,13 @@ class FileSource:
         if truth is None and (folder / "truth").is_dir():
             truth = folder
         log = read_log(self.path, variant, self.format, self.scans, self.columns, self.topics)
+        data = Data[Log](log, None)
         if truth is None:
-            return Data(log, None)
+            return data
         with silent_readers() if truth.resolve() == self.path.resolve() else nullcontext():
-            return Data(log, read_truth(truth, variant))
+            if data.kind == "clouds":
+                return replace(data, truth=read_space_truth(truth))
+            return replace(data, truth=read_truth(truth, variant))
 
     def _holds_scans(self) -> bool:
         """Return whether the log contains point scans."""

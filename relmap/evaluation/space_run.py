@@ -20,13 +20,10 @@ from relmap.planes3d.table import Plane3dTable
 VARIANT = "planes3d"
 
 
-def result_in_space(
-    mapper: Plane3dMapper, log: Log, labels: Sequence[Ints], entries: dict[str, Any]
-) -> Plane3dResult:
+def result_in_space(mapper: Plane3dMapper, log: Log, labels: Sequence[Ints]) -> Plane3dResult:
     """Return the result of a mapper of planes in space.
 
-    `log`: the scans that it mapped; `labels`, sequence of (n,): of each of them; `entries`:
-    additional entries of the summary.
+    `log`: the scans that it mapped; `labels`, sequence of (n,): of each of them.
     """
     first = log.first_iteration
     table = shifted(mapper.planes, first)
@@ -39,7 +36,7 @@ def result_in_space(
     stamps_s, poses = paths[0] if paths else (np.empty(0), np.empty((0, 4, 4)))
     weak = mapper.weak_links
     own = np.array(parts[0].iteration if parts else [], dtype=np.int64)
-    summary = entries | {
+    summary = {
         "association": "nearest",
         "dimensions": 3,
         "scans": [first, first + len(log)],

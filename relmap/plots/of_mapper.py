@@ -24,7 +24,7 @@ from relmap.plots.sheet import write_png
 
 def plot_mapper(mapper: AnyMapper) -> Figure:
     """Draw the map of a mapper: landmarks; of walls each submap in a panel; planes in space."""
-    return _drawn(result_of_mapper(mapper), groups_of(mapper))
+    return plot_result(result_of_mapper(mapper), groups_of(mapper))
 
 
 def groups_of(mapper: AnyMapper) -> list[Ints]:
@@ -40,11 +40,12 @@ def write_pictures(
 
     `groups`: as for `relmap.plots.run.plot_run`; `command`, `name`: as for `report_page`.
     """
-    write_png(folder / MAP_PNG, lambda: _drawn(result, groups))
+    write_png(folder / MAP_PNG, lambda: plot_result(result, groups))
     atomic_write(folder / REPORT, report_page(result, command, name))
 
 
-def _drawn(result: Result, groups: Sequence[Ints]) -> Figure:
+def plot_result(result: Result, groups: Sequence[Ints] = ()) -> Figure:
+    """Draw the map of a result; `groups` as for `write_pictures`."""
     if isinstance(result, Plane3dResult):
         return plot_planes3d(result.planes, result.poses, result.stamps_s, result.weak)
     if isinstance(result, PlaneResult):

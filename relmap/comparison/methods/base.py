@@ -5,8 +5,8 @@ from __future__ import annotations
 import importlib.util
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
-from relmap.evaluation.feeding import Method
 from relmap.evaluation.sources import LogKind
 
 
@@ -27,13 +27,13 @@ class Setup:
 class MethodInfo:
     """A method and the information needed to choose it.
 
-    `make`: makes a new instance; `logs`: accepted kinds of logs; `refine`: whether the map is
-    refined at the end of the log; `needs_ids`: whether it needs known ids; `needs`: module of the
-    optional extra that it requires.
+    `make`: makes a new `Method` or `Plane3dMapper`; `logs`: accepted kinds of logs; `refine`:
+    whether the map is refined at the end of the log; `needs_ids`: whether it needs known ids;
+    `needs`: module of the optional extra that it requires.
     """
 
     name: str
-    make: Callable[[Setup], Method]
+    make: Callable[[Setup], Any]
     logs: tuple[LogKind, ...] = ("landmarks",)
     refine: bool = False
     needs_ids: bool = False

@@ -16,10 +16,13 @@ from relmap.core.errors import RelmapError, known_name
 from relmap.evaluation.feeding import Association
 from relmap.evaluation.sources import LogKind
 from relmap.planes import PlaneMapper
+from relmap.planes3d import Plane3dMapper
 from relmap.points import PointMapper
 
 _SCANS: tuple[LogKind, ...] = ("scans",)
-_ALL: tuple[LogKind, ...] = ("landmarks", "scans")
+_CLOUDS: tuple[LogKind, ...] = ("clouds",)
+_ALL: tuple[LogKind, ...] = ("landmarks", "scans", "clouds")
+_HOLDS = {"landmarks": "landmarks", "scans": "point scans", "clouds": "clouds that show floors"}
 _GTSAM: dict[str, Any] = {"needs_ids": True, "needs": "gtsam"}
 
 METHODS: tuple[MethodInfo, ...] = (
@@ -29,6 +32,7 @@ METHODS: tuple[MethodInfo, ...] = (
     MethodInfo("relmap-planes", lambda _: PlaneMapper(), _SCANS, refine=True),
     MethodInfo("relmap-planes-live", lambda _: PlaneMapper(), _SCANS),
     MethodInfo("relmap-planes-paper", lambda _: PaperPlaneMapper(), _SCANS),
+    MethodInfo("relmap-planes3d", lambda _: Plane3dMapper(), _CLOUDS, refine=True),
     MethodInfo("frame-to-frame", lambda setup: FrameToFrame(setup.dimension), needs_ids=True),
     MethodInfo("frame-to-map", lambda setup: FrameToMap(setup.dimension), needs_ids=True),
     MethodInfo("ekf-mrpt", as_mrpt_ships_it, needs_ids=True),
@@ -61,8 +65,9 @@ def check_method(method: MethodInfo, log: LogKind, association: Association) -> 
     """Check that a method accepts such a log; RelmapError if it does not."""
     fit = ", ".join(other.name for other in fitting_methods(log, association))
     if log not in method.logs:
-        has = "point scans" if log == "scans" else "landmarks"
-        raise RelmapError(f"method {method.name} cannot map a log of {has}; these can: {fit}")
+        raise RelmapError(
+            f"method {method.name} cannot map a log of {_HOLDS[log]}; these can: {fit}"
+        )
     if method.needs_ids and association == "nearest":
         raise RelmapError(
             f"method {method.name} needs known ids: "

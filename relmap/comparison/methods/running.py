@@ -24,6 +24,7 @@ from relmap.evaluation.sources import Data, Source, silent_readers
 from relmap.evaluation.summary import timing_of
 from relmap.io.results import Result
 from relmap.planes.walls.files import PlaneResult
+from relmap.planes3d.files import Plane3dResult
 from relmap.points.mapper import PointMapper
 
 OF_A_MAP = ("matched", "coverage", "landmarks_per_true", "purity")
@@ -39,7 +40,7 @@ PATH = ("path_coverage", "relation_m", "relation_rad")
 in submaps is the largest one, and the error of checked relations between poses."""
 COST = ("median_ms", "mean_ms", "last_100_median_ms", "total_s", "memory_mb")
 """Figures that depend on the machine: processor time of one core, and memory growth."""
-WARM_UP = {"landmarks": 30, "scans": 4}
+WARM_UP = {"landmarks": 30, "scans": 4, "clouds": 4}
 """Iterations of a log that are run first, so that everything is loaded and compiled."""
 GUESSED_FROM = 200
 """Number of iterations from which the noise of a log is estimated."""
@@ -135,7 +136,7 @@ def _accuracy(result: Result, data: Data[Log]) -> dict[str, float | None]:
     figures |= {name: getattr(found, name, None) for name in figures}
     if isinstance(result, PlaneResult):
         return figures | {"matched": found.counts.get("matched_corners")}
-    if not result.mapped.any():
+    if isinstance(result, Plane3dResult) or not result.mapped.any():
         return figures | dict.fromkeys(OF_A_MAP)
     often = match_landmarks(result, data.truth, identify(result, log), often=True)
     figures["matched"] = found.counts.get("matched_landmarks")
