@@ -11,9 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from relmap import Plane3dMapper, PlaneMapper, PointMapper, RelmapError
+from relmap import Plane3dMapper, PlaneMapper, PointMapper, RelmapError, map_log
 from relmap.cli import main
 from relmap.core.arrays import Floats
+from relmap.datasets import open_scans
 from relmap.io.journal import JournalReader
 from relmap.segmentation.space import PatchSegmenter
 from relmap.simulation.storey import simulate_storey
@@ -234,3 +235,26 @@ def test_memory_of_a_saved_state_is_that_of_the_map(tmp_path: Path) -> None:
         members = set(content)
     assert {"submaps/0/seen/centre", "submaps/0/match", "submaps/0/scatter"} <= members
     assert len(members) < 60
+
+
+@unrendered()
+def test_results_of_a_mapper_without_its_log(storey: Path, tmp_path: Path) -> None:
+    whole = storey / "whole"
+    mapper = Plane3dMapper.load(whole / "mapper.npz")
+    mapper.save_results(tmp_path / "out")
+    assert names(tmp_path / "out") == names(whole)
+    for name in ("planes.csv", "landmarks.csv", "map.ply", "trajectory.tum", "mapper.npz"):
+        assert (tmp_path / "out" / name).read_bytes() == (whole / name).read_bytes()
+    run_relmap("evaluate", tmp_path / "out", "--truth", storey / "log")
+    assert load(tmp_path / "out" / "evaluation.json")["ate_m"] < 0.003
+    assert len(mapper.plot().axes) == 2
+    Plane3dMapper().save_results(tmp_path / "nothing")
+    assert load(tmp_path / "nothing" / "summary.json")["submaps"] == []
+
+
+def test_map_log_takes_the_mapper(storey: Path) -> None:
+    mapper = Plane3dMapper()
+    run_of = map_log(open_scans(storey / "log"), mapper)
+    assert mapper.stamps_s.tolist() == list(range(10))
+    assert run_of.result.summary["refined"]
+    assert len(run_of.result.poses) == 10
