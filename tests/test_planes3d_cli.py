@@ -247,8 +247,10 @@ def test_a_planar_log_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[s
     world = ["--sampling", "laser", "--points", "181", "--iterations", "3"]
     run_relmap("simulate", "building", "-o", tmp_path / "world", *world)
     arguments = ["map", tmp_path / "world", "-o", tmp_path / "no", "--variant", "planes3d"]
+    arguments += ["--journal", tmp_path / "run.journal"]
     assert main([str(argument) for argument in arguments]) == 2
     assert "2-D laser" in capsys.readouterr().err
+    assert names(tmp_path) == ["world"]
 
 
 def test_clouds_without_planes_are_reported(

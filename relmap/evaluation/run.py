@@ -108,13 +108,8 @@ def run_mapper(
     Raises
     ------
     RelmapError
-        If ``known`` is requested for a log without ids, a scan of the log is damaged, or planes in
-        space are to be found in scans of a 2-D laser.
+        If ``known`` is requested for a log without ids, or a scan of the log is damaged.
     """
-    if isinstance(mapper, Plane3dMapper) and isinstance(log, ScanLog) and log.dimension != 3:
-        raise RelmapError(
-            "the log is from a 2-D laser, and planes3d maps clouds: use --variant planes"
-        )
     offset = log.first_iteration - (mapper.n_iterations - len(seen))
     fed = feed(mapper, log, association, refine, through, len(seen), segmenter, odometry, progress)
     labels = [*seen, *fed.labels]

@@ -195,11 +195,16 @@ def read_log(
 
     `path`: a file or folder; `log_format`: recognised by the content if omitted; `scans`: the
     iterations to read: the first, and one after the last; `columns`, `topics`: as for
-    `relmap.datasets.open_log`. Raises `RelmapError` if there is no such log or it is damaged.
+    `relmap.datasets.open_log`. Raises `RelmapError` if there is no such log, it is damaged, or
+    its scans are of a 2-D laser and the variant needs clouds.
     """
     whole: Log
     if variant != "points":
         whole = open_scans(path, log_format, topics)
+        if variant == "planes3d" and whole.dimension != 3:
+            raise RelmapError(
+                f"{path}: is from a 2-D laser, and planes3d maps clouds: use --variant planes"
+            )
     else:
         whole = open_log(path, log_format, columns, topics)
     return whole if scans is None else whole.between(*scans)
