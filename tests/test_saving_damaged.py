@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from relmap import PointMapper, RelmapError
+from relmap import Plane3dMapper, PointMapper, RelmapError
 from relmap.io.saving import checksum
 from tests.savedmaps import saved_map, told
 
@@ -156,3 +156,32 @@ def test_flipped_bytes_anywhere_give_one_line_or_the_same_map(tmp_path: Path) ->
             assert "\n" not in said
             assert str(path) in said
     assert n_told > 500
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (shifted("submaps/0/match_rows", 1), "submaps/0/match has .* rows, and not"),
+        (shifted("submaps/0/poses/0_rows", -1), "submaps/0/poses/0 has .* rows, and not"),
+        (lambda a, h: a.pop("submaps/0/seen/cell_m"), "another version .*cell_m is missing"),
+        (lambda a, h: a.update({"submaps/0/seen/cell_m": np.ones(2)}), "is damaged or not"),
+        (lambda a, h: a.update({"submaps/0/sights/number": np.arange(9)}), "is damaged or not"),
+        (lambda a, h: h["values"].update({"submaps/0/held": [0.5]}), "held is not a list of int"),
+        (lambda a, h: h["values"].update(submaps=2), "submaps/1/iteration is missing"),
+        (lambda a, h: h["configuration"].update(most=0), "they must be at least 10 and 1"),
+        (lambda a, h: h["configuration"].update(size=3), "are not settings of planes3d"),
+    ],
+)
+def test_a_file_of_planes_in_space_that_was_made_up(
+    tmp_path: Path, change: Any, message: str
+) -> None:
+    u, v = (axis.ravel() for axis in np.meshgrid(*[np.linspace(0.0, 3.0, 60)] * 2))
+    corner = np.concatenate([np.insert(np.column_stack([u, v]), k, 0.0, axis=1) for k in range(3)])
+    mapper = Plane3dMapper()
+    for x in (1.0, 1.1, 1.2):
+        mapper.update(corner - [x, 1.0, 1.0])
+    mapper.save(tmp_path / "mapper.npz")
+    rewritten(tmp_path / "mapper.npz", change)
+    with pytest.raises(RelmapError, match=message) as caught:
+        Plane3dMapper.load(tmp_path / "mapper.npz")
+    assert "\n" not in str(caught.value)
