@@ -171,6 +171,20 @@ def test_numbers_of_walls_stay() -> None:
     assert mapper.landmarks_of(first).tolist() == first.tolist()
 
 
+def test_the_map_of_groups_is_made_once_after_each_change() -> None:
+    mapper = PlaneMapper()
+    for x in np.linspace(0, 1, 12):
+        mapper.update(seen_from(x, 0.0, 0.0))
+    found = mapper.submaps
+    assert mapper.submaps is found
+    mapper.update(seen_from(1.1, 0.0, 0.0))
+    assert len(mapper.submaps[0].poses) == len(found[0].poses) + 1
+    mapper.finish()
+    assert len(mapper.map.positions)
+    mapper.refine()
+    assert mapper.submaps[0].refined and not found[0].refined
+
+
 def test_scans_without_walls_are_bridged() -> None:
     mapper = PlaneMapper()
     nothing = SimpleNamespace(ends=np.empty((0, 2, 2)), end_type=np.empty((0, 2), dtype=str))

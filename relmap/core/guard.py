@@ -52,6 +52,11 @@ class ChangeGuard:
         """
         return Change(self, self._holder, spoils)
 
+    @property
+    def is_changing(self) -> bool:
+        """Whether a change is in progress, or was interrupted."""
+        return bool(self._holder)
+
     def check_same(self, latest: list[int]) -> None:
         """Check that no change began since `latest` was read.
 

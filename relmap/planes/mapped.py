@@ -36,6 +36,7 @@ class MappedWalls(Mapper):
     _refined_walls: tuple[list[WallSubmap], WallNumbers] | None
     _spread: tuple[Assembled, Floats] | None = None
     _weak: tuple[tuple[list[WallSubmap], WallNumbers], Ints] | None = None
+    _chained: tuple[list[int], tuple[list[WallSubmap], WallNumbers]] | None = None
     _moved: Ints
 
     @property
@@ -162,12 +163,9 @@ class MappedWalls(Mapper):
         By the beams of a laser: they do not exclude a motion 0.3 m off. With odometry, or without
         beams, by the walls: the scans share neither two crossing walls nor a corner.
         """
-        links = self._planes.links
-        if self._refined_walls is None:
-            return undetermined_steps(self.submaps, self.history, links)
-        if self._weak is None or self._weak[0] is not self._refined_walls:
-            weak = undetermined_steps(self.submaps, self.history, links)
-            self._weak = self._refined_walls, weak
+        state = self._state
+        if self._weak is None or self._weak[0] is not state:
+            self._weak = state, undetermined_steps(state[0], self.history, self._planes.links)
         return self._weak[1].copy()
 
     @property
@@ -183,13 +181,19 @@ class MappedWalls(Mapper):
 
     @property
     def _state(self) -> tuple[list[WallSubmap], WallNumbers]:
-        """The current map and its association."""
+        """The current map and its association; that of the groups is kept until the next change."""
         self._guard.check()
         if self._refined_walls is not None:
             return self._refined_walls
+        latest = self._guard.latest
+        if self._chained is not None and self._chained[0] is latest:
+            return self._chained[1]
         grouped = self._grouped
         numbers = grouped.numbers
-        return grouped.submaps(grouped.at_rest(numbers), self._moving), numbers
+        state = grouped.submaps(grouped.at_rest(numbers), self._moving), numbers
+        if not self._guard.is_changing:
+            self._chained = latest, state
+        return state
 
     @property
     def _own_numbers(self) -> WallNumbers:
