@@ -182,7 +182,8 @@ def test_the_map_of_groups_is_made_once_after_each_change() -> None:
     mapper.finish()
     assert len(mapper.map.positions)
     mapper.refine()
-    assert mapper.submaps[0].refined and not found[0].refined
+    assert mapper.submaps[0].refined
+    assert not found[0].refined
 
 
 def test_scans_without_walls_are_bridged() -> None:

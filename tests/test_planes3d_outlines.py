@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from relmap import Plane3dMapper
-from relmap.core.arrays import Floats, Ints
-from relmap.planes3d.outlines import Surface, surfaces_of
+from relmap.core.arrays import Bools, Floats, Ints
+from relmap.planes3d.outlines import ENDS, UNSEEN, Surface, surfaces_of
 from relmap.segmentation.space import Patches, PatchSegmenter
 
 STEP_M = 0.05
@@ -34,14 +34,30 @@ BOX = [
 ]
 
 
-def surfaces(*faces: Floats) -> tuple[list[Surface], Patches]:
-    """Return the surfaces of faces that several scans saw, in the frame of the first."""
+def surfaces(*faces: Floats, panel: Floats | None = None) -> tuple[list[Surface], Patches]:
+    """Return the surfaces of faces that several scans saw, in the frame of the first.
+
+    `panel`: points of a rectangle x = constant that hides what is behind it.
+    """
     mapper = Plane3dMapper(PatchSegmenter(voxel_m=0.2))
     for way in np.linspace(0, 1, 12):
-        mapper.update(np.concatenate(faces) - way * np.array([0.23, 0.31, 0.19]))
+        seen, place = np.concatenate(faces), way * np.array([0.23, 0.31, 0.19])
+        if panel is not None:
+            seen = np.concatenate([seen[~is_behind(panel, seen, place)], panel])
+        mapper.update(seen - place)
     assert len(mapper.submaps) == 1
     planes = mapper.submaps[0].all_planes()
     return surfaces_of(planes, np.arange(len(planes))), planes
+
+
+def is_behind(panel: Floats, points: Floats, place: Floats) -> Bools:
+    """Return which points (n, 3) a panel hides from a place (3,)."""
+    depth = points[:, 0] - place[0]
+    beyond = depth > panel[0, 0] - place[0] + 1e-9
+    share = (panel[0, 0] - place[0]) / np.where(beyond, depth, 1.0)
+    at = place + share[:, None] * (points - place)
+    inside = (at >= panel.min(axis=0)) & (at <= panel.max(axis=0))
+    return np.asarray(beyond & inside[:, 1:].all(axis=1))
 
 
 def one_facing(planes: Patches, normal: list[float], offset_m: float) -> int:
@@ -60,7 +76,7 @@ def test_the_floor_of_a_room_is_a_rectangle_and_names_its_walls() -> None:
     floor = one_facing(planes, [0, 0, 1], -1.0)
     outline, meets = found[floor].outline()
     assert area_m2(outline, planes.normal[floor]) == pytest.approx(24.0, rel=0.01)
-    assert sorted(set(meets.tolist()) - {-1}) == sorted(set(range(5)) - {floor})
+    assert sorted(set(meets.tolist()) - {UNSEEN}) == sorted(set(range(5)) - {floor})
     for begin, end, other in zip(outline, np.roll(outline, -1, axis=0), meets, strict=True):
         if other >= 0:  # both ends are on the wall
             for point in (begin, end):
@@ -74,7 +90,7 @@ def test_the_open_side_of_a_wall_is_not_an_edge() -> None:
     wall = one_facing(planes, [0, 1, 0], -2.0)
     outline, meets = found[wall].outline()
     top = outline[:, 2] > 0.7
-    assert (meets[top & np.roll(top, -1)] == -1).all()
+    assert (meets[top & np.roll(top, -1)] == UNSEEN).all()
     # It was seen up to 1 m; the outline is that of squares of 0.2 m.
     assert outline[:, 2].max() == pytest.approx(1.0, abs=0.2)
     assert outline[:, 2].min() == pytest.approx(-1.0, abs=1e-6)
@@ -139,3 +155,17 @@ def test_the_order_of_planes_does_not_matter() -> None:
     for k, surface in enumerate(found):
         other = one_facing(reversed_planes, planes.normal[k].tolist(), float(planes.offset[k]))
         assert len(meeting(surface)) == len(meeting(back[other]))
+
+
+def test_a_panel_ends_where_scans_see_past_it() -> None:
+    # It stands on the floor; above and beside it the walls behind are seen. These and the floor do
+    # not end in its shadow.
+    panel = rectangle([1.5, -1, -1], [0, 2, 0], [0, 0, 1.2])
+    found, planes = surfaces(*BOX, panel=panel)
+    middle = one_facing(planes, [-1, 0, 0], -1.5)
+    outline, meets = found[middle].outline()
+    length_m = np.linalg.norm(np.roll(outline, -1, axis=0) - outline, axis=1)
+    assert length_m[meets < 0].sum() > 4.0
+    assert length_m[meets == ENDS].sum() > 0.9 * length_m[meets < 0].sum()
+    for face in set(range(len(planes))) - {middle}:
+        assert ENDS not in found[face].outline()[1]

@@ -19,6 +19,7 @@ from relmap.planes3d.journaled import checked_patches, journaled, of_journal
 from relmap.planes3d.mapped import Mapped3d
 from relmap.planes3d.placing import Placed, place
 from relmap.planes3d.refining import refined, unsure_steps
+from relmap.planes3d.rims import with_rim
 from relmap.planes3d.submap import Submap
 from relmap.planes3d.surfaces import Surfaces
 from relmap.segmentation.space import Patches, PatchSegmenter
@@ -132,6 +133,7 @@ class Plane3dMapper(Mapped3d):
         iteration, self._n_iterations = self._n_iterations, self._n_iterations + 1
         if not len(seen):
             return np.empty(0, dtype=np.int64)
+        seen = with_rim(seen, iteration)
         pose, number = (np.eye(3), np.zeros(3)), np.full(len(seen), -1)
         placed = self._placed(seen, iteration) if self._submaps else None
         if placed is None:

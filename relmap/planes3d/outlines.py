@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.segmentation.space import Patches
@@ -28,6 +29,10 @@ CORNER, CUT = 2.5, 2.0
 the outline cuts such a corner by less than the second."""
 LEVEL = 0.4
 """Value of a field at the outline."""
+UNSEEN, ENDS = -1, -2
+"""Pieces of an outline that meet no plane: nothing was seen beyond, or scans saw through there."""
+RIM = 2.0
+"""Largest distance of a piece of the outline from a point that a scan saw through, squares."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,17 +103,19 @@ class Surface:
     """The surface of a plane, with straight edges where others meet it.
 
     `field` (a, b): at the middles of the squares of the raster; at least `LEVEL` on the surface.
+    `rim` (r, 2), squares: points beyond it that scans saw through.
     """
 
     raster: Raster
     edges: list[Edge]
     field: Floats
+    rim: Floats
 
     def outline(self) -> tuple[Floats, Ints]:
         """Return the outline (k, 3) of the largest part, anticlockwise as seen from its front.
 
         Returns also for each corner the plane (k,) that meets the surface between this corner
-        and the next, -1 if none: the surface was not seen beyond.
+        and the next, `ENDS` if the surface ends there, `UNSEEN` if nothing was seen beyond.
         """
         from contourpy import contour_generator  # comes with matplotlib, as Pillow does
 
@@ -119,8 +126,10 @@ class Surface:
         largest = int(np.argmax(np.abs(areas)))
         line = np.asarray(lines[largest])[:-1]
         line, of = self._straight((line if areas[largest] > 0 else line[::-1]) + 0.5)
-        planes = np.array([*(edge.plane for edge in self.edges), -1], dtype=np.int64)
-        return self.raster.in_space(line), planes[of]
+        planes = np.array([*(edge.plane for edge in self.edges), UNSEEN], dtype=np.int64)
+        middle = (line + np.roll(line, -1, axis=0)) / 2
+        meets, near = planes[of], cKDTree(self.rim).query(middle)[0] < RIM
+        return self.raster.in_space(line), np.where((meets == UNSEEN) & near, ENDS, meets)
 
     def _straight(self, line: Floats) -> tuple[Floats, Ints]:
         """Return the corners (k, 2) of a closed line, and the edge that follows each, or -1."""
@@ -159,7 +168,8 @@ def surfaces_of(planes: Patches, chosen: Ints) -> list[Surface]:
     for k in range(len(planes)):
         surface = raster(planes, k)
         edges = _meeting(list(_edges(surface, planes, k, met))) if met[k] else []
-        found.append(Surface(surface, edges, _field(surface, edges)))
+        rim = surface.in_squares(planes.rim[planes.rim_patch == k])
+        found.append(Surface(surface, edges, _field(surface, edges), rim))
     return found
 
 

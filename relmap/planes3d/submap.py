@@ -89,9 +89,10 @@ class Submap:
         self._row = {number: row for row, number in enumerate(self.number.tolist())}
         ends = np.cumsum([len(seen.cells) for seen in self.seen])
         parts = np.split(np.arange(len(self._cells)), ends[:-1])
-        for seen, part in zip(self.seen, parts, strict=True):
+        for k, (seen, part) in enumerate(zip(self.seen, parts, strict=True)):
             keys = keys_of(self._cells[part], seen.cell_m).tolist()
             self._known.update(zip(self._cell_of[part].tolist(), keys, strict=True))
+            self._fresh(*self._rim(k), seen.cell_m)
 
     def __len__(self) -> int:
         """Return the number of landmarks."""
@@ -116,14 +117,20 @@ class Submap:
         self.last = np.append(self.last, np.full(len(new), iteration))
         np.add.at(self.scatter, match, moved(seen.scatter, R, t))
         self.last[match] = iteration
-        fresh = self._add_cells(seen.cells @ R.T + t, match[seen.cell_patch], seen.cell_m)
+        cells, of = seen.cells @ R.T + t, match[seen.cell_patch]
+        fresh = self._fresh(cells, of, seen.cell_m)
+        self._cells = np.concatenate([self._cells, cells[fresh]])
+        self._cell_of = np.append(self._cell_of, of[fresh])
         self.iteration.append(iteration)
         self.poses.append(pose)
         if not sparse:
             seen = replace(seen, loose=seen.loose[self._sparse(seen.loose @ R.T + t, seen.cell_m)])
         # Cells where a plane was seen before are dropped: memory grows with the map only.
-        self.seen.append(replace(seen, cells=seen.cells[fresh], cell_patch=seen.cell_patch[fresh]))
+        seen = replace(seen, cells=seen.cells[fresh], cell_patch=seen.cell_patch[fresh])
+        self.seen.append(seen)
         self.match.append(match)
+        rim = self._fresh(*self._rim(-1), seen.cell_m)
+        self.seen[-1] = replace(seen, rim=seen.rim[rim], rim_patch=seen.rim_patch[rim])
 
     def count_sights(self, number: Ints, of: Ints, there: Bools, through: Bools) -> None:
         """Count what a scan sees of landmarks.
@@ -150,18 +157,21 @@ class Submap:
         """Return the patches of a scan, robot frame, with the cells that it saw first."""
         return self.seen[k]
 
-    def _add_cells(self, cells: Floats, of: Ints, cell_m: float) -> list[int]:
-        """Add cells (c, 3) of landmarks (c,); return those that are new."""
+    def _fresh(self, points: Floats, of: Ints, cell_m: float) -> list[int]:
+        """Return which points (n, 3) of surfaces or rims (n,) lie in cells that had none yet."""
         from relmap.planes3d.nearest_kernels import keys_of
 
-        fresh, keys = [], keys_of(cells, cell_m)
+        fresh, keys = [], keys_of(points, cell_m)
         for row, key in enumerate(zip(of.tolist(), keys.tolist(), strict=True)):
             if key not in self._known:
                 self._known.add(key)
                 fresh.append(row)
-        self._cells = np.concatenate([self._cells, cells[fresh]])
-        self._cell_of = np.append(self._cell_of, of[fresh])
         return fresh
+
+    def _rim(self, k: int) -> tuple[Floats, Ints]:
+        """Return the rim points (r, 3) of a scan, submap frame, and their rims, -1 - landmark."""
+        (R, t), seen = self.poses[k], self.seen[k]
+        return seen.rim @ R.T + t, -1 - self.match[k][seen.rim_patch]
 
     def _sparse(self, points: Floats, cell_m: float) -> list[int]:
         """Return which points (n, 3) on no plane lie in cells of the map with few such points."""
@@ -209,8 +219,11 @@ class Submap:
         )
 
     def all_planes(self) -> Patches:
-        """Return all landmarks as patches in the frame of the submap."""
-        return self.planes(np.arange(len(self)))
+        """Return all landmarks as patches in the frame of the submap, with their rims."""
+        rims = [self._rim(k) for k in range(len(self.seen))]
+        points = np.concatenate([np.empty((0, 3)), *(each for each, _ in rims)])
+        of = np.concatenate([np.empty(0, dtype=np.int64), *(-1 - each for _, each in rims)])
+        return replace(self.planes(np.arange(len(self))), rim=points, rim_patch=of)
 
     def recent(self, iteration: int, max_missed: int) -> Bools:
         """Return which landmarks (l,) an iteration may continue; see `Plane3dMapper`."""

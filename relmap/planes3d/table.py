@@ -40,8 +40,8 @@ class Plane3dTable(Table):
     outline : list of (k, 3) float64, frame of the submap, metres
         Of the largest part of its surface, anticlockwise as seen from its front.
     meets : list of (k,) int64
-        Number of the plane that meets it between this corner of the outline and the next; -1 if
-        none: the surface ends there, or was not seen beyond.
+        Number of the plane that meets it between this corner of the outline and the next. If none
+        does, -2 if the surface ends there, as scans saw past it, or -1 if nothing was seen beyond.
     observations, first_iteration, last_iteration : (n,) int64
         Number of scans that saw it, the first and the last.
     status : (n,) str
@@ -104,7 +104,7 @@ def _rows(part: Submap, rank: int) -> dict[str, Any]:
         "sd": planes.spread[order, 2],
         "area_m2": np.array([each.filled.sum() * each.size_m**2 for each in rasters]),
         "outline": [outline for outline, _ in outlines],
-        "meets": [np.append(part.number, -1)[meets] for _, meets in outlines],
+        "meets": [np.where(meets >= 0, part.number[meets], meets) for _, meets in outlines],
         "observations": sights[order],
         "first_iteration": first[order],
         "last_iteration": part.last[order],

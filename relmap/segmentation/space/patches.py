@@ -41,6 +41,10 @@ class Patches:
         Median distance of the cells from the origin.
     loose : (k, 3) float64, metres
         Points on no plane, thinned.
+    rim : (r, 3) float64, metres
+        Points just beyond the patches, in their planes, that scans saw through.
+    rim_patch : (r,) int64
+        The patch of each.
     """
 
     centre: Floats
@@ -53,6 +57,8 @@ class Patches:
     cell_m: float
     reach_m: float
     loose: Floats = field(default_factory=lambda: np.empty((0, 3)))
+    rim: Floats = field(default_factory=lambda: np.empty((0, 3)))
+    rim_patch: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
 
     def __len__(self) -> int:
         """Return the number of patches."""
