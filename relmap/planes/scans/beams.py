@@ -31,6 +31,9 @@ RECENT = 16
 """Number of scans whose beams are kept in order: neighbouring scans are compared repeatedly."""
 PER_SCAN = 2000
 """Maximum number of beams kept per scan, by subsampling: a cloud has a hundred thousand."""
+ONE_WALL_M = 0.2
+"""Standard deviation of the points of a scan across their main direction below which it shows one
+wall only: the motion along it is not determined by bends of decimetres."""
 FIRST = 20
 """Number of scans by which the angle between beams is estimated."""
 
@@ -62,6 +65,14 @@ class Beams:
     def __len__(self) -> int:
         """Return the number of beams."""
         return len(self.points)
+
+    @cached_property
+    def on_one_wall(self) -> bool:
+        """Whether all points lie along one line, bent by decimetres at most."""
+        x, y = (self.points - self.points.mean(axis=0)).T
+        xx, xy, yy = x @ x, x @ y, y @ y
+        across = (xx + yy) / 2 - np.hypot((xx - yy) / 2, xy)
+        return bool(across < ONE_WALL_M**2 * len(x))
 
     @cached_property
     def arrays(self) -> Any:

@@ -35,8 +35,8 @@ def undetermined_steps(
     Short walls far away, such as an arc at the end of the range, leave a motion open that turns
     the robot about them. So a step is moved by 0.3 m in the direction that the walls in common
     determine least, and turned as they allow. It is determined if the beams of both scans exclude
-    this on either side. Without beams, and with odometry, the walls decide
-    (`PlaneHistory.weak_links`).
+    this on either side, and neither scan shows one wall only. Without beams, and with odometry, the
+    walls decide (`PlaneHistory.weak_links`).
     """
     if _have_odometry(links):
         return history.weak_links
@@ -50,7 +50,8 @@ def undetermined_steps(
         for scan, step in zip((submap.first_iteration + after).tolist(), steps, strict=True):
             earlier, later = (_beams_of(k, history, links.beams) for k in (scan - 1, scan))
             if len(earlier) and len(later):
-                weak[scan] = _excluded(step, free[scan], earlier, later) < least[scan]
+                one_wall = earlier.on_one_wall or later.on_one_wall
+                weak[scan] = one_wall or _excluded(step, free[scan], earlier, later) < least[scan]
     return np.flatnonzero(weak)
 
 
