@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 from types import SimpleNamespace
 
@@ -11,11 +12,14 @@ from numpy.typing import NDArray
 
 from relmap.planes import PlaneMapper
 from relmap.planes.linking.registration import PlaneRegistration
+from relmap.planes.submaps.undetermined import undetermined_steps
 
 FAR = np.array([[6.0, -0.8], [6.8, 0.0], [7.0, 1.0]])
 """Two walls of a metre that meet at 34 degrees: an arc at the end of the range."""
 NEAR = np.array([[1.0, -3.0], [3.0, -3.0], [3.0, -1.0]])
 """Two walls that meet at a right angle, nearby."""
+BENT = np.column_stack([np.linspace(1.0, 6.0, 11), -2.5 + 0.15 * (np.arange(11) % 2)])
+"""One wall, bent by 0.15 m to and fro."""
 LEAP = 6
 """The scan after a leap."""
 
@@ -65,6 +69,25 @@ def test_an_arc_at_the_end_of_the_range_determines_no_step(refine: bool) -> None
     assert len(room.weak_links) == 0
     assert arc.weak_links.tolist() == list(range(1, 12))
     assert arc.history.weak_links.tolist() == []
+
+
+def test_a_wall_that_is_bent_determines_no_step_along_it() -> None:
+    """Its bends are crossing walls with corners, which the beams confirm."""
+    assert mapped(BENT).weak_links.tolist() == list(range(1, 12))
+
+
+@pytest.mark.parametrize(("away_m", "weak"), [(0.0, []), (20.0, [LEAP + 1])])
+def test_a_submap_continues_where_its_last_scan_shows_the_same(
+    away_m: float, weak: list[int]
+) -> None:
+    mapper = mapped(FAR, NEAR)
+    registration, [submap] = mapper.engine.association.registration, mapper.submaps
+    assert isinstance(registration, PlaneRegistration)
+    poses = submap.poses.copy()
+    poses[LEAP - 1 : LEAP + 1] = np.nan
+    poses[LEAP + 1 :, 0, 3] += away_m
+    parted = replace(submap, poses=poses)
+    assert undetermined_steps([parted], mapper.history, registration.links).tolist() == weak
 
 
 def test_without_beams_the_walls_decide() -> None:

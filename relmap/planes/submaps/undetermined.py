@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -19,6 +20,9 @@ EXCLUDED, CLEARLY = 3.0, 20.0
 """Log odds by which they must, and where the walls in common leave a direction open: there the
 motion model or another match gave the step. In 30 short-sighted logs, with 5 for both, 25 wrong
 steps more are not listed, and 53 right ones of 15,000 fewer are."""
+LEAST_SHARE = 0.01
+"""Fraction of the points that must agree better with the step: the log odds take the points for
+independent, and many tiny differences along a bare corridor are not."""
 UNUSUAL_M, BESIDE = 0.3, 4
 """Difference between a link and those around it above which it is evaluated again, and how many on
 either side these are."""
@@ -35,8 +39,9 @@ def undetermined_steps(
     Short walls far away, such as an arc at the end of the range, leave a motion open that turns
     the robot about them. So a step is moved by 0.3 m in the direction that the walls in common
     determine least, and turned as they allow. It is determined if the beams of both scans exclude
-    this on either side, and neither scan shows one wall only. Without beams, and with odometry, the
-    walls decide (`PlaneHistory.weak_links`).
+    this on either side, and neither scan shows one wall only. Where a submap continues after scans
+    that are not part of it, the motion is since the last one that is. Without beams, and with
+    odometry, the walls decide (`PlaneHistory.weak_links`).
     """
     if _have_odometry(links):
         return history.weak_links
@@ -44,11 +49,11 @@ def undetermined_steps(
     weak[history.weak_links] = True
     free, least = _free_directions(history), np.where(weak, CLEARLY, EXCLUDED)
     for submap in submaps:
-        known = np.isfinite(submap.poses[:, 0, 3])
-        after = 1 + np.flatnonzero(known[1:] & known[:-1])
-        steps = from_matrices(np.linalg.inv(submap.poses[after - 1]) @ submap.poses[after])
-        for scan, step in zip((submap.first_iteration + after).tolist(), steps, strict=True):
-            earlier, later = (_beams_of(k, history, links.beams) for k in (scan - 1, scan))
+        rows = np.flatnonzero(np.isfinite(submap.poses[:, 0, 3]))
+        steps = from_matrices(np.linalg.inv(submap.poses[rows[:-1]]) @ submap.poses[rows[1:]])
+        scans = (submap.first_iteration + rows).tolist()
+        for (before, scan), step in zip(pairwise(scans), steps, strict=True):
+            earlier, later = (_beams_of(k, history, links.beams) for k in (before, scan))
             if len(earlier) and len(later):
                 one_wall = earlier.on_one_wall or later.on_one_wall
                 weak[scan] = one_wall or _excluded(step, free[scan], earlier, later) < least[scan]
@@ -103,7 +108,9 @@ def _excluded(step: Floats, free: Floats, earlier: Beams, later: Beams) -> float
     c, s = np.cos(step[0]), np.sin(step[0])
     change = FREE_M * np.array([free[0], c * free[1] - s * free[2], s * free[1] + c * free[2]])
     lead, sd = leads(later, earlier, np.array([step + change, step - change]), step, NEAR_M)
-    return -float(log_odds(lead, sd**2).max())
+    excluded = -float(log_odds(lead, sd**2).max())
+    clear = lead.max() < -LEAST_SHARE * (len(earlier) + len(later))
+    return excluded if clear else min(excluded, 0.0)
 
 
 def _free_directions(history: PlaneHistory) -> Floats:
