@@ -38,7 +38,7 @@ ROUNDING = 1e-13
 
 
 class Laid(NamedTuple):
-    """Landmarks (m, d), and the placed rows (n, d) of each segment, metres."""
+    """Landmarks (m, d), and the rows (k, d) of each placement, placed, metres."""
 
     positions: Floats
     placed: Floats
@@ -47,30 +47,42 @@ class Laid(NamedTuple):
 class SegmentProblem:
     """The residuals of the rows of segments; a `Problem`.
 
-    `size`: size of the map, metres.
+    `size`: size of the map, metres. `laid` (row, placement, times), (k,) each: the rows of each
+    placement, and how many times it is this one; by default a placement for each segment.
     """
 
     pattern: Pattern
 
-    def __init__(self, rows: JointRows, size: float) -> None:
+    def __init__(
+        self, rows: JointRows, size: float, laid: tuple[Ints, Ints, Floats] | None = None
+    ) -> None:
         self.rows = rows
         n, d = rows.points.shape
+        self._laid = (np.arange(n), rows.segment, rows.n_seen) if laid is None else laid
         unknowns = d * len(rows.landmarks) + (3 * d - 3) * (len(rows.segments) - 1)
         self.freedoms = max(d * n - unknowns, 1)
         self.rounding = n * (ROUNDING * size) ** 2
 
+    def of_segments(self, laid: Laid) -> Laid:
+        """Return the state for rows (n, d) of segments that are placed as a whole."""
+        return Laid(laid.positions, laid.placed[self._laid[0]])
+
     def laid(self, positions: Floats, weight: Floats) -> Laid:
-        """Place each segment where it fits the positions best, given weights (n,) of the rows."""
-        rows, there = self.rows, positions[self.rows.landmark]
-        R, t, _ = fit_rigid_each(
-            rows.points, there, weight * rows.n_seen, rows.segment, len(rows.segments)
-        )
-        return Laid(positions, place_each(R, t, rows.segment, rows.points))
+        """Place the rows where they fit the positions best, given weights (n,) of the rows."""
+        row, at, times = self._laid
+        points, n = self.rows.points[row], int(at[-1]) + 1
+        R, t, _ = fit_rigid_each(points, self._there(positions), weight[row] * times, at, n)
+        return Laid(positions, place_each(R, t, at, points))
 
     def residuals(self, state: Laid) -> Floats:
         """Return the lengths (n,) of the residuals, normalised to one observation."""
-        off = state.placed - state.positions[self.rows.landmark]
-        return np.asarray(np.sqrt(np.sum(off**2, axis=1) * self.rows.n_seen))
+        row, _, times = self._laid
+        squares = times * np.sum((state.placed - self._there(state.positions)) ** 2, axis=1)
+        return np.asarray(np.sqrt(np.bincount(row, squares, minlength=len(self.rows.points))))
+
+    def _there(self, positions: Floats) -> Floats:
+        """Return the position (k, d) of the landmark of each placed row."""
+        return np.asarray(positions[self.rows.landmark[self._laid[0]]])
 
     def equations(
         self,
@@ -113,14 +125,18 @@ class SegmentProblem:
     def _covariances(self, state: Laid, weight: Floats, inverse: Floats) -> Floats:
         raise NotImplementedError
 
-    def _centre(self, placed: Floats) -> Floats:
-        """Return the centre (s, d) of each segment."""
-        total = sums_each(placed, self.rows.segment, len(self.rows.segments))
-        return np.asarray(total / np.diff(self.rows.begin)[:, None])
+    def _away(self, placed: Floats) -> Floats:
+        """Return placed rows (k, d) from the centre of their placement."""
+        at = self._laid[1]
+        sizes = np.bincount(at)
+        return np.asarray(placed - (sums_each(placed, at, len(sizes)) / sizes[:, None])[at])
 
 
 class FreePlacements(SegmentProblem):
     """Keeps the landmarks; the placement of each iteration is eliminated.
+
+    At the optimum a segment placed as a whole would fit less well, by some percent if few landmarks
+    are seen throughout.
 
     `pattern`: pattern of the landmarks; `anchor` (segment, bit): the iteration whose placement is
     fixed.
@@ -129,29 +145,33 @@ class FreePlacements(SegmentProblem):
     def __init__(
         self, rows: JointRows, size: float, pattern: Pattern, anchor: tuple[int, int]
     ) -> None:
-        super().__init__(rows, size)
+        seen, sizes, times, segment, fixed = self._placements(rows, anchor)
+        at = np.repeat(np.arange(len(sizes)), sizes)
+        super().__init__(rows, size, (seen, at, times[at]))
         d = self._d = rows.points.shape[1]
         self.pattern = pattern
         self._unknown = pattern.first[:, None] + np.arange(d)
-        seen, sizes, times, segment, fixed = self._placements(anchor)
         begin = np.append(0, np.cumsum(d * sizes))
-        scalar = (d * seen[:, None] + np.arange(d)).ravel()
-        kept = self._unknown[rows.landmark].reshape(-1, 1)
+        kept = self._unknown[rows.landmark[seen]].reshape(-1, 1)
+        every = np.arange(begin[-1])
         self._eliminated = Elimination(
-            pattern, kept, begin, scalar, segment, times, free_in_matrix=times - fixed
+            pattern, kept, begin, every, segment, times, free_in_matrix=times - fixed
         )
 
-    def _placements(self, anchor: tuple[int, int]) -> tuple[Ints, Ints, Floats, Ints, Floats]:
+    @staticmethod
+    def _placements(
+        rows: JointRows, anchor: tuple[int, int]
+    ) -> tuple[Ints, Ints, Floats, Ints, Floats]:
         """Return the rows seen by placements, each distinct set once.
 
         With each set: the number of its rows, of the placements that saw it, its segment, and how
         many of the placements are the anchor.
         """
-        bits = (self.rows.visible >> np.arange(LENGTH)[:, None]) & 1 > 0
-        begin, seen, times, segment, fixed = self.rows.begin, [], [], [], []
+        bits = (rows.visible >> np.arange(LENGTH)[:, None]) & 1 > 0
+        begin, seen, times, segment, fixed = rows.begin, [], [], [], []
         for s, (first, end) in enumerate(pairwise(begin)):
             own = bits[:, first:end]
-            for saw, count in Counter(row.tobytes() for row in own if row.any()).items():
+            for saw, count in Counter(bit.tobytes() for bit in own if bit.any()).items():
                 seen.append(first + np.flatnonzero(np.frombuffer(saw, dtype=bool)))
                 times.append(float(count))
                 segment.append(s)
@@ -161,12 +181,12 @@ class FreePlacements(SegmentProblem):
         return np.concatenate(seen), sizes, *counts
 
     def _reduced(self, state: Laid, weight: Floats, with_matrix: bool) -> NormalEquations:
-        rows, d = self.rows, self._d
-        there = state.positions[rows.landmark]
-        turns = derivatives(there - self._centre(there)[rows.segment])
-        off, ones = (state.placed - there).ravel(), np.ones((d * len(there), 1))
+        there = self._there(state.positions)
+        turns = derivatives(self._away(there))
+        off, ones = (state.placed - there).ravel(), np.ones((there.size, 1))
         linear = Linearised(off, turns.reshape(len(off), -1), -ones)
-        return self._eliminated.equations(linear, np.repeat(weight, d), BARELY, with_matrix)
+        each = np.repeat(weight[self._laid[0]], self._d)
+        return self._eliminated.equations(linear, each, BARELY, with_matrix)
 
     def _moved(self, state: Laid, step: Floats, weight: Floats) -> Floats:
         return np.asarray(state.positions + step[self._unknown])
@@ -221,8 +241,7 @@ class FreeLandmarks(SegmentProblem):
         """Return the residuals of the rows, some of them twice, and their weights."""
         rows, d = self.rows, self._d
         off = (state.placed - state.positions[rows.landmark])[self._row]
-        away = state.placed - self._centre(state.placed)[rows.segment]
-        turns = derivatives(away[self._row]).reshape(off.size, -1)
+        turns = derivatives(self._away(state.placed)[self._row]).reshape(off.size, -1)
         by_landmark = np.tile(-np.eye(d), (len(off), 1))
         return (
             Linearised(off.ravel(), by_landmark, turns),
@@ -235,9 +254,8 @@ class FreeLandmarks(SegmentProblem):
         if self._fixed != self._anchor:
             steps[self._fixed] = steps[self._anchor]
         turn, shift = rotations(steps[:, :-d]), steps[:, -d:]
-        centre = self._centre(state.placed)[self.rows.segment][self._row]
-        away = state.placed[self._row] - centre
-        moved = place_each(turn, shift, self._placement, away) + centre
+        placed, away = state.placed[self._row], self._away(state.placed)[self._row]
+        moved = place_each(turn, shift, self._placement, away) + (placed - away)
         return self.means(moved, weight)
 
     def means(self, placed: Floats, weight: Floats) -> Floats:

@@ -18,7 +18,7 @@ from relmap.core.brief import Brief
 from relmap.core.geometry.alignment import fit_rigid, fixes_rotation, place_each
 from relmap.core.geometry.robust import fit_robust_each
 from relmap.core.refinement.condensing import LENGTH, SegmentRows
-from relmap.core.refinement.equations import Laid, segment_problem
+from relmap.core.refinement.equations import Laid, SegmentProblem, segment_problem
 from relmap.core.refinement.residuals import (
     MergeResiduals,
     SegmentResiduals,
@@ -107,8 +107,9 @@ def refine(
     if anchor is None:
         return None
     problem = segment_problem(joint, size_of(start.positions), anchor)
-    settled = settle(problem, start)
-    (refined, placed), weight = settled.state, settled.weight
+    settled = settle(problem, problem.of_segments(start))
+    refined, weight = settled.state.positions, settled.weight
+    placed = SegmentProblem(joint, 0.0).laid(refined, weight).placed
     explained = (weight == 1).astype(np.float64)
     cost = problem.equations(settled.state, explained, with_matrix=False, damping=0.0).cost
     noise_m = _noise(rows, joint, cost, explained)

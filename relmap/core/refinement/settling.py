@@ -10,7 +10,7 @@ import numpy as np
 
 from relmap.core.arrays import Floats
 from relmap.core.geometry.robust import EXACT, lenient, limit_of, robust_cost, strict
-from relmap.core.refinement.gauss_newton import SAME, Problem, gauss_newton
+from relmap.core.refinement.gauss_newton import SAME, WORSE, Problem, gauss_newton
 
 Weights = Callable[[Floats, float], Floats]
 
@@ -18,9 +18,6 @@ ROUNDS = 100
 """Maximum number of steps."""
 FAINT = 0.03
 """Gain of a damped step, in squared standard deviations of the whole map, below which to stop."""
-WORSE = 1.01
-"""Cost of the result relative to the initial one, above which the initial state is kept. Residuals
-assume one placement for each segment, and the exact optimum costs up to 0.5 % more under that."""
 WORTH_SAYING = 1.0
 """Gain of the last step, in squared standard deviations of the whole map, above which a warning
 says that it did not converge."""
