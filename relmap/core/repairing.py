@@ -7,7 +7,7 @@ import logging
 import numpy as np
 
 from relmap.core.afterwards import FEW, extent, find_again, rarely_seen, tie
-from relmap.core.arrays import Ints
+from relmap.core.arrays import Bools, Ints
 from relmap.core.association import Constellation
 from relmap.core.association.reobservation.coinciding import compatible
 from relmap.core.association.reobservation.merging import doubtful, merge_doubles
@@ -96,14 +96,30 @@ def _repair(engine: RelativeMapper) -> None:
         _refine(engine, to_the_last=False)
         found = _merge_compatible(engine, at_last=True)
         undone = _merge_coinciding(engine) or found or engine.config.keep_observations
-    rare = rarely_seen(engine)
-    wrong = doubtful(engine.table, rare, engine.averaging.noise.sigma_m)
-    if engine.association.current.is_blurred or engine.association.current.estimates_covariances:
-        wrong |= Sightings(rows_of_tracks(engine.rows, engine.table), engine.table).seldom(rare)
-    rare &= ~grouped | (wrong & (not is_bridged(engine)))
+    rare = rarely_seen(engine) & ~grouped
+    if not is_bridged(engine):
+        rare |= _wrong(engine)
     engine.table.take_off_map(np.flatnonzero(rare))
     if undone or rare.any() or engine.config.keep_observations or is_bridged(engine):
         _refine(engine)
+
+
+def _wrong(engine: RelativeMapper) -> Bools:
+    """Return which landmarks (m,) of a refined map are probably wrong matches of others.
+
+    They have few observations, or occur in few of the scans that show their neighbours; and they
+    are where another landmark is.
+    """
+    table, current = engine.table, engine.association.current
+    rare = rarely_seen(engine)
+    wrong = doubtful(table, rare, engine.averaging.noise.sigma_m)
+    seldom = Sightings(rows_of_tracks(engine.rows, table), table).seldom(rare)
+    if current.is_blurred or current.estimates_covariances:
+        wrong |= rare & seldom
+    for refined in engine.refined:
+        own = np.isin(np.arange(len(table)), refined.landmarks)
+        wrong |= doubtful(table, seldom & own, refined.noise_m)
+    return wrong
 
 
 def _look_over(engine: RelativeMapper) -> bool:

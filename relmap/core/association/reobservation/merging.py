@@ -255,10 +255,10 @@ def merge_doubles(merger: Merger, merge: Callable[[Ints], int], noise_m: float) 
 
 
 def doubtful(table: LandmarkState, rare: Bools, noise_m: float) -> Bools:
-    """Return which landmarks (m,) of a few observations may be wrong matches of another.
+    """Return which of some landmarks (m,) may be wrong matches of another.
 
-    `rare` (m,): landmarks with few observations; `noise_m`: standard deviation of an observed
-    coordinate.
+    `rare` (m,): landmarks with fewer observations than others; `noise_m`: standard deviation of an
+    observed coordinate.
     """
     found = np.zeros(len(table), dtype=bool)
     for submap in np.unique(table.submap[rare & (table.submap != NONE)]).tolist():

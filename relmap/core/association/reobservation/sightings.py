@@ -36,22 +36,25 @@ class Sightings:
         return len(np.intersect1d(here, there)) > share * min(len(here), len(there))
 
     def seldom(self, rare: Bools) -> Bools:
-        """Return which of the `rare` landmarks (m,) few of the scans of their neighbours show.
+        """Return which mapped landmarks (m,) few of the scans of their neighbours show.
 
-        Such a landmark is mostly a stretch of another one, observed with errors.
+        Such a landmark is mostly a stretch of another one, observed with errors. `rare` (m,):
+        landmarks with few observations, which do not count as neighbours.
         """
-        table, d = self._table, self._table.dimension
+        table, n = self._table, 2 * self._table.dimension
         found = np.zeros(len(table), dtype=np.bool_)
-        for submap in np.unique(table.submap[rare & (table.submap != NONE)]).tolist():
-            own = table.submap == submap
-            few, known = np.flatnonzero(own & rare), np.flatnonzero(own & ~rare)
-            if len(known) < 2 * d:
+        for submap in np.unique(table.submap[table.submap != NONE]).tolist():
+            own = np.flatnonzero(table.submap == submap)
+            known = own[~rare[own]]
+            if len(known) <= n:
                 continue
-            near = known[cKDTree(table.position[known]).query(table.position[few], 2 * d)[1]]
-            for landmark, others in zip(few.tolist(), near.tolist(), strict=True):
-                scans = np.concatenate([self._scans(self._rows(other)) for other in others])
-                shown = np.count_nonzero(np.unique(scans, return_counts=True)[1] > d)
-                found[landmark] = len(self._scans(self._rows(landmark))) < SELDOM * shown
+            scans = {landmark: self._scans(self._rows(landmark)) for landmark in own.tolist()}
+            near = cKDTree(table.position[known]).query(table.position[own], n + 1)[1]
+            for landmark, others in zip(own.tolist(), known[near].tolist(), strict=True):
+                beside = [scans[other] for other in others if other != landmark][:n]
+                times = np.unique(np.concatenate(beside), return_counts=True)[1]
+                shown = np.count_nonzero(2 * times > n)
+                found[landmark] = len(scans[landmark]) < SELDOM * shown
         return found
 
     def _scans(self, rows: Ints) -> Ints:
