@@ -160,6 +160,25 @@ def _support(
     return float(np.floor(support * ROUNDED + 0.5) / ROUNDED)
 
 
+@helper
+def _strongest(ways: Floats, support: Floats, held: Floats) -> int:
+    """Return the translation (of w, 3) with most support, -1 if none is left.
+
+    Of those with the same support, as from stairs, which match each other, it is the one closest to
+    the predicted one.
+    """
+    best, nearest = -1, np.inf
+    for w in range(len(ways)):
+        if support[w] < 0 or (best >= 0 and support[w] < support[best]):
+            continue
+        square = 0.0
+        for d in range(3):
+            square += (ways[w, d] - held[d]) ** 2
+        if best < 0 or support[w] > support[best] or square < nearest:
+            best, nearest = w, square
+    return best
+
+
 @compiled
 def best_ways(
     normal: Floats,
@@ -187,10 +206,7 @@ def best_ways(
         support[w] = _support(ways[w], normal, off, of, gate, weight)
     supports, found = np.empty(most), 0
     while found < most:
-        best = -1
-        for w in range(len(ways)):
-            if support[w] >= 0 and (best < 0 or support[w] > support[best]):
-                best = w
+        best = _strongest(ways, support, held)
         if best < 0:
             break
         supports[found] = support[best]
