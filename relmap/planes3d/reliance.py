@@ -18,6 +18,9 @@ range, above which a scan depends on it."""
 UNSTEADY, UNUSUAL = 0.02, 1.5
 """Difference of an unsteady step from those before and after, as a fraction of the range, and as a
 multiple of the median."""
+JERK, SEVERAL = 8.0, 6
+"""A step that differs by this multiple of the median from those before and after is unreliable
+whatever it depends on; a median of fewer steps than the second value is not known."""
 
 
 def fragile(
@@ -71,18 +74,21 @@ def unreliable_steps(
 ) -> Bools:
     """Return which steps (p - 1,) are unsteady in a direction that depends on one landmark.
 
-    Parameters as of `fragile`, and the iterations (p,) of the scans.
+    So are those that are unsteady by far. Parameters as of `fragile`, and the iterations (p,) of
+    the scans.
     """
     scan, along = fragile(seen, scene, systematic, reach_m)
     change = changes(scene.t, iteration)
-    usual_m = float(np.median(np.linalg.norm(change, axis=1)))
-    found = np.zeros(len(change), dtype=bool)
+    size_m = np.linalg.norm(change, axis=1)
+    usual_m = float(np.median(size_m))
+    jerk_m = JERK * usual_m if len(change) >= SEVERAL else 0.0
+    least_m = UNSTEADY * np.minimum(reach_m[1:], reach_m[:-1])
+    found = np.asarray(size_m > np.maximum(least_m, jerk_m))
     for step in (scan - 1, scan):
         inside = (step >= 0) & (step < len(change))
         row = step[inside]
         change_m = np.abs(np.einsum("ni,ni->n", change[row], along[inside]))
-        least_m = UNSTEADY * np.minimum(reach_m[row], reach_m[row + 1])
-        found[row[change_m > np.maximum(least_m, UNUSUAL * usual_m)]] = True
+        found[row[change_m > np.maximum(least_m[row], UNUSUAL * usual_m)]] = True
     return found
 
 
