@@ -27,6 +27,10 @@ squares."""
 CORNER, CUT = 2.5, 2.0
 """Edges that end within the first number of squares from the crossing of their lines meet there;
 the outline cuts such a corner by less than the second."""
+NARROW = 4
+"""Number of squares across a narrow plane, if its cells are close enough."""
+BESIDE, MOST = 4, 0.9
+"""Its squares are at least as large as the distance of most cells (the fraction) from so many."""
 LEVEL = 0.4
 """Value of a field at the outline."""
 UNSEEN, ENDS = -1, -2
@@ -178,10 +182,11 @@ def raster(planes: Patches, k: int) -> Raster:
     from scipy.ndimage import binary_closing
 
     u, v, _ = planes.axes[k]
-    size_m, base = planes.cell_m, planes.centre[k]
+    base = planes.centre[k]
     cells = (planes.cells[planes.cell_patch == k] - base) @ np.stack([u, v]).T
     if not len(cells):
         cells = np.zeros((1, 2))
+    size_m = _side(cells, planes.cell_m, np.sqrt(12) * planes.spread[k, 1])
     origin = cells.min(axis=0) - 2.5 * size_m
     at = np.floor((cells - origin) / size_m).astype(np.int64)
     filled = np.zeros(at.max(axis=0) + 3, dtype=bool)
@@ -189,6 +194,14 @@ def raster(planes: Patches, k: int) -> Raster:
     return Raster(
         binary_closing(filled, np.ones((3, 3), dtype=np.bool_)), origin, size_m, base, u, v
     )
+
+
+def _side(cells: Floats, cell_m: float, width_m: float) -> float:
+    """Return the side of the squares of a plane of this width with cells (n, 2)."""
+    if width_m > NARROW * cell_m or len(cells) <= BESIDE:
+        return cell_m
+    away = np.asarray(cKDTree(cells).query(cells, BESIDE + 1)[0])
+    return float(min(cell_m, max(np.quantile(away[:, BESIDE], MOST), width_m / NARROW)))
 
 
 def _edges(surface: Raster, planes: Patches, k: int, met: Bools) -> Iterator[Edge]:
