@@ -193,7 +193,10 @@ def test_labels_of_joined_planes_lead_to_those_that_are_left() -> None:
     labels = np.concatenate([mapper.update(scan) for scan in world.scans])
     mapper.finish()
     mapper.refine()
-    assert set(mapper.landmarks_of(labels).tolist()) == set(mapper.planes.plane.tolist())
+    found = mapper.planes.plane
+    # Planes that only all scans together show have larger numbers.
+    known = found[found <= labels.max()].tolist()
+    assert set(mapper.landmarks_of(labels).tolist()) == set(known)
     with pytest.raises(RelmapError):
         mapper.landmarks_of([10**6])
 

@@ -1,13 +1,92 @@
-"""Planes in space: stairs, whose steps match each other."""
+"""Planes in space: a flight of stairs is treads and risers, not a slope."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
+from relmap import Plane3dMapper
+from relmap.core.arrays import Floats
 from relmap.planes3d.hypothesis_kernels import best_ways
+from relmap.planes3d.roughness import is_rough
+from relmap.segmentation.space import PatchSegmenter
+from relmap.simulation.storey import cast_rays
 
-RISE_M = 0.18
+Side = tuple[float, float, float]
+Face = tuple[Side, Side, Side]
+STEPS, RISE_M, TREAD_M, WIDE_M = 7, 0.18, 0.3, 1.4
+PATH = np.column_stack([np.linspace(-1.6, 0.4, 24), np.linspace(0.3, 1.1, 24), np.full(24, 2.0)])
+
+
+def faces() -> tuple[Floats, Floats]:
+    """Return the floor, three walls and a flight of stairs that leads along x: corners, sides."""
+    found: list[Face] = [
+        ((-3, 0, 0), (8, 0, 0), (0, 3, 0)),
+        ((-3, 0, 0), (8, 0, 0), (0, 0, 3)),
+        ((-3, 3, 0), (8, 0, 0), (0, 0, 3)),
+        ((-3, 0, 0), (0, 3, 0), (0, 0, 3)),
+    ]
+    for k in range(STEPS):
+        x, z = k * TREAD_M, k * RISE_M
+        found.append(((x, 0, z), (0, WIDE_M, 0), (0, 0, RISE_M)))
+        found.append(((x, 0, z + RISE_M), (TREAD_M, 0, 0), (0, WIDE_M, 0)))
+    array = np.array(found, dtype=np.float64)
+    return array[:, 0], array[:, 1:]
+
+
+@pytest.fixture(scope="module")
+def scans() -> list[Floats]:
+    up, around = np.meshgrid(np.linspace(-0.9, 0.5, 32), np.linspace(-np.pi, np.pi, 240))
+    level = np.cos(up)
+    rays = np.stack([level * np.cos(around), level * np.sin(around), np.sin(up)], -1).reshape(-1, 3)
+    rng, (origin, sides) = np.random.default_rng(0), faces()
+    found = []
+    for at in PATH:
+        range_m, _ = cast_rays(at, rays, origin, sides)
+        seen = range_m < 30.0
+        noisy = range_m[seen] + 0.01 * rng.standard_normal(seen.sum())
+        found.append(noisy[:, None] * rays[seen])
+    return found
+
+
+def test_stairs_are_mapped_as_treads(scans: list[Floats]) -> None:
+    mapper = Plane3dMapper()
+    for scan in scans:
+        mapper.update(scan)
+    mapper.finish()
+    mapper.refine()
+    table = mapper.planes
+    level = (table.status == "static") & (table.normal[:, 2] > 0.99)
+    height_m = table.centre[level, 2] + PATH[0, 2]
+    off_m = np.abs(height_m[:, None] - RISE_M * np.arange(1, STEPS + 1))
+    assert off_m.min(axis=0).max() < 0.005
+    for k in np.flatnonzero(level)[off_m.min(axis=1) < 0.005].tolist():
+        assert np.ptp(table.outline[k][:, 0]) < 2 * TREAD_M
+    slope = (np.abs(table.normal[:, 0]) > 0.3) & (np.abs(table.normal[:, 2]) > 0.3)
+    assert not (slope & (table.status == "static")).any()
+
+
+def test_points_of_a_slope_over_stairs_are_kept(scans: list[Floats]) -> None:
+    found = PatchSegmenter()
+    thick = 0
+    for scan in scans:
+        patches = found.fit(scan).patches_
+        for k in np.flatnonzero(patches.spread[:, 2] > 0.03).tolist():
+            own = scan[found.labels_ == k]
+            assert np.isin(own[:, 0], patches.loose[:, 0]).sum() > 0.3 * len(own)
+            thick += 1
+    assert thick > 3
+
+
+def test_a_slope_over_stairs_is_rough(scans: list[Floats]) -> None:
+    mapper = Plane3dMapper()
+    for scan in scans:
+        mapper.update(scan)
+    (part,) = mapper.submaps
+    planes = part.all_planes()
+    assert is_rough(part).tolist() == (planes.spread[:, 2] > 0.03).tolist()
+    (slope,) = planes.normal[is_rough(part)]
+    assert slope[2] == pytest.approx(TREAD_M / np.hypot(TREAD_M, RISE_M), abs=0.05)
 
 
 @pytest.mark.parametrize("rise", [-2, 0, 3])

@@ -6,21 +6,25 @@ submap the rings of many scans make a plane.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.scan import TINY
 from relmap.planes3d.adjustment import NORMAL, across
+from relmap.planes3d.roughness import is_rough
 from relmap.planes3d.submap import Submap
 from relmap.planes3d.surfaces import Surfaces
 from relmap.segmentation.space import Patches
-from relmap.segmentation.space.growing import grown, planes_of
+from relmap.segmentation.space.growing import grown, joined, planes_of
 from relmap.segmentation.space.voxels import ROUNDING, moments_of, principal, uniform_voxels
 
-SIZES = (0.5, 1.0)
-"""Sizes of voxels, by those of the segmenter."""
+SIZES, SHIFTS = (0.25, 0.5, 1.0), (0.0, 0.5)
+"""Sizes of voxels, by those of the segmenter, and shifts of their grid, by their own size: a voxel
+across the edge of a small plane is not flat."""
 KNOWN_CELLS, KNOWN_SD, PIECE_SD = 1.5, 3.0, 6.0
 """Points within this many cells of the surface of a plane, and this many standard deviations,
 belong to it. Planes with half of their points within the last value are its noise."""
@@ -29,8 +33,9 @@ TRIMMED, TRIM_SD = 12, 2.0
 are: other points in its voxels would tilt it."""
 WIDE = 0.25
 """Minimum standard deviation of the points of a plane along its width, by the size of voxels."""
-BESIDE_CELLS = 3.0
-"""Points within this many cells of a plane that moved away belong to what moves."""
+BESIDE_CELLS, AROUND = 3.0, 3
+"""Points within this many cells of a plane that moved away belong to what moves, while it was seen
+and so many scans before and after."""
 FEWEST, FEWEST_SCANS = 24, 3
 """Minimum number of points of a plane, and of scans that see it."""
 
@@ -42,34 +47,55 @@ def gathered(part: Submap, number: int) -> Submap | None:
     None if there are none.
     """
     sights = np.bincount(np.concatenate([np.unique(match) for match in part.match]))
-    # A plane that only one scan shows by itself is gathered, too, and joined afterwards.
-    planes = part.planes(np.flatnonzero(sights > 1))
+    # A plane that too few scans show by themselves is gathered, too, and joined afterwards.
+    planes = part.planes(np.flatnonzero((sights >= FEWEST_SCANS) & ~is_rough(part)))
     if not len(planes):
         return None
-    own = [part.seen[k].loose for k in range(len(part.poses))]
+    own = [seen.loose for seen in part.seen]
     scan = np.repeat(np.arange(len(own)), [len(each) for each in own])
     points = np.concatenate([x @ R.T + t for x, (R, t) in zip(own, part.poses, strict=True)])
+    sigma = max(float(np.median(planes.spread[:, 2])), ROUNDING * planes.reach_m + TINY)
+    label = _labels(points, scan, ~_moves(points, scan, part), planes, sigma)
+    count = int(label.max(initial=-1)) + 1
+    if not count:
+        return None
+    label = joined(moments_of(points, label, count), np.full(count, sigma**2))[label]
+    return _with_planes(part, points, scan, label, number, sigma)
+
+
+def _labels(points: Floats, scan: Ints, still: Bools, planes: Patches, sigma: float) -> Ints:
+    """Return the plane (n,) of points (n, 3), -1 for none.
+
+    `scan` (n,): of each; `still` (n,): which may belong to one; `planes`: those known already;
+    `sigma`, metres: noise of the points across planes.
+    """
     label, count = np.full(len(points), -1), 0
     of, off = _nearby(points, planes)
-    left = np.flatnonzero((off > KNOWN_SD).all(axis=1) & ~_moves(points, part))
-    sigma = max(float(np.median(planes.spread[:, 2])), ROUNDING * planes.reach_m + TINY)
-    for size in SIZES:
+    left = np.flatnonzero((off > KNOWN_SD).all(axis=1) & still)
+    for size, shift in itertools.product(SIZES, SHIFTS):
         size_m = size * planes.cell_m
-        for mine in _regions_in(points[left], size_m, sigma):
+        for mine in _regions_in(points[left] + shift * size_m, size_m, sigma):
             rows = left[mine[_on_plane(points[left[mine]])]]
             piece = np.bincount(of[rows][off[rows] < PIECE_SD]).max(initial=0) > len(rows) / 2
             if not piece and _is_plane(points[rows], scan[rows], size_m):
+                free = left[label[left] < 0]
+                rows = free[_beside(points[free], points[rows], size_m)]
                 label[rows], count = count, count + 1
         left = left[label[left] < 0]
-    return _with_planes(part, points, scan, label, number, sigma) if count else None
+    return label
 
 
-def _moves(points: Floats, part: Submap) -> Bools:
-    """Return which points (n, 3) are near a dynamic landmark: they are of the thing that moves."""
-    moving = part.planes(np.flatnonzero(part.is_dynamic))
-    if not len(moving):
+def _moves(points: Floats, scan: Ints, part: Submap) -> Bools:
+    """Return which points (n, 3) are near a dynamic landmark at its time: of what moves."""
+    rows = np.flatnonzero(part.is_dynamic)
+    if not len(rows):
         return np.zeros(len(points), dtype=bool)
-    return Surfaces(moving).near(points, BESIDE_CELLS * moving.cell_m) >= 0
+    when = [np.flatnonzero([row in match for match in part.match])[[0, -1]] for row in rows]
+    first, last = np.array([[-1, -1], *when]).T
+    moving = part.planes(rows)
+    of = Surfaces(moving).nearest(points, BESIDE_CELLS * moving.cell_m, 8) + 1
+    during = (scan[:, None] >= first[of] - AROUND) & (scan[:, None] <= last[of] + AROUND)
+    return np.asarray((during & (of > 0)).any(axis=1))
 
 
 def _nearby(points: Floats, planes: Patches) -> tuple[Ints, Floats]:
@@ -105,6 +131,18 @@ def _on_plane(points: Floats) -> Ints:
     return rows
 
 
+def _beside(points: Floats, own: Floats, reach_m: float) -> Ints:
+    """Return the rows of points (n, 3) on the plane of some, (k, 3), and near these.
+
+    A region ends before the edge of its plane, where voxels are not flat.
+    """
+    plane = planes_of(moments_of(own, np.zeros(len(own), np.int64), 1))[0]
+    off = np.abs(points @ plane[:3] - plane[3])
+    most = KNOWN_SD * np.sqrt(np.mean((own @ plane[:3] - plane[3]) ** 2))
+    rows = np.flatnonzero(off <= most + ROUNDING * np.abs(own).max())
+    return rows[cKDTree(own).query(points[rows], distance_upper_bound=reach_m)[0] < np.inf]
+
+
 def _is_plane(points: Floats, scan: Ints, size_m: float) -> bool:
     """Return whether points (n, 3) are enough, seen in enough scans, and on no narrow strip."""
     width = np.sqrt(principal(moments_of(points, np.zeros(len(points), np.int64), 1))[1][0, 1])
@@ -119,13 +157,14 @@ def _with_planes(
     count = int(label.max()) + 1
     _, variance, axes = principal(moments_of(points, label, count))
     sd = np.maximum(np.sqrt(variance[:, 0]), 0.1 * sigma)
+    normal = axes[:, 0] * _fronts(part, points, scan, label, axes[:, 0])[:, None]
     again = Submap()
     for k, iteration in enumerate(part.iteration):
         R, t = part.poses[k]
         mine = np.flatnonzero(scan == k)
         seen, which = part.scan(k), label[mine]
         for plane in np.unique(which[which >= 0]).tolist():
-            seen = _appended(seen, seen.loose[which == plane], axes[plane, 0] @ R, sd[plane])
+            seen = _appended(seen, seen.loose[which == plane], normal[plane] @ R, sd[plane])
         seen = replace(seen, loose=seen.loose[which < 0])
         new = number + np.unique(which[which >= 0])
         again.add(iteration, seen, (R, t), np.append(part.number[part.match[k]], new))
@@ -133,10 +172,17 @@ def _with_planes(
     return again
 
 
+def _fronts(part: Submap, points: Floats, scan: Ints, label: Ints, normal: Floats) -> Floats:
+    """Return 1 or -1 for each normal (m, 3): the side of its plane from which most was seen."""
+    ahead = np.array([t for _, t in part.poses])[scan] - points
+    mine = label >= 0
+    height_m = np.einsum("ni,ni->n", ahead[mine], normal[label[mine]])
+    return np.where(np.bincount(label[mine], height_m, len(normal)) < 0, -1.0, 1.0)
+
+
 def _appended(seen: Patches, points: Floats, normal: Floats, sd: float) -> Patches:
     """Return the patches of a scan and one more, of points (n, 3) on a plane with a normal."""
     centre = points.mean(axis=0)
-    normal = -normal * np.sign(normal @ centre)
     off = points - centre
     sides = np.concatenate(across(normal[None]))
     along = off @ sides.T

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from relmap.core.arrays import Floats, Ints
 from relmap.core.columns import Table
 from relmap.planes3d.outlines import surfaces_of
+from relmap.planes3d.roughness import is_rough
 from relmap.planes3d.submap import Submap
 
 RAGGED = "outline", "meets"
@@ -36,7 +37,7 @@ class Plane3dTable(Table):
     sd : (n,) float64, metres
         Standard deviation of its points across it.
     area_m2 : (n,) float64
-        Area of the squares, of the size of a voxel, in which it was seen.
+        Area of the squares in which it was seen: of the size of a voxel, smaller on narrow planes.
     outline : list of (k, 3) float64, frame of the submap, metres
         Of the largest part of its surface, anticlockwise as seen from its front.
     meets : list of (k,) int64
@@ -46,7 +47,8 @@ class Plane3dTable(Table):
         Number of scans that saw it, the first and the last.
     status : (n,) str
         "dynamic" if later scans mostly saw through it; "static" if not, and if it is in the first
-        submap and at least two scans saw it; else "unmapped".
+        submap, at least two scans saw it and it is not much thicker than the noise; else
+        "unmapped".
     submap : (n,) int64
         Rank of the submap, the largest first.
     """
@@ -91,10 +93,11 @@ def _rows(part: Submap, rank: int) -> dict[str, Any]:
     sights = np.bincount(landmark, minlength=len(part))
     first = np.full(len(part), np.iinfo(np.int64).max)
     np.minimum.at(first, landmark, scan)
-    surfaces = surfaces_of(planes, np.flatnonzero((sights >= FEWEST) & ~part.is_dynamic))
+    mapped = (sights >= FEWEST) & ~is_rough(part)
+    surfaces = surfaces_of(planes, np.flatnonzero(mapped & ~part.is_dynamic))
     outlines = [surfaces[k].outline() for k in order.tolist()]
     rasters = [surfaces[k].raster for k in order.tolist()]
-    static = (sights >= FEWEST) & (rank == 0)
+    static = mapped & (rank == 0)
     status = np.where(part.is_dynamic, "dynamic", np.where(static, "static", "unmapped"))
     return {
         "plane": part.number[order],

@@ -40,7 +40,7 @@ class Patches:
     reach_m : float
         Median distance of the cells from the origin.
     loose : (k, 3) float64, metres
-        Points on no plane, thinned.
+        Points on no plane, and on planes much thicker than the noise, thinned.
     rim : (r, 3) float64, metres
         Points just beyond the patches, in their planes, that scans saw through.
     rim_patch : (r,) int64

@@ -35,7 +35,9 @@ REFITS = 2
 """Number of refits of the planes to their points."""
 SCALES = (1.0, 2.5, 5.0)
 """Sizes of voxels: larger ones find noisy or sparse planes in the points that are left."""
-THIN = 1 / 3
+ROUGH = 2.0
+"""Planes thicker than this multiple of the noise may be none: their points are kept, too."""
+THIN = 1 / 5
 """Size of the voxels in which one of the points on no plane is kept, as a fraction of the usual."""
 SPARSE, COARSER, COARSEST = 30, 1.5, 0.2
 """If voxels have fewer points in the median they are enlarged by this factor, up to a fraction of
@@ -105,7 +107,7 @@ class PatchSegmenter:
             raise RelmapError("points has 2 columns; planes in space need x, y and z")
         range_m = np.sqrt(np.einsum("ij,ij->i", points, points))
         self.labels_, self.noise_m_ = np.full(len(points), -1), np.ones(len(points))
-        self.patches_ = no_patches(1.0)
+        self.patches_, usual_m = no_patches(1.0), np.full(len(points), np.inf)
         left = np.flatnonzero(range_m > 0)
         if len(left) < self.min_points:
             return self
@@ -120,6 +122,7 @@ class PatchSegmenter:
             voxels = voxels_of(near, keys, of_points, scale * size_m, middle_m)
             found, noise_m, labels = self._planes_in(near, away, voxels)
             first = int(self.labels_.max(initial=-1)) + 1
+            usual_m[left] = np.minimum(usual_m[left], noise_m)
             self.noise_m_[left] = noise_m
             self.labels_[left] = np.where(found >= 0, first + found, -1)
             cells.append(voxels.centre[labels >= 0])
@@ -128,10 +131,26 @@ class PatchSegmenter:
             if len(left) < self.min_points:
                 break
         self._condense(points, np.concatenate(cells), np.concatenate(of), size_m)
-        near, away = _rows(points, range_m, left)
-        thin = np.unique(cells_of(near, away, THIN * size_m, middle_m)[1], return_index=True)[1]
-        self.patches_ = replace(self.patches_, loose=near[thin])
+        thin = THIN * size_m, middle_m
+        self.patches_ = replace(self.patches_, loose=self._loose(points, range_m, usual_m, thin))
         return self
+
+    def _loose(
+        self, points: Floats, range_m: Floats, usual_m: Floats, size: tuple[float, float]
+    ) -> Floats:
+        """Return points (k, 3) on no plane, or on one much thicker than the noise (n,), thinned.
+
+        `size`: of the voxels in which one is kept, and the range at which it holds, metres.
+        """
+        mine, count = self.labels_ >= 0, self.patches_.n_points
+        square = np.bincount(self.labels_[mine], usual_m[mine] ** 2, len(count))
+        rough = self.patches_.spread[:, 2] > ROUGH * np.sqrt(square / count)
+        left = np.flatnonzero((range_m > 0) & np.append(rough, True)[self.labels_])
+        near, away = _rows(points, range_m, left)
+        keys, of = cells_of(near, away, *size)
+        first = np.empty(len(keys), dtype=np.int64)
+        first[of[::-1]] = np.arange(len(of))[::-1]
+        return near[first]
 
     def _cells(self, points: Floats, range_m: Floats, middle_m: float) -> tuple[float, Ints, Ints]:
         """Return a size of voxels with enough points in the median, and their `cells_of`."""
