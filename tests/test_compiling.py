@@ -33,7 +33,7 @@ def decorators(node: ast.AST) -> set[str]:
 
 
 def is_compiled(node: ast.AST) -> bool:
-    return bool(decorators(node) & {"compiled", "helper"})
+    return bool(decorators(node) & {"compiled", "helper", "unrolled"})
 
 
 def compiled_in(source: str) -> set[str]:

@@ -6,7 +6,7 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.rotation_kernels import turned_by
-from relmap.core.linalg.compiling import compiled, helper
+from relmap.core.linalg.compiling import helper, unrolled
 from relmap.core.linalg.order_kernels import medians
 from relmap.core.linalg.small_kernels import factorise, product, solve
 
@@ -128,7 +128,7 @@ def _stepped(R: Floats, t: Floats, H: Floats, step: Floats) -> tuple[Floats, flo
     return product(turned_by(step[:3]), R), largest
 
 
-@compiled
+@unrolled
 def fit_placement(
     R: Floats,
     t: Floats,

@@ -6,7 +6,7 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.rotation_kernels import best_rotation
-from relmap.core.linalg.compiling import compiled, helper
+from relmap.core.linalg.compiling import helper, unrolled
 from relmap.core.linalg.order_kernels import ordered
 from relmap.core.linalg.small_kernels import diagonalise
 
@@ -50,7 +50,7 @@ def _fitted(
     return R if large < 2 else best_rotation(moment, R)
 
 
-@compiled
+@unrolled
 def distinct_turns(
     turns: Floats,
     a: Floats,
@@ -179,7 +179,7 @@ def _strongest(ways: Floats, support: Floats, held: Floats) -> int:
     return best
 
 
-@compiled
+@unrolled
 def best_ways(
     normal: Floats,
     off: Floats,

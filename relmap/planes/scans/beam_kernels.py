@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats
-from relmap.core.linalg.compiling import compiled, helper
+from relmap.core.linalg.compiling import compiled, helper, unrolled
 
 Fan = tuple[Floats, Floats, Bools, Bools, Floats, Floats]
 
@@ -167,7 +167,7 @@ def _inverse(motion: Floats) -> Floats:
     return back
 
 
-@compiled
+@unrolled
 def compared(
     earlier: Fan, later: Fan, motions: Floats, near_m: float, step: int, firm: bool
 ) -> Floats:
@@ -183,7 +183,7 @@ def compared(
     return sums
 
 
-@compiled
+@unrolled
 def differences(
     earlier: Fan, later: Fan, motions: Floats, near_m: float, firm: bool, least: float
 ) -> Floats:

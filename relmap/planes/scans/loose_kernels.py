@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats
-from relmap.core.linalg.compiling import compiled, helper
+from relmap.core.linalg.compiling import compiled, helper, unrolled
 
 UNSEEN_RAD = 0.1
 """Bearings farther apart than this are outside the field of view."""
@@ -127,7 +127,7 @@ def loose_walls(points: Floats, loose: Bools, ends: Floats, near_m: float, size_
     return found
 
 
-@compiled
+@unrolled
 def seen_again(
     points: Floats,
     later: tuple[Floats, Floats, Floats],

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from relmap.core.arrays import Floats
-from relmap.core.linalg.compiling import compiled, helper
+from relmap.core.linalg.compiling import compiled, helper, unrolled
 from relmap.segmentation.wall import BEGIN, END, PX, PY, SHARE, UX, UY
 
 REACH = 6.0
@@ -150,7 +150,7 @@ def sightings(xy: Floats, wall: Floats, beam: float) -> tuple[Floats, Floats, Fl
     return u, t, off
 
 
-@compiled
+@unrolled
 def expect(
     xy: Floats, walls: Floats, sigma: float, rest: Floats, beam: float
 ) -> tuple[Floats, Floats]:

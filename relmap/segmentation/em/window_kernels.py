@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.core.linalg.compiling import compiled, helper
+from relmap.core.linalg.compiling import compiled, helper, unrolled
 from relmap.segmentation.em.wall_kernels import weighted_line
 from relmap.segmentation.wall import BEGIN, END, PX, PY, UX, UY, WALL
 
@@ -22,7 +22,7 @@ ELONGATED = 9.0
 """A window shows a wall where its variance along is this many times that across."""
 
 
-@compiled
+@unrolled
 def window_thickness(xy: Floats, seeds: Ints, radii: Floats) -> Floats:
     """Return the standard deviation across the wall around each seed (s,); NaN if none is visible.
 
