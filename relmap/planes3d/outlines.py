@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Bools, Floats, Ints
+from relmap.planes3d.raster import Raster, raster
 from relmap.segmentation.space import Patches
 
 CROSS = np.sin(np.deg2rad(20.0))
@@ -27,43 +28,12 @@ squares."""
 CORNER, CUT = 2.5, 2.0
 """Edges that end within the first number of squares from the crossing of their lines meet there;
 the outline cuts such a corner by less than the second."""
-NARROW = 4
-"""Number of squares across a narrow plane, if its cells are close enough."""
-BESIDE, MOST = 4, 0.9
-"""Its squares are at least as large as the distance of most cells (the fraction) from so many."""
 LEVEL = 0.4
 """Value of a field at the outline."""
 UNSEEN, ENDS = -1, -2
 """Pieces of an outline that meet no plane: nothing was seen beyond, or scans saw through there."""
 RIM = 2.0
 """Largest distance of a piece of the outline from a point that a scan saw through, squares."""
-
-
-@dataclass(frozen=True, eq=False)
-class Raster:
-    """The surface of a plane as a grid of squares.
-
-    `filled` (a, b): squares in which the plane was seen; `origin` (2,), metres: corner of the first
-    square, along `u` and `v` from `base`; `size_m`: side of a square; `base`, `u`, `v` (3,): a
-    point on the plane, and unit vectors along it.
-    """
-
-    filled: Bools
-    origin: Floats
-    size_m: float
-    base: Floats
-    u: Floats
-    v: Floats
-
-    def in_space(self, points: Floats) -> Floats:
-        """Convert points (n, 2), in squares from the origin, to points in space (n, 3)."""
-        at = self.origin + self.size_m * points
-        return np.asarray(self.base + at[:, :1] * self.u + at[:, 1:] * self.v)
-
-    def in_squares(self, points: Floats) -> Floats:
-        """Convert points in space (n, 3) to points (n, 2), in squares from the origin."""
-        flat = (points - self.base) @ np.stack([self.u, self.v]).T
-        return np.asarray((flat - self.origin) / self.size_m)
 
 
 @dataclass(frozen=True)
@@ -175,33 +145,6 @@ def surfaces_of(planes: Patches, chosen: Ints) -> list[Surface]:
         rim = surface.in_squares(planes.rim[planes.rim_patch == k])
         found.append(Surface(surface, edges, _field(surface, edges), rim))
     return found
-
-
-def raster(planes: Patches, k: int) -> Raster:
-    """Return the grid of a plane, with gaps of one square closed."""
-    from scipy.ndimage import binary_closing
-
-    u, v, _ = planes.axes[k]
-    base = planes.centre[k]
-    cells = (planes.cells[planes.cell_patch == k] - base) @ np.stack([u, v]).T
-    if not len(cells):
-        cells = np.zeros((1, 2))
-    size_m = _side(cells, planes.cell_m, np.sqrt(12) * planes.spread[k, 1])
-    origin = cells.min(axis=0) - 2.5 * size_m
-    at = np.floor((cells - origin) / size_m).astype(np.int64)
-    filled = np.zeros(at.max(axis=0) + 3, dtype=bool)
-    filled[tuple(at.T)] = True
-    return Raster(
-        binary_closing(filled, np.ones((3, 3), dtype=np.bool_)), origin, size_m, base, u, v
-    )
-
-
-def _side(cells: Floats, cell_m: float, width_m: float) -> float:
-    """Return the side of the squares of a plane of this width with cells (n, 2)."""
-    if width_m > NARROW * cell_m or len(cells) <= BESIDE:
-        return cell_m
-    away = np.asarray(cKDTree(cells).query(cells, BESIDE + 1)[0])
-    return float(min(cell_m, max(np.quantile(away[:, BESIDE], MOST), width_m / NARROW)))
 
 
 def _edges(surface: Raster, planes: Patches, k: int, met: Bools) -> Iterator[Edge]:
