@@ -40,11 +40,11 @@ def carried(count: int, first: int = 0) -> Submap:
 @pytest.mark.parametrize(("yaw", "doubtful"), [(0.8, False), (np.pi, True)])
 def test_a_leap_far_beyond_the_fastest_step_is_not_accepted(yaw: float, doubtful: bool) -> None:
     part = carried(7)
-    sight = sight_of(STILL, ORIGIN, part.scan(0), part.all_planes())
-    assert is_doubtful(placed(yaw), part.scan(0), sight, part, 1) is doubtful
+    sight = sight_of(STILL, ORIGIN, part.seen[0], part.all_planes())
+    assert is_doubtful(placed(yaw), part.seen[0], sight, part, 1) is doubtful
     # How fast the sensor turns is not known yet.
     part = carried(3)
-    assert not is_doubtful(placed(np.pi), part.scan(0), sight, part, 1)
+    assert not is_doubtful(placed(np.pi), part.seen[0], sight, part, 1)
 
 
 @pytest.mark.parametrize(

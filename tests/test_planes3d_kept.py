@@ -222,6 +222,20 @@ def test_layout_and_sign_of_zero_do_not_matter() -> None:
     assert plain.n_iterations == 2
 
 
+def test_patches_of_other_types_of_numbers_are_kept(tmp_path: Path) -> None:
+    seen = PatchSegmenter().fit(simulate_storey("lidar", 0.01, 1).scans[0]).patches_
+    narrow = replace(
+        seen,
+        loose=seen.loose.astype(np.float32),
+        n_points=seen.n_points.astype(np.int32),
+        cell_patch=seen.cell_patch.astype(np.int32),
+    )
+    mapper = Plane3dMapper()
+    mapper.update(narrow)
+    mapper.save(tmp_path / "map.npz")
+    assert len(Plane3dMapper.load(tmp_path / "map.npz").submaps[0]) == len(seen)
+
+
 def test_memory_of_a_saved_state_is_that_of_the_map(tmp_path: Path) -> None:
     """Where the sensor stands still, a scan adds its patches, and hardly any points."""
     seen = PatchSegmenter().fit(simulate_storey("lidar", 0.01, 1).scans[0]).patches_
@@ -257,4 +271,11 @@ def test_map_log_takes_the_mapper(storey: Path) -> None:
     run_of = map_log(open_scans(storey / "log"), mapper)
     assert mapper.stamps_s.tolist() == list(range(10))
     assert run_of.result.summary["refined"]
+    assert mapper.is_refined
     assert len(run_of.result.poses) == 10
+    with pytest.raises(RelmapError, match="maps one log; this one has mapped another"):
+        map_log(open_scans(storey / "log"), mapper)
+    with pytest.raises(RelmapError, match="has no known association"):
+        map_log(open_scans(storey / "log"), Plane3dMapper(), association="known")
+    mapper.update(np.empty((0, 3)))
+    assert not mapper.is_refined

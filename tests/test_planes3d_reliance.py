@@ -32,7 +32,7 @@ def test_a_jump_that_one_wall_implies_is_listed(walls_m: tuple[float, ...]) -> N
 def test_a_jump_on_a_smooth_path_is_listed_whatever_implies_it() -> None:
     way_m = [0.1 * k + (0.3 if k > 4 else 0.0) for k in range(9)]
     part, _ = refined(carried(way_m, 3.0, -3.0), 4)
-    assert 5 in unsure_steps(part)
+    assert sorted(unsure_steps(part)) == [4, 5, 6]
 
 
 def test_a_steady_path_that_depends_on_one_wall_is_not_listed() -> None:

@@ -94,10 +94,15 @@ def feed(
     `method`: a mapper of planes gets those of a scan, every other method its points; `log`,
     `association`, `refine`, `through`, `segmenter`, `odometry`, `progress`: as for `run_mapper`;
     `n_seen`: scans of the log that the method has already processed; `clock`: returns the time,
-    seconds. Raises `RelmapError` if ``known`` is requested for a log without ids, or a scan of the
-    log is damaged.
+    seconds. Raises `RelmapError` if ``known`` is requested for a log without ids or a mapper that
+    associates itself, if a `Plane3dMapper` has mapped another log, or a scan is damaged.
     """
     known = association == "known"
+    if isinstance(method, Plane3dMapper) and (known or method.n_iterations > n_seen):
+        problem = (
+            "has no known association" if known else "maps one log; this one has mapped another"
+        )
+        raise RelmapError(f"a Plane3dMapper {problem}")
     if known and getattr(log, "ids", None) is None:
         raise RelmapError("association known needs a log with ids, and this one has none")
     scans: Iterable[Any] = ()

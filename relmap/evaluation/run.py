@@ -81,7 +81,8 @@ def run_mapper(
     Parameters
     ----------
     mapper : PointMapper, PlaneMapper or Plane3dMapper
-        A new mapper, or one that has processed the first scans of the log or other logs.
+        A new mapper, or one that has processed the first scans of the log or, except for planes in
+        space, other logs.
     log : ObservationLog or ScanLog
         Landmarks for a point mapper, point scans for the others.
     association : "nearest" or "known"

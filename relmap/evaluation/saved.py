@@ -39,9 +39,8 @@ def result_of_mapper(mapper: AnyMapper) -> Result:
     if isinstance(mapper, Plane3dMapper):
         in_space = result_in_space(mapper, scans, [none] * n)
         del in_space.summary["counts"]["observations"]
-        refined = any(part.share is not None for part in mapper.submaps)
         settings = {"variant": VARIANT, "configuration": mapper.settings}
-        state = {"interrupted": False, "refined": refined}
+        state = {"interrupted": False, "refined": mapper.is_refined}
         return replace(in_space, summary=settings | in_space.summary | state)
     association: Association = "known" if mapper.engine.association.has_ids else "nearest"
     d = 2 if walls else max(mapper.engine.store.dimension, 2)

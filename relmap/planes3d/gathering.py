@@ -33,7 +33,7 @@ TRIMMED, TRIM_SD = 12, 2.0
 are: other points in its voxels would tilt it."""
 WIDE = 0.25
 """Minimum standard deviation of the points of a plane along its width, by the size of voxels."""
-BESIDE_CELLS, AROUND = 3.0, 3
+BESIDE_CELLS, AROUND = 3.0, 6
 """Points within this many cells of a plane that moved away belong to what moves, while it was seen
 and so many scans before and after."""
 FEWEST, FEWEST_SCANS = 24, 3
@@ -75,6 +75,9 @@ def _labels(points: Floats, scan: Ints, still: Bools, planes: Patches, sigma: fl
     for size, shift in itertools.product(SIZES, SHIFTS):
         size_m = size * planes.cell_m
         for mine in _regions_in(points[left] + shift * size_m, size_m, sigma):
+            mine = mine[label[left[mine]] < 0]
+            if len(mine) < FEWEST:
+                continue  # most of it lies beside another one
             rows = left[mine[_on_plane(points[left[mine]])]]
             piece = np.bincount(of[rows][off[rows] < PIECE_SD]).max(initial=0) > len(rows) / 2
             if not piece and _is_plane(points[rows], scan[rows], size_m):
@@ -90,12 +93,15 @@ def _moves(points: Floats, scan: Ints, part: Submap) -> Bools:
     rows = np.flatnonzero(part.is_dynamic)
     if not len(rows):
         return np.zeros(len(points), dtype=bool)
-    when = [np.flatnonzero([row in match for match in part.match])[[0, -1]] for row in rows]
-    first, last = np.array([[-1, -1], *when]).T
+    when = np.repeat(np.arange(len(part.match)), [len(match) for match in part.match])
+    first, last = np.full(len(part), len(part.match)), np.full(len(part), -1)
+    np.minimum.at(first, np.concatenate(part.match), when)
+    np.maximum.at(last, np.concatenate(part.match), when)
     moving = part.planes(rows)
-    of = Surfaces(moving).nearest(points, BESIDE_CELLS * moving.cell_m, 8) + 1
-    during = (scan[:, None] >= first[of] - AROUND) & (scan[:, None] <= last[of] + AROUND)
-    return np.asarray((during & (of > 0)).any(axis=1))
+    near = Surfaces(moving).nearest(points, BESIDE_CELLS * moving.cell_m, 8)
+    of, at = rows[near], scan[:, None]
+    during = (at >= first[of] - AROUND) & (at <= last[of] + AROUND)
+    return np.asarray((during & (near >= 0)).any(axis=1))
 
 
 def _nearby(points: Floats, planes: Patches) -> tuple[Ints, Floats]:
@@ -162,7 +168,7 @@ def _with_planes(
     for k, iteration in enumerate(part.iteration):
         R, t = part.poses[k]
         mine = np.flatnonzero(scan == k)
-        seen, which = part.scan(k), label[mine]
+        seen, which = part.seen[k], label[mine]
         for plane in np.unique(which[which >= 0]).tolist():
             seen = _appended(seen, seen.loose[which == plane], normal[plane] @ R, sd[plane])
         seen = replace(seen, loose=seen.loose[which < 0])

@@ -25,12 +25,13 @@ def checked_patches(seen: Patches) -> Patches:
     Raises `RelmapError` if a number is not finite.
     """
     arrays: dict[str, Any] = {
-        name: np.ascontiguousarray(getattr(seen, name)) + 0.0 for name in ARRAYS
+        name: np.ascontiguousarray(getattr(seen, name), dtype=np.float64) + 0.0 for name in ARRAYS
     }
     wrong = next((name for name, array in arrays.items() if not np.isfinite(array).all()), None)
     if wrong is not None:
         raise RelmapError(f"{wrong} of the patches has a number that is not finite")
-    return replace(seen, **arrays)
+    whole = {name: getattr(seen, name).astype(np.int64) for name in ("n_points", "cell_patch")}
+    return replace(seen, **arrays, **whole)
 
 
 def journaled(seen: Patches) -> tuple[Floats, bytes]:

@@ -27,6 +27,7 @@ class Mapped3d(Recorded, Shown):
     _submaps: list[Submap]
     _n_iterations: int
     _n_planes: int
+    _refined_at: int
     _name: dict[int, int]
 
     def landmarks_of(self, labels: ArrayLike) -> Ints:
@@ -90,6 +91,11 @@ class Mapped3d(Recorded, Shown):
         for part in self.submaps[:1]:
             poses[part.iteration] = part.trajectory
         return poses
+
+    @property
+    def is_refined(self) -> bool:
+        """Whether the map was refined after the last scan."""
+        return 0 < self.n_iterations == self._refined_at
 
     @property
     def weak_links(self) -> dict[int, Floats]:

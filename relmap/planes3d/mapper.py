@@ -40,7 +40,8 @@ class Plane3dMapper(Mapped3d):
 
     A scan is placed among the planes of the previous scans by what does not depend on the motion:
     the angles between planes, the distances of parallel planes, and the points where three meet.
-    No motion is predicted. If no placement is accepted, a new submap begins.
+    Of motions that fit equally well the one closest to the usual step is taken. If no placement is
+    accepted, a new submap begins.
 
     Parameters
     ----------
@@ -75,7 +76,7 @@ class Plane3dMapper(Mapped3d):
 
     _variant = "planes3d"
 
-    STATE = "submaps=_submaps _n_iterations _n_planes numbers=_name"
+    STATE = "submaps=_submaps _n_iterations _n_planes _refined_at numbers=_name"
 
     def __init__(
         self,
@@ -89,7 +90,7 @@ class Plane3dMapper(Mapped3d):
         self.segmenter = segmenter or PatchSegmenter()
         self.max_missed = max_missed
         self._submaps, self._name = [], {}
-        self._n_iterations = self._n_planes = 0
+        self._n_iterations = self._n_planes = self._refined_at = 0
         super().__init__(journal, run)
 
     def update(self, points: ArrayLike | Patches, stamp_s: float | None = None) -> Ints:
@@ -178,6 +179,7 @@ class Plane3dMapper(Mapped3d):
                     self._submaps[k], name = refined(part, self._n_planes)
                     self._n_planes = max(self._n_planes, int(self._submaps[k].number.max()) + 1)
                     self._rename(name)
+            self._refined_at = self._n_iterations
             self._name_unsure()
 
     @property

@@ -61,7 +61,8 @@ def unsure_steps(part: Submap) -> dict[int, Floats]:
     A step is unsure if in some direction the standard deviation of the translation, or of the
     displacement by the rotation at the range, exceeds 1.25 % of the range; or if three of them
     exceed 1.5 % and it is two and a half times the usual one. So is a step that is unsteady in
-    a direction in which a single landmark determines it, see `relmap.planes3d.reliance`.
+    a direction in which a single landmark determines it, or unsteady by far, see
+    `relmap.planes3d.reliance`.
 
     Each has the direction (3,) in which the translation is least certain, sensor frame.
     """

@@ -1,4 +1,4 @@
-"""Steps that may be wrong without large residuals: unsteady, and dependent on a single landmark.
+"""Steps that may be wrong without large residuals: jumps, and unsteady ones by one landmark only.
 
 Motion is used here to name such steps only, not in the map.
 """
@@ -20,7 +20,7 @@ UNSTEADY, UNUSUAL = 0.02, 1.5
 multiple of the median."""
 JERK, SEVERAL = 8.0, 6
 """A step that differs by this multiple of the median from those before and after is unreliable
-whatever it depends on; a median of fewer steps than the second value is not known."""
+whatever it depends on; of fewer steps than the second value, one that is unsteady."""
 
 
 def fragile(

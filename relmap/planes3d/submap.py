@@ -153,10 +153,6 @@ class Submap:
         there, through = np.reshape(looks, (-1, 2)).T
         return np.asarray((through > MANY) & (through > THROUGH * (there + through)))
 
-    def scan(self, k: int) -> Patches:
-        """Return the patches of a scan, robot frame, with the cells that it saw first."""
-        return self.seen[k]
-
     def _fresh(self, points: Floats, of: Ints, cell_m: float) -> list[int]:
         """Return which points (n, 3) of surfaces or rims (n,) lie in cells that had none yet."""
         from relmap.planes3d.nearest_kernels import keys_of
@@ -235,7 +231,7 @@ class Submap:
         for k, iteration in enumerate(self.iteration):
             numbers = self.number[self.match[k]].tolist()
             renamed = np.array([name.get(number, number) for number in numbers], dtype=np.int64)
-            part.add(iteration, self.scan(k), poses[k], renamed, sparse=True)
+            part.add(iteration, self.seen[k], poses[k], renamed, sparse=True)
         part.take_over(self, name)
         part._loose = dict(self._loose)
         return part
@@ -268,7 +264,7 @@ class Submap:
         for iteration, part, k in scans:
             S, s = part.poses[k]
             there = begin.T @ S, begin.T @ (s - origin)
-            both.add(iteration, part.scan(k), there, part.number[part.match[k]])
+            both.add(iteration, part.seen[k], there, part.number[part.match[k]])
         both.weak, both.held = self.weak | other.weak, self.held | other.held
         both.unsure = self.unsure | other.unsure
         for part in (self, placed):

@@ -42,7 +42,8 @@ class Plane3dTable(Table):
         Of the largest part of its surface, anticlockwise as seen from its front.
     meets : list of (k,) int64
         Number of the plane that meets it between this corner of the outline and the next. If none
-        does, -2 if the surface ends there, as scans saw past it, or -1 if nothing was seen beyond.
+        does, -2 if the surface ends there, as scans saw past it, or -1 if nothing was seen beyond,
+        or the plane was only found by `refine`.
     observations, first_iteration, last_iteration : (n,) int64
         Number of scans that saw it, the first and the last.
     status : (n,) str

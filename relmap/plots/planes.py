@@ -175,5 +175,4 @@ def draw_true_walls(axes: Axes, ends: Floats) -> None:
 
 
 write_planes_png = to_png(plot_planes)
-write_submaps_png = to_png(plot_submaps)
 write_building_png = to_png(plot_building)

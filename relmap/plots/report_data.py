@@ -16,6 +16,7 @@ from relmap.core.landmarks import Submap
 from relmap.io.results import Result
 from relmap.planes.walls.files import DrawnSubmap, PlaneResult
 from relmap.planes3d.files import LEAST_SCANS, Plane3dResult
+from relmap.planes3d.roughness import is_rough
 from relmap.planes3d.table import FEWEST
 from relmap.plots.path import jumps
 from relmap.plots.planes3d import upward
@@ -73,8 +74,9 @@ def _view_of_planes(result: Plane3dResult, rank: int) -> View:
     """Return the edges of the planes of a submap, with its floor level."""
     planes, (stamps_s, poses) = result.planes, result.paths[rank]
     iterations = result.summary["scans"][0] + np.array(result.parts[rank].iteration)
-    shown = (planes.observations >= FEWEST) & (planes.status != "dynamic")
-    rows = np.flatnonzero(shown & (planes.submap == rank)).tolist()
+    part, own = result.parts[rank], np.flatnonzero(planes.submap == rank)
+    shown = (planes.observations[own] >= FEWEST) & (planes.status[own] != "dynamic")
+    rows = own[shown & ~is_rough(part)[np.argsort(part.number, kind="stable")]].tolist()
     level = np.eye(4)
     level[:3, :3] = up = upward(planes, rows)
     rings = [planes.outline[k] @ up.T for k in rows]

@@ -127,6 +127,8 @@ class StateWriter:
             self.columns[f"{name}_rows"] = np.array([len(a) for a in items], dtype=np.int64)
             if items:
                 self.columns[name] = np.concatenate(items)
+        elif not _entries(hint):
+            raise TypeError(f"{name}: {hint} cannot be saved")
         for key, entry in _entries(hint).items():
             values = [each[int(key)] if key.isdigit() else getattr(each, key) for each in items]
             self._add_each(f"{name}/{key}", values, entry)
