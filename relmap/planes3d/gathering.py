@@ -173,7 +173,8 @@ def _with_planes(
             seen = _appended(seen, seen.loose[which == plane], normal[plane] @ R, sd[plane])
         seen = replace(seen, loose=seen.loose[which < 0])
         new = number + np.unique(which[which >= 0])
-        again.add(iteration, seen, (R, t), np.append(part.number[part.match[k]], new))
+        numbers = np.append(part.number[part.match[k]], new)
+        again.add(iteration, seen, (R, t), numbers, sparse=True)
     again.take_over(part, {})
     return again
 

@@ -38,21 +38,25 @@ def refined(part: Submap, number: int) -> tuple[Submap, dict[int, int]]:
     `number`: of the first of the landmarks that are found in the points of all scans together.
     Returns `name`: new numbers of landmarks that were joined to others.
     """
-    names: dict[int, int] = {}
-    for round_ in range(ROUNDS):
-        part = _adjusted(part)
-        doubles = _doubles(part)
-        if not doubles or round_ == ROUNDS - 1:
-            break
-        part = part.again(part.poses, doubles)
-        names = {old: doubles.get(new, new) for old, new in names.items()} | doubles
+    part, names = _settled(part)
     more = gathered(part, number)
     if more is None:
         return part, names
-    part = _adjusted(more)
-    doubles = _doubles(part)
-    names = {old: doubles.get(new, new) for old, new in names.items()} | doubles
-    return part.again(part.poses, doubles), names
+    part, later = _settled(more)
+    return part, {old: later.get(new, new) for old, new in names.items()} | later
+
+
+def _settled(part: Submap) -> tuple[Submap, dict[int, int]]:
+    """Adjust a submap and join landmarks that are one surface, in turns; see `refined`."""
+    names: dict[int, int] = {}
+    for _ in range(ROUNDS):
+        part = _adjusted(part)
+        doubles = _doubles(part)
+        if not doubles:
+            break
+        part = part.again(part.poses, doubles)
+        names = {old: doubles.get(new, new) for old, new in names.items()} | doubles
+    return part, names
 
 
 def unsure_steps(part: Submap) -> dict[int, Floats]:

@@ -11,6 +11,8 @@ from relmap.segmentation.space import Patches
 from relmap.segmentation.space.patches import reach_of
 
 Pose = tuple[Floats, Floats]
+MIXED = -7046029254386353131
+"""Multiplier that mixes the key of a cell with the number of a landmark (Fibonacci hashing)."""
 MOST_LOOSE = 20
 """Maximum number of points on no plane that are kept in a cube of half a cell of the map."""
 THROUGH, MANY = 0.5, 10
@@ -79,19 +81,16 @@ class Submap:
         self._normal = np.empty((0, 3))
         self._cells = np.empty((0, 3))
         self._cell_of = np.empty(0, dtype=np.int64)
-        self._known: set[tuple[int, int]] = set()
+        self._known: set[int] = set()
         self._loose = {}
 
     def restored(self) -> None:
         """Make what follows from the state."""
-        from relmap.planes3d.nearest_kernels import keys_of
-
         self._row = {number: row for row, number in enumerate(self.number.tolist())}
         ends = np.cumsum([len(seen.cells) for seen in self.seen])
         parts = np.split(np.arange(len(self._cells)), ends[:-1])
         for k, (seen, part) in enumerate(zip(self.seen, parts, strict=True)):
-            keys = keys_of(self._cells[part], seen.cell_m).tolist()
-            self._known.update(zip(self._cell_of[part].tolist(), keys, strict=True))
+            self._fresh(self._cells[part], self._cell_of[part], seen.cell_m)
             self._fresh(*self._rim(k), seen.cell_m)
 
     def __len__(self) -> int:
@@ -153,33 +152,35 @@ class Submap:
         there, through = np.reshape(looks, (-1, 2)).T
         return np.asarray((through > MANY) & (through > THROUGH * (there + through)))
 
-    def _fresh(self, points: Floats, of: Ints, cell_m: float) -> list[int]:
+    def _fresh(self, points: Floats, of: Ints, cell_m: float) -> Ints:
         """Return which points (n, 3) of surfaces or rims (n,) lie in cells that had none yet."""
         from relmap.planes3d.nearest_kernels import keys_of
 
-        fresh, keys = [], keys_of(points, cell_m)
-        for row, key in enumerate(zip(of.tolist(), keys.tolist(), strict=True)):
-            if key not in self._known:
-                self._known.add(key)
-                fresh.append(row)
-        return fresh
+        keys = MIXED * keys_of(points, cell_m) + of
+        rows = np.sort(np.unique(keys, return_index=True)[1])
+        rows = rows[[key not in self._known for key in keys[rows].tolist()]]
+        self._known.update(keys[rows].tolist())
+        return rows
 
     def _rim(self, k: int) -> tuple[Floats, Ints]:
         """Return the rim points (r, 3) of a scan, submap frame, and their rims, -1 - landmark."""
         (R, t), seen = self.poses[k], self.seen[k]
         return seen.rim @ R.T + t, -1 - self.match[k][seen.rim_patch]
 
-    def _sparse(self, points: Floats, cell_m: float) -> list[int]:
+    def _sparse(self, points: Floats, cell_m: float) -> Ints:
         """Return which points (n, 3) on no plane lie in cells of the map with few such points."""
         from relmap.planes3d.nearest_kernels import keys_of
 
-        few = []
-        for row, key in enumerate(keys_of(points, cell_m / 2).tolist()):
-            count = self._loose.get(key, 0)
-            if count < MOST_LOOSE:
-                self._loose[key] = count + 1
-                few.append(row)
-        return few
+        keys = keys_of(points, cell_m / 2)
+        key, at, counts = np.unique(keys, return_inverse=True, return_counts=True)
+        known = np.array([self._loose.get(each, 0) for each in key.tolist()], dtype=np.int64)
+        rank = np.empty_like(at)
+        first = np.repeat(np.cumsum(counts) - counts, counts)
+        rank[np.argsort(at, kind="stable")] = np.arange(len(at)) - first
+        self._loose.update(
+            zip(key.tolist(), np.minimum(known + counts, MOST_LOOSE).tolist(), strict=True)
+        )
+        return np.flatnonzero(rank < (MOST_LOOSE - known)[at])
 
     @property
     def trajectory(self) -> Floats:
@@ -233,16 +234,15 @@ class Submap:
             renamed = np.array([name.get(number, number) for number in numbers], dtype=np.int64)
             part.add(iteration, self.seen[k], poses[k], renamed, sparse=True)
         part.take_over(self, name)
-        part._loose = dict(self._loose)
         return part
 
     def take_over(self, other: Submap, name: dict[int, int]) -> None:
-        """Copy the results for the steps and the sights of another submap of the same scans.
+        """Copy all but the observations of another submap of the same scans.
 
         `name`: new numbers of landmarks that were renamed.
         """
         self.weak, self.held, self.share = dict(other.weak), set(other.held), other.share
-        self.unsure = dict(other.unsure)
+        self.unsure, self._loose = dict(other.unsure), dict(other._loose)
         for number, counts in other.sights.items():
             self._add_sights(name.get(number, number), counts)
 
