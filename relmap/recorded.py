@@ -229,7 +229,8 @@ def _kinds(mapper: type[M]) -> list[type[M]]:
     return [mapper, *(kind for each in mapper.__subclasses__() for kind in _kinds(each))]
 
 
-def _versions() -> dict[str, str]:
+def versions() -> dict[str, str]:
+    """Return the versions of the software that results may depend on."""
     import scipy
 
     import relmap
@@ -239,8 +240,11 @@ def _versions() -> dict[str, str]:
         "python": platform.python_version(),
         "numpy": np.__version__,
         "scipy": scipy.__version__,
-        "machine": platform.machine(),
     }
+
+
+def _versions() -> dict[str, str]:
+    return versions() | {"machine": platform.machine()}
 
 
 def _listed(versions: Any) -> str:

@@ -10,12 +10,13 @@ import numpy as np
 from relmap.core.arrays import Floats, Ints
 from relmap.core.landmarks import LandmarkTable
 from relmap.evaluation.feeding import Log, stamps_of
-from relmap.evaluation.summary import steps_of, versions
+from relmap.evaluation.summary import steps_of
 from relmap.io.results import Tracks, shifted
 from relmap.planes3d import Plane3dMapper
 from relmap.planes3d.files import Plane3dResult
 from relmap.planes3d.submap import Submap
 from relmap.planes3d.table import Plane3dTable
+from relmap.recorded import versions
 
 VARIANT = "planes3d"
 

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import platform
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
-import relmap
 from relmap.core.arrays import Floats, Ints
 from relmap.core.landmarks import Submap
 from relmap.core.odometry import OdometryUse
@@ -24,6 +21,7 @@ from relmap.planes import PlaneMapper
 from relmap.planes.submaps.submap import WallSubmap
 from relmap.planes.walls.files import PlaneResult
 from relmap.points import PointMapper
+from relmap.recorded import versions
 
 MANY = 100
 """Maximum number of rejected iterations, and observations, listed individually."""
@@ -244,13 +242,3 @@ def timing_of(durations_s: Floats) -> dict[str, float | None]:
 
 def _median_ms(seconds: Floats) -> float | None:
     return 1e3 * float(np.median(seconds)) if len(seconds) else None
-
-
-def versions() -> dict[str, str]:
-    """Return the versions of the software that the results may depend on."""
-    return {
-        "relmap": relmap.__version__,
-        "python": platform.python_version(),
-        "numpy": np.__version__,
-        "scipy": scipy.__version__,
-    }

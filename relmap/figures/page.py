@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from html import escape
 from typing import Any
 
-from relmap.evaluation.summary import versions
 from relmap.figures.base import Outcome, PaperFigure
 from relmap.plots.html import document
+from relmap.recorded import versions
 
 SKIPPED = "not run"
 DENSITY = 1.5

@@ -17,12 +17,12 @@ from relmap.core.landmarks import LandmarkTable
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.state.table import LandmarkState
 from relmap.evaluation.metrics import positions_of
-from relmap.evaluation.summary import versions
 from relmap.io.results import Result, Tracks, shifted
 from relmap.merging.tables import joined, joined_walls, moved
 from relmap.planes.places.wall_tie import ACROSS, LEAST_M, RIVAL, wall_ties
 from relmap.planes.walls.files import PlaneResult, read_any
 from relmap.planes.walls.table import PlaneTable
+from relmap.recorded import versions
 
 Record = dict[str, Any]
 NOTHING = np.empty(0, dtype=np.int64)
