@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from relmap.planes3d.adjustment import PlaneAdjustment, Scene, Sightings, across, systematic_share
+from relmap.planes3d.adjustment import PlaneAdjustment, Scene, Sightings, across
 
 SPREAD = np.array([1.0, 0.5, 0.01])
 
@@ -91,8 +91,9 @@ def test_an_outlier_does_not_bend_the_map() -> None:
 def test_common_errors_are_estimated_from_the_residuals() -> None:
     seen, truth = room(seed=2, sigma=0.01)
     exact = replace(seen, information=1e4 * seen.information)
-    assert systematic_share(exact, PlaneAdjustment(exact).solve(truth)) > 0.03
-    assert systematic_share(seen, PlaneAdjustment(seen).solve(truth)) < 0.5
+    for each, least, most in ((exact, 0.03, np.inf), (seen, 0.0, 0.5)):
+        problem = PlaneAdjustment(each)
+        assert least <= problem.systematic_share(problem.solve(truth)) < most
 
 
 def test_a_free_direction_stays_where_it_was() -> None:

@@ -291,7 +291,7 @@ def test_points_of_a_noisy_plane_are_found_once() -> None:
         step = np.column_stack([rng.uniform(1, 2, 60), rng.uniform(1, 2, 60), up])
         seen = replace(seen, loose=np.concatenate([floor, step]))
         still = np.eye(3), np.zeros(3)
-        part.add(k, seen, still, np.arange(len(seen)), sparse=True)
+        part.extend([k], [seen], [still], [np.arange(len(seen))])
     found = gathered(part, 10)
     assert found is not None
     points = np.zeros(len(found), dtype=np.int64)

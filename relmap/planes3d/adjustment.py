@@ -7,6 +7,7 @@ Z. Liu and F. Zhang, RA-L 2021; see `relmap.segmentation.space.Patches`).
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,8 +33,9 @@ scan may depend on one observation."""
 USUAL = 2.0
 """The same as a multiple of the median residual, of all observations or of those of the scan; the
 larger of the two holds."""
-ROUNDS = 30
-SHARES = np.append(0.0, np.geomspace(0.01, 3.0, 60))
+ROUNDS, UNSURE = 30, 1e-6
+"""Maximum number of steps, and the gain of a step that ends them."""
+SHARES = [0.0, *np.geomspace(0.01, 3.0, 60).tolist()]
 """Common errors that are tried, as fractions of the noise."""
 NORMAL = 0.6745
 """Median absolute value of a normal distribution, in standard deviations."""
@@ -100,9 +102,26 @@ class PlaneAdjustment:
         least = ROUNDING * np.linalg.norm(seen.centre, axis=1)
         self.rounding = float(((least * self._root[:, 2]) ** 2).sum())
 
-    def solve(self, scene: Scene) -> Scene:
-        """Return the least-squares scene; the first pose is fixed."""
-        return gauss_newton(self, scene, self.weights, ROUNDS, unsure=1e-6).state
+    def solve(self, scene: Scene, unsure: float = UNSURE) -> Scene:
+        """Return the least-squares scene; the first pose is fixed.
+
+        `unsure`: gain of a step that ends it, in squared standard deviations of the whole map.
+        """
+        return gauss_newton(self, scene, self.weights, ROUNDS, unsure=unsure).state
+
+    def systematic_share(self, scene: Scene) -> float:
+        """Return the error common to the points of an observation, as a fraction of their noise.
+
+        With it the median residual is that of a normal distribution.
+        """
+        spare = np.sqrt(self.freedoms / len(self._root) / 3)
+        off = self.residuals(scene).reshape(-1, 3) / self._root
+
+        def is_enough(share: float) -> bool:
+            size = np.abs(off * np.sqrt(information(self.seen, share)))
+            return bool(np.median(size) <= NORMAL * spare)
+
+        return SHARES[bisect_left(SHARES[:-1], True, key=is_enough)]
 
     def weights(self, residual: Floats) -> Floats:
         """Return the weights (3 n,) of residuals, by the norm of the three of an observation.
@@ -165,21 +184,6 @@ def information(seen: Sightings, systematic: float) -> Floats:
     lever = np.column_stack([seen.spread[:, :2], np.ones(len(seen.scan))])
     shared = systematic * seen.spread[:, 2:] / np.maximum(lever, 1e-9)
     return np.asarray(1 / (1 / np.maximum(seen.information, 1e-12) + shared**2))
-
-
-def systematic_share(seen: Sightings, scene: Scene) -> float:
-    """Return the error common to the points of an observation, as a fraction of their noise.
-
-    With it the median residual is that of a normal distribution.
-    """
-    problem = PlaneAdjustment(seen)
-    spare = np.sqrt(problem.freedoms / (3 * len(seen.scan)))
-    off = problem.residuals(scene).reshape(-1, 3) / np.sqrt(information(seen, 0.0))
-    for share in SHARES:
-        size = np.abs(off * np.sqrt(information(seen, float(share))))
-        if np.median(size) <= NORMAL * spare:
-            return float(share)
-    return float(SHARES[-1])
 
 
 def across(normal: Floats) -> tuple[Floats, Floats]:

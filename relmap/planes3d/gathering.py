@@ -73,17 +73,16 @@ def _labels(points: Floats, scan: Ints, still: Bools, planes: Patches, sigma: fl
     of, off = _nearby(points, planes)
     left = np.flatnonzero((off > KNOWN_SD).all(axis=1) & still)
     for size, shift in itertools.product(SIZES, SHIFTS):
-        size_m = size * planes.cell_m
-        for mine in _regions_in(points[left] + shift * size_m, size_m, sigma):
+        size_m, free = size * planes.cell_m, points[left]
+        for mine in _regions_in(free + shift * size_m, size_m, sigma):
             mine = mine[label[left[mine]] < 0]
             if len(mine) < FEWEST:
                 continue  # most of it lies beside another one
-            rows = left[mine[_on_plane(points[left[mine]])]]
+            rows = left[mine[_on_plane(free[mine])]]
             piece = np.bincount(of[rows][off[rows] < PIECE_SD]).max(initial=0) > len(rows) / 2
             if not piece and _is_plane(points[rows], scan[rows], size_m):
-                free = left[label[left] < 0]
-                rows = free[_beside(points[free], points[rows], size_m)]
-                label[rows], count = count, count + 1
+                rows = left[_beside(free, points[rows], size_m)]
+                label[rows[label[rows] < 0]], count = count, count + 1
         left = left[label[left] < 0]
     return label
 
@@ -98,7 +97,8 @@ def _moves(points: Floats, scan: Ints, part: Submap) -> Bools:
     np.minimum.at(first, np.concatenate(part.match), when)
     np.maximum.at(last, np.concatenate(part.match), when)
     moving = part.planes(rows)
-    near = Surfaces(moving).nearest(points, BESIDE_CELLS * moving.cell_m, 8)
+    reach_m = BESIDE_CELLS * moving.cell_m
+    near = Surfaces(moving, 2 * reach_m).nearest(points, reach_m, 8)
     of, at = rows[near], scan[:, None]
     during = (at >= first[of] - AROUND) & (at <= last[of] + AROUND)
     return np.asarray((during & (near >= 0)).any(axis=1))
@@ -107,7 +107,7 @@ def _moves(points: Floats, scan: Ints, part: Submap) -> Bools:
 def _nearby(points: Floats, planes: Patches) -> tuple[Ints, Floats]:
     """Return planes near points (n, 8), and the distances from them in standard deviations."""
     reach_m = KNOWN_CELLS * planes.cell_m
-    of = Surfaces(planes).nearest(points, reach_m, 8)
+    of = Surfaces(planes, 2 * reach_m).nearest(points, reach_m, 8)
     # One column for each plane of a point.
     of = np.sort(np.where(of < 0, len(planes), of), axis=1)
     of[:, 1:][of[:, 1:] == of[:, :-1]] = len(planes)
@@ -133,7 +133,10 @@ def _on_plane(points: Floats) -> Ints:
         plane = planes_of(moments)[0]
         off = np.abs(points @ plane[:3] - plane[3])
         usual = np.median(off) / NORMAL
+        before = rows
         rows = np.flatnonzero(off <= TRIM_SD * usual + ROUNDING * np.abs(points).max())
+        if np.array_equal(rows, before):
+            break
     return rows
 
 
@@ -164,17 +167,21 @@ def _with_planes(
     _, variance, axes = principal(moments_of(points, label, count))
     sd = np.maximum(np.sqrt(variance[:, 0]), 0.1 * sigma)
     normal = axes[:, 0] * _fronts(part, points, scan, label, axes[:, 0])[:, None]
+    mine = np.flatnonzero(label >= 0)
+    mine = mine[np.lexsort((label[mine], scan[mine]))]
+    pair, of = np.unique(scan[mine] * count + label[mine], return_inverse=True)
+    at, plane = np.divmod(pair, count)
+    R = np.array([R for R, _ in part.poses])[at]
+    own = np.concatenate([seen.loose for seen in part.seen])[mine]
+    more = _patches(own, of, np.einsum("pji,pj->pi", R, normal[plane]), sd[plane])
+    patches, numbers = [], []
+    for k, seen in enumerate(part.seen):
+        seen = replace(seen, loose=seen.loose[label[scan == k] < 0])
+        rows = slice(*np.searchsorted(at, [k, k + 1]))
+        patches.append(_with_more(seen, more, rows, slice(*np.searchsorted(scan[mine], [k, k + 1]))))
+        numbers.append(np.append(part.number[part.match[k]], number + plane[rows]))
     again = Submap()
-    for k, iteration in enumerate(part.iteration):
-        R, t = part.poses[k]
-        mine = np.flatnonzero(scan == k)
-        seen, which = part.seen[k], label[mine]
-        for plane in np.unique(which[which >= 0]).tolist():
-            seen = _appended(seen, seen.loose[which == plane], normal[plane] @ R, sd[plane])
-        seen = replace(seen, loose=seen.loose[which < 0])
-        new = number + np.unique(which[which >= 0])
-        numbers = np.append(part.number[part.match[k]], new)
-        again.add(iteration, seen, (R, t), numbers, sparse=True)
+    again.extend(part.iteration, patches, part.poses, numbers)
     again.take_over(part, {})
     return again
 
@@ -187,25 +194,36 @@ def _fronts(part: Submap, points: Floats, scan: Ints, label: Ints, normal: Float
     return np.where(np.bincount(label[mine], height_m, len(normal)) < 0, -1.0, 1.0)
 
 
-def _appended(seen: Patches, points: Floats, normal: Floats, sd: float) -> Patches:
-    """Return the patches of a scan and one more, of points (n, 3) on a plane with a normal."""
-    centre = points.mean(axis=0)
-    off = points - centre
-    sides = np.concatenate(across(normal[None]))
-    along = off @ sides.T
-    u = np.linalg.eigh(along.T @ along)[1][:, 1] @ sides
-    axes = np.stack([u, np.cross(normal, u), normal])
-    variance = ((off @ axes.T) ** 2).mean(axis=0)
-    variance[2] = sd**2
-    weight = len(points) / sd**2
-    tilt = weight * np.maximum(variance[:2] - variance[2], 0.0)
+def _patches(points: Floats, of: Ints, normal: Floats, sd: Floats) -> Patches:
+    """Return patches of points (n, 3), robot frame, with given normals (m, 3) and noise (m,)."""
+    number = np.bincount(of)
+    centre = moments_of(points, of, len(sd))[:, 1:4] / number[:, None]
+    e, f = across(normal)
+    off = points - centre[of]
+    x, y = (np.einsum("ni,ni->n", off, side[of]) for side in (e, f))
+    xx, yy, xy = (np.bincount(of, square) / number for square in (x * x, y * y, x * y))
+    angle = np.arctan2(2 * xy, xx - yy)[:, None] / 2
+    u = np.cos(angle) * e + np.sin(angle) * f
+    mean, apart = (xx + yy) / 2, np.hypot((xx - yy) / 2, xy)
+    variance = np.column_stack([mean + apart, np.maximum(mean - apart, 0.0), sd**2])
+    weight = number / sd**2
+    tilt = weight[:, None] * np.maximum(variance[:, :2] - variance[:, 2:], 0.0)
+    axes = np.stack([u, np.cross(normal, u), normal], axis=1)
+    cells = centre[of] + x[:, None] * e[of] + y[:, None] * f[of]
+    information = np.column_stack([tilt, weight])
+    return Patches(centre, axes, information, np.sqrt(variance), number, cells, of, 0.0, 0.0)
+
+
+def _with_more(seen: Patches, more: Patches, rows: slice, cells: slice) -> Patches:
+    """Return the patches of a scan and rows of others, which have these cells."""
+    names = ("centre", "axes", "information", "spread", "n_points")
+    columns = {
+        name: np.concatenate([getattr(seen, name), getattr(more, name)[rows]]) for name in names
+    }
+    patch = len(seen) - rows.start + more.cell_patch[cells]
     return replace(
         seen,
-        centre=np.concatenate([seen.centre, centre[None]]),
-        axes=np.concatenate([seen.axes, axes[None]]),
-        information=np.concatenate([seen.information, np.append(tilt, weight)[None]]),
-        spread=np.concatenate([seen.spread, np.sqrt(variance)[None]]),
-        n_points=np.append(seen.n_points, len(points)),
-        cells=np.concatenate([seen.cells, centre + along @ sides]),
-        cell_patch=np.append(seen.cell_patch, np.full(len(points), len(seen))),
+        **columns,
+        cells=np.concatenate([seen.cells, more.cells[cells]]),
+        cell_patch=np.append(seen.cell_patch, patch),
     )

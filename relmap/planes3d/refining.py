@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from relmap.core.arrays import Floats
-from relmap.planes3d.adjustment import PlaneAdjustment, Scene, Sightings, systematic_share
+from relmap.core.arrays import Bools, Floats
+from relmap.planes3d.adjustment import UNSURE, PlaneAdjustment, Scene, Sightings
 from relmap.planes3d.fitting import (
     SYSTEMATIC,
     WEAK,
@@ -18,9 +18,11 @@ from relmap.planes3d.reliance import unreliable_steps
 from relmap.planes3d.steps import step_covariances
 from relmap.planes3d.submap import Submap
 from relmap.planes3d.surfaces import SIDE, Surfaces
+from relmap.segmentation.space import Patches
 
-ROUNDS = 10
-"""Maximum number of rounds of adjusting and joining."""
+ROUNDS, ROUGHLY = 12, 0.1
+"""Maximum number of rounds of adjusting and joining, and the gain that ends the adjustment while
+landmarks are joined."""
 SURE, UNUSUAL = 3.0, 2.5
 """Standard deviations within which a step is known, and how many times the median is unusual."""
 UNSURE = 0.0125
@@ -38,22 +40,25 @@ def refined(part: Submap, number: int) -> tuple[Submap, dict[int, int]]:
     `number`: of the first of the landmarks that are found in the points of all scans together.
     Returns `name`: new numbers of landmarks that were joined to others.
     """
-    part, names = _settled(part)
+    part, names = _settled(part, ROUGHLY)
     more = gathered(part, number)
-    if more is None:
-        return part, names
-    part, later = _settled(more)
+    part, later = _settled(part if more is None else more, UNSURE)
     return part, {old: later.get(new, new) for old, new in names.items()} | later
 
 
-def _settled(part: Submap) -> tuple[Submap, dict[int, int]]:
-    """Adjust a submap and join landmarks that are one surface, in turns; see `refined`."""
+def _settled(part: Submap, unsure: float) -> tuple[Submap, dict[int, int]]:
+    """Adjust a submap and join landmarks that are one surface, in turns; see `refined`.
+
+    `unsure`: see `PlaneAdjustment.solve`, of the last adjustment.
+    """
     names: dict[int, int] = {}
+    gain = ROUGHLY
     for _ in range(ROUNDS):
-        part = _adjusted(part)
+        part = _adjusted(part, gain)
         doubles = _doubles(part)
-        if not doubles:
+        if not doubles and gain == unsure:
             break
+        gain = ROUGHLY if doubles else unsure
         part = part.again(part.poses, doubles)
         names = {old: doubles.get(new, new) for old, new in names.items()} | doubles
     return part, names
@@ -105,15 +110,15 @@ def scene(part: Submap) -> Scene:
     return Scene(R, t, planes.normal.copy(), planes.centre, np.zeros(len(part)))
 
 
-def _adjusted(part: Submap) -> Submap:
+def _adjusted(part: Submap, unsure: float) -> Submap:
+    """Return a submap adjusted by least squares; `unsure`: see `PlaneAdjustment.solve`."""
     seen, state = sightings(part), scene(part)
     share = SYSTEMATIC if part.share is None else part.share
     free = {part.iteration.index(k): part.weak[k] for k in sorted(part.weak)}
-    state = PlaneAdjustment(seen, share, free).solve(state)
-    share = systematic_share(seen, state)
-    state = PlaneAdjustment(seen, share, free).solve(state)
+    problem = PlaneAdjustment(seen, share, free)
+    state = problem.solve(state, unsure)
     again = part.again(list(zip(state.R, state.t, strict=True)), {})
-    again.share = share
+    again.share = problem.systematic_share(state)
     return again
 
 
@@ -128,23 +133,27 @@ def _doubles(part: Submap) -> dict[int, int]:
     size = np.bincount(planes.cell_patch, minlength=len(planes))
     one = (off < ONE * noise) & surfaces.overlapping(still, origin, planes)
     one &= size[:, None] <= size
-    one |= (off < ONE * noise + bent_m) & (_covered(surfaces) > COVERED)
-    one &= planes.normal @ planes.normal.T > SIDE
-    a, b = np.nonzero(one & ~np.eye(len(planes), dtype=bool))
+    maybe = (off < ONE * noise + bent_m) & (planes.normal @ planes.normal.T > SIDE)
+    np.fill_diagonal(maybe, False)
+    one = maybe & (one | (_covered(planes, maybe.any(axis=0) | maybe.any(axis=1)) > COVERED))
+    a, b = np.nonzero(one)
     name: dict[int, int] = {}
     for k in np.argsort(off[a, b] / noise[a, b], kind="stable").tolist():
         pair = sorted((int(part.number[a[k]]), int(part.number[b[k]])))
-        # Each landmark is joined once a round, and compared again in the next.
-        if not any(number in name or number in name.values() for number in pair):
+        # Landmarks that others were joined to are compared again before they are joined.
+        if not any(number in name for number in pair) and pair[1] not in name.values():
             name[pair[1]] = pair[0]
     return name
 
 
-def _covered(surfaces: Surfaces) -> Floats:
-    """Return the fraction (l, l) of the cells of each landmark that are at a cell of another."""
-    of, count = surfaces.planes.cell_patch, len(surfaces.planes)
-    tree, cell_m = cKDTree(surfaces.planes.cells), surfaces.planes.cell_m
-    pairs = tree.query_pairs(cell_m, output_type="ndarray")
+def _covered(planes: Patches, chosen: Bools) -> Floats:
+    """Return the fraction (l, l) of the cells of each landmark that are at a cell of another.
+
+    `chosen` (l,): landmarks whose cells count.
+    """
+    mine, count = chosen[planes.cell_patch], len(planes)
+    of, tree = planes.cell_patch[mine], cKDTree(planes.cells[mine])
+    pairs = tree.query_pairs(planes.cell_m, output_type="ndarray")
     pairs = pairs[of[pairs[:, 0]] != of[pairs[:, 1]]]
     cell, other = np.concatenate([pairs, pairs[:, ::-1]]).T
     # A cell counts once for each other landmark.

@@ -82,54 +82,69 @@ class Submap:
         self._cells = np.empty((0, 3))
         self._cell_of = np.empty(0, dtype=np.int64)
         self._known: set[int] = set()
+        self._latest = np.empty(0, dtype=np.int64)
         self._loose = {}
 
     def restored(self) -> None:
         """Make what follows from the state."""
         self._row = {number: row for row, number in enumerate(self.number.tolist())}
-        ends = np.cumsum([len(seen.cells) for seen in self.seen])
-        parts = np.split(np.arange(len(self._cells)), ends[:-1])
-        for k, (seen, part) in enumerate(zip(self.seen, parts, strict=True)):
-            self._fresh(self._cells[part], self._cell_of[part], seen.cell_m)
-            self._fresh(*self._rim(k), seen.cell_m)
+        ends = np.cumsum([len(seen.cells) for seen in self.seen])[:-1]
+        sizes = [seen.cell_m for seen in self.seen]
+        cells = zip(np.split(self._cells, ends), np.split(self._cell_of, ends), sizes, strict=True)
+        self._fresh([*cells, *self._rims()])
 
     def __len__(self) -> int:
         """Return the number of landmarks."""
         return len(self.last)
 
-    def add(
-        self, iteration: int, seen: Patches, pose: Pose, number: Ints, sparse: bool = False
-    ) -> None:
+    def add(self, iteration: int, seen: Patches, pose: Pose, number: Ints) -> None:
         """Add a scan.
 
         `seen`: planes of the scan, robot frame; `pose`, R (3, 3) and t (3,): ``T_submap_robot``;
-        `number` (m,): number of the landmark of each patch in the mapper; `sparse`: whether the
-        points on no plane are few enough already.
+        `number` (m,): number of the landmark of each patch in the mapper.
         """
         R, t = pose
-        match = np.array([self._row.setdefault(k, len(self._row)) for k in number.tolist()], int)
-        rows, first = np.unique(match, return_index=True)
-        new = first[rows >= len(self)]
-        self.number = np.append(self.number, number[new])
-        self.scatter = np.concatenate([self.scatter, np.zeros((len(new), 4, 4))])
-        self._normal = np.concatenate([self._normal, seen.normal[new] @ R.T])
-        self.last = np.append(self.last, np.full(len(new), iteration))
-        np.add.at(self.scatter, match, moved(seen.scatter, R, t))
-        self.last[match] = iteration
-        cells, of = seen.cells @ R.T + t, match[seen.cell_patch]
-        fresh = self._fresh(cells, of, seen.cell_m)
-        self._cells = np.concatenate([self._cells, cells[fresh]])
-        self._cell_of = np.append(self._cell_of, of[fresh])
-        self.iteration.append(iteration)
-        self.poses.append(pose)
-        if not sparse:
-            seen = replace(seen, loose=seen.loose[self._sparse(seen.loose @ R.T + t, seen.cell_m)])
+        kept = self._sparse(seen.loose @ R.T + t, seen.cell_m)
+        self.extend([iteration], [replace(seen, loose=seen.loose[kept])], [pose], [number])
+
+    def extend(
+        self, iteration: list[int], seen: list[Patches], poses: list[Pose], numbers: list[Ints]
+    ) -> None:
+        """Add scans whose points on no plane are few enough already; see `add`."""
+        motions = list(zip(seen, poses, strict=True))
+        normal = np.concatenate([each.normal @ R.T for each, (R, _) in motions])
+        match, counts = self._rows(np.concatenate(numbers), normal), [len(each) for each in numbers]
+        np.add.at(self.scatter, match, np.concatenate([moved(x.scatter, *T) for x, T in motions]))
+        np.maximum.at(self.last, match, np.repeat(iteration, counts))
+        matches = np.split(match, np.cumsum(counts)[:-1])
+        cells = [
+            (each.cells @ R.T + t, own[each.cell_patch], each.cell_m)
+            for own, (each, (R, t)) in zip(matches, motions, strict=True)
+        ]
+        rims = [_rim(*each) for each in zip(seen, poses, matches, strict=True)]
         # Cells where a plane was seen before are dropped: memory grows with the map only.
-        seen = replace(seen, cells=seen.cells[fresh], cell_patch=seen.cell_patch[fresh])
-        self.seen.append(seen)
-        self.match.append(match)
-        rim = self._fresh(*self._rim(-1), seen.cell_m)
-        self.seen[-1] = replace(seen, rim=seen.rim[rim], rim_patch=seen.rim_patch[rim])
+        fresh = self._fresh([*cells, *rims])
+        fresh, rim = fresh[: len(seen)], fresh[len(seen) :]
+        chosen = [(x[rows], of[rows]) for (x, of, _), rows in zip(cells, fresh, strict=True)]
+        self._cells = np.concatenate([self._cells, *(x for x, _ in chosen)])
+        self._cell_of = np.concatenate([self._cell_of, *(of for _, of in chosen)])
+        self.iteration += iteration
+        self.poses += poses
+        self.match += matches
+        self.seen += [_only(*each) for each in zip(seen, fresh, rim, strict=True)]
+
+    def _rows(self, number: Ints, normal: Floats) -> Ints:
+        """Return the landmarks of patches (m,), by number; new ones get normals (m, 3)."""
+        number, first, at = np.unique(number, return_index=True, return_inverse=True)
+        for k in number[np.argsort(first)].tolist():
+            self._row.setdefault(k, len(self._row))
+        rows = np.array([self._row[k] for k in number.tolist()], dtype=np.int64)
+        new = np.sort(first[rows >= len(self)])
+        self.number = np.append(self.number, number[at[new]])
+        self.scatter = np.concatenate([self.scatter, np.zeros((len(new), 4, 4))])
+        self._normal = np.concatenate([self._normal, normal[new]])
+        self.last = np.append(self.last, np.zeros(len(new), dtype=np.int64))
+        return np.asarray(rows[at])
 
     def count_sights(self, number: Ints, of: Ints, there: Bools, through: Bools) -> None:
         """Count what a scan sees of landmarks.
@@ -152,20 +167,26 @@ class Submap:
         there, through = np.reshape(looks, (-1, 2)).T
         return np.asarray((through > MANY) & (through > THROUGH * (there + through)))
 
-    def _fresh(self, points: Floats, of: Ints, cell_m: float) -> Ints:
-        """Return which points (n, 3) of surfaces or rims (n,) lie in cells that had none yet."""
+    def _fresh(self, scans: list[tuple[Floats, Ints, float]]) -> list[Ints]:
+        """Return which points of each scan lie in cells of their surface that had none yet.
+
+        `scans`: points (n, 3), submap frame, their landmarks (n,), or rims, and the size of cells.
+        """
         from relmap.planes3d.nearest_kernels import keys_of
 
-        keys = MIXED * keys_of(points, cell_m) + of
+        keys = np.concatenate([MIXED * keys_of(points, cell_m) + of for points, of, cell_m in scans])
         rows = np.sort(np.unique(keys, return_index=True)[1])
-        rows = rows[[key not in self._known for key in keys[rows].tolist()]]
-        self._known.update(keys[rows].tolist())
-        return rows
+        # To fill a set takes longer than the rest, and refinement adds no more scans.
+        self._known.update(self._latest.tolist())
+        if self._known:
+            rows = rows[[key not in self._known for key in keys[rows].tolist()]]
+        self._latest = keys[rows]
+        begin = np.cumsum([0, *(len(points) for points, *_ in scans)])
+        parts = np.split(rows, np.searchsorted(rows, begin[1:-1]))
+        return [part - first for part, first in zip(parts, begin.tolist(), strict=False)]
 
-    def _rim(self, k: int) -> tuple[Floats, Ints]:
-        """Return the rim points (r, 3) of a scan, submap frame, and their rims, -1 - landmark."""
-        (R, t), seen = self.poses[k], self.seen[k]
-        return seen.rim @ R.T + t, -1 - self.match[k][seen.rim_patch]
+    def _rims(self) -> list[tuple[Floats, Ints, float]]:
+        return [_rim(*each) for each in zip(self.seen, self.poses, self.match, strict=True)]
 
     def _sparse(self, points: Floats, cell_m: float) -> Ints:
         """Return which points (n, 3) on no plane lie in cells of the map with few such points."""
@@ -217,9 +238,9 @@ class Submap:
 
     def all_planes(self) -> Patches:
         """Return all landmarks as patches in the frame of the submap, with their rims."""
-        rims = [self._rim(k) for k in range(len(self.seen))]
-        points = np.concatenate([np.empty((0, 3)), *(each for each, _ in rims)])
-        of = np.concatenate([np.empty(0, dtype=np.int64), *(-1 - each for _, each in rims)])
+        rims = self._rims()
+        points = np.concatenate([np.empty((0, 3)), *(each for each, *_ in rims)])
+        of = np.concatenate([np.empty(0, dtype=np.int64), *(-1 - each for _, each, _ in rims)])
         return replace(self.planes(np.arange(len(self))), rim=points, rim_patch=of)
 
     def recent(self, iteration: int, max_missed: int) -> Bools:
@@ -228,11 +249,9 @@ class Submap:
 
     def again(self, poses: list[Pose], name: dict[int, int]) -> Submap:
         """Return the submap with other poses, and with landmarks renamed by number."""
+        number = np.array([name.get(k, k) for k in self.number.tolist()], dtype=np.int64)
         part = Submap()
-        for k, iteration in enumerate(self.iteration):
-            numbers = self.number[self.match[k]].tolist()
-            renamed = np.array([name.get(number, number) for number in numbers], dtype=np.int64)
-            part.add(iteration, self.seen[k], poses[k], renamed, sparse=True)
+        part.extend(self.iteration, self.seen, poses, [number[match] for match in self.match])
         part.take_over(self, name)
         return part
 
@@ -242,7 +261,7 @@ class Submap:
         `name`: new numbers of landmarks that were renamed.
         """
         self.weak, self.held, self.share = dict(other.weak), set(other.held), other.share
-        self.unsure, self._loose = dict(other.unsure), dict(other._loose)
+        self.unsure, self._loose = dict(other.unsure), other._loose
         for number, counts in other.sights.items():
             self._add_sights(name.get(number, number), counts)
 
@@ -271,6 +290,26 @@ class Submap:
             for number, counts in part.sights.items():
                 both._add_sights(number, counts)
         return both
+
+
+def _rim(seen: Patches, pose: Pose, match: Ints) -> tuple[Floats, Ints, float]:
+    """Return the rim points (r, 3) of a scan, submap frame, their rims, -1 - landmark, and cells.
+
+    `match` (m,): landmark of each patch.
+    """
+    R, t = pose
+    return seen.rim @ R.T + t, -1 - match[seen.rim_patch], seen.cell_m
+
+
+def _only(seen: Patches, cells: Ints, rim: Ints) -> Patches:
+    """Return the patches of a scan with some of their cells and of their rim."""
+    return replace(
+        seen,
+        cells=seen.cells[cells],
+        cell_patch=seen.cell_patch[cells],
+        rim=seen.rim[rim],
+        rim_patch=seen.rim_patch[rim],
+    )
 
 
 def moved(scatter: Floats, R: Floats, t: Floats) -> Floats:

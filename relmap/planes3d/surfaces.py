@@ -19,16 +19,16 @@ SIDE = np.cos(np.deg2rad(12.0))
 class Surfaces:
     """Planes of the map with a grid of the cells where they were seen.
 
-    `planes`: in the frame of the map.
+    `planes`: in the frame of the map. `side_m`: of the cubes of the grid, metres; twice the longest
+    search is fastest. By default the longest one of a placement.
     """
 
-    def __init__(self, planes: Patches) -> None:
+    def __init__(self, planes: Patches, side_m: float | None = None) -> None:
         from relmap.core.geometry.spatialindex_kernels import link
         from relmap.planes3d.nearest_kernels import keys_of
 
         self.planes = planes
-        # Cubes as large as the longest search are fastest.
-        side_m = 2 * NEAR * planes.cell_m
+        side_m = side_m or 2 * NEAR * planes.cell_m
         keys = keys_of(np.ascontiguousarray(planes.cells), side_m)
         order = np.argsort(keys, kind="stable")
         key, begin = np.unique(keys[order], return_index=True)
