@@ -108,10 +108,12 @@ def sight_of(R: Floats, t: Floats, seen: Patches, planes: Patches) -> Sight:
     cells, size_m = (planes.cells - t) @ R, max(seen.cell_m, planes.cell_m)
     away = np.linalg.norm(cells, axis=1)
     ray = cells / away[:, None]
-    facing = np.abs(np.einsum("ci,ci->c", ray, planes.normal[planes.cell_patch] @ R))
+    facing = np.abs(np.einsum("ci,ci->c", ray, planes.normal[planes.cell_patch] @ R)) > FACING
     range_m = np.linalg.norm(seen.cells, axis=1)
-    beside, cell = cKDTree(seen.cells / range_m[:, None]).query(ray)
-    in_view = (facing > FACING) & (beside * range_m[cell] < BESIDE * seen.cell_m)
+    cell, beside = np.zeros(len(ray), dtype=np.int64), np.full(len(ray), np.inf)
+    tree = cKDTree(seen.cells / range_m[:, None])
+    beside[facing], cell[facing] = tree.query(ray[facing])
+    in_view = beside * range_m[cell] < BESIDE * seen.cell_m
     plane = seen.cell_patch[cell]
     # Normals face the sensor.
     ahead = np.einsum("ci,ci->c", cells - seen.centre[plane], seen.normal[plane])

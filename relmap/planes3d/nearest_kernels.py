@@ -100,18 +100,17 @@ def mark_near(
     t: Floats,
     cells: Floats,
     of: Ints,
-    step: int,
     reach_m: float,
     near: Bools,
 ) -> None:
     """Mark which planes of a scan have cells near which planes of the map, in an array (m, k).
 
     `plane` (c,): plane of each cell of the map. `R` (3, 3), `t` (3,): pose of the scan. `cells`
-    (s, 3), `of` (s,): of the scan, and their planes; every `step`-th is looked at. `reach_m`:
-    largest distance; the four nearest cells count.
+    (s, 3), `of` (s,): of the scan, and their planes. `reach_m`: largest distance; the four nearest
+    cells count.
     """
     x, chosen, square = np.empty(3), np.empty(4, dtype=np.int64), np.empty(4)
-    for i in range(0, len(cells), step):
+    for i in range(len(cells)):
         for a in range(3):
             x[a] = t[a]
             for b in range(3):

@@ -20,7 +20,7 @@ JUDGED = 10
 """Number of hypotheses that are fitted: those with most surfaces near those of the map."""
 HOPELESS = 0.5
 """Hypotheses with a smaller fraction of the best one's surfaces there are not fitted."""
-SAMPLE, ROUGHLY = 400, 150
+SAMPLE, ROUGHLY = 400, 100
 """Number of cells of a scan that judge a placement, and that choose the hypotheses to fit."""
 OVERLAP = 1.5
 """Largest distance, in cells, of a cell of the scan from one of the map on the same surface."""

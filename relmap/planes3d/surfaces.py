@@ -8,8 +8,8 @@ from relmap.core.arrays import Bools, Floats, Ints
 from relmap.planes3d.hypotheses import Motions
 from relmap.segmentation.space import Patches
 
-LOOKED_AT = 400
-"""Number of cells of a scan from which overlapping planes are found."""
+LOOKED_AT = 16
+"""Number of cells of each plane of a scan from which overlapping planes are found."""
 NEAR = 3.0
 """Largest distance, in cells, of cells of overlapping surfaces."""
 SIDE = np.cos(np.deg2rad(12.0))
@@ -51,10 +51,11 @@ class Surfaces:
         from relmap.planes3d.nearest_kernels import mark_near
 
         near = np.zeros((len(seen), len(self.planes)), dtype=bool)
-        step = max(len(seen.cells) // LOOKED_AT, 1)
+        of, count = seen.cell_patch, np.bincount(seen.cell_patch, minlength=len(seen))
+        rank = np.arange(len(of)) - (np.cumsum(count) - count)[of]
+        rows = np.flatnonzero(rank * LOOKED_AT % count[of] < LOOKED_AT)
         reach_m = 2 * NEAR * max(self.planes.cell_m, seen.cell_m)
-        scan = seen.cells, seen.cell_patch, step
-        mark_near(self._grid, self._plane, R, t, *scan, reach_m, near)
+        mark_near(self._grid, self._plane, R, t, seen.cells[rows], of[rows], reach_m, near)
         return near
 
     def shares(
