@@ -33,9 +33,9 @@ scan may depend on one observation."""
 USUAL = 2.0
 """The same as a multiple of the median residual, of all observations or of those of the scan; the
 larger of the two holds."""
-ROUNDS, UNSURE = 30, 1e-6
+ROUNDS, GAIN = 30, 1e-6
 """Maximum number of steps, and the gain of a step that ends them."""
-SHARES = [0.0, *np.geomspace(0.01, 3.0, 60).tolist()]
+SHARES: list[float] = [0.0, *np.geomspace(0.01, 3.0, 60).tolist()]
 """Common errors that are tried, as fractions of the noise."""
 NORMAL = 0.6745
 """Median absolute value of a normal distribution, in standard deviations."""
@@ -102,12 +102,12 @@ class PlaneAdjustment:
         least = ROUNDING * np.linalg.norm(seen.centre, axis=1)
         self.rounding = float(((least * self._root[:, 2]) ** 2).sum())
 
-    def solve(self, scene: Scene, unsure: float = UNSURE) -> Scene:
+    def solve(self, scene: Scene, least_gain: float = GAIN) -> Scene:
         """Return the least-squares scene; the first pose is fixed.
 
-        `unsure`: gain of a step that ends it, in squared standard deviations of the whole map.
+        `least_gain`: gain of a step that ends it, in squared standard deviations of the whole map.
         """
-        return gauss_newton(self, scene, self.weights, ROUNDS, unsure=unsure).state
+        return gauss_newton(self, scene, self.weights, ROUNDS, unsure=least_gain).state
 
     def systematic_share(self, scene: Scene) -> float:
         """Return the error common to the points of an observation, as a fraction of their noise.

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -111,9 +112,13 @@ def _nearby(points: Floats, planes: Patches) -> tuple[Ints, Floats]:
     # One column for each plane of a point.
     of = np.sort(np.where(of < 0, len(planes), of), axis=1)
     of[:, 1:][of[:, 1:] == of[:, :-1]] = len(planes)
-    normal, offset = np.vstack([planes.normal, np.zeros(3)]), np.append(planes.offset, np.inf)
-    noise = np.append(planes.spread[:, 2], 1.0) + ROUNDING * planes.reach_m
-    return of, np.abs(np.einsum("nki,ni->nk", normal[of], points) - offset[of]) / noise[of]
+    noise = planes.spread[:, 2] + ROUNDING * planes.reach_m
+    off = np.full(of.shape, np.inf)
+    point, column = np.nonzero(of < len(planes))
+    plane = of[point, column]
+    height = np.einsum("ni,ni->n", planes.normal[plane], points[point]) - planes.offset[plane]
+    off[point, column] = np.abs(height) / noise[plane]
+    return of, off
 
 
 def _regions_in(points: Floats, size_m: float, sigma: float) -> list[Ints]:
@@ -178,7 +183,9 @@ def _with_planes(
     for k, seen in enumerate(part.seen):
         seen = replace(seen, loose=seen.loose[label[scan == k] < 0])
         rows = slice(*np.searchsorted(at, [k, k + 1]))
-        patches.append(_with_more(seen, more, rows, slice(*np.searchsorted(scan[mine], [k, k + 1]))))
+        patches.append(
+            _with_more(seen, more, rows, slice(*np.searchsorted(scan[mine], [k, k + 1])))
+        )
         numbers.append(np.append(part.number[part.match[k]], number + plane[rows]))
     again = Submap()
     again.extend(part.iteration, patches, part.poses, numbers)
@@ -217,7 +224,7 @@ def _patches(points: Floats, of: Ints, normal: Floats, sd: Floats) -> Patches:
 def _with_more(seen: Patches, more: Patches, rows: slice, cells: slice) -> Patches:
     """Return the patches of a scan and rows of others, which have these cells."""
     names = ("centre", "axes", "information", "spread", "n_points")
-    columns = {
+    columns: dict[str, Any] = {
         name: np.concatenate([getattr(seen, name), getattr(more, name)[rows]]) for name in names
     }
     patch = len(seen) - rows.start + more.cell_patch[cells]

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Bools, Floats
-from relmap.planes3d.adjustment import UNSURE, PlaneAdjustment, Scene, Sightings
+from relmap.planes3d.adjustment import GAIN, PlaneAdjustment, Scene, Sightings
 from relmap.planes3d.fitting import (
     SYSTEMATIC,
     WEAK,
@@ -42,23 +42,23 @@ def refined(part: Submap, number: int) -> tuple[Submap, dict[int, int]]:
     """
     part, names = _settled(part, ROUGHLY)
     more = gathered(part, number)
-    part, later = _settled(part if more is None else more, UNSURE)
+    part, later = _settled(part if more is None else more, GAIN)
     return part, {old: later.get(new, new) for old, new in names.items()} | later
 
 
-def _settled(part: Submap, unsure: float) -> tuple[Submap, dict[int, int]]:
+def _settled(part: Submap, least_gain: float) -> tuple[Submap, dict[int, int]]:
     """Adjust a submap and join landmarks that are one surface, in turns; see `refined`.
 
-    `unsure`: see `PlaneAdjustment.solve`, of the last adjustment.
+    `least_gain`: see `PlaneAdjustment.solve`, of the last adjustment.
     """
     names: dict[int, int] = {}
     gain = ROUGHLY
     for _ in range(ROUNDS):
         part = _adjusted(part, gain)
         doubles = _doubles(part)
-        if not doubles and gain == unsure:
+        if not doubles and gain == least_gain:
             break
-        gain = ROUGHLY if doubles else unsure
+        gain = ROUGHLY if doubles else least_gain
         part = part.again(part.poses, doubles)
         names = {old: doubles.get(new, new) for old, new in names.items()} | doubles
     return part, names
@@ -110,13 +110,13 @@ def scene(part: Submap) -> Scene:
     return Scene(R, t, planes.normal.copy(), planes.centre, np.zeros(len(part)))
 
 
-def _adjusted(part: Submap, unsure: float) -> Submap:
-    """Return a submap adjusted by least squares; `unsure`: see `PlaneAdjustment.solve`."""
+def _adjusted(part: Submap, least_gain: float) -> Submap:
+    """Return a submap adjusted by least squares; `least_gain`: see `PlaneAdjustment.solve`."""
     seen, state = sightings(part), scene(part)
     share = SYSTEMATIC if part.share is None else part.share
     free = {part.iteration.index(k): part.weak[k] for k in sorted(part.weak)}
     problem = PlaneAdjustment(seen, share, free)
-    state = problem.solve(state, unsure)
+    state = problem.solve(state, least_gain)
     again = part.again(list(zip(state.R, state.t, strict=True)), {})
     again.share = problem.systematic_share(state)
     return again

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import repeat
 
 import numpy as np
 
@@ -174,7 +175,9 @@ class Submap:
         """
         from relmap.planes3d.nearest_kernels import keys_of
 
-        keys = np.concatenate([MIXED * keys_of(points, cell_m) + of for points, of, cell_m in scans])
+        keys = np.concatenate(
+            [MIXED * keys_of(points, cell_m) + of for points, of, cell_m in scans]
+        )
         rows = np.sort(np.unique(keys, return_index=True)[1])
         # To fill a set takes longer than the rest, and refinement adds no more scans.
         self._known.update(self._latest.tolist())
@@ -194,7 +197,7 @@ class Submap:
 
         keys = keys_of(points, cell_m / 2)
         key, at, counts = np.unique(keys, return_inverse=True, return_counts=True)
-        known = np.array([self._loose.get(each, 0) for each in key.tolist()], dtype=np.int64)
+        known = np.fromiter(map(self._loose.get, key.tolist(), repeat(0)), np.int64, len(key))
         rank = np.empty_like(at)
         first = np.repeat(np.cumsum(counts) - counts, counts)
         rank[np.argsort(at, kind="stable")] = np.arange(len(at)) - first
