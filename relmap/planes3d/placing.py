@@ -18,7 +18,7 @@ from relmap.segmentation.space import Patches
 
 JUDGED = 10
 """Number of hypotheses that are fitted: those with most surfaces near those of the map."""
-HOPELESS = 0.5
+HOPELESS = 0.7
 """Hypotheses with a smaller fraction of the best one's surfaces there are not fitted."""
 SAMPLE, ROUGHLY = 400, 100
 """Number of cells of a scan that judge a placement, and that choose the hypotheses to fit."""
