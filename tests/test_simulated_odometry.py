@@ -17,11 +17,18 @@ from relmap.cli import main
 from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.core.odometry import checked_odometry
-from relmap.datasets import ScanLog, open_log, open_scans
+from relmap.datasets import open_log, open_scans
 from relmap.datasets.odometry import motions, path_of
 from relmap.evaluation.truth import read_truth
-from relmap.simulation import faults, simulate_figure_eight
-from relmap.simulation.odometry import LASER_WHEELS, Wheels, wheel_odometry
+from relmap.simulation import simulate_figure_eight
+from relmap.simulation.odometry import (
+    LASER_WHEELS,
+    Wheels,
+    backward,
+    slipping,
+    stale,
+    wheel_odometry,
+)
 from tests.commands import PATIENCE_S
 from tests.scanlogs import CORRECTED, planar
 
@@ -83,19 +90,9 @@ def test_noise_out_of_range_is_refused(name: str) -> None:
         wheel_odometry(circle(3), wheels, np.random.default_rng(0))
 
 
-def log_of(odometry: Poses, stamps_s: Floats | None = None) -> ScanLog:
-    at = np.arange(float(len(odometry))) if stamps_s is None else stamps_s
-    return ScanLog(2, at, lambda _: np.empty((0, 2)), odometry=odometry)
-
-
-def odometry_of(log: ScanLog) -> Poses:
-    assert log.odometry is not None
-    return log.odometry
-
-
 def test_slips_double_the_way_of_a_tenth_of_the_steps() -> None:
     odometry = motions(circle(200))
-    slipped = odometry_of(faults.slipping_wheels(log_of(odometry), 0.1, np.random.default_rng(0)))
+    slipped = slipping(odometry, 0.1, np.random.default_rng(0))
     ratio = slipped[1:, 0, 3] / odometry[1:, 0, 3]
     assert sorted({*ratio.round(9).tolist()}) == [1, 2]
     assert (ratio > 1.5).sum() in (19, 20)
@@ -104,7 +101,7 @@ def test_slips_double_the_way_of_a_tenth_of_the_steps() -> None:
 
 def test_reversed_odometry_goes_back() -> None:
     odometry = motions(circle(20))
-    back = odometry_of(faults.reversed_odometry(log_of(odometry)))
+    back = backward(odometry)
     assert_allclose(back[1:] @ odometry[1:], [np.eye(4)] * 19, atol=1e-14)
     assert np.isnan(back[0]).all()
 
@@ -114,25 +111,16 @@ def test_stale_odometry_is_that_of_before(rate: float) -> None:
     rng = np.random.default_rng(0)
     steps = np.array([checked_odometry([s, 0, t]) for s, t in rng.uniform(0, 1, (30, 2))])
     steps[0] = np.nan
-    log = log_of(steps, np.arange(30) / rate)
-    stale = odometry_of(faults.stale_odometry(log, 3 / rate))
-    assert np.isnan(stale[:4]).all()
-    assert_allclose(stale[4:], steps[1:-3], atol=1e-12)
-    straight = log_of(motions(path_of(np.tile(checked_odometry([1, 0, 0]), (9, 1, 1)))))
-    half = odometry_of(faults.stale_odometry(straight, 0.5))
+    late = stale(steps, np.arange(30) / rate, 3 / rate)
+    assert np.isnan(late[:4]).all()
+    assert_allclose(late[4:], steps[1:-3], atol=1e-12)
+    straight = motions(path_of(np.tile(checked_odometry([1, 0, 0]), (9, 1, 1))))
+    half = stale(straight, np.arange(9.0), 0.5)
     assert planar(half[2:]) == [[1, 0, 0]] * 7
     steps[10] = np.nan
-    unknown = odometry_of(faults.stale_odometry(log_of(steps), 3.0))
+    unknown = stale(steps, np.arange(30.0), 3.0)
     assert np.isnan(unknown[13]).all()
-    assert_allclose(unknown[15:], stale[15:], atol=1e-12)
-
-
-def test_faults_of_wheels_need_odometry() -> None:
-    log = simulate_figure_eight(density=5, iterations=5).log
-    with pytest.raises(RelmapError, match="has no odometry"):
-        faults.reversed_odometry(log)
-    with pytest.raises(RelmapError, match="share is 2"):
-        faults.slipping_wheels(log, 2, np.random.default_rng(0))
+    assert_allclose(unknown[15:], late[15:], atol=1e-12)
 
 
 def test_a_big_step_adds_motions_up() -> None:
@@ -184,11 +172,10 @@ def test_simulate_writes_faults(fault: str, tmp_path: Path) -> None:
     odometry = open_log(tmp_path).odometry
     true = motions(read_truth(tmp_path).poses)
     assert odometry is not None
-    log = replace(log_of(true), dimension=3)
     expected = {
         "slip": None,
-        "reversed": faults.reversed_odometry(log).odometry,
-        "stale": faults.stale_odometry(log, 3.0).odometry,
+        "reversed": backward(true),
+        "stale": stale(true, np.arange(30.0), 3.0),
     }[fault]
     if expected is None:
         ratio = odometry[1:, 0, 3] / true[1:, 0, 3]
@@ -227,5 +214,6 @@ def test_odometry_is_made_of_a_corrected_log(
     subprocess.run(made, cwd=tmp_path, env=child_env, timeout=PATIENCE_S, check=True)
     log = open_scans(tmp_path / "a.log")
     assert log.poses is not None
+    assert log.odometry is not None
     expected = wheel_odometry(log.poses, LASER_WHEELS, np.random.default_rng(3))
-    assert_allclose(odometry_of(log)[1:], expected[1:], atol=1e-12)
+    assert_allclose(log.odometry[1:], expected[1:], atol=1e-12)

@@ -14,6 +14,7 @@ from relmap.cli.worldfiles import write_points
 
 if TYPE_CHECKING:
     from relmap.evaluation.sources import EightSource
+    from relmap.simulation.odometry import Wheels
 
 app = typer.Typer(
     help="""Simulate a robot in a world with known truth.
@@ -60,13 +61,17 @@ def figure_eight_command(
     from relmap.evaluation.sources import EightSource
 
     source = EightSource(density, iterations, noise, sigma, dynamic, seed)
-    options = wheels.OdometryOptions(odometry, odometry_bias, odometry_fault)
-    n_files = 3 if options.wheels() is None else 4
-    typer.echo(f"wrote {n_files} files to {out}: {write_figure_eight(out, source, options)}")
+    errors = wheels.wheels_of(odometry, odometry_bias, odometry_fault)
+    n_files = 3 if errors is None else 4
+    counts = write_figure_eight(out, source, errors, odometry_fault)
+    typer.echo(f"wrote {n_files} files to {out}: {counts}")
 
 
 def write_figure_eight(
-    out: Path, source: EightSource, options: wheels.OdometryOptions = wheels.NONE
+    out: Path,
+    source: EightSource,
+    errors: Wheels | None = None,
+    fault: wheels.Fault | None = None,
 ) -> str:
     """Simulate the figure eight into a folder and return a line with counts.
 
@@ -77,7 +82,7 @@ def write_figure_eight(
     with staged_folder(out) as staging, busy("simulating"):
         data = source.load()
         assert data.truth is not None
-        wheels.write_odometry(staging, options, data.truth.poses, None, source.seed)
+        wheels.write_odometry(staging, errors, fault, data.truth.poses, source.seed)
         return write_points(staging, data.log, data.truth)
 
 

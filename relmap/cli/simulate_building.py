@@ -103,8 +103,7 @@ def building_command(
 
     wrong = view is not None and not 0 < view < 360
     refuse(wrong, f"--view is {view}; it must be above 0 and below 360 degrees")
-    options = wheels.OdometryOptions(odometry, odometry_bias, odometry_fault)
-    options.wheels()
+    errors = wheels.wheels_of(odometry, odometry_bias, odometry_fault)
     if beams is not None:
         message = "--beams is short for --sampling laser --points: omit these"
         refuse(points is not None or sampling not in (None, "laser"), message)
@@ -128,7 +127,7 @@ def building_command(
         )
         write_building(staging, building)
         way, stamps_s = building.trajectory, building.stamps_s
-        n_files = 4 + wheels.write_odometry(staging, options, way, stamps_s, seed)
+        n_files = 4 + wheels.write_odometry(staging, errors, odometry_fault, way, seed, stamps_s)
     count = sum(len(scan.points) for scan in building.scans)
     typer.echo(
         f"wrote {n_files} files to {out}: {len(building.walls)} sides of walls, "

@@ -89,11 +89,10 @@ def world_command(
         view_deg=view,
         seed=seed,
     )
-    options = wheels.OdometryOptions(odometry, odometry_bias, odometry_fault)
-    options.wheels()
+    errors = wheels.wheels_of(odometry, odometry_bias, odometry_fault)
     with staged_folder(out) as staging, busy("simulating"):
         world = simulate_world(spec)
-        n_files = 4 + wheels.write_odometry(staging, options, world.trajectory, None, seed)
+        n_files = 4 + wheels.write_odometry(staging, errors, odometry_fault, world.trajectory, seed)
         counts = write_points(staging, world.log, truth_of(world))
         ids = csv_text(("row", "landmark"), enumerate(world.true_ids.tolist()))
         atomic_write(staging / "truth" / "ids.csv", ids)

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
 
 import typer
 
+from relmap.cli.arguments import refuse
 from relmap.core.errors import RelmapError
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from relmap.core.arrays import Floats
-    from relmap.datasets.scans import ScanLog
     from relmap.simulation.odometry import Wheels
 
 Fault = Literal["slip", "reversed", "stale"]
@@ -74,72 +71,48 @@ Broken = Annotated[
 ]
 
 
-@dataclass(frozen=True)
-class OdometryOptions:
-    """The ``--odometry`` options."""
+def wheels_of(noise: Pair | None, bias: Pair | None, fault: Fault | None) -> Wheels | None:
+    """Return the errors of the odometry to simulate, as given; None without odometry.
 
-    noise: Pair | None
-    bias: Pair | None
-    fault: Fault | None
+    Raises `RelmapError` if a number is out of range, or a bias or fault is given without odometry.
+    """
+    from relmap.simulation.odometry import Wheels
 
-    def wheels(self) -> Wheels | None:
-        """Return the validated odometry noise; None without odometry.
-
-        Raises `RelmapError` if a number is out of range, or a bias or fault is given without
-        odometry.
-        """
-        from relmap.simulation.odometry import Wheels
-
-        if self.noise is None:
-            if self.bias or self.fault:
-                raise RelmapError("--odometry-bias and --odometry-fault require --odometry")
-            return None
-        bias = self.bias or Pair(0.0, 0.0)
-        wheels = Wheels(
-            way=self.noise.way,
-            turn_deg=self.noise.turn,
-            way_bias=bias.way,
-            turn_bias_deg_per_m=bias.turn,
-        )
-        wheels.check()
-        return wheels
-
-
-NONE = OdometryOptions(None, None, None)
+    if noise is None:
+        refuse(bias or fault, "--odometry-bias and --odometry-fault require --odometry")
+        return None
+    biases = {} if bias is None else {"way_bias": bias.way, "turn_bias_deg_per_m": bias.turn}
+    wheels = Wheels(way=noise.way, turn_deg=noise.turn, **biases)
+    wheels.check()
+    return wheels
 
 
 def write_odometry(
-    folder: Path, options: OdometryOptions, poses: Floats, stamps_s: Floats | None, seed: int
+    folder: Path,
+    wheels: Wheels | None,
+    fault: Fault | None,
+    poses: Floats,
+    seed: int,
+    stamps_s: Floats | None = None,
 ) -> int:
-    """Write the odometry of a simulated path into a folder; return the number of files."""
+    """Write the odometry of a simulated path, if any, into a folder; return the number of files."""
     import numpy as np
 
     from relmap.datasets.odometry import write_odometry_csv
-    from relmap.datasets.scans import ScanLog
-    from relmap.simulation.odometry import wheel_odometry
+    from relmap.simulation import odometry
 
-    wheels = options.wheels()
     if wheels is None:
         return 0
     # A separate generator: the observations are the same with and without odometry.
     rng = np.random.default_rng([seed, len(poses)])
-    odometry = wheel_odometry(poses, wheels, rng)
-    at = np.arange(float(len(poses))) if stamps_s is None else stamps_s
-    log = ScanLog(2, at, lambda _: np.empty((0, 2)), odometry=odometry)
-    late = LATE_ITERATIONS if stamps_s is None else LATE_S
-    faulty = _with_fault(log, options.fault, late, rng).odometry
-    assert faulty is not None
-    write_odometry_csv(folder / "odometry.csv", faulty)
-    return 1
-
-
-def _with_fault(
-    log: ScanLog, fault: Fault | None, late: float, rng: np.random.Generator
-) -> ScanLog:
-    from relmap.simulation import faults
-
+    motion = odometry.wheel_odometry(poses, wheels, rng)
     if fault == "slip":
-        return faults.slipping_wheels(log, SLIPS, rng)
-    if fault == "reversed":
-        return faults.reversed_odometry(log)
-    return faults.stale_odometry(log, late) if fault else log
+        motion = odometry.slipping(motion, SLIPS, rng)
+    elif fault == "reversed":
+        motion = odometry.backward(motion)
+    elif fault == "stale" and stamps_s is None:
+        motion = odometry.stale(motion, np.arange(float(len(poses))), LATE_ITERATIONS)
+    elif fault == "stale" and stamps_s is not None:
+        motion = odometry.stale(motion, stamps_s, LATE_S)
+    write_odometry_csv(folder / "odometry.csv", motion)
+    return 1

@@ -1,4 +1,4 @@
-"""Simulated wheel odometry of a known path, with noise and biases."""
+"""Simulated wheel odometry of a known path, with noise, biases and faults."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
-from relmap.datasets.odometry import motions
+from relmap.datasets.odometry import motions, path_of, poses_at, relative
 from relmap.datasets.scans import poses_of
 
 UPRIGHT = 1 - 1e-12
@@ -67,3 +67,30 @@ def wheel_odometry(poses: Floats, wheels: Wheels, rng: np.random.Generator) -> F
     turn[:, 2:] += np.deg2rad(wheels.turn_bias_deg_per_m) * way
     counted = Rotation.from_matrix(true[:, :3, :3]) * Rotation.from_rotvec(turn)
     return np.concatenate([np.full((1, 4, 4), np.nan), poses_of(counted, step)])
+
+
+def slipping(odometry: Floats, share: float, rng: np.random.Generator) -> Floats:
+    """Return motions (k, 4, 4) that count the translation of a fraction of the steps twice."""
+    slipped = odometry.copy()
+    slips = rng.choice(len(odometry), round(share * len(odometry)), replace=False)
+    slipped[slips, :3, 3] *= 2
+    return slipped
+
+
+def backward(odometry: Floats) -> Floats:
+    """Return motions (k, 4, 4) that report backward for forward, with mirrored rotation."""
+    return relative(odometry, np.eye(4))
+
+
+def stale(odometry: Floats, at: Floats, late: float) -> Floats:
+    """Return motions (k, 4, 4) between times (k,) as they were that much earlier.
+
+    Motions before the first time, and next to unknown motions, are unknown.
+    """
+    found = motions(poses_at(at, path_of(odometry), at - late))
+    unknown = np.asarray(np.isnan(odometry).any(axis=(1, 2)))
+    unknown[0] = False
+    before = np.clip(np.searchsorted(at, at - late), 1, len(at) - 1)
+    around = unknown[before] | unknown[np.roll(before, 1)] | unknown[before - 1]
+    found[around] = np.nan
+    return found
