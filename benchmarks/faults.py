@@ -20,13 +20,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from shared import log_faults as faults
+from shared.runs import mapped, rmse, true_ids
 from speed import on_one_core, table
 
-from relmap import PointMapper
 from relmap.core.arrays import Floats
-from relmap.core.geometry.alignment import fit_rigid
 from relmap.datasets import ObservationLog
-from relmap.evaluation.metrics import majority_ids
 from relmap.simulation import FigureEight, simulate_figure_eight
 
 AT, COUNT = 450, 10
@@ -101,23 +99,16 @@ class Mapped:
     rejected: np.ndarray
 
 
-def mapped(log: ObservationLog, known: bool) -> Mapped:
-    mapper = PointMapper()
-    labels = [mapper.update(s.points_robot, s.ids if known else None) for s in log.scans()]
-    mapper.finish()
-    mapper.refine()
-    landmarks = mapper.landmarks_of(np.concatenate(labels))
-    stands_for = dict(zip(*majority_ids(landmarks, log.ids)[:2], strict=True))
-    true_ids = np.array([stands_for[label] for label in mapper.map.landmark_ids.tolist()])
-    return Mapped(mapper.map.positions, true_ids, len(mapper.submaps), mapper.rejected)
+def outcome(log: ObservationLog, known: bool) -> Mapped:
+    mapper, labels = mapped(log, known)
+    true = true_ids(mapper, labels, log)
+    return Mapped(mapper.map.positions, true, len(mapper.submaps), mapper.rejected)
 
 
-def rmse(result: Mapped, world: FigureEight, ids: np.ndarray) -> float:
+def error(result: Mapped, world: FigureEight, ids: np.ndarray) -> float:
     """Return the RMSE, metres, of the landmarks with some ids, after rigid alignment of them."""
     chosen = np.isin(result.true_ids, ids)
-    positions, truth = result.positions[chosen], world.landmarks_map[result.true_ids[chosen]]
-    R, t = fit_rigid(positions, truth)
-    return float(np.sqrt(np.mean(np.sum((positions @ R.T + t - truth) ** 2, axis=1))))
+    return rmse(result.positions[chosen], world.landmarks_map[result.true_ids[chosen]])
 
 
 def what_is_right(log: ObservationLog, true: ObservationLog) -> ObservationLog:
@@ -132,19 +123,19 @@ def what_is_right(log: ObservationLog, true: ObservationLog) -> ObservationLog:
 def loss(world: FigureEight, sound: Mapped, make: Make, known: bool, seed: int) -> list[float]:
     """Return RMSE, ratio, limit, coverage, submaps, and iterations rejected, useless, wrong."""
     fault = make(world.log, np.random.default_rng([seed, 1]))
-    result = mapped(fault.log, known)
+    result = outcome(fault.log, known)
     right = what_is_right(fault.log, world.log)
-    limit = result if len(right.ids) == len(fault.log.ids) else mapped(right, known)
+    limit = result if len(right.ids) == len(fault.log.ids) else outcome(right, known)
     ids, counts = np.unique(fault.log.ids, return_counts=True)
     due = ids[(counts >= OFTEN) & (ids < len(world.landmark_ids))]
     due = np.setdiff1d(due, fault.concerned)
     both = due[np.isin(due, result.true_ids) & np.isin(due, sound.true_ids)]
-    error, before = rmse(result, world, both), rmse(sound, world, both)
-    best = rmse(limit, world, both[np.isin(both, limit.true_ids)])
+    off, before = error(result, world, both), error(sound, world, both)
+    best = error(limit, world, both[np.isin(both, limit.true_ids)])
     found = np.isin(result.rejected, fault.useless).sum()
     covered = np.isin(due, result.true_ids).mean()
     named = [found, len(fault.useless), len(result.rejected) - found]
-    return [error, error / before, best / before, covered, result.submaps, *named]
+    return [off, off / before, best / before, covered, result.submaps, *named]
 
 
 def compare(density: float, known: bool, seeds: range) -> dict[str, Floats]:
@@ -152,7 +143,7 @@ def compare(density: float, known: bool, seeds: range) -> dict[str, Floats]:
     found: dict[str, list[list[float]]] = {name: [] for name in FAULTS}
     for seed in seeds:
         world = simulate_figure_eight(density=density, sigma=SIGMA_M, seed=seed)
-        sound = mapped(world.log, known)
+        sound = outcome(world.log, known)
         for name, make in FAULTS.items():
             found[name].append(loss(world, sound, make, known, seed))
     return {name: np.array(figures) for name, figures in found.items()}

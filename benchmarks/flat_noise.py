@@ -8,35 +8,21 @@ Figure eight, sigma 0.05, known association; the noise is uniform or Gaussian, o
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
 
 import numpy as np
+from shared.runs import mapped, rmse
 
 from relmap import MapperConfig, PointMapper
 from relmap.core.arrays import Floats
-from relmap.core.geometry.alignment import fit_rigid
 from relmap.simulation import FigureEight, simulate_figure_eight
 
 RUNS = (("uniform", 25, 10), ("uniform", 100, 3), ("gaussian", 25, 10))
 """Noise, density, seeds."""
 
 
-def mapped(world: FigureEight, config: MapperConfig) -> PointMapper:
-    """Return the mapper after the whole run, refined."""
-    mapper = PointMapper(config)
-    for scan in world.log.scans():
-        mapper.update(scan.points_robot, scan.ids)
-    mapper.finish()
-    mapper.refine()
-    return mapper
-
-
-def rmse(mapper: PointMapper, truth: Floats) -> float:
-    """Return the RMSE, metres, after rigid alignment."""
-    found = mapper.map
-    there = truth[found.landmark_ids]
-    R, t = fit_rigid(found.positions, there)
-    return float(np.sqrt(np.mean(np.sum((found.positions @ R.T + t - there) ** 2, axis=1))))
+def error(mapper: PointMapper, truth: Floats) -> float:
+    """Return the RMSE of the map, metres, after rigid alignment."""
+    return rmse(mapper.map.positions, truth[mapper.map.landmark_ids])
 
 
 def squares(mapper: PointMapper, world: FigureEight) -> Floats:
@@ -58,9 +44,9 @@ def main() -> None:
         ratios, powers, normalised = [], set(), []
         for seed in range(seeds):
             world = simulate_figure_eight(noise=noise, density=density, seed=seed)
-            least = rmse(mapped(world, MapperConfig()), world.landmarks_map)
-            mapper = mapped(world, replace(MapperConfig(), keep_observations=True))
-            ratios.append(rmse(mapper, world.landmarks_map) / least)
+            least = error(mapped(world.log)[0], world.landmarks_map)
+            mapper, _ = mapped(world.log, config=MapperConfig(keep_observations=True))
+            ratios.append(error(mapper, world.landmarks_map) / least)
             powers.add(mapper.refined[0].power)
             normalised.append(squares(mapper, world))
         share = f"{np.median(ratios):.2f} ({np.max(ratios):.2f})"

@@ -35,11 +35,11 @@ from shared.log_faults import composed
 from relmap import PlaneMapper
 from relmap.core.arrays import Floats
 from relmap.datasets import open_scans
-from relmap.datasets.scans import ScanLog, SensorView, stored_scans
+from relmap.datasets.scans import ScanLog, stored_scans
 from relmap.evaluation.corners import match_corners
 from relmap.evaluation.feeding import Fed, feed
 from relmap.evaluation.relations import relation_errors, relations_by_clocks
-from relmap.evaluation.sources import truth_of
+from relmap.evaluation.sources import log_of, truth_of
 from relmap.evaluation.truth import Truth
 from relmap.evaluation.walls import judge_walls
 from relmap.simulation import simulate_building
@@ -127,12 +127,7 @@ def _loaded(file: Path, change: Change | None = None) -> tuple[ScanLog, Truth]:
 def simulated(seed: int, options: dict[str, Any]) -> tuple[ScanLog, Truth]:
     """Return the log of a laser in a simulated world, and the truth about its walls."""
     building = simulate_building(seed=seed, **(LASER | options))
-    scans = [scan.points[:, :2] for scan in building.scans]
-    offsets = np.concatenate([[0], np.cumsum([len(points) for points in scans])])
-    view = SensorView(building.sensor.view_rad, building.sensor.range_m)
-    poses = building.trajectory
-    log = stored_scans(np.concatenate(scans), offsets, building.stamps_s, poses, view)
-    return log, truth_of(building)
+    return log_of(building), truth_of(building)
 
 
 def _with_points(log: ScanLog, change: Callable[[Floats], Floats]) -> ScanLog:

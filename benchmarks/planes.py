@@ -18,15 +18,15 @@ import numpy as np
 from relmap import PlaneMapper
 from relmap.core.geometry.alignment import fit_rigid
 from relmap.datasets import open_scans
-from relmap.datasets.scans import ScanLog, SensorView, stored_scans
+from relmap.datasets.scans import ScanLog
 from relmap.evaluation import metrics
 from relmap.evaluation.evaluate import evaluate
 from relmap.evaluation.relations import relation_errors, relations_by_clocks
 from relmap.evaluation.run import Run, run_mapper
-from relmap.evaluation.sources import truth_of
+from relmap.evaluation.sources import log_of, truth_of
 from relmap.evaluation.truth import Truth
 from relmap.planes.pairwise import pairwise_map
-from relmap.simulation import Building, simulate_building
+from relmap.simulation import simulate_building
 
 SIGMAS = (0.0, 0.05, 0.1, 0.2)
 LOGS = (
@@ -113,7 +113,7 @@ def _row(runs: list[Figures]) -> str:
 
 def _simulated(world: str, sigma: float, seed: int) -> Figures:
     building = simulate_building(sigma=sigma, seed=seed, world=world, sample_ends=sigma == 0.0)
-    log, truth = _log_of(building), truth_of(building)
+    log, truth = log_of(building), truth_of(building)
     mapper = PlaneMapper()
     run = run_mapper(mapper, log)
     chained = evaluate(run.result, truth)
@@ -135,14 +135,6 @@ def _simulated(world: str, sigma: float, seed: int) -> Figures:
         run.result.summary["timing"]["median_ms"],
         refine_ms,
     )
-
-
-def _log_of(building: Building) -> ScanLog:
-    counts = [len(scan.points) for scan in building.scans]
-    offsets = np.concatenate([[0], np.cumsum(counts)])
-    points = np.concatenate([scan.points for scan in building.scans])
-    view = SensorView(building.sensor.view_rad, building.sensor.range_m)
-    return stored_scans(points, offsets, building.stamps_s, building.trajectory, view)
 
 
 def _literal(mapper: PlaneMapper, run: Run, truth: Truth) -> float:

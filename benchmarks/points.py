@@ -9,41 +9,25 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from time import perf_counter
 
 import numpy as np
+from shared.runs import limit, mapped, rmse, true_ids
 
 from relmap import PointMapper
-from relmap.comparison.baselines.batch import Batch, batch_least_squares
 from relmap.comparison.baselines.frame_to_map import FrameToMap
-from relmap.core.geometry.alignment import fit_rigid
-from relmap.core.landmarks import LandmarkMap
 from relmap.datasets import ObservationLog, open_log
 from relmap.datasets.mrpt_landmarks import read_ground_truth
-from relmap.evaluation.metrics import majority_ids, purity
-from relmap.simulation import FigureEight, simulate_figure_eight
+from relmap.evaluation.metrics import positions_of, purity
+from relmap.simulation import simulate_figure_eight
 
 SEEDS = range(10)
 
 
-def rmse(result: LandmarkMap, true_ids: np.ndarray, ids: np.ndarray, truth: np.ndarray) -> float:
-    """Return the landmark RMSE, metres, after rigid alignment; true_ids are the map's, (m,)."""
-    row_of = {label: row for row, label in enumerate(ids.tolist())}
-    there = truth[[row_of[label] for label in true_ids.tolist()]]
-    R, t = fit_rigid(result.positions, there)
-    return float(np.sqrt(np.mean(np.sum((result.positions @ R.T + t - there) ** 2, axis=1))))
-
-
-def run(mapper: PointMapper | FrameToMap, log: ObservationLog) -> np.ndarray:
-    """Map a log with known association; return the time of each iteration, milliseconds."""
-    times = []
+def run(mapper: PointMapper | FrameToMap, log: ObservationLog) -> None:
+    """Map a log with known association."""
     for scan in log.scans():
-        begin = perf_counter()
         mapper.update(scan.points_robot, scan.ids)
-        times.append(perf_counter() - begin)
-    if isinstance(mapper, PointMapper):
-        mapper.finish()
-    return 1e3 * np.array(times)
+    mapper.finish()
 
 
 def coverage(mapped_ids: np.ndarray, log: ObservationLog) -> float:
@@ -57,21 +41,11 @@ def known(log: ObservationLog, ids: np.ndarray, truth: np.ndarray) -> tuple[list
     mapper, baseline = PointMapper(), FrameToMap()
     run(mapper, log)
     run(baseline, log)
-    result = mapper.map
-    chained = rmse(result, result.landmark_ids, ids, truth)
+    maps = [mapper.map]
     mapper.refine()
-    refined = rmse(mapper.map, result.landmark_ids, ids, truth)
-    theirs = rmse(baseline.map, baseline.map.landmark_ids, ids, truth)
-    return [chained, refined, theirs], coverage(result.landmark_ids, log)
-
-
-def batch(world: FigureEight) -> float:
-    """Return the RMSE of batch least squares over all observations, with the true ids."""
-    log = world.log
-    observations = Batch(log.points_robot, log.iteration, log.ids)
-    positions = batch_least_squares(observations, world.landmarks_map)
-    result = LandmarkMap(world.landmark_ids, positions)
-    return rmse(result, world.landmark_ids, world.landmark_ids, world.landmarks_map)
+    maps += [mapper.map, baseline.map]
+    errors = [rmse(each.positions, truth[positions_of(ids, each.landmark_ids)]) for each in maps]
+    return errors, coverage(mapper.map.landmark_ids, log)
 
 
 def header(*names: str) -> None:
@@ -94,7 +68,7 @@ def figure_eight() -> None:
             found, share = known(world.log, world.landmark_ids, world.landmarks_map)
             errors.append(found)
             shares.append(share)
-            limits.append(batch(world))
+            limits.append(limit(world))
         chained, refined, theirs = np.median(errors, axis=0)
         errors_m = (chained, refined, theirs, np.median(limits))
         row(density, *(f"{error:.4f}" for error in errors_m), f"{min(shares):.1%}")
@@ -109,15 +83,11 @@ def figure_eight_without_ids() -> None:
         errors, per_true, purities = [], [], []
         for seed in range(5):
             world = simulate_figure_eight(density=density, iterations=iterations, seed=seed)
-            mapper = PointMapper()
-            labels = [mapper.update(scan.points_robot) for scan in world.log.scans()]
-            mapper.finish()
-            mapper.refine()
-            landmarks = mapper.landmarks_of(np.concatenate(labels))
-            stands_for = dict(zip(*majority_ids(landmarks, world.log.ids)[:2], strict=True))
-            true = np.array([stands_for[label] for label in mapper.map.landmark_ids])
-            errors.append(rmse(mapper.map, true, world.landmark_ids, world.landmarks_map))
+            mapper, labels = mapped(world.log, known=False)
+            true = true_ids(mapper, labels, world.log)
+            errors.append(rmse(mapper.map.positions, world.landmarks_map[true]))
             per_true.append(len(true) / len(np.unique(true)))
+            landmarks = mapper.landmarks_of(np.concatenate(labels))
             purities.append(purity(landmarks, world.log.ids))
         figures = (f"{np.median(errors):.4f}", f"{max(per_true):.3f}", f"{min(purities):.5f}")
         row(density, iterations // 900, *figures)
@@ -142,10 +112,8 @@ def behind(seed: int, known: bool) -> list[float]:
     for step in (None, mapper.finish, mapper.refine):
         if step is not None:
             step()
-        of = mapper.landmarks_of(np.concatenate(labels))
-        stands_for = dict(zip(*majority_ids(of, world.log.ids)[:2], strict=True))
-        true = np.array([stands_for[label] for label in mapper.map.landmark_ids.tolist()])
-        errors.append(rmse(mapper.map, true, world.landmark_ids, world.landmarks_map))
+        true = true_ids(mapper, labels, world.log)
+        errors.append(rmse(mapper.map.positions, world.landmarks_map[true]))
     return [error / errors[-1] for error in errors[:-1]]
 
 
@@ -160,16 +128,6 @@ def mrpt(data: Path) -> None:
         row(name, *(f"{error:.4f}" for error in (chained, refined, theirs)), f"{share:.1%}")
 
 
-def constant_time() -> None:
-    """Print the time of an iteration as the map grows."""
-    log = simulate_figure_eight(density=100, iterations=3000).log
-    run(PointMapper(), log.between(0, 100))
-    times = run(PointMapper(), log)
-    warm, last = np.median(times[20:120]), np.median(times[-100:])
-    print("\nFigure eight, density 100, 3000 iterations, known association, after 20 of warm-up:")
-    print(f"last 100 / first 100 iterations, median time: {last / warm:.2f}", flush=True)
-
-
 def main() -> None:
     """Print all figures."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -177,7 +135,6 @@ def main() -> None:
     data = parser.parse_args().data
     figure_eight()
     live_map()
-    constant_time()
     if data is not None:
         mrpt(data)
     figure_eight_without_ids()

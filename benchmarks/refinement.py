@@ -14,14 +14,12 @@ from dataclasses import dataclass
 from time import process_time
 
 import numpy as np
+from shared.runs import limit, rmse, true_ids
 
 from relmap import PointMapper
-from relmap.comparison.baselines.batch import Batch, batch_least_squares
 from relmap.core.arrays import Floats, Ints
-from relmap.core.geometry.alignment import fit_rigid
 from relmap.datasets import ObservationLog
-from relmap.evaluation import metrics
-from relmap.simulation import FigureEight, simulate_figure_eight
+from relmap.simulation import simulate_figure_eight
 
 SEEDS = range(10)
 RUNS = range(50)
@@ -53,38 +51,15 @@ def measured(log: ObservationLog, known: bool) -> Measured:
         labels.append(mapper.update(scan.points_robot, scan.ids if known else None))
         times.append(process_time() - began)
     mapper.finish()
-    live, live_ids = mapper.map.positions, true_ids(mapper, labels, log, known)
+    live, live_ids = mapper.map.positions, true_ids(mapper, labels, log)
     began = process_time()
     mapper.refine()
     refined = process_time()
     _ = mapper.map
     ended = process_time()
-    true = true_ids(mapper, labels, log, known)
+    true = true_ids(mapper, labels, log)
     times_s = np.array(times), refined - began, ended - refined
     return Measured(mapper, true, *times_s, live, live_ids)
-
-
-def true_ids(mapper: PointMapper, labels: list[Ints], log: ObservationLog, known: bool) -> Ints:
-    """Return the true ids of the mapped landmarks (m,)."""
-    found = mapper.map.landmark_ids
-    if known:
-        return found
-    of = mapper.landmarks_of(np.concatenate(labels))
-    stands_for = dict(zip(*metrics.majority_ids(of, log.ids)[:2], strict=True))
-    return np.array([stands_for[label] for label in found.tolist()])
-
-
-def rmse(positions: Floats, truth: Floats) -> float:
-    """Return the RMSE, metres, after rigid alignment."""
-    R, t = fit_rigid(positions, truth)
-    return float(np.sqrt(np.mean(np.sum((positions @ R.T + t - truth) ** 2, axis=1))))
-
-
-def limit(world: FigureEight) -> float:
-    """Return the RMSE of batch least squares with the true ids."""
-    log = world.log
-    batch = Batch(log.points_robot, log.iteration, log.ids)
-    return rmse(batch_least_squares(batch, world.landmarks_map), world.landmarks_map)
 
 
 def table(*header: str) -> None:

@@ -1,29 +1,25 @@
 """Segmentation of scans into planes.
 
-    python benchmarks/segmentation.py [DATA] [-o DIR]
+    python benchmarks/segmentation.py
 
 Simulated scenes of a building, seeds 0 to 29, the sensor's limits known. A wall counts if at
 least 1 % of the scan's points lie on it; it is found if it and one plane share 80 % of the points
 of each. "Known walls" labels points by the true walls and the true noise, each by the
-likeliest: no method can be expected to do better. Times are processor times. DATA is a folder with
-the real data sets: every scan of the laser logs and of the hall is segmented, and three scans of
-each are drawn into DIR.
+likeliest: no method can be expected to do better. Times are processor times.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, field
-from pathlib import Path
 from time import process_time
 from typing import Any
 
 import numpy as np
 
 from relmap import PlaneSegmenter, RelmapError
-from relmap.core.arrays import Bools, Floats, Ints
-from relmap.datasets import open_scans
+from relmap.core.arrays import Bools, Ints
 from relmap.segmentation import Planes
 from relmap.segmentation.em.mixture import WallMixture, scan_area
 from relmap.simulation import BuildingScan, building_scene
@@ -35,12 +31,6 @@ SIZES = {500: 30, 2000: 30, 50000: 10}
 METHODS = ("em", "mixture", "ransac", "ransac3d", "patches")
 OVERLAP = 0.8
 COUNTED = 0.01
-REAL = {
-    "mrpt-sim-laser2d": ("simul.scans.csv.gz", "scanlines", (100, 700, 1400)),
-    "carmen-laser2d": ("freiburg-079-corrected.log.gz", "scanlines", (300, 1500, 4000)),
-    "lidar3d-hall": (".", "patches", (0, 16, 33)),
-}
-"""Log, method, and the scans that are drawn."""
 
 
 @dataclass
@@ -200,79 +190,16 @@ def print_default() -> None:
             print(f"largest error there: corner {max(tally.corner_m):.1e} m")
 
 
-def run_real(data: Path, folder: Path) -> None:
-    """Segment every scan of the real logs; draw three of each."""
-    print("| log | scans | planes, median | noise, median [m] | ms, median | ms, largest |")
-    print("|---|---|---|---|---|---|")
-    for name, (file, method, drawn) in REAL.items():
-        log = open_scans(data / name / file)
-        segmenter = PlaneSegmenter(method)
-        found, noise, ms, shown = [], [], [], []
-        for index in range(len(log)):
-            points = log.points_of(index)
-            begin = process_time()
-            segmenter.fit(points)
-            ms.append(1e3 * (process_time() - begin))
-            found.append(float(len(segmenter.planes_)))
-            noise.append(float(np.median(segmenter.planes_.noise)) if found[-1] else np.nan)
-            if index in drawn:
-                shown.append((index, points, segmenter.labels_, segmenter.planes_))
-        print(
-            f"| {name} | {len(log)} | {middle(found, '.0f')} | {np.nanmedian(noise):.4f} | "
-            f"{middle(ms, '.1f')} | {max(ms[1:]):.0f} |",
-            flush=True,
-        )
-        draw(shown, name, folder / f"{name}.png")
-
-
-Shown = tuple[int, Floats, Ints, Planes]
-COLOURS = {"corner": "tab:red", "view": "tab:blue", "range": "tab:purple", "occluded": "tab:orange"}
-
-
-def draw(shown: list[Shown], name: str, path: Path) -> None:
-    """Draw scans from above: points by plane, planes, and their ends by type."""
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    from matplotlib import pyplot as plt
-
-    figure, axes = plt.subplots(1, len(shown), figsize=(7 * len(shown), 7), layout="constrained")
-    for axis, (index, points, labels, planes) in zip(axes, shown, strict=True):
-        none = labels < 0
-        axis.scatter(*points[none, :2].T, s=1, color="0.8", linewidths=0)
-        axis.scatter(*points[~none, :2].T, s=2, c=labels[~none] % 20, cmap="tab20", linewidths=0)
-        for ends in planes.ends:
-            axis.plot(*ends.T, color="black", linewidth=0.8)
-        for kind, colour in COLOURS.items():
-            at = planes.ends[planes.end_type == kind]
-            axis.plot(*at.T, "o", color=colour, markersize=3.5, label=kind)
-        axis.plot(0, 0, "k^", markersize=8)
-        axis.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
-        axis.set_title(f"{name}, scan {index}: {len(planes)} planes")
-    axes[0].legend(loc="best", fontsize="small")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=90)
-    plt.close(figure)
-    print(f"drew {path}")
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description="Accuracy and time of plane segmentation.")
-    parser.add_argument("data", nargs="?", type=Path, help="folder of the real data sets")
-    parser.add_argument("-o", type=Path, default=Path("segmentation"), help="folder for pictures")
-    parser.add_argument("--only", choices=("comparison", "default", "real"), help="one part only")
-    chosen = parser.parse_args()
+    parser.add_argument("--only", choices=("comparison", "default"), help="one table only")
+    only = parser.parse_args().only
     warm_up()
-    parts: dict[str, Callable[[], None]] = {
-        "comparison": print_comparison,
-        "default": print_default,
-    }
-    if chosen.data is not None:
-        parts["real"] = lambda: run_real(chosen.data, chosen.o)
-    for name, part in parts.items():
-        if chosen.only in (None, name):
-            part()
-            print()
+    if only in (None, "comparison"):
+        print_comparison()
+        print()
+    if only in (None, "default"):
+        print_default()
 
 
 if __name__ == "__main__":

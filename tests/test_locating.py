@@ -12,8 +12,9 @@ from relmap.cli import main
 from relmap.core.arrays import Floats
 from relmap.core.geometry.alignment import fit_rigid
 from relmap.datasets import open_scans, write_scans_npz
-from relmap.datasets.scans import ScanLog, SensorView, stored_scans
+from relmap.datasets.scans import ScanLog, SensorView
 from relmap.evaluation.feeding import feed, preparation
+from relmap.evaluation.sources import log_of
 from relmap.mapper import Mapper, Place
 from relmap.planes.places.finding import WallFinder
 from relmap.planes.scans.observation import checked_planes
@@ -64,13 +65,6 @@ def test_a_scan_that_fits_in_two_places_or_none_is_refused(walls: Floats, n_plac
 
 def test_along_a_bare_corridor_a_scan_may_be_anywhere() -> None:
     assert place_in(HALL, HALL, 1.0, 1.0, 0.1).n_places == 2
-
-
-def log_of(building: Building) -> ScanLog:
-    points = [scan.points[:, :2] for scan in building.scans]
-    offsets = np.cumsum([0, *map(len, points)])
-    view = SensorView(building.sensor.view_rad, building.sensor.range_m)
-    return stored_scans(np.concatenate(points), offsets, building.stamps_s, sensor=view)
 
 
 @pytest.fixture(scope="module")

@@ -10,9 +10,10 @@ import pytest
 
 from relmap import PlaneMapper
 from relmap.core.arrays import Floats
-from relmap.datasets.scans import ScanLog, SensorView, stored_scans
+from relmap.datasets.scans import ScanLog
 from relmap.evaluation.feeding import segment_scan, segmenter_for
 from relmap.evaluation.metrics import ate
+from relmap.evaluation.sources import log_of
 from relmap.planes.linking import guess_kernels
 from relmap.planes.linking.judging import View
 from relmap.planes.linking.placement import STILL
@@ -22,7 +23,7 @@ from relmap.planes.motions import inverse
 from relmap.planes.scans.beams import NEAR_M, Beams, GivenBeams, compared, leads, log_odds
 from relmap.planes.scans.observation import PlaneObservation, checked_planes
 from relmap.planes.submaps.submap import torn_in
-from relmap.simulation import Building, simulate_building
+from relmap.simulation import simulate_building
 from relmap.simulation.floor_plan import World
 
 # A room with a bay, seen from inside; one wall after another, counter-clockwise.
@@ -177,14 +178,6 @@ def driven(log: ScanLog, scans: list[Floats]) -> PlaneMapper:
         mapper.update(segment_scan(segmenter, points, log.sensor), beams=points)
     mapper.finish()
     return mapper
-
-
-def log_of(run: Building) -> ScanLog:
-    """Return the scans of a building as a log."""
-    points = [scan.points[:, :2] for scan in run.scans]
-    offsets = np.concatenate([[0], np.cumsum([len(each) for each in points])])
-    view = SensorView(run.sensor.view_rad, run.sensor.range_m)
-    return stored_scans(np.concatenate(points), offsets, run.stamps_s, run.trajectory, view)
 
 
 def scans_of(

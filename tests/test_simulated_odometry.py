@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,15 +20,13 @@ from relmap.datasets.odometry import motions, path_of
 from relmap.evaluation.truth import read_truth
 from relmap.simulation import simulate_figure_eight
 from relmap.simulation.odometry import (
-    LASER_WHEELS,
     Wheels,
     backward,
     slipping,
     stale,
     wheel_odometry,
 )
-from tests.commands import PATIENCE_S
-from tests.scanlogs import CORRECTED, planar
+from tests.scanlogs import planar
 
 Poses = Floats
 EXACT = Wheels(way=0.0, turn_deg=0.0)
@@ -200,20 +196,3 @@ def test_simulate_refuses_wheels(
     assert main(["simulate", *WORLDS["figure-eight"], "-o", str(tmp_path / "a"), *options]) == 2
     assert message in capsys.readouterr().err
     assert not (tmp_path / "a").exists()
-
-
-def test_odometry_is_made_of_a_corrected_log(
-    tmp_path: Path, repo_root: Path, child_env: dict[str, str]
-) -> None:
-    lines = [line for line in CORRECTED.splitlines() if line.startswith("FLASER")]
-    (tmp_path / "a.log").write_text(
-        "\n".join(lines).replace("1 2 0.5 1 2 0.5 5.5", "3 3 1 3 3 1 6")
-    )
-    program = repo_root / "benchmarks" / "wheels.py"
-    made = [sys.executable, str(program), "a.log", "-o", "odometry.csv", "--seed", "3"]
-    subprocess.run(made, cwd=tmp_path, env=child_env, timeout=PATIENCE_S, check=True)
-    log = open_scans(tmp_path / "a.log")
-    assert log.poses is not None
-    assert log.odometry is not None
-    expected = wheel_odometry(log.poses, LASER_WHEELS, np.random.default_rng(3))
-    assert_allclose(log.odometry[1:], expected[1:], atol=1e-12)

@@ -7,8 +7,8 @@ import pytest
 
 from relmap import PlaneMapper
 from relmap.core.arrays import Floats, Ints
-from relmap.datasets.scans import SensorView, stored_scans
 from relmap.evaluation.feeding import feed, preparation
+from relmap.evaluation.sources import log_of
 from relmap.planes.motions import matrices
 from relmap.planes.places.taking_up import Placements
 from relmap.simulation import simulate_building
@@ -62,10 +62,7 @@ def test_weaker_agreement_is_rejected(parts: list[tuple[Floats, Ints]]) -> None:
 def test_the_next_corner_of_a_corridor_is_not_taken_for_the_mapped_one() -> None:
     """Its four sides are the same: single scans are localised in wrong places."""
     world = simulate_building(181, 0.01, sampling="laser", world="corridor", iterations=230)
-    points = [scan.points[:, :2] for scan in world.scans]
-    offsets = np.cumsum([0, *map(len, points)])
-    view = SensorView(world.sensor.view_rad, world.sensor.range_m)
-    log = stored_scans(np.concatenate(points), offsets, world.stamps_s, sensor=view)
+    log = log_of(world)
     mapper = PlaneMapper()
     feed(mapper, log.between(0, 106), "nearest")
     prepare, found = preparation(mapper, log), 0

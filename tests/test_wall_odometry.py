@@ -18,12 +18,13 @@ from relmap.datasets.scans import SensorView
 from relmap.evaluation.feeding import segment_scan, segmenter_for
 from relmap.evaluation.metrics import ate
 from relmap.simulation import simulate_building
-from relmap.simulation.odometry import LASER_WHEELS, wheel_odometry
+from relmap.simulation.odometry import Wheels, wheel_odometry
 
 Array = Floats
 
 RANGE_M = 8.0
 VIEW = SensorView(np.pi, RANGE_M)
+LASER_WHEELS = Wheels(turn_deg=0.0, turn_deg_per_m=0.5, way_bias=0.01, turn_bias_deg_per_m=0.05)
 BAY = np.array([[2.0, 1.3], [2.0, 2.0], [0.0, 2.0], [0.0, 1.3]])
 CORRIDOR = np.concatenate(
     [[[0, -1.3], [44, -1.3], [44, 1.3]], *(np.add(BAY, [x, 0]) for x in (39, 5, 1)), [[0, 1.3]]]

@@ -30,17 +30,16 @@ def write_building(folder: Path, building: Building) -> None:
     import numpy as np
 
     from relmap.datasets import write_scans_npz
-    from relmap.datasets.scans import SensorView
+    from relmap.evaluation.sources import log_of
     from relmap.io.files import atomic_write, write_tum
     from relmap.io.tables import columns_text
     from relmap.plots.planes import write_building_png
 
     truth = folder / "truth"
     truth.mkdir()
-    axes = slice(2 if building.scans[0].ranges_m is not None else 3)  # a laser scans a plane
-    scans = [scan.points[:, axes] for scan in building.scans]
-    view = SensorView(building.sensor.view_rad, building.sensor.range_m)
-    write_scans_npz(folder / "scans.npz", scans, building.stamps_s, view)
+    log = log_of(building)
+    scans = [scan.points_robot for scan in log.scans()]
+    write_scans_npz(folder / "scans.npz", scans, log.stamps_s, log.sensor)
     ends, extent = ("plane", "x0", "y0", "x1", "y1", "z0", "z1"), ("seen0", "seen1")
     names = (*ends, "scans", "corner0", "corner1", "status", *extent)
     number, status = np.arange(len(building.walls)), np.where(building.moving, "dynamic", "static")

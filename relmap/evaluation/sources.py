@@ -105,10 +105,7 @@ class BuildingSource:
         building = simulate_building(
             sigma=self.sigma, noise=noise, iterations=self.iterations, seed=self.seed
         )
-        view = SensorView(building.sensor.view_rad, building.sensor.range_m)
-        scans, stamps_s = building.scans, building.stamps_s
-        log = ScanLog(3, stamps_s, lambda index: scans[index].points, sensor=view)
-        return Data(log, truth_of(building))
+        return Data(log_of(building), truth_of(building))
 
     @property
     def about(self) -> str:
@@ -231,6 +228,15 @@ def recognised_format(path: Path, variant: Judged) -> str | None:
     known = DATASETS if variant == "points" else SCAN_DATASETS
     names = [dataset.name for dataset in known if dataset.recognises(path)]
     return names[0] if len(names) == 1 else None
+
+
+def log_of(building: Building) -> ScanLog:
+    """Return the scans of a simulated building, of a laser in the plane, with the true poses."""
+    scans, sensor = building.scans, building.sensor
+    d = 3 if scans[0].ranges_m is None else 2
+    view = SensorView(sensor.view_rad, sensor.range_m)
+    points = [scan.points[:, :d] for scan in scans]
+    return ScanLog(d, building.stamps_s, points.__getitem__, building.trajectory, sensor=view)
 
 
 def truth_of(world: FigureEight | World | Building) -> Truth:

@@ -44,10 +44,6 @@ class Wheels:
                 raise RelmapError(f"{name} of wheels is {value}; it must lie in [{low}, 90]")
 
 
-LASER_WHEELS = Wheels(turn_deg=0.0, turn_deg_per_m=0.5, way_bias=0.01, turn_bias_deg_per_m=0.05)
-"""Odometry errors of a robot in a building."""
-
-
 def wheel_odometry(poses: Floats, wheels: Wheels, rng: np.random.Generator) -> Floats:
     """Return the motions (k, 4, 4) measured by wheels on a path.
 
