@@ -36,6 +36,7 @@ MAX_WORD = 32
 
 WANTED = {
     "int": "a whole number",
+    "text": f"a word of at most {MAX_WORD} characters",
     "corners": "corners x y z;x y z;...",
     "int list": "whole numbers k;k;...",
 }
@@ -80,94 +81,73 @@ def read_table(
     objects, in the order of the file. Raises `RelmapError` if the file cannot be read, lacks a
     column or has an invalid cell.
     """
-    found: dict[str, _Column] = {}
-    width = 0
     reader = csv.reader(line for _, line in numbered_lines(path))
-    for cells in _records(path, reader):
-        if not found:
-            header, width = [name.strip() for name in cells], len(cells)
-            for name, kind in columns.items():
-                if name not in header and name in optional:
-                    continue
-                if name not in header:
-                    where = _at(path, reader.line_num)
-                    raise RelmapError(f"{where}: no column {name} in the header")
-                found[name] = _Column(name, kind, header.index(name))
-            continue
-        if len(cells) != width:
-            where = _at(path, reader.line_num)
-            raise RelmapError(f"{where}: {len(cells)} fields, expected {width}")
-        for column in found.values():
-            column.add(path, reader.line_num, cells)
-    if not found:
+    records = _records(path, reader)
+    header = [name.strip() for name in next(records, [])]
+    if not header:
         raise invalid(path, f"is empty, expected the header {','.join(columns)}")
-    return {name: column.values for name, column in found.items()}
+    missing = [name for name in columns if name not in header and name not in optional]
+    if missing:
+        raise RelmapError(f"{_at(path, reader.line_num)}: no column {missing[0]} in the header")
+    kinds = {name: kind for name, kind in columns.items() if name in header}
+    places = {name: header.index(name) for name in kinds}
+    found = {name: _column(kind) for name, kind in kinds.items()}
+    for cells in records:
+        where = _at(path, reader.line_num)
+        if len(cells) != len(header):
+            raise RelmapError(f"{where}: {len(cells)} fields, expected {len(header)}")
+        for name, kind in kinds.items():
+            text = cells[places[name]].strip()
+            try:
+                found[name].append(_value(kind, text))
+            except (ValueError, OverflowError):
+                wanted = WANTED.get(kind, "a number of metres")
+                problem = f"{quoted(text)} is not {wanted}"
+                raise RelmapError(f"{where}, field {name}: {problem}") from None
+    return {name: _as_array(kind, found[name]) for name, kind in kinds.items()}
 
 
 def _records(path: Path, reader: Iterator[list[str]]) -> Iterator[list[str]]:
     try:
-        for cells in reader:
-            if cells:
-                yield cells
+        yield from filter(None, reader)
     except csv.Error as error:
         raise invalid(path, f"not a CSV file: {error}") from error
 
 
-class _Column:
-    """The cells of a column, as numbers of 8 bytes each or as short texts."""
+def _column(kind: Kind) -> Any:
+    """Return an empty column: numbers of 8 bytes, or a list of anything else."""
+    types = {"int": "q", "float": "d", "float or empty": "d"}
+    return array(types[kind]) if kind in types else []
 
-    def __init__(self, name: str, kind: Kind, place: int) -> None:
-        self._name = name
-        self._kind = kind
-        self._place = place
-        self._numbers: array[Any] = array("q" if kind == "int" else "d")
-        self._texts: list[str] = []
-        self._ragged: list[NDArray[Any]] = []
 
-    def add(self, path: Path, line: int, cells: list[str]) -> None:
-        """Add the cell of a record."""
-        text = cells[self._place].strip()
-        if self._kind == "text":
-            if len(text) > MAX_WORD:
-                raise self._wrong(path, line, text, f"a word of at most {MAX_WORD} characters")
-            self._texts.append(sys.intern(text))
-            return
-        wanted = WANTED.get(self._kind, "a number of metres")
-        try:
-            if self._kind == "corners":
-                self._ragged.append(_corners(text))
-            elif self._kind == "int list":
-                self._ragged.append(np.array([int(k) for k in text.split(";") if text], np.int64))
-            else:
-                self._numbers.append(self._number(text))
-        except (ValueError, OverflowError):
-            raise self._wrong(path, line, text, wanted) from None
-
-    def _number(self, text: str) -> float | int:
-        if self._kind == "int":
-            return int(text)
-        if not text and self._kind == "float or empty":
-            return math.nan
-        value = float(text)
-        limit = MAX_RESULT_M if self._kind == "float or empty" else MAX_COORDINATE_M
-        if not abs(value) <= limit:
+def _value(kind: Kind, text: str) -> Any:
+    """Return the content of a cell; ValueError if it is not of its kind."""
+    if kind == "text":
+        if len(text) > MAX_WORD:
             raise ValueError
-        return value
+        return sys.intern(text)
+    if kind == "corners":
+        return _corners(text)
+    if kind == "int list":
+        return np.array([int(k) for k in text.split(";") if text], np.int64)
+    if kind == "int":
+        return int(text)
+    if not text and kind == "float or empty":
+        return math.nan
+    value = float(text)
+    if not abs(value) <= (MAX_RESULT_M if kind == "float or empty" else MAX_COORDINATE_M):
+        raise ValueError
+    return value
 
-    def _wrong(self, path: Path, line: int, text: str, wanted: str) -> RelmapError:
-        where = f"{_at(path, line)}, field {self._name}"
-        return RelmapError(f"{where}: {quoted(text)} is not {wanted}")
 
-    @property
-    def values(self) -> NDArray[Any]:
-        """The cells, (n,)."""
-        if self._kind == "text":
-            return np.array(self._texts, dtype=np.str_)
-        if self._kind in ("corners", "int list"):
-            ragged = np.empty(len(self._ragged), dtype=object)
-            ragged[:] = self._ragged
-            return ragged
-        return np.array(self._numbers, dtype=np.int64 if self._kind == "int" else np.float64)
+def _as_array(kind: Kind, values: Any) -> NDArray[Any]:
+    """Return the cells of a column, (n,)."""
+    if kind in ("corners", "int list"):
+        ragged = np.empty(len(values), dtype=object)
+        ragged[:] = values
+        return ragged
+    types = {"int": np.int64, "text": np.str_}
+    return np.array(values, dtype=types.get(kind, np.float64))
 
 
 def _corners(text: str) -> Floats:
