@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from relmap.core.arrays import Floats
+from relmap.datasets.headers import members_of
 from relmap.datasets.kitti_bin import numbers_in
 from relmap.datasets.scans import ScanLog, require_rotations
 from relmap.datasets.textfile import invalid, require_path, unreadable
@@ -40,12 +41,16 @@ class DepthImages:
 
     def recognises(self, path: Path) -> bool:
         """Return whether it is a folder of depth images."""
-        return os.path.isdir(path) and (path / INTRINSICS).is_file() and bool(_files(path))
+        return (
+            os.path.isdir(path)
+            and (path / INTRINSICS).is_file()
+            and bool(members_of(path, (DEPTH,)))
+        )
 
     def load(self, path: Path) -> ScanLog:
         """Read the log; images are read lazily."""
         require_path(path)
-        files = _files(path) if os.path.isdir(path) else []
+        files = members_of(path, (DEPTH,)) if os.path.isdir(path) else []
         if not files:
             raise invalid(path, f"holds no *{DEPTH}, expected {self.description}")
         K = _matrix(path / INTRINSICS, 3)
@@ -55,13 +60,6 @@ class DepthImages:
             raise invalid(path / INTRINSICS, "expected rows fx s cx, 0 fy cy, 0 0 1")
         stamps_s = np.arange(len(files), dtype=np.float64)
         return ScanLog(3, stamps_s, lambda index: _points(files[index], K), _poses(files))
-
-
-def _files(folder: Path) -> list[Path]:
-    try:
-        return sorted(path for path in folder.iterdir() if path.name.endswith(DEPTH))
-    except OSError as error:
-        raise unreadable(folder, error) from error
 
 
 def _points(file: Path, K: Floats) -> Floats:

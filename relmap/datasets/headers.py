@@ -46,6 +46,17 @@ def members_of(folder: Path, endings: tuple[str, ...]) -> list[Path]:
         raise unreadable(folder, error) from error
 
 
+def numbers_in_name(file: Path, ending: re.Pattern[str]) -> list[int]:
+    """Return the numbers in the name of a file, without its extension."""
+    return [int(digits) for digits in re.findall(r"\d+", ending.sub("", file.name))]
+
+
+def numbered_files(folder: Path, ending: re.Pattern[str]) -> list[Path]:
+    """Return the files with an extension in a folder, sorted by the numbers in their names."""
+    found = [file for file in members_of(folder, ("",)) if ending.search(file.name)]
+    return sorted(found, key=lambda file: numbers_in_name(file, ending))
+
+
 SEPARATORS = ",;\t"
 """Possible separators of a table; the most frequent one in the header is used."""
 _QUOTED = re.compile('"[^"]*"')

@@ -20,6 +20,7 @@ from relmap.core.arrays import Floats
 from relmap.datasets.assembly import MAX_COORDINATE_M
 from relmap.datasets.cloud_file import MAX_BYTES
 from relmap.datasets.foreign import is_kitti
+from relmap.datasets.headers import numbered_files
 from relmap.datasets.number_rows import MAX_LISTED, finite_numbers, too_many
 from relmap.datasets.scans import ScanLog, poses_of, require_rotations
 from relmap.datasets.textfile import invalid, numbered_lines, require_path, unreadable
@@ -27,6 +28,8 @@ from relmap.datasets.textfile import invalid, numbered_lines, require_path, unre
 POSES, POSES_FOLDER = "poses.txt", "poses"
 FOLDERS = ("", "lidar", "velodyne", "velodyne_points/data")
 """Subfolder of the clouds."""
+
+_CLOUD = re.compile(r"\.bin$")
 
 
 class KittiBin:
@@ -37,33 +40,24 @@ class KittiBin:
 
     def recognises(self, path: Path) -> bool:
         """Return whether it is a folder whose first .bin file may be a KITTI cloud."""
-        files = _files(path) if os.path.isdir(path) else []
+        files = _files(path)
         return bool(files) and is_kitti(files[0])
 
     def load(self, path: Path) -> ScanLog:
         """Read the log; clouds are read lazily."""
         require_path(path)
-        files = _files(path) if os.path.isdir(path) else []
+        files = _files(path)
         if not files:
             raise invalid(path, f"holds no .bin file, expected {self.description}")
         stamps_s = np.arange(len(files), dtype=np.float64)
         return ScanLog(3, stamps_s, lambda index: _read_cloud(files[index]), _poses(files))
 
 
-def _files(folder: Path) -> list[Path]:
-    """Return the clouds in a folder, sorted by the numbers in their names."""
-    for inner in FOLDERS:
-        try:
-            found = [path for path in (folder / inner).glob("*.bin") if path.is_file()]
-        except OSError as error:
-            raise unreadable(folder, error) from error
-        if found:
-            return sorted(found, key=lambda path: (_numbers(path), path.name))
-    return []
-
-
-def _numbers(path: Path) -> list[int]:
-    return [int(digits) for digits in re.findall(r"\d+", path.stem)]
+def _files(path: Path) -> list[Path]:
+    """Return the clouds in a folder or in its subfolder, in order; none if it is a file."""
+    folders = (path / inner for inner in FOLDERS)
+    found = (numbered_files(folder, _CLOUD) for folder in folders if os.path.isdir(folder))
+    return next(filter(None, found), [])
 
 
 def _read_cloud(file: Path) -> Floats:

@@ -10,7 +10,6 @@ frame, that FOLLOWS the scan. A comment above describes the sensor::
 from __future__ import annotations
 
 import math
-import os
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -40,9 +39,7 @@ class MrptLaser:
 
     def recognises(self, path: Path) -> bool:
         """Return whether the header is that of such a log."""
-        if os.path.isdir(path):
-            return bool(tables_with(path, _HALLMARK))
-        return columns_of(path) >= _HALLMARK
+        return bool(tables_with(path, _HALLMARK))
 
     def load(self, path: Path) -> ScanLog:
         """Read the log: planar scans in the robot's frame; the reference poses are exact."""

@@ -16,9 +16,10 @@ import numpy as np
 
 from relmap.core.arrays import Floats
 from relmap.datasets.cloud_file import is_cloud, read_cloud
+from relmap.datasets.headers import numbered_files, numbers_in_name
 from relmap.datasets.number_rows import read_rows
 from relmap.datasets.scans import ScanLog, in_time_order, require_rotations
-from relmap.datasets.textfile import invalid, require_path, shown, unreadable
+from relmap.datasets.textfile import invalid, require_path, shown
 
 POSES_FILE = "alidarPose.csv"
 _ROW = "4 numbers: a row of a 4 x 4 matrix"
@@ -37,7 +38,7 @@ class PointClouds:
         """Return whether it is such a file, or a folder of them other than a result of relmap."""
         if not os.path.isdir(path):
             return is_cloud(path)
-        return bool(_files(path)) and not (path / _RESULT).exists()
+        return bool(numbered_files(path, _NAME)) and not (path / _RESULT).exists()
 
     def load(self, path: Path) -> ScanLog:
         """Read the log; clouds are read lazily.
@@ -45,7 +46,7 @@ class PointClouds:
         Points whose coordinates are NaN are beams without a return and left out.
         """
         require_path(path)
-        files = _files(path) if os.path.isdir(path) else [path]
+        files = numbered_files(path, _NAME) if os.path.isdir(path) else [path]
         if not files:
             raise invalid(path, f"holds no cloud, expected {self.description}")
         stamps_s, poses = np.arange(len(files), dtype=np.float64), None
@@ -57,23 +58,10 @@ class PointClouds:
         return ScanLog(3, stamps_s, lambda index: read_cloud(files[index]), poses)
 
 
-def _files(folder: Path) -> list[Path]:
-    """Return the clouds in a folder, sorted by the numbers in their names."""
-    try:
-        found = [path for path in folder.iterdir() if _NAME.search(path.name)]
-    except OSError as error:
-        raise unreadable(folder, error) from error
-    return sorted(found, key=_order)
-
-
-def _order(path: Path) -> tuple[list[int], str]:
-    return [int(digits) for digits in re.findall(r"\d+", _NAME.sub("", path.name))], path.name
-
-
 def _read_poses(file: Path, clouds: list[Path]) -> tuple[Floats, Floats]:
     """Return the stamps (k,) and poses (k, 4, 4) of the clouds."""
     rows = read_rows(file, [sys.float_info.max] * 4, "#", "row", _ROW, ",").values
-    numbers = [_order(cloud)[0] for cloud in clouds]
+    numbers = [numbers_in_name(cloud, _NAME) for cloud in clouds]
     for cloud, name in zip(clouds, numbers, strict=True):
         if len(name) != 1 or 4 * name[0] + 4 > len(rows):
             problem = f"no rows for {shown(cloud.name)}, expected 4 for each number from 0"
