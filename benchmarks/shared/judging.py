@@ -22,18 +22,10 @@ DISPUTED = 0.1
 def wrong_steps(
     poses: Floats, true_poses: Floats, most_m: float = 0.3, most_rad: float = np.deg2rad(10.0)
 ) -> NDArray[np.intp]:
-    """Return the scans of a submap with a wrong pose relative to the previous one.
+    """Return the scans (n,) of a submap with a wrong pose relative to the previous one.
 
-    Parameters
-    ----------
-    poses, true_poses : (k, 4, 4) float64
-        T_map_robot of consecutive scans of one submap.
-    most_m, most_rad : float
-        Largest error of a correct step, metres and radians.
-
-    Returns
-    -------
-    (n,) int, ascending
+    `poses`, `true_poses` (k, 4, 4): T_map_robot of consecutive scans. `most_m`, `most_rad`: largest
+    error of a correct step.
     """
     step, true_step = (np.linalg.inv(T[:-1]) @ T[1:] for T in (poses, true_poses))
     off = np.linalg.inv(true_step) @ step
@@ -43,19 +35,9 @@ def wrong_steps(
 
 
 def overlap(points: Floats, others: Floats, T: Floats) -> float:
-    """Return the fraction of the points of a scan that lie on those of another scan.
+    """Return the fraction of points (n, 2) of a scan within `ON_M` of others (m, 2) of another.
 
-    Parameters
-    ----------
-    points, others : (n, 2), (m, 2) float64, metres
-        Each in the frame of its robot.
-    T : (4, 4) float64
-        Transform from the frame of the points to that of the others.
-
-    Returns
-    -------
-    float
-        Fraction of points within `ON_M` of another.
+    Both are in the frame of their robot, metres; `T` (4, 4) transforms the first to the second.
     """
     if not (len(points) and len(others)):
         return 0.0
@@ -65,18 +47,10 @@ def overlap(points: Floats, others: Floats, T: Floats) -> float:
 
 
 def share_right(scans: Floats, ates_m: Floats, n_scans: int, most_m: float = 0.3) -> float:
-    """Return the fraction of the scans of a log that lie in a correct submap.
+    """Return the fraction of the `n_scans` of a log that lie in a correct submap.
 
-    Parameters
-    ----------
-    scans : (s,) float64
-        Scans with a pose in each submap; those of fewer than `FEWEST` do not count.
-    ates_m : (s,) float64
-        ATE of each submap, aligned separately, metres.
-    n_scans : int
-        Number of scans of the log.
-    most_m : float
-        Largest ATE of a correct submap, metres.
+    `scans` (s,): those with a pose in each submap, of which fewer than `FEWEST` do not count;
+    `ates_m` (s,): ATE of each submap, aligned separately; at most `most_m` if it is correct.
     """
     return float(scans[(scans >= FEWEST) & (ates_m <= most_m)].sum() / n_scans)
 

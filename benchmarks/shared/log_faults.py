@@ -43,16 +43,9 @@ def ghosts(log: ObservationLog, share: float, rng: np.random.Generator) -> Obser
 def duplicated_landmarks(
     log: ObservationLog, landmarks: Ints, sigma_m: float, rng: np.random.Generator
 ) -> ObservationLog:
-    """Report landmarks twice whenever they are seen, the second time under another id.
+    """Report landmarks (k,) twice whenever they are seen, the second time under another id.
 
-    Parameters
-    ----------
-    log : ObservationLog
-    landmarks : (k,) int64
-        Their ids, all different.
-    sigma_m : float
-        Standard deviation of the difference between the two, per coordinate, metres.
-    rng : numpy.random.Generator
+    `sigma_m`: standard deviation of the difference between the two, per coordinate, metres.
     """
     rows = np.flatnonzero(np.isin(_ids(log), landmarks))
     noise = rng.normal(0.0, sigma_m, (len(rows), log.points_robot.shape[1]))

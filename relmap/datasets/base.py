@@ -126,17 +126,9 @@ class ObservationLog(Brief):
             yield Scan(number, points, ids, self.rows[rows], noise, motion)
 
     def between(self, begin: int, end: int) -> ObservationLog:
-        """Return the part of the log in iterations ``range(begin, end)``.
+        """Return the part of the log in iterations ``range(begin, end)``; it may end before.
 
-        Parameters
-        ----------
-        begin, end : int
-            Iteration numbers of the log; the log may end before.
-
-        Raises
-        ------
-        RelmapError
-            If the log has no iteration in that range.
+        Raises `RelmapError` if the log has no iteration in that range.
         """
         first, last = common_range(begin, end, self.first_iteration, self.end_iteration)
         rows = slice(*np.searchsorted(self.iteration, [first, last]))

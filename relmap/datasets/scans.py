@@ -113,13 +113,7 @@ class ScanLog(Brief):
         return len(self.stamps_s)
 
     def scans(self) -> Iterator[PointScan]:
-        """Yield every scan in order, the empty ones too.
-
-        Raises
-        ------
-        RelmapError
-            If a file of the log is damaged.
-        """
+        """Yield every scan in order, the empty ones too; RelmapError if a file is damaged."""
         for index, stamp_s in enumerate(self.stamps_s.tolist()):
             pose = None if self.poses is None else self.poses[index]
             motion = None if self.odometry is None else self.odometry[index]
@@ -127,17 +121,9 @@ class ScanLog(Brief):
             yield PointScan(number, points, stamp_s, pose, motion)
 
     def between(self, begin: int, end: int) -> ScanLog:
-        """Return the part of the log in iterations ``range(begin, end)``.
+        """Return the part of the log in iterations ``range(begin, end)``; it may end before.
 
-        Parameters
-        ----------
-        begin, end : int
-            Iteration numbers of the log; the log may end before.
-
-        Raises
-        ------
-        RelmapError
-            If the log has no scan in that range.
+        Raises `RelmapError` if the log has no scan in that range.
         """
         last = self.first_iteration + len(self)
         first, stop = common_range(begin, end, self.first_iteration, last)

@@ -56,23 +56,16 @@ class Building(Brief):
     sensor: Sensor
 
     def times_seen(self) -> Ints:
-        """Count in how many scans each wall was seen.
+        """Count the scans that saw a part of each wall, its right end, and its left end; (w, 3).
 
-        Returns
-        -------
-        (w, 3) int64
-            Number of scans that saw part of the wall, its right end, and its left end; an end where
-            the wall continues, as in a curve, does not count.
+        An end where the wall continues, as in a curve, does not count.
         """
         return times_seen(self.walls, self.scans)
 
     def seen_extents(self) -> Floats:
-        """Return the extent of each wall that was seen in ten scans by five points each.
+        """Return the extent (w, 2) of each wall that was seen in ten scans by five points each.
 
-        Returns
-        -------
-        (w, 2) float64
-            Metres from its first end; NaN if it was not seen, or moves.
+        Metres from its first end; NaN if it was not seen, or moves.
         """
         extents = seen_extents(self.walls, self.trajectory, self.scans)
         return np.where(self.moving[:, None], np.nan, extents)
@@ -99,15 +92,8 @@ def simulate_building(
 
     Parameters
     ----------
-    points : int
-        Points of a scan; with `rays` and `laser` the number of beams, some of which return no
-        point.
-    sigma : float
-        Standard deviation, metres: of each coordinate with `surface`, of the range otherwise.
-    noise : "gaussian" or "uniform"
-        Distribution of the noise; both have the standard deviation `sigma`.
-    sampling : "surface", "rays" or "laser"
-        Points uniform on the visible surface, a grid of beams, or a 2-D laser scan.
+    points, sigma, noise, sampling, sensor, sample_ends
+        As for `building_scene`.
     iterations : int, optional
         Number of scans; by default as many as the loops take. One loop is 250 to 310 in a building,
         some 200 among panels, 390 along the long wall and back, with the usual step.
@@ -120,10 +106,6 @@ def simulate_building(
         that are the same; "bare-corridor", without features; or "curved".
     loops : int
         Number of rounds.
-    sensor : Sensor, optional
-        Range and field of view: 8 m and 90 degrees (`laser`: 180) if omitted.
-    sample_ends : bool
-        With `surface`, put a point on each end of every stretch that has two points or more.
     moving : int
         Number of swinging doors; among panels, of panels that slide and turn.
     step_m : float
@@ -177,8 +159,21 @@ def building_scene(
 
     Parameters
     ----------
-    seed, points, sigma, noise, sampling, sensor, sample_ends
-        As for `simulate_building`.
+    seed : int
+        Seed of everything random.
+    points : int
+        Points of a scan; with `rays` and `laser` the number of beams, some of which return no
+        point.
+    sigma : float
+        Standard deviation, metres: of each coordinate with `surface`, of the range otherwise.
+    noise : "gaussian" or "uniform"
+        Distribution of the noise; both have the standard deviation `sigma`.
+    sampling : "surface", "rays" or "laser"
+        Points uniform on the visible surface, a grid of beams, or a 2-D laser scan.
+    sensor : Sensor, optional
+        Range and field of view: 8 m and 90 degrees (`laser`: 180) if omitted.
+    sample_ends : bool
+        With `surface`, put a point on each end of every stretch that has two points or more.
 
     Returns
     -------
