@@ -100,10 +100,7 @@ def simulate_building(
     seed : int
         Seed of everything random.
     world : str
-        "building": corridors and rooms; the same without right angles ("oblique"), with panes of
-        "glass" or "furniture"; free-standing "panels" only; "long-wall", which stands alone, then
-        panels; "twin-rooms", all the same, which the robot enters; a square "corridor" of sides
-        that are the same; "bare-corridor", without features; or "curved".
+        One of `relmap.simulation.floor_plan.World`.
     loops : int
         Number of rounds.
     moving : int
@@ -134,11 +131,10 @@ def simulate_building(
     # Moving walls and objects have separate generators, so the rest is unchanged.
     walkers, others = (np.random.default_rng([seed, people, which]) for which in (1, 2))
     crowd = walking(plan, people, stamps_s, trajectory, walkers)
-    things = [Things(at, plan.glass, clutter, others) for at in crowd]
     plan, movers = make_moving(plan, world, moving, np.random.default_rng([seed, moving]))
     scans = [
-        _scan(movers.at(plan.walls, k), pose, scanner, rng, things[k])
-        for k, pose in enumerate(trajectory)
+        _scan(movers.at(plan.walls, k), pose, scanner, rng, Things(at, plan.glass, clutter, others))
+        for k, (pose, at) in enumerate(zip(trajectory, crowd, strict=True))
     ]
     walls = movers.at(plan.walls, 0) - [0, 0, 0, 0, SENSOR_HEIGHT_M, SENSOR_HEIGHT_M]
     moves = np.isin(np.arange(len(walls)), movers.row)

@@ -22,6 +22,10 @@ World = Literal[
     "bare-corridor",
     "curved",
 ]
+"""Worlds: corridors and rooms of a "building", without right angles if "oblique", with panes of
+"glass" or with "furniture"; free-standing "panels" only; a "long-wall" that stands alone, then
+panels; "twin-rooms", all the same, which the robot enters; a square "corridor" of sides that are
+the same; "bare-corridor", without features; "curved"."""
 
 FIELD_M = 12.0
 FIELD_LOOP_M = 7.0
