@@ -38,7 +38,7 @@ def an_l(height: float = 0.0) -> MapContent:
     result = Result(
         table, Tracks(nothing, nothing, nothing), np.arange(3.0), poses, {"dimensions": 2}
     )
-    return MapContent(result, table, walls)
+    return MapContent(Path("<a & b> $x$"), result, table, walls)
 
 
 def export(result: Path, to: str, out: Path, *more: object) -> None:

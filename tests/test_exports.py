@@ -51,7 +51,7 @@ def test_dxf_has_walls_as_high_as_they_are() -> None:
 
 
 def test_svg_shows_y_upwards_and_names_are_text() -> None:
-    root = ET.fromstring(svg_text(an_l(), "<a & b> $x$"))
+    root = ET.fromstring(svg_text(an_l()))
     name = "{http://www.w3.org/2000/svg}"
     assert root.find(f"{name}title").text == "<a & b> $x$"  # type: ignore[union-attr]
     long, short = ({k: float(v) for k, v in line.attrib.items() if k[0] in "xy"}
@@ -198,7 +198,7 @@ def test_open3d_reads_ply(mapped: Mapped, tmp_path: Path) -> None:
 def test_a_folder_or_a_file_and_the_same_bytes_again(
     mapped: Mapped, tmp_path: Path, to: str
 ) -> None:
-    result, ending = mapped("npz"), FORMATS[to].endings[0]
+    result, ending = mapped("npz"), FORMATS[to][0][0]
     export(result, to, tmp_path / "new" / "folder")
     export(result, to, tmp_path / "new" / "folder")
     export(result, to, tmp_path / f"map{ending}")

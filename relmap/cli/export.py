@@ -51,12 +51,12 @@ def export_command(
     ] = None,
 ) -> None:
     """Export a map; the help text explains the arguments."""
-    from relmap.exports.formats import RESOLUTION_M, Order, export
+    from relmap.exports.formats import RESOLUTION_M, export
 
     refuse(not out, "--out is empty, expected the name of a file or folder")
     refuse(resolution is not None and to != "grid", "--resolution is for --to grid")
     refuse(log is not None and to not in ("grid", "g2o"), "--log is for --to grid and g2o")
-    order = Order(result, log, RESOLUTION_M if resolution is None else resolution)
+    cell_m = RESOLUTION_M if resolution is None else resolution
     with busy("exporting"):
-        message = export(order, to, Path(out))
+        message = export(result, to, Path(out), log, cell_m)
     typer.echo(message)

@@ -23,10 +23,11 @@ T = TypeVar("T", LandmarkTable, PlaneTable)
 class MapContent:
     """The map of a result, without unmapped landmarks; map frame, metres.
 
-    `result`: the result as read. `landmarks`: the mapped landmarks; for walls the corners. `walls`:
-    the mapped walls; None for a map of points.
+    `folder`: the result folder. `result`: the result as read. `landmarks`: the mapped landmarks;
+    for walls the corners. `walls`: the mapped walls; None for a map of points.
     """
 
+    folder: Path
     result: Result
     landmarks: LandmarkTable
     walls: PlaneTable | None
@@ -71,7 +72,7 @@ def read_content(folder: Path) -> MapContent:
     walls = None
     if isinstance(result, PlaneResult):
         walls = _rows(result.planes, np.isfinite(result.planes.ends[:, 0, 0]))
-    return MapContent(result, _rows(result.landmarks, result.mapped), walls)
+    return MapContent(folder, result, _rows(result.landmarks, result.mapped), walls)
 
 
 def _rows(table: T, kept: Bools) -> T:

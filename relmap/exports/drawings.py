@@ -9,6 +9,7 @@ import numpy as np
 
 from relmap.core.arrays import Floats
 from relmap.exports.content import MapContent
+from relmap.io.results import ply_text
 
 LAYERS = {"WALLS": 5, "CORNERS": 3, "LANDMARKS": 7, "PATH": 8}
 """Layers of a DXF file, and their colours by AutoCAD's index."""
@@ -78,7 +79,7 @@ def _path(content: MapContent) -> Tags:
         yield from [(0, "SEQEND"), (8, "PATH")]
 
 
-def svg_text(content: MapContent, title: str) -> str:
+def svg_text(content: MapContent) -> str:
     """Return a map from above as SVG: a user unit is a metre, and y points down, so -y is drawn."""
     places = content.places[:, :2]
     low, high = (f(axis=0) if len(places) else np.zeros(2) for f in (places.min, places.max))
@@ -90,7 +91,7 @@ def svg_text(content: MapContent, title: str) -> str:
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{wide * scale:.0f}" '
         f'height="{tall * scale:.0f}" viewBox="{left!r} {top!r} {wide!r} '
-        f'{tall!r}">\n<title>{escape(title)}</title>\n'
+        f'{tall!r}">\n<title>{escape(content.folder.resolve().name)}</title>\n'
         f"<desc>{content.description}; map frame, metres, y drawn as -y</desc>\n"
         f"<style>{SVG_STYLE}</style>\n" + "".join(_shapes(content, DOT * longest)) + "</svg>\n"
     )
@@ -111,7 +112,7 @@ def _shapes(content: MapContent, radius: float) -> Iterable[str]:
         yield f'<circle class="{kind}" id="{kind}-{label}" {where}/>\n'
 
 
-def ply_text(content: MapContent) -> str:
+def map_ply(content: MapContent) -> str:
     """Return a map as ASCII PLY in full precision.
 
     A wall has an edge along its foot and, if its height is known, a face with the same front.
@@ -130,12 +131,4 @@ def ply_text(content: MapContent) -> str:
         # Seen from the front the right end comes first: left, right, and back along the top is
         # counter-clockwise.
         faces = np.column_stack([edges[high][:, ::-1], tops])
-    header = ["ply", "format ascii 1.0", "comment relmap: map frame, metres"]
-    header += [f"element vertex {len(vertices)}", *(f"property double {axis}" for axis in "xyz")]
-    if len(edges):
-        header += [f"element edge {len(edges)}", "property int vertex1", "property int vertex2"]
-    if len(faces):
-        header += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
-    counted = np.column_stack([np.full(len(faces), 4), faces])
-    rows = [row for part in (vertices, edges, counted) for row in part.tolist()]
-    return "\n".join([*header, "end_header", *(" ".join(map(repr, row)) for row in rows)]) + "\n"
+    return ply_text(vertices, edges, faces, "relmap: map frame, metres")

@@ -39,34 +39,35 @@ class Sightings:
     points_robot: Floats | None
 
 
-def sight_lines(folder: Path, content: MapContent, log: Path | None) -> Lines | None:
+def sight_lines(content: MapContent, log: Path | None) -> Lines | None:
     """Return start and end points of beams; for points, lines from poses to landmarks.
 
-    `folder`: the result folder. `log`: the log that was mapped; None to use ``mapper.npz``. Returns
-    `begins`, `ends` (n, 2), map frame, metres: None if there is neither. Raises `RelmapError` if
-    ``mapper.npz`` or the log is invalid.
+    `log`: the log that was mapped; None to use ``mapper.npz``. Returns `begins`, `ends` (n, 2), map
+    frame, metres: None if there is neither. Raises `RelmapError` if ``mapper.npz`` or the log is
+    invalid.
     """
     if content.walls is None:
-        seen = sightings(folder, content, log)
+        seen = sightings(content, log)
         if seen is None:
             return None
         begins = content.result.poses[seen.pose, :2, 3]
         return begins, content.landmarks.position[seen.landmark, :2]
     if log is not None:
         return _placed(content, _read(content, log))
-    if not (folder / MAPPER).is_file():
+    saved = content.folder / MAPPER
+    if not saved.is_file():
         return None
-    mapper = PlaneMapper.load(folder / MAPPER)
+    mapper = PlaneMapper.load(saved)
     return mapper.beams_of(0, MOST)[:2] if mapper.submaps else None
 
 
-def sightings(folder: Path, content: MapContent, log: Path | None) -> Sightings | None:
+def sightings(content: MapContent, log: Path | None) -> Sightings | None:
     """Return which pose of a map of points saw which landmark; None if unknown.
 
     Parameters and errors as for `sight_lines`.
     """
     read = None if log is None else _read(content, log)
-    iterations = _iterations(folder, content, read)
+    iterations = _iterations(content, read)
     if iterations is None:
         return None
     tracks = content.result.tracks
@@ -78,8 +79,8 @@ def sightings(folder: Path, content: MapContent, log: Path | None) -> Sightings 
     known = (pose >= 0) & (landmark >= 0) & (row >= 0)
     if log is not None and len(content.landmarks.landmark) and not known.any():
         raise RelmapError(
-            f"{folder / TRACKS} names no observation of {log}: give the log that was mapped; of a "
-            "merged map, whose tracks are empty, export without --log"
+            f"{content.folder / TRACKS} names no observation of {log}: give the log that was "
+            "mapped; of a merged map, whose tracks are empty, export without --log"
         )
     points = read.points_robot[row[known]] if isinstance(read, ObservationLog) else None
     return Sightings(pose[known], landmark[known], points)
@@ -90,9 +91,9 @@ def _read(content: MapContent, log: Path) -> Log:
     return read_again(log, variant, content.result.summary)
 
 
-def _iterations(folder: Path, content: MapContent, log: Log | None) -> Ints | None:
+def _iterations(content: MapContent, log: Log | None) -> Ints | None:
     """Return the iteration of each pose (p,) of a map of points; None if unknown."""
-    result = content.result
+    result, folder = content.result, content.folder
     if log is not None:
         return np.add(log.first_iteration, _scans(content, log))
     if not (folder / MAPPER).is_file():

@@ -43,6 +43,7 @@ LANDMARK_COLUMNS: dict[str, Kind] = {
 }
 SUBMAP_COLUMNS = ("submap", "landmark", "x", "y", "z")
 REJECTED = "rejected_id"
+NONE: Ints = np.empty(0, dtype=np.int64)
 TRACK_COLUMNS: dict[str, Kind] = dict.fromkeys(("iteration", "row", "landmark", REJECTED), "int")
 
 
@@ -140,14 +141,22 @@ def write_result(folder: Path, result: Result) -> None:
     atomic_write(folder / SUMMARY, json_text(result.summary))
 
 
-def ply_text(points_map: Floats) -> str:
-    """Return points (n, 3), metres, as an ASCII PLY file in full precision."""
-    header = (
-        "ply\nformat ascii 1.0\ncomment map frame, metres\n"
-        f"element vertex {len(points_map)}\n"
-        "property double x\nproperty double y\nproperty double z\nend_header\n"
-    )
-    return header + "".join(" ".join(map(repr, point)) + "\n" for point in points_map.tolist())
+def ply_text(
+    vertices: Floats, edges: Ints = NONE, faces: Ints = NONE, comment: str = "map frame, metres"
+) -> str:
+    """Return an ASCII PLY file in full precision.
+
+    `vertices` (n, 3), metres; `edges` (e, 2) and `faces` (f, 4): vertices of each.
+    """
+    header = ["ply", "format ascii 1.0", f"comment {comment}"]
+    header += [f"element vertex {len(vertices)}", *(f"property double {axis}" for axis in "xyz")]
+    if len(edges):
+        header += [f"element edge {len(edges)}", "property int vertex1", "property int vertex2"]
+    if len(faces):
+        header += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
+    counted = [[4, *face] for face in faces.tolist()]
+    rows = (map(repr, row) for part in (vertices.tolist(), edges.tolist(), counted) for row in part)
+    return "\n".join([*header, "end_header", *map(" ".join, rows)]) + "\n"
 
 
 def json_text(content: dict[str, Any]) -> str:
