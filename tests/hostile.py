@@ -25,7 +25,7 @@ from relmap.comparison.sweep_spec import read_spec
 from relmap.core.arrays import Floats
 from relmap.datasets import open_log, open_scans, read_relations
 from relmap.evaluation import evaluate as evaluation
-from relmap.evaluation.truth import read_space_truth, read_truth
+from relmap.evaluation.truth import read_truth
 from relmap.io.results import json_text
 from relmap.mapper import Mapper
 from relmap.planes.walls.files import PlaneResult, read_any
@@ -175,7 +175,7 @@ def _evaluate(folder: Path) -> None:
 
 
 def _evaluate_space(folder: Path) -> None:
-    evaluation.evaluate(read_result3d(folder), read_space_truth(folder / "truth"))
+    evaluation.evaluate(read_result3d(folder), read_truth(folder / "truth", "planes3d"))
 
 
 def _log(name: str, form: str | None = None) -> Callable[[Path], object]:

@@ -10,7 +10,7 @@ import pytest
 from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.evaluation.space import Faces, doubled_area, judge_planes
-from relmap.evaluation.truth import read_space_truth
+from relmap.evaluation.truth import read_truth
 from relmap.planes3d.files import read_result3d
 from relmap.planes3d.table import Plane3dTable
 from tests.hostile import FACES, SURFACES, TUM
@@ -91,7 +91,7 @@ def test_a_plane_that_is_long_and_thin_has_few_points() -> None:
 def test_true_planes_may_have_any_numbers(tmp_path: Path) -> None:
     (tmp_path / "trajectory.tum").write_text(TUM)
     (tmp_path / "faces.csv").write_text(FACES.replace("\n1,1,", f"\n1,{2**63 - 1},"))
-    found = read_space_truth(tmp_path).faces
+    found = read_truth(tmp_path, "planes3d").faces
     assert found is not None
     assert found.plane.tolist() == [0, 1]
 

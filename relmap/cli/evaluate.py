@@ -137,7 +137,7 @@ def evaluate_folder(folder: Path, truth: Path, log: Path | None = None) -> Evalu
     """
     from relmap.evaluation.evaluate import evaluate, match_walls
     from relmap.evaluation.space_run import VARIANT
-    from relmap.evaluation.truth import read_space_truth, read_truth
+    from relmap.evaluation.truth import read_truth
     from relmap.io.files import atomic_write, staged_folder
     from relmap.io.results import EVALUATION, MAP_PNG, json_text
     from relmap.planes.walls.files import PlaneResult, read_any
@@ -147,7 +147,7 @@ def evaluate_folder(folder: Path, truth: Path, log: Path | None = None) -> Evalu
     result = read_any(folder)
     walls = isinstance(result, PlaneResult)
     if in_space := result.summary.get("variant") == VARIANT:
-        result, known = read_result3d(folder), read_space_truth(truth)
+        result, known = read_result3d(folder), read_truth(truth, "planes3d")
     else:
         known = read_truth(truth, "planes" if walls else "points")
     no_ids = walls or in_space

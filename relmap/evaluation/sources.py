@@ -21,7 +21,7 @@ from relmap.datasets.scans import ScanLog, SensorView
 from relmap.datasets.textfile import invalid, quoted, require_path
 from relmap.evaluation.feeding import Log, stamps_of
 from relmap.evaluation.levelling import shows_floors
-from relmap.evaluation.truth import Judged, Truth, Variant, read_space_truth, read_truth
+from relmap.evaluation.truth import Judged, Truth, Variant, read_truth
 from relmap.simulation import Building, FigureEight, World, simulate_building, simulate_figure_eight
 from relmap.simulation.noise import Noise
 
@@ -140,9 +140,8 @@ class FileSource:
         if truth is None:
             return data
         with silent_readers() if truth.resolve() == self.path.resolve() else nullcontext():
-            if data.kind == "clouds":
-                return replace(data, truth=read_space_truth(truth))
-            return replace(data, truth=read_truth(truth, variant))
+            judged = "planes3d" if data.kind == "clouds" else variant
+            return replace(data, truth=read_truth(truth, judged))
 
     def _holds_scans(self) -> bool:
         """Return whether the log contains point scans."""

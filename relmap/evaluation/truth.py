@@ -76,8 +76,8 @@ class Truth(Brief):
     faces: Faces | None = None
 
 
-def read_truth(path: Path, variant: Variant = "points") -> Truth:
-    """Read the truth, or a reference instead, for a mapped variant.
+def read_truth(path: Path, judged: Judged = "points") -> Truth:
+    """Read the truth, or a reference instead, for what is judged.
 
     `path`: a folder written by `relmap simulate`, with ``truth/landmarks.csv`` or ``landmarks.csv``
     (for walls ``planes.csv``), and ``trajectory.tum`` beside it if the path is known. Or a
@@ -95,19 +95,24 @@ def read_truth(path: Path, variant: Variant = "points") -> Truth:
     * a ``.relations`` file, of pairs of poses that were checked by hand. Its times are the robot's;
       a CARMEN log of the same name beside it adds the logger's times.
 
+    For planes in space: a folder of ``relmap simulate storey``, with ``truth/faces.csv``, a
+    trajectory, or a log of scans with poses.
+
     Raises `RelmapError` if it is none of these or is damaged.
     """
     require_path(path)
-    name = TABLES[variant]
+    if judged == "planes3d":
+        return _read_space(path)
+    name = TABLES[judged]
     folder = path / "truth"
     if not (folder / name).is_file():
-        if variant == "planes" and folder.is_dir():
+        if judged == "planes" and folder.is_dir():
             raise invalid(path, f"contains no truth/{name} with the walls to compare with")
         if (path / SUMMARY).exists():
             raise invalid(path, "is a result folder without truth, expected a truth")
         folder = path
     if (folder / name).is_file():
-        truth = (_read_walls if variant == "planes" else _read_landmarks)(folder / name)
+        truth = (_read_walls if judged == "planes" else _read_landmarks)(folder / name)
         if (folder / TRAJECTORY).exists():
             stamps_s, poses = read_tum(folder / TRAJECTORY)
             truth = replace(truth, stamps_s=stamps_s, poses=poses)
@@ -115,30 +120,11 @@ def read_truth(path: Path, variant: Variant = "points") -> Truth:
         stamps_s, poses = read_trajectory(path)
         truth = Truth(stamps_s=stamps_s, poses=poses)
     else:
-        truth = (_read_path if variant == "planes" else _read_data_set)(path)
+        truth = (_read_path if judged == "planes" else _read_data_set)(path)
     ids, counts = np.unique(truth.landmark_ids, return_counts=True)
     if (counts > 1).any():
         raise invalid(path, f"landmark {ids[counts > 1][0]} occurs twice")
     return truth
-
-
-def read_space_truth(path: Path) -> Truth:
-    """Read the true path, and the true faces if known, of planes in space.
-
-    `path`: a folder of ``relmap simulate storey``, with ``truth/faces.csv``; a trajectory in TUM or
-    KITTI format; or a log of scans with poses. Raises `RelmapError` if there is no path or the
-    truth is damaged.
-    """
-    require_path(path)
-    for folder in (path / "truth", path):
-        if (folder / TRAJECTORY).is_file() and not (folder / SUMMARY).exists():
-            stamps_s, poses = read_tum(folder / TRAJECTORY)
-            faces = _read_faces(folder / FACES) if (folder / FACES).is_file() else None
-            return Truth(stamps_s=stamps_s, poses=poses, faces=faces)
-    if is_trajectory(path):
-        stamps_s, poses = read_trajectory(path)
-        return Truth(stamps_s=stamps_s, poses=poses)
-    return _read_path(path)
 
 
 def write_truth(folder: Path, truth: Truth) -> None:
@@ -150,6 +136,19 @@ def write_truth(folder: Path, truth: Truth) -> None:
     table = dict(zip(_COLUMNS, columns, strict=True))
     atomic_write(folder / TABLES["points"], columns_text(table))
     write_tum(folder / TRAJECTORY, truth.stamps_s, truth.poses)
+
+
+def _read_space(path: Path) -> Truth:
+    """Read the true path, and the true faces if known, of planes in space."""
+    for folder in (path / "truth", path):
+        if (folder / TRAJECTORY).is_file() and not (folder / SUMMARY).exists():
+            stamps_s, poses = read_tum(folder / TRAJECTORY)
+            faces = _read_faces(folder / FACES) if (folder / FACES).is_file() else None
+            return Truth(stamps_s=stamps_s, poses=poses, faces=faces)
+    if is_trajectory(path):
+        stamps_s, poses = read_trajectory(path)
+        return Truth(stamps_s=stamps_s, poses=poses)
+    return _read_path(path)
 
 
 def _read_landmarks(path: Path) -> Truth:
