@@ -103,21 +103,21 @@ def pgm_bytes(grid: Grid) -> bytes:
 
 
 def yaml_text(picture: str, grid: Grid) -> str:
-    """Return the YAML description of a picture with a given name."""
-    x, y = map(_decimal, grid.origin_m.tolist())
+    """Return the YAML description of a picture with a given name.
+
+    Numbers have no exponent: some YAML readers treat 1e-05 as text.
+    """
+    resolution, x, y = (
+        np.format_float_positional(number, precision=12, trim="0")
+        for number in (grid.resolution_m, *grid.origin_m)
+    )
     name = picture.replace("'", "''")
     return (
         f"image: '{name}'\n"
         "mode: trinary\n"
-        f"resolution: {_decimal(grid.resolution_m)}\n"
+        f"resolution: {resolution}\n"
         f"origin: [{x}, {y}, 0.0]\n"
         "negate: 0\n"
         f"occupied_thresh: {OCCUPIED_THRESH}\n"
         f"free_thresh: {FREE_THRESH}\n"
     )
-
-
-def _decimal(value: float) -> str:
-    """Return a number without exponent: some YAML readers treat 1e-05 as text."""
-    text = f"{value:.12f}".rstrip("0")
-    return text + "0" if text.endswith(".") else text
