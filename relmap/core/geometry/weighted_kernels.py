@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats
+from relmap.core.geometry.rotation_kernels import turned_by
 from relmap.core.linalg.compiling import compiled, helper
-from relmap.core.linalg.small_kernels import factorise, identity, product, solve
+from relmap.core.linalg.small_kernels import factorise, product, solve
 
 HELD = 1e-9
 """Relative increase of the diagonal, for matches that leave a direction undetermined."""
@@ -34,7 +35,7 @@ def weighted_step(
         A[a, a] += HELD * A[a, a] + 1e-300
     factorise(A)
     solve(A, b)
-    turn = _turned(b, d)
+    turn = turned_by(b[: q - d])
     turned = product(turn, R)
     for k in range(d * d):
         R[k // d, k % d] = turned[k // d, k % d]
@@ -78,24 +79,3 @@ def _add(A: Floats, b: Floats, metric: Floats, J: Floats, off: Floats) -> None:
             b[i] += weighed[a, i] * left
             for j in range(i + 1):
                 A[i, j] += weighed[a, i] * weighed[a, j]
-
-
-@helper
-def _turned(b: Floats, d: int) -> Floats:
-    """Return the rotation (d, d) of the angle or the rotation vector at the start of b."""
-    turn = identity(d)
-    if d == 2:
-        turn[0, 0] = turn[1, 1] = np.cos(b[0])
-        turn[1, 0], turn[0, 1] = np.sin(b[0]), -np.sin(b[0])
-        return turn
-    angle = np.sqrt(b[0] ** 2 + b[1] ** 2 + b[2] ** 2)
-    if angle < 1e-12:
-        return turn
-    K = np.zeros((3, 3))
-    K[0, 1], K[0, 2], K[1, 2] = -b[2] / angle, b[1] / angle, -b[0] / angle
-    K[1, 0], K[2, 0], K[2, 1] = -K[0, 1], -K[0, 2], -K[1, 2]
-    twice = product(K, K)
-    for a in range(3):
-        for c in range(3):
-            turn[a, c] += np.sin(angle) * K[a, c] + (1 - np.cos(angle)) * twice[a, c]
-    return turn
