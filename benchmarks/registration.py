@@ -10,7 +10,7 @@ data sets; without it only the figure eight is measured. "Often" is at least ten
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
@@ -28,7 +28,7 @@ from relmap.evaluation import metrics
 from relmap.evaluation.landmarks import Identified, identify
 from relmap.evaluation.run import run_mapper
 from relmap.io.results import Result
-from relmap.simulation import FigureEight, simulate_figure_eight
+from relmap.simulation import simulate_figure_eight
 
 REGISTRATIONS = ("constellation", "nearest-previous")
 SEEDS = range(5)
@@ -106,72 +106,51 @@ def outcomes(log: ObservationLog) -> list[Outcome]:
     return found
 
 
-def row(name: str, *cells: tuple[str, str]) -> None:
-    """Print a row; each cell has the figures of relmap's and of the paper's registration."""
-    print(f"| {name} | {' | '.join(f'{own} [{paper}]' for own, paper in cells)} |", flush=True)
-
-
-def of_both(runs: Sequence[Outcome], text: Callable[[Outcome], str]) -> tuple[str, str]:
-    own, paper = (text(run) for run in runs)
-    return own, paper
-
-
-def share(run: Outcome) -> str:
-    found, often = run.mapped()
-    return f"{found} of {often}"
+def row(name: str, own: Iterable[str], paper: Iterable[str]) -> None:
+    """Print a row; in brackets the figures with the paper's registration."""
+    cells = (f"{figure} [{other}]" for figure, other in zip(own, paper, strict=True))
+    print(f"| {name} | {' | '.join(cells)} |", flush=True)
 
 
 def log_row(name: str, log: ObservationLog, truth: LandmarkMap | None) -> None:
     """Map a log and print its row."""
-    runs = outcomes(log)
+    row(name, *(figures(run, truth) for run in outcomes(log)))
 
-    def rmse(run: Outcome) -> str:
-        error_m = None if truth is None else run.rmse(truth)
-        return "-" if error_m is None else f"{error_m:.3f}"
 
-    row(
-        name,
-        of_both(runs, lambda run: f"{run.purity:.4f}"),
-        of_both(runs, share),
-        of_both(runs, rmse),
-        of_both(runs, lambda run: f"{run.tracks_per_landmark:.3g}"),
-        of_both(runs, lambda run: str(len(run.result.submaps))),
-    )
+def figures(run: Outcome, truth: LandmarkMap | None) -> list[str]:
+    found, often = run.mapped()
+    error_m = None if truth is None else run.rmse(truth)
+    return [
+        f"{run.purity:.4f}",
+        f"{found} of {often}",
+        "-" if error_m is None else f"{error_m:.3f}",
+        f"{run.tracks_per_landmark:.3g}",
+        f"{len(run.result.submaps)}",
+    ]
+
+
+def worst(runs: Sequence[Outcome]) -> list[str]:
+    return [
+        f"{min(run.purity for run in runs):.4f}",
+        f"{min(np.divide(*run.mapped()) for run in runs):.1%}",
+        "-",
+        f"{max(run.tracks_per_landmark for run in runs):.3g}",
+        f"{max(len(run.result.submaps) for run in runs)}",
+    ]
 
 
 def figure_eight() -> None:
     for density, seeds in DENSITIES.items():
         worlds = [simulate_figure_eight(density=density, seed=seed) for seed in seeds]
-        kinds = list(zip(*(outcomes(world.log) for world in worlds), strict=True))
-        row(
-            f"figure eight, density {density}, worst of {len(seeds)}",
-            worst(kinds, lambda run: run.purity, min, ".4f"),
-            worst(kinds, lambda run: float(np.divide(*run.mapped())), min, ".1%"),
-            ("-", "-"),
-            worst(kinds, lambda run: run.tracks_per_landmark, max, ".3g"),
-            worst(kinds, lambda run: len(run.result.submaps), max, "d"),
-        )
-    dynamic_figure_eight([simulate_figure_eight(dynamic=0.4, seed=seed) for seed in SEEDS])
-
-
-def worst(
-    kinds: Sequence[Sequence[Outcome]],
-    of: Callable[[Outcome], float],
-    which: Callable[[Iterable[float]], float],
-    form: str,
-) -> tuple[str, str]:
-    own, paper = (format(which(map(of, kind)), form) for kind in kinds)
-    return own, paper
-
-
-def dynamic_figure_eight(worlds: Sequence[FigureEight]) -> None:
+        runs = zip(*(outcomes(world.log) for world in worlds), strict=True)
+        row(f"figure eight, density {density}, worst of {len(seeds)}", *map(worst, runs))
     pure = []
-    for world in worlds:
+    for seed in SEEDS:
+        world = simulate_figure_eight(dynamic=0.4, seed=seed)
         static = world.landmark_ids[world.status == "static"]
         pure.append([run.agreeing(static) for run in outcomes(world.log)])
-    own, paper = (f"{value:.4f}" for value in np.min(pure, axis=0))
     name = f"figure eight, 40 % dynamic, static ones, worst of {len(SEEDS)}"
-    row(name, (own, paper), *[("-", "-")] * 4)
+    row(name, *([f"{value:.4f}", *"----"] for value in np.min(pure, axis=0)))
 
 
 def real(data: Path) -> None:
