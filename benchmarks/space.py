@@ -33,11 +33,12 @@ from pathlib import Path
 from time import process_time
 
 import numpy as np
-from scipy.spatial.transform import Rotation
-from shared.clouds import Array, Clouds, around, disturbed, elevated, noise, thinned, view
+from shared.clouds import Clouds, around, disturbed, elevated, noise, thinned, view
+from shared.judging import step_errors
 
 from relmap import Plane3dMapper
 from relmap.comparison.baselines.icp import KissIcp, SmallGicp
+from relmap.core.arrays import Floats
 from relmap.datasets import open_scans
 from relmap.evaluation import metrics
 from relmap.evaluation.space import Faces, doubled_area, judge_planes
@@ -222,22 +223,18 @@ def _found(mapper: Plane3dMapper, clouds: Clouds) -> str:
     return f"{found['plane_recall'] or 0:.2f}, {found['plane_precision'] or 0:.2f}"
 
 
-def ate_of(part: Submap, poses: Array) -> float:
+def ate_of(part: Submap, poses: Floats) -> float:
     """Return the ATE of a submap, metres."""
     return float(metrics.ate(part.trajectory, poses[part.iteration], False) or 0.0)
 
 
-def _steps(parts: list[Submap], poses: Array, weak: set[int]) -> tuple[int, Array]:
+def _steps(parts: list[Submap], poses: Floats, weak: set[int]) -> tuple[int, Floats]:
     """Return the number of steps silently wrong, and the error of each rotation, radians."""
     wrong, turns = 0, []
     for part in parts:
-        at, true = part.trajectory, poses[part.iteration]
-        off = np.linalg.inv(np.linalg.inv(true[:-1]) @ true[1:]) @ np.linalg.inv(at[:-1]) @ at[1:]
-        shift = np.linalg.norm(off[:, :3, 3], axis=1)
-        turn = Rotation.from_matrix(off[:, :3, :3]).magnitude()
-        named = np.array([bool(weak & {a, b}) for a, b in pairwise(part.iteration)])
-        bad = (shift > WRONG_M) | (turn > WRONG_RAD)
-        wrong += int((bad & ~named.astype(bool)).sum())
+        shift, turn = step_errors(part.trajectory, poses[part.iteration])
+        named = np.array([bool(weak & {a, b}) for a, b in pairwise(part.iteration)], dtype=bool)
+        wrong += int((((shift > WRONG_M) | (turn > WRONG_RAD)) & ~named).sum())
         turns.append(turn)
     return wrong, np.concatenate([*turns, np.empty(0)])
 

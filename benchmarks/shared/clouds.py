@@ -12,22 +12,20 @@ from scipy.spatial.transform import Rotation
 from relmap.core.arrays import Floats
 from relmap.evaluation.space import Faces
 
-Array = Floats
-
 
 @dataclass
 class Clouds:
     """Clouds (n, 3), the poses (4, 4) where they were taken, one for each scan, and the faces."""
 
-    points: list[Array]
-    poses: Array
+    points: list[Floats]
+    poses: Floats
     faces: Faces | None = None
 
     def only(self, rows: slice) -> Clouds:
         """Return some of the scans."""
         return Clouds(self.points[rows], self.poses[rows])
 
-    def changed(self, change: Callable[[int, Array], Array]) -> Clouds:
+    def changed(self, change: Callable[[int, Floats], Floats]) -> Clouds:
         """Return clouds changed one by one."""
         return Clouds([change(k, cloud) for k, cloud in enumerate(self.points)], self.poses)
 
@@ -42,10 +40,10 @@ class Clouds:
         return Clouds([cloud @ R for cloud, R in zip(self.points, turn, strict=True)], poses)
 
 
-def noise(sigma: float, depth: bool = False) -> Callable[[int, Array], Array]:
+def noise(sigma: float, depth: bool = False) -> Callable[[int, Floats], Floats]:
     """Return a function that adds noise along rays; of a depth camera, by the squared depth."""
 
-    def noisy(k: int, cloud: Array) -> Array:
+    def noisy(k: int, cloud: Floats) -> Floats:
         range_m = np.linalg.norm(cloud, axis=1, keepdims=True)
         off = sigma * np.random.default_rng(k).standard_normal(range_m.shape)
         return cloud * (1 + off * ((cloud[:, :1] / 2) ** 2 if depth else 1) / range_m)
@@ -53,42 +51,42 @@ def noise(sigma: float, depth: bool = False) -> Callable[[int, Array], Array]:
     return noisy
 
 
-def thinned(share: float) -> Callable[[int, Array], Array]:
+def thinned(share: float) -> Callable[[int, Floats], Floats]:
     """Return a function that keeps a random fraction of the points."""
     return lambda k, cloud: cloud[np.random.default_rng(k).random(len(cloud)) < share]
 
 
-def view(half_rad: float, farthest_m: float = np.inf) -> Callable[[int, Array], Array]:
+def view(half_rad: float, farthest_m: float = np.inf) -> Callable[[int, Floats], Floats]:
     """Return a function that keeps a sector ahead, up to a range."""
 
-    def seen(_: int, cloud: Array) -> Array:
+    def seen(_: int, cloud: Floats) -> Floats:
         ahead = np.abs(np.arctan2(cloud[:, 1], cloud[:, 0])) < half_rad
         return cloud[ahead & (np.linalg.norm(cloud, axis=1) < farthest_m)]
 
     return seen
 
 
-def around(mid_rad: float, half_rad: float) -> Callable[[int, Array], Array]:
+def around(mid_rad: float, half_rad: float) -> Callable[[int, Floats], Floats]:
     """Return a function that keeps a sector in some direction."""
 
-    def seen(_: int, cloud: Array) -> Array:
+    def seen(_: int, cloud: Floats) -> Floats:
         off = np.arctan2(cloud[:, 1], cloud[:, 0]) - mid_rad
         return cloud[np.cos(off) > np.cos(half_rad)]
 
     return seen
 
 
-def elevated(least_rad: float, most_rad: float) -> Callable[[int, Array], Array]:
+def elevated(least_rad: float, most_rad: float) -> Callable[[int, Floats], Floats]:
     """Return a function that keeps a band of elevations."""
 
-    def seen(_: int, cloud: Array) -> Array:
+    def seen(_: int, cloud: Floats) -> Floats:
         up = np.arctan2(cloud[:, 2], np.hypot(cloud[:, 0], cloud[:, 1]))
         return cloud[(up > least_rad) & (up < most_rad)]
 
     return seen
 
 
-def holes(k: int, cloud: Array) -> Array:
+def holes(k: int, cloud: Floats) -> Floats:
     """Return a cloud without the points in twelve random cones of 0.2 rad."""
     rng = np.random.default_rng(k)
     ways = cloud / np.maximum(np.linalg.norm(cloud, axis=1, keepdims=True), 1e-12)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
 from relmap import PlaneMapper
 from relmap.core.arrays import Floats, Ints
@@ -19,6 +20,14 @@ DISPUTED = 0.1
 """Fraction of the points of a scan by which the poses of the map must explain more."""
 
 
+def step_errors(poses: Floats, true_poses: Floats) -> tuple[Floats, Floats]:
+    """Return the errors (k - 1,) of the steps between poses (k, 4, 4), metres and radians."""
+    step, true_step = (np.linalg.inv(T[:-1]) @ T[1:] for T in (poses, true_poses))
+    off = np.linalg.inv(true_step) @ step
+    turn_rad = np.asarray(Rotation.from_matrix(off[:, :3, :3]).magnitude())
+    return np.linalg.norm(off[:, :3, 3], axis=1), turn_rad
+
+
 def wrong_steps(
     poses: Floats, true_poses: Floats, most_m: float = 0.3, most_rad: float = np.deg2rad(10.0)
 ) -> NDArray[np.intp]:
@@ -27,10 +36,7 @@ def wrong_steps(
     `poses`, `true_poses` (k, 4, 4): T_map_robot of consecutive scans. `most_m`, `most_rad`: largest
     error of a correct step.
     """
-    step, true_step = (np.linalg.inv(T[:-1]) @ T[1:] for T in (poses, true_poses))
-    off = np.linalg.inv(true_step) @ step
-    turn_rad = np.arccos(np.clip((np.trace(off[:, :3, :3], axis1=1, axis2=2) - 1) / 2, -1, 1))
-    shift_m = np.linalg.norm(off[:, :3, 3], axis=1)
+    shift_m, turn_rad = step_errors(poses, true_poses)
     return 1 + np.flatnonzero((shift_m > most_m) | (turn_rad > most_rad))
 
 
