@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import pickle
-from typing import Any
 
 import numpy as np
 import pytest
@@ -9,12 +8,11 @@ import pytest
 from relmap import PointMapper
 from relmap.comparison.baselines.batch import Batch, batch_least_squares
 from relmap.core.arrays import Floats, Ints
+from relmap.core.geometry.alignment import sums_each
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.refinement import live
+from relmap.core.refinement.bodies import brought_together
 from relmap.core.refinement.condensing import CondensedSegments
-from relmap.core.refinement.equations import FreeLandmarks, Laid
-from relmap.core.refinement.gauss_newton import gauss_newton
-from relmap.core.refinement.rows import JointRows
 from relmap.core.state.table import LandmarkState
 from relmap.simulation import FigureEight, simulate_figure_eight
 from tests.worlds import aligned_rmse, mapped, random_rotation, walk
@@ -64,12 +62,11 @@ def test_finishing_spreads_what_has_drifted_since_the_last_step() -> None:
 def test_a_step_costs_no_more_in_a_long_run(monkeypatch: pytest.MonkeyPatch) -> None:
     bodies: list[int] = []
 
-    class Noted(FreeLandmarks):
-        def __init__(self, rows: JointRows, *rest: Any) -> None:
-            bodies.append(len(rows.segments))
-            super().__init__(rows, *rest)
+    def noted(points: Floats, weight: Floats, landmark: Ints, body: Ints) -> Floats:
+        bodies.append(int(body[-1]) + 1)
+        return brought_together(points, weight, landmark, body)
 
-    monkeypatch.setattr(live, "FreeLandmarks", Noted)
+    monkeypatch.setattr(live, "brought_together", noted)
     driven(simulate_figure_eight(density=12, iterations=3000, seed=3), 3000)
     assert len(bodies) >= 3
     assert max(bodies) <= live.BODIES
@@ -108,17 +105,9 @@ def test_a_mapper_can_be_stored_at_any_time() -> None:
     np.testing.assert_array_equal(again.map.covariances, mapper.map.covariances)
 
 
-def rows_of(points: Floats, landmark: Ints, body: Ints) -> JointRows:
-    every = np.arange(len(landmark))
-    unseen, once = np.zeros(len(every), dtype=np.uint8), np.ones(len(every))
-    members, bodies = np.arange(landmark.max() + 1), np.arange(body.max() + 1)
-    return JointRows(points, unseen, once, body, landmark, members, bodies, every)
-
-
-def stepped(rows: JointRows) -> Floats:
-    problem, weight = FreeLandmarks(rows, 5.0), np.ones(len(rows.points))
-    start = Laid(problem.means(rows.points, weight), rows.points)
-    return gauss_newton(problem, start, lambda _: weight, 1).state.positions
+def stepped(points: Floats, landmark: Ints, body: Ints) -> Floats:
+    placed = brought_together(points, np.ones(len(points)), landmark, body)
+    return sums_each(placed, landmark, landmark.max() + 1) / np.bincount(landmark)[:, None]
 
 
 def test_a_step_brings_displaced_bodies_together() -> None:
@@ -127,7 +116,7 @@ def test_a_step_brings_displaced_bodies_together() -> None:
     landmark = np.concatenate([np.arange(10 * k, 10 * k + 20) % 40 for k in range(4)])
     body = np.repeat(np.arange(4), 20)
     shift = np.array([[0.0, 0.0], [0.1, 0.0], [0.0, -0.2], [0.1, 0.1]])
-    found = stepped(rows_of(world[landmark] + shift[body], landmark, body))
+    found = stepped(world[landmark] + shift[body], landmark, body)
     np.testing.assert_allclose(found, world, atol=1e-6)
 
 
@@ -138,7 +127,7 @@ def test_bodies_that_share_nothing_are_each_brought_together() -> None:
     landmark = np.concatenate([landmark, landmark + 20])
     body = np.repeat(np.arange(4), 20)
     shift = np.array([[0.0, 0.0], [0.1, 0.0], [0.0, 0.0], [0.0, -0.2]])
-    found = stepped(rows_of(world[landmark] + shift[body], landmark, body))
+    found = stepped(world[landmark] + shift[body], landmark, body)
     assert aligned_rmse(found[:20], world[:20]) < 1e-6
     assert aligned_rmse(found[20:], world[20:]) < 1e-6
 
@@ -173,7 +162,7 @@ def test_a_step_that_leaves_the_neighbourhood_it_holds_in_is_not_taken(
     body, shift = np.repeat(np.arange(2), 10), np.array([apart, 0.0])
     points = np.concatenate([places[:10], places[:10] + shift])
     refinement = live.LiveRefinement(CondensedSegments(), global_map)
-    refinement.move(submap, rows_of(points, np.tile(members, 2), body), points, np.ones(20))
+    refinement.move(submap, members, points, np.ones(20), np.tile(members, 2), body)
     moves = table.position - places
     np.testing.assert_allclose(moves[:10], np.tile(-moved * shift / 2, (10, 1)), atol=1e-6)
     np.testing.assert_allclose(moves[10:], np.tile(-moved * shift, (2, 1)), atol=1e-6)

@@ -3,8 +3,7 @@
 With placements eliminated the system grows with the map, but not with the duration of the run; with
 landmarks eliminated its size does not depend on the number of landmarks seen at once. Both are
 needed: for the figure eight at density 100, 900 iterations, refinement takes 0.18 s the first way
-and 0.05 s the second, at 0.7 % more error; at density 200, 0.93 s and 0.09 s. The live steps use
-the second.
+and 0.05 s the second, at 0.7 % more error; at density 200, 0.93 s and 0.09 s.
 """
 
 from __future__ import annotations
@@ -200,22 +199,21 @@ class FreeLandmarks(SegmentProblem):
 
     The anchor iteration, which defines the frame, has a separate, fixed placement.
 
-    `anchor` (segment, bit): by default the whole first segment.
+    `anchor` (segment, bit): that iteration.
     """
 
-    def __init__(self, rows: JointRows, size: float, anchor: tuple[int, int] | None = None) -> None:
+    def __init__(self, rows: JointRows, size: float, anchor: tuple[int, int]) -> None:
         super().__init__(rows, size)
         d = self._d = rows.points.shape[1]
-        segment, bit = (0, None) if anchor is None else anchor
-        self._anchor = segment
-        own = np.flatnonzero(rows.segment == segment)
-        own = own[:0] if bit is None else own[(rows.visible[own] >> bit) & 1 > 0]
+        self._anchor, bit = anchor
+        own = np.flatnonzero(rows.segment == self._anchor)
+        own = own[(rows.visible[own] >> bit) & 1 > 0]
         self._row = np.concatenate([np.arange(len(rows.points)), own])
         self._seen = np.concatenate([rows.n_seen, np.ones(len(own))])
         self._seen[own] -= 1
         own_segment = np.full(len(own), len(rows.segments))
         self._placement = np.concatenate([rows.segment, own_segment])
-        self._fixed = segment if bit is None else len(rows.segments)
+        self._fixed = len(rows.segments)
         self.pattern = pattern_of(rows.landmark[self._row], self._placement, 3 * d - 3)
         self._unknown = self.pattern.first[:, None] + np.arange(3 * d - 3)
         begin, entry = rows_of_each(rows.landmark[self._row], len(rows.landmarks))
@@ -229,8 +227,7 @@ class FreeLandmarks(SegmentProblem):
         equations = self._eliminated.equations(linear, each, BARELY, with_matrix)
         right, fixed = equations.right, self._unknown[self._fixed]
         # The anchor only defines the frame: its observations act on its segment.
-        if self._fixed != self._anchor:
-            right[self._unknown[self._anchor]] += right[fixed]
+        right[self._unknown[self._anchor]] += right[fixed]
         right[fixed] = 0.0
         return equations
 
@@ -251,8 +248,7 @@ class FreeLandmarks(SegmentProblem):
     def _moved(self, state: Laid, step: Floats, weight: Floats) -> Floats:
         """Return the means of the rows after transforming their segments."""
         steps, d = step[self._unknown], self._d
-        if self._fixed != self._anchor:
-            steps[self._fixed] = steps[self._anchor]
+        steps[self._fixed] = steps[self._anchor]
         turn, shift = rotations(steps[:, :-d]), steps[:, -d:]
         placed, away = state.placed[self._row], self._away(state.placed)[self._row]
         moved = place_each(turn, shift, self._placement, away) + (placed - away)

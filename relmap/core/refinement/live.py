@@ -15,12 +15,11 @@ import numpy as np
 from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import fit_rigid, place_each, sums_each
 from relmap.core.geometry.robust import ROBUST, fit_robust_each
+from relmap.core.linalg.threads import one_thread
 from relmap.core.map.globalmap import GlobalMap
+from relmap.core.refinement.bodies import brought_together
 from relmap.core.refinement.condensing import SEEN, CondensedSegments
-from relmap.core.refinement.equations import FreeLandmarks, Laid
-from relmap.core.refinement.gauss_newton import gauss_newton
-from relmap.core.refinement.rows import JointRows, numbered
-from relmap.core.refinement.settling import size_of
+from relmap.core.refinement.rows import numbered
 from relmap.core.state.table import NONE
 
 SLICE_EVERY = 8
@@ -77,7 +76,8 @@ class LiveRefinement:
         if self._back <= BACK or GROWTH * self._begun >= self._noted:
             return False
         self._begun, self._back = self._noted, 0
-        self._step(*self._rows())
+        with one_thread():
+            self._step(*self._rows())
         return True
 
     def complete(self) -> None:
@@ -157,43 +157,33 @@ class LiveRefinement:
         there, at = self._table.position[landmark[rows]], body[rows]
         n = int(at[-1]) + 1
         R, t, fixed, weight = fit_robust_each(points[rows], there, seen[rows], at, n)
-        placed = place_each(R, t, at, points[rows])
         on = np.flatnonzero(fixed[at])
         bodies, place = numbered(at[on])
         if len(bodies) < 2:
             return
-        rows, members = rows[on], numbered(landmark[rows[on]])
-        joint = JointRows(
-            points[rows],
-            np.zeros(len(rows), dtype=np.uint8),
-            seen[rows],
-            place,
-            members[1],
-            members[0],
-            bodies,
-            rows,
-        )
-        self.move(submap, joint, placed[on], weight[on])
+        placed = place_each(R, t, at[on], points[rows[on]])
+        members, of = numbered(landmark[rows[on]])
+        self.move(submap, members, placed, seen[rows[on]] * weight[on], of, place)
 
-    def move(self, submap: int, rows: JointRows, placed: Floats, weight: Floats) -> None:
+    def move(
+        self, submap: int, members: Ints, placed: Floats, weight: Floats, of: Ints, body: Ints
+    ) -> None:
         """Move the landmarks; landmarks mapped in the meantime move with the latest body.
 
         A step outside the range of validity of the linearisation, as wrong matches cause, is
-        rejected.
+        rejected. `members` (m,): landmarks; the others as for `brought_together`.
         """
-        positions, members = self._table.position, rows.landmarks
-        problem = FreeLandmarks(rows, size_of(positions[members]))
-        start = Laid(problem.means(placed, weight), placed)
-        found = gauss_newton(problem, start, lambda _: weight, 1).state
-        moves = found.positions - start.positions
+        positions, after = self._table.position, brought_together(placed, weight, of, body)
+        total = np.bincount(of, weights=weight)[:, None]
+        moves = sums_each(weight[:, None] * (after - placed), of, len(members)) / total
         extent = np.ptp(positions[members], axis=0).max()
         if not np.abs(moves).max() <= SOUND * extent:
             return
         is_other = self._table.submap == submap
         is_other[members] = False
         others = np.flatnonzero(is_other)
-        latest = rows.segment == rows.segment[-1]
-        R, t = fit_rigid(placed[latest], found.placed[latest])
+        latest = body == body[-1]
+        R, t = fit_rigid(placed[latest], after[latest])
         self._map.move(others, positions[others] @ R.T + t)
         self._map.move(members, positions[members] + moves)
 
