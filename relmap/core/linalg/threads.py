@@ -3,11 +3,20 @@
 from __future__ import annotations
 
 from contextlib import AbstractContextManager
+from functools import cache
 from typing import Any, cast
+
+
+@cache
+def _libraries() -> Any:
+    """Return the BLAS libraries, which takes a millisecond to find."""
+    import scipy.linalg  # noqa: F401  has its own, which numba uses too
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()
 
 
 def one_thread() -> AbstractContextManager[Any]:
     """Return a context in which BLAS uses one thread: several add up long sums in other orders."""
-    from threadpoolctl import threadpool_limits
-
-    return cast("AbstractContextManager[Any]", threadpool_limits(1, "blas"))
+    limited = _libraries().limit(limits=1, user_api="blas")
+    return cast("AbstractContextManager[Any]", limited)
