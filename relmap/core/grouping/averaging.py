@@ -18,6 +18,8 @@ ROUNDS = 6
 """Maximum number of refits of a relative map as it grows."""
 AMPLE = 1.5
 """Growth factor of the well-placed part of the chart that triggers a refit."""
+PLENTY, NEARLY = 100, 0.95
+"""Members of a group, and well-placed fraction of its chart, above which no refit is worthwhile."""
 SOLID = 1.0
 """Largest variance of a position used in a fit, relative to that of an observation."""
 FEW = 0.2
@@ -80,7 +82,8 @@ class Averaging:
             solid &= ~self._table.dynamic[relative.landmarks]
             solid &= relative.amplified <= SOLID * relative.n_used
             n_solid = int(np.count_nonzero(solid))
-            if n_solid <= AMPLE * n_members:
+            is_settled = n_members >= PLENTY and n_solid >= NEARLY * len(solid)
+            if is_settled or n_solid <= AMPLE * n_members:
                 break
             n_members, reference = n_solid, np.full_like(reference, np.nan)
             reference[_rows_of(relative, landmarks)[solid]] = relative.positions[solid]

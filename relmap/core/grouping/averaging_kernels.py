@@ -121,10 +121,11 @@ def _radial_variances(block: Floats, inner: Bools, variance: Floats) -> None:
     centre, radius, h = np.zeros((m, d)), np.empty(m), 0
     for k in range(g):
         h += inner[k]
+    share = 1.0 / h
     for k in range(g):
         for i in range(m):
             for a in range(d):
-                centre[i, a] += block[k, i, a] / h if inner[k] else 0.0
+                centre[i, a] += share * block[k, i, a] if inner[k] else 0.0
     for k in range(g):
         mean, squares = 0.0, 0.0
         for i in range(m):
@@ -132,7 +133,8 @@ def _radial_variances(block: Floats, inner: Bools, variance: Floats) -> None:
             for a in range(d):
                 square += (block[k, i, a] - centre[i, a]) ** 2
             radius[i] = np.sqrt(square)
-            mean += radius[i] / m
+            mean += radius[i]
+        mean /= m
         for i in range(m):
             squares += (radius[i] - mean) ** 2
         # The centre contains 1/h of the noise of each of its members, correlated with theirs.

@@ -22,19 +22,19 @@ def keeps_distance(block: Floats, a: int, b: int, limit: float, fewest: int) -> 
     NaN marks missing observations; with fewer than `fewest` common iterations the answer is no.
     """
     _, m, d = block.shape
-    count, mean, squares = 0, 0.0, 0.0
+    count, first, total, squares = 0, 0.0, 0.0, 0.0
     for i in range(m):
         square = 0.0
         for k in range(d):
             apart = block[a, i, k] - block[b, i, k]
             square += apart * apart
         if not np.isnan(square):
-            count += 1
             distance = np.sqrt(square)
-            step = distance - mean
-            mean += step / count
-            squares += step * (distance - mean)
-    return count >= fewest and squares <= limit * (count - 1)
+            first = distance if count == 0 else first
+            count += 1
+            total += distance - first
+            squares += (distance - first) ** 2
+    return count >= fewest and squares - total * total / count <= limit * (count - 1)
 
 
 @helper

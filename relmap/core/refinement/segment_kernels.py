@@ -13,8 +13,9 @@ from relmap.core.linalg.small_kernels import diagonalise, identity
 
 LEVERAGE = 20.0
 """Largest distance of an iteration's points, relative to those that align it to its segment."""
-ROUNDS = 10
-"""Rounds of alignment in a segment; each reduces the error about fivefold."""
+ROUNDS, STILL = 10, 0.01
+"""Maximum number of rounds of alignment in a segment, and movement in a round, relative to that in
+the first, below which no further one is needed. Each reduces the error about fivefold."""
 OUTLIER = 10.0
 """Deviation of an observation, in medians of its segment, above which it is an outlier."""
 TRIMS = 3
@@ -158,8 +159,9 @@ def _settle(block: Floats, seen: Bools, joined: Bools, R: Floats, t: Floats) -> 
     placed, rows = np.empty((n, d)), np.empty(n, dtype=np.bool_)
     for i in range(n):
         rows[i] = True
+    first = 0.0
     for _ in range(ROUNDS):
-        mean = _middle(here, n_of, of, counts, R, t, placed)
+        mean, moved = _middle(here, n_of, of, counts, R, t, placed), 0.0
         for m in range(k):
             if not joined[m]:
                 continue
@@ -169,7 +171,12 @@ def _settle(block: Floats, seen: Bools, joined: Bools, R: Floats, t: Floats) -> 
                     placed[j, a] = mean[of[m, j], a]
             turn, shift, fixed, _, _ = fit_rows(here[m, :c], placed[:c], rows[:c], R[m].copy())
             if fixed:
+                for a in range(d):
+                    moved += (shift[a] - t[m, a]) ** 2
                 set_placement(R, t, m, turn, shift)
+        first = max(first, moved)
+        if moved <= STILL * STILL * first:
+            break
 
 
 @helper
