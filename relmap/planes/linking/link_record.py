@@ -14,6 +14,7 @@ import numpy as np
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.state.growing import GrowingArray
 from relmap.core.state.store import ObservationStore
+from relmap.planes.linking.adjoining import tied_across
 from relmap.planes.linking.at_rest import OFTEN, share_at_rest
 from relmap.planes.linking.judging import Found
 from relmap.planes.linking.tying import Link, Scans, judged_links
@@ -178,9 +179,24 @@ class LinkRecord:
             in_doubt[:1] = False
             more, _ = judged_links(replace(self._scans, firm=True), is_tied, in_doubt)
             self._take(more, name)
+        self._take_adjoining(name)
         self.submap = int(name[self.submap])
         self.wheels.look_again()
         return name, np.array(cut, dtype=np.int64)
+
+    def _take_adjoining(self, name: Ints) -> None:
+        """Tie submaps that are adjacent in time; `name` (s,) becomes the new number of submaps."""
+        scans, found = replace(self._scans, firm=True), True
+        while found:
+            found = False
+            for scan in range(1, len(self)):
+                own, other = self.submaps[scan - 1 : scan + 1].tolist()
+                if min(own, other) < 0 or own == other:
+                    continue
+                link = tied_across(scans, self.submaps, scan)
+                if link is not None:
+                    self._take([link], name)
+                    found = True
 
     def _take(self, links: Sequence[Link], name: Ints) -> None:
         """Add links that were accepted later; `name` (s,) becomes the new number of submaps."""

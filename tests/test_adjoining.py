@@ -1,0 +1,72 @@
+"""Submaps that are adjacent in time are tied by several scans on either side of a break."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from relmap import PlaneMapper
+from relmap.core.arrays import Floats
+from relmap.planes.linking.adjoining import Break, tied_across
+from relmap.planes.linking.tying import Scans
+from relmap.planes.motions import from_matrices
+from relmap.simulation import simulate_building
+from relmap.simulation.floor_plan import World
+
+STEP_M = 0.5
+MOST_M, MOST_RAD = 2.0, np.deg2rad(60.0)
+
+
+def scanned(world: World) -> tuple[Scans, Floats]:
+    """Return the scans of a simulated laser, not yet tied, and their true poses."""
+    building = simulate_building(
+        points=361, sigma=0.01, sampling="laser", iterations=60, world=world, step_m=STEP_M
+    )
+    mapper = PlaneMapper()
+    for scan in building.scans:
+        mapper.update(scan.points[:, :2])
+    links = mapper.engine.association.registration.links  # type: ignore[union-attr]
+    none = np.empty(0, dtype=np.int64)
+    motions, measured = links.motions.copy(), links.measured
+    scans = Scans(links.store, links.beams, motions, measured, lambda *_: None, none)
+    return scans, building.trajectory
+
+
+def across(scan: int, poses: Floats) -> Floats:
+    """Return the true motion into a scan."""
+    return np.asarray(from_matrices((np.linalg.inv(poses[scan]) @ poses[scan - 1])[None])[0])
+
+
+@pytest.mark.parametrize("scan", [12, 20, 33])
+def test_a_break_is_tied_by_the_scans_around_it(scan: int) -> None:
+    scans, poses = scanned("building")
+    submaps = (np.arange(len(poses)) >= scan).astype(np.int64)
+    scans.motions[scan] = np.nan
+    link = tied_across(scans, submaps, scan)
+    assert link is not None
+    assert (link.earlier, link.later) == (scan - 1, scan)
+    np.testing.assert_allclose(link.motion, across(scan, poses), atol=0.05)
+    assert len(link.walls)
+
+
+def test_corridors_without_features_are_not_tied() -> None:
+    scans, poses = scanned("bare-corridor")
+    for scan in range(8, 20):
+        submaps = (np.arange(len(poses)) >= scan).astype(np.int64)
+        assert tied_across(scans, submaps, scan) is None
+
+
+def test_scans_of_another_place_are_not_tied() -> None:
+    scans, poses = scanned("oblique")
+    for first in range(4, 36, 4):
+        later = first + 20 + np.arange(4)
+        elsewhere = Break(scans, np.arange(first - 4, first), later)
+        assert np.linalg.norm(poses[later[0], :2, 3] - poses[first - 1, :2, 3]) > MOST_M
+        assert elsewhere.link(MOST_M, MOST_RAD) is None
+
+
+def test_a_longer_step_than_usual_is_not_accepted() -> None:
+    scans, _ = scanned("building")
+    between = Break(scans, np.arange(8, 12), np.arange(12, 16))
+    assert between.link(MOST_M, MOST_RAD) is not None
+    assert between.link(STEP_M / 2, MOST_RAD) is None
