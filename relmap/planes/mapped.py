@@ -54,6 +54,7 @@ class MappedWalls(Mapper):
             submap=self._planes.links.submaps,
             measured=self._planes.links.measured,
             spacing_rad=self._planes.links.beams.spacing_rad,
+            same=self._planes.links.same_walls,
         )
 
     @property

@@ -14,8 +14,8 @@ from relmap.core.mapper import RelativeMapper
 from relmap.core.state.table import NONE
 from relmap.planes.linking.registration import PlaneRegistration
 from relmap.planes.submaps.submap import WallSubmap, among_all, chained_poses
-from relmap.planes.walls.assembly import WallNumbers, assemble, first_of
-from relmap.planes.walls.history import PlaneHistory
+from relmap.planes.walls.assembly import WallNumbers, assemble
+from relmap.planes.walls.history import PlaneHistory, first_of
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.planes.walls.equations import WallEquations, Walls
-from relmap.planes.walls.history import PlaneHistory
+from relmap.planes.walls.history import PlaneHistory, first_of
 
 FLAT_M = 0.003
 SHARP_M = 0.01
@@ -46,18 +46,6 @@ class WallNumbers:
         return cls(
             first_of(n_planes, np.column_stack([wall_end, wall_end[corner_of]]) // 2), corner_of
         )
-
-
-def first_of(n: int, pairs: Ints) -> Ints:
-    """Return for each of n walls the first wall joined to it by pairs (k, 2)."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
-    n_parts, part = connected_components(graph, directed=False)
-    first = np.full(n_parts, n)
-    np.minimum.at(first, part, np.arange(n))
-    return np.asarray(first[part])
 
 
 @dataclass(frozen=True, eq=False)

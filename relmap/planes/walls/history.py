@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -51,6 +51,8 @@ class PlaneHistory:
         Which motions are determined in all directions.
     spacing_rad : float
         Angle between the beams of the laser; 0 if unknown.
+    same : (k, 2) int64
+        Numbers that are the same wall, according to links found later.
     """
 
     iteration: Ints
@@ -64,6 +66,7 @@ class PlaneHistory:
     odometry: Steps | None = None
     measured: Bools | None = None
     spacing_rad: float = 0.0
+    same: Ints = field(default_factory=lambda: np.empty((0, 2), dtype=np.int64))
 
     @property
     def n_iterations(self) -> int:
@@ -111,7 +114,8 @@ class PlaneHistory:
     def _before(self) -> tuple[Ints, Ints]:
         """Rows of walls that the scan before shows too, and their rows there."""
         n_planes = int(self.plane.max(initial=-1)) + 1
-        key = self.iteration * n_planes + self.plane
+        plane = first_of(n_planes, self.same)[self.plane]
+        key = self.iteration * n_planes + plane
         order = np.argsort(key, kind="stable")
         before = np.searchsorted(key[order], key - n_planes).clip(max=max(len(key) - 1, 0))
         row = np.flatnonzero((self.iteration > 0) & (key[order][before] == key - n_planes))
@@ -156,3 +160,15 @@ class PlaneHistory:
         begin, end = np.searchsorted(self.iteration, span).tolist()
         own = self.own(span)[self.iteration[begin:end] - span[0]]
         return np.arange(begin, end)[own]
+
+
+def first_of(n: int, pairs: Ints) -> Ints:
+    """Return for each of n walls the first wall joined to it by pairs (k, 2)."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
+    n_parts, part = connected_components(graph, directed=False)
+    first = np.full(n_parts, n)
+    np.minimum.at(first, part, np.arange(n))
+    return np.asarray(first[part])

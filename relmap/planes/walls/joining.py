@@ -12,7 +12,8 @@ import numpy as np
 from scipy.sparse import coo_array
 
 from relmap.core.arrays import Floats, Ints
-from relmap.planes.walls.assembly import Assembled, WallNumbers, directions, first_of
+from relmap.planes.walls.assembly import Assembled, WallNumbers, directions
+from relmap.planes.walls.history import first_of
 
 TURN_RAD = np.deg2rad(6.0)
 ACROSS_M = 0.15
