@@ -176,8 +176,7 @@ class PlaneMapper(LocatingMapper):
 
         Walls that then coincide are joined, which closes loops. Where a submap deviates from a link
         by more than 0.3 m or 8 degrees, one of the two is wrong, and the submap is cut there; so it
-        is where joined walls change a step by 0.2 m or 3 degrees and the beams contradict that, and
-        between visits of a place that contradict each other.
+        is between visits of a place that contradict each other.
         """
         with self._guard.change(), one_thread():
             self._note_call("refine")

@@ -15,10 +15,9 @@ import numpy as np
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.planes.refinement.closing import walls_seen_again
 from relmap.planes.refinement.solving import refined, refined_to_the_noise
-from relmap.planes.scans.beams import BeamStore
 from relmap.planes.submaps.stitching import stitched, with_strays_put_back
 from relmap.planes.submaps.submap import WallSubmap, among_all, torn_in
-from relmap.planes.submaps.tearing import contradicted_steps, disagreement
+from relmap.planes.submaps.tearing import disagreement
 from relmap.planes.walls.assembly import Assembled, WallNumbers, assemble
 from relmap.planes.walls.history import PlaneHistory
 from relmap.planes.walls.joining import join_pairs, join_walls
@@ -57,21 +56,20 @@ def refined_map(
     numbers: WallNumbers,
     chained: WallSubmap,
     moving: Bools,
-    beams: BeamStore,
 ) -> tuple[WallSubmap, WallNumbers]:
     """Move walls, corners and poses of a submap to the joint optimum of all observations.
 
     Walls that then coincide are joined, which closes loops.
 
     `numbers`: initial association; `chained`: initial submap; `moving` (p,): plane tracks ignored
-    because they move; `beams`: evaluate changed steps. Returns `submap`: not refined if nothing is
-    mapped, or if refinement does not converge or makes the map worse.
+    because they move. Returns `submap`: not refined if nothing is mapped, or if refinement does not
+    converge or makes the map worse.
     """
     if chained.assembled is None:
         return chained, numbers
     torn = list[Ints]()
     for held in HELD if chained.length_m < HELD_M else HELD[:1]:
-        found, found_numbers = _solved(history, numbers, chained, moving, held, beams)
+        found, found_numbers = _solved(history, numbers, chained, moving, held)
         if _better(found, chained, history):
             return found, found_numbers
         torn.append(torn_in([found], history))
@@ -85,7 +83,6 @@ def _solved(
     chained: WallSubmap,
     moving: Bools,
     held: float,
-    beams: BeamStore,
 ) -> tuple[WallSubmap, WallNumbers]:
     """Return the refined submap and its association."""
     span = chained.span
@@ -100,7 +97,7 @@ def _solved(
         return found, poses_of(found, span, history)
 
     best = refined(chained.assembled, WIDELY, held)
-    poses = before = poses_of(best, span, history)
+    poses = poses_of(best, span, history)
     torn = max(disagreement(path, motions)[0] for path in (chained.poses, poses))
     for _ in range(CLOSED):
         joined = join_pairs(best, numbers, walls_seen_again(best, history))
@@ -118,9 +115,7 @@ def _solved(
             break
         numbers, (best, poses) = joined, again(joined, ROUGHLY)
     best = refined_to_the_noise(best, held)
-    found = WallSubmap.of(span, poses_of(best, span, history), best, refined=True)
-    against = contradicted_steps(before, found.poses, span[0], history, beams)
-    return replace(found, torn=against), numbers
+    return WallSubmap.of(span, poses_of(best, span, history), best, refined=True), numbers
 
 
 def _better(found: WallSubmap, chained: WallSubmap, history: PlaneHistory) -> bool:

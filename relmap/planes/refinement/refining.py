@@ -48,11 +48,11 @@ def refined_submaps(grouped: GroupedMap, moving: Bools, links: ScanLinks) -> Ref
     merged = grouped.at_rest(grouped.numbers)
     first = partial(grouped.submaps, merged, moving)
     grouped = with_odometry(grouped, odometry_steps(links, grouped.history, first))
-    submaps, numbers = _refined(grouped, merged, moving, links.beams)
+    submaps, numbers = _refined(grouped, merged, moving)
     odometry = grouped.history.odometry
     if odometry and odometry.needed.any():  # estimated again, more accurately
         grouped = with_odometry(grouped, odometry_steps(links, grouped.history, lambda: submaps))
-        submaps, numbers = _refined(grouped, merged, moving, links.beams)
+        submaps, numbers = _refined(grouped, merged, moving)
     # Without beams no link was verified, and the chained map is as good as any part of it.
     submaps = [replace(one, torn=one.torn[: len(links.beams)]) for one in submaps]
     return RefinedWalls(submaps, numbers, grouped.history)
@@ -73,12 +73,12 @@ def planned_submaps(refined: RefinedWalls, moving: Bools, beams: BeamStore) -> P
 
 
 def _refined(
-    grouped: GroupedMap, merged: WallNumbers, moving: Bools, beams: BeamStore
+    grouped: GroupedMap, merged: WallNumbers, moving: Bools
 ) -> tuple[list[WallSubmap], WallNumbers]:
     """Return the submaps and the association; `merged` is that of the grouped map."""
     numbers, submaps = grouped.at_rest(grouped.unmerged), list[WallSubmap]()
     for submap in grouped.submaps(numbers, moving):
-        found, own = refined_map(grouped.history, numbers, submap, moving, beams)
+        found, own = refined_map(grouped.history, numbers, submap, moving)
         if found.refined:
             submaps.append(found)
             numbers = own

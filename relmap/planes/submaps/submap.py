@@ -22,8 +22,8 @@ class WallSubmap(Submap):
 
     `poses` (k, 4, 4): ``T_submap_robot`` of its iterations; NaN for iterations in between that
     belong to others. `assembled`: None if no wall was seen often enough. `refined`: whether its
-    walls and poses were refined. `torn` (t,): scans before which the refinement deviated from the
-    links, if it was rejected, or from the beams.
+    walls and poses were refined. `torn` (t,): scans before which a rejected refinement
+    deviated from the links.
     """
 
     poses: Floats
