@@ -184,17 +184,13 @@ class PlaneMapper(LocatingMapper):
 
     def _refine_and_cut(self) -> None:
         self._refine_until_whole([])
-        parts, before = self.history.submap.copy(), self._planes.before_join()
+        before = self._planes.before_join()
         joined = self._join_submaps()
         if joined and len(torn := self._torn(joined)):  # in one of the parts: join these anew
             self._planes.undo_join(before)
             self._planes.links.cut(torn)
             self._refine_until_whole([])
-            parts = self.history.submap.copy()
             joined = self._join_submaps()
-            self._refine_until_whole(joined)
-        if joined and len(torn := self._joints(parts)):
-            self._planes.links.cut(torn)
             self._refine_until_whole(joined)
         for _ in range(CUTS):
             if not len(torn := self._contradicted()):
@@ -210,15 +206,6 @@ class PlaneMapper(LocatingMapper):
             for submap in self.submaps
         ]
         return np.concatenate([np.empty(0, dtype=np.int64), *found])
-
-    def _joints(self, before: Ints) -> Ints:
-        """Return where submaps were joined to one that cannot be refined, given those before."""
-        now, joints = self.history.submap, [np.empty(0, dtype=np.int64)]
-        for submap in self.submaps:
-            own = np.flatnonzero(now == now[submap.first_iteration])
-            changed = own[1:][np.diff(before[own]) != 0]
-            joints += [] if submap.refined else [changed]
-        return np.concatenate(joints)
 
     def _join_submaps(self) -> list[Floats]:
         """Join the submaps that show the same place; return the poses (i, 4, 4) of each result."""
