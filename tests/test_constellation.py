@@ -270,6 +270,15 @@ def test_new_tracks_that_are_missed_did_not_stray() -> None:
     assert tracks.restless.tolist() == [0, 0, 0]
 
 
+@both_dimensions
+def test_a_scan_is_matched_when_the_tracks_seen_longest_have_left_the_view(d: int) -> None:
+    rng = np.random.default_rng(8)
+    points = rng.permutation(scattered(100, d, rng))
+    registration, _ = settled(points[:40], 0.01, rng)
+    registration.match(seen_at(points, 10), None)
+    assert registration.match(turned(points[40:], 100.0), None).tolist() == list(range(40, 100))
+
+
 @pytest.mark.parametrize("seed", [0, 1])
 def test_scans_in_a_tunnel_of_equal_rings_are_not_matched_one_ring_off(seed: int) -> None:
     """Where one ring appears as another leaves, a motion of one period matches more points."""

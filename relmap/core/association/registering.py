@@ -300,7 +300,8 @@ class TrackPlacing:
         ):
             return _Searched(placement, placement.n_agreeing)
         likely = self._likely(tracks, points, None) if is_decidable else None
-        if likely is not None and likely.n_agreeing < SHARE * min(len(here), len(there)):
+        near = tracks.crowd(points, len(tracks))[0]
+        if likely is not None and likely.n_agreeing < SHARE * min(len(near), len(there)):
             likely = None  # the best one may not be among those suggested
         comes_near = not is_clear and rival > DISTINCT * placement.n_agreeing
         return _Searched(likely, placement.n_agreeing, True, comes_near)

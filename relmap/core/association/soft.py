@@ -19,12 +19,13 @@ from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.association.metric import rows_of, scaled, stretch_of
 from relmap.core.association.placement import Placement
 from relmap.core.association.search import MOST, triangles_of
+from relmap.core.association.tracks import sampled
 
 UNEXPLAINED = 0.3
 """Initial fraction of the points of a scan that belong to no track; and its bounds."""
 BOUNDS = 0.1, 0.9
 SOURCES = 30
-"""Maximum number of tracks in the triangles that suggest placements, the first."""
+"""Maximum number of tracks in the triangles that suggest placements, see `sampled`."""
 FURTHEST = 16.0
 """Largest squared distance of a possible match, in variances."""
 GATE = 11.0
@@ -148,7 +149,7 @@ class SoftMatching:
         from relmap.core.association.search_kernels import placements_by_triangles
 
         sigma_m = math.sqrt(float(np.median(self.variance)))
-        source = self.source[:SOURCES]
+        source = self.source[sampled(len(self.source), SOURCES)]
         triangles = triangles_of(source, CORNERS * sigma_m)
         fewest = max(3, round(SEEN * min(len(source), len(self.target))))
         stretch = stretch_of(self.metric)

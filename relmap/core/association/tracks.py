@@ -16,10 +16,20 @@ MEMORY = 8
 CAREFUL = 5
 """Iterations without motion after which a track seen moving counts as static again."""
 SEARCH = 30
-"""Maximum number of tracks used by a search that is independent of the motion, those seen
-longest."""
+"""Maximum number of tracks used by a search that is independent of the motion, see `sampled`."""
 CROWD = 60
 """Maximum number of points of a scan used by it, the nearest."""
+
+
+def sampled(n: int, most: int) -> Ints:
+    """Return at most `most` of n rows in order of rank: the first, and as many of all others.
+
+    If these are tracks, those seen longest are the most certain, but may all have left the view.
+    """
+    if n <= most:
+        return np.arange(n)
+    half = most // 2
+    return np.append(np.arange(half), np.linspace(half, n - 1, most - half).astype(np.int64))
 
 
 class Tracks:
@@ -116,5 +126,5 @@ class LiveTracks(Tracks):
         recent = self.missed <= int(self.missed.min()) + 1
         recent &= np.linalg.norm(self.expected, axis=1) <= within_m
         known = np.flatnonzero(recent)
-        known = known[np.argsort(-self.seen[known], kind="stable")[:most]]
-        return known, np.flatnonzero(away <= within_m)
+        known = known[np.argsort(-self.seen[known], kind="stable")]
+        return known[sampled(len(known), most)], np.flatnonzero(away <= within_m)
