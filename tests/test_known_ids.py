@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from relmap import PointMapper
+from relmap.cli.outcome import doubtful
 from relmap.comparison.baselines.batch import Batch, batch_least_squares
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association.known import SLOTS, KnownAssociation
@@ -129,3 +130,20 @@ def test_ids_far_apart_keep_their_landmarks_as_the_table_grows() -> None:
     np.testing.assert_array_equal(
         known.labels_of(np.array(list(number_of.values()))), list(number_of)
     )
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1])
+def test_how_many_observations_contradict_their_ids_is_known(share: float) -> None:
+    spec = WorldSpec(kind="corridor", length_m=150, iterations=120, wrong_ids=share)
+    world = simulate_world(spec)
+    mapper = driven(world.log)
+    found = len(mapper.rejected_observations) + sum(one.n_outliers for one in mapper.refined)
+    wrong = np.sum(world.log.ids != world.true_ids)
+    assert abs(found - wrong) <= 0.2 * wrong
+
+
+@pytest.mark.parametrize(("contradicting", "expected"), [(0.05, "5 %"), (0.02, ""), (None, "")])
+def test_many_wrong_ids_give_a_warning(contradicting: float | None, expected: str) -> None:
+    refinement = {"noise_m": 0.1, "median_range_m": 10.0, "converged": True}
+    message = doubtful(refinement, contradicting)
+    assert (expected in message) if expected else not message

@@ -23,6 +23,10 @@ WHOLE = 0.9
 """Minimum fraction of the scans in the largest submap of an unbroken run."""
 CONTRADICTED = 0.1
 """Noise, as a fraction of the distance of the landmarks, that no sensor of landmarks has."""
+MISREAD = 0.04
+"""Fraction of the observations contradicting their ids above which a map may be wrong: of 49
+simulated ones one of 12 with 2 % wrong ids was, 3 of 13 with 5 %, 5 of 14 with 10 %, 8 of 10 with
+20 %."""
 BEYOND_M = 300.0
 """Farther than 2-D lasers reach, and most points of a lidar: such coordinates are hardly metres."""
 NOTHING = (
@@ -57,7 +61,7 @@ def report(job: Job) -> None:
             f"{counts['observations']} observations in {iterations} iterations, "
             f"{each(timing['median_ms'])}{took}{untied(len(run.result.submaps) - 1)}"
             f"{'' if counts['mapped'] else NOTHING}{doubted(summary['association_trust'])}{hanging}"
-            f"{doubtful(summary['refinement'])}"
+            f"{doubtful(summary['refinement'], summary['association_trust']['contradicting'])}"
         )
     typer.echo(message)
     if job.onto and job.association == "nearest" and summary["tied_at"] is None:
@@ -191,8 +195,11 @@ def untied(submaps: int) -> str:
     return f"; {submaps} submap{'s' if submaps > 1 else ''} could not be connected to the map"
 
 
-def doubtful(refinement: dict[str, Any] | None) -> str:
-    """Return a warning that the refined map may be wrong, as a line after a message."""
+def doubtful(refinement: dict[str, Any] | None, contradicting: float | None) -> str:
+    """Return a warning that the refined map may be wrong, as a line after a message.
+
+    `contradicting`: fraction of the observations that contradict their ids; None without ids.
+    """
     if refinement is None:
         return ""
     noise_m, range_m = refinement["noise_m"], refinement["median_range_m"]
@@ -201,6 +208,11 @@ def doubtful(refinement: dict[str, Any] | None) -> str:
             f"\nWARNING: the observations contradict the map by {noise_m:.2g} m (standard "
             f"deviation), at distances of {range_m:.2g} m in the median, so it is probably wrong; "
             "check the ids, or map without them"
+        )
+    if contradicting is not None and contradicting > MISREAD:
+        return (
+            f"\nWARNING: {100 * contradicting:.0f} % of the observations contradict their ids: the "
+            "map may be wrong; check the ids, or compare with a map without them"
         )
     if refinement["converged"]:
         return ""

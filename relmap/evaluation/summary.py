@@ -51,6 +51,7 @@ def summary_of(
         "unique_scans": mapper.unique_share,
         "undone_merges": mapper.n_undone,
         "submaps": len(result.submaps),
+        "contradicting": _contradicting(mapper),
     }
     summary["odometry"] = _odometry(mapper.odometry, result, offset)
     if isinstance(mapper, PlaneMapper):
@@ -86,6 +87,14 @@ def _odometry(use: OdometryUse | None, result: Result, offset: int) -> dict[str,
         "tied_by_it_alone": ends_of(hanging, "iterations") | {"stretches": stretches},
         "left_out": ends_of(use.left_out + offset, "iterations"),
     }
+
+
+def _contradicting(mapper: PointMapper | PlaneMapper) -> float | None:
+    """Return the fraction of the observations that contradict their ids; None without ids."""
+    if not isinstance(mapper, PointMapper) or not mapper.engine.association.is_known:
+        return None
+    n_wrong = len(mapper.rejected_observations) + sum(one.n_outliers for one in mapper.refined)
+    return n_wrong / max(int(mapper.landmarks.observations.sum()), 1)
 
 
 def _rejected_rows(mapper: PointMapper, log: ObservationLog | ScanLog, offset: int) -> Ints:

@@ -65,6 +65,7 @@ class Refined(Brief):
     deviation of an observed coordinate, from the residuals. `power`: exponent p of the minimised
     sum of p-th powers of the residuals; 2 is least squares. `converged`: whether the least squares
     converged. Otherwise the positions are the best found, no worse than the initial ones.
+    `n_outliers`: number of observations that noise does not explain.
     """
 
     landmarks: Ints
@@ -76,9 +77,11 @@ class Refined(Brief):
     spread: Spread
     power: float = 2
     converged: bool = True
+    n_outliers: int = 0
 
     STATE = (
-        "landmarks positions anchor_iteration noise_m segments merges power converged covariances"
+        "landmarks positions anchor_iteration noise_m segments merges power converged n_outliers "
+        "covariances"
     )
 
     def __getstate__(self) -> dict[str, object]:
@@ -135,6 +138,7 @@ def refine(
         ),
         Spread(problem, settled, mapped, noise_m * R),
         converged=settled.converged,
+        n_outliers=int(joint.n_seen[weight < 1].sum()),
     )
 
 
