@@ -41,23 +41,12 @@ def across(scan: int, poses: Floats) -> Floats:
 def test_a_break_is_tied_by_the_scans_around_it(scan: int) -> None:
     scans, poses = scanned("building")
     submaps = (np.arange(len(poses)) >= scan).astype(np.int64)
+    scans.motions[scan] = np.nan
     link = tied_across(scans, submaps, scan)
     assert link is not None
     assert (link.earlier, link.later) == (scan - 1, scan)
     np.testing.assert_allclose(link.motion, across(scan, poses), atol=0.05)
     assert len(link.walls)
-
-
-def test_scans_that_fit_nowhere_are_skipped() -> None:
-    scans, poses = scanned("building")
-    scan = np.arange(len(poses))
-    submaps = np.where(scan < 12, 0, np.where(scan < 14, -1, 1))
-    scans.motions[:, 1:] *= 0.9  # steps are just short enough
-    link = tied_across(scans, submaps, 14)
-    assert link is not None
-    assert (link.earlier, link.later) == (11, 14)
-    true = from_matrices((np.linalg.inv(poses[14]) @ poses[11])[None])[0]
-    np.testing.assert_allclose(link.motion, true, atol=0.05)
 
 
 def test_corridors_without_features_are_not_tied() -> None:

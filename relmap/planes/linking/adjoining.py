@@ -20,8 +20,6 @@ from relmap.planes.scans.beams import NEAR_M, compared, leads, log_odds
 
 SIDE = 4
 """Largest number of scans on either side of a break that are compared."""
-SKIPPED, STEP_M = 2, 0.5
-"""Largest number of scans that a break may skip, if the median step is no longer than this."""
 APART_M, APART_RAD, CANDIDATES = 0.15, np.deg2rad(4.0), 12
 """Motions that differ by less are duplicates; and the largest number of candidates."""
 TURN, TURN_RAD = 0.99, np.deg2rad(15.0)
@@ -52,10 +50,10 @@ class Break:
     later: Ints
 
     @classmethod
-    def between(cls, last: int, scan: int, scans: Scans, submaps: Ints) -> Break:
-        """Return the break between two scans, given the submap of each."""
-        own, there = np.arange(last + 1)[-SIDE:], np.arange(scan, len(submaps))[:SIDE]
-        own, there = own[submaps[own] == submaps[last]], there[submaps[there] == submaps[scan]]
+    def before(cls, scan: int, scans: Scans, submaps: Ints) -> Break:
+        """Return the break before a scan, given the submap of each."""
+        own, there = np.arange(max(scan - SIDE, 0), scan), np.arange(scan, len(submaps))[:SIDE]
+        own, there = own[submaps[own] == submaps[scan - 1]], there[submaps[there] == submaps[scan]]
         return cls(scans, own, there)
 
     def link(self, most_m: float, most_rad: float) -> Link | None:
@@ -135,23 +133,10 @@ class Break:
 
 
 def tied_across(scans: Scans, submaps: Ints, scan: int) -> Link | None:
-    """Return the link into the first scan of a submap from the one before, if one is certain.
-
-    If there is none, across up to `SKIPPED` scans that belong to neither submap.
-    """
-    bounds = usual_bounds(scans, submaps)
-    skipped = SKIPPED if np.median(np.hypot(*scans.motions[:, 1:].T)) <= STEP_M else 0
-    for last in range(scan - 1, max(scan - 2 - skipped, -1), -1):
-        own, other, between = submaps[last], submaps[scan], submaps[last + 1 : scan]
-        if min(own, other) < 0:
-            continue
-        if own in (other, *between) or other in between or not scans.of_one_run(last, scan):
-            break
-        if scans.expected(last, scan) is None:
-            link = Break.between(last, scan, scans, submaps).link(*bounds)
-            if link is not None:
-                return link
-    return None
+    """Return the link into the first scan of a submap from the one before, if one is certain."""
+    if scans.expected(scan - 1, scan) is not None or not scans.of_one_run(scan - 1, scan):
+        return None
+    return Break.before(scan, scans, submaps).link(*usual_bounds(scans, submaps))
 
 
 def usual_bounds(scans: Scans, submaps: Ints) -> tuple[float, float]:

@@ -190,6 +190,9 @@ class LinkRecord:
         while found:
             found = False
             for scan in range(1, len(self)):
+                own, other = self.submaps[scan - 1 : scan + 1].tolist()
+                if min(own, other) < 0 or own == other:
+                    continue
                 link = tied_across(scans, self.submaps, scan)
                 if link is not None:
                     self._take([link], name)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -30,6 +31,9 @@ ACCEPTED = 2.5
 """Log odds above which a new motion is accepted."""
 DOUBTED = -0.5
 """Log odds below which an accepted motion is rejected."""
+SKIPPED, STEP_M = 2, 0.5
+"""Maximum number of consecutive unmatched scans to skip, if the median step is shorter than this:
+over longer ones too little stays in view, and 2 of 8 such links were wrong."""
 BESIDE = 2
 """Number of links before and after a link along walls; one of these must be measured."""
 EARLIER = 2
@@ -130,8 +134,8 @@ def judged_links(scans: Scans, is_tied: Bools, in_doubt: Bools) -> tuple[list[Li
     """Re-evaluate the motions into doubtful scans with the surrounding ones.
 
     `is_tied` (i,): whether the motion into each scan is accepted so far; `in_doubt` (i,): which to
-    evaluate. Returns `links`: newly accepted links, and `cut`: scans into which no motion is
-    accepted any more.
+    evaluate. Returns `links`: newly accepted links, possibly across a few unmatched scans and
+    `cut`: scans into which no motion is accepted any more.
     """
     links, cut = list[Link](), list[int]()
     for run in _runs(in_doubt, scans.begun):
@@ -146,6 +150,8 @@ def judged_links(scans: Scans, is_tied: Bools, in_doubt: Bools) -> tuple[list[Li
     is_tied = is_tied.copy()
     is_tied[[link.later for link in links]] = True
     is_tied[cut] = False
+    links += _over_gaps(scans, is_tied)
+    is_tied[[link.later for link in links]] = True
     untied = np.setdiff1d(np.flatnonzero(~is_tied), [0, *cut]).tolist()
     return links + [link for scan in untied for link in _by_odometry(scans, scan)], cut
 
@@ -159,6 +165,27 @@ def _by_odometry(scans: Scans, later: int) -> list[Link]:
     if search and not search.bridged(expected):
         return []
     return [Link(later - 1, later, motion, np.empty((0, 2), dtype=np.int64), False)]
+
+
+def _over_gaps(scans: Scans, is_tied: Bools) -> list[Link]:
+    """Return the links across a few unmatched scans."""
+    links, breaks, last = list[Link](), np.flatnonzero(~is_tied), 0
+    if np.median(np.hypot(*scans.motions[:, 1:].T)) > STEP_M:
+        return links
+    for begin, end in product(breaks.tolist(), range(1, SKIPPED + 1)):
+        earlier, later = begin - 1, begin + end
+        if earlier < last or later >= len(is_tied) or is_tied[later]:
+            continue
+        if not scans.of_one_run(earlier - EARLIER, later + LATER):
+            continue
+        before = range(max(earlier - EARLIER, 0), begin)
+        after = range(later, min(later + LATER + 1, len(is_tied)))
+        judged = _judged(scans, [*before, *after], bool(is_tied[before[0]]))
+        accepted = [link for one in judged if one.later == later for link in one.accepted]
+        found = [link for link in accepted if link.measured]
+        links += found
+        last = later if found else last
+    return links
 
 
 class _Judged(NamedTuple):
