@@ -70,3 +70,19 @@ def test_a_longer_step_than_usual_is_not_accepted() -> None:
     between = Break(scans, np.arange(8, 12), np.arange(12, 16))
     assert between.link(MOST_M, MOST_RAD) is not None
     assert between.link(STEP_M / 2, MOST_RAD) is None
+
+
+def test_ties_remain_when_a_map_is_finished_again() -> None:
+    building, other = (
+        simulate_building(
+            points=361, sigma=0.01, sampling="laser", iterations=60, step_m=STEP_M, seed=seed
+        )
+        for seed in (0, 7)
+    )
+    mapper, first = PlaneMapper(), list[list[int]]()
+    for k, scan in enumerate(building.scans):
+        mapper.update((other.scans[k] if k in (15, 30, 31, 45) else scan).points[:, :2])
+    for _ in range(3):
+        mapper.finish()
+        first.append([submap.first_iteration for submap in mapper.submaps])
+    assert first[0] == first[1] == first[2]

@@ -196,14 +196,12 @@ def untied(submaps: int) -> str:
 
 
 def doubtful(refinement: dict[str, Any] | None, contradicting: float | None) -> str:
-    """Return a warning that the refined map may be wrong, as a line after a message.
+    """Return a warning that the map may be wrong, as a line after a message.
 
     `contradicting`: fraction of the observations that contradict their ids; None without ids.
     """
-    if refinement is None:
-        return ""
-    noise_m, range_m = refinement["noise_m"], refinement["median_range_m"]
-    if noise_m > CONTRADICTED * range_m:
+    if refinement and refinement["noise_m"] > CONTRADICTED * refinement["median_range_m"]:
+        noise_m, range_m = refinement["noise_m"], refinement["median_range_m"]
         return (
             f"\nWARNING: the observations contradict the map by {noise_m:.2g} m (standard "
             f"deviation), at distances of {range_m:.2g} m in the median, so it is probably wrong; "
@@ -211,10 +209,10 @@ def doubtful(refinement: dict[str, Any] | None, contradicting: float | None) -> 
         )
     if contradicting is not None and contradicting > MISREAD:
         return (
-            f"\nWARNING: {100 * contradicting:.0f} % of the observations contradict their ids: the "
-            "map may be wrong; check the ids, or compare with a map without them"
+            f"\nWARNING: {100 * contradicting:.0f} % of the observations contradict their ids or "
+            "the map: it may be wrong; check the ids, or compare with a map without them"
         )
-    if refinement["converged"]:
+    if not refinement or refinement["converged"]:
         return ""
     return (
         "\nWARNING: the refinement did not converge, so the map is the best one found and may be "

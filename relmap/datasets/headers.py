@@ -54,6 +54,7 @@ def numbers_in_name(file: Path, ending: re.Pattern[str]) -> list[int]:
 def numbered_files(folder: Path, ending: re.Pattern[str]) -> list[Path]:
     """Return the files with an extension in a folder, sorted by the numbers in their names."""
     found = [file for file in members_of(folder, ("",)) if ending.search(file.name)]
+    found = [file for file in found if file.is_file()]
     return sorted(found, key=lambda file: numbers_in_name(file, ending))
 
 

@@ -51,7 +51,7 @@ def summary_of(
         "unique_scans": mapper.unique_share,
         "undone_merges": mapper.n_undone,
         "submaps": len(result.submaps),
-        "contradicting": _contradicting(mapper),
+        "contradicting": _contradicting(mapper, counts["observations"]),
     }
     summary["odometry"] = _odometry(mapper.odometry, result, offset)
     if isinstance(mapper, PlaneMapper):
@@ -89,12 +89,13 @@ def _odometry(use: OdometryUse | None, result: Result, offset: int) -> dict[str,
     }
 
 
-def _contradicting(mapper: PointMapper | PlaneMapper) -> float | None:
+def _contradicting(mapper: PointMapper | PlaneMapper, n_observations: int) -> float | None:
     """Return the fraction of the observations that contradict their ids; None without ids."""
     if not isinstance(mapper, PointMapper) or not mapper.engine.association.is_known:
         return None
     n_wrong = len(mapper.rejected_observations) + sum(one.n_outliers for one in mapper.refined)
-    return n_wrong / max(int(mapper.landmarks.observations.sum()), 1)
+    # The mapper may have earlier logs, too; overruled observations may belong to no landmark.
+    return n_wrong / max(n_observations, int(mapper.landmarks.observations.sum()), 1)
 
 
 def _rejected_rows(mapper: PointMapper, log: ObservationLog | ScanLog, offset: int) -> Ints:

@@ -175,8 +175,8 @@ class PlaneMapper(LocatingMapper):
         """Move walls, corners and poses to the joint least-squares solution over all observations.
 
         Walls that then coincide are joined, which closes loops. Where a submap deviates from a link
-        by more than 0.3 m or 8 degrees, one of the two is wrong, and the submap is cut there; so it
-        is between visits of a place that contradict each other.
+        by more than 0.3 m or 8 degrees, one of the two is wrong, and the submap is cut there. It is
+        also cut between visits of a place that contradict each other.
         """
         with self._guard.change(), one_thread():
             self._note_call("refine")

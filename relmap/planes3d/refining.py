@@ -59,8 +59,9 @@ def _settled(part: Submap, least_gain: float) -> tuple[Submap, dict[int, int]]:
         if not doubles and gain == least_gain:
             break
         gain = ROUGHLY if doubles else least_gain
-        part = part.again(part.poses, doubles)
-        names = {old: doubles.get(new, new) for old, new in names.items()} | doubles
+        if doubles:
+            part = part.again(part.poses, doubles)
+            names = {old: doubles.get(new, new) for old, new in names.items()} | doubles
     return part, names
 
 

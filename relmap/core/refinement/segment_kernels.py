@@ -14,8 +14,8 @@ from relmap.core.linalg.small_kernels import diagonalise, identity
 LEVERAGE = 20.0
 """Largest distance of an iteration's points, relative to those that align it to its segment."""
 ROUNDS, STILL = 10, 0.01
-"""Maximum number of rounds of alignment in a segment, and movement in a round, relative to that in
-the first, below which no further one is needed. Each reduces the error about fivefold."""
+"""Maximum number of rounds of alignment in a segment, and movement in a round, relative to the
+standard error, below which no further one is needed. Each reduces the error about fivefold."""
 OUTLIER = 10.0
 """Deviation of an observation, in medians of its segment, above which it is an outlier."""
 TRIMS = 3
@@ -159,23 +159,23 @@ def _settle(block: Floats, seen: Bools, joined: Bools, R: Floats, t: Floats) -> 
     placed, rows = np.empty((n, d)), np.empty(n, dtype=np.bool_)
     for i in range(n):
         rows[i] = True
-    first = 0.0
     for _ in range(ROUNDS):
-        mean, moved = _middle(here, n_of, of, counts, R, t, placed), 0.0
+        mean, moved, square = _middle(here, n_of, of, counts, R, t, placed), 0.0, 0.0
         for m in range(k):
             if not joined[m]:
                 continue
             c = n_of[m]
+            place(here[m, :c], R, t, m, placed)
             for j in range(c):
                 for a in range(d):
+                    square += ((placed[j, a] - mean[of[m, j], a]) / c) ** 2
                     placed[j, a] = mean[of[m, j], a]
             turn, shift, fixed, _, _ = fit_rows(here[m, :c], placed[:c], rows[:c], R[m].copy())
             if fixed:
                 for a in range(d):
                     moved += (shift[a] - t[m, a]) ** 2
                 set_placement(R, t, m, turn, shift)
-        first = max(first, moved)
-        if moved <= STILL * STILL * first:
+        if moved <= STILL * STILL * square:
             break
 
 

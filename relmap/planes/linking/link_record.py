@@ -14,7 +14,7 @@ import numpy as np
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.state.growing import GrowingArray
 from relmap.core.state.store import ObservationStore
-from relmap.planes.linking.adjoining import tied_across
+from relmap.planes.linking.adjoining import RIVAL, tied_across
 from relmap.planes.linking.at_rest import OFTEN, share_at_rest
 from relmap.planes.linking.judging import Found
 from relmap.planes.linking.tying import Link, Scans, judged_links
@@ -196,7 +196,7 @@ class LinkRecord:
                 link = tied_across(scans, self.submaps, scan)
                 if link is not None:
                     self._take([link], name)
-                    found = True
+                    self._evidence.values[scan], found = RIVAL, True
 
     def _take(self, links: Sequence[Link], name: Ints) -> None:
         """Add links that were accepted later; `name` (s,) becomes the new number of submaps."""
@@ -210,7 +210,8 @@ class LinkRecord:
             if new >= 0:
                 self._submaps.values[self.submaps == old] = new
                 name[name == old] = new
-        self.same_walls = np.concatenate([self.same_walls, *(link.walls for link in links)])
+        walls = np.concatenate([self.same_walls, *(link.walls for link in links)])
+        self.same_walls = np.unique(walls, axis=0)
 
     def join(self, poses: Sequence[Floats], walls: Ints) -> Ints:
         """Join submaps whose maps show the same place.
