@@ -19,7 +19,7 @@ ROUNDS = 6
 AMPLE = 1.5
 """Growth factor of the well-placed part of the chart that triggers a refit."""
 PLENTY, NEARLY = 100, 0.95
-"""A chart with at least so many well-placed members, and this fraction of all, is not refitted."""
+"""Number of well-placed members, and their fraction of a chart, for which it is not refitted."""
 SOLID = 1.0
 """Largest variance of a position used in a fit, relative to that of an observation."""
 FEW = 0.2
