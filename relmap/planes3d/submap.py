@@ -8,12 +8,11 @@ from itertools import repeat
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
+from relmap.planes3d.cells import KnownCells, Points
 from relmap.segmentation.space import Patches
 from relmap.segmentation.space.patches import reach_of
 
 Pose = tuple[Floats, Floats]
-MIXED = -7046029254386353131
-"""Multiplier that mixes the key of a cell with the number of a landmark (Fibonacci hashing)."""
 MOST_LOOSE = 20
 """Maximum number of points on no plane that are kept in a cube of half a cell of the map."""
 THROUGH, MANY = 0.5, 10
@@ -82,8 +81,7 @@ class Submap:
         self._normal = np.empty((0, 3))
         self._cells = np.empty((0, 3))
         self._cell_of = np.empty(0, dtype=np.int64)
-        self._known: set[int] = set()
-        self._latest = np.empty(0, dtype=np.int64)
+        self._known = KnownCells()
         self._loose = {}
 
     def restored(self) -> None:
@@ -92,7 +90,7 @@ class Submap:
         ends = np.cumsum([len(seen.cells) for seen in self.seen])[:-1]
         sizes = [seen.cell_m for seen in self.seen]
         cells = zip(np.split(self._cells, ends), np.split(self._cell_of, ends), sizes, strict=True)
-        self._fresh([*cells, *self._rims()])
+        self._known.fresh([*cells, *self._rims()])
 
     def __len__(self) -> int:
         """Return the number of landmarks."""
@@ -124,7 +122,7 @@ class Submap:
         ]
         rims = [_rim(*each) for each in zip(seen, poses, matches, strict=True)]
         # Cells where a plane was seen before are dropped: memory grows with the map only.
-        fresh = self._fresh([*cells, *rims])
+        fresh = self._known.fresh([*cells, *rims])
         fresh, rim = fresh[: len(seen)], fresh[len(seen) :]
         chosen = [(x[rows], of[rows]) for (x, of, _), rows in zip(cells, fresh, strict=True)]
         self._cells = np.concatenate([self._cells, *(x for x, _ in chosen)])
@@ -168,27 +166,7 @@ class Submap:
         there, through = np.reshape(looks, (-1, 2)).T
         return np.asarray((through > MANY) & (through > THROUGH * (there + through)))
 
-    def _fresh(self, scans: list[tuple[Floats, Ints, float]]) -> list[Ints]:
-        """Return which points of each scan lie in cells of their surface that had none yet.
-
-        `scans`: points (n, 3), submap frame, their landmarks (n,), or rims, and the size of cells.
-        """
-        from relmap.planes3d.nearest_kernels import keys_of
-
-        keys = np.concatenate(
-            [MIXED * keys_of(points, cell_m) + of for points, of, cell_m in scans]
-        )
-        rows = np.sort(np.unique(keys, return_index=True)[1])
-        # To fill a set takes longer than the rest, and refinement adds no more scans.
-        self._known.update(self._latest.tolist())
-        if self._known:
-            rows = rows[[key not in self._known for key in keys[rows].tolist()]]
-        self._latest = keys[rows]
-        begin = np.cumsum([0, *(len(points) for points, *_ in scans)])
-        parts = np.split(rows, np.searchsorted(rows, begin[1:-1]))
-        return [part - first for part, first in zip(parts, begin.tolist(), strict=False)]
-
-    def _rims(self) -> list[tuple[Floats, Ints, float]]:
+    def _rims(self) -> list[Points]:
         return [_rim(*each) for each in zip(self.seen, self.poses, self.match, strict=True)]
 
     def _sparse(self, points: Floats, cell_m: float) -> Ints:
@@ -295,7 +273,7 @@ class Submap:
         return both
 
 
-def _rim(seen: Patches, pose: Pose, match: Ints) -> tuple[Floats, Ints, float]:
+def _rim(seen: Patches, pose: Pose, match: Ints) -> Points:
     """Return the rim points (r, 3) of a scan, submap frame, their rims, -1 - landmark, and cells.
 
     `match` (m,): landmark of each patch.
