@@ -62,6 +62,8 @@ def _settled(part: Submap, least_gain: float) -> tuple[Submap, dict[int, int]]:
         if doubles:
             part = part.again(part.poses, doubles)
             names = {old: doubles.get(new, new) for old, new in names.items()} | doubles
+    else:
+        part = _adjusted(part, least_gain)
     return part, names
 
 
