@@ -122,10 +122,10 @@ WALLS = (
     "1,4,0,4,3,0,2,-1,0,0,corner,corner,12,0,11,static,1,2\n"
 )
 SURFACES = (
-    "plane,nx,ny,nz,offset,x,y,z,sd,area_m2,observations,first_iteration,last_iteration,status,"
-    "submap,outline,meets\n"
-    "0,0,0,1,0,1,1,0,0.01,4,9,0,8,static,0,0 0 0;2 0 0;2 2 0;0 2 0,-1;-1;-1;1\n"
-    "1,1,0,0,0,0,1,1,0.01,4,9,0,8,static,0,0 0 0;0 2 0;0 2 2;0 0 2,0;-1;-1;-1\n"
+    "plane,nx,ny,nz,offset,x,y,z,sd,sd_normal,sd_centre,area_m2,observations,first_iteration,"
+    "last_iteration,status,submap,outline,meets\n"
+    "0,0,0,1,0,1,1,0,0.01,,,4,9,0,8,static,0,0 0 0;2 0 0;2 2 0;0 2 0,-1;-1;-1;1\n"
+    "1,1,0,0,0,0,1,1,0.01,0.001,0.002,4,9,0,8,static,0,0 0 0;0 2 0;0 2 2;0 0 2,0;-1;-1;-1\n"
 )
 FACES = (
     "face,plane,x0,y0,z0,x1,y1,z1,x2,y2,z2,x3,y3,z3,seen_m2\n"

@@ -30,6 +30,8 @@ def table(*squares: tuple[list[float], float]) -> Plane3dTable:
         offset=centre[:, 2],
         centre=centre,
         sd=flat,
+        sd_normal=flat,
+        sd_centre=flat,
         area_m2=np.array([size**2 for _, size in squares]),
         outline=outline,
         meets=[np.full(len(SQUARE), -1)] * n,

@@ -63,7 +63,10 @@ def test_the_mapper_and_its_planes_print_their_content(noisy: tuple[Storey, Plan
     assert repr(Plane3dMapper()) == "Plane3dMapper(0 iterations, 0 planes mapped)"
     assert len(mapper.planes) == len(mapper.planes.plane)
     columns = mapper.planes.columns()
-    assert list(columns) == [name for name in COLUMNS if name not in RAGGED]
+    wanted = [name for name in COLUMNS if name not in RAGGED]
+    assert list(columns)[: len(wanted)] == wanted
+    assert list(columns)[len(wanted)] == "c_nx_nx"
+    assert list(columns)[-1] == "c_offset_offset"
     np.testing.assert_array_equal(columns["nz"], mapper.planes.normal[:, 2])
     html = methodcaller("_repr_html_")(mapper)
     assert f"<p>{mapper!r}</p>" in html
@@ -116,6 +119,23 @@ def test_planes_stand_once_where_they_are(noisy: tuple[Storey, Plane3dMapper]) -
     floor = int(np.argmax(table.area_m2))
     assert len(table.outline[floor]) > 10
     assert np.abs(table.outline[floor] @ table.normal[floor] - table.offset[floor]).max() < 1e-9
+
+
+def test_standard_deviations_are_known_after_refinement(
+    noisy: tuple[Storey, Plane3dMapper],
+) -> None:
+    world, mapper = noisy
+    table = mapper.planes
+    seen = table.observations > N // 2
+    assert (table.sd_centre[seen] > 0).all()
+    assert (table.sd_centre[seen] < 0.01).all()
+    assert (table.sd_normal[seen] < 0.01).all()
+    lever = np.insert(-table.centre, 3, 1.0, axis=1)
+    across = np.einsum("ni,nij,nj->n", lever, table.covariance, lever)
+    np.testing.assert_allclose(across, table.sd_centre**2)
+    before = mapped(world.scans[:3]).planes
+    assert np.isnan(before.sd_centre).all()
+    assert np.isnan(before.covariance).all()
 
 
 def test_runs_again_to_the_last_bit(noisy: tuple[Storey, Plane3dMapper]) -> None:

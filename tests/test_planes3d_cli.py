@@ -61,6 +61,8 @@ def test_result_folder_is_complete(storey: Path) -> None:
         corners = np.array([corner.split() for corner in row["outline"].split(";")], dtype=float)
         assert np.linalg.norm(normal) == pytest.approx(1)
         assert np.abs(corners @ normal - float(row["offset"])).max() < 1e-3
+        assert 0 < float(row["sd_normal"]) < 0.01
+        assert 0 < float(row["sd_centre"]) < 0.01
     summary = json.loads((result / "summary.json").read_text())
     assert summary["variant"] == "planes3d"
     assert summary["counts"]["planes_static"] == len(static)

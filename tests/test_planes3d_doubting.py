@@ -17,7 +17,7 @@ from relmap.planes3d.placing import Placed
 from relmap.planes3d.submap import Submap
 from relmap.planes3d.table import plane_table
 from relmap.plots.planes3d import plot_planes3d
-from tests.test_planes3d_steps import part_of, patches, wall
+from tests.test_planes3d_covariances import part_of, patches, wall
 
 STILL, ORIGIN = np.eye(3), np.zeros(3)
 
@@ -102,6 +102,6 @@ def test_the_way_between_two_parts_of_a_path_is_not_drawn_nor_counted() -> None:
         part.add(k, seen, (STILL, np.array([x, 0.0, 0.0])), np.arange(6))
     assert submap_row(part, 0)["metres"] == pytest.approx(0.4)
     stamps_s, weak = np.array(part.iteration, dtype=np.float64), np.array([], dtype=np.int64)
-    figure = plot_planes3d(plane_table([part]), part.trajectory, stamps_s, weak)
+    figure = plot_planes3d(plane_table([part], True), part.trajectory, stamps_s, weak)
     drawn = [line.get_xdata() for line in figure.axes[1].lines]
     assert max(np.nanmax(np.abs(np.diff(x)), initial=0.0) for x in drawn) < 0.2

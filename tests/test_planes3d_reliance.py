@@ -9,7 +9,7 @@ from relmap.core.arrays import Floats, Ints
 from relmap.planes3d.refining import refined, scene, sightings, unsure_steps
 from relmap.planes3d.reliance import changes, fragile
 from relmap.planes3d.submap import Submap
-from tests.test_planes3d_steps import patches, wall
+from tests.test_planes3d_covariances import patches, wall
 
 
 def carried(way_m: list[float], *walls_m: float) -> Submap:

@@ -13,14 +13,17 @@ from numpy.typing import NDArray
 from relmap.core.errors import RelmapError
 
 AXES = ("x", "y", "z")
+NORMAL = ("nx", "ny", "nz")
+PLANE = (*NORMAL, "offset")
 NAMES: dict[str, tuple[str, ...]] = {
     "landmark_ids": ("landmark",),
     "position": AXES,
     "positions": AXES,
     "centre": AXES,
     "covariances": tuple(f"c{a}{b}" for a in AXES for b in AXES),
+    "covariance": tuple(f"c_{a}_{b}" for a in PLANE for b in PLANE),
     "midpoint": AXES,
-    "normal": ("nx", "ny", "nz"),
+    "normal": NORMAL,
     "ends": ("x0", "y0", "x1", "y1"),
     "z_extent": ("z0", "z1"),
     "corner": ("corner0", "corner1"),

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.columns import AXES, NORMAL
 from relmap.core.errors import RelmapError
 from relmap.io.files import atomic_write, write_tum
 from relmap.io.results import MAP_PLY, Result, read_result
@@ -18,12 +19,12 @@ from relmap.planes3d.submap import Submap
 from relmap.planes3d.table import Plane3dTable
 
 PLANES = "planes.csv"
+SDS = "sd", "sd_normal", "sd_centre"
 LEAST_SCANS = 10
 """Minimum scans of a submap with a separate file."""
-_NORMAL, _CENTRE = ("nx", "ny", "nz"), ("x", "y", "z")
 COLUMNS: dict[str, Kind] = {
     "plane": "int",
-    **dict.fromkeys((*_NORMAL, "offset", *_CENTRE, "sd", "area_m2"), "float or empty"),
+    **dict.fromkeys((*NORMAL, "offset", *AXES, *SDS, "area_m2"), "float or empty"),
     **dict.fromkeys(("observations", "first_iteration", "last_iteration"), "int"),
     "status": "text",
     "submap": "int",
@@ -96,6 +97,8 @@ def write_planes3d(folder: Path, table: Plane3dTable) -> None:
         table.offset.tolist(),
         *table.centre.T.tolist(),
         table.sd.tolist(),
+        table.sd_normal.tolist(),
+        table.sd_centre.tolist(),
         table.area_m2.tolist(),
         table.observations.tolist(),
         table.first_iteration.tolist(),
@@ -114,10 +117,10 @@ def read_result3d(folder: Path) -> Plane3dResult:
     Raises `RelmapError` if a file is missing or invalid.
     """
     table = read_table(folder / PLANES, COLUMNS)
-    for name in (*_NORMAL, "offset", *_CENTRE, "area_m2"):
+    for name in (*NORMAL, "offset", *AXES, "area_m2"):
         _require(folder, table, ~np.isnan(table[name]), f"its field {name} is empty")
     normal, centre = (
-        np.column_stack([table.pop(name) for name in names]) for names in (_NORMAL, _CENTRE)
+        np.column_stack([table.pop(name) for name in names]) for names in (NORMAL, AXES)
     )
     length = np.hypot.reduce(normal, axis=1)
     _require(folder, table, np.abs(length - 1) <= UNIT, "its normal is not of length 1")

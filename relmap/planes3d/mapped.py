@@ -82,7 +82,7 @@ class Mapped3d(Recorded, Shown):
     @property
     def planes(self) -> Plane3dTable:
         """All planes, each in the frame of its submap; those of the first submap are mapped."""
-        return plane_table(self.submaps)
+        return plane_table(self.submaps, self.is_refined)
 
     @property
     def trajectory(self) -> Floats:

@@ -7,6 +7,7 @@ from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Bools, Floats
 from relmap.planes3d.adjustment import GAIN, PlaneAdjustment, Scene, Sightings
+from relmap.planes3d.covariances import plane_covariances, step_covariances
 from relmap.planes3d.fitting import (
     SYSTEMATIC,
     WEAK,
@@ -15,7 +16,6 @@ from relmap.planes3d.fitting import (
 )
 from relmap.planes3d.gathering import gathered
 from relmap.planes3d.reliance import unreliable_steps
-from relmap.planes3d.steps import step_covariances
 from relmap.planes3d.submap import Submap
 from relmap.planes3d.surfaces import SIDE, Surfaces
 from relmap.segmentation.space import Patches
@@ -94,6 +94,12 @@ def unsure_steps(part: Submap) -> dict[int, Floats]:
         unsure |= sd_m > UNSURE * reach_m
     rows = np.flatnonzero(unsure).tolist()
     return {part.iteration[k + 1]: directed(axes[k, :, 2]) for k in rows}
+
+
+def covariances_of(part: Submap) -> Floats:
+    """Return the covariances (l, 4, 4) of the planes of a submap, see `plane_covariances`."""
+    share = SYSTEMATIC if part.share is None else part.share
+    return plane_covariances(sightings(part), scene(part), share)
 
 
 def sightings(part: Submap) -> Sightings:

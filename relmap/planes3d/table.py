@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from relmap.core.arrays import Floats, Ints
 from relmap.core.columns import Table
 from relmap.planes3d.outlines import surfaces_of
+from relmap.planes3d.refining import covariances_of, scene
 from relmap.planes3d.roughness import is_rough
 from relmap.planes3d.submap import Submap
 
@@ -36,6 +37,11 @@ class Plane3dTable(Table):
         Weighted mean of its points.
     sd : (n,) float64, metres
         Standard deviation of its points across it.
+    sd_normal, sd_centre : (n,) float64, radians and metres
+        Standard deviations of the normal, in its least certain direction, and of the position at
+        the centre, along the normal. They describe the error in the frame of the submap, after
+        `refine` and until the next scan; NaN otherwise, and where the observations do not determine
+        the plane to within the size of the submap.
     area_m2 : (n,) float64
         Area of the squares in which it was seen: of the size of a voxel, smaller on narrow planes.
     outline : list of (k, 3) float64, frame of the submap, metres
@@ -52,6 +58,8 @@ class Plane3dTable(Table):
         "unmapped".
     submap : (n,) int64
         Rank of the submap, the largest first.
+    covariance : (n, 4, 4) float64
+        Of `normal` and `offset`, as `sd_normal`; no rows if `refine` has not been called.
     """
 
     plane: Ints
@@ -59,6 +67,8 @@ class Plane3dTable(Table):
     offset: Floats
     centre: Floats
     sd: Floats
+    sd_normal: Floats
+    sd_centre: Floats
     area_m2: Floats
     outline: list[Floats]
     meets: list[Ints]
@@ -67,17 +77,17 @@ class Plane3dTable(Table):
     last_iteration: Ints
     status: NDArray[np.str_]
     submap: Ints
+    covariance: Floats = field(default_factory=lambda: np.empty((0, 4, 4)))
 
 
-def plane_table(submaps: list[Submap]) -> Plane3dTable:
-    """Return the table of the planes of all submaps."""
-    parts = [_rows(part, rank) for rank, part in enumerate(submaps)]
+def plane_table(submaps: list[Submap], is_refined: bool) -> Plane3dTable:
+    """Return the table of the planes of all submaps; `is_refined`: after the last scan."""
+    parts = [_rows(part, rank, is_refined) for rank, part in enumerate(submaps)]
     if not parts:
         none, number = np.empty((0, 3)), np.empty(0, dtype=np.int64)
         flat, status = np.empty(0), np.empty(0, dtype=np.str_)
-        return Plane3dTable(
-            number, none, flat, none, flat, flat, [], [], number, number, number, status, number
-        )
+        given = none, flat, none, flat, flat, flat, flat
+        return Plane3dTable(number, *given, [], [], number, number, number, status, number)
     columns = {name: [part[name] for part in parts] for name in parts[0]}
     whole: dict[str, Any] = {
         name: [each for part in columns.pop(name) for each in part] for name in RAGGED
@@ -86,7 +96,7 @@ def plane_table(submaps: list[Submap]) -> Plane3dTable:
     return Plane3dTable(**whole)
 
 
-def _rows(part: Submap, rank: int) -> dict[str, Any]:
+def _rows(part: Submap, rank: int, is_refined: bool) -> dict[str, Any]:
     order = np.argsort(part.number, kind="stable")
     planes = part.all_planes()
     when = np.repeat(part.iteration, [len(match) for match in part.match])
@@ -114,4 +124,23 @@ def _rows(part: Submap, rank: int) -> dict[str, Any]:
         "last_iteration": part.last[order],
         "status": status[order],
         "submap": np.full(len(part), rank),
+        **{name: values[order] for name, values in _uncertainty(part, is_refined).items()},
     }
+
+
+def _uncertainty(part: Submap, is_refined: bool) -> dict[str, Floats]:
+    """Return the covariances of planes and what follows from them; NaN where unknown."""
+    found = {
+        "covariance": np.full((len(part), 4, 4), np.nan),
+        "sd_normal": np.full(len(part), np.nan),
+        "sd_centre": np.full(len(part), np.nan),
+    }
+    if is_refined:
+        covariance, state = covariances_of(part), scene(part)
+        lever = np.insert(-state.base, 3, 1.0, axis=1)
+        sd_m = np.sqrt(np.einsum("ni,nij,nj->n", lever, covariance, lever))
+        known = sd_m < np.ptp(np.concatenate([state.t, state.base]), axis=0).max()
+        sd_rad = np.sqrt(np.linalg.eigvalsh(covariance[:, :3, :3])[:, 2])
+        for values, all_values in zip(found.values(), (covariance, sd_rad, sd_m), strict=True):
+            values[known] = all_values[known]
+    return found

@@ -1,17 +1,35 @@
-"""How well the observations of a submap determine each step from scan to scan."""
+"""How well the observations of a submap determine its planes, and each step from scan to scan."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
-from relmap.planes3d.adjustment import PlaneAdjustment, Scene, Sightings
+from relmap.planes3d.adjustment import PlaneAdjustment, Scene, Sightings, across
 
 AROUND, AT_ONCE = 12, 12
 """Scans before and after a step from which its covariance is computed, and steps processed at
 once."""
 LOOSE, LOOSE_PLANE = 1e-11, 1e-9
 """Damping that keeps undetermined poses and planes finite, as a fraction of the diagonal."""
+
+
+def plane_covariances(seen: Sightings, scene: Scene, systematic: float) -> Floats:
+    """Return the covariance of each plane in the frame of the first scan.
+
+    `scene`, `systematic`: see `step_covariances`. Returns (l, 4, 4): of the normal, and of the
+    offset ``normal @ x`` of its points, metres.
+    """
+    problem = PlaneAdjustment(seen, systematic)
+    weight, pattern = problem.weights(problem.residuals(scene)), problem.pattern
+    factor = problem.equations(scene, weight, True, 0.0).matrix
+    pattern.factorise(factor)
+    own = pattern.first[:, None] + np.arange(3)
+    by = np.zeros((len(own), 4, 3))
+    for k, axis in enumerate(across(scene.normal)):
+        by[:, :3, k], by[:, 3, k] = axis, (axis * scene.base).sum(axis=1)
+    by[:, 3, 2] = 1.0
+    return np.asarray(by @ pattern.parts(pattern.inverse(factor), own) @ by.transpose(0, 2, 1))
 
 
 def step_covariances(seen: Sightings, scene: Scene, systematic: float) -> Floats:

@@ -1,4 +1,4 @@
-"""Planes in space: how well steps are known, and landmarks that are one surface."""
+"""Planes in space: how well planes and steps are known, and landmarks that are one surface."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from relmap.core.arrays import Floats
 from relmap.planes3d.adjustment import PlaneAdjustment, Scene, across
+from relmap.planes3d.covariances import plane_covariances, step_covariances
 from relmap.planes3d.refining import refined, unsure_steps
-from relmap.planes3d.steps import step_covariances
 from relmap.planes3d.submap import Submap
 from relmap.segmentation.space import Patches, PatchSegmenter
 from tests.test_plane_adjustment import room
@@ -58,6 +58,38 @@ def test_covariances_are_those_of_the_whole_least_squares() -> None:
         scale = np.sqrt(np.outer(*[np.diag(expected)] * 2))
         assert np.abs(found[k] - expected).max() < 1e-3 * scale.max()
         assert np.abs(found[k] - expected)[:3, :3].max() < 1e-3 * scale[:3, :3].max()
+
+    def plane(scene: Scene, k: int) -> Floats:
+        return np.append(scene.normal[k], scene.normal[k] @ scene.base[k] + scene.off[k])
+
+    planes = plane_covariances(seen, truth, 0.0)
+    assert planes.shape == (len(truth.normal), 4, 4)
+    for k in range(len(planes)):
+        by = np.column_stack([(plane(each, k) - plane(truth, k)) / DELTA for each in ways])
+        expected = by @ whole @ by.T
+        assert np.abs(planes[k] - expected).max() < 1e-3 * np.abs(expected).max()
+
+
+def test_errors_of_planes_are_as_large_as_their_covariances_say() -> None:
+    squares, rng = [], np.random.default_rng(0)
+    for seed in range(60):
+        exact, truth = room(seed)
+        tilt, off = rng.standard_normal((2, len(exact.scan), 3)) / np.sqrt(exact.information)
+        tilt[:, 2] = 0.0
+        turn = Rotation.from_rotvec(np.einsum("ni,nij->nj", tilt, exact.axes)).as_matrix()
+        seen = replace(
+            exact,
+            axes=np.einsum("nij,nkj->nki", turn, exact.axes),
+            centre=exact.centre + off[:, 2:] * exact.axes[:, 2],
+        )
+        found = PlaneAdjustment(seen).solve(truth)
+        covariance = plane_covariances(seen, found, 0.0)
+        reach = (found.normal * found.base).sum(1) + found.off - (truth.normal * truth.base).sum(1)
+        error = np.column_stack([found.normal - truth.normal, reach])
+        # The length of the normal is known: three degrees of freedom.
+        information = np.linalg.pinv(covariance, rcond=1e-9, hermitian=True)
+        squares.append(np.einsum("ni,nij,nj->n", error, information, error))
+    assert np.mean(squares) == pytest.approx(3.0, rel=0.15)
 
 
 def test_planes_known_in_some_directions_only_do_no_harm() -> None:
