@@ -20,6 +20,7 @@ from relmap.core.grouping.chart import PointChart
 from relmap.core.grouping.completion import RelativeMap
 from relmap.core.grouping.growth import grow_group
 from relmap.core.grouping.levels import GroupLevels
+from relmap.core.keeping import keep_beside
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.map.placing import Placing
 from relmap.core.model import LandmarkModel
@@ -84,39 +85,25 @@ class RelativeMapper:
         iteration = self.store.n_iterations
         if len(seen) or self.association.registration is not None:
             self.association.choose(ids, iteration)
-        if odometry is not None and not len(self.motions) and not self.model.keeps_observations:
-            self._keep_stored(iteration)  # The first motion comes from the scan before.
-        self.motions.append(odometry, iteration)
         # Register: match observations to those of earlier scans, untransformed (section II).
         found = self.association.match(seen, ids, odometry, covariances)
-        self.refined = []
-        self.odometry = None
+        self.refined, self.odometry = [], None
+        # Store every observation untransformed (Fig. 3).
+        landmarks = self._store(seen, found, iteration)
+        keep_beside(self, found, seen, covariances, odometry)
+        # Group landmarks that are due, merge and forget (section III).
+        take_turns(self, landmarks, self.schedule.see(landmarks, iteration))
+        return found
+
+    def _store(self, seen: Any, found: Ints, iteration: int) -> Ints:
+        """Add landmarks to the table and their observations to the store; return the landmarks."""
         rows = self.model.rows(seen, found)
         shown = self.model.points(rows)
         landmarks = self.table.enter(shown.landmarks, shown.points_robot, iteration)
-        # Store every observation untransformed (Fig. 3).
         is_shown = shown.landmarks is rows["landmark"]
         rows["landmark"] = landmarks if is_shown else self.table.now(rows["landmark"])
         self.store.append(**rows)
-        if covariances is not None:
-            named = found >= 0
-            self.weighed.append(found[named], seen[named], covariances[named], iteration)
-        else:
-            self.association.current.weigh_own(found, seen, iteration, self.weighed)
-        if len(self.motions) and len(landmarks) and not self.model.keeps_observations:
-            named = found >= 0
-            self.kept.append(found[named], seen[named], iteration)
-        left = self.schedule.see(landmarks, iteration)
-        # Group landmarks that are due, merge and forget (section III).
-        take_turns(self, landmarks, left)
-        return found
-
-    def _keep_stored(self, end: int) -> None:
-        """Keep the observations of the stored iterations before `end`."""
-        for i in range(self.store.first_iteration, end):
-            landmarks, _ = self.store.seen(i, i + 1)
-            if len(landmarks):
-                self.kept.append(landmarks, self.store.points(i, i + 1), i)
+        return landmarks
 
     def group(self, seed: int, level: int) -> Ints:
         """Group a landmark with those seen with it, at level 1, 2 or 3; return the mapped ones."""

@@ -1,0 +1,43 @@
+"""What a run with odometry or with known noise keeps beside the observation store."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from relmap.core.arrays import Floats, Ints
+
+if TYPE_CHECKING:
+    from relmap.core.mapper import RelativeMapper
+
+
+def keep_beside(
+    engine: RelativeMapper,
+    found: Ints,
+    seen: Any,
+    covariances: Floats | None,
+    odometry: Floats | None,
+) -> None:
+    """Keep the odometry of a scan, and what its refinement needs of each observation.
+
+    `found` (n,): landmark of each observation; the others as given to `RelativeMapper.update`,
+    which stored the scan.
+    """
+    iteration, named = engine.store.n_iterations - 1, found >= 0
+    if covariances is not None:
+        engine.weighed.append(found[named], seen[named], covariances[named], iteration)
+    else:
+        engine.association.current.weigh_own(found, seen, iteration, engine.weighed)
+    keeps = not engine.model.keeps_observations
+    if odometry is not None and not len(engine.motions) and keeps:
+        _keep_stored(engine, iteration)  # The first motion comes from the scan before.
+    engine.motions.append(odometry, iteration)
+    if len(engine.motions) and named.any() and keeps:
+        engine.kept.append(found[named], seen[named], iteration)
+
+
+def _keep_stored(engine: RelativeMapper, end: int) -> None:
+    """Keep the observations of the stored iterations before `end`."""
+    for i in range(engine.store.first_iteration, end):
+        landmarks, _ = engine.store.seen(i, i + 1)
+        if len(landmarks):
+            engine.kept.append(landmarks, engine.store.points(i, i + 1), i)
