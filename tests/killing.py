@@ -60,9 +60,10 @@ def main(folder: Path, moments: int) -> None:
     rng, told = random.Random(1), []
     for k in range(moments):
         journal = folder / f"{k}.journal"
-        killed = killed_after(rng.uniform(0, took), journal, scans)
+        # More often early: a journal grows while scans are mapped, before `finish` and `refine`.
+        killed = killed_after(took * rng.random() ** 2, journal, scans)
         if k % 3 == 0:  # and once more while it goes on
-            killed_after(rng.uniform(0, took), journal, scans)
+            killed_after(took * rng.random() ** 2, journal, scans)
         flushed = journal.with_suffix(".flushed")
         safe = int(flushed.read_text() or 0) if flushed.exists() else 0
         mapper = PointMapper.resume(journal) if journal.exists() else PointMapper()
