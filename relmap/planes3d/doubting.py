@@ -37,12 +37,11 @@ of the planes or of the surfaces of the other: halls look much the same from bot
 class Sight:
     """What a scan sees of the cells (c,) of a map.
 
-    `in_view`: which of them the scan faces, where it has a surface nearby or beyond; `there`: which
-    of these lie on a surface of the scan; `through`: which of them the scan sees through.
+    `in_view`: which of them the scan faces, where it has a surface nearby or beyond; `through`:
+    which of these it sees through.
     """
 
     in_view: Bools
-    there: Bools
     through: Bools
 
     @property
@@ -117,6 +116,5 @@ def sight_of(R: Floats, t: Floats, seen: Patches, planes: Patches) -> Sight:
     plane = seen.cell_patch[cell]
     # Normals face the sensor.
     ahead = np.einsum("ci,ci->c", cells - seen.centre[plane], seen.normal[plane])
-    there = (np.abs(ahead) <= size_m / 2) & (np.abs(away - range_m[cell]) < 2 * size_m)
     through = (ahead > size_m) & (away < range_m[cell] - seen.cell_m)
-    return Sight(in_view, in_view & there, in_view & through)
+    return Sight(in_view, in_view & through)

@@ -34,7 +34,7 @@ TRIMMED, TRIM_SD = 12, 2.0
 are: other points in its voxels would tilt it."""
 WIDE = 0.25
 """Minimum standard deviation of the points of a plane along its width, by the size of voxels."""
-BESIDE_CELLS, AROUND = 3.0, 6
+BESIDE_CELLS, AROUND = 1.5, 6
 """Points within this many cells of a plane that moved away belong to what moves, while it was seen
 and so many scans before and after."""
 FEWEST, FEWEST_SCANS = 24, 3
@@ -189,7 +189,7 @@ def _with_planes(
         numbers.append(np.append(part.number[part.match[k]], number + plane[rows]))
     again = Submap()
     again.extend(part.iteration, patches, part.poses, numbers)
-    again.take_over(part, {})
+    again.take_over(part)
     return again
 
 

@@ -20,6 +20,7 @@ from relmap.planes3d.mapped import Mapped3d
 from relmap.planes3d.placing import Placed, place
 from relmap.planes3d.refining import refined, unsure_steps
 from relmap.planes3d.rims import with_rim
+from relmap.planes3d.sights import sights_of, with_ends
 from relmap.planes3d.submap import Submap
 from relmap.planes3d.surfaces import Surfaces
 from relmap.segmentation.space import Patches, PatchSegmenter
@@ -134,7 +135,7 @@ class Plane3dMapper(Mapped3d):
         iteration, self._n_iterations = self._n_iterations, self._n_iterations + 1
         if not len(seen):
             return np.empty(0, dtype=np.int64)
-        seen = with_rim(seen, iteration)
+        seen = with_ends(with_rim(seen, iteration))
         pose, number = (np.eye(3), np.zeros(3)), np.full(len(seen), -1)
         placed = self._placed(seen, iteration) if self._submaps else None
         if placed is None:
@@ -204,15 +205,13 @@ class Plane3dMapper(Mapped3d):
         return self.update(of_journal(scan.values, scan.blob), scan.stamp_s)
 
     def _name_unsure(self) -> None:
-        """Find the uncertain steps of all submaps."""
+        """Find the uncertain steps of all submaps, and what moved away."""
         for part in self._submaps:
+            part.sights = sights_of(part)
             part.unsure = unsure_steps(part) if len(part.iteration) > 1 else {}
 
     def _placed(self, seen: Patches, iteration: int) -> Placed | None:
-        """Return the placement of a scan in the last submap; its matches are landmark numbers.
-
-        What the scan sees of the landmarks is counted.
-        """
+        """Return the placement of a scan in the last submap; its matches are landmark numbers."""
         part = self._submaps[-1]
         chosen = np.flatnonzero(part.recent(iteration, self.max_missed))
         if not len(chosen):
@@ -224,7 +223,6 @@ class Plane3dMapper(Mapped3d):
         sight = sight_of(placed.R, placed.t, seen, planes)
         if is_doubtful(placed, seen, sight, part, gap):
             return None
-        part.count_sights(part.number[chosen], planes.cell_patch, sight.there, sight.through)
         return placed.named(part.number[chosen])
 
     def _tied_two(self, failed: set[tuple[Span, Span]]) -> bool:

@@ -16,6 +16,7 @@ from relmap.planes3d.fitting import (
 )
 from relmap.planes3d.gathering import gathered
 from relmap.planes3d.reliance import unreliable_steps
+from relmap.planes3d.sights import sights_of
 from relmap.planes3d.submap import Submap
 from relmap.planes3d.surfaces import SIDE, Surfaces
 from relmap.segmentation.space import Patches
@@ -41,6 +42,7 @@ def refined(part: Submap, number: int) -> tuple[Submap, dict[int, int]]:
     Returns `name`: new numbers of landmarks that were joined to others.
     """
     part, names = _settled(part, ROUGHLY)
+    part.sights = sights_of(part)
     more = gathered(part, number)
     part, later = _settled(part if more is None else more, GAIN)
     return part, {old: later.get(new, new) for old, new in names.items()} | later

@@ -8,16 +8,16 @@ from itertools import repeat
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.planes3d.cells import KnownCells, Points
+from relmap.planes3d.cells import MIXED, KnownCells, Points
 from relmap.segmentation.space import Patches
 from relmap.segmentation.space.patches import reach_of
 
 Pose = tuple[Floats, Floats]
 MOST_LOOSE = 20
 """Maximum number of points on no plane that are kept in a cube of half a cell of the map."""
-THROUGH, MANY = 0.5, 10
+THROUGH, MANY = 0.25, 6
 """A plane is dynamic if more than this fraction of the looks at its cells, and this number of them,
-go through: the surface was there, and is not any more."""
+go through: of a box that moves along one of its faces, a scan sees this plane somewhere else."""
 
 
 class Submap:
@@ -48,7 +48,7 @@ class Submap:
         Iteration in which each landmark was last seen.
     sights : dict of int to (2,) int64
         For the number of a landmark, how often scans saw one of its cells where it is, and how
-        often they saw through one.
+        often they saw through one; see `relmap.planes3d.sights`. Set by `finish` and `refine`.
     share : float or None
         Error that the points of an observation have in common, as a fraction of their noise;
         None before it is estimated by refinement.
@@ -67,7 +67,7 @@ class Submap:
 
     STATE = (
         "iteration poses weak held unsure seen match number scatter last sights share "
-        "_normal _cells _cell_of _loose"
+        "_normal _cells _cell_of _loose _rays"
     )
 
     def __init__(self) -> None:
@@ -81,6 +81,7 @@ class Submap:
         self._normal = np.empty((0, 3))
         self._cells = np.empty((0, 3))
         self._cell_of = np.empty(0, dtype=np.int64)
+        self._rays = np.empty(0, dtype=np.int64)
         self._known = KnownCells()
         self._loose = {}
 
@@ -103,8 +104,9 @@ class Submap:
         `number` (m,): number of the landmark of each patch in the mapper.
         """
         R, t = pose
-        kept = self._sparse(seen.loose @ R.T + t, seen.cell_m)
-        self.extend([iteration], [replace(seen, loose=seen.loose[kept])], [pose], [number])
+        kept, new = self._sparse(seen.loose @ R.T + t, seen.cell_m), self._new_rays(seen, pose)
+        seen = replace(seen, loose=seen.loose[kept], ends=seen.ends[new])
+        self.extend([iteration], [seen], [pose], [number])
 
     def extend(
         self, iteration: list[int], seen: list[Patches], poses: list[Pose], numbers: list[Ints]
@@ -145,22 +147,9 @@ class Submap:
         self.last = np.append(self.last, np.zeros(len(new), dtype=np.int64))
         return np.asarray(rows[at])
 
-    def count_sights(self, number: Ints, of: Ints, there: Bools, through: Bools) -> None:
-        """Count what a scan sees of landmarks.
-
-        `number` (k,): of the landmarks; `of`, `there`, `through` (c,): the landmark, 0 to k - 1, of
-        each of their cells, whether it is seen there, and whether it is seen through.
-        """
-        counts = np.stack([np.bincount(of, each, len(number)) for each in (there, through)], axis=1)
-        for row in np.flatnonzero(counts.any(axis=1)):
-            self._add_sights(int(number[row]), counts[row].astype(np.int64))
-
-    def _add_sights(self, number: int, counts: Ints) -> None:
-        self.sights[number] = counts + self.sights.get(number, 0)
-
     @property
     def is_dynamic(self) -> Bools:
-        """Which landmarks (l,) moved away: scans mostly saw through them."""
+        """Which landmarks (l,) are not there all the time: scans saw through them."""
         none = np.zeros(2, dtype=np.int64)
         looks = [self.sights.get(number, none) for number in self.number.tolist()]
         there, through = np.reshape(looks, (-1, 2)).T
@@ -183,6 +172,18 @@ class Submap:
             zip(key.tolist(), np.minimum(known + counts, MOST_LOOSE).tolist(), strict=True)
         )
         return np.flatnonzero(rank < (MOST_LOOSE - known)[at])
+
+    def _new_rays(self, seen: Patches, pose: Pose) -> Bools:
+        """Return which rays of a scan do not begin and end in the cells of one of the scan before.
+
+        Where the sensor stands still, only what moves is kept.
+        """
+        from relmap.planes3d.nearest_kernels import keys_of
+
+        R, t = pose
+        keys = MIXED * keys_of(seen.ends @ R.T + t, seen.cell_m) + keys_of(t[None], seen.cell_m)
+        before, self._rays = self._rays, keys
+        return ~np.isin(keys, before)
 
     @property
     def trajectory(self) -> Floats:
@@ -233,18 +234,14 @@ class Submap:
         number = np.array([name.get(k, k) for k in self.number.tolist()], dtype=np.int64)
         part = Submap()
         part.extend(self.iteration, self.seen, poses, [number[match] for match in self.match])
-        part.take_over(self, name)
+        part.take_over(self)
         return part
 
-    def take_over(self, other: Submap, name: dict[int, int]) -> None:
-        """Copy all but the observations of another submap of the same scans.
-
-        `name`: new numbers of landmarks that were renamed.
-        """
+    def take_over(self, other: Submap) -> None:
+        """Copy all but the observations of another submap of the same scans."""
         self.weak, self.held, self.share = dict(other.weak), set(other.held), other.share
-        self.unsure, self._loose = dict(other.unsure), other._loose
-        for number, counts in other.sights.items():
-            self._add_sights(name.get(number, number), counts)
+        self.unsure, self.sights = dict(other.unsure), dict(other.sights)
+        self._loose, self._rays = other._loose, other._rays
 
     def joined(self, other: Submap, pose: Pose, name: dict[int, int]) -> Submap:
         """Return the submap and another as one, in the frame of the first scan of both.
@@ -267,9 +264,6 @@ class Submap:
             both.add(iteration, part.seen[k], there, part.number[part.match[k]])
         both.weak, both.held = self.weak | other.weak, self.held | other.held
         both.unsure = self.unsure | other.unsure
-        for part in (self, placed):
-            for number, counts in part.sights.items():
-                both._add_sights(number, counts)
         return both
 
 

@@ -53,7 +53,7 @@ class Plane3dTable(Table):
     observations, first_iteration, last_iteration : (n,) int64
         Number of scans that saw it, the first and the last.
     status : (n,) str
-        "dynamic" if later scans mostly saw through it; "static" if not, and if it is in the first
+        "dynamic" if scans often saw through it; "static" if not, and if it is in the first
         submap, at least two scans saw it and it is not much thicker than the noise; else
         "unmapped".
     submap : (n,) int64

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from relmap.core.arrays import Floats, Ints
+from relmap.core.arrays import Floats, Ints, Singles
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +45,8 @@ class Patches:
         Points just beyond the patches, in their planes, that scans saw through.
     rim_patch : (r,) int64
         The patch of each.
+    ends : (e, 3) float32, metres
+        Where the rays of the scan ended, on planes or not, about one per voxel.
     """
 
     centre: Floats
@@ -59,6 +61,7 @@ class Patches:
     loose: Floats = field(default_factory=lambda: np.empty((0, 3)))
     rim: Floats = field(default_factory=lambda: np.empty((0, 3)))
     rim_patch: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    ends: Singles = field(default_factory=lambda: np.empty((0, 3), dtype=np.float32))
 
     def __len__(self) -> int:
         """Return the number of patches."""

@@ -1,0 +1,74 @@
+"""How often scans saw a plane where it is, and how often they saw through it: what moved away."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from relmap.core.arrays import Floats, Ints
+from relmap.planes3d.submap import Pose, Submap
+from relmap.segmentation.space import Patches
+from relmap.segmentation.space.voxels import NEAR, cells_of
+
+LOOKED_AT, AROUND = 16, 4
+"""Number of cells of each plane that are looked for in every scan, and of the rays of the scan
+next to each: a scan sees through a cell if all of these end beyond it."""
+FACING = 0.3
+"""Minimum cosine at which a surface is seen."""
+BESIDE, FURTHER = 1.0, 2.5
+"""Largest distance, in cells at the range, of the nearest ray from a cell, and by how much the
+others may be further away."""
+
+
+def with_ends(seen: Patches) -> Patches:
+    """Return the planes of a scan with the places where its rays ended; see `Patches`."""
+    keys, of = cells_of(seen.loose, np.linalg.norm(seen.loose, axis=1), seen.cell_m, seen.reach_m)
+    first = np.empty(len(keys), dtype=np.int64)
+    first[of[::-1]] = np.arange(len(of))[::-1]
+    ends = np.concatenate([seen.cells, seen.loose[first]])
+    return replace(seen, ends=ends[ends.any(axis=1)].astype(np.float32))
+
+
+def sights_of(part: Submap) -> dict[int, Ints]:
+    """Return for the numbers of landmarks how often scans saw a cell where it is, or through it."""
+    planes, count = part.planes(np.arange(len(part))), len(part)
+    number = np.bincount(planes.cell_patch, minlength=count)
+    rank = np.arange(len(planes.cells)) - (np.cumsum(number) - number)[planes.cell_patch]
+    rows = np.flatnonzero(rank * LOOKED_AT % number[planes.cell_patch] < LOOKED_AT)
+    cells, of = planes.cells[rows], planes.cell_patch[rows]
+    counts = np.zeros((count, 2), dtype=np.int64)
+    for seen, pose in zip(part.seen, part.poses, strict=True):
+        there, through = _looks(seen, pose, cells, planes.normal[of])
+        counts[:, 0] += np.bincount(of[there], minlength=count)
+        counts[:, 1] += np.bincount(of[through], minlength=count)
+    return {int(part.number[k]): counts[k] for k in np.flatnonzero(counts.any(axis=1))}
+
+
+def _looks(seen: Patches, pose: Pose, cells: Floats, normal: Floats) -> tuple[Ints, Ints]:
+    """Return the rows of cells (c, 3), submap frame, where a scan sees a surface, or through it.
+
+    `normal` (c, 3): of their planes.
+    """
+    R, t = pose
+    ends = seen.ends.astype(np.float64)
+    range_m = np.linalg.norm(ends, axis=1)
+    at, far_m = (cells - t) @ R, range_m.max(initial=0.0)
+    away = np.linalg.norm(at, axis=1)
+    facing = np.abs(np.einsum("ci,ci->c", at, normal @ R)) > FACING * away
+    rows = np.flatnonzero(facing & (away < far_m))
+    if not len(rows):
+        return rows, rows
+    off, ray = cKDTree(ends / range_m[:, None]).query(at[rows] / away[rows, None], k=AROUND)
+    range_m, away = np.append(range_m, far_m)[ray], away[rows, None]
+    near = off < BESIDE * _cell_m(seen, range_m) / range_m * [1.0, *[FURTHER] * (AROUND - 1)]
+    beyond_m, cell_m = range_m - away, _cell_m(seen, away)
+    there = (near & (np.abs(beyond_m) < cell_m)).any(axis=1)
+    through = (~near | (beyond_m > cell_m)).all(axis=1)
+    return rows[near[:, 0] & there], rows[near[:, 0] & through]
+
+
+def _cell_m(seen: Patches, range_m: Floats) -> Floats:
+    """Return the size of the cells of a scan at some ranges."""
+    return seen.cell_m * np.sqrt(np.maximum(range_m / seen.reach_m, NEAR))

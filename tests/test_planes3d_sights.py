@@ -1,0 +1,43 @@
+"""Planes in space: what scans saw through, before or after, is dynamic."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from relmap import Plane3dMapper
+from relmap.core.arrays import Floats
+from tests.test_planes3d_steps import patches, wall
+
+
+def mapped(*screens: Floats | None) -> Plane3dMapper:
+    """Return a mapper that saw a room, and in each scan a screen or none."""
+    room, mapper = [wall(axis, 3.0) for axis in range(3)], Plane3dMapper()
+    for screen in screens:
+        mapper.update(patches(*room, *(() if screen is None else (screen,))))
+    mapper.finish()
+    return mapper
+
+
+STANDS = wall(0, 2.0, (-0.5, 0.5))
+
+
+@pytest.mark.parametrize("screens", [[None] * 4 + [STANDS] * 4, [STANDS] * 4 + [None] * 4])
+def test_a_plane_that_scans_saw_through_before_or_after_is_dynamic(
+    screens: list[Floats | None],
+) -> None:
+    assert mapped(*screens).planes.status.tolist() == ["static"] * 3 + ["dynamic"]
+
+
+def test_a_plane_that_is_always_there_is_static() -> None:
+    assert (mapped(*[STANDS] * 8).planes.status == "static").all()
+
+
+def test_a_plane_that_slides_along_itself_is_dynamic() -> None:
+    screens = [wall(0, 2.0, (at, at + 0.6)) for at in np.linspace(-0.7, 0.3, 8)]
+    mapper = mapped(*screens)
+    # All scans see it, but not all of it.
+    assert mapper.planes.observations.tolist() == [8] * 4
+    assert mapper.planes.status.tolist() == ["static"] * 3 + ["dynamic"]
+    mapper.refine()
+    assert mapper.planes.status.tolist() == ["static"] * 3 + ["dynamic"]
