@@ -56,7 +56,7 @@ def gathered(part: Submap, number: int) -> Submap | None:
     scan = np.repeat(np.arange(len(own)), [len(each) for each in own])
     points = np.concatenate([x @ R.T + t for x, (R, t) in zip(own, part.poses, strict=True)])
     sigma = max(float(np.median(planes.spread[:, 2])), ROUNDING * planes.reach_m + TINY)
-    label = _labels(points, scan, ~_moves(points, scan, part), planes, sigma)
+    label = _labels(points, scan, part, planes, sigma)
     count = int(label.max(initial=-1)) + 1
     if not count:
         return None
@@ -64,15 +64,16 @@ def gathered(part: Submap, number: int) -> Submap | None:
     return _with_planes(part, points, scan, label, number, sigma)
 
 
-def _labels(points: Floats, scan: Ints, still: Bools, planes: Patches, sigma: float) -> Ints:
+def _labels(points: Floats, scan: Ints, part: Submap, planes: Patches, sigma: float) -> Ints:
     """Return the plane (n,) of points (n, 3), -1 for none.
 
-    `scan` (n,): of each; `still` (n,): which may belong to one; `planes`: those known already;
-    `sigma`, metres: noise of the points across planes.
+    `scan` (n,): of each; `planes`: those of the submap known already; `sigma`, metres: noise of the
+    points across planes.
     """
     label, count = np.full(len(points), -1), 0
     of, off = _nearby(points, planes)
-    left = np.flatnonzero((off > KNOWN_SD).all(axis=1) & still)
+    left = np.flatnonzero((off > KNOWN_SD).all(axis=1))
+    left = left[~_moves(points[left], scan[left], part)]
     for size, shift in itertools.product(SIZES, SHIFTS):
         size_m, free = size * planes.cell_m, points[left]
         for mine in _regions_in(free + shift * size_m, size_m, sigma):
