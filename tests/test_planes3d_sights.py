@@ -7,7 +7,7 @@ import pytest
 
 from relmap import Plane3dMapper
 from relmap.core.arrays import Floats
-from tests.test_planes3d_steps import patches, wall
+from tests.test_planes3d_covariances import patches, wall
 
 
 def mapped(*screens: Floats | None) -> Plane3dMapper:
