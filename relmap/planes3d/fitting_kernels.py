@@ -59,7 +59,7 @@ def _equations(
             _add_row(R, t, arm, planes[r], root[r, k], k == 2, off[r, k : k + 1], J[r, k])
             size[r] += off[r, k] ** 2
         size[r] = np.sqrt(size[r])
-    limit = max(doubtful, 2 * medians(np.zeros(n_rows, np.int64), size)[0])
+    limit = max(doubtful, 2 * medians(np.zeros(n_rows, dtype=np.int64), size)[0])
     H, g = np.zeros((6, 6)), np.zeros(6)
     for r in range(n_rows):
         weight = 1 / (1 + (size[r] / limit) ** 2)
@@ -161,7 +161,7 @@ def fit_placement(
     axes, centre, spread, information = scan
     systematic, bent, doubtful = errors
     count, n = len(match), 0
-    rows, planes, root = np.empty(count, np.int64), np.empty((count, 4)), np.empty((count, 3))
+    rows, planes, root = np.empty(count, dtype=np.int64), np.empty((count, 4)), np.empty((count, 3))
     for i in range(count):
         if match[i] < 0:
             continue

@@ -21,7 +21,7 @@ def agreeing(source: Floats, target: Floats, a: Ints, b: Ints, tolerance_m: floa
     Returns (p, p), symmetric.
     """
     n, d = source.shape
-    agree = np.zeros((n, n), np.bool_)
+    agree = np.zeros((n, n), dtype=np.bool_)
     for i in range(n):
         for j in range(i):
             if a[i] != a[j] and b[i] != b[j]:
@@ -43,15 +43,15 @@ def largest_clique(agree: Bools, most_steps: int) -> Ints:
     """
     n = len(agree)
     order = _by_neighbours(agree)
-    neighbours = np.empty((n, n), np.bool_)
+    neighbours = np.empty((n, n), dtype=np.bool_)
     for i in range(n):
         for j in range(n):
             neighbours[i, j] = agree[order[i], order[j]]
     best = _grown(neighbours)
-    nodes, colours = np.empty((n + 1, n), np.int64), np.empty((n + 1, n), np.int64)
-    left = np.zeros(n + 1, np.int64)
-    chosen = np.empty(n, np.int64)
-    open_, marked = np.empty(n, np.int64), np.zeros(n, np.bool_)
+    nodes, colours = np.empty((n + 1, n), dtype=np.int64), np.empty((n + 1, n), dtype=np.int64)
+    left = np.zeros(n + 1, dtype=np.int64)
+    chosen = np.empty(n, dtype=np.int64)
+    open_, marked = np.empty(n, dtype=np.int64), np.zeros(n, dtype=np.bool_)
     for i in range(n):
         open_[i] = i
     _colour(neighbours, open_, nodes[0], colours[0])
@@ -82,7 +82,7 @@ def largest_clique(agree: Bools, most_steps: int) -> Ints:
 def _by_neighbours(agree: Bools) -> Ints:
     """Return the nodes by descending number of neighbours; ties keep their order."""
     n = len(agree)
-    degree, order = np.zeros(n, np.int64), np.empty(n, np.int64)
+    degree, order = np.zeros(n, dtype=np.int64), np.empty(n, dtype=np.int64)
     for i in range(n):
         for j in range(n):
             degree[i] += agree[i, j]
@@ -108,7 +108,7 @@ def _gather(marked: Bools, nodes: Ints) -> int:
 @helper
 def _grown(neighbours: Bools) -> Ints:
     """Return a clique grown greedily by taking the nodes in this order."""
-    members = np.empty(len(neighbours), np.int64)
+    members = np.empty(len(neighbours), dtype=np.int64)
     k = 0
     for i in range(len(neighbours)):
         fits = True
@@ -130,7 +130,7 @@ def _colour(neighbours: Bools, open_: Ints, nodes: Ints, colours: Ints) -> None:
     while len(rest):
         colour += 1
         first, n_later = k, 0
-        later = np.empty(len(rest), np.int64)
+        later = np.empty(len(rest), dtype=np.int64)
         for v in rest:
             fits = True
             for j in range(first, k):

@@ -27,7 +27,7 @@ def numbers_of(slots: Ints, labels: Ints, ids: Ints) -> Ints:
     `labels` (m,): the id of each landmark; `slots` (k,), k a power of two: a hash table of the
     landmarks by their ids, -1 where free.
     """
-    numbers = np.empty_like(ids)
+    numbers = np.empty(len(ids), dtype=np.int64)
     for k in range(len(ids)):
         numbers[k] = slots[_slot(slots, labels, ids[k])] if ids[k] >= 0 else -1
     return numbers

@@ -232,7 +232,7 @@ def matched_sample(
     """
     sample, target, distance, spacing = nearest_of_sample(points, expected, missed, most)
     (m, d), k = (len(sample), points.shape[1]), 0
-    rows, found, apart = np.empty_like(sample), np.empty_like(sample), np.empty(m)
+    rows, found, apart = np.empty(m, dtype=np.int64), np.empty(m, dtype=np.int64), np.empty(m)
     here, there = np.empty((m, d)), np.empty((m, d))
     if np.isfinite(known):
         spacing = known + slowness * (spacing - known) if m else known

@@ -6,11 +6,11 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.fitting_kernels import fit_rows, set_placement
-from relmap.core.linalg.compiling import compiled
+from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.small_kernels import identity, square_between, square_of, unset
 
 
-@compiled
+@helper
 def distances(points: Floats) -> Floats:
     """Return the mutual distances (n, n) of points (n, d)."""
     n, d = points.shape
@@ -25,7 +25,7 @@ def distances(points: Floats) -> Floats:
     return found
 
 
-@compiled
+@helper
 def _allowances(target: Floats, tolerance_m: float, metric: Floats | None) -> Floats:
     """Return by how much the mutual distances (m, m) of targets may differ and yet agree."""
     m, d = target.shape
@@ -60,11 +60,13 @@ def matched_at(
     of matches. `stretch` (m,) is the largest length of a unit of the metric, metres.
     """
     (n, d), m = source.shape, len(target)
-    owner, nearest = unset(m), np.full(m, tolerance_m * tolerance_m)
-    match[:] = -1
+    owner, nearest = unset(m), np.empty(m)
     placed, apart = np.empty(d), np.empty(d)
     count = 0
+    for k in range(m):
+        nearest[k] = tolerance_m * tolerance_m
     for i in range(n):
+        match[i] = -1
         for a in range(d):
             placed[a] = t[a]
             for b in range(d):
@@ -109,8 +111,8 @@ def placements_by_triangles(
     (n, d), m = source.shape, len(target)
     here, there = distances(source), distances(target)
     allowed = _allowances(target, tolerance_m, metric)
-    R, t, matches = np.empty((most, d, d)), np.empty((most, d)), np.empty((most, n), np.int64)
-    corners, found, every = np.empty((3, d)), np.empty((3, d)), np.ones(3, np.bool_)
+    R, t, matches = np.empty((most, d, d)), np.empty((most, d)), np.empty((most, n), dtype=np.int64)
+    corners, found, every = np.empty((3, d)), np.empty((3, d)), np.ones(3, dtype=np.bool_)
     h, tried, turn = 0, 0, identity(d)
     for i, j, p in triangles:
         _enter(source, i, j, p, corners)
@@ -138,7 +140,7 @@ def placements_by_triangles(
     return R[:h], t[:h], matches[:h]
 
 
-@compiled
+@helper
 def _enter(points: Floats, i: int, j: int, k: int, corners: Floats) -> None:
     """Copy three of points (n, d) as corners (3, d)."""
     for a in range(points.shape[1]):

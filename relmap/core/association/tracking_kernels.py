@@ -135,8 +135,8 @@ def followed(
     square = _middle_square(points, expected, links)
     size = _n_kept(point_of, missed, longest) + n - len(rows)
     landmarks, counts, places = (
-        np.empty(size, np.int64),
-        np.empty((3, size), np.int64),
+        np.empty(size, dtype=np.int64),
+        np.empty((3, size), dtype=np.int64),
         np.empty((2, size, d)),
     )
     for row in range(m):
@@ -174,7 +174,7 @@ def claimed_within(
     `reach_m` (k,): largest distance at which each does; `farthest_m`: that of points found.
     """
     distance, target = nearest_within(points, queries, farthest_m)
-    apart = np.empty_like(distance)
+    apart = np.empty(len(distance))
     for row in range(len(apart)):
         apart[row] = distance[row] if distance[row] <= reach_m[row] else np.inf
     return distance, target, claims(target, apart, len(points))

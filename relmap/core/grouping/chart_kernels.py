@@ -14,7 +14,10 @@ def _members_and_columns(
     landmarks: Ints, offsets: Ints, seed: int, slots: Ints
 ) -> tuple[Ints, Ints]:
     """Return the landmarks seen with a seed, the seed first, and when; number them in the slots."""
-    columns, members = np.empty(len(offsets) - 1, np.int64), np.empty(len(landmarks) + 1, np.int64)
+    columns, members = (
+        np.empty(len(offsets) - 1, dtype=np.int64),
+        np.empty(len(landmarks) + 1, dtype=np.int64),
+    )
     j, n = 0, 0
     if seed >= 0:
         members[0], slots[seed], n = seed, 0, 1
@@ -67,7 +70,7 @@ def chart_block(
 @helper
 def _descending(rows: Ints, values: Floats | Ints) -> Ints:
     """Return rows (k,) in the order of their descending values, equal ones as they are."""
-    keys, listed = np.empty(len(rows)), np.empty_like(rows)
+    keys, listed = np.empty(len(rows)), np.empty(len(rows), dtype=np.int64)
     for j in range(len(rows)):
         keys[j] = -values[rows[j]]
     order = ordered(keys)

@@ -201,7 +201,8 @@ def factorise(layout: Layout, values: Floats) -> None:
     Each panel is updated by the earlier ones (left-looking; Ng and Peyton, 1993).
     """
     start, column_of, row_begin, rows, offset = layout
-    n, place, highest, widest = len(start) - 1, np.empty_like(column_of), 0, 0
+    n, highest, widest = len(start) - 1, 0, 0
+    place = np.empty(len(column_of), dtype=np.int64)
     head, following, done = unset(n), unset(n), np.zeros(n, dtype=np.int64)
     for p in range(n):
         highest = max(highest, row_begin[p + 1] - row_begin[p])

@@ -108,10 +108,10 @@ def minimum_degree(width: Ints, clique_begin: Ints, cliques: Ints) -> tuple[Ints
     member = _with_room(cliques, len(cliques))
     gone, mark = np.zeros(m + n, dtype=np.bool_), unset(n)
     degree, order = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
+    stamp, left = n, 0
     for v in range(n):
         own = _union(v, begin, end, member, of[first[v] : last[v]], mark, v)
-        degree[v] = _total(width, own)
-    stamp, left = n, np.sum(width)
+        left, degree[v] = left + width[v], _total(width, own)
     for new in range(m, m + n):
         v = _least(degree)
         left -= width[v]

@@ -96,15 +96,15 @@ def _add_rows(rows: Rows, bodies: Bodies, i: int, right: Floats, part: Floats) -
 def _eliminated(coupling: Floats, free: Floats) -> Floats:
     """Return what eliminated bodies add to the matrix (u, u), given how many of each are free (n,).
 
-    The coupling, multiplied by the inverse factor (n * q, u), is overwritten.
+    `coupling` (n * q, u): multiplied by the inverse factor.
     """
-    u = coupling.shape[1]
-    for r in range(len(coupling)):
-        share = np.sqrt(free[r * len(free) // len(coupling)])
+    m, u = coupling.shape
+    across, part = np.empty((u, m)), np.empty((u, u))
+    for r in range(m):
+        share = np.sqrt(free[r * len(free) // m])
         for k in range(u):
-            coupling[r, k] *= share
-    part = np.empty((u, u))
-    np.dot(coupling.T, coupling, part)
+            across[k, r] = share * coupling[r, k]
+    np.dot(across, across.T, part)
     for a in range(u):
         for b in range(u):
             part[a, b] = -part[a, b]
@@ -132,7 +132,7 @@ def reduced_equations(
     _, _, times, free, free_here, _ = bodies
     q = rows[1].shape[1]
     roots, cost = np.zeros((len(times), q, q)), 0.0
-    place = np.empty_like(layout[1])
+    place = np.empty(len(layout[1]), dtype=np.int64)
     for g in range(len(begin) - 1):
         own, n = unknowns[begin[g] : begin[g + 1]], first[g + 1] - first[g]
         coupling, pull = np.zeros((n * q, len(own))), np.zeros(n * q)
@@ -144,8 +144,10 @@ def reduced_equations(
                 squares += pull[a] * pull[a]
                 pull[a] *= -free[body]
             cost -= free[body] * squares
-        left = np.empty(len(own))
-        np.dot(coupling.T, pull, left)
+        left = np.zeros(len(own))
+        for r in range(n * q):
+            for k in range(len(own)):
+                left[k] += coupling[r, k] * pull[r]
         part = np.empty((0, 0))
         if len(values):
             part = _eliminated(coupling, free_here[first[g] : first[g + 1]])
@@ -187,7 +189,7 @@ def eliminated_covariances(
 ) -> Floats:
     """Return the covariances (p, q, q) of the bodies, from the inverse over the kept unknowns."""
     first, begin, unknowns = stretches
-    q, place = rows[1].shape[1], np.empty_like(layout[1])
+    q, place = rows[1].shape[1], np.empty(len(layout[1]), dtype=np.int64)
     found = np.empty((first[-1], q, q))
     for g in range(len(begin) - 1):
         own = unknowns[begin[g] : begin[g + 1]]

@@ -117,8 +117,12 @@ def _shared(block: Floats, seen: Bools) -> tuple[Ints, Ints, Floats, Ints]:
     (k,), (k, n) and (k, n, d); then the number of iterations that see each landmark (n,).
     """
     n, k, d = block.shape
-    n_of, of, here = np.zeros(k, np.int64), np.empty((k, n), np.int64), np.empty((k, n, d))
-    counts = np.zeros(n, np.int64)
+    n_of, of, here = (
+        np.zeros(k, dtype=np.int64),
+        np.empty((k, n), dtype=np.int64),
+        np.empty((k, n, d)),
+    )
+    counts = np.zeros(n, dtype=np.int64)
     for i in range(n):
         for m in range(k):
             counts[i] += seen[i, m]

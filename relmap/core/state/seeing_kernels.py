@@ -21,7 +21,7 @@ def see(
     """
     last, observations, in_interval, is_gone, begin = columns
     n, n_left, n_arrived = len(in_view), 0, 0
-    arrived, left = np.empty_like(landmarks), np.empty_like(in_view)
+    arrived, left = np.empty(len(landmarks), dtype=np.int64), np.empty(n, dtype=np.int64)
     for one in landmarks:
         if iteration - last[one] > max_missed + 1:
             arrived[n_arrived], n_arrived = one, n_arrived + 1
@@ -51,7 +51,8 @@ def due(
 
     Only those with a multiple of so many observations.
     """
-    found, levels, n = np.empty_like(landmarks), np.empty_like(landmarks), 0
+    most, n = len(landmarks), 0
+    found, levels = np.empty(most, dtype=np.int64), np.empty(most, dtype=np.int64)
     for one in landmarks:
         if in_interval[one] % every == 0:
             reached = 0

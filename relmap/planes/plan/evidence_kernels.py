@@ -43,7 +43,7 @@ def _cells(
     """Return the cells of a grid along a beam, at steps of a cell's size."""
     x, y, dx, dy = beam
     steps = int(np.hypot(dx, dy) / cell_m) + 1
-    cells, n = np.empty(steps + 1, np.int64), 0
+    cells, n = np.empty(steps + 1, dtype=np.int64), 0
     for s in range(steps + 1):
         i = int(np.floor((x + s / steps * dx - corner[0]) / cell_m))
         j = int(np.floor((y + s / steps * dy - corner[1]) / cell_m))
@@ -75,7 +75,7 @@ def beams_on_walls(
     """
     (origin, end), (base, normal, low, high), (first, bin_m) = beams, lines, bins
     corner, cell_m, shape, starts, members = grid
-    hits, against = np.zeros(first[-1], np.int64), np.zeros(first[-1], np.int64)
+    hits, against = np.zeros(first[-1], dtype=np.int64), np.zeros(first[-1], dtype=np.int64)
     off, last = np.empty(len(end)), unset(len(base))
     for r in range(len(end)):
         off[r] = np.inf

@@ -45,7 +45,7 @@ def gathered(
     (_, normal, _, reach, has_corner), (begin, beside) = lines, together
     turn, across_m, gap_m, overlap = limits
     n = len(order)
-    part, stands, met = np.empty(n, np.int64), np.empty(n, np.int64), np.full(n, -1)
+    part, stands, met = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64), np.full(n, -1)
     standing = 0
     for k in order:
         for at in range(begin[k], begin[k + 1]):

@@ -25,10 +25,10 @@ def most_voted(
     """
     most_m = reach_m.max()
     side = min(int(2 * most_m / cell_m) + 3, SIDE)
-    cells = np.zeros((side, side), np.int64)
-    at = np.empty((len(points) * len(there), 2), np.int64)
-    votes, shift = np.zeros((len(angles), 2), np.int64), np.zeros((len(angles), 2, 2))
-    best = np.empty((2, 2), np.int64)
+    cells = np.zeros((side, side), dtype=np.int64)
+    at = np.empty((len(points) * len(there), 2), dtype=np.int64)
+    votes, shift = np.zeros((len(angles), 2), dtype=np.int64), np.zeros((len(angles), 2, 2))
+    best = np.empty((2, 2), dtype=np.int64)
     for k in range(len(angles)):
         count = _cells_of(points, there, reach_m, angles[k], cell_m, at)
         _add(cells, at, count, 1)
