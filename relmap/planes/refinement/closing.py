@@ -71,7 +71,8 @@ def _known(assembled: Assembled, pairs: Ints) -> Bools:
 
 def voted(found: list[Loop]) -> Ints:
     """Return pairs (k, 2) of distinct walls joined by loops with enough votes."""
-    pairs = [pair for loop in found if votes(loop, found) >= VOTES for pair in loop[3]]
+    joining = [loop for loop in found if len(loop[3])]
+    pairs = [pair for loop in joining if votes(loop, found) >= VOTES for pair in loop[3]]
     unique = np.unique(np.array(pairs, dtype=np.int64).reshape(-1, 2), axis=0)
     return np.asarray(unique[unique[:, 0] != unique[:, 1]])
 
