@@ -87,6 +87,13 @@ def panels(width: Ints, order: Ints, begin: Ints, tied: Ints) -> tuple[Ints, Lay
 
 
 @helper
+def _panel(layout: Layout, values: Floats, p: int) -> Floats:
+    """Return the columns (h, k) of panel p, a view."""
+    start, offset = layout[0], layout[4]
+    return values[offset[p] : offset[p + 1]].reshape(-1, start[p + 1] - start[p])
+
+
+@helper
 def _place(layout: Layout, p: int, place: Ints) -> None:
     """Write into `place` (u,) which row of panel p each of its unknowns is."""
     row_begin, rows = layout[2], layout[3]
@@ -151,10 +158,9 @@ def _take_away(
 
     The count is of rows of panel s that are unknowns of panel p.
     """
-    start, _, row_begin, rows, offset = layout
+    start, _, row_begin, rows, _ = layout
     own, first = rows[row_begin[s] + done : row_begin[s + 1]], start[p]
-    panel = values[offset[s] : offset[s + 1]].reshape(-1, start[s + 1] - start[s])[done:]
-    target = values[offset[p] : offset[p + 1]].reshape(-1, start[p + 1] - first)
+    panel, target = _panel(layout, values, s)[done:], _panel(layout, values, p)
     shared = 0
     while shared < len(own) and own[shared] < start[p + 1]:
         shared += 1
@@ -200,7 +206,7 @@ def factorise(layout: Layout, values: Floats) -> None:
 
     Each panel is updated by the earlier ones (left-looking; Ng and Peyton, 1993).
     """
-    start, column_of, row_begin, rows, offset = layout
+    start, column_of, row_begin, rows, _ = layout
     n, highest, widest = len(start) - 1, 0, 0
     place = np.empty(len(column_of), dtype=np.int64)
     head, following, done = unset(n), unset(n), np.zeros(n, dtype=np.int64)
@@ -211,7 +217,7 @@ def factorise(layout: Layout, values: Floats) -> None:
     for p in range(n):
         width, height = start[p + 1] - start[p], row_begin[p + 1] - row_begin[p]
         _place(layout, p, place)
-        panel = values[offset[p] : offset[p + 1]].reshape(height, width)
+        panel = _panel(layout, values, p)
         least = np.empty(width)
         for c in range(width):
             least[c] = ROUNDING * panel[c, c]
@@ -233,11 +239,11 @@ def factorise(layout: Layout, values: Floats) -> None:
 @compiled
 def solve(layout: Layout, values: Floats, right: Floats) -> Floats:
     """Return the solution (u,) for a right-hand side (u,), given the factor."""
-    start, _, row_begin, rows, offset = layout
+    start, _, row_begin, rows, _ = layout
     x, n = right.copy(), len(start) - 1
     for p in range(n):
         own, k = rows[row_begin[p] : row_begin[p + 1]], start[p + 1] - start[p]
-        panel = values[offset[p] : offset[p + 1]].reshape(-1, k)
+        panel = _panel(layout, values, p)
         known = x[start[p] : start[p + 1]]
         for r in range(len(own)):
             total = 0.0
@@ -248,7 +254,7 @@ def solve(layout: Layout, values: Floats, right: Floats) -> Floats:
                 known[r] /= panel[r, r]
     for p in range(n - 1, -1, -1):
         own, k = rows[row_begin[p] : row_begin[p + 1]], start[p + 1] - start[p]
-        panel = values[offset[p] : offset[p + 1]].reshape(-1, k)
+        panel = _panel(layout, values, p)
         wanted = x[start[p] : start[p + 1]]
         for r in range(k, len(own)):
             _add_multiple(wanted, -x[own[r]], panel[r])

@@ -8,7 +8,7 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.linalg.compiling import compiled, helper
 
 
-@compiled
+@helper
 def smallest(values: Floats, k: int) -> float:
     """Return the k-th smallest, from 0, of values (n,), which are permuted.
 

@@ -83,7 +83,6 @@ class WallSystem:
         wall should have no influence; `by_scan`: whether a scan with large residuals overall is
         treated as not yet converged instead of wrong.
         """
-        from relmap.core.linalg.order_kernels import smallest
 
         def weigh(residual: Floats) -> Floats:
             return self._weights(residual, doubtful, by_scan)
@@ -101,7 +100,8 @@ class WallSystem:
         self.settled = False
         if found.last is not None:
             step = np.abs(_unknowns(found.state) - _unknowns(found.last))
-            self.settled = smallest(step, int(MOST * len(step))) < REST
+            most = int(MOST * len(step))
+            self.settled = bool(np.partition(step, most)[most] < REST)
         return between_neighbours(found.state, self._open_along)
 
     def reweighted(self, given: WallEquations) -> WallSystem:
