@@ -13,7 +13,7 @@ from relmap.planes.linking.link_record import LinkRecord
 from relmap.planes.motions import from_matrices, others
 from relmap.planes.submaps.submap import WallSubmap
 
-OFF_M, OFF_RAD = 0.1, np.deg2rad(1.0)
+OFF_M, OFF_RAD = 0.05, np.deg2rad(0.5)
 """Deviation of a step from its link above which the two are compared."""
 
 
