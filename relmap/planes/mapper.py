@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 
 HOLDS = 3
 """Maximum number of rounds of holding steps to their links and refining again."""
+
 CUTS = 4
 """Maximum number of rounds of cutting torn submaps and refining again."""
 
@@ -179,7 +180,8 @@ class PlaneMapper(LocatingMapper):
 
         Walls that then coincide are joined, which closes loops. Where a submap deviates from a link
         by more than 0.3 m or 8 degrees, one of the two is wrong, and the submap is cut there. It is
-        also cut between visits of a place that contradict each other.
+        also cut between visits of a place that contradict each other. Steps that beams contradict
+        are held to their links.
         """
         with self._guard.change(), one_thread():
             self._note_call("refine")

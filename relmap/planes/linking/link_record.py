@@ -40,8 +40,8 @@ class LinkRecord:
 
     Attributes: `store`: all observations so far; `beams`: the beams of each scan, if given;
     `wheels`: the odometry, if any; `submap`: submap of the next scan, unless it begins a new one;
-    `same_walls` (k, 2): pairs of wall numbers identified when submaps were joined; `held` (h,): scans
-    whose links are equations of the refinement, as beams prefer them to refined steps.
+    `same_walls` (k, 2): pairs of wall numbers identified when submaps were joined; `held` (h,):
+    scans whose links are equations of the refinement, as beams prefer them to refined steps.
     """
 
     STATE = (
