@@ -214,7 +214,9 @@ class Rigidity:
         gate_m = self._gate_m()
         if fit.largest_m <= gate_m:
             return np.empty(0, dtype=np.int64)
-        far = np.flatnonzero(fit.misfit_m > gate_m * (1 + self._last.missed[fit.rows]))
+        # While ids are doubtful, a wide gate would accept a misread one far from its landmark.
+        missed = self._last.missed[fit.rows] * (self._wary == 0)
+        far = np.flatnonzero(fit.misfit_m > gate_m * (1 + missed))
         if self._strayed is None:
             return far
         ids = scan.ids[fit.shared[far]]
