@@ -21,8 +21,9 @@ from relmap.core.association.reobservation.undoing import (
 from relmap.core.gaps import bridge_gaps, is_bridged
 from relmap.core.mapper import RelativeMapper
 from relmap.core.refinement.condensing import SegmentRows
+from relmap.core.refinement.confirming import rebuild, seen_in
 from relmap.core.refinement.extending import extend_submaps
-from relmap.core.refinement.joint import Refined
+from relmap.core.refinement.joint import CONFIRMED, Refined
 from relmap.core.refinement.joint import refine as refine_jointly
 from relmap.core.refinement.misread import take_off_misread
 from relmap.core.refinement.observations import observations_of
@@ -36,6 +37,13 @@ logger = logging.getLogger(__name__)
 
 ROUNDS = 8
 """Maximum number of rounds of repairing and refining the map again."""
+MISREAD = 0.01
+"""Fraction of the observations contradicting their ids above which some ids are wrong; without
+wrong ids less than this occurs."""
+CLEARLY = 0.8
+"""Largest ratio of the contradictions of a rebuilt map to those before for it to be kept."""
+PLACES = "position weight settled_position settled_weight submap dynamic highest_level".split()
+"""Columns of the landmarks that rebuilding changes."""
 
 
 def refine(engine: RelativeMapper) -> None:
@@ -58,6 +66,8 @@ def refine(engine: RelativeMapper) -> None:
         more = merge_doubles(engine.merger, engine.merge, engine.averaging.noise.sigma_m)
     if more:
         _refine(engine)
+    if association.is_known:
+        _rebuild(engine)
     for refined in engine.refined:
         if not refined.converged:
             logger.warning(
@@ -76,6 +86,30 @@ def _extend_by_ids(engine: RelativeMapper) -> bool:
     if grew:
         take_off_misread(engine.map, engine.rows)
     return grew or len(misread) > 0
+
+
+def _rebuild(engine: RelativeMapper) -> None:
+    """Rebuild a map that confirmed observations contradict; keep it if they contradict it less."""
+    table, before = engine.table, sum(one.n_contradicting for one in engine.refined)
+    n_wrong = len(engine.association.overruled) + sum(one.n_outliers for one in engine.refined)
+    if not before or is_bridged(engine) or n_wrong < MISREAD * table.observations.sum():
+        return
+    kept, refined = {name: getattr(table, name).copy() for name in PLACES}, engine.refined
+    rows = engine.rows
+    sure = seen_in(rows, CONFIRMED)
+    rebuild(engine.map, sure)
+    engine.refined = _refine_submaps(engine, sure, None)
+    if extend_submaps(engine.map, sure):
+        engine.refined = _refine_submaps(engine, sure, None)
+    # Single observations place nothing: a few wrong ones would again join what is apart.
+    extend_submaps(engine.map, seen_in(rows, CONFIRMED - 1), table.submap == NONE)
+    _refine(engine)
+    take_off_misread(engine.map, rows, few=np.inf)
+    _refine(engine)
+    if sum(one.n_contradicting for one in engine.refined) > CLEARLY * before:
+        for name, values in kept.items():
+            getattr(table, name)[:] = values
+        engine.refined = refined
 
 
 def _repair(engine: RelativeMapper) -> None:

@@ -30,6 +30,9 @@ from relmap.core.refinement.settling import Settled, settle, size_of
 
 SURELY = 3.0
 """Standard deviations by which a variance must exceed another to count as larger."""
+CONFIRMED, AGAINST = 3, 0.5
+"""Observations of a landmark in a segment that confirm it: wrong ids are seldom repeated; and the
+weight below which they contradict the map."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +68,8 @@ class Refined(Brief):
     deviation of an observed coordinate, from the residuals. `power`: exponent p of the minimised
     sum of p-th powers of the residuals; 2 is least squares. `converged`: whether the least squares
     converged. Otherwise the positions are the best found, no worse than the initial ones.
-    `n_outliers`: number of observations that noise does not explain.
+    `n_outliers`: number of observations that noise does not explain. `n_contradicting`: of these,
+    landmarks of segments that confirm them (`CONFIRMED`).
     """
 
     landmarks: Ints
@@ -78,10 +82,11 @@ class Refined(Brief):
     power: float = 2
     converged: bool = True
     n_outliers: int = 0
+    n_contradicting: int = 0
 
     STATE = (
         "landmarks positions anchor_iteration noise_m segments merges power converged n_outliers "
-        "covariances"
+        "n_contradicting covariances"
     )
 
     def __getstate__(self) -> dict[str, object]:
@@ -139,6 +144,7 @@ def refine(
         Spread(problem, settled, mapped, noise_m * R),
         converged=settled.converged,
         n_outliers=int(joint.n_seen[weight < 1].sum()),
+        n_contradicting=int(np.sum((joint.n_seen >= CONFIRMED) & (weight < AGAINST))),
     )
 
 

@@ -26,27 +26,31 @@ UNEQUAL = 6.0
 in Victoria Park, 3 elsewhere."""
 
 
-def take_off_misread(global_map: GlobalMap, rows: SegmentRows) -> Ints:
+def take_off_misread(global_map: GlobalMap, rows: SegmentRows, few: float = FEW) -> Ints:
     """Unmap landmarks that exist only because of wrong ids, and return them (k,).
 
     Few observations of such a landmark support its position, and as many contradict it; or it was
     seen a few times at the position of another that was seen more often, and never together with
     it.
 
-    `rows`: rows of all iterations.
+    `rows`: rows of all iterations. `few`: supporting observations that save a landmark.
     """
     table, found = global_map.table, []
     landmark = table.now(rows.landmark)
     for submap in np.unique(table.submap[table.submap != NONE]).tolist():
         misread = np.array([NONE])
         while len(misread):
-            misread = _misread(table.position, rows, landmark, table.submap[landmark] == submap)
+            misread = _misread(
+                table.position, rows, landmark, table.submap[landmark] == submap, few
+            )
             table.take_off_map(misread)
             found.append(misread)
     return np.concatenate([np.empty(0, dtype=np.int64), *found])
 
 
-def _misread(positions: Floats, rows: SegmentRows, landmark: Ints, known: Bools) -> Ints:
+def _misread(
+    positions: Floats, rows: SegmentRows, landmark: Ints, known: Bools, few: float
+) -> Ints:
     """Return the landmarks of the known rows (n,) that exist only because of wrong ids."""
     laid = lay(rows, landmark, positions, known)
     judged = np.flatnonzero(known & np.isfinite(laid.variance))
@@ -59,7 +63,7 @@ def _misread(positions: Floats, rows: SegmentRows, landmark: Ints, known: Bools)
     against = np.bincount(of, n_seen * (apart > limit))
     seen = np.bincount(of, n_seen, minlength=len(positions))
     support = seen[: len(against)] - against
-    scattered = np.flatnonzero((against > 0) & (support < FEW) & (support <= against))
+    scattered = np.flatnonzero((against > 0) & (support < few) & (support <= against))
     return np.union1d(scattered, _aliases(positions, rows, landmark, limit, seen))
 
 

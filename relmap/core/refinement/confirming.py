@@ -1,0 +1,58 @@
+"""Rebuilding a map from confirmed observations, where ids are wrong.
+
+Wrong ids are seldom repeated, so an id seen several times at one place in a segment is right. A few
+others, seen together, can place landmarks or whole stretches elsewhere. Confirmed observations then
+contradict the map, and a map built from them alone shows what they determine, in several submaps if
+nothing confirmed connects them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from relmap.core.arrays import Ints
+from relmap.core.map.globalmap import GlobalMap
+from relmap.core.refinement.condensing import SegmentRows
+from relmap.core.refinement.extending import extend_submaps
+from relmap.core.state.table import NONE
+
+
+def seen_in(rows: SegmentRows, at_least: int) -> SegmentRows:
+    """Return the rows of landmarks seen in enough iterations of their segment."""
+    kept = rows.n_seen >= at_least
+    return replace(
+        rows,
+        landmark=rows.landmark[kept],
+        segment=rows.segment[kept],
+        points=rows.points[kept],
+        visible=rows.visible[kept],
+    )
+
+
+def rebuild(global_map: GlobalMap, sure: SegmentRows) -> None:
+    """Build all submaps anew, each from the segment with most unmapped landmarks.
+
+    `sure`: confirmed rows of all iterations.
+    """
+    table = global_map.table
+    table.take_off_map(np.flatnonzero(table.submap != NONE))
+    landmark, tried = table.now(sure.landmark), np.zeros(sure.n_segments, dtype=bool)
+    while True:
+        free = (table.submap[landmark] == NONE) & ~table.dynamic[landmark]
+        free &= ~tried[sure.segment]
+        counts = np.bincount(sure.segment[free], minlength=sure.n_segments)
+        if counts.max(initial=0) < 2 * table.dimension:
+            return
+        tried[counts.argmax()] = True
+        _found(global_map, sure, np.flatnonzero(free & (sure.segment == counts.argmax())))
+
+
+def _found(global_map: GlobalMap, sure: SegmentRows, rows: Ints) -> None:
+    """Start a submap from rows (k,) of one segment, and extend it by unmapped landmarks."""
+    table = global_map.table
+    weights = sure.n_seen[rows].astype(np.float64)
+    landmarks = table.now(sure.landmark[rows])
+    global_map.place(global_map.new_submap(), landmarks, sure.points[rows], weights)
+    extend_submaps(global_map, sure, table.submap == NONE)
