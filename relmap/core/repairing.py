@@ -42,7 +42,10 @@ MISREAD = 0.01
 wrong ids less than this occurs."""
 CLEARLY = 0.8
 """Largest ratio of the contradictions of a rebuilt map to those before for it to be kept."""
-PLACES = "position weight settled_position settled_weight submap dynamic highest_level".split()
+PLACES = (
+    *("position", "weight", "settled_position", "settled_weight"),
+    *("submap", "dynamic", "highest_level"),
+)
 """Columns of the landmarks that rebuilding changes."""
 
 
