@@ -10,28 +10,27 @@ if TYPE_CHECKING:
     from relmap.core.mapper import RelativeMapper
 
 
-def keep_beside(
-    engine: RelativeMapper,
-    found: Ints,
-    seen: Any,
-    covariances: Floats | None,
-    odometry: Floats | None,
-) -> None:
-    """Keep the odometry of a scan, and what its refinement needs of each observation.
+def keep_motion(engine: RelativeMapper, odometry: Floats | None) -> None:
+    """Keep the odometry (4, 4) into the next scan, if any, before the scan is registered."""
+    iteration = engine.store.n_iterations
+    if odometry is not None and not len(engine.motions) and not engine.model.keeps_observations:
+        _keep_stored(engine, iteration)  # The first motion comes from the scan before.
+    engine.motions.append(odometry, iteration)
 
-    `found` (n,): landmark of each observation; the others as given to `RelativeMapper.update`,
-    which stored the scan.
+
+def keep_observations(
+    engine: RelativeMapper, found: Ints, seen: Any, covariances: Floats | None
+) -> None:
+    """Keep what refinement needs of each observation of the scan that was stored last.
+
+    `found` (n,): their landmarks; the others as given to `RelativeMapper.update`.
     """
     iteration, named = engine.store.n_iterations - 1, found >= 0
     if covariances is not None:
         engine.weighed.append(found[named], seen[named], covariances[named], iteration)
     else:
         engine.association.current.weigh_own(found, seen, iteration, engine.weighed)
-    keeps = not engine.model.keeps_observations
-    if odometry is not None and not len(engine.motions) and keeps:
-        _keep_stored(engine, iteration)  # The first motion comes from the scan before.
-    engine.motions.append(odometry, iteration)
-    if len(engine.motions) and named.any() and keeps:
+    if len(engine.motions) and named.any() and not engine.model.keeps_observations:
         engine.kept.append(found[named], seen[named], iteration)
 
 

@@ -20,7 +20,7 @@ from relmap.core.grouping.chart import PointChart
 from relmap.core.grouping.completion import RelativeMap
 from relmap.core.grouping.growth import grow_group
 from relmap.core.grouping.levels import GroupLevels
-from relmap.core.keeping import keep_beside
+from relmap.core.keeping import keep_motion, keep_observations
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.map.placing import Placing
 from relmap.core.model import LandmarkModel
@@ -85,12 +85,13 @@ class RelativeMapper:
         iteration = self.store.n_iterations
         if len(seen) or self.association.registration is not None:
             self.association.choose(ids, iteration)
+        keep_motion(self, odometry)
         # Register: match observations to those of earlier scans, untransformed (section II).
         found = self.association.match(seen, ids, odometry, covariances)
         self.refined, self.odometry = [], None
         # Store every observation untransformed (Fig. 3).
         landmarks = self._store(seen, found, iteration)
-        keep_beside(self, found, seen, covariances, odometry)
+        keep_observations(self, found, seen, covariances)
         # Group landmarks that are due, merge and forget (section III).
         take_turns(self, landmarks, self.schedule.see(landmarks, iteration))
         return found
