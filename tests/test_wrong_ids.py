@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -102,6 +103,36 @@ def test_ids_that_are_only_misread_name_no_landmark(seed: int) -> None:
     assert np.isin(found, seen).all()
     assert np.isin(seen[times >= 10], found).mean() > 0.97
     assert error(mapper, stairs.landmarks_map) < 0.03
+
+
+BOUND: dict[str, tuple[dict[str, Any], float, int, float]] = {
+    "clumps": ({"length_m": 270.0, "iterations": 200, "spacing_m": 6.0}, 0.02, 0, 0.1),
+    "line": ({"length_m": 150.0, "iterations": 150, "spacing_m": 2.0}, 0.1, 1, 0.3),
+    "corridor": (
+        {"length_m": 200.0, "iterations": 150, "spacing_m": 5.0, "space": True, "view_deg": 90.0},
+        *(0.2, 4, 0.3),
+    ),
+}
+"""Worlds where a few wrong ids seen together placed stretches up to 73 m off: share of wrong ids,
+seed, and limit in metres."""
+
+
+@pytest.mark.parametrize("name", BOUND)
+def test_stretches_are_not_bound_by_a_few_wrong_ids(name: str) -> None:
+    given, wrong_ids, seed, limit_m = BOUND[name]
+    world = simulate_world(WorldSpec(kind=name, wrong_ids=wrong_ids, seed=seed, **given))
+    scans = [(scan.ids, scan.points_robot) for scan in world.log.scans() if scan.ids is not None]
+    mapper = mapped(scans)
+    mapper.refine()
+    d, n_mapped = world.log.points_robot.shape[1], 0
+    for submap in mapper.submaps:
+        truth = world.landmarks_map[submap.landmark_ids, :d]
+        R, t = fit_rigid(submap.positions[:, :d], truth)
+        off_m = np.linalg.norm(submap.positions[:, :d] @ R.T + t - truth, axis=1)
+        assert off_m.max() < limit_m
+        n_mapped += len(off_m)
+    often = np.bincount(world.true_ids[world.true_ids >= 0]) >= 10
+    assert n_mapped >= 0.9 * often.sum()
 
 
 def test_wrong_ids_leave_the_live_map_as_good() -> None:
