@@ -55,7 +55,6 @@ class MappedWalls(Mapper):
             measured=self._planes.links.measured,
             spacing_rad=self._planes.links.beams.spacing_rad,
             same=self._planes.links.same_walls,
-            held=self._planes.links.held,
         )
 
     @property

@@ -24,7 +24,6 @@ from relmap.planes.places.submap_ties import MapPart, tied_parts
 from relmap.planes.refinement.refining import RefinedWalls, planned_submaps, refined_submaps
 from relmap.planes.scans.beams import GivenBeams
 from relmap.planes.scans.observation import PlaneObservation, checked_planes, journaled, of_journal
-from relmap.planes.submaps.contradicted import contradicted_steps
 from relmap.planes.submaps.revisits import contradicted_revisits
 from relmap.planes.submaps.submap import WallSubmap, among_all, torn_in
 from relmap.planes.submaps.undetermined import unsupported_links
@@ -33,9 +32,6 @@ from relmap.planes.walls.history import PlaneHistory
 if TYPE_CHECKING:
     from relmap.io.journal import RecordedScan
 
-
-HOLDS = 3
-"""Maximum number of rounds of holding steps to their links and refining again."""
 
 CUTS = 4
 """Maximum number of rounds of cutting torn submaps and refining again."""
@@ -180,15 +176,13 @@ class PlaneMapper(LocatingMapper):
 
         Walls that then coincide are joined, which closes loops. Where a submap deviates from a link
         by more than 0.3 m or 8 degrees, one of the two is wrong, and the submap is cut there. It is
-        also cut between visits of a place that contradict each other. Steps that beams contradict
-        are held to their links.
+        also cut between visits of a place that contradict each other.
         """
         with self._guard.change(), one_thread():
             self._note_call("refine")
             self._refine_and_cut()
 
     def _refine_and_cut(self) -> None:
-        self._planes.links.held = np.empty(0, dtype=np.int64)
         self._refine_until_whole([])
         before = self._planes.before_join()
         joined = self._join_submaps()
@@ -248,22 +242,8 @@ class PlaneMapper(LocatingMapper):
             found = self._refined(known)
             torn = torn_in(found.submaps, self.history)
         if not len(torn):
-            self._plan(self._held(found, known))
+            self._plan(found)
         return torn
-
-    def _held(self, found: RefinedWalls, known: list[Floats]) -> RefinedWalls:
-        """Refine again where beams prefer links to refined steps, held to these links."""
-        for _ in range(HOLDS):
-            links = self._planes.links
-            held = np.union1d(links.held, contradicted_steps(found.submaps, links))
-            if len(held) == len(links.held):
-                break
-            links.held = held
-            again = self._refined(known)
-            if len(torn_in(again.submaps, self.history)):
-                break
-            found = again
-        return found
 
     def _refined(self, known: list[Floats]) -> RefinedWalls:
         self._moved = np.empty(0, dtype=np.int64)

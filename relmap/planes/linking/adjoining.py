@@ -61,20 +61,20 @@ class Break:
         motions, walls = self._candidates(most_m, most_rad)
         if not len(motions):
             return None
-        best, odds = 0, self.odds(motions, motions[0])
+        best, odds = 0, self._odds(motions, motions[0])
         for _ in motions:
             if odds.max() <= 0:
                 break
             best = int(np.argmax(odds))
-            odds = self.odds(motions, motions[best])
+            odds = self._odds(motions, motions[best])
         motion = motions[best]
-        rivals = np.append(odds[others(motions, motion)], self.odds(motion + BESIDE, motion))
+        rivals = np.append(odds[others(motions, motion)], self._odds(motion + BESIDE, motion))
         agree, contradict = self._agreement(motion)
         if rivals.max() > -RIVAL or agree < AGREES or contradict > CONTRADICTED:
             return None
         return Link(int(self.earlier[-1]), int(self.later[0]), motion, walls[best], True)
 
-    def odds(self, motions: Floats, motion: Floats) -> Floats:
+    def _odds(self, motions: Floats, motion: Floats) -> Floats:
         """Return the log odds of motions (k, 3) across the break relative to one (3,)."""
         lead, variance, n = np.zeros(len(motions)), np.zeros(len(motions)), 0
         both = np.vstack([motion, motions])

@@ -40,8 +40,7 @@ class LinkRecord:
 
     Attributes: `store`: all observations so far; `beams`: the beams of each scan, if given;
     `wheels`: the odometry, if any; `submap`: submap of the next scan, unless it begins a new one;
-    `same_walls` (k, 2): pairs of wall numbers identified when submaps were joined; `held` (h,):
-    scans whose links are equations of the refinement, as beams prefer them to refined steps.
+    `same_walls` (k, 2): pairs of wall numbers identified when submaps were joined.
     """
 
     STATE = (
@@ -56,7 +55,6 @@ class LinkRecord:
         self._n_submaps, self.submap = 0, -1
         self._begun: GrowingArray[np.int64] = GrowingArray(np.int64)
         self.same_walls = np.empty((0, 2), dtype=np.int64)
-        self.held = np.empty(0, dtype=np.int64)
         self._unsure_m, self._unsure_each_m = 0.0, 0.0
         self._at_rest = False
         self._motions: GrowingArray[np.float64] = GrowingArray(np.float64, (3,))
@@ -172,14 +170,14 @@ class LinkRecord:
         if not (len(self.beams) and self._n_submaps):
             return name, np.empty(0, dtype=np.int64)
         is_tied, in_doubt = self._known()
-        scans, share = self.scans, share_at_rest(self.scans, is_tied)
+        scans, share = self._scans, share_at_rest(self._scans, is_tied)
         links, cut = judged_links(replace(scans, firm=share <= OFTEN), is_tied, in_doubt)
         self._take(links, name)
         if share > OFTEN:  # the remaining breaks without small objects, as some may have moved
             is_tied, _ = self._known()
             in_doubt = ~is_tied
             in_doubt[:1] = False
-            more, _ = judged_links(replace(self.scans, firm=True), is_tied, in_doubt)
+            more, _ = judged_links(replace(self._scans, firm=True), is_tied, in_doubt)
             self._take(more, name)
         self._take_adjoining(name)
         self.submap = int(name[self.submap])
@@ -188,7 +186,7 @@ class LinkRecord:
 
     def _take_adjoining(self, name: Ints) -> None:
         """Tie submaps that are adjacent in time; `name` (s,) becomes the new number of submaps."""
-        scans, found = replace(self.scans, firm=True), True
+        scans, found = replace(self._scans, firm=True), True
         while found:
             found = False
             for scan in range(1, len(self)):
@@ -252,7 +250,7 @@ class LinkRecord:
         self._evidence.values[scan], self.measured[scan] = np.inf, True
 
     @property
-    def scans(self) -> Scans:
+    def _scans(self) -> Scans:
         """All scans with their walls and beams."""
         expected = partial(
             self.wheels.expected, motions=self.motions, measured=self.measured.copy()

@@ -116,7 +116,7 @@ class ScanLinks(LinkRecord):
         """Whether small free-standing objects stayed in place so far; evaluated at intervals."""
         now = len(self)
         if now in FIRST or now % AGAIN == 0:
-            self._at_rest = share_at_rest(self.scans, self._known()[0], LATELY) > OFTEN
+            self._at_rest = share_at_rest(self._scans, self._known()[0], LATELY) > OFTEN
         return self._at_rest
 
     def _over(
@@ -146,7 +146,7 @@ class ScanLinks(LinkRecord):
         if found.evidence > max(SURE, USUALLY * usual) or len(views) < 2:
             return True
         expected = then(views[1].motion, found.motion)
-        tracks = self.scans.tracks_of(len(self._motions) - 2)
+        tracks = self._scans.tracks_of(len(self._motions) - 2)
         view = [View(views[1].beams, STILL)]
         again = Search(tracks, seen, beams, view, expected, firm=firm).found()
         if again is None or found.evidence + again.evidence < TOGETHER:

@@ -22,8 +22,6 @@ LINK_M, LINK_RAD = 0.07, 0.015
 WEAK_M, WEAK_RAD = 0.1, 0.05
 """The same for a weak link. Otherwise a run of them can shrink or grow without limit (a simulated
 building with 15 people was off by 0.64 m instead of 0.03 m)."""
-HELD_M, HELD_RAD = 0.014, 0.003
-"""The same for a link that beams prefer to the refined step."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,8 +53,6 @@ class PlaneHistory:
         Angle between the beams of the laser; 0 if unknown.
     same : (k, 2) int64
         Numbers that are the same wall, according to links found later.
-    held : (h,) int64
-        Iterations whose motion beams prefer to a refined one.
     """
 
     iteration: Ints
@@ -71,7 +67,6 @@ class PlaneHistory:
     measured: Bools | None = None
     spacing_rad: float = 0.0
     same: Ints = field(default_factory=lambda: np.empty((0, 2), dtype=np.int64))
-    held: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
 
     @property
     def n_iterations(self) -> int:
@@ -93,8 +88,8 @@ class PlaneHistory:
     def factors(self, iterations: Ints) -> MotionFactors:
         """Return the equations for the motions between some iterations (k,).
 
-        They are those of odometry, if there is any, motions between scans that share few walls that
-        cross, and those that are held.
+        They are those of odometry, if there is any, and motions between scans that share few walls
+        that cross.
         """
         factors = self._links(iterations)
         if self.odometry and self.odometry.needed.any():
@@ -102,19 +97,17 @@ class PlaneHistory:
         return factors
 
     def _links(self, iterations: Ints) -> MotionFactors:
-        """Return the motions between consecutive iterations that are equations."""
+        """Return the motions between consecutive iterations that share few walls that cross."""
         if self.measured is None:
             return MotionFactors()
         before, after = iterations[:-1], iterations[1:]
         sure = self.measured[after] & ~np.isin(after, self.weak_links)
-        held = np.isin(after, self.held)
-        known = (held | (self._shared[0][after] < CROSSINGS)) & (after == before + 1)
+        known = (self._shared[0][after] < CROSSINGS) & (after == before + 1)
         if self.odometry:
             known &= ~self.odometry.needed[after]
         pairs = np.flatnonzero(known & (self.submap[before] == self.submap[after]))
         steps = inverse(self.motion[after[pairs]])
         sd = np.where(sure[pairs, None], (LINK_RAD, LINK_M), (WEAK_RAD, WEAK_M))
-        sd[held[pairs]] = HELD_RAD, HELD_M
         return MotionFactors(np.column_stack([pairs, pairs + 1]), steps, sd)
 
     @cached_property
