@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from relmap import Plane3dMapper
 from relmap.core.arrays import Floats
+from relmap.core.errors import RelmapError
 from relmap.planes3d.adjustment import PlaneAdjustment, Scene, across
 from relmap.planes3d.covariances import plane_covariances, step_covariances
 from relmap.planes3d.refining import refined, unsure_steps
@@ -68,6 +70,20 @@ def test_covariances_are_those_of_the_whole_least_squares() -> None:
         by = np.column_stack([(plane(each, k) - plane(truth, k)) / DELTA for each in ways])
         expected = by @ whole @ by.T
         assert np.abs(planes[k] - expected).max() < 1e-3 * np.abs(expected).max()
+
+
+def test_planes_without_a_direction_have_no_standard_deviation() -> None:
+    seen = patches(*[wall(axis, 3.0) for axis in range(3)], wall(0, 2.0, (-0.5, 0.5)))
+    strip = seen.information.copy()
+    strip[3, :2] = 0.0
+    mapper = Plane3dMapper()
+    mapper.update(replace(seen, information=strip))
+    mapper.refine()
+    assert np.isfinite(mapper.planes.sd_normal).tolist() == [True, True, True, False]
+    assert np.isfinite(mapper.planes.sd_centre).tolist() == [True, True, True, False]
+    strip[3, 2] = 0.0
+    with pytest.raises(RelmapError, match="must be above 0 for the distance"):
+        mapper.update(replace(seen, information=strip))
 
 
 def test_errors_of_planes_are_as_large_as_their_covariances_say() -> None:

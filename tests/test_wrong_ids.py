@@ -10,11 +10,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from relmap import PointMapper
 from relmap.cli.program import app
 from relmap.comparison.baselines.batch import Batch, batch_least_squares
+from relmap.core import repairing
 from relmap.core.arrays import Floats
 from relmap.core.geometry.alignment import fit_rigid
 from relmap.core.refinement import settling
@@ -133,6 +135,42 @@ def test_stretches_are_not_bound_by_a_few_wrong_ids(name: str) -> None:
         n_mapped += len(off_m)
     often = np.bincount(world.true_ids[world.true_ids >= 0]) >= 10
     assert n_mapped >= 0.9 * often.sum()
+
+
+def test_a_map_that_cannot_be_built_anew_is_kept() -> None:
+    """Too few landmarks are in view to begin a submap with confirmed ones."""
+    rng = np.random.default_rng(0)
+    landmarks, mapper = rng.uniform(0, 10, (12, 3)), PointMapper()
+    for k in range(160):
+        ids = (k // 8 + np.arange(4)) % 12
+        R = Rotation.from_rotvec([0, 0, 0.1 * k]).as_matrix()
+        place = 5 + np.array([np.cos(0.1 * k), np.sin(0.1 * k), 0.2 * np.sin(0.3 * k)])
+        points = (landmarks[ids] - place) @ R + rng.normal(0, 0.01, (4, 3))
+        if k // 8 in (5, 9, 13) and k % 8 in (1, 3, 5, 6):
+            ids[0] = (ids[0] + 6) % 12
+        mapper.update(points, ids)
+    mapper.finish()
+    mapper.refine()
+    assert sum(one.n_contradicting for one in mapper.refined) > 0
+    assert len(mapper.map.positions) == 12
+    assert aligned_rmse(mapper.map.positions, landmarks) < 0.05
+
+
+def test_a_map_that_is_contradicted_no_less_is_restored(monkeypatch: pytest.MonkeyPatch) -> None:
+    given, wrong_ids, seed, _ = BOUND["clumps"]
+    world = simulate_world(WorldSpec(kind="clumps", wrong_ids=wrong_ids, seed=seed, **given))
+    scans = [(scan.ids, scan.points_robot) for scan in world.log.scans() if scan.ids is not None]
+    maps = []
+    for name, value in (("CLEARLY", -1.0), ("MISREAD", np.inf)):
+        with monkeypatch.context() as changed:
+            changed.setattr(repairing, name, value)
+            mapper = mapped(scans)
+            mapper.refine()
+            maps.append(mapper.map)
+    restored, never = maps
+    np.testing.assert_array_equal(restored.landmark_ids, never.landmark_ids)
+    np.testing.assert_array_equal(restored.positions, never.positions)
+    np.testing.assert_array_equal(restored.covariances, never.covariances)
 
 
 def test_wrong_ids_leave_the_live_map_as_good() -> None:

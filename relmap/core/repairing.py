@@ -40,8 +40,9 @@ ROUNDS = 8
 MISREAD = 0.01
 """Fraction of the observations contradicting their ids above which some ids are wrong; without
 wrong ids less than this occurs."""
-CLEARLY = 0.8
-"""Largest ratio of the contradictions of a rebuilt map to those before for it to be kept."""
+CLEARLY, WHOLE = 0.8, 0.95
+"""Largest ratio of the contradictions of a rebuilt map to those before for it to be kept, and least
+ratio of the numbers of mapped landmarks: an empty map contradicts nothing."""
 PLACES = (
     *("position", "weight", "settled_position", "settled_weight"),
     *("submap", "dynamic", "highest_level"),
@@ -98,6 +99,7 @@ def _rebuild(engine: RelativeMapper) -> None:
     if not before or is_bridged(engine) or n_wrong < MISREAD * table.observations.sum():
         return
     kept, refined = {name: getattr(table, name).copy() for name in PLACES}, engine.refined
+    count = np.sum(table.submap != NONE)
     rows = engine.rows
     sure = seen_in(rows, CONFIRMED)
     rebuild(engine.map, sure)
@@ -109,7 +111,9 @@ def _rebuild(engine: RelativeMapper) -> None:
     _refine(engine)
     take_off_misread(engine.map, rows, few=np.inf)
     _refine(engine)
-    if sum(one.n_contradicting for one in engine.refined) > CLEARLY * before:
+    is_whole = np.sum(table.submap != NONE) >= WHOLE * count
+    after = sum(one.n_contradicting for one in engine.refined)
+    if not is_whole or after > CLEARLY * before:
         for name, values in kept.items():
             getattr(table, name)[:] = values
         engine.refined = refined

@@ -22,7 +22,7 @@ ARRAYS = ("centre", "axes", "information", "spread", "cells", "loose")
 def checked_patches(seen: Patches) -> Patches:
     """Return patches as a journal restores them: contiguous, and 0 for -0.
 
-    Raises `RelmapError` if a number is not finite.
+    Raises `RelmapError` if a number is not finite, or a patch says nothing of its distance.
     """
     arrays: dict[str, Any] = {
         name: np.ascontiguousarray(getattr(seen, name), dtype=np.float64) + 0.0 for name in ARRAYS
@@ -30,6 +30,8 @@ def checked_patches(seen: Patches) -> Patches:
     wrong = next((name for name, array in arrays.items() if not np.isfinite(array).all()), None)
     if wrong is not None:
         raise RelmapError(f"{wrong} of the patches has a number that is not finite")
+    if not (arrays["information"][:, 2] > 0).all():
+        raise RelmapError("information of the patches must be above 0 for the distance")
     whole = {name: getattr(seen, name).astype(np.int64) for name in ("n_points", "cell_patch")}
     return replace(seen, **arrays, **whole)
 

@@ -245,7 +245,7 @@ class Plane3dMapper(Mapped3d):
             return False
         match = placed.named(other.number).match.tolist()
         name = {a: b for a, b in zip(part.number.tolist(), match, strict=True) if b >= 0}
-        both = other.joined(part, (placed.R, placed.t), name)
+        both, self._refined_at = other.joined(part, (placed.R, placed.t), name), 0
         parts = [each for each in self._submaps if each not in (part, other)]
         # The next scan is added to the last submap: the one that holds the latest scan.
         self._submaps = sorted([*parts, both], key=lambda each: each.iteration[-1])

@@ -17,6 +17,8 @@ from relmap.planes3d.submap import Submap
 
 RAGGED = "outline", "meets"
 """Columns whose length differs from plane to plane."""
+FARTHEST_RAD = 1.0
+"""Standard deviation of a normal above which it is unknown."""
 FEWEST = 2
 """Minimum number of scans that saw a mapped plane."""
 
@@ -53,13 +55,13 @@ class Plane3dTable(Table):
     observations, first_iteration, last_iteration : (n,) int64
         Number of scans that saw it, the first and the last.
     status : (n,) str
-        "dynamic" if scans often saw through it; "static" if not, and if it is in the first
-        submap, at least two scans saw it and it is not much thicker than the noise; else
-        "unmapped".
+        After `finish` or `refine`: "dynamic" if scans often saw through it; "static" if not, and if
+        it is in the first submap, at least two scans saw it and it is not much thicker than the
+        noise; else "unmapped".
     submap : (n,) int64
         Rank of the submap, the largest first.
     covariance : (n, 4, 4) float64
-        Of `normal` and `offset`, as `sd_normal`; no rows if `refine` has not been called.
+        Of `normal` and `offset`, NaN as `sd_normal`; no rows in a table read from files.
     """
 
     plane: Ints
@@ -139,8 +141,9 @@ def _uncertainty(part: Submap, is_refined: bool) -> dict[str, Floats]:
         covariance, state = covariances_of(part), scene(part)
         lever = np.insert(-state.base, 3, 1.0, axis=1)
         sd_m = np.sqrt(np.einsum("ni,nij,nj->n", lever, covariance, lever))
-        known = sd_m < np.ptp(np.concatenate([state.t, state.base]), axis=0).max()
         sd_rad = np.sqrt(np.linalg.eigvalsh(covariance[:, :3, :3])[:, 2])
+        known = sd_m < np.ptp(np.concatenate([state.t, state.base]), axis=0).max()
+        known &= sd_rad < FARTHEST_RAD
         for values, all_values in zip(found.values(), (covariance, sd_rad, sd_m), strict=True):
             values[known] = all_values[known]
     return found
