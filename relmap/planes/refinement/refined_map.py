@@ -24,9 +24,9 @@ from relmap.planes.walls.joining import join_pairs, join_walls
 
 _LOG = logging.getLogger(__name__)
 
-WIDELY = ((2, 1e4), (1, 100.0), (1, 20.0), (1, 5.0))
+WIDELY = ((2, 1e4), (1, 300.0), (1, 50.0), (1, 15.0), (2, 5.0))
 """Rounds of solutions for closing loops, for any amount of drift."""
-CLOSELY = ((3, 1e4), (1, 100.0), (1, 20.0), (1, 5.0))
+CLOSELY = ((5, 1e4), (2, 300.0), (1, 100.0), (1, 20.0), (1, 5.0))
 CLOSED = 2
 """The same once a loop is closed, and the maximum number of searches for loops."""
 BENT = 1.25
