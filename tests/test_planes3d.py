@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from operator import methodcaller
 from typing import Any
 
@@ -12,10 +11,8 @@ import pytest
 from relmap import Plane3dMapper, RelmapError
 from relmap.core.arrays import Floats
 from relmap.evaluation import metrics
-from relmap.evaluation.space import Faces, judge_planes
 from relmap.planes3d.adjustment import PlaneAdjustment, Scene
 from relmap.planes3d.files import COLUMNS
-from relmap.planes3d.gathering import gathered
 from relmap.planes3d.refining import sightings
 from relmap.planes3d.submap import Submap
 from relmap.planes3d.table import RAGGED
@@ -279,49 +276,6 @@ def test_standing_still_takes_no_more_cells() -> None:
     assert counts[0] > 300
     # A few on the border of two squares.
     assert sum(counts[1:]) < 0.1 * counts[0]
-
-
-def test_planes_that_no_scan_shows_by_itself_are_found() -> None:
-    world = simulate_storey("lidar", 0.01, 20)
-    mapper = mapped(world.scans)
-    faces = Faces(world.plane_of, world.corners, world.seen_m2)
-
-    def found() -> dict[str, float | None]:
-        return judge_planes(mapper.planes, faces, mapper.trajectory, world.trajectory)
-
-    before = found()["plane_recall"]
-    mapper.refine()
-    after = found()
-    assert before is not None
-    assert before < 0.9
-    assert after["plane_recall"] == 1.0
-    assert after["plane_precision"] == 1.0
-    again = len(mapper.planes)
-    mapper.refine()
-    assert len(mapper.planes) <= again
-
-
-def test_points_of_a_noisy_plane_are_found_once() -> None:
-    # Nearly all points of a second region of the noisy floor lie beside the first one.
-    rng, noise_m, part = np.random.default_rng(3), 0.02, Submap()
-    for k in range(4):
-        across = 4.0 + noise_m * rng.standard_normal(4000)
-        wall = np.column_stack([across, rng.uniform(-3, 3, 4000), rng.uniform(-1, 2, 4000)])
-        seen = PatchSegmenter(voxel_m=0.2).fit(wall).patches_
-        up = 1.8 * noise_m * rng.standard_normal(375)
-        floor = np.column_stack([rng.uniform(1, 3, 375), rng.uniform(-2, 0, 375), up])
-        up = 0.3 * noise_m * rng.standard_normal(60) - 0.8
-        step = np.column_stack([rng.uniform(1, 2, 60), rng.uniform(1, 2, 60), up])
-        seen = replace(seen, loose=np.concatenate([floor, step]))
-        still = np.eye(3), np.zeros(3)
-        part.extend([k], [seen], [still], [np.arange(len(seen))])
-    found = gathered(part, 10)
-    assert found is not None
-    points = np.zeros(len(found), dtype=np.int64)
-    for seen, match in zip(found.seen, found.match, strict=True):
-        np.add.at(points, match, seen.n_points)
-    assert len(found) == 3
-    assert points.min() >= 24
 
 
 def test_half_a_turn_in_the_next_room_is_not_accepted() -> None:
