@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import subprocess
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -64,10 +65,28 @@ def test_sigterm_leaves_nothing_behind(tmp_path: Path, child_env: dict[str, str]
         time.sleep(0.01)
     child.terminate()
     errors = child.communicate(timeout=PATIENCE_S)[1]
-    # Python ends itself by SIGINT if the exception came through exec; a shell says 130 to both.
-    assert child.returncode in (130, -signal.SIGINT)
+    assert child.returncode == 130
     assert errors == b"relmap: interrupted\n"
     assert names(tmp_path) == []
+
+
+def test_ctrl_c_while_a_string_is_executed_gives_the_same_status(
+    tmp_path: Path, child_env: dict[str, str]
+) -> None:
+    program = """
+import runpy
+from relmap.cli import program
+def interrupted(_):
+    try:
+        exec("raise KeyboardInterrupt")
+    except KeyboardInterrupt:
+        return 130
+program.run = interrupted
+runpy.run_module("relmap", run_name="__main__")
+"""
+    (tmp_path / "pressed.py").write_text(program)
+    command = [sys.executable, "-m", "pressed"]
+    assert subprocess.run(command, env=child_env, cwd=tmp_path).returncode == 130
 
 
 def test_ctrl_c_that_is_handled_already_is_not_changed() -> None:
