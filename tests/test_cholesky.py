@@ -47,6 +47,13 @@ def test_sums_of_cliques_are_solved_as_dense_matrices_are(seed: int, blocks: int
     np.testing.assert_allclose(
         pattern.solve(values, right), np.linalg.solve(dense, right), rtol=1e-9, atol=1e-12
     )
+    columns = np.eye(n)[rng.integers(0, n, 3)] - np.eye(n)[rng.integers(0, n, 3)]
+    np.testing.assert_allclose(
+        pattern.products(values, columns),
+        columns @ np.linalg.solve(dense, columns.T),
+        rtol=1e-9,
+        atol=1e-12,
+    )
 
 
 def test_a_path_is_eliminated_without_filling() -> None:

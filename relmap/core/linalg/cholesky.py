@@ -105,6 +105,16 @@ class Pattern:
 
         return solve(self.layout, values, right)
 
+    def products(self, values: Floats, columns: Floats) -> Floats:
+        """Return the products (n, n) of columns (n, u) with the inverse between them.
+
+        `values` (size,): the factor.
+        """
+        from relmap.core.linalg.cholesky_kernels import half_solve
+
+        halves = np.array([half_solve(self.layout, values, column) for column in columns])
+        return halves @ halves.T
+
     def inverse(self, values: Floats) -> Floats:
         """Return the inverse on the factor's pattern (Takahashi, Fagan and Chin, 1973).
 

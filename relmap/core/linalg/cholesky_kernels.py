@@ -237,14 +237,22 @@ def factorise(layout: Layout, values: Floats) -> None:
 
 
 @compiled
-def solve(layout: Layout, values: Floats, right: Floats) -> Floats:
-    """Return the solution (u,) for a right-hand side (u,), given the factor."""
+def half_solve(layout: Layout, values: Floats, right: Floats) -> Floats:
+    """Return the solution (u,) of the factor's own system, without its transpose.
+
+    `right` (u,). Only panels on the paths of its nonzero entries to the root of the elimination
+    tree are read.
+    """
     start, _, row_begin, rows, _ = layout
-    x, n = right.copy(), len(start) - 1
-    for p in range(n):
+    x = right.copy()
+    for p in range(len(start) - 1):
         own, k = rows[row_begin[p] : row_begin[p + 1]], start[p + 1] - start[p]
+        known, is_reached = x[start[p] : start[p + 1]], False
+        for c in range(k):
+            is_reached |= known[c] != 0.0
+        if not is_reached:
+            continue
         panel = _panel(layout, values, p)
-        known = x[start[p] : start[p + 1]]
         for r in range(len(own)):
             total = 0.0
             for c in range(min(r, k)):
@@ -252,6 +260,14 @@ def solve(layout: Layout, values: Floats, right: Floats) -> Floats:
             x[own[r]] -= total
             if r < k:
                 known[r] /= panel[r, r]
+    return x
+
+
+@compiled
+def solve(layout: Layout, values: Floats, right: Floats) -> Floats:
+    """Return the solution (u,) for a right-hand side (u,), given the factor."""
+    start, _, row_begin, rows, _ = layout
+    x, n = half_solve(layout, values, right), len(start) - 1
     for p in range(n - 1, -1, -1):
         own, k = rows[row_begin[p] : row_begin[p + 1]], start[p + 1] - start[p]
         panel = _panel(layout, values, p)

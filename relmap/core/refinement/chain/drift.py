@@ -48,8 +48,7 @@ class Drift:
             columns = np.zeros((d, pattern.n_unknowns))
             columns[np.arange(d), one] += 1.0
             columns[np.arange(d), other] -= 1.0
-            solved = np.array([pattern.solve(self._factor, column) for column in columns])
-            found[k] = solved @ columns.T
+            found[k] = pattern.products(self._factor, columns)
         return found
 
     def from_pose(self, pose: int) -> tuple[Floats, Floats]:
