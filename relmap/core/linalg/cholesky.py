@@ -113,7 +113,7 @@ class Pattern:
         from relmap.core.linalg.cholesky_kernels import half_solve
 
         halves = np.array([half_solve(self.layout, values, column) for column in columns])
-        return halves @ halves.T
+        return np.asarray(halves @ halves.T)
 
     def inverse(self, values: Floats) -> Floats:
         """Return the inverse on the factor's pattern (Takahashi, Fagan and Chin, 1973).
