@@ -181,7 +181,9 @@ class Submap:
         from relmap.planes3d.nearest_kernels import keys_of
 
         R, t = pose
-        keys = MIXED * keys_of(seen.ends @ R.T + t, seen.cell_m) + keys_of(t[None], seen.cell_m)
+        # The first scan is at the origin, which must not be where cells meet.
+        origin = keys_of(t[None] + seen.cell_m / 2, seen.cell_m)
+        keys = MIXED * keys_of(seen.ends @ R.T + t, seen.cell_m) + origin
         before, self._rays = self._rays, keys
         return ~np.isin(keys, before)
 
