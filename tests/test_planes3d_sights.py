@@ -34,8 +34,12 @@ def test_a_plane_that_is_always_there_is_static() -> None:
 
 
 def test_a_plane_that_slides_along_itself_is_dynamic() -> None:
-    screens = [wall(0, 2.0, (at, at + 0.6)) for at in np.linspace(-0.7, 0.3, 8)]
-    mapper = mapped(*screens)
+    # Of a sensor that stands still, only rays that change are kept: this one moves.
+    mapper, way = Plane3dMapper(), np.array([0.2, 0.1, 0.05])
+    for k, at in enumerate(np.linspace(-0.7, 0.3, 8)):
+        walls = [wall(axis, 3.0) for axis in range(3)] + [wall(0, 2.0, (at, at + 0.6))]
+        mapper.update(patches(*(each - k * way for each in walls)))
+    mapper.finish()
     # All scans see it, but not all of it.
     assert mapper.planes.observations.tolist() == [8] * 4
     assert mapper.planes.status.tolist() == ["static"] * 3 + ["dynamic"]
