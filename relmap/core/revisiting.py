@@ -108,9 +108,10 @@ def merge_doubles_in_place(engine: RelativeMapper) -> None:
             return 0
         others = np.setdiff1d(np.flatnonzero(table.weight > 0), pairs[:, 0])
         new, old = (table.position[of] for of in pairs.T)
-        reach_m = SURE * float(np.median(accuracy.sd_m(pairs)))
+        sd_m = accuracy.sd_m(pairs)
+        reach_m = SURE * float(np.median(sd_m))
         if neighbours_fit(new, old, table.position[others], reach_m, TOLERANCE * noise_m):
-            pairs = pairs[accuracy.suffices(pairs)]
+            pairs = pairs[sd_m <= accuracy.needed_m]
         return engine.merge_pairs(pairs)
 
     if engine.refined:
@@ -163,12 +164,14 @@ class _Accuracy:
 
     `seen_in` (m,): an iteration in which each landmark was seen: one that is not mapped is as
     accurate as the pose, if that is in the largest part.
+
+    Attributes: `needed_m`: largest standard deviation of the distance of landmarks that are merged.
     """
 
     def __init__(self, engine: RelativeMapper, seen_in: Ints | None = None) -> None:
         table, use = engine.table, engine.odometry
         assert use is not None
-        self._needed_m = spacing_of(table.position[table.weight > 0]) / SURE
+        self.needed_m = spacing_of(table.position[table.weight > 0]) / SURE
         self._drift = use.drift
         self._parts = []
         for refined in engine.refined:
@@ -182,7 +185,7 @@ class _Accuracy:
 
     def suffices(self, pairs: Ints) -> Bools:
         """Return for which pairs (k, 2) of landmarks the map is accurate enough; (k,)."""
-        return self.sd_m(pairs) <= self._needed_m
+        return self.sd_m(pairs) <= self.needed_m
 
     def sd_m(self, pairs: Ints) -> Floats:
         """Return the standard deviations (k,) of the distance of landmarks (k, 2), metres."""

@@ -8,7 +8,6 @@ cliques sparse.
 
 from __future__ import annotations
 
-import itertools
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -110,9 +109,9 @@ class Pattern:
 
         `values` (size,): the factor.
         """
-        from relmap.core.linalg.cholesky_kernels import half_solve
+        from relmap.core.linalg.cholesky_kernels import forward_substitution
 
-        halves = np.array([half_solve(self.layout, values, column) for column in columns])
+        halves = np.array([forward_substitution(self.layout, values, column) for column in columns])
         return np.asarray(halves @ halves.T)
 
     def inverse(self, values: Floats) -> Floats:
@@ -120,6 +119,8 @@ class Pattern:
 
         `values` (size,): the factor. Returns (size,).
         """
+        from relmap.core.linalg.cholesky_kernels import take_part
+
         start, _, row_begin, rows, _ = self.layout
         found, place = np.empty_like(values), np.empty_like(rows, shape=self.n_unknowns)
         for p in range(len(start) - 2, -1, -1):
@@ -132,8 +133,10 @@ class Pattern:
             target[:k] = root.T @ root
             below = rows[row_begin[p] + k : row_begin[p + 1]]
             if len(below):
+                part = np.empty((len(below), len(below)))
+                take_part(self.layout, below, found, part, place)
                 pull = panel[k:] @ root
-                target[k:] = -(self._part(found, below, place) @ pull)
+                target[k:] = -(part @ pull)
                 target[:k] -= pull.T @ target[k:]
         return found
 
@@ -141,23 +144,6 @@ class Pattern:
         """Return the columns (h, k) of a panel, a view."""
         start, _, _, _, offset = self.layout
         return values[offset[p] : offset[p + 1]].reshape(-1, start[p + 1] - start[p])
-
-    def _part(self, values: Floats, unknowns: Ints, place: Ints) -> Floats:
-        """Return the part (n, n) over unknowns (n,), ascending; `place` (u,) is work space."""
-        start, column_of, row_begin, rows, _ = self.layout
-        part = np.empty((len(unknowns), len(unknowns)))
-        panels = column_of[unknowns]
-        begins = np.append(np.flatnonzero(np.diff(panels, prepend=-1)), len(unknowns))
-        for a, b in itertools.pairwise(begins):
-            p = panels[a]
-            place[rows[row_begin[p] : row_begin[p + 1]]] = np.arange(
-                row_begin[p + 1] - row_begin[p]
-            )
-            entries = self._panel(values, p)[place[unknowns[a:]]][:, unknowns[a:b] - start[p]]
-            lower = np.tril(entries[: b - a])
-            part[b:, a:b], part[a:b, b:] = entries[b - a :], entries[b - a :].T
-            part[a:b, a:b] = lower + np.tril(lower, -1).T
-        return part
 
     def parts(self, inverse: Floats, chosen: Ints) -> Floats:
         """Return blocks (k, m, m) of the inverse over coupled unknowns (k, m)."""

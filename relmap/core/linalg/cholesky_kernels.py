@@ -121,9 +121,12 @@ def add_part(layout: Layout, unknowns: Ints, part: Floats, values: Floats, place
         first = end
 
 
-@helper
+@compiled
 def take_part(layout: Layout, unknowns: Ints, values: Floats, part: Floats, place: Ints) -> None:
-    """Add a symmetric part (n, n) over unknowns (n,), ascending, to the pattern."""
+    """Copy the symmetric part (n, n) over unknowns (n,), ascending, of a matrix.
+
+    `place` (u,) is work space.
+    """
     start, column_of, _, _, offset = layout
     last = -1
     for b in range(len(unknowns)):
@@ -237,8 +240,8 @@ def factorise(layout: Layout, values: Floats) -> None:
 
 
 @compiled
-def half_solve(layout: Layout, values: Floats, right: Floats) -> Floats:
-    """Return the solution (u,) of the factor's own system, without its transpose.
+def forward_substitution(layout: Layout, values: Floats, right: Floats) -> Floats:
+    """Return the solution (u,) of the system of the factor, without its transpose.
 
     `right` (u,). Only panels on the paths of its nonzero entries to the root of the elimination
     tree are read.
@@ -267,7 +270,7 @@ def half_solve(layout: Layout, values: Floats, right: Floats) -> Floats:
 def solve(layout: Layout, values: Floats, right: Floats) -> Floats:
     """Return the solution (u,) for a right-hand side (u,), given the factor."""
     start, _, row_begin, rows, _ = layout
-    x, n = half_solve(layout, values, right), len(start) - 1
+    x, n = forward_substitution(layout, values, right), len(start) - 1
     for p in range(n - 1, -1, -1):
         own, k = rows[row_begin[p] : row_begin[p + 1]], start[p + 1] - start[p]
         panel = _panel(layout, values, p)
