@@ -47,10 +47,12 @@ def test_sums_of_cliques_are_solved_as_dense_matrices_are(seed: int, blocks: int
     np.testing.assert_allclose(
         pattern.solve(values, right), np.linalg.solve(dense, right), rtol=1e-9, atol=1e-12
     )
-    columns = np.eye(n)[rng.integers(0, n, 3)] - np.eye(n)[rng.integers(0, n, 3)]
+    columns = np.eye(n)[:, rng.integers(0, n, 3)] - np.eye(n)[:, rng.integers(0, n, 3)]
+    solved = np.linalg.solve(dense, columns)
+    np.testing.assert_allclose(pattern.solve(values, columns), solved, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(
         pattern.products(values, columns),
-        columns @ np.linalg.solve(dense, columns.T),
+        columns.T @ solved,
         rtol=1e-9,
         atol=1e-12,
     )

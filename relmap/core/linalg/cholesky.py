@@ -99,20 +99,21 @@ class Pattern:
         factorise(self.layout, values)
 
     def solve(self, values: Floats, right: Floats) -> Floats:
-        """Return the solution (u,) for a right-hand side; `values` (size,) is the factor."""
+        """Return the solutions for right-hand sides (u, ...); `values` (size,) is the factor."""
         from relmap.core.linalg.cholesky_kernels import solve
 
-        return solve(self.layout, values, right)
+        columns = np.ascontiguousarray(right).reshape(self.n_unknowns, -1)
+        return np.asarray(solve(self.layout, values, columns).reshape(right.shape))
 
     def products(self, values: Floats, columns: Floats) -> Floats:
-        """Return the products (n, n) of columns (n, u) with the inverse between them.
+        """Return the products (n, n) of columns (u, n) with the inverse between them.
 
         `values` (size,): the factor.
         """
         from relmap.core.linalg.cholesky_kernels import forward_substitution
 
-        halves = np.array([forward_substitution(self.layout, values, column) for column in columns])
-        return np.asarray(halves @ halves.T)
+        halves = forward_substitution(self.layout, values, columns)
+        return np.asarray(halves.T @ halves)
 
     def inverse(self, values: Floats) -> Floats:
         """Return the inverse on the factor's pattern (Takahashi, Fagan and Chin, 1973).

@@ -241,9 +241,9 @@ def factorise(layout: Layout, values: Floats) -> None:
 
 @compiled
 def forward_substitution(layout: Layout, values: Floats, right: Floats) -> Floats:
-    """Return the solution (u,) of the system of the factor, without its transpose.
+    """Return the solutions (u, m) of the system of the factor, without its transpose.
 
-    `right` (u,). Only panels on the paths of its nonzero entries to the root of the elimination
+    `right` (u, m). Only panels on the paths of its nonzero entries to the root of the elimination
     tree are read.
     """
     start, _, row_begin, rows, _ = layout
@@ -252,23 +252,23 @@ def forward_substitution(layout: Layout, values: Floats, right: Floats) -> Float
         own, k = rows[row_begin[p] : row_begin[p + 1]], start[p + 1] - start[p]
         known, is_reached = x[start[p] : start[p + 1]], False
         for c in range(k):
-            is_reached |= known[c] != 0.0
+            for j in range(x.shape[1]):
+                is_reached |= known[c, j] != 0.0
         if not is_reached:
             continue
         panel = _panel(layout, values, p)
         for r in range(len(own)):
-            total = 0.0
             for c in range(min(r, k)):
-                total += panel[r, c] * known[c]
-            x[own[r]] -= total
+                _add_multiple(x[own[r]], -panel[r, c], known[c])
             if r < k:
-                known[r] /= panel[r, r]
+                for j in range(x.shape[1]):
+                    known[r, j] /= panel[r, r]
     return x
 
 
 @compiled
 def solve(layout: Layout, values: Floats, right: Floats) -> Floats:
-    """Return the solution (u,) for a right-hand side (u,), given the factor."""
+    """Return the solutions (u, m) for right-hand sides (u, m), given the factor."""
     start, _, row_begin, rows, _ = layout
     x, n = forward_substitution(layout, values, right), len(start) - 1
     for p in range(n - 1, -1, -1):
@@ -276,8 +276,11 @@ def solve(layout: Layout, values: Floats, right: Floats) -> Floats:
         panel = _panel(layout, values, p)
         wanted = x[start[p] : start[p + 1]]
         for r in range(k, len(own)):
-            _add_multiple(wanted, -x[own[r]], panel[r])
+            for c in range(k):
+                _add_multiple(wanted[c], -panel[r, c], x[own[r]])
         for c in range(k - 1, -1, -1):
-            wanted[c] /= panel[c, c]
-            _add_multiple(wanted[:c], -wanted[c], panel[c])
+            for j in range(x.shape[1]):
+                wanted[c, j] /= panel[c, c]
+            for b in range(c):
+                _add_multiple(wanted[b], -panel[c, b], wanted[c])
     return x

@@ -55,6 +55,8 @@ STRIDE = 2 * LENGTH
 """Iterations from one stretch to the next."""
 LOCAL = 0.5
 """Largest standard deviation of the landmarks of a stretch from its end, in tolerances."""
+AT_ONCE = 8
+"""Poses whose covariances with all landmarks are computed at once."""
 PEAKS = 12
 """Number of placements that are fitted, those with the most votes."""
 
@@ -104,6 +106,8 @@ class RevisitFinder:
     def __init__(self, table: LandmarkState, landmarks: Ints, drift: Drift, noise_m: float) -> None:
         self._table, self._landmarks, self._drift = table, landmarks, drift
         self._seen_from: dict[int, tuple[Floats, Floats]] = {}
+        n_poses = len(drift.state.t)
+        self._poses = np.minimum(np.arange(STRIDE, n_poses + STRIDE - 1, STRIDE), n_poses - 1)
         self._tolerance_m = WIDER * TOLERANCE * max(noise_m, FLOOR_M)
         own = table.observations[landmarks] >= SOLID
         own &= (table.submap[landmarks] != NONE) & (table.now(landmarks) == landmarks)
@@ -126,9 +130,8 @@ class RevisitFinder:
     def _within(self, sigmas: float, wider: float) -> list[Revisit]:
         """Return those with a drift of at most `sigmas` standard deviations, without rivals."""
         found: list[Revisit] = []
-        n_poses = len(self._drift.state.t)
-        for pose in range(STRIDE, n_poses + STRIDE - 1, STRIDE):
-            revisit = self._revisit(min(pose, n_poses - 1), sigmas, wider)
+        for pose in self._poses.tolist():
+            revisit = self._revisit(pose, sigmas, wider)
             found += [] if revisit is None else [revisit]
         sure, taken = [], np.full(len(self._table), NONE)
         for revisit in sorted(found, key=lambda revisit: revisit.chance):
@@ -138,12 +141,22 @@ class RevisitFinder:
                 sure.append(revisit)
         return sure
 
+    def _from(self, pose: int) -> tuple[Floats, Floats]:
+        """Return the standard deviations (m,) of landmarks and directions from a pose.
+
+        Those from the next poses are computed with them, which takes a fraction of the time.
+        """
+        if pose not in self._seen_from:
+            first = int(np.searchsorted(self._poses, pose))
+            poses = self._poses[first : first + AT_ONCE]
+            each = zip(*self._drift.from_poses(poses), strict=True)
+            self._seen_from |= dict(zip(poses.tolist(), each, strict=True))
+        return self._seen_from[pose]
+
     def _stretch(self, pose: int, sigmas: float) -> Stretch | None:
         """Return the stretch that ends at a pose; None if there is too little to compare."""
         drift = self._drift
-        if pose not in self._seen_from:
-            self._seen_from[pose] = drift.from_pose(pose)
-        sd_m, turn = self._seen_from[pose]
+        sd_m, turn = self._from(pose)
         near = self._own[sd_m[self._own] <= LOCAL * self._tolerance_m]
         new = near[np.argsort(sd_m[near], kind="stable")[:MOST]]
         old = self._own[sd_m[self._own] > self._tolerance_m]

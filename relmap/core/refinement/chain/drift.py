@@ -45,27 +45,32 @@ class Drift:
         pattern, d = self._problem.pattern, unknowns.shape[2]
         found = np.zeros((len(unknowns), d, d))
         for k, (one, other) in enumerate(unknowns):
-            columns = np.zeros((d, pattern.n_unknowns))
-            columns[np.arange(d), one] += 1.0
-            columns[np.arange(d), other] -= 1.0
+            columns = np.zeros((pattern.n_unknowns, d))
+            columns[one, np.arange(d)] += 1.0
+            columns[other, np.arange(d)] -= 1.0
             found[k] = pattern.products(self._factor, columns)
         return found
 
-    def from_pose(self, pose: int) -> tuple[Floats, Floats]:
-        """Return the standard deviations (m,) of landmarks and of directions, from a pose.
+    def from_poses(self, poses: Ints) -> tuple[Floats, Floats]:
+        """Return the standard deviations (p, m) of landmarks and of directions, from each pose (p,).
 
         Metres, along the axis of the largest variance; and radians, of the robot's direction
         relative to that when it last saw the landmark.
         """
-        problem, pattern, state = self._problem, self._problem.pattern, self.state
-        own = problem.pose[pose]
-        columns = np.zeros((pattern.n_unknowns, len(own)))
-        for k, unknown in enumerate(own):
-            right = np.zeros(pattern.n_unknowns)
-            right[unknown] = 1.0
-            columns[:, k] = pattern.solve(self._factor, right)
+        own = self._problem.pose[poses]
+        right = np.zeros((self._problem.pattern.n_unknowns, own.size))
+        right[own.ravel(), np.arange(own.size)] = 1.0
+        columns = self._problem.pattern.solve(self._factor, right)
+        each = np.split(columns, len(poses), axis=1)
+        found = [self._from_pose(*of) for of in zip(poses.tolist(), each, strict=True)]
+        sd_m, sd_rad = np.swapaxes(found, 0, 1)
+        return sd_m, sd_rad
+
+    def _from_pose(self, pose: int, columns: Floats) -> tuple[Floats, Floats]:
+        """Return the deviations (m,) from a pose, given its columns (u, c) of the covariance."""
+        problem, state = self._problem, self.state
         by_pose = -derivatives(state.positions - state.t[pose])
-        of_pose, mixed = columns[own], columns[problem.unknown]
+        of_pose, mixed = columns[problem.pose[pose]], columns[problem.unknown]
         across = by_pose @ np.swapaxes(mixed, 1, 2)
         own, own_turn = self._own
         found = by_pose @ of_pose @ np.swapaxes(by_pose, 1, 2) + own
