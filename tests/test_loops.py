@@ -112,7 +112,7 @@ def test_a_lattice_has_rivals() -> None:
 def evidence(n_tied: int, n_new: int) -> Evidence:
     """Return what is known where so many in view were seen when the older ones were, or not."""
     first = np.repeat([0, 50], [n_tied, n_new])
-    return Evidence(first, 0.01, 0.35, np.full(40, 10.0), np.full(40, 20))
+    return Evidence(first, 0.01, 0.35, np.full(40, 10.0), np.full(40, 20), np.arange(40), None)
 
 
 def test_a_coincident_pair_needs_support() -> None:

@@ -75,6 +75,27 @@ def test_wrong_merges_are_undone_and_right_ones_are_not() -> None:
     assert len(mapper.submaps) == 1
 
 
+@pytest.mark.parametrize(
+    "spec",
+    [
+        WorldSpec(noise="range", seed=1),
+        WorldSpec(noise="stereo", sigma=0.03, space=True, seed=201),
+        WorldSpec(noise="stereo", sigma=0.03, space=True, seed=202),
+    ],
+    ids=["a-lone-pair", "two-visits-side-by-side", "a-stretch-beside-another"],
+)
+def test_a_map_that_wrong_merges_bend_is_repaired(spec: WorldSpec) -> None:
+    """Two stretches joined by one merge, or mapped metres from the place that they show."""
+    world = simulate_world(spec)
+    mapper, labels = mapped_world(world)
+    true = majority_ids(mapper.landmarks_of(labels), world.true_ids)
+    ids = dict(zip(*true[:2], strict=True))
+    shown = [ids[label] for label in mapper.map.landmark_ids.tolist()]
+    assert len(mapper.submaps) == 1
+    assert len(shown) == len(set(shown))
+    assert error_m(mapper, labels, world) < 0.2
+
+
 def test_tracks_of_several_landmarks_are_not_repaired() -> None:
     world = simulate_figure_eight(density=100, iterations=900, seed=1)
     mapper = PointMapper(MapperConfig(registration="nearest-previous"))

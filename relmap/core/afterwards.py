@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.association.reobservation.doubling import places_shown_twice
 from relmap.core.association.reobservation.loops import LoopFinder
-from relmap.core.association.reobservation.merging import merge_doubles
+from relmap.core.association.reobservation.merging import TOLERANCE, merge_doubles
 from relmap.core.association.reobservation.sightings import Sightings, rows_of_tracks
 from relmap.core.association.reobservation.strays import find_strays
 from relmap.core.association.reobservation.tying import CLEAR, tie_submaps
@@ -22,6 +23,7 @@ from relmap.core.revisiting import (
     merge_doubles_in_place,
     merge_in_place,
     merge_within_drift,
+    mergeable,
 )
 from relmap.core.state.table import NONE
 from relmap.core.turns import group_or_found, last_pass, placed_first
@@ -82,6 +84,7 @@ def tie(engine: RelativeMapper) -> None:
     else:
         _close_loops(engine, rows, noise_m)
         if engine.refined:  # Before that, coinciding landmarks may be distinct.
+            _join_places(engine, rows, noise_m)
             merge_doubles(merger, engine.merge, noise_m)
     merger.sightings = None
 
@@ -110,6 +113,17 @@ def _close_loops(engine: RelativeMapper, rows: SegmentRows, noise_m: float) -> N
             bend(engine.map, rows, pairs, loop.placement.R, loop.placement.t)
             engine.merge_pairs(pairs)
             merge_doubles(engine.merger, engine.merge, engine.averaging.noise.sigma_m)
+
+
+def _join_places(engine: RelativeMapper, rows: SegmentRows, noise_m: float) -> None:
+    """Join places that a refined map shows twice, one beside the other."""
+    tolerance_m = TOLERANCE * engine.model.position_spread * noise_m
+    for place in list(places_shown_twice(engine.table, Sightings(rows, engine.table), tolerance_m)):
+        pairs = place.pairs[engine.table.is_own[place.pairs].all(axis=1)]
+        pairs = pairs[engine.merger.allowed(pairs)]
+        if len(pairs) > CLEAR * len(place.pairs):
+            bend(engine.map, rows, pairs, place.placement.R, place.placement.t)
+            engine.merge_pairs(mergeable(engine.table, pairs))
 
 
 def find_again(engine: RelativeMapper) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.association.placement import DISTINCT, consistent_placements
+from relmap.core.association.reobservation.sightings import Sightings
 from relmap.core.association.search import log_chance
 
 ENOUGH = 3
@@ -31,7 +32,8 @@ class Evidence:
     `first` (k,), ascending: iteration in which each landmark in view was first seen, as far as
     known; `share`: probability that a landmark coincides with another by chance; `reach_m`:
     possible drift of the map; `weight`, `last` (n,): iterations averaged into the position of each
-    landmark, and iteration in which it was last seen.
+    landmark, and iteration in which it was last seen; `landmarks` (k,): those in view; `sightings`:
+    which landmarks were seen together, if known.
     """
 
     first: Ints
@@ -39,6 +41,8 @@ class Evidence:
     reach_m: float
     weight: Floats
     last: Ints
+    landmarks: Ints
+    sightings: Sightings | None
 
     def sharpness(self, pairs: Ints) -> Floats:
         """Return the scatter of positions of pairs (k, 2), relative to an observation's (k,)."""
@@ -46,7 +50,12 @@ class Evidence:
         return np.asarray(np.minimum(AVERAGED * np.sqrt(variance + LOCAL_DRIFT), 1.0))
 
     def tied(self, pairs: Ints) -> Bools:
-        """Return which pairs (k, 2) are confirmed by others in view when the older one was seen."""
+        """Return which pairs (k, 2) are confirmed by others that were seen with both.
+
+        Without sightings, by others that were in view when the older one was seen.
+        """
+        if self.sightings is not None:
+            return self.sightings.seen_with_both(pairs, self.landmarks) >= ENOUGH
         return np.searchsorted(self.first, self.last[pairs[:, 1]], side="right") >= ENOUGH
 
     def is_unlike_chance(self, pairs: Ints, log_placements: float = 0.0) -> bool:

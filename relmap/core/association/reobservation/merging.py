@@ -150,7 +150,8 @@ class Merger:
         first = np.sort(self._table.first[landmarks[self._table.weight[landmarks] > 0]])
         reach_m, d = self._index.cell_m, self._table.dimension
         share = min(np.log(2) * (REACH * tolerance_m / reach_m) ** d, 0.5)
-        return Evidence(first, share, reach_m, self._table.weight, self._table.last)
+        weight, last = self._table.weight, self._table.last
+        return Evidence(first, share, reach_m, weight, last, landmarks, self.sightings)
 
     def visits(self, doubles: Ints) -> Iterator[Ints]:
         """Yield landmarks (k,) near each other that were seen together, covering all."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Bools, Ints
@@ -34,6 +35,26 @@ class Sightings:
         """Return whether two landmarks share more than a fraction of the scans of the rarer."""
         here, there = (self._scans(self._rows(landmark)) for landmark in (one, other))
         return len(np.intersect1d(here, there)) > share * min(len(here), len(there))
+
+    def met(self, landmarks: Ints) -> csr_array:
+        """Return which of landmarks (k,) were seen in one scan with which, (k, k), and itself."""
+        scans = [self._scans(self._rows(landmark)) for landmark in landmarks.tolist()]
+        of = np.repeat(np.arange(len(scans)), [len(each) for each in scans])
+        seen = csr_array((np.ones(len(of), dtype=np.int32), (of, np.concatenate(scans))))
+        return (seen @ seen.T).astype(np.bool_)
+
+    def seen_with_both(self, pairs: Ints, others: Ints) -> Ints:
+        """Return the number of others (n,) seen in one scan with each of a pair (k, 2); (k,)."""
+        every = np.union1d(pairs, others).tolist()
+        scans = {landmark: set(self._scans(self._rows(landmark)).tolist()) for landmark in every}
+        met = [
+            [
+                other not in pair and not any(scans[other].isdisjoint(scans[one]) for one in pair)
+                for other in others.tolist()
+            ]
+            for pair in pairs.tolist()
+        ]
+        return np.asarray(np.array(met, dtype=np.int64).reshape(len(pairs), -1).sum(axis=1))
 
     def seldom(self, rare: Bools) -> Bools:
         """Return which mapped landmarks (m,) few of the scans of their neighbours show.

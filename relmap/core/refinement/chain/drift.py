@@ -52,7 +52,7 @@ class Drift:
         return found
 
     def from_poses(self, poses: Ints) -> tuple[Floats, Floats]:
-        """Return the standard deviations (p, m) of landmarks and of directions, from each pose (p,).
+        """Return the standard deviations (p, m) of landmarks and directions, from each pose (p,).
 
         Metres, along the axis of the largest variance; and radians, of the robot's direction
         relative to that when it last saw the landmark.

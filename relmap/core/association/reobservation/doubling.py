@@ -1,0 +1,133 @@
+"""Places that a refined map shows twice, one beside the other.
+
+Wrong merges can tie a stretch to the map where it does not belong. Its landmarks are then beside
+those that they are, all shifted alike, and were never seen in one scan with them, although they lie
+among landmarks that were. Time does not tell the two stretches apart: both may have been visited
+again in between.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from scipy.sparse import csr_array
+from scipy.spatial import ConvexHull, QhullError, cKDTree
+
+from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.association.placement import Placement, consistent_placements
+from relmap.core.association.reobservation.evidence import ENOUGH, LOG_CHANCE
+from relmap.core.association.reobservation.loops import Loop
+from relmap.core.association.reobservation.sightings import Sightings
+from relmap.core.association.reobservation.tying import CLEAR, NEIGHBOURHOOD, OVERLAP
+from relmap.core.association.scale import spacing_of
+from relmap.core.association.search import log_chance
+from relmap.core.state.table import NONE, LandmarkState
+
+SHARE = 0.5
+"""Fraction of the landmarks of a stretch that must match."""
+AMONG = 0.25
+"""Fraction of these that must lie among the others seen with those that they match: the two faces
+of a wall are not seen together either."""
+STRANGE = 0.5
+"""Largest fraction of a neighbourhood that was seen with a landmark of the other stretch."""
+CANDIDATES = 400
+"""Maximum number of candidate pairs, the nearest."""
+
+
+def places_shown_twice(
+    table: LandmarkState, sightings: Sightings, tolerance_m: float
+) -> Iterator[Loop]:
+    """Yield the places that a submap shows twice.
+
+    `table`: of a refined map; `tolerance_m`: largest distance between the positions of one landmark
+    after placement.
+    """
+    for submap in np.unique(table.submap[table.submap != NONE]).tolist():
+        own = np.flatnonzero(table.submap == submap)
+        if len(own) < 2 * NEIGHBOURHOOD:
+            continue
+        search = _Search(table.position[own], sightings.met(own), tolerance_m)
+        had = np.zeros(len(own), dtype=np.bool_)
+        for seed in range(len(own)):
+            if had[seed]:
+                continue
+            together, around = search.neighbourhood(seed)
+            had[around[: max(1, len(around) // OVERLAP)]] = True
+            found = search.shift(seed, together, around)
+            if found is not None:
+                had[found[1]] = True
+                yield Loop(own[found[1]], found[0])
+
+
+class _Search:
+    """Searches for shifted stretches around one landmark after another.
+
+    `at` (m, d), metres: positions; `met` (m, m): which landmarks were seen in one scan.
+    """
+
+    def __init__(self, at: Floats, met: csr_array, tolerance_m: float) -> None:
+        self._at, self._met, self._tolerance_m = at, met, tolerance_m
+        self._tree, self._apart_m = cKDTree(at), spacing_of(at)
+
+    def neighbourhood(self, seed: int) -> tuple[Ints, Ints]:
+        """Return the landmarks seen with one of them, the nearest first, and those nearby."""
+        together = self._met[[seed]].nonzero()[1].astype(np.int64)
+        apart = np.linalg.norm(self._at[together] - self._at[seed], axis=1)
+        together = together[np.argsort(apart, kind="stable")]
+        return together, together[:NEIGHBOURHOOD]
+
+    def shift(self, seed: int, together: Ints, around: Ints) -> tuple[Placement, Ints] | None:
+        """Return the motion of a stretch onto a neighbourhood, and pairs (k, 2) of both, if sure.
+
+        The first of each pair is of the stretch.
+        """
+        at, d, tolerance_m = self._at, self._at.shape[1], self._tolerance_m
+        reach_m = float(np.linalg.norm(at[around[-1]] - at[seed]))
+        strangers = self._strangers(seed, around, reach_m)
+        if len(strangers) < ENOUGH:
+            return None
+        met = self._met[strangers][:, around].toarray()
+        one, other = np.nonzero(~met)
+        pairs = np.column_stack([strangers[one], around[other]])
+        apart = np.linalg.norm(at[pairs[:, 0]] - at[pairs[:, 1]], axis=1)
+        pairs = pairs[np.argsort(apart, kind="stable")[:CANDIDATES]]
+        found = consistent_placements(at, at, pairs, tolerance_m, tolerance_m)
+        placement, matches = next(found, (None, pairs[:0]))
+        if placement is None:
+            return None
+        rival = len(next(found, (None, pairs[:0]))[1])
+        matches = self._one_to_one(placement, matches)
+        share = min(np.log(2) * (tolerance_m / self._apart_m) ** d, 0.5)
+        placements = d * (d + 1) / 2 * np.log(1 + 2 * reach_m / tolerance_m) + np.log(len(at))
+        chance = log_chance(len(strangers), len(matches), share, placements)
+        if chance > LOG_CHANCE or len(matches) < SHARE * len(strangers):
+            return None
+        inside = _inside(at[matches[:, 0]], at[together])
+        if rival > CLEAR * len(matches) or inside.mean() < AMONG:
+            return None
+        return placement, matches
+
+    def _strangers(self, seed: int, around: Ints, reach_m: float) -> Ints:
+        """Return the landmarks (k,) near one of them that were not seen with most around it."""
+        near = np.array(sorted(self._tree.query_ball_point(self._at[seed], reach_m)))
+        met = self._met[near][:, around].toarray()
+        is_other = ~self._met[near][:, [seed]].toarray()[:, 0]
+        return np.asarray(near[is_other & (met.mean(axis=1) < STRANGE)], dtype=np.int64)
+
+    def _one_to_one(self, placement: Placement, matches: Ints) -> Ints:
+        """Return matches (k, 2) that a placement brings together, each landmark once."""
+        off = placement.apply(self._at[matches[:, 0]]) - self._at[matches[:, 1]]
+        matches = np.asarray(matches[np.linalg.norm(off, axis=1) <= self._tolerance_m])
+        for column in (0, 1):
+            matches = matches[np.unique(matches[:, column], return_index=True)[1]]
+        return matches
+
+
+def _inside(points: Floats, others: Floats) -> Bools:
+    """Return which points (n, d) are in the convex hull of others (m, d)."""
+    try:
+        faces = ConvexHull(others).equations
+    except QhullError:  # too few, or all in one plane
+        return np.zeros(len(points), dtype=np.bool_)
+    return np.asarray((points @ faces[:, :-1].T + faces[:, -1] <= 0).all(axis=1))
