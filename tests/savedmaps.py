@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from relmap import PointMapper
-from tests.worlds import walk
+from tests.worlds import fed, walk
 
 
 def told(mapper: Any) -> tuple[bytes, ...]:
@@ -20,9 +20,7 @@ def told(mapper: Any) -> tuple[bytes, ...]:
 
 
 def saved_map(folder: Path) -> Path:
-    mapper = PointMapper()
-    for _, points in walk(3, 3, 0.02, iterations=40).scans:
-        mapper.update(points)
+    mapper = fed(PointMapper(), (points for _, points in walk(3, 3, 0.02, iterations=40).scans))
     mapper.save(folder / "mapper.npz")
     return folder / "mapper.npz"
 

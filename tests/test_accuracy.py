@@ -15,10 +15,9 @@ from relmap.core.landmarks import LandmarkMap
 from relmap.datasets import ObservationLog, open_log
 from relmap.datasets.mrpt_landmarks import read_ground_truth
 from relmap.datasets.victoria_park import read_reference_map
-from relmap.evaluation.metrics import majority_ids
 from relmap.evaluation.metrics import purity as purity_of
 from relmap.simulation import simulate_figure_eight
-from tests.worlds import aligned_rmse, driven
+from tests.worlds import aligned_rmse, driven, stands_for, without_ids
 
 
 def rmse(result: LandmarkMap, ids: Ints, truth: Floats) -> float:
@@ -73,8 +72,8 @@ def test_tracks_are_pure_without_ids(density: float, iterations: int, least: flo
     mapper, landmarks = map_without_ids(log)
     assert log.ids is not None
     assert purity(landmarks, log.ids) >= least
-    stands_for = dict(zip(*majority_ids(landmarks, log.ids)[:2], strict=True))
-    mapped = [stands_for[label] for label in mapper.map.landmark_ids]
+    id_of = stands_for(landmarks, log.ids)
+    mapped = [id_of[label] for label in mapper.map.landmark_ids]
     ids, counts = np.unique(log.ids, return_counts=True)
     assert np.isin(ids[counts >= 10], mapped).mean() >= 0.97
 
@@ -119,8 +118,8 @@ def test_victoria_park_is_mapped_without_ids(
     mapper, landmarks = map_without_ids(log)
     assert log.ids is not None
     assert purity(landmarks, log.ids) >= 0.999
-    stands_for = dict(zip(*majority_ids(landmarks, log.ids)[:2], strict=True))
-    mapped = np.array([stands_for.get(label, -1) for label in mapper.map.landmark_ids])
+    id_of = stands_for(landmarks, log.ids)
+    mapped = np.array([id_of.get(label, -1) for label in mapper.map.landmark_ids])
     ids, counts = np.unique(log.ids[log.ids >= 0], return_counts=True)
     assert np.isin(ids[counts >= 10], mapped).mean() >= 0.95
     # The published estimate, of the whole log and with odometry, is the better reference:
@@ -161,20 +160,16 @@ def purity(landmarks: Ints, ids: Ints) -> float:
 
 def map_without_ids(log: ObservationLog) -> tuple[PointMapper, Ints]:
     """Map and refine without ids; return the mapper and the landmark of every observation."""
-    mapper = PointMapper()
-    labels = [mapper.update(scan.points_robot) for scan in log.scans()]
-    mapper.finish()
+    mapper, labels = without_ids(log)
     mapper.refine()
-    return mapper, mapper.landmarks_of(np.concatenate(labels))
+    return mapper, mapper.landmarks_of(labels)
 
 
 def often_seen_rmse(
     mapper: PointMapper, landmarks: Ints, log: ObservationLog, ids: Ints, truth: Floats
 ) -> float:
     """Return the RMSE of the mapped tracks seen ten times, against those they stand for."""
-    assert log.ids is not None
-    table = mapper.landmarks
+    table, id_of = mapper.landmarks, stands_for(landmarks, log.ids)
     often = (table.level > 0) & (table.observations >= 10)
-    stands_for = dict(zip(*majority_ids(landmarks, log.ids)[:2], strict=True))
-    true = np.array([stands_for[label] for label in table.landmark[often]])
+    true = np.array([id_of[label] for label in table.landmark[often]])
     return rmse(LandmarkMap(true, table.position[often]), ids, truth)

@@ -12,6 +12,7 @@ from relmap.planes.linking.tying import Scans
 from relmap.planes.motions import from_matrices
 from relmap.simulation import simulate_building
 from relmap.simulation.floor_plan import World
+from tests.worlds import fed
 
 STEP_M = 0.5
 MOST_M, MOST_RAD = 2.0, np.deg2rad(60.0)
@@ -22,9 +23,7 @@ def scanned(world: World) -> tuple[Scans, Floats]:
     building = simulate_building(
         points=361, sigma=0.01, sampling="laser", iterations=60, world=world, step_m=STEP_M
     )
-    mapper = PlaneMapper()
-    for scan in building.scans:
-        mapper.update(scan.points[:, :2])
+    mapper = fed(PlaneMapper(), (scan.points[:, :2] for scan in building.scans))
     links = mapper.engine.association.registration.links  # type: ignore[union-attr]
     none = np.empty(0, dtype=np.int64)
     motions, measured = links.motions.copy(), links.measured

@@ -18,7 +18,7 @@ from relmap.core.arrays import Floats
 from relmap.core.state.weighed import WeighedObservations
 from relmap.datasets import ObservationLog, open_log, write_observation_csv
 from relmap.simulation.worlds import World, WorldSpec, simulate_world
-from tests.worlds import aligned_rmse, walk
+from tests.worlds import aligned_rmse, refined, walk
 
 pytestmark = pytest.mark.usefixtures("unrendered")
 
@@ -33,12 +33,9 @@ def world(noise: str, kind: str = "streets", space: bool = False) -> World:
 
 
 def mapped(log: ObservationLog) -> PointMapper:
-    mapper = PointMapper()
-    for scan in log.scans():
-        mapper.update(scan.points_robot, scan.ids, scan.covariances)
-    mapper.finish()
-    mapper.refine()
-    return mapper
+    return refined(
+        PointMapper(), ((scan.points_robot, scan.ids, scan.covariances) for scan in log.scans())
+    )
 
 
 def error(mapper: PointMapper, truth: World) -> float:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from relmap import PointMapper
 from relmap.core.arrays import Bools, Floats
 from relmap.core.grouping.dynamics import FEWEST, Binning, Bins
-from tests.worlds import random_rotation, walk
+from tests.worlds import finished, random_rotation, walk
 
 seeds = st.integers(0, 2**32 - 1)
 dimensions = st.sampled_from([2, 3])
@@ -252,10 +252,7 @@ def test_movers_are_dynamic_and_the_rest_is_mapped(d: int) -> None:
     lost, kept, n_static, n_moving = 0, 0, 0, 0
     for seed in range(12):
         block, static = mixed(30, 0.4, d, seed, i=60)
-        mapper = PointMapper()
-        for k in range(60):
-            mapper.update(block[:, k], np.arange(30))
-        mapper.finish()
+        mapper = finished(PointMapper(), ((block[:, k], np.arange(30)) for k in range(60)))
         found = mapper.landmarks.status
         lost, n_static = lost + int(np.sum(found[static] != "static")), n_static + int(static.sum())
         kept += int(np.sum(found[~static] != "dynamic"))

@@ -22,7 +22,7 @@ from relmap.datasets import ObservationLog, write_observation_csv
 from relmap.evaluation.summary import MANY, ends_of
 from relmap.io.results import read_result
 from relmap.simulation import simulate_figure_eight
-from tests.worlds import aligned_rmse, random_rotation
+from tests.worlds import aligned_rmse, fed, finished, random_rotation, seen
 
 pytestmark = pytest.mark.usefixtures("unrendered")
 
@@ -115,11 +115,7 @@ def test_impossible_faults_are_refused() -> None:
 
 
 def mapped(log: ObservationLog, known: bool) -> PointMapper:
-    mapper = PointMapper()
-    for scan in log.scans():
-        mapper.update(scan.points_robot, scan.ids if known else None)
-    mapper.finish()
-    return mapper
+    return finished(PointMapper(), seen(log, known))
 
 
 @pytest.mark.parametrize("known", [True, False])
@@ -145,11 +141,8 @@ def test_a_mirrored_scan_of_few_landmarks_is_rejected(seed: int) -> None:
 @pytest.mark.parametrize("known", [True, False])
 @pytest.mark.parametrize("first", [0, 30])
 def test_rejected_iterations_are_the_callers(known: bool, first: int) -> None:
-    mapper = PointMapper()
-    for _ in range(first):
-        mapper.update(np.empty((0, 3)))
-    for scan in faults.mirrored_scan(LOG, 7).between(0, 20).scans():
-        mapper.update(scan.points_robot, scan.ids if known else None)
+    mapper = fed(PointMapper(), (np.empty((0, 3)) for _ in range(first)))
+    fed(mapper, seen(faults.mirrored_scan(LOG, 7).between(0, 20), known))
     assert mapper.rejected.tolist() == [first + 7]
 
 

@@ -41,6 +41,7 @@ from tests.tinyfigures import (
     tiny_loop,
     tiny_store,
 )
+from tests.worlds import refined, seen
 
 YES, PARTLY, NO = "borne out", "partly borne out", "not borne out"
 
@@ -253,11 +254,7 @@ def test_curves_end_at_the_errors_of_the_maps(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(figure16, "METHODS", {name: figure16.METHODS[name] for name in kept})
     data = figure16.error_curves(1, 100)
     world = simulate_figure_eight(iterations=100, noise="uniform", seed=0)
-    mapper = PointMapper(MapperConfig(keep_observations=True))
-    for scan in world.log.scans():
-        mapper.update(scan.points_robot, scan.ids)
-    mapper.finish()
-    mapper.refine()
+    mapper = refined(PointMapper(MapperConfig(keep_observations=True)), seen(world.log))
     there = world.landmarks_map[mapper.map.landmark_ids]
     R, t = fit_rigid(mapper.map.positions, there)
     off = mapper.map.positions @ R.T + t - there

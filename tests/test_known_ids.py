@@ -15,7 +15,7 @@ from relmap.core.association.known import SLOTS, KnownAssociation
 from relmap.datasets import ObservationLog
 from relmap.simulation import simulate_figure_eight
 from relmap.simulation.worlds import World, WorldSpec, simulate_world
-from tests.worlds import Scans, aligned_rmse, random_rotation
+from tests.worlds import Scans, aligned_rmse, random_rotation, refined
 
 Array = Floats
 
@@ -25,12 +25,7 @@ def driven(log: ObservationLog) -> PointMapper:
 
 
 def mapped(scans: Scans) -> PointMapper:
-    mapper = PointMapper()
-    for ids, points in scans:
-        mapper.update(points, ids)
-    mapper.finish()
-    mapper.refine()
-    return mapper
+    return refined(PointMapper(), ((points, ids) for ids, points in scans))
 
 
 def limit(world: World) -> tuple[Ints, Array]:

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from relmap import PointMapper
-from relmap.comparison.baselines.batch import Batch, batch_least_squares
 from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import sums_each
 from relmap.core.map.globalmap import GlobalMap
@@ -15,14 +14,11 @@ from relmap.core.refinement.bodies import brought_together
 from relmap.core.refinement.condensing import CondensedSegments
 from relmap.core.state.table import LandmarkState
 from relmap.simulation import FigureEight, simulate_figure_eight
-from tests.worlds import aligned_rmse, mapped, random_rotation, walk
+from tests.worlds import aligned_rmse, fed, limit_of, mapped, random_rotation, seen, walk
 
 
 def driven(world: FigureEight, end: int) -> PointMapper:
-    mapper = PointMapper()
-    for scan in world.log.between(0, end).scans():
-        mapper.update(scan.points_robot, scan.ids)
-    return mapper
+    return fed(PointMapper(), seen(world.log.between(0, end)))
 
 
 def live_error(mapper: PointMapper, world: FigureEight) -> float:
@@ -35,11 +31,7 @@ def test_a_closed_loop_is_spread_over_the_live_map(monkeypatch: pytest.MonkeyPat
     worlds = [simulate_figure_eight(seed=seed) for seed in (30, 31, 32)]
     for world in worlds:
         spread.append(live_error(driven(world, 900), world))
-        assert world.log.ids is not None
-        batch = Batch(world.log.points_robot, world.log.iteration, world.log.ids)
-        limits.append(
-            aligned_rmse(batch_least_squares(batch, world.landmarks_map), world.landmarks_map)
-        )
+        limits.append(limit_of(world.log, world.landmarks_map))
     monkeypatch.setattr(live.LiveRefinement, "advance", lambda *_: False)
     chained = [live_error(driven(world, 900), world) for world in worlds]
     assert np.median(spread) < 0.6 * np.median(chained)

@@ -11,7 +11,7 @@ from relmap import MapperConfig, PointMapper
 from relmap.core.arrays import Floats
 from relmap.core.refinement.condensing import LENGTH
 from relmap.core.state.schedule import LONGEST_INTERVAL
-from tests.worlds import aligned_rmse, random_rotation, walk
+from tests.worlds import aligned_rmse, finished, random_rotation, walk
 
 both_dimensions = pytest.mark.parametrize("d", [2, 3])
 SIGMA = 0.05
@@ -156,10 +156,7 @@ def settled_map(mapper: PointMapper) -> tuple[bytes, bytes]:
 
 @both_dimensions
 def test_finish_twice_is_finish_once(d: int) -> None:
-    mapper = PointMapper()
-    for ids, points in walk(d, 3, SIGMA).scans:
-        mapper.update(points, ids)
-    mapper.finish()
+    mapper = finished(PointMapper(), ((points, ids) for ids, points in walk(d, 3, SIGMA).scans))
     once = settled_map(mapper)
     mapper.finish()
     assert settled_map(mapper) == once
@@ -188,10 +185,10 @@ def test_after_finish_the_mapping_goes_on(d: int) -> None:
 @both_dimensions
 def test_a_group_after_every_observation(d: int, known: bool) -> None:
     world = walk(d, 5)
-    mapper = PointMapper(MapperConfig(group_after=1))
-    for ids, points in world.scans:
-        mapper.update(points, ids if known else None)
-    mapper.finish()
+    mapper = finished(
+        PointMapper(MapperConfig(group_after=1)),
+        ((points, ids if known else None) for ids, points in world.scans),
+    )
     found, seen = mapper.map, np.unique(np.concatenate([ids for ids, _ in world.scans]))
     assert len(found.landmark_ids) >= 0.9 * len(seen)
     if known:

@@ -12,9 +12,9 @@ from relmap.core.association.reobservation.loops import LoopFinder
 from relmap.core.association.search import search
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.state.table import LandmarkState
-from relmap.evaluation.metrics import majority_ids, purity
+from relmap.evaluation.metrics import purity
 from relmap.simulation import WorldSpec, simulate_world
-from tests.worlds import random_rotation
+from tests.worlds import random_rotation, stands_for, without_ids
 
 SIGMA = 0.02
 
@@ -73,16 +73,14 @@ def test_landmarks_that_were_all_in_view_at_once_are_not_searched(
 def test_a_ring_is_closed_over_a_drift_of_metres() -> None:
     spec = WorldSpec(kind="ring", length_m=1000.0, iterations=600, seed=3)
     world = simulate_world(spec)
-    mapper = PointMapper()
-    labels = np.concatenate([mapper.update(scan.points_robot) for scan in world.log.scans()])
-    mapper.finish()
+    mapper, labels = without_ids(world.log)
     mapper.refine()
     now = mapper.landmarks_of(labels)
     found = purity(now, world.true_ids)
     assert found is not None
     assert found >= 0.998
-    stands_for = dict(zip(*majority_ids(now, world.true_ids)[:2], strict=True))
-    true = [stands_for[label] for label in mapper.map.landmark_ids]
+    id_of = stands_for(now, world.true_ids)
+    true = [id_of[label] for label in mapper.map.landmark_ids]
     assert len(true) <= 1.02 * len(set(true))
 
 

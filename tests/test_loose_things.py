@@ -15,6 +15,7 @@ from relmap.planes.scans.beams import Beams, BeamStore, GivenBeams
 from relmap.planes.scans.observation import checked_planes, journaled, of_journal
 from relmap.segmentation import PlaneSegmenter
 from relmap.simulation import simulate_building
+from tests.worlds import refined
 
 BEARING = np.linspace(-np.pi / 2, np.pi / 2, 361)
 BODY_M = 0.2
@@ -75,11 +76,10 @@ def test_whether_share_at_rest_is_known_from_accepted_links(walks: bool) -> None
 def test_a_crowd_does_not_drag_the_map_along() -> None:
     """With the people's bodies as walls, it was 0.9 m off here."""
     run = simulate_building(361, 0.01, sampling="laser", seed=1, step_m=0.1, people=15)
-    mapper = PlaneMapper(segmenter=PlaneSegmenter(view_rad=np.pi, range_m=8.0))
-    for scan in run.scans[:86]:
-        mapper.update(scan.points[:, :2])
-    mapper.finish()
-    mapper.refine()
+    mapper = refined(
+        PlaneMapper(segmenter=PlaneSegmenter(view_rad=np.pi, range_m=8.0)),
+        (scan.points[:, :2] for scan in run.scans[:86]),
+    )
     submap = mapper.submaps[0]
     known = np.isfinite(submap.poses[:, 0, 0])
     error_m = ate(submap.poses[known], run.trajectory[slice(*submap.span)][known], planar=True)

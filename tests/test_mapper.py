@@ -9,7 +9,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from relmap import MapperConfig, PointMapper, RelmapError
-from tests.worlds import aligned_rmse, mapped, random_rotation, walk
+from tests.worlds import aligned_rmse, finished, mapped, random_rotation, walk
 
 seeds = st.integers(0, 2**32 - 1)
 dimensions = st.sampled_from([2, 3])
@@ -190,10 +190,7 @@ def test_too_few_landmarks_stay_unmapped_without_nan_or_warning() -> None:
 
 def test_landmarks_on_one_line_stay_unmapped() -> None:
     line = np.outer(np.arange(8.0), [1.0, 2.0, 0.5])
-    mapper = PointMapper()
-    for k in range(40):
-        mapper.update(line - [0.1 * k, 0, 0], ids=np.arange(8))
-    mapper.finish()
+    mapper = finished(PointMapper(), ((line - [0.1 * k, 0, 0], np.arange(8)) for k in range(40)))
     assert len(mapper.map.positions) == 0
 
 

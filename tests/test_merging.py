@@ -6,8 +6,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from relmap import PointMapper
-from relmap.comparison.baselines.batch import Batch, batch_least_squares
-from relmap.core.arrays import Ints
 from relmap.core.association.reobservation.evidence import chosen
 from relmap.core.association.reobservation.merging import Merger
 from relmap.core.config import MapperConfig
@@ -15,51 +13,38 @@ from relmap.core.geometry.spatialindex import SpatialIndex
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.state.schedule import GroupingSchedule
 from relmap.core.state.table import LandmarkState
-from relmap.evaluation.metrics import majority_ids, purity
+from relmap.evaluation.metrics import purity
 from relmap.points.model import PointModel
-from relmap.simulation import FigureEight, simulate_figure_eight
-from tests.worlds import aligned_rmse, mapped, walk
+from relmap.simulation import simulate_figure_eight
+from tests.worlds import aligned_rmse, fed, limit_of, mapped, seen, stands_for, walk, without_ids
 
 seeds = st.integers(0, 2**32 - 1)
 dimensions = st.sampled_from([2, 3])
-
-
-def mapped_without_ids(world: FigureEight) -> tuple[PointMapper, Ints]:
-    """Map without ids; return the mapper and the landmark of every observation."""
-    mapper = PointMapper()
-    labels = [mapper.update(scan.points_robot) for scan in world.log.scans()]
-    mapper.finish()
-    return mapper, mapper.landmarks_of(np.concatenate(labels))
 
 
 @pytest.mark.parametrize(("density", "iterations"), [(25, 900), (25, 1800)])
 def test_landmarks_seen_again_are_merged_and_none_wrongly(density: float, iterations: int) -> None:
     world = simulate_figure_eight(density=density, iterations=iterations, seed=1)
     assert world.log.ids is not None
-    mapper, labels = mapped_without_ids(world)
+    mapper, labels = without_ids(world.log)
+    labels = mapper.landmarks_of(labels)
     assert purity(labels, world.log.ids) == 1
-    stands_for = dict(zip(*majority_ids(labels, world.log.ids)[:2], strict=True))
-    true = [stands_for[label] for label in mapper.map.landmark_ids]
+    id_of = stands_for(labels, world.log.ids)
+    true = [id_of[label] for label in mapper.map.landmark_ids]
     assert len(true) / len(np.unique(true)) <= 1.1
     assert len(np.unique(true)) == len(world.landmark_ids)
     mapper.refine()
     assert purity(mapper.landmarks_of(labels), world.log.ids) == 1
-    true = [stands_for[label] for label in mapper.map.landmark_ids]
+    true = [id_of[label] for label in mapper.map.landmark_ids]
     assert len(np.unique(true)) == len(world.landmark_ids)
     refined = aligned_rmse(mapper.map.positions, world.landmarks_map[true])
-    observations = Batch(world.log.points_robot, world.log.iteration, world.log.ids)
-    limit = aligned_rmse(
-        batch_least_squares(observations, world.landmarks_map), world.landmarks_map
-    )
-    assert refined <= 1.5 * limit
+    assert refined <= 1.5 * limit_of(world.log, world.landmarks_map)
 
 
 @pytest.mark.parametrize("seed", [0, 2])
 def test_finish_and_refining_merge_what_the_drift_kept_apart(seed: int) -> None:
     world = simulate_figure_eight(density=25, seed=seed)
-    mapper = PointMapper()
-    for scan in world.log.scans():
-        mapper.update(scan.points_robot)
+    mapper = fed(PointMapper(), seen(world.log, known=False))
     n = len(world.landmark_ids)
     assert len(mapper.map.landmark_ids) > n
     mapper.finish()
@@ -90,8 +75,8 @@ def test_old_landmarks_are_found_where_the_map_has_moved_them() -> None:
 
 def test_labels_given_earlier_are_brought_up_to_date() -> None:
     world = simulate_figure_eight(seed=1)
-    mapper, labels = mapped_without_ids(world)
-    table = mapper.landmarks
+    mapper, labels = without_ids(world.log)
+    labels, table = mapper.landmarks_of(labels), mapper.landmarks
     assert set(labels) == set(table.landmark)
     present, counts = np.unique(labels, return_counts=True)
     np.testing.assert_array_equal(present, table.landmark)

@@ -15,6 +15,7 @@ from relmap.core.geometry.spatialindex import SpatialIndex
 from relmap.core.grouping.chart import PointChart
 from relmap.core.state.table import LandmarkState
 from relmap.segmentation.space import PatchSegmenter
+from tests.worlds import refined
 
 SCALES = [5e-324, 1e-300, 1e-160, 1e-20, 1e-8, 1e6]
 OFFSETS = [0.0, 1e8, -1e5]
@@ -62,11 +63,10 @@ def test_walls_of_any_size(scale: float) -> None:
 
 @pytest.mark.parametrize("scale", SCALES)
 def test_clouds_of_any_size(scale: float) -> None:
-    mapper = Plane3dMapper(PatchSegmenter())
-    for k in range(3):
-        mapper.update((ROOM - [1.0 + 0.1 * k, 1.0, 1.0]) * scale)
-    mapper.finish()
-    mapper.refine()
+    mapper = refined(
+        Plane3dMapper(PatchSegmenter()),
+        ((ROOM - [1.0 + 0.1 * k, 1.0, 1.0]) * scale for k in range(3)),
+    )
     assert is_clean(mapper.trajectory)
 
 

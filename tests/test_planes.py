@@ -15,6 +15,7 @@ from relmap.evaluation.corners import match_corners
 from relmap.evaluation.sources import truth_of
 from relmap.simulation import Building, simulate_building
 from relmap.simulation.visibility import seen_walls
+from tests.worlds import fed, finished
 
 ROOM = np.array(
     [
@@ -29,11 +30,7 @@ ROOM = np.array(
 
 def mapped(building: Building) -> PlaneMapper:
     """Map the true visible parts of the walls."""
-    mapper = PlaneMapper()
-    for scan in building.scans:
-        mapper.update(scan.seen)
-    mapper.finish()
-    return mapper
+    return finished(PlaneMapper(), (scan.seen for scan in building.scans))
 
 
 def figures(mapper: PlaneMapper, building: Building) -> tuple[float, float, int]:
@@ -94,10 +91,7 @@ def test_pure_translation_is_exact() -> None:
 
 
 def test_the_frame_is_that_of_the_first_scan() -> None:
-    mapper = PlaneMapper()
-    for k in range(15):
-        mapper.update(seen_from(-1.0 + 0.05 * k, 0.0, 0.02 * k))
-    mapper.finish()
+    mapper = finished(PlaneMapper(), (seen_from(-1.0 + 0.05 * k, 0.0, 0.02 * k) for k in range(15)))
     np.testing.assert_allclose(mapper.trajectory[0], np.eye(4), atol=1e-9)
 
 
@@ -172,9 +166,7 @@ def test_numbers_of_walls_stay() -> None:
 
 
 def test_the_map_of_groups_is_made_once_after_each_change() -> None:
-    mapper = PlaneMapper()
-    for x in np.linspace(0, 1, 12):
-        mapper.update(seen_from(x, 0.0, 0.0))
+    mapper = fed(PlaneMapper(), (seen_from(x, 0.0, 0.0) for x in np.linspace(0, 1, 12)))
     found = mapper.submaps
     assert mapper.submaps is found
     mapper.update(seen_from(1.1, 0.0, 0.0))

@@ -18,15 +18,13 @@ from relmap.planes3d.submap import Submap
 from relmap.planes3d.table import RAGGED
 from relmap.segmentation.space import PatchSegmenter
 from relmap.simulation.storey import Storey, cast_rays, simulate_storey
+from tests.worlds import fed, finished
 
 N = 12
 
 
 def mapped(scans: list[Floats], refine: bool = False) -> Plane3dMapper:
-    mapper = Plane3dMapper()
-    for scan in scans:
-        mapper.update(scan)
-    mapper.finish()
+    mapper = finished(Plane3dMapper(), scans)
     if refine:
         mapper.refine()
     return mapper
@@ -191,9 +189,7 @@ def test_a_scan_without_known_planes_begins_a_submap_that_is_tied_later() -> Non
     elsewhere = [np.random.default_rng(4).uniform(-3, 3, (3000, 3)) for _ in range(2)]
     tilted = simulate_storey("lidar", 0.005, 2, seed=1).scans
     other = [scan @ np.diag([1.0, 0.4, 2.2]) for scan in tilted]
-    mapper = Plane3dMapper()
-    for scan in [*world.scans[:6], *elsewhere, *other, *world.scans[6:12]]:
-        mapper.update(scan)
+    mapper = fed(Plane3dMapper(), [*world.scans[:6], *elsewhere, *other, *world.scans[6:12]])
     before = len(mapper.submaps)
     assert before >= 3
     mapper.refine()

@@ -18,6 +18,7 @@ from relmap.planes3d.submap import Submap
 from relmap.planes3d.table import plane_table
 from relmap.plots.planes3d import plot_planes3d
 from tests.test_planes3d_covariances import part_of, patches, wall
+from tests.worlds import fed
 
 STILL, ORIGIN = np.eye(3), np.zeros(3)
 
@@ -80,9 +81,7 @@ def test_a_scan_sees_no_surface_through_another(at: float, least: float, most: f
 def test_a_scan_that_sees_through_the_map_begins_a_submap() -> None:
     sides: list[Floats] = [wall(0, 3.0), wall(1, 3.0), wall(2, 3.0)]
     screen = wall(0, 2.0, (-1.5, 1.5))
-    mapper = Plane3dMapper()
-    for _ in range(3):
-        mapper.update(patches(*sides, screen))
+    mapper = fed(Plane3dMapper(), (patches(*sides, screen) for _ in range(3)))
     mapper.update(patches(*sides))
     assert [len(part.iteration) for part in mapper.submaps] == [3, 1]
 

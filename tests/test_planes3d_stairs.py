@@ -11,6 +11,7 @@ from relmap.planes3d.hypothesis_kernels import best_ways
 from relmap.planes3d.roughness import is_rough
 from relmap.segmentation.space import PatchSegmenter
 from relmap.simulation.storey import cast_rays
+from tests.worlds import fed, refined
 
 Side = tuple[float, float, float]
 Face = tuple[Side, Side, Side]
@@ -50,11 +51,7 @@ def scans() -> list[Floats]:
 
 
 def test_stairs_are_mapped_as_treads(scans: list[Floats]) -> None:
-    mapper = Plane3dMapper()
-    for scan in scans:
-        mapper.update(scan)
-    mapper.finish()
-    mapper.refine()
+    mapper = refined(Plane3dMapper(), scans)
     table = mapper.planes
     level = (table.status == "static") & (table.normal[:, 2] > 0.99)
     height_m = table.centre[level, 2] + PATH[0, 2]
@@ -79,9 +76,7 @@ def test_points_of_a_slope_over_stairs_are_kept(scans: list[Floats]) -> None:
 
 
 def test_a_slope_over_stairs_is_rough(scans: list[Floats]) -> None:
-    mapper = Plane3dMapper()
-    for scan in scans:
-        mapper.update(scan)
+    mapper = fed(Plane3dMapper(), scans)
     (part,) = mapper.submaps
     planes = part.all_planes()
     assert is_rough(part).tolist() == (planes.spread[:, 2] > 0.03).tolist()

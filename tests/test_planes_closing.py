@@ -13,6 +13,7 @@ from relmap.evaluation.metrics import ate
 from relmap.planes.refinement.closing import voted
 from relmap.simulation import simulate_building
 from tests.test_planes import seen_from
+from tests.worlds import refined
 
 STREET = np.array(
     [
@@ -93,11 +94,10 @@ def refined_errors_m(beams: int = 361, **options: Any) -> list[float]:
     """Map a simulated building by a laser; return the ATE of each refined submap."""
     building = simulate_building(beams, 0.01, sampling="laser", **options)
     view_rad, range_m = building.sensor.view_rad, building.sensor.range_m
-    mapper = PlaneMapper(segmenter=PlaneSegmenter(view_rad=view_rad, range_m=range_m))
-    for scan in building.scans:
-        mapper.update(scan.points[:, :2])
-    mapper.finish()
-    mapper.refine()
+    mapper = refined(
+        PlaneMapper(segmenter=PlaneSegmenter(view_rad=view_rad, range_m=range_m)),
+        (scan.points[:, :2] for scan in building.scans),
+    )
     errors_m = []
     for submap in mapper.submaps:
         assert submap.refined

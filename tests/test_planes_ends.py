@@ -17,6 +17,7 @@ from relmap.evaluation.corners import match_corners
 from relmap.evaluation.sources import truth_of
 from relmap.planes.scans.corners import CORNER, CUT, UNKNOWN, compared_ends
 from relmap.simulation import simulate_building
+from tests.worlds import fed, finished
 
 WALLS = np.array(
     [[[4.0, -2.0], [4.0, 2.0]], [[4.0, 2.0], [-1.0, 2.0]], [[-1.0, -2.0], [4.0, -2.0]]]
@@ -99,10 +100,9 @@ def test_walls_without_types_of_ends_are_mapped(named: bool) -> None:
 def test_refining_walls_without_types_of_ends_makes_no_path_worse(seed: int) -> None:
     """Where few ends have a type, an apparent loop may be wrong."""
     building = simulate_building(points=10, sigma=0.0, seed=seed)
-    mapper = PlaneMapper()
-    for scan in building.scans:
-        mapper.update(SimpleNamespace(ends=scan.seen.ends))
-    mapper.finish()
+    mapper = finished(
+        PlaneMapper(), (SimpleNamespace(ends=scan.seen.ends) for scan in building.scans)
+    )
     chained_m = metrics.ate(mapper.trajectory, building.trajectory, planar=True)
     mapper.refine()
     refined_m = metrics.ate(mapper.trajectory, building.trajectory, planar=True)
@@ -137,8 +137,7 @@ def test_a_run_without_types_of_ends_is_saved_and_resumed_the_same(tmp_path: Pat
             mapper.save(tmp_path / "run.npz")
     mapper.close()
     loaded = PlaneMapper.load(tmp_path / "run.npz")
-    for scan in building.scans[31:]:
-        loaded.update(SimpleNamespace(ends=scan.seen.ends))
+    fed(loaded, (SimpleNamespace(ends=scan.seen.ends) for scan in building.scans[31:]))
     corners = mapper.history.corner
     assert (corners >= 0).any()
     for other in (loaded, PlaneMapper.resume(tmp_path / "run.sqlite")):

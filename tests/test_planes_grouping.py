@@ -11,16 +11,12 @@ import pytest
 from relmap import PlaneMapper
 from relmap.core.mapper import RelativeMapper
 from relmap.simulation import simulate_building
+from tests.worlds import refined
 
 
 def after_a_building() -> PlaneMapper:
     building = simulate_building(points=10, sigma=0.0, seed=0)
-    mapper = PlaneMapper()
-    for scan in building.scans:
-        mapper.update(scan.seen)
-    mapper.finish()
-    mapper.refine()
-    return mapper
+    return refined(PlaneMapper(), (scan.seen for scan in building.scans))
 
 
 def test_without_groups_no_wall_is_mapped(monkeypatch: pytest.MonkeyPatch) -> None:

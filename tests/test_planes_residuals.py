@@ -8,16 +8,17 @@ import pytest
 from relmap import PlaneMapper, PlaneSegmenter, RelmapError
 from relmap.core.arrays import Floats
 from relmap.simulation import Building, simulate_building
+from tests.worlds import finished
 
 
 def mapped(seed: int) -> tuple[Building, PlaneMapper]:
     """Map a building from clouds, or if there is a seed from laser scans."""
     sampling = {"points": 361, "sampling": "laser"} if seed else {"points": 400}
     building = simulate_building(sigma=0.05, seed=seed, iterations=150, **sampling)
-    mapper = PlaneMapper(segmenter=PlaneSegmenter())
-    for scan in building.scans:
-        mapper.update(scan.points[:, :2] if seed else scan.points)
-    mapper.finish()
+    mapper = finished(
+        PlaneMapper(segmenter=PlaneSegmenter()),
+        (scan.points[:, :2] if seed else scan.points for scan in building.scans),
+    )
     return building, mapper
 
 

@@ -10,6 +10,7 @@ from relmap.core.arrays import Floats
 from relmap.datasets.scans import planar_poses
 from relmap.planes.submaps.revisits import contradicted_revisits
 from relmap.simulation import simulate_building
+from tests.worlds import fed
 
 FIRST = 20
 NEAR_M = 1.5
@@ -20,9 +21,7 @@ NEAR_M = 1.5
 def run() -> tuple[PlaneMapper, Floats]:
     """Return the map of a laser on two rounds of a building, and the true poses of its scans."""
     building = simulate_building(points=181, sigma=0.01, sampling="laser", step_m=0.3, loops=2)
-    mapper = PlaneMapper()
-    for scan in building.scans:
-        mapper.update(scan.points[:, :2])
+    mapper = fed(PlaneMapper(), (scan.points[:, :2] for scan in building.scans))
     return mapper, building.trajectory
 
 

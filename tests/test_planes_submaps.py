@@ -24,6 +24,7 @@ from relmap.planes.walls.files import read_planes
 from relmap.simulation.visibility import seen_walls
 from tests.commands import unrendered
 from tests.test_planes import CORRIDOR, ROOM, seen_from
+from tests.worlds import finished
 
 NOTHING = SimpleNamespace(ends=np.empty((0, 2, 2)), end_type=np.empty((0, 2), dtype=str))
 ELSEWHERE = np.array(
@@ -77,10 +78,9 @@ def test_an_implausible_jump_is_rejected() -> None:
     def seen(y: float) -> Any:
         return seen_walls(row - [0.0, y], 8.0, 0.9)
 
-    mapper = PlaneMapper()
-    for k in range(40):
-        mapper.update(seen(0.1 * k if k < 20 else 0.1 * k + 1.2))
-    mapper.finish()
+    mapper = finished(
+        PlaneMapper(), (seen(0.1 * k if k < 20 else 0.1 * k + 1.2) for k in range(40))
+    )
     for submap in mapper.submaps:
         steps = np.linalg.norm(np.diff(submap.poses[:, :2, 3], axis=0), axis=1)
         assert steps.max(initial=0.0) < 0.5

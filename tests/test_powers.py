@@ -13,18 +13,14 @@ from relmap.core.arrays import Floats
 from relmap.core.refinement.observations import Observations
 from relmap.core.refinement.powers import PowerSolution, shape_of
 from relmap.simulation import FigureEight, simulate_figure_eight
+from tests import worlds
 from tests.worlds import aligned_rmse
 
 KEEP = MapperConfig(keep_observations=True)
 
 
 def refined(world: FigureEight, config: MapperConfig, known: bool = True) -> PointMapper:
-    mapper = PointMapper(config)
-    for scan in world.log.scans():
-        mapper.update(scan.points_robot, scan.ids if known else None)
-    mapper.finish()
-    mapper.refine()
-    return mapper
+    return worlds.refined(PointMapper(config), worlds.seen(world.log, known))
 
 
 def error(mapper: PointMapper, world: FigureEight) -> float:

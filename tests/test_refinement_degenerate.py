@@ -5,7 +5,7 @@ import pytest
 
 from relmap import PointMapper
 from relmap.core.arrays import Floats
-from tests.worlds import random_rotation
+from tests.worlds import fed, random_rotation
 
 Scans = list[Floats]
 
@@ -37,9 +37,7 @@ def finite(mapper: PointMapper) -> bool:
 def test_landmarks_on_a_line(d: int) -> None:
     world = np.zeros((8, d))
     world[:, 0] = np.arange(8) * 2.0
-    mapper = PointMapper()
-    for ids in [np.arange(8)] * 40:
-        mapper.update(seen_from(world, 1, 0.0)[0], ids)
+    mapper = fed(PointMapper(), ((seen_from(world, 1, 0.0)[0], ids) for ids in [np.arange(8)] * 40))
     assert finite(mapper)
     # In space a line leaves the rotation about itself free: nothing is mapped.
     assert len(mapper.map.positions) == (8 if d == 2 else 0)
@@ -50,9 +48,7 @@ def test_landmarks_on_a_line(d: int) -> None:
 @pytest.mark.parametrize("d", [2, 3])
 def test_fewer_than_fix_a_pose(d: int) -> None:
     world = np.random.default_rng(0).uniform(-5, 5, (d - 1, d))
-    mapper = PointMapper()
-    for points in seen_from(world):
-        mapper.update(points, np.arange(d - 1))
+    mapper = fed(PointMapper(), ((points, np.arange(d - 1)) for points in seen_from(world)))
     assert finite(mapper)
     assert len(mapper.map.positions) == 0
     assert np.isnan(mapper.trajectory).all()
@@ -64,9 +60,7 @@ def test_fewer_than_fix_a_pose(d: int) -> None:
 def test_two_submaps_that_never_meet(d: int) -> None:
     rng = np.random.default_rng(0)
     here, there = rng.uniform(-5, 5, (12, d)), rng.uniform(-5, 5, (9, d))
-    mapper = PointMapper()
-    for points in seen_from(here):
-        mapper.update(points, np.arange(12))
+    mapper = fed(PointMapper(), ((points, np.arange(12)) for points in seen_from(here)))
     for points in seen_from(there):
         mapper.update(points, np.arange(100, 109))
     assert finite(mapper)
@@ -80,9 +74,7 @@ def test_two_submaps_that_never_meet(d: int) -> None:
 def test_views_that_share_a_single_landmark() -> None:
     rng = np.random.default_rng(0)
     world = rng.uniform(-5, 5, (11, 2))
-    mapper = PointMapper()
-    for points in seen_from(world[:6]):
-        mapper.update(points, np.arange(6))
+    mapper = fed(PointMapper(), ((points, np.arange(6)) for points in seen_from(world[:6])))
     for points in seen_from(world[5:]):
         mapper.update(points, np.arange(5, 11))
     assert finite(mapper)

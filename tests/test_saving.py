@@ -14,7 +14,7 @@ from relmap.datasets import write_observation_csv
 from relmap.simulation import simulate_building, simulate_figure_eight
 from tests.commands import load, table
 from tests.savedmaps import saved_map, told
-from tests.worlds import walk
+from tests.worlds import finished, walk
 
 pytestmark = pytest.mark.usefixtures("unrendered")
 
@@ -163,10 +163,7 @@ def test_scans_are_found_in_a_map_that_stays_as_it_is(tour: Path) -> None:
 
 def test_localise_in_the_plane_and_of_what_is_nowhere() -> None:
     world = walk(2, 3, 0.01, iterations=150)
-    mapper = PointMapper()
-    for _, points in world.scans:
-        mapper.update(points)
-    mapper.finish()
+    mapper = finished(PointMapper(), (points for _, points in world.scans))
     before = told(mapper)
     poses = np.array([mapper.localise(points) for _, points in world.scans])
     there = np.isfinite(poses[:, 0, 0])

@@ -14,6 +14,7 @@ import pytest
 from relmap import Plane3dMapper, PointMapper, RelmapError
 from relmap.io.saving import checksum
 from tests.savedmaps import saved_map, told
+from tests.worlds import fed
 
 
 def rewritten(path: Path, change: Any, *, honest: bool = False) -> None:
@@ -177,9 +178,7 @@ def test_a_file_of_planes_in_space_that_was_made_up(
 ) -> None:
     u, v = (axis.ravel() for axis in np.meshgrid(*[np.linspace(0.0, 3.0, 60)] * 2))
     corner = np.concatenate([np.insert(np.column_stack([u, v]), k, 0.0, axis=1) for k in range(3)])
-    mapper = Plane3dMapper()
-    for x in (1.0, 1.1, 1.2):
-        mapper.update(corner - [x, 1.0, 1.0])
+    mapper = fed(Plane3dMapper(), (corner - [x, 1.0, 1.0] for x in (1.0, 1.1, 1.2)))
     mapper.save(tmp_path / "mapper.npz")
     rewritten(tmp_path / "mapper.npz", change)
     with pytest.raises(RelmapError, match=message) as caught:

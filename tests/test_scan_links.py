@@ -25,6 +25,7 @@ from relmap.planes.scans.observation import PlaneObservation, checked_planes
 from relmap.planes.submaps.submap import torn_in
 from relmap.simulation import simulate_building
 from relmap.simulation.floor_plan import World
+from tests.worlds import refined
 
 # A room with a bay, seen from inside; one wall after another, counter-clockwise.
 CORNERS = np.array([[4, -3], [4, 2], [1.5, 2], [1.5, 3.5], [-3, 3.5], [-3, -3]], dtype=np.float64)
@@ -274,11 +275,7 @@ def test_a_coarse_laser_with_long_steps_breaks_rather_than_err() -> None:
     run = simulate_building(
         points=60, sigma=0.01, sampling="laser", world="oblique", step_m=1.0, seed=2
     )
-    mapper = PlaneMapper()
-    for scan in run.scans:
-        mapper.update(scan.points[:, :2])
-    mapper.finish()
-    mapper.refine()
+    mapper = refined(PlaneMapper(), (scan.points[:, :2] for scan in run.scans))
     own = [submap for submap in mapper.submaps if submap.n_scans >= 10]
     assert sum(submap.n_scans for submap in own) > 45
     for submap in own:

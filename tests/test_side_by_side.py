@@ -12,14 +12,12 @@ import pytest
 from relmap import PointMapper
 from relmap.simulation import simulate_figure_eight
 from tests.commands import run_process
+from tests.worlds import refined, seen
 
 
 def a_map(seed: int) -> str:
-    mapper = PointMapper()
-    for scan in simulate_figure_eight(seed=seed, iterations=100).log.scans():
-        mapper.update(scan.points_robot)
-    mapper.finish()
-    mapper.refine()
+    log = simulate_figure_eight(seed=seed, iterations=100).log
+    mapper = refined(PointMapper(), seen(log, known=False))
     return (mapper.map.positions.tobytes() + mapper.trajectory.tobytes()).hex()
 
 

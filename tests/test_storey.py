@@ -11,6 +11,7 @@ from relmap import Plane3dMapper, RelmapError
 from relmap.core.arrays import Floats, Ints
 from relmap.evaluation import metrics
 from relmap.simulation.storey import Storey, simulate_storey
+from tests.worlds import refined
 
 
 def off_faces(world: Storey, points: Floats, face: Ints) -> Floats:
@@ -64,21 +65,15 @@ def test_settings_out_of_range_are_refused() -> None:
 
 
 def test_a_house_is_mapped_over_the_stairs() -> None:
-    world, mapper = simulate_storey("lidar", 0.01, 60, 2, storeys=2), Plane3dMapper()
-    for scan in world.scans:
-        mapper.update(scan)
-    mapper.finish()
-    mapper.refine()
+    world = simulate_storey("lidar", 0.01, 60, 2, storeys=2)
+    mapper = refined(Plane3dMapper(), world.scans)
     assert len(mapper.submaps[0].iteration) == 60
     assert (metrics.ate(mapper.trajectory, world.trajectory, False) or 1.0) < 0.005
 
 
 def test_planes_of_a_box_that_moves_are_dynamic() -> None:
-    world, mapper = simulate_storey("lidar", 0.01, 60, 4, moving=1), Plane3dMapper()
-    for scan in world.scans:
-        mapper.update(scan)
-    mapper.finish()
-    mapper.refine()
+    world = simulate_storey("lidar", 0.01, 60, 4, moving=1)
+    mapper = refined(Plane3dMapper(), world.scans)
     planes, pose = mapper.planes, world.trajectory[0]
     centre = planes.centre @ pose[:3, :3].T + pose[:3, 3]
     # The box is moved along x = 4 to 4.6; nothing else is there between the walls and below 1.2 m.

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from relmap import PointMapper, RelmapError
 from relmap.core.arrays import Floats
 from tests.savedmaps import state
-from tests.worlds import aligned_rmse, random_rotation, walk
+from tests.worlds import aligned_rmse, finished, random_rotation, walk
 
 few = settings(max_examples=60)
 
@@ -170,10 +170,7 @@ def test_with_ids_a_gap_ties_by_itself() -> None:
 
 def test_another_place_after_a_gap_is_a_separate_submap() -> None:
     here, there = stream(3)[:60], stream(11)[:60]
-    mapper = PointMapper()
-    for points in [*here, *[np.empty((0, 3))] * 20, *there]:
-        mapper.update(points)
-    mapper.finish()
+    mapper = finished(PointMapper(), [*here, *[np.empty((0, 3))] * 20, *there])
     assert len(mapper.submaps) == 2
     first, second = sorted(mapper.submaps, key=lambda submap: submap.first_iteration)
     assert (first.first_iteration, second.first_iteration) == (0, 80)

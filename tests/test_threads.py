@@ -9,23 +9,16 @@ from relmap import Plane3dMapper, PointMapper
 from relmap.core.arrays import Floats
 from relmap.simulation import simulate_figure_eight
 from relmap.simulation.storey import simulate_storey
+from tests.worlds import refined, seen
 
 
 def mapped_points() -> Floats:
-    mapper = PointMapper()
-    for scan in simulate_figure_eight(density=92, iterations=200, dynamic=0.3).log.scans():
-        mapper.update(scan.points_robot)
-    mapper.finish()
-    mapper.refine()
-    return mapper.map.positions
+    log = simulate_figure_eight(density=92, iterations=200, dynamic=0.3).log
+    return refined(PointMapper(), seen(log, known=False)).map.positions
 
 
 def mapped_planes() -> Floats:
-    mapper = Plane3dMapper()
-    for scan in simulate_storey("lidar", 0.01, 10).scans:
-        mapper.update(scan)
-    mapper.finish()
-    mapper.refine()
+    mapper = refined(Plane3dMapper(), simulate_storey("lidar", 0.01, 10).scans)
     return np.column_stack([mapper.planes.normal, mapper.planes.offset])
 
 

@@ -10,16 +10,14 @@ from relmap.core.arrays import Ints
 from relmap.core.association.reobservation.sightings import Sightings, rows_of_tracks
 from relmap.core.state.schedule import GroupingSchedule
 from relmap.core.state.table import LandmarkState
-from relmap.evaluation.metrics import majority_ids, purity
+from relmap.evaluation.metrics import purity
 from relmap.simulation import World, WorldSpec, simulate_figure_eight, simulate_world
-from tests.worlds import aligned_rmse
+from tests.worlds import aligned_rmse, stands_for, without_ids
 
 
 def mapped_world(world: World) -> tuple[PointMapper, Ints]:
     """Return a refined map made without ids, and the label of every observation."""
-    mapper = PointMapper()
-    labels = np.concatenate([mapper.update(scan.points_robot) for scan in world.log.scans()])
-    mapper.finish()
+    mapper, labels = without_ids(world.log)
     mapper.refine()
     return mapper, labels
 
@@ -27,7 +25,7 @@ def mapped_world(world: World) -> tuple[PointMapper, Ints]:
 def error_m(mapper: PointMapper, labels: Ints, world: World) -> float:
     """Return the landmark RMSE of the largest submap."""
     now = mapper.landmarks_of(labels)
-    ids = dict(zip(*majority_ids(now, world.true_ids)[:2], strict=True))
+    ids = stands_for(now, world.true_ids)
     rows = [k for k, label in enumerate(mapper.map.landmark_ids) if label in ids]
     true = [ids[mapper.map.landmark_ids[k]] for k in rows]
     return aligned_rmse(mapper.map.positions[rows], world.landmarks_map[true])
@@ -53,16 +51,14 @@ def test_a_track_that_is_parted_is_as_if_it_had_never_been_merged() -> None:
 
 def test_wrong_merges_are_undone_and_right_ones_are_not() -> None:
     world = simulate_figure_eight(density=25, iterations=900, seed=1)
-    mapper = PointMapper()
-    labels = np.concatenate([mapper.update(scan.points_robot) for scan in world.log.scans()])
+    mapper, labels = without_ids(world.log)
     assert world.log.ids is not None
-    mapper.finish()
     right = mapper.landmarks_of(labels)
     assert purity(right, world.log.ids) == 1
     table = mapper.engine.table
     mapped = np.flatnonzero(table.weight > 0)
     apart = np.linalg.norm(table.position[mapped, None] - table.position[mapped], axis=2)
-    true = dict(zip(*majority_ids(right, world.log.ids)[:2], strict=True))
+    true = stands_for(right, world.log.ids)
     for k in np.argsort(apart, axis=None).tolist():  # the nearest two that were never seen at once
         new, old = mapped[list(divmod(k, len(mapped)))].tolist()
         if table.is_later(new, old) and true[new] != true[old]:
@@ -155,6 +151,6 @@ def test_worlds_that_were_once_wrong_are_right(spec: WorldSpec, worst: float) ->
     assert len(mapper.submaps) == 1
     assert error_m(mapper, labels, world) <= worst
     often = np.bincount(world.true_ids[world.true_ids >= 0]) >= 10
-    seen = majority_ids(mapper.landmarks_of(labels), world.true_ids)
-    mapped = {int(i) for k, i in zip(*seen[:2], strict=True) if k in mapper.map.landmark_ids}
+    id_of = stands_for(mapper.landmarks_of(labels), world.true_ids)
+    mapped = {int(i) for k, i in id_of.items() if k in mapper.map.landmark_ids}
     assert len(mapped & set(np.flatnonzero(often).tolist())) >= 0.97 * often.sum()

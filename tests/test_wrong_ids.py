@@ -15,7 +15,6 @@ from typer.testing import CliRunner
 
 from relmap import PointMapper
 from relmap.cli.program import app
-from relmap.comparison.baselines.batch import Batch, batch_least_squares
 from relmap.core import repairing
 from relmap.core.arrays import Floats
 from relmap.core.geometry.alignment import fit_rigid
@@ -24,7 +23,7 @@ from relmap.core.refinement.equations import Laid
 from relmap.core.refinement.gauss_newton import Problem, Solution
 from relmap.datasets import ObservationLog
 from relmap.simulation import FigureEight, WorldSpec, simulate_figure_eight, simulate_world
-from tests.worlds import aligned_rmse, driven, mapped, walk
+from tests.worlds import aligned_rmse, driven, limit_of, mapped, walk
 
 Wrong = Callable[[ObservationLog, int, int], ObservationLog]
 
@@ -57,11 +56,7 @@ def world(seed: int) -> FigureEight:
 @cache
 def limit(seed: int) -> float:
     """Return the RMSE of least squares with the right ids."""
-    log, truth = world(seed).log, world(seed).landmarks_map
-    assert log.ids is not None
-    return aligned_rmse(
-        batch_least_squares(Batch(log.points_robot, log.iteration, log.ids), truth), truth
-    )
+    return limit_of(world(seed).log, world(seed).landmarks_map)
 
 
 def error(mapper: PointMapper, truth: Floats) -> float:

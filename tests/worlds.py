@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from typing import Any, TypeVar
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from relmap import PointMapper
+from relmap import Plane3dMapper, PlaneMapper, PointMapper
+from relmap.comparison.baselines.batch import Batch, batch_least_squares
 from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import fit_rigid
 from relmap.datasets.base import ObservationLog
+from relmap.evaluation.metrics import majority_ids
 
 Scans = list[tuple[Ints, Floats]]
+M = TypeVar("M", PointMapper, PlaneMapper, Plane3dMapper)
 
 
 @dataclass(frozen=True)
@@ -24,7 +29,7 @@ class Walk:
 
     landmarks: Floats
     poses: list[tuple[Floats, Floats]]
-    scans: list[tuple[Ints, Floats]]
+    scans: Scans
 
 
 def random_rotation(dimension: int, angle: float, rng: np.random.Generator) -> Floats:
@@ -53,22 +58,60 @@ def walk(dimension: int, seed: int, sigma: float = 0.0, iterations: int = 120) -
     return Walk((road - t0) @ R0, poses, scans)
 
 
+def fed(mapper: M, scans: Iterable[Any]) -> M:
+    """Map scans; each is what `update` takes, or a tuple of it and the ids."""
+    for scan in scans:
+        mapper.update(*(scan if isinstance(scan, tuple) else (scan,)))
+    return mapper
+
+
+def finished(mapper: M, scans: Iterable[Any]) -> M:
+    """Map scans to their end."""
+    fed(mapper, scans).finish()
+    return mapper
+
+
+def refined(mapper: M, scans: Iterable[Any]) -> M:
+    """Map scans to their end, and refine the map."""
+    finished(mapper, scans).refine()
+    return mapper
+
+
+def seen(log: ObservationLog, known: bool = True) -> Iterator[tuple[Floats, Ints | None]]:
+    """Yield the points of each scan, with their ids if they are to be known."""
+    for scan in log.scans():
+        yield scan.points_robot, scan.ids if known else None
+
+
 def driven(log: ObservationLog) -> PointMapper:
     """Map a log, with its ids if it has any."""
-    mapper = PointMapper()
-    for scan in log.scans():
-        mapper.update(scan.points_robot, scan.ids)
-    mapper.finish()
-    return mapper
+    return finished(PointMapper(), seen(log))
 
 
-def mapped(scans: list[tuple[Ints, Floats]]) -> PointMapper:
+def mapped(scans: Scans) -> PointMapper:
     """Map scans with known association."""
+    return finished(PointMapper(), ((points, ids) for ids, points in scans))
+
+
+def without_ids(log: ObservationLog) -> tuple[PointMapper, Ints]:
+    """Map a log without its ids; return the mapper and the label of every observation."""
     mapper = PointMapper()
-    for ids, points in scans:
-        mapper.update(points, ids)
+    labels = np.concatenate([mapper.update(points) for points, _ in seen(log)])
     mapper.finish()
-    return mapper
+    return mapper, labels
+
+
+def stands_for(landmarks: Ints, ids: Ints | None) -> dict[int, int]:
+    """Return the id of most observations of each landmark."""
+    assert ids is not None
+    return dict(zip(*majority_ids(landmarks, ids)[:2], strict=True))
+
+
+def limit_of(log: ObservationLog, truth: Floats) -> float:
+    """Return the RMSE of batch least squares with the ids of a log."""
+    assert log.ids is not None
+    batch = Batch(log.points_robot, log.iteration, log.ids)
+    return aligned_rmse(batch_least_squares(batch, truth), truth)
 
 
 def aligned_rmse(positions: Floats, truth: Floats) -> float:
