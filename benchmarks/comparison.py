@@ -17,7 +17,8 @@ import argparse
 from dataclasses import replace
 
 import numpy as np
-from speed import on_one_core, table
+from shared.tables import table
+from speed import on_one_core
 
 from relmap.comparison.methods.registry import METHODS, find_method
 from relmap.comparison.methods.running import run_method

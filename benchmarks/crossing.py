@@ -12,6 +12,7 @@ import argparse
 from itertools import product
 
 import numpy as np
+from shared.tables import header, row
 
 from relmap.evaluation.surface_points import wall_points
 from relmap.evaluation.variants import METHODS, VariantRun, map_of
@@ -27,12 +28,11 @@ def main() -> None:
     parser.add_argument("--spacing", type=float, nargs="+", default=SPACINGS_M)
     given = parser.parse_args()
     seeds = range(given.seeds)
-    print(f"| spacing [m] | sigma / spacing | {' | '.join(f'{name} [m]' for name in METHODS)} |")
-    print("|---" * (2 + len(METHODS)) + "|")
+    header("spacing [m]", "sigma / spacing", *(f"{name} [m]" for name in METHODS))
     for spacing_m, noise in product(given.spacing, NOISES):
         seen = [wall_points(spacing_m, noise, seed) for seed in seeds]
         cells = (_cell([map_of(method, each)[1] for each in seen]) for method in METHODS)
-        print(f"| {spacing_m} | {noise} | {' | '.join(cells)} |", flush=True)
+        row(spacing_m, noise, *cells)
 
 
 def _cell(runs: list[VariantRun]) -> str:

@@ -14,7 +14,8 @@ from itertools import cycle, islice
 
 import numpy as np
 from endurance import CHUNK_M, STEP_M, Scans, road, stretches
-from speed import on_one_core, table
+from shared.tables import table
+from speed import on_one_core
 
 from relmap import PointMapper
 from relmap.core.arrays import Floats

@@ -19,7 +19,8 @@ import argparse
 from dataclasses import dataclass
 
 import numpy as np
-from speed import on_one_core, table
+from shared.tables import table
+from speed import on_one_core
 
 from relmap import PointMapper
 from relmap.core.arrays import Floats

@@ -28,7 +28,8 @@ from time import process_time
 from typing import TypeAlias
 
 import numpy as np
-from speed import on_one_core, table
+from shared.tables import table
+from speed import on_one_core
 
 from relmap import PointMapper
 from relmap.core.arrays import Floats, Ints

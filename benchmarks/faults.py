@@ -21,7 +21,8 @@ from dataclasses import dataclass
 import numpy as np
 from shared import log_faults as faults
 from shared.runs import mapped, rmse, true_ids
-from speed import on_one_core, table
+from shared.tables import table
+from speed import on_one_core
 
 from relmap.core.arrays import Floats
 from relmap.datasets import ObservationLog

@@ -10,6 +10,8 @@ import argparse
 import csv
 from pathlib import Path
 
+from shared.tables import header, row
+
 from relmap.figures.making import FIGURES
 
 
@@ -19,11 +21,11 @@ def main() -> None:
     parser.add_argument("folder", type=Path, help="as `relmap figures` wrote it")
     folder = parser.parse_args().folder
     figures = {figure.name: figure for figure in FIGURES}
-    print("| figure | claim | finding | the claim is |\n|---|---|---|---|")
+    header("figure", "claim", "finding", "the claim is")
     with (folder / "verdicts.csv").open(encoding="utf-8", newline="") as file:
-        for row in csv.DictReader(file):
-            claim = figures[row["figure"]].claim
-            print(f"| {row['figure']} | {claim} | {row['finding']} | {row['verdict']} |")
+        for found in csv.DictReader(file):
+            name = found["figure"]
+            row(name, figures[name].claim, found["finding"], found["verdict"])
 
 
 if __name__ == "__main__":

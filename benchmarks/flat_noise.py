@@ -11,6 +11,7 @@ import argparse
 
 import numpy as np
 from shared.runs import mapped, rmse
+from shared.tables import header, row
 
 from relmap import MapperConfig, PointMapper
 from relmap.core.arrays import Floats
@@ -38,8 +39,7 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.parse_args()
-    print("| noise | density | seeds | power | RMSE / least squares | normalised squares |")
-    print("|---|---|---|---|---|---|")
+    header("noise", "density", "seeds", "power", "RMSE / least squares", "normalised squares")
     for noise, density, seeds in RUNS:
         ratios, powers, normalised = [], set(), []
         for seed in range(seeds):
@@ -52,7 +52,7 @@ def main() -> None:
         share = f"{np.median(ratios):.2f} ({np.max(ratios):.2f})"
         mean = ", ".join(f"{square:.2f}" for square in np.mean(normalised, axis=0))
         power = ", ".join(f"{power:g}" for power in sorted(powers))
-        print(f"| {noise} | {density} | {seeds} | {power} | {share} | {mean} |", flush=True)
+        row(noise, density, seeds, power, share, mean)
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 from laser import LOGS, every_scan, simulated
+from shared.tables import header, row
 
 from relmap import PlaneMapper
 from relmap.core.arrays import Floats
@@ -46,7 +47,7 @@ class Map:
         T[:2, :2], T[:2, 3] = fit_rigid(true[known, :2, 3], own[known, :2, 3])
         return np.asarray(T @ poses)
 
-    def row(self, log: ScanLog, is_here: bool) -> str:
+    def cells(self, log: ScanLog, is_here: bool) -> tuple[int, int, int]:
         """Return the cells of a log: scans tried, right, and wrong."""
         first, tried = log.first_iteration, range(1, len(log), 2 * max(len(log) // (2 * TRIED), 1))
         prepare, right, wrong = preparation(self.mapper, log), 0, 0
@@ -60,7 +61,7 @@ class Map:
                 true = from_matrices(self.poses_of(log.poses[k][None]))[0]
                 there = not others(found, true, NEAR_M, NEAR_RAD)[0]
             right, wrong = right + there, wrong + (not there)
-        return f"{len(tried)} | {right} | {wrong}"
+        return len(tried), right, wrong
 
 
 def main() -> None:
@@ -69,28 +70,23 @@ def main() -> None:
     parser.add_argument("data", type=Path)
     parser.add_argument("--seed", type=int, default=31, help="of the simulated buildings")
     given = parser.parse_args()
-    print("| map | scans of | tried | right | wrong |\n|---|---|---|---|---|")
+    header("map", "scans of", "tried", "right", "wrong")
     real = {name: open_scans(given.data / LOGS[name]) for name in REAL}
     for name, log in real.items():
         middle, end = log.first_iteration + len(log) // 2, log.first_iteration + len(log)
         known = Map(log.between(log.first_iteration, middle))
-        print_row(f"{name}, first half", "first half", known.row(known.log, is_here=True))
-        print_row(f"{name}, first half", "second half", known.row(log.between(middle, end), True))
+        row(f"{name}, first half", "first half", *known.cells(known.log, is_here=True))
+        row(f"{name}, first half", "second half", *known.cells(log.between(middle, end), True))
         for other in [one for one in REAL if one != name]:
-            print_row(f"{name}, first half", other, known.row(real[other], is_here=False))
+            row(f"{name}, first half", other, *known.cells(real[other], is_here=False))
     for world in WORLDS:
         options = {"world": world, "points": 181, "step_m": 0.11}
         log, other = (simulated(seed, options)[0] for seed in (given.seed, given.seed + 1))
         known, half = Map(every_scan(2, log)), Map(log.between(0, len(log) // 2))
-        print_row(f"sim/{world}/{given.seed}", "same", known.row(log, is_here=True))
-        print_row(f"sim/{world}/{given.seed}", "another", known.row(other, is_here=False))
-        later = half.row(log.between(len(log) // 2, len(log)), is_here=True)
-        print_row(f"sim/{world}/{given.seed}, first half", "second half", later)
-
-
-def print_row(known: str, log: str, cells: str) -> None:
-    """Print a line of the table."""
-    print(f"| {known} | {log} | {cells} |", flush=True)
+        row(f"sim/{world}/{given.seed}", "same", *known.cells(log, is_here=True))
+        row(f"sim/{world}/{given.seed}", "another", *known.cells(other, is_here=False))
+        later = half.cells(log.between(len(log) // 2, len(log)), is_here=True)
+        row(f"sim/{world}/{given.seed}, first half", "second half", *later)
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 from shared.runs import limit, mapped, rmse, true_ids
+from shared.tables import header, row
 
 from relmap import PointMapper
 from relmap.comparison.baselines.frame_to_map import FrameToMap
@@ -46,15 +47,6 @@ def known(log: ObservationLog, ids: np.ndarray, truth: np.ndarray) -> tuple[list
     maps += [mapper.map, baseline.map]
     errors = [rmse(each.positions, truth[positions_of(ids, each.landmark_ids)]) for each in maps]
     return errors, coverage(mapper.map.landmark_ids, log)
-
-
-def header(*names: str) -> None:
-    row(*names)
-    row(*["---"] * len(names))
-
-
-def row(*cells: object) -> None:
-    print(f"| {' | '.join(map(str, cells))} |", flush=True)
 
 
 def figure_eight() -> None:

@@ -15,6 +15,7 @@ from time import process_time
 
 import numpy as np
 from shared.runs import limit, rmse, true_ids
+from shared.tables import header, row
 
 from relmap import PointMapper
 from relmap.core.arrays import Floats, Ints
@@ -62,16 +63,8 @@ def measured(log: ObservationLog, known: bool) -> Measured:
     return Measured(mapper, true, *times_s, live, live_ids)
 
 
-def table(*header: str) -> None:
-    print(f"\n| {' | '.join(header)} |\n{'|---' * len(header)}|")
-
-
-def row(*cells: str) -> None:
-    print(f"| {' | '.join(cells)} |", flush=True)
-
-
 def accuracy() -> None:
-    table("data", "refined / batch", "refined [m]", "live [m]", "refining / mapping time")
+    header("data", "refined / batch", "refined [m]", "live [m]", "refining / mapping time")
     for known, density, sigma in (
         (True, 25, 0.05),
         (True, 25, 0.2),
@@ -101,7 +94,8 @@ def figures_of(density: float, sigma: float, seed: int, known: bool) -> list[flo
 
 def scaling() -> None:
     """Print the time of refinement over the length of the run."""
-    table("density", "iterations", "refine / map", "per observation [us]", "covariances [s]")
+    print()
+    header("density", "iterations", "refine / map", "per observation [us]", "covariances [s]")
     for density, iterations in ((25, 900), (25, 9000), (25, 90000), (100, 900), (100, 9000)):
         log = simulate_figure_eight(density=density, iterations=iterations).log
         run = measured(log, known=True)
@@ -111,7 +105,8 @@ def scaling() -> None:
 
 def stalls() -> None:
     """Print the time of the slowest update at density 100."""
-    table("iterations", "slowest update / median")
+    print()
+    header("iterations", "slowest update / median")
     for iterations in (900, 3000):
         log = simulate_figure_eight(density=100, iterations=iterations, seed=1).log
         update_s = measured(log, known=True).update_s
@@ -120,7 +115,8 @@ def stalls() -> None:
 
 def consistency() -> None:
     """Print the squares of the errors over the variances that the map reports; 1 is right."""
-    table("sigma [m]", "x", "y", "z", "standard error")
+    print()
+    header("sigma [m]", "x", "y", "z", "standard error")
     for sigma in (0.05, 0.2):
         ratios = []
         for seed in RUNS:

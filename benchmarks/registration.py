@@ -17,6 +17,7 @@ from time import perf_counter
 
 import numpy as np
 from scipy.spatial import cKDTree
+from shared.tables import header, row
 
 from relmap import MapperConfig, PointMapper
 from relmap.core.arrays import Floats, Ints
@@ -75,8 +76,7 @@ class Outcome:
         """Return the RMSE of the mapped tracks seen often, metres, after alignment."""
         ids, positions, observations = self._mapped_tracks
         chosen = (observations >= OFTEN) & np.isin(ids, truth.landmark_ids)
-        order = np.argsort(truth.landmark_ids)
-        at = order[np.searchsorted(truth.landmark_ids[order], ids[chosen])]
+        at = metrics.positions_of(truth.landmark_ids, ids[chosen])
         d = 2 if self.result.planar else 3
         here, there = positions[chosen, :d], truth.positions[at, :d]
         R, t = metrics.align(here, there)
@@ -106,15 +106,14 @@ def outcomes(log: ObservationLog) -> list[Outcome]:
     return found
 
 
-def row(name: str, own: Iterable[str], paper: Iterable[str]) -> None:
+def both(name: str, own: Iterable[str], paper: Iterable[str]) -> None:
     """Print a row; in brackets the figures with the paper's registration."""
-    cells = (f"{figure} [{other}]" for figure, other in zip(own, paper, strict=True))
-    print(f"| {name} | {' | '.join(cells)} |", flush=True)
+    row(name, *(f"{figure} [{other}]" for figure, other in zip(own, paper, strict=True)))
 
 
 def log_row(name: str, log: ObservationLog, truth: LandmarkMap | None) -> None:
     """Map a log and print its row."""
-    row(name, *(figures(run, truth) for run in outcomes(log)))
+    both(name, *(figures(run, truth) for run in outcomes(log)))
 
 
 def figures(run: Outcome, truth: LandmarkMap | None) -> list[str]:
@@ -143,14 +142,14 @@ def figure_eight() -> None:
     for density, seeds in DENSITIES.items():
         worlds = [simulate_figure_eight(density=density, seed=seed) for seed in seeds]
         runs = zip(*(outcomes(world.log) for world in worlds), strict=True)
-        row(f"figure eight, density {density}, worst of {len(seeds)}", *map(worst, runs))
+        both(f"figure eight, density {density}, worst of {len(seeds)}", *map(worst, runs))
     pure = []
     for seed in SEEDS:
         world = simulate_figure_eight(dynamic=0.4, seed=seed)
         static = world.landmark_ids[world.status == "static"]
         pure.append([run.agreeing(static) for run in outcomes(world.log)])
     name = f"figure eight, 40 % dynamic, static ones, worst of {len(SEEDS)}"
-    row(name, *([f"{value:.4f}", *"----"] for value in np.min(pure, axis=0)))
+    both(name, *([f"{value:.4f}", *"----"] for value in np.min(pure, axis=0)))
 
 
 def real(data: Path) -> None:
@@ -170,8 +169,8 @@ def real(data: Path) -> None:
 
 def cost(iterations: int = 300, warm_up: int = 20) -> None:
     """Compare the time of one match with building and querying a k-d tree of the same scans."""
-    print("\n| cost of matching a scan, median | k-d tree [ms] | constellation [ms] | ratio |")
-    print("|---|---|---|---|")
+    print()
+    header("cost of matching a scan, median", "k-d tree [ms]", "constellation [ms]", "ratio")
     for density in (125, 500, 1250):
         log = simulate_figure_eight(density=density, iterations=iterations).log
         registration = Constellation(MapperConfig().max_missed)
@@ -187,9 +186,7 @@ def cost(iterations: int = 300, warm_up: int = 20) -> None:
             previous = points
         tree, match = 1e3 * np.median(times[warm_up:], axis=0)
         visible = len(log.points_robot) / len(log)
-        print(
-            f"| {visible:.0f} visible | {tree:.3f} | {match:.3f} | {match / tree:.1f} |", flush=True
-        )
+        row(f"{visible:.0f} visible", f"{tree:.3f}", f"{match:.3f}", f"{match / tree:.1f}")
 
 
 def main() -> None:
@@ -197,8 +194,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("data", nargs="?", type=Path, help="folder of the real data sets")
     data = parser.parse_args().data
-    columns = ("purity", "mapped", "RMSE [m]", "tracks per landmark", "submaps")
-    print(f"| data | {' | '.join(columns)} |\n{'|---' * (1 + len(columns))}|")
+    header("data", "purity", "mapped", "RMSE [m]", "tracks per landmark", "submaps")
     figure_eight()
     if data is not None:
         real(data)

@@ -28,20 +28,24 @@ from tempfile import TemporaryDirectory
 from time import perf_counter, process_time
 
 import numpy as np
+from shared.runs import mapped
+from shared.tables import table
 
 from relmap import PointMapper
 from relmap.comparison.baselines.frame_to_map import FrameToMap
+from relmap.comparison.baselines.icp import KissIcp
 from relmap.core.arrays import Floats
 from relmap.datasets.base import ObservationLog, Scan
-from relmap.evaluation.metrics import align, rms
-from relmap.simulation import FigureEight, simulate_figure_eight
+from relmap.evaluation.metrics import ate
+from relmap.simulation import simulate_figure_eight
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 DENSITIES = (23, 92, 367, 918)
 """Landmarks per 100 m; about 20, 80, 320 and 800 are visible."""
 WARM_UP = 50
 """Iterations left out at the beginning."""
-RANGE_M, VOXEL_M = 100.0, 1.0
+SENSOR_M = 80.0
+"""Range of the sensor."""
 BARS = (
     ("frame-to-map", 1.5, 1.5),
     ("KISS-ICP", 1.0, 0.5),
@@ -63,41 +67,9 @@ def on_one_core() -> None:
         os.execve(sys.executable, [sys.executable, *sys.orig_argv[1:]], one_each)
 
 
-class KissIcp:
-    """KISS-ICP on the landmarks of each scan, and its path.
-
-    Raises
-    ------
-    ImportError
-        Where it is not installed.
-    """
-
-    def __init__(self) -> None:
-        from kiss_icp.config import load_config
-        from kiss_icp.kiss_icp import KissICP
-
-        config = load_config(None)
-        config.data.max_range, config.data.deskew = RANGE_M, False
-        config.mapping.voxel_size = VOXEL_M
-        config.registration.max_num_threads = 1
-        self._pipeline = KissICP(config)
-        self.path_map: list[Floats] = []
-
-    def update(self, scan: Scan) -> None:
-        """Register one scan."""
-        self._pipeline.register_frame(scan.points_robot, np.empty(0))
-        self.path_map.append(self._pipeline.last_pose[:3, 3])
-
-    def error_m(self, world: FigureEight) -> float:
-        """Return the RMSE of the path after rigid alignment."""
-        path, truth = np.array(self.path_map), world.trajectory[:, :3, 3]
-        R, t = align(path, truth)
-        return rms(path @ R.T + t - truth) or 0.0
-
-
 def kiss_icp() -> KissIcp | None:
     try:
-        return KissIcp()
+        return KissIcp(SENSOR_M)
     except ImportError:
         return None
 
@@ -109,7 +81,9 @@ def methods(icp: KissIcp | None) -> dict[str, Step]:
         "relmap known": lambda scan: known.update(scan.points_robot, scan.ids),
         "frame-to-map": lambda scan: plain.update(scan.points_robot, scan.ids),
     }
-    return steps if icp is None else steps | {"KISS-ICP": icp.update}
+    return (
+        steps if icp is None else steps | {"KISS-ICP": lambda scan: icp.update(scan.points_robot)}
+    )
 
 
 def side_by_side(log: ObservationLog, steps: dict[str, Step]) -> Times:
@@ -137,13 +111,8 @@ def timing(density: float, iterations: int) -> Timing:
     world, icp = simulate_figure_eight(density, iterations), kiss_icp()
     times_ms = side_by_side(world.log, methods(icp))
     visible = len(world.log.points_robot) / len(world.log)
-    return Timing(visible, times_ms, icp.error_m(world) if icp else None)
-
-
-def table(title: str, header: list[str], rows: list[list[str]]) -> None:
-    print(f"\n{title}\n")
-    for cells in (header, ["---"] * len(header), *rows):
-        print(f"| {' | '.join(cells)} |", flush=True)
+    error_m = ate(icp.trajectory, world.trajectory, planar=False) if icp else None
+    return Timing(visible, times_ms, error_m)
 
 
 def print_times(timings: list[Timing]) -> None:
@@ -187,11 +156,7 @@ def whole_run(log: ObservationLog) -> Floats:
     """Map a log both ways, and refine it; return the time it took, of clock and processor, s."""
     began = clocks()
     for known in (False, True):
-        mapper = PointMapper()
-        for scan in log.scans():
-            mapper.update(scan.points_robot, scan.ids if known else None)
-        mapper.finish()
-        mapper.refine()
+        mapped(log, known)
     return clocks() - began
 
 

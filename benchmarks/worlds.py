@@ -16,6 +16,7 @@ import argparse
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
+from shared.tables import header, row
 
 from relmap import PointMapper
 from relmap.comparison.baselines.batch import Batch, batch_least_squares
@@ -156,16 +157,14 @@ def main() -> None:
     parser.add_argument("--seeds", default="0,1,2,3,4")
     parser.add_argument("--covariances", action="store_true", help="pass the noise to the mapper")
     given = parser.parse_args()
-    header = ("ratio", "worst", "per true", "purity", "oracle", "mapped", "largest", "submaps")
-    print("| world | seed | " + " | ".join(header) + " |")
-    print("|---" * (len(header) + 2) + "|")
+    names = ("ratio", "worst", "per true", "purity", "oracle", "mapped", "largest", "submaps")
+    header("world", "seed", *names)
     for name in given.only.split(","):
         for seed in map(int, given.seeds.split(",")):
             spec = WorldSpec(**WORLDS[name], seed=seed)  # type: ignore[arg-type]
             found = judge(simulate_world(spec), given.covariances)
             places = {"purity": 4, "oracle": 4, "submaps": 0}
-            cells = (f"{found[key]:.{places.get(key, 2)}f}" for key in header)
-            print(f"| {name} | {seed} | " + " | ".join(cells) + " |", flush=True)
+            row(name, seed, *(f"{found[key]:.{places.get(key, 2)}f}" for key in names))
 
 
 if __name__ == "__main__":
