@@ -10,7 +10,6 @@ import typer
 from relmap.cli import simulate_building, simulate_storey, simulate_world, wheels
 from relmap.cli.arguments import Density, Dynamic, Noise, Out, Seed
 from relmap.cli.console import busy
-from relmap.cli.worldfiles import write_points
 
 if TYPE_CHECKING:
     from relmap.evaluation.sources import EightSource
@@ -83,7 +82,7 @@ def write_figure_eight(
         data = source.load()
         assert data.truth is not None
         wheels.write_odometry(staging, errors, fault, data.truth.poses, source.seed)
-        return write_points(staging, data.log, data.truth)
+        return simulate_world.write_points(staging, data.log, data.truth)
 
 
 app.command("world", help=simulate_world.HELP)(simulate_world.world_command)

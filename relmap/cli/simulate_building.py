@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from relmap.cli import wheels
 from relmap.cli.arguments import Noise, Out, Seed, refuse
 from relmap.cli.console import busy
-from relmap.cli.worldfiles import write_building
+
+if TYPE_CHECKING:
+    from relmap.simulation import Building
 
 HELP = """Simulate a drive past the walls of a building.
 
@@ -125,7 +128,7 @@ def building_command(
             people=people,
             clutter=clutter,
         )
-        write_building(staging, building)
+        _write(staging, building)
         way, stamps_s = building.trajectory, building.stamps_s
         n_files = 4 + wheels.write_odometry(staging, errors, odometry_fault, way, seed, stamps_s)
     count = sum(len(scan.points) for scan in building.scans)
@@ -133,3 +136,28 @@ def building_command(
         f"wrote {n_files} files to {out}: {len(building.walls)} sides of walls, "
         f"{len(building.scans)} scans, {count} points"
     )
+
+
+def _write(folder: Path, building: Building) -> None:
+    """Write a run into an existing folder."""
+    import numpy as np
+
+    from relmap.datasets import write_scans_npz
+    from relmap.evaluation.sources import log_of
+    from relmap.io.files import atomic_write, write_tum
+    from relmap.io.tables import columns_text
+    from relmap.plots.planes import write_building_png
+
+    truth = folder / "truth"
+    truth.mkdir()
+    log = log_of(building)
+    scans = [scan.points_robot for scan in log.scans()]
+    write_scans_npz(folder / "scans.npz", scans, log.stamps_s, log.sensor)
+    ends, extent = ("plane", "x0", "y0", "x1", "y1", "z0", "z1"), ("seen0", "seen1")
+    names = (*ends, "scans", "corner0", "corner1", "status", *extent)
+    number, status = np.arange(len(building.walls)), np.where(building.moving, "dynamic", "static")
+    columns = (number, *building.walls.T, *building.times_seen().T, status)
+    table = dict(zip(names, (*columns, *building.seen_extents().T), strict=True))
+    atomic_write(truth / "planes.csv", columns_text(table))
+    write_tum(truth / "trajectory.tum", building.stamps_s, building.trajectory)
+    write_building_png(folder / "building.png", building)

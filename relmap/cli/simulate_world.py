@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from relmap.cli import wheels
 from relmap.cli.arguments import Out, Seed
 from relmap.cli.console import busy
-from relmap.cli.worldfiles import write_points
+
+if TYPE_CHECKING:
+    from relmap.datasets.base import ObservationLog
+    from relmap.evaluation.truth import Truth
 
 HELP = """Simulate landmarks that are hard to associate.
 
@@ -97,3 +101,17 @@ def world_command(
         ids = csv_text(("row", "landmark"), enumerate(world.true_ids.tolist()))
         atomic_write(staging / "truth" / "ids.csv", ids)
     typer.echo(f"wrote {n_files} files to {out}: {counts}")
+
+
+def write_points(folder: Path, log: ObservationLog, truth: Truth) -> str:
+    """Write a run past landmarks into an existing folder and return a line with counts."""
+    from relmap.datasets.observation_csv import write_observation_csv
+    from relmap.evaluation.truth import write_truth
+
+    write_observation_csv(folder / "observations.csv", log)
+    (folder / "truth").mkdir()
+    write_truth(folder / "truth", truth)
+    return (
+        f"{len(truth.landmark_ids)} landmarks, {len(log)} iterations, "
+        f"{len(log.points_robot)} observations"
+    )

@@ -117,11 +117,10 @@ def open_log(
     RelmapError
         If there is no log of a known format, or it is damaged: file, line, field.
     """
-    datasets, path = DATASETS, Path(path)
+    datasets = DATASETS
     if columns is not None:
         datasets, format = (OwnTable(columns),), OwnTable.name
-    log = _of_topics(path, _choose(path, format, datasets, _LANDMARK_LOG), topics).load(path)
-    return with_odometry_beside(log, path)
+    return _opened(Path(path), format, datasets, _LANDMARK_LOG, topics)
 
 
 def open_scans(path: Path | str, format: str | None = None, topics: Sequence[str] = ()) -> ScanLog:
@@ -146,17 +145,23 @@ def open_scans(path: Path | str, format: str | None = None, topics: Sequence[str
     RelmapError
         If there is no log of a known format, or it is damaged: file, line, field.
     """
-    path = Path(path)
-    log = _of_topics(path, _choose(path, format, SCAN_DATASETS, _SCAN_LOG), topics).load(path)
-    return with_odometry_beside(log, path)
+    return _opened(Path(path), format, SCAN_DATASETS, _SCAN_LOG, topics)
 
 
-def _of_topics(path: Path, dataset: Dataset[Log], topics: Sequence[str]) -> Dataset[Log]:
-    if not topics:
-        return dataset
-    if not isinstance(dataset, BagScans | BagDetections):
-        raise invalid(path, f"is not a bag ({dataset.name}), so it has no topics")
-    return replace(dataset, topics=tuple(topics))
+def _opened(
+    path: Path,
+    format: str | None,
+    datasets: tuple[Dataset[Log], ...],
+    what: str,
+    topics: Sequence[str],
+) -> Log:
+    """Read a log with the odometry beside it."""
+    dataset = _choose(path, format, datasets, what)
+    if topics:
+        if not isinstance(dataset, BagScans | BagDetections):
+            raise invalid(path, f"is not a bag ({dataset.name}), so it has no topics")
+        dataset = replace(dataset, topics=tuple(topics))
+    return with_odometry_beside(dataset.load(path), path)
 
 
 def _choose(

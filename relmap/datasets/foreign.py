@@ -15,7 +15,8 @@ BAGS = (
     "an SQLite database, as ROS 2 bags are (.db3)",
     "an MCAP file, as ROS 2 bags are",
 )
-ZIP, PARQUET, UTF16 = "a zip archive", "a Parquet file", "text in UTF-16"
+ZIP, PARQUET, MATLAB = "a zip archive", "a Parquet file", "a MATLAB file"
+UTF16 = "text in UTF-16"
 _MOST_FILES = 20
 """Maximum number of files of a folder that are examined."""
 _GZIP_MAGIC, _GZIP_WINDOW = b"\x1f\x8b", 31
@@ -29,7 +30,7 @@ _MAGIC = (
     (30, b"checksum.npy", "a saved map of relmap"),
     (0, b"PK\x03\x04", ZIP),
     (0, b"\x89HDF\r\n\x1a\n", "an HDF5 file"),
-    (0, b"MATLAB 5.0 MAT-file", "a MATLAB file"),
+    (0, b"MATLAB 5.0 MAT-file", MATLAB),
     (0, b"PAR1", PARQUET),
     (0, b"\xff\xfe", UTF16),
     (0, b"\xfe\xff", UTF16),

@@ -8,7 +8,6 @@ bytes, then elements, each a tag of type and size with its data.
 from __future__ import annotations
 
 import math
-import os
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
@@ -30,17 +29,6 @@ _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f
 _NUMBERS |= {12: "i8", 13: "u8"}
 _NUMERIC_CLASSES = range(6, 16)
 _COMPLEX = 0x0800
-
-
-def is_matlab(path: Path) -> bool:
-    """Return whether a file is a MATLAB file, from its first bytes."""
-    if not os.path.isfile(path):
-        return False
-    try:
-        with open(path, "rb") as file:
-            return file.read(len(_MAGIC)) == _MAGIC
-    except OSError:
-        return False
 
 
 def read_matrix(file: Path, name: str) -> Floats:

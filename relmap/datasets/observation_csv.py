@@ -81,20 +81,18 @@ class ObservationCsv:
     def load(self, path: Path) -> ObservationLog:
         """Read the log."""
         file = only_one(path, _members(path), "observation log", " or ".join(FILE_NAMES))
-        table = read_table(file, COLUMNS, "; " + OTHER_NAMES)
-        ids = table.integers("id") if "id" in table.columns else None
-        points = points_of(table)
-        noise = covariances_of(table, points)
-        log = assemble_log(table, "iteration", points, ids, noise)
-        return with_stamps(table, log) if "stamp" in table.columns else log
+        return log_of_table(read_table(file, COLUMNS, "; " + OTHER_NAMES))
 
 
-def points_of(table: Table) -> Floats:
-    """Return the points in a table, (n, 2) or, with a z column, (n, 3)."""
-    return np.column_stack([table.columns[axis] for axis in "xyz" if axis in table.columns])
+def log_of_table(table: Table) -> ObservationLog:
+    """Return the log in a table with some of `COLUMNS`; RelmapError as for `assemble_log`."""
+    ids = table.integers("id") if "id" in table.columns else None
+    points = np.column_stack([table.columns[axis] for axis in "xyz" if axis in table.columns])
+    log = assemble_log(table, "iteration", points, ids, _covariances_of(table, points))
+    return with_stamps(table, log) if "stamp" in table.columns else log
 
 
-def covariances_of(table: Table, points: Floats) -> Floats | None:
+def _covariances_of(table: Table, points: Floats) -> Floats | None:
     """Return the covariances (n, d, d) of points (n, d); None without covariance columns."""
     d = points.shape[1]
     wanted = [f"c{pair}" for pair in _PAIRS if d == 3 or "z" not in pair]

@@ -13,10 +13,9 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
-from relmap.datasets.assembly import assemble_log, with_stamps
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.number_rows import parse_number
-from relmap.datasets.observation_csv import COLUMNS, covariances_of, points_of
+from relmap.datasets.observation_csv import COLUMNS, log_of_table
 from relmap.datasets.table import MAX_EXACT_INTEGER, Column, checked_table
 from relmap.datasets.textfile import invalid, quoted, shown
 
@@ -112,8 +111,4 @@ def log_of(
     if "iteration" not in table.columns and stamps_s is not None:
         _, iteration = np.unique(stamps_s, return_inverse=True)
         table.columns["iteration"] = iteration.astype(np.float64)
-    numbers = table.integers("id") if "id" in table.columns else None
-    points = points_of(table)
-    log = assemble_log(table, "iteration", points, numbers, covariances_of(table, points))
-    log = log if stamps_s is None else with_stamps(table, log)
-    return replace(log, names=names)
+    return replace(log_of_table(table), names=names)

@@ -27,8 +27,9 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.sensor import range_bearing_covariances
 from relmap.datasets.assembly import assemble_log, id_column, metres_column
 from relmap.datasets.base import MAX_ITERATION, ObservationLog
+from relmap.datasets.foreign import MATLAB, foreign_at
 from relmap.datasets.headers import file_beside, file_in
-from relmap.datasets.matfile import is_matlab, read_matrix
+from relmap.datasets.matfile import read_matrix
 from relmap.datasets.number_rows import finite_numbers
 from relmap.datasets.odometry import motions
 from relmap.datasets.scans import planar_poses
@@ -66,7 +67,7 @@ class SlsjfSimulation:
 
     def recognises(self, path: Path) -> bool:
         """Return whether it is a MATLAB file, or a folder with one named ``sensor_data.mat``."""
-        return is_matlab(file_in(path, LOG_FILE))
+        return foreign_at(file_in(path, LOG_FILE)) == MATLAB
 
     def load(self, path: Path) -> ObservationLog:
         """Read the log: planar; step 1 is iteration 0.

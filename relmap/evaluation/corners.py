@@ -36,26 +36,23 @@ class MatchedCorners(Matched):
 
 
 def judge_corners(
-    planes: PlaneTable, truth: Truth, poses: Floats, true_poses: Floats
+    planes: PlaneTable, truth: Truth, true_poses: Floats, matched: MatchedCorners | None
 ) -> tuple[dict[str, float | None], dict[str, int], list[str]]:
-    """Evaluate a map of walls.
+    """Evaluate a map of walls, given what `match_corners` returns for it.
 
-    `planes`: the mapped walls, map frame, metres; `poses`, `true_poses` (k, 4, 4): ``T_map_robot``
-    of the same instants, as mapped and true. Returns figures, counts and notes as
-    `relmap.evaluation.landmarks.judge_landmarks` does.
+    Returns figures, counts and notes as `relmap.evaluation.landmarks.judge_landmarks` does.
     """
     counts = {
         "planes": len(planes.plane),
         "mapped_planes": int((planes.status == "static").sum()),
         "true_planes": len(truth.ends),
-        "matched_poses": len(poses),
+        "matched_poses": len(true_poses),
     }
     if not len(truth.ends):
         return {}, counts, []
     due = np.flatnonzero(truth.corner_scans.ravel() >= OFTEN)
-    matched = match_corners(planes, truth, poses, true_poses)
     if matched is None:
-        n_false, coverage = len(_corners(planes)[0]), 0.0 if len(due) and len(poses) else None
+        n_false, coverage = len(_corners(planes)[0]), 0.0 if len(due) and len(true_poses) else None
         counts |= {"matched_corners": 0, "false_corners": n_false, "due_corners": len(due)}
         note = f"no corner RMSE: {_why_unmatched(planes, true_poses)}"
         return {"coverage": coverage}, counts, [note]
@@ -92,8 +89,9 @@ def match_corners(
 
     A corner is paired with the nearest true one at the same end of a wall that faces the same way.
 
-    `planes`, `truth`, `poses`, `true_poses`: as for `judge_corners`. Returns None if there is no
-    path to start from, or nothing can be paired.
+    `planes`: the mapped walls, map frame, metres; `poses`, `true_poses` (k, 4, 4): ``T_map_robot``
+    of the same instants, as mapped and true. Returns None if there is no path to start from, or
+    nothing can be paired.
     """
     row, end = _corners(planes)
     position, normal = planes.ends[row, end], planes.normal[row]

@@ -118,8 +118,8 @@ def evaluate(result: Result, truth: Truth, log: ObservationLog | None = None) ->
     variant: Judged = "points"
     if isinstance(result, PlaneResult):
         variant = "planes"
-        figures, counts, notes = judge_corners(result.planes, truth, poses, true_poses)
         matched = match_corners(result.planes, truth, poses, true_poses)
+        figures, counts, notes = judge_corners(result.planes, truth, true_poses, matched)
         motion = (matched.R, matched.t) if matched else None
         figures |= judge_walls(result.planes, truth, poses, true_poses, motion)
     elif isinstance(result, Plane3dResult):
