@@ -47,6 +47,13 @@ def run_process(command: Sequence[str], **more: Any) -> subprocess.CompletedProc
     )
 
 
+def run_changed(change: str, *arguments: object, **more: Any) -> subprocess.CompletedProcess[str]:
+    """Run `relmap` in another process, without progress, after some code of its own."""
+    begin = "import os, resource, signal, sys\nfrom relmap.cli import console, main"
+    code = f"{begin}\nconsole.EVERY_S = 1e6\n{change}\nsys.exit(main(sys.argv[1:]))"
+    return run_process([sys.executable, "-c", code, *map(str, arguments)], **more)
+
+
 def run_relmap(*arguments: object) -> None:
     """Run `relmap` in this process; it must succeed."""
     assert main([str(argument) for argument in arguments]) == 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sqlite3
 from itertools import islice
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 
 from relmap import PointMapper
 from relmap.io.journal import Journal, JournalReader
+from tests.commands import run_changed
 from tests.worlds import walk
 
 
@@ -26,6 +28,24 @@ def end_after(path: Path, n: int) -> None:
             shorter.call(call)
         shorter.append(**vars(scan))
     shorter.close()
+
+
+def kill_after(n: int, journal: Path, command: str, **more: Any) -> None:
+    """Run `relmap` with a journal in a process that kills itself once n scans are in it."""
+    change = f"""
+from relmap.io.journal import writing
+writing.INTERVAL_S = 0.0  # a flush for every scan
+append = writing.Journal.append
+def half(self, *scan, **more):
+    append(self, *scan, **more)
+    if self.n_scans == {n}:
+        os.kill(os.getpid(), signal.SIGKILL)
+writing.Journal.append = half
+"""
+    done = run_changed(change, *command.split(), "--journal", journal, **more)
+    assert done.returncode == -signal.SIGKILL
+    with JournalReader(journal) as reader:
+        assert len(list(reader.scans())) == n
 
 
 def changed(path: Path, statement: str) -> None:

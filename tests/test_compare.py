@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import os
 import signal
 import subprocess
@@ -184,8 +183,7 @@ def test_missing_methods_are_reported(
     printed = capsys.readouterr()
     assert f"isam2: not run: {missing}" in printed.out
     assert printed.err == ""
-    with (tmp_path / "comparison.csv").open() as stream:
-        notes = [row["note"] for row in csv.DictReader(stream)]
+    notes = [row["note"] for row in table(tmp_path / "comparison.csv")]
     assert notes == [f"not run: {missing}", ""]
     assert main([*SHORT, "--methods", "isam2", "-o", str(tmp_path / "none")]) == 2
     assert not (tmp_path / "none").exists()

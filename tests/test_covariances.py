@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -18,6 +17,7 @@ from relmap.core.arrays import Floats
 from relmap.core.state.weighed import WeighedObservations
 from relmap.datasets import ObservationLog, open_log, write_observation_csv
 from relmap.simulation.worlds import World, WorldSpec, simulate_world
+from tests.commands import load
 from tests.worlds import aligned_rmse, refined, walk
 
 pytestmark = pytest.mark.usefixtures("unrendered")
@@ -237,7 +237,7 @@ def test_the_command_line_weighs_observations(tmp_path: Path) -> None:
     for name, options in (("plain", []), ("weighed", sigmas)):
         journal = str(tmp_path / f"{name}.journal")
         assert main([*command, str(tmp_path / name), *options, "--journal", journal]) == 0
-        summary = json.loads((tmp_path / name / "summary.json").read_text())
+        summary = load(tmp_path / name / "summary.json")
         assert summary["weighed"] == bool(options)
         found = np.genfromtxt(tmp_path / name / "landmarks.csv", delimiter=",", names=True)
         positions = np.column_stack([found["x"], found["y"]])

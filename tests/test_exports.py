@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 import xml.etree.ElementTree as ET
@@ -16,7 +15,7 @@ from relmap.core.arrays import Floats
 from relmap.exports.content import read_content
 from relmap.exports.drawings import dxf_text, svg_text
 from relmap.exports.formats import FORMATS
-from tests.commands import snapshot, table
+from tests.commands import load, snapshot, table
 from tests.everyformat import Mapped
 from tests.exported import an_l, export
 
@@ -66,7 +65,7 @@ def test_svg_shows_y_upwards_and_names_are_text() -> None:
 def test_geojson_agrees_with_the_tables(mapped: Mapped, tmp_path: Path) -> None:
     result = mapped("npz")
     export(result, "geojson", tmp_path / "walls.geojson")
-    read = json.loads((tmp_path / "walls.geojson").read_text())
+    read = load(tmp_path / "walls.geojson")
     assert read["type"] == "FeatureCollection"
     assert "metres" in read["frame"]
     assert "crs" not in read
@@ -83,7 +82,7 @@ def test_geojson_agrees_with_the_tables(mapped: Mapped, tmp_path: Path) -> None:
         )  # fmt: skip
         assert told["observations"] == int(row["observations"])
     export(mapped("csv/observations.csv"), "geojson", tmp_path / "points.json")
-    read = json.loads((tmp_path / "points.json").read_text())
+    read = load(tmp_path / "points.json")
     kinds = [f["geometry"]["type"] for f in read["features"]]
     assert kinds.count("Point") == 12
     assert all(len(f["geometry"]["coordinates"]) == 3 for f in read["features"][:12])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -22,6 +21,7 @@ from relmap.datasets import ObservationLog, write_observation_csv
 from relmap.evaluation.summary import MANY, ends_of
 from relmap.io.results import read_result
 from relmap.simulation import simulate_figure_eight
+from tests.commands import load
 from tests.worlds import aligned_rmse, fed, finished, random_rotation, seen
 
 pytestmark = pytest.mark.usefixtures("unrendered")
@@ -277,7 +277,7 @@ def test_the_summary_names_rejected_iterations(tmp_path: Path) -> None:
         out = tmp_path / association
         source = str(tmp_path / "observations.csv")
         assert main(["map", source, "-o", str(out), "--association", association]) == 0
-        summary = json.loads((out / "summary.json").read_text())
+        summary = load(out / "summary.json")
         assert summary["rejected_iterations"] == {"count": 1, "iterations": [AT]}
         assert summary["rejected_observations"] == {"count": 0, "rows": []}
 
@@ -288,7 +288,7 @@ def test_the_result_names_overruled_observations(tmp_path: Path) -> None:
     source, out = str(tmp_path / "observations.csv"), tmp_path / "r"
     assert main(["map", source, "-o", str(out), "--association", "known"]) == 0
     first = int(np.searchsorted(log.iteration, AT))
-    summary = json.loads((out / "summary.json").read_text())
+    summary = load(out / "summary.json")
     assert summary["rejected_observations"] == {"count": 2, "rows": [first, first + 1]}
     tracks = read_result(out).tracks
     assert tracks.rejected_id is not None

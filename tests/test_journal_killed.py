@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import json
-import signal
-import sqlite3
-import subprocess
 import sys
 from pathlib import Path
 
@@ -19,8 +16,8 @@ from relmap.io.journal.layout import POINTS
 from relmap.plots import bench as plots_bench
 from relmap.plots.bench_recorder import BenchFrame
 from relmap.simulation import simulate_building, simulate_figure_eight
-from tests.commands import PATIENCE_S, load, names, run_process, table, unrendered
-from tests.journals import end_after
+from tests.commands import load, names, run_changed, run_process, table, unrendered
+from tests.journals import end_after, kill_after
 
 SAME = ["landmarks.csv", "map.ply", "mapper.npz", "submaps.csv", "tracks.csv.gz", "trajectory.tum"]
 
@@ -62,32 +59,8 @@ def test_relmap_resume_after_a_kill(
     eight: Path, tmp_path: Path, child_env: dict[str, str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     journal = tmp_path / "run.journal"
-    # Killed by itself half way, with a flush for every scan.
-    code = (
-        "import os, signal, sys\n"
-        "from relmap.cli import main\n"
-        "from relmap.io.journal import writing\n"
-        "writing.INTERVAL_S = 0.0\n"
-        "append = writing.Journal.append\n"
-        "def half(self, *scan, **more):\n"
-        "    append(self, *scan, **more)\n"
-        "    if self.n_scans == 70:\n"
-        "        os.kill(os.getpid(), signal.SIGKILL)\n"
-        "writing.Journal.append = half\n"
-        "sys.exit(main(sys.argv[1:]))\n"
-    )
-    command = [sys.executable, "-c", code, "map", "log.csv", "-o", str(tmp_path / "out")]
-    done = subprocess.run(
-        [*command, "--journal", str(journal)],
-        env=child_env,
-        cwd=eight,
-        timeout=PATIENCE_S,
-        check=False,
-    )
-    assert done.returncode == -signal.SIGKILL
-    with sqlite3.connect(journal) as other:
-        assert other.execute("SELECT count(*) FROM scans").fetchone() == (70,)
-    other.close()
+    out = tmp_path / "out"
+    kill_after(70, journal, f"map log.csv -o {out}", env=child_env, cwd=eight)
     assert not (tmp_path / "out" / "summary.json").exists()
     assert main(["resume", str(journal)]) == 0
     assert same(tmp_path / "out", eight / "whole")
@@ -190,17 +163,13 @@ def test_a_disk_that_is_full_ends_a_run_with_one_line_and_it_can_be_resumed(
 ) -> None:
     journal = tmp_path / "run.journal"
     # No file of the child may grow beyond 100 KiB; the operating system reports this to SQLite.
-    limit = (
-        "import resource, sys\n"
-        "from relmap.cli import console, main\n"
-        "console.EVERY_S = 1e6\n"
-        "from relmap.io.journal import writing\n"
-        "writing.INTERVAL_S = 0.0\n"
-        "resource.setrlimit(resource.RLIMIT_FSIZE, (100 * 1024, 100 * 1024))\n"
-        "sys.exit(main(sys.argv[1:]))\n"
-    )
-    command = [sys.executable, "-c", limit, "map", "log.csv", "-o", str(tmp_path / "out")]
-    done = run_process([*command, "--journal", str(journal)], env=child_env, cwd=eight)
+    limit = """
+from relmap.io.journal import writing
+writing.INTERVAL_S = 0.0
+resource.setrlimit(resource.RLIMIT_FSIZE, (100 * 1024, 100 * 1024))
+"""
+    command = ["map", "log.csv", "-o", tmp_path / "out", "--journal", journal]
+    done = run_changed(limit, *command, env=child_env, cwd=eight)
     assert done.returncode == 2
     assert done.stderr.startswith(f"relmap: error: journal {journal} cannot be written: ")
     assert done.stderr.count("\n") == 1
@@ -215,24 +184,17 @@ def test_ctrl_c_writes_what_was_mapped_so_far(tmp_path: Path, child_env: dict[st
     log = tmp_path / "observations.csv"
     write_observation_csv(log, simulate_figure_eight(seed=1, iterations=400).log)
     out, journal = tmp_path / "out", tmp_path / "run.journal"
-    early = (
-        "import os, signal, sys\n"
-        "from relmap.cli import console, main\n"
-        "console.EVERY_S = 1e6\n"
-        "from relmap.points import PointMapper\n"
-        "update = PointMapper.update\n"
-        "def stopped(self, *scan, **more):\n"
-        "    if self.n_iterations == 130:\n"
-        "        os.kill(os.getpid(), signal.SIGINT)\n"
-        "    return update(self, *scan, **more)\n"
-        "PointMapper.update = stopped\n"
-        "sys.exit(main(sys.argv[1:]))\n"
-    )
-    done = run_process(
-        [sys.executable, "-c", early, "map", str(log), "-o", str(out), "--journal", str(journal)],
-        env=child_env,
-        cwd=tmp_path,
-    )
+    early = """
+from relmap.points import PointMapper
+update = PointMapper.update
+def stopped(self, *scan, **more):
+    if self.n_iterations == 130:
+        os.kill(os.getpid(), signal.SIGINT)
+    return update(self, *scan, **more)
+PointMapper.update = stopped
+"""
+    command = ["map", log, "-o", out, "--journal", journal]
+    done = run_changed(early, *command, env=child_env, cwd=tmp_path)
     said = done.stdout
     assert (done.returncode, done.stderr) == (130, "relmap: interrupted\n")
     summary = load(out / "summary.json")
@@ -252,23 +214,16 @@ def test_ctrl_c_writes_what_was_mapped_so_far(tmp_path: Path, child_env: dict[st
 
 
 def test_ctrl_c_twice_ends_at_once(tmp_path: Path, child_env: dict[str, str]) -> None:
-    code = (
-        "import os, signal, sys\n"
-        "from relmap.cli import console, main\n"
-        "console.EVERY_S = 1e6\n"
-        "from relmap.points import PointMapper\n"
-        "def hang(self, *scan, **more):\n"
-        "    for _ in range(2):\n"
-        "        os.kill(os.getpid(), signal.SIGINT)\n"
-        "    raise AssertionError('not interrupted')\n"
-        "PointMapper.update = hang\n"
-        "sys.exit(main(sys.argv[1:]))\n"
-    )
+    hanging = """
+from relmap.points import PointMapper
+def hang(self, *scan, **more):
+    for _ in range(2):
+        os.kill(os.getpid(), signal.SIGINT)
+    raise AssertionError('not interrupted')
+PointMapper.update = hang
+"""
     (tmp_path / "log.csv").write_text("iteration,x,y\n0,1,2\n1,1,2\n")
-    done = run_process(
-        [sys.executable, "-c", code, "map", "log.csv", "-o", "out"],
-        env=child_env | {"PYTHONDONTWRITEBYTECODE": "1"},
-        cwd=tmp_path,
-    )
+    env = child_env | {"PYTHONDONTWRITEBYTECODE": "1"}
+    done = run_changed(hanging, "map", "log.csv", "-o", "out", env=env, cwd=tmp_path)
     assert (done.returncode, done.stderr, done.stdout) == (130, "relmap: interrupted\n", "")
     assert names(tmp_path) == ["log.csv"]

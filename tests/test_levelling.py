@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +11,7 @@ from relmap.cli import main
 from relmap.datasets import write_scans_npz
 from relmap.segmentation.space import PatchSegmenter, level_scan, vertical
 from relmap.simulation.storey import Storey, simulate_storey
+from tests.commands import load
 
 pytestmark = pytest.mark.usefixtures("unrendered")
 
@@ -111,6 +111,6 @@ def test_a_real_hall_gives_a_floor_plan(
     assert main(["map", str(hall), "-o", str(out), *arguments]) == 0
     assert "submaps" not in capsys.readouterr().out
     assert main(["evaluate", str(out), "--truth", str(hall)]) == 0
-    evaluation = json.loads((out / "evaluation.json").read_text())
+    evaluation = load(out / "evaluation.json")
     assert len(np.loadtxt(out / "trajectory.tum")) == 8
     assert evaluation["ate_m"] < 0.03

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import re
 import shutil
@@ -17,22 +16,11 @@ from relmap.datasets import open_scans
 from relmap.datasets.trajectories import read_trajectory
 from relmap.io.files import read_tum
 from relmap.planes3d.files import COLUMNS
-from tests.commands import names, run_relmap
+from tests.commands import RESULT_FILES, load, names, run_relmap, table
 
 pytestmark = pytest.mark.usefixtures("unrendered")
 
-FILES = [
-    "landmarks.csv",
-    "map.ply",
-    "map.png",
-    "mapper.npz",
-    "planes.csv",
-    "report.html",
-    "submaps.csv",
-    "summary.json",
-    "tracks.csv.gz",
-    "trajectory.tum",
-]
+FILES = sorted([*RESULT_FILES, "planes.csv"])
 
 
 @pytest.fixture(scope="module")
@@ -44,15 +32,10 @@ def storey(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def rows_of(path: Path) -> list[dict[str, str]]:
-    with path.open() as stream:
-        return list(csv.DictReader(stream))
-
-
 def test_result_folder_is_complete(storey: Path) -> None:
     result = storey / "result"
     assert names(result) == FILES
-    rows = rows_of(result / "planes.csv")
+    rows = table(result / "planes.csv")
     assert list(rows[0]) == list(COLUMNS)
     static = [row for row in rows if row["status"] == "static"]
     assert len(static) >= 8
@@ -63,7 +46,7 @@ def test_result_folder_is_complete(storey: Path) -> None:
         assert np.abs(corners @ normal - float(row["offset"])).max() < 1e-3
         assert 0 < float(row["sd_normal"]) < 0.01
         assert 0 < float(row["sd_centre"]) < 0.01
-    summary = json.loads((result / "summary.json").read_text())
+    summary = load(result / "summary.json")
     assert summary["variant"] == "planes3d"
     assert summary["counts"]["planes_static"] == len(static)
     assert summary["counts"]["iterations_without_pose"] == 0
@@ -98,7 +81,7 @@ def test_a_broken_run_says_so_with_advice(
     )
     capsys.readouterr()
     run_relmap("map", tmp_path / "both.npz", "-o", tmp_path / "map", "--variant", "planes3d")
-    summary = json.loads((tmp_path / "map" / "summary.json").read_text())
+    summary = load(tmp_path / "map" / "summary.json")
     assert [part["scans"] for part in summary["submaps"]] == [10, 8]
     _, poses = read_tum(tmp_path / "map" / "trajectory.tum")
     way = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
@@ -119,7 +102,7 @@ def test_mesh_holds_polygons_on_the_planes(storey: Path) -> None:
     assert all(len(face) == 1 + face[0] >= 4 for face in faces)
     vertices = np.array([line.split()[:3] for line in lines[begin : begin + points]], dtype=float)
     assert np.array_equal(np.concatenate([face[1:] for face in faces]), np.arange(points))
-    planes = [row for row in rows_of(storey / "result" / "planes.csv") if row["status"] == "static"]
+    planes = [row for row in table(storey / "result" / "planes.csv") if row["status"] == "static"]
     normal = np.array([[float(row[name]) for name in ("nx", "ny", "nz")] for row in planes])
     off_m = np.abs(vertices @ normal.T - [float(row["offset"]) for row in planes])
     for face in faces:
@@ -131,7 +114,7 @@ def test_report_shows_the_edges_of_the_planes(storey: Path) -> None:
     (data,) = re.findall(r'<script id="data" type="application/json">(.*?)</script>', page)
     (view,) = json.loads(data)
     ends = np.frombuffer(b64decode(view["lines"]), "<f4").reshape(-1, 2, 3)
-    planes = [row for row in rows_of(storey / "result" / "planes.csv") if row["status"] == "static"]
+    planes = [row for row in table(storey / "result" / "planes.csv") if row["status"] == "static"]
     assert len(ends) == sum(len(row["outline"].split(";")) for row in planes)
     flat = np.abs(np.ptp(ends[:, :, 2], axis=1)) < 1e-3
     assert 0.2 < flat.mean() < 1  # the floor is level
@@ -141,7 +124,7 @@ def test_report_shows_the_edges_of_the_planes(storey: Path) -> None:
 
 
 def test_outlines_name_the_planes_that_they_meet(storey: Path) -> None:
-    rows = {row["plane"]: row for row in rows_of(storey / "result" / "planes.csv")}
+    rows = {row["plane"]: row for row in table(storey / "result" / "planes.csv")}
     met = 0
     for row in rows.values():
         corners = np.array([corner.split() for corner in row["outline"].split(";")], dtype=float)
@@ -158,7 +141,7 @@ def test_outlines_name_the_planes_that_they_meet(storey: Path) -> None:
 
 def test_path_is_that_of_the_truth(storey: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run_relmap("evaluate", storey / "result", "--truth", storey / "world")
-    evaluation = json.loads((storey / "result" / "evaluation.json").read_text())
+    evaluation = load(storey / "result" / "evaluation.json")
     (storey / "result" / "evaluation.json").unlink()
     assert evaluation["ate_m"] < 0.003
     assert evaluation["counts"] == {"poses": 10}
@@ -179,7 +162,7 @@ def test_the_truth_may_be_a_trajectory(storey: Path, tmp_path: Path, kitti: bool
     np.savetxt(tmp_path / "times.txt", stamps_s)
     truth = truth if kitti else storey / "world" / "truth" / "trajectory.tum"
     run_relmap("evaluate", storey / "result", "--truth", truth)
-    evaluation = json.loads((storey / "result" / "evaluation.json").read_text())
+    evaluation = load(storey / "result" / "evaluation.json")
     (storey / "result" / "evaluation.json").unlink()
     assert evaluation["ate_m"] < 0.003
     assert evaluation["counts"] == {"poses": 10}
@@ -200,12 +183,12 @@ def test_planes_in_space_are_neither_exported_nor_merged(
 def test_compared_with_other_paths(storey: Path, tmp_path: Path) -> None:
     log, out = str(storey / "world"), tmp_path / "compared"
     run_relmap("compare", log, "-o", out, "--methods", "relmap-planes3d")
-    (row,) = rows_of(out / "comparison.csv")
+    (row,) = table(out / "comparison.csv")
     assert float(row["ate_m"]) < 0.003
     assert row["path_coverage"] == "1.0"
-    whole = rows_of(storey / "result" / "landmarks.csv")
+    whole = table(storey / "result" / "landmarks.csv")
     mapped = [each["landmark"] for each in whole if each["status"] == "static"]
-    assert [each["landmark"] for each in rows_of(out / "map-relmap-planes3d.csv")] == mapped
+    assert [each["landmark"] for each in table(out / "map-relmap-planes3d.csv")] == mapped
     assert (out / "map-relmap-planes3d.png").exists()
 
 
@@ -220,7 +203,7 @@ def test_walls_are_not_compared_in_clouds_with_floors(
 def test_scans_and_voxel(storey: Path, tmp_path: Path) -> None:
     arguments = ["--variant", "planes3d", "--scans", "6:9", "--voxel", "0.3", "--no-refine"]
     run_relmap("map", storey / "world", "-o", tmp_path / "part", *arguments)
-    summary = json.loads((tmp_path / "part" / "summary.json").read_text())
+    summary = load(tmp_path / "part" / "summary.json")
     assert summary["configuration"]["voxel_m"] == 0.3
     assert summary["scans"] == [6, 9]
     assert read_tum(tmp_path / "part" / "trajectory.tum")[0].tolist() == [6, 7, 8]
@@ -279,7 +262,7 @@ def test_real_clouds(
     out = tmp_path / "result"
     run_relmap("map", shared_data / name, "-o", out, "--variant", "planes3d", "--scans", scans)
     run_relmap("evaluate", out, "--truth", shared_data / name)
-    evaluation = json.loads((out / "evaluation.json").read_text())
+    evaluation = load(out / "evaluation.json")
     assert evaluation["counts"]["poses"] == len(
         open_scans(shared_data / name).between(*map(int, scans.split(":")))
     )
@@ -290,8 +273,8 @@ def test_a_damaged_outline_is_named(
     storey: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     shutil.copytree(storey / "result", tmp_path / "result")
-    table = tmp_path / "result" / "planes.csv"
-    table.write_text(table.read_text().replace(";", ";x ", 1))
+    planes = tmp_path / "result" / "planes.csv"
+    planes.write_text(planes.read_text().replace(";", ";x ", 1))
     arguments = ["evaluate", tmp_path / "result", "--truth", storey / "world"]
     assert main([str(argument) for argument in arguments]) == 2
     assert "field outline" in capsys.readouterr().err

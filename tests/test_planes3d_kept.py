@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import signal
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,11 +12,10 @@ from relmap import Plane3dMapper, PlaneMapper, PointMapper, RelmapError, map_log
 from relmap.cli import main
 from relmap.core.arrays import Floats
 from relmap.datasets import open_scans
-from relmap.io.journal import JournalReader
 from relmap.segmentation.space import PatchSegmenter
 from relmap.simulation.storey import simulate_storey
-from tests.commands import PATIENCE_S, load, names, run_relmap, unrendered
-from tests.journals import changed, end_after
+from tests.commands import load, names, run_relmap, unrendered
+from tests.journals import changed, end_after, kill_after
 from tests.savedmaps import state
 
 N = 14
@@ -124,31 +120,10 @@ def test_relmap_resume_after_a_kill(
     storey: Path, tmp_path: Path, child_env: dict[str, str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     journal = tmp_path / "run.journal"
-    code = (  # killed by itself in the middle, with a flush for every scan
-        "import os, signal, sys\n"
-        "from relmap.cli import main\n"
-        "from relmap.io.journal import writing\n"
-        "writing.INTERVAL_S = 0.0\n"
-        "append = writing.Journal.append\n"
-        "def half(self, *scan, **more):\n"
-        "    append(self, *scan, **more)\n"
-        "    if self.n_scans == 6:\n"
-        "        os.kill(os.getpid(), signal.SIGKILL)\n"
-        "writing.Journal.append = half\n"
-        "sys.exit(main(sys.argv[1:]))\n"
-    )
-    arguments = ["map", "log", "-o", str(tmp_path / "out"), "--variant", "planes3d"]
-    done = subprocess.run(
-        [sys.executable, "-c", code, *arguments, "--journal", str(journal)],
-        env=child_env,
-        cwd=storey,
-        timeout=PATIENCE_S,
-        check=False,
-    )
-    assert done.returncode == -signal.SIGKILL
-    assert not (tmp_path / "out" / "summary.json").exists()
-    with JournalReader(journal) as reader:
-        assert len(list(reader.scans())) == 6
+    out = tmp_path / "out"
+    command = f"map log -o {out} --variant planes3d"
+    kill_after(6, journal, command, env=child_env, cwd=storey)
+    assert not (out / "summary.json").exists()
     run_relmap("resume", journal)
     assert same(tmp_path / "out", storey / "whole")
     run_relmap("resume", journal, "-o", tmp_path / "again")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 import re
 import shutil
 from pathlib import Path
@@ -18,7 +17,7 @@ from relmap.evaluation.run import run_mapper
 from relmap.planes import PlaneMapper
 from relmap.planes.walls.files import read_planes
 from relmap.segmentation import PlaneSegmenter
-from tests.commands import run_relmap
+from tests.commands import load, run_relmap, table
 
 pytestmark = pytest.mark.usefixtures("unrendered")
 
@@ -41,10 +40,10 @@ def test_result_folder_is_complete(building: Path) -> None:
     with (building / "result" / "planes.csv").open() as stream:
         header = next(csv.reader(stream))
     assert header[:16] == CONTRACT.split(",")
-    table = read_planes(building / "result")
-    assert set(table.status.tolist()) <= {"static", "dynamic", "unmapped"}
-    assert (table.status == "static").sum() >= 5
-    summary = json.loads((building / "result" / "summary.json").read_text())
+    status = read_planes(building / "result").status
+    assert set(status.tolist()) <= {"static", "dynamic", "unmapped"}
+    assert (status == "static").sum() >= 5
+    summary = load(building / "result" / "summary.json")
     assert summary["variant"] == "planes"
     assert summary["counts"]["iterations"] == 80
     names = ("landmarks.csv", "tracks.csv.gz", "trajectory.tum", "map.ply", "map.png")
@@ -79,22 +78,21 @@ def test_a_log_in_other_units_is_reported(
 
 def test_figures_against_the_truth(building: Path) -> None:
     run_relmap("evaluate", building / "result", "--truth", building / "world")
-    figures = json.loads((building / "result" / "evaluation.json").read_text())
+    figures = load(building / "result" / "evaluation.json")
     assert figures["corner_rmse_m"] < 0.04
     assert figures["coverage"] >= 0.85
     assert figures["ate_m"] < 0.04
 
 
 def test_one_submap_with_all_the_corners_that_are_mapped(building: Path) -> None:
-    (submap,) = json.loads((building / "result" / "summary.json").read_text())["submaps"]
-    with (building / "result" / "landmarks.csv").open() as stream:
-        mapped = [row for row in csv.DictReader(stream) if row["x"]]
+    (submap,) = load(building / "result" / "summary.json")["submaps"]
+    mapped = [row for row in table(building / "result" / "landmarks.csv") if row["x"]]
     assert submap["landmarks"] == len(mapped) > 5
 
 
 def test_wrong_corners_are_reported(building: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run_relmap("evaluate", building / "result", "--truth", building / "world")
-    counts = json.loads((building / "result" / "evaluation.json").read_text())["counts"]
+    counts = load(building / "result" / "evaluation.json")["counts"]
     told = " ".join(capsys.readouterr().out.split())
     both = counts["false_corners"] + counts["matched_corners"]
     assert f"false corners {counts['false_corners']} of {both}" in told

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -22,7 +21,7 @@ from relmap.planes.submaps.tearing import disagreement
 from relmap.planes.walls.equations import Walls
 from relmap.planes.walls.files import read_planes
 from relmap.simulation.visibility import seen_walls
-from tests.commands import unrendered
+from tests.commands import load, unrendered
 from tests.test_planes import CORRIDOR, ROOM, seen_from
 from tests.worlds import finished
 
@@ -195,7 +194,7 @@ def test_files_line_and_picture_report_submaps(
     capsys.readouterr()
     assert main(["map", str(broken), "-o", str(out), "--variant", "planes"]) == 0
     (said,) = capsys.readouterr().out.splitlines()
-    summary = json.loads((out / "summary.json").read_text())
+    summary = load(out / "summary.json")
     first, second = summary["submaps"]
     assert sorted([first["iterations"], second["iterations"]]) == [[0, 29], [30, 59]]
     assert first["scans"] == second["scans"] == 30
@@ -235,7 +234,7 @@ def test_no_advice_where_the_largest_submap_is_all_but_whole(
 def test_corners_are_counted_alike_everywhere(result: Path) -> None:
     from relmap.plots.planes import plot_planes
 
-    counts = json.loads((result / "summary.json").read_text())["counts"]
+    counts = load(result / "summary.json")["counts"]
     planes = read_planes(result)
     mapped = planes.status == "static"
     at_ends = int((planes.corner[mapped] >= 0).sum())
@@ -248,7 +247,7 @@ def test_corners_are_counted_alike_everywhere(result: Path) -> None:
 def test_the_summary_lists_weak_links_of_the_largest_submap(
     broken: Path, result: Path, tmp_path: Path
 ) -> None:
-    summary = json.loads((result / "summary.json").read_text())
+    summary = load(result / "summary.json")
     weak, spans = summary["refinement"], [each["iterations"] for each in summary["submaps"]]
     assert all(each["refined"] for each in summary["submaps"])
     assert weak["segments"] >= 3
@@ -259,11 +258,11 @@ def test_the_summary_lists_weak_links_of_the_largest_submap(
     assert all(begin <= each["first_iteration"] <= end for each in weak["weakest_segments"])
     out = ["-o", str(tmp_path), "--variant", "planes"]
     assert main(["map", str(broken), *out, "--no-refine"]) == 0
-    assert json.loads((tmp_path / "summary.json").read_text())["refinement"] is None
+    assert load(tmp_path / "summary.json")["refinement"] is None
 
 
 def test_time_is_reported_in_whole_and_readable(result: Path) -> None:
-    timing = json.loads((result / "summary.json").read_text())["timing"]
+    timing = load(result / "summary.json")["timing"]
     assert 0.0 < timing["segmentation_share"] < 1.0
     assert timing["scan_median_ms"] >= max(timing["median_ms"], timing["segmentation_median_ms"])
     assert each(102.3) == "median 102 ms each"

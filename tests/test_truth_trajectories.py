@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,7 @@ from relmap.core.errors import RelmapError
 from relmap.evaluation.truth import Variant, read_truth
 from relmap.io.files import read_tum, write_tum
 from relmap.simulation import simulate_figure_eight
-from tests.commands import table
+from tests.commands import load, table
 from tests.logs import put
 from tests.scanlogs import CORRECTED
 
@@ -73,7 +72,7 @@ def test_evaluate_takes_a_trajectory(
     figures = []
     for truth in ("eight", "eight/truth/trajectory.tum"):
         assert main(["evaluate", "out", "--truth", truth]) == 0
-        figures.append(json.loads((tmp_path / "out" / "evaluation.json").read_text()))
+        figures.append(load(tmp_path / "out" / "evaluation.json"))
     assert figures[0]["ate_m"] == pytest.approx(figures[1]["ate_m"], rel=1e-6)
     assert figures[0]["rpe_m"] == pytest.approx(figures[1]["rpe_m"], rel=1e-6)
     assert figures[1]["landmark_rmse_m"] is None

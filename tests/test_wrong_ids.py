@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
@@ -23,6 +22,7 @@ from relmap.core.refinement.equations import Laid
 from relmap.core.refinement.gauss_newton import Problem, Solution
 from relmap.datasets import ObservationLog
 from relmap.simulation import FigureEight, WorldSpec, simulate_figure_eight, simulate_world
+from tests.commands import load
 from tests.worlds import aligned_rmse, driven, limit_of, mapped, walk
 
 Wrong = Callable[[ObservationLog, int, int], ObservationLog]
@@ -220,10 +220,10 @@ def test_the_command_line_reports_that_refinement_did_not_converge(
     mapping = ["map", str(log / "observations.csv"), "-o", str(tmp_path / "r")]
     mapping += ["--association", "known"]
     assert "converge" not in run.invoke(app, mapping).output
-    assert json.loads((tmp_path / "r/summary.json").read_text())["refinement"]["converged"]
+    assert load(tmp_path / "r/summary.json")["refinement"]["converged"]
     monkeypatch.setattr(settling, "gauss_newton", ruined)
     assert "WARNING: the refinement did not converge" in run.invoke(app, mapping).stdout
-    assert not json.loads((tmp_path / "r/summary.json").read_text())["refinement"]["converged"]
+    assert not load(tmp_path / "r/summary.json")["refinement"]["converged"]
 
 
 def test_the_command_line_reports_that_observations_contradict_the_map(tmp_path: Path) -> None:
