@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import io
 import lzma
+import os
 import zipfile
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -112,3 +113,10 @@ def test_a_file_in_the_place_of_a_cloud_is_named(tmp_path: Path) -> None:
     for name, data, found in [*BAGS, FILES[0]]:
         put(tmp_path, data, "scan1.pcd")
         assert f"scan1.pcd: is {found}" in scanlogs.failure(tmp_path), name
+
+
+@pytest.mark.parametrize("name", ["scans.npz", "drive.bag", "sensor_data.mat", "a.bin"])
+def test_a_pipe_in_a_folder_is_not_waited_for(tmp_path: Path, name: str) -> None:
+    os.mkfifo(tmp_path / name)
+    assert "holds no log of point scans, expected" in scanlogs.failure(tmp_path)
+    assert "holds no landmark log, expected" in logs.failure(tmp_path)

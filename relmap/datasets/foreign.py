@@ -105,9 +105,11 @@ def is_kitti(file: Path) -> bool:
 
 
 def _head(file: Path) -> bytes:
-    """Return the first bytes of a file; none if it cannot be read."""
+    """Return the first bytes of a file; none if it cannot be read, or is a pipe."""
     try:
-        with file.open("rb") as stream:
-            return stream.read(HEAD_BYTES)
+        if file.is_file():
+            with file.open("rb") as stream:
+                return stream.read(HEAD_BYTES)
     except (OSError, ValueError):
-        return b""
+        pass
+    return b""
