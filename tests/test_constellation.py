@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association import Constellation
 from relmap.core.association.tracks import LiveTracks
-from tests.worlds import spacing
+from tests.worlds import spacing, turn
 
 Points = Floats
 
@@ -36,8 +36,7 @@ def scattered(n: int, d: int, rng: np.random.Generator, apart: float = 1.0) -> P
 def turned(points: Points, degrees: float) -> Points:
     """Observe points from a robot that turned."""
     if points.shape[1] == 2:
-        c, s = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
-        return np.asarray(points @ np.array([[c, -s], [s, c]]))
+        return np.asarray(points @ turn(np.deg2rad(degrees)))
     R = Rotation.from_euler("ZYX", degrees * np.array([1, -0.5, 0.3]), degrees=True).as_matrix()
     return np.asarray(points @ R)
 

@@ -18,7 +18,7 @@ from relmap.core.state.weighed import WeighedObservations
 from relmap.datasets import ObservationLog, open_log, write_observation_csv
 from relmap.simulation.worlds import World, WorldSpec, simulate_world
 from tests.commands import load
-from tests.worlds import aligned_rmse, refined, walk
+from tests.worlds import aligned_rmse, refined, turn, walk
 
 pytestmark = pytest.mark.usefixtures("unrendered")
 
@@ -71,8 +71,7 @@ def weighed_least_squares(log: ObservationLog, start: Array) -> Array:
 
     def residuals(unknown: Array) -> Array:
         poses, landmarks = unknown[: 3 * k].reshape(k, 3), unknown[3 * k :].reshape(m, 2)
-        c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-        R = np.stack([np.stack([c, -s], axis=1), np.stack([s, c], axis=1)], axis=1)
+        R = turn(poses[:, 2])
         away = landmarks[log.ids] - poses[log.iteration, :2]
         off = np.einsum("nji,nj->ni", R[log.iteration], away) - log.points_robot
         return np.asarray(np.einsum("nij,nj->ni", roots, off).ravel())

@@ -16,6 +16,7 @@ from relmap.datasets.mrpt_landmarks import read_ground_truth
 from relmap.evaluation.metrics import align, rms
 from relmap.simulation import simulate_figure_eight
 from tests.kfslam import PROGRAM, run_kfslam
+from tests.worlds import turn
 
 STEP = 1e-6
 NEEDS_MRPT = pytest.mark.skipif(
@@ -23,11 +24,8 @@ NEEDS_MRPT = pytest.mark.skipif(
 )
 
 
-def small_turn(turn: np.ndarray) -> np.ndarray:
-    if len(turn) == 3:
-        return Rotation.from_rotvec(turn).as_matrix()
-    c, s = np.cos(turn[0]), np.sin(turn[0])
-    return np.array([[c, -s], [s, c]])
+def small_turn(vector: np.ndarray) -> np.ndarray:
+    return Rotation.from_rotvec(vector).as_matrix() if len(vector) == 3 else turn(vector[0])
 
 
 def some_pose(d: int) -> tuple[np.ndarray, np.ndarray]:

@@ -9,6 +9,7 @@ from relmap.core.arrays import Floats
 from relmap.evaluation.truth import Truth
 from relmap.evaluation.walls import doubled_length, judge_walls
 from relmap.planes.walls.table import PlaneTable
+from tests.worlds import turn
 
 POSES = np.tile(np.eye(4), (3, 1, 1))
 POSES[:, :2, 3] = [[0.0, 0.0], [2.0, 0.0], [2.0, 3.0]]
@@ -88,9 +89,7 @@ def test_only_the_observed_part_of_walls_over_half_a_metre_is_required() -> None
 
 
 def test_maps_are_aligned_first_and_moving_walls_left_out() -> None:
-    c, s = np.cos(1.0), np.sin(1.0)
-    R = np.array([[c, -s], [s, c]])
-    poses = POSES.copy()
+    R, poses = turn(1.0), POSES.copy()
     poses[:, :2, 3] = POSES[:, :2, 3] @ R.T + [3.0, 4.0]
     length = np.linalg.norm(ROOM[:, 1] - ROOM[:, 0], axis=1)
     truth = Truth(ends=ROOM, seen_m=np.column_stack([0 * length, length]))

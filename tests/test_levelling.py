@@ -12,6 +12,7 @@ from relmap.datasets import write_scans_npz
 from relmap.segmentation.space import PatchSegmenter, level_scan, vertical
 from relmap.simulation.storey import Storey, simulate_storey
 from tests.commands import load
+from tests.worlds import turn
 
 pytestmark = pytest.mark.usefixtures("unrendered")
 
@@ -34,9 +35,7 @@ def test_level_scan_shows_the_farthest_walls(storey: Storey) -> None:
     assert 300 < len(points) <= 720
     assert (np.diff(np.arctan2(points[:, 1], points[:, 0])) > 0).all()
     ahead = pose[:3, 0] - pose[2, 0] * np.array([0.0, 0.0, 1.0])
-    yaw = np.arctan2(ahead[1], ahead[0])
-    c, s = np.cos(yaw), np.sin(yaw)
-    there = points @ np.array([[c, s], [-s, c]]) + pose[:2, 3]
+    there = points @ turn(np.arctan2(ahead[1], ahead[0])).T + pose[:2, 3]
     walls = np.stack([there[:, 0], there[:, 1], there[:, 0] - 6, there[:, 1] - 7, there[:, 0] - 12])
     assert (np.abs(walls).min(axis=0) < 0.05).mean() > 0.9
 

@@ -23,6 +23,7 @@ from relmap.simulation import Building, simulate_building
 from relmap.simulation.visibility import seen_walls
 from tests.commands import load, unrendered
 from tests.everyformat import Mapped
+from tests.worlds import turn
 
 OUTLINE = np.array([[0.0, 0.0], [5.0, 0.0], [5.0, 2.0], [2.0, 2.0], [2.0, 4.5], [0.0, 4.5]])
 ROOM = np.stack([OUTLINE, np.roll(OUTLINE, -1, axis=0)], axis=1)
@@ -32,9 +33,7 @@ HALL = np.array([[[-30.0, 0.0], [30.0, 0.0]], [[30.0, 2.0], [-30.0, 2.0]]])
 
 def place_in(walls: Floats, seen_of: Floats, x: float, y: float, yaw: float) -> Place:
     """Look for a scan of some walls, taken at a pose, among walls."""
-    c, s = np.cos(yaw), np.sin(yaw)
-    ends = (seen_of - [x, y]) @ np.array([[c, -s], [s, c]])
-    seen = seen_walls(ends, 8.0, 3.0)
+    seen = seen_walls((seen_of - [x, y]) @ turn(yaw), 8.0, 3.0)
     step = np.linspace(0.0, 1.0, 60)[:, None]
     beams = np.concatenate([a + step * (b - a) for a, b in seen.ends])
     return WallFinder(walls).find(checked_planes(seen, beams))

@@ -22,15 +22,11 @@ from relmap.planes.places.wall_tie import wall_ties
 from relmap.planes.walls.files import read_any, read_planes, write_planes
 from relmap.planes.walls.table import PlaneTable
 from tests.commands import load, run_relmap, table
+from tests.worlds import turn
 
 pytestmark = pytest.mark.usefixtures("unrendered")
 
 seeds = st.integers(0, 2**32 - 1)
-
-
-def rotation(angle: float) -> Floats:
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s], [s, c]])
 
 
 def rooms(rng: np.random.Generator, n: int = 12) -> Floats:
@@ -40,7 +36,7 @@ def rooms(rng: np.random.Generator, n: int = 12) -> Floats:
     corners = np.array([[0, 0], [0, 1], [1, 1], [1, 0]])
     walls = []
     for k in range(n):
-        place = (corners * size[k]) @ rotation(rng.uniform(-0.4, 0.4)).T + at[k]
+        place = (corners * size[k]) @ turn(rng.uniform(-0.4, 0.4)).T + at[k]
         walls += [[place[a], place[a - 3]] for a in range(4)]
     return np.array(walls)[:, ::-1]
 
@@ -52,7 +48,7 @@ def test_walls_are_aligned_with_their_matches(seed: int, angle: float, sigma: fl
     """Of rooms in a row each map shows some; six are in both."""
     rng = np.random.default_rng(seed)
     world = rooms(rng)
-    R, t = rotation(angle), rng.uniform(-80, 80, 2)
+    R, t = turn(angle), rng.uniform(-80, 80, 2)
     one, other = (part + rng.normal(0, sigma, part.shape) for part in (world[:36], world[12:]))
     best, rival, *_ = wall_ties((other - t) @ R, one)
     assert rival.length_m < 0.7 * best.length_m
@@ -106,7 +102,7 @@ def test_walls_back_to_back_stay_two() -> None:
 
 def test_walls_move_with_their_fronts() -> None:
     table = walls_of(np.array([[[1.0, 0.0], [4.0, 0.0]]]), [[-1, -1]])
-    turned = moved(table, Motion(rotation(np.pi / 2), np.array([1.0, 2.0])))
+    turned = moved(table, Motion(turn(np.pi / 2), np.array([1.0, 2.0])))
     np.testing.assert_allclose(turned.ends, [[[1.0, 3.0], [1.0, 6.0]]])
     np.testing.assert_allclose(turned.normal, [[-1.0, 0.0]], atol=1e-15)
 

@@ -15,7 +15,7 @@ from relmap.evaluation.corners import match_corners
 from relmap.evaluation.sources import truth_of
 from relmap.simulation import Building, simulate_building
 from relmap.simulation.visibility import seen_walls
-from tests.worlds import fed, finished
+from tests.worlds import fed, finished, turn
 
 ROOM = np.array(
     [
@@ -54,9 +54,7 @@ def seen_from(
     range_m: float = 8.0,
 ) -> Any:
     """Return the visible parts of walls."""
-    c, s = np.cos(yaw), np.sin(yaw)
-    R = np.array([[c, -s], [s, c]])
-    return seen_walls((walls - [x, y]) @ R, range_m, half_view)
+    return seen_walls((walls - [x, y]) @ turn(yaw), range_m, half_view)
 
 
 @pytest.mark.parametrize(("world", "seed"), [("building", 0), ("building", 1), ("panels", 1)])
@@ -141,7 +139,7 @@ def test_a_swinging_door_leaves_the_map() -> None:
     mapper.refine()
     corners = mapper.map.positions[:, :2]
     poses = mapper.trajectory
-    first = np.array([[np.cos(0.1), -np.sin(0.1)], [np.sin(0.1), np.cos(0.1)]])
+    first = turn(0.1)
     there = corners @ first.T + [-1.5, 0.0]
     fixed = np.concatenate([ROOM.reshape(-1, 2), [[1.0, 2.9]]])
     apart = np.linalg.norm(there[:, None] - fixed, axis=2).min(axis=1)

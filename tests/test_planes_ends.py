@@ -17,7 +17,7 @@ from relmap.evaluation.corners import match_corners
 from relmap.evaluation.sources import truth_of
 from relmap.planes.scans.corners import CORNER, CUT, UNKNOWN, compared_ends
 from relmap.simulation import simulate_building
-from tests.worlds import fed, finished
+from tests.worlds import fed, finished, turn
 
 WALLS = np.array(
     [[[4.0, -2.0], [4.0, 2.0]], [[4.0, 2.0], [-1.0, 2.0]], [[-1.0, -2.0], [4.0, -2.0]]]
@@ -31,8 +31,7 @@ def seen_on_the_way(moving: Floats, n: int = 12) -> Floats:
         ends = WALLS.copy()
         along = WALLS[:, 1] - WALLS[:, 0]
         ends += k * moving[:, :, None] * (along / np.linalg.norm(along, axis=1)[:, None])[:, None]
-        c, s = np.cos(0.03 * k), np.sin(0.03 * k)
-        scans.append((ends - [0.1 * k, 0.05 * k]) @ np.array([[c, -s], [s, c]]))
+        scans.append((ends - [0.1 * k, 0.05 * k]) @ turn(0.03 * k))
     return np.array(scans)
 
 
@@ -117,8 +116,7 @@ def test_an_end_that_is_typed_a_corner_but_moves_is_left_out() -> None:
     for k in range(40):
         walls = WALLS.copy()
         walls[1, 1, 0] += 0.08 * k
-        c, s = np.cos(0.01 * k), np.sin(0.01 * k)
-        ends = (walls - [0.03 * k, 0.0]) @ np.array([[c, -s], [s, c]])
+        ends = (walls - [0.03 * k, 0.0]) @ turn(0.01 * k)
         mapper.update(SimpleNamespace(ends=ends, end_type=np.full((3, 2), "corner")))
     mapper.finish()
     mapper.refine()

@@ -10,6 +10,7 @@ from relmap.planes.linking.placement import STILL, place
 from relmap.planes.linking.tracks import PlaneTracks
 from relmap.planes.scans.observation import checked_planes
 from tests.kernels import callable_here
+from tests.worlds import turn
 
 
 def test_assignment_is_the_best_one() -> None:
@@ -29,8 +30,7 @@ def test_assignment_is_the_best_one() -> None:
 def test_tracks_are_carried_as_rigid_bodies() -> None:
     tracks, _ = tracks_of_a_room()
     yaw, t = 0.3, np.array([0.5, -0.2])
-    c, s = np.cos(yaw), np.sin(yaw)
-    R = np.array([[c, -s], [s, c]])
+    R = turn(yaw)
     there = tracks.carried(np.array([yaw, *t]))
     np.testing.assert_allclose(there.ends, tracks.ends @ R.T + t, atol=1e-12)
     np.testing.assert_allclose(there.corner_at, tracks.corner_at @ R.T + t, atol=1e-12)
@@ -45,8 +45,7 @@ def test_a_wide_jump_is_found() -> None:
     """As after scans were lost: a metre and a third of a right angle at once."""
     tracks, room = tracks_of_a_room()
     yaw, t = 0.5, np.array([0.8, -0.6])
-    c, s = np.cos(yaw), np.sin(yaw)
-    seen = checked_planes(Room(room @ np.array([[c, s], [-s, c]]) + t))
+    seen = checked_planes(Room(room @ turn(yaw).T + t))
     found = place(tracks, seen, STILL)
     assert found is not None
     motion, match = found

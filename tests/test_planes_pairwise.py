@@ -12,14 +12,14 @@ from relmap.planes.pairwise import pairwise_map, relate
 from relmap.planes.scans.observation import checked_planes
 from relmap.planes.submaps.stitching import stitched
 from relmap.planes.walls.history import PlaneHistory
+from tests.worlds import turn
 
 FIRST = np.array([[4.0, -2.0], [4.0, 2.0]])
 SECOND = np.array([[4.0, 2.0], [-1.0, 2.0]])
 
 
 def in_robot_frame(ends: Floats, x: float, yaw: float) -> Floats:
-    c, s = np.cos(yaw), np.sin(yaw)
-    return np.asarray((ends - [x, 0.0]) @ np.array([[c, -s], [s, c]]))
+    return np.asarray((ends - [x, 0.0]) @ turn(yaw))
 
 
 def test_relation_does_not_depend_on_where_the_robot_is() -> None:

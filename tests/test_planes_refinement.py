@@ -12,6 +12,7 @@ from relmap.planes.refinement.system import SPREAD, WallSystem, wall_residuals
 from relmap.planes.walls.assembly import WallNumbers, assemble
 from relmap.planes.walls.equations import WallEquations, Walls
 from relmap.planes.walls.history import PlaneHistory
+from tests.worlds import turn
 
 
 @pytest.fixture(name="room")
@@ -26,9 +27,7 @@ def make_room() -> tuple[WallEquations, Walls]:
         np.linspace(0.0, 0.6, n),
         np.column_stack([np.linspace(0, 1, n), np.linspace(0, 0.5, n)]),
     )
-    c, s = np.cos(yaw), np.sin(yaw)
-    R = np.stack([np.stack([c, -s], axis=1), np.stack([s, c], axis=1)], axis=1)
-    seen = np.einsum("iba,iweb->iwea", R, ends[None] - t[:, None, None])
+    seen = np.einsum("iba,iweb->iwea", turn(yaw), ends[None] - t[:, None, None])
     seen = seen.reshape(-1, 2, 2) + rng.normal(scale=0.02, size=(3 * n, 2, 2))
     iteration, wall = np.repeat(np.arange(n), 3), np.tile(np.arange(3), n)
     # One corner is seen for a short while only.
@@ -66,8 +65,7 @@ def test_walls_are_refined_to_the_least_squares(room: tuple[WallEquations, Walls
 
     def misfit(x: Floats) -> Floats:
         state = state_of(x)
-        c, s = np.cos(state.yaw)[equations.iteration], np.sin(state.yaw)[equations.iteration]
-        R = np.stack([np.stack([c, -s], axis=1), np.stack([s, c], axis=1)], axis=1)
+        R = turn(state.yaw[equations.iteration])
         middle = equations.ends.mean(axis=1, keepdims=True)
         points = middle + SPREAD * np.array([[-1.0], [1.0]]) * np.diff(equations.ends, axis=1)
         corners = equations.ends[equations.corner_row, equations.corner_end][:, None]

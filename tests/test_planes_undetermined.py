@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from relmap.planes import PlaneMapper
 from relmap.planes.linking.registration import PlaneRegistration
 from relmap.planes.submaps.undetermined import undetermined_steps
+from tests.worlds import turn
 
 FAR = np.array([[6.0, -0.8], [6.8, 0.0], [7.0, 1.0]])
 """Two walls of a metre that meet at 34 degrees: an arc at the end of the range."""
@@ -100,8 +101,7 @@ def test_a_link_turned_about_an_arc_is_cut() -> None:
     registration, about = mapper.engine.association.registration, FAR[1]
     assert isinstance(registration, PlaneRegistration)
     links = registration.links
-    c, s = np.cos(0.06), np.sin(0.06)
-    turned = about - np.array([[c, -s], [s, c]]) @ about
+    turned = about - turn(0.06) @ about
     links.motions[LEAP] = 0.06, *(turned - [0.02, 0.0])
     links.evidence[LEAP] = 20.0  # Not evaluated again by `tie`.
     mapper.finish()

@@ -19,18 +19,15 @@ from relmap.core.refinement.chain.drift import Drift
 from relmap.core.refinement.settling import Settled
 from relmap.core.revisiting import mergeable
 from relmap.core.state.table import LandmarkState
+from tests.worlds import turn
 
 Array = Floats
 SEES_M, STEP_M, NOISE_M = 2.5, 0.4, 0.02
 
 
-def turned(yaw: float) -> Array:
-    return np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
-
-
 def motion(x_m: float, yaw: float) -> Array:
     found = np.eye(4)
-    found[:2, :2], found[0, 3] = turned(yaw), x_m
+    found[:2, :2], found[0, 3] = turn(yaw), x_m
     return found
 
 
@@ -86,7 +83,7 @@ def test_what_is_measured_badly_is_not_a_slip() -> None:
 def test_votes_find_a_turn_and_a_shift(yaw: float) -> None:
     rng = np.random.default_rng(3)
     there = rng.uniform(-20, 20, (200, 2))
-    points = (there[:12] - [3.0, -2.0]) @ turned(yaw)
+    points = (there[:12] - [3.0, -2.0]) @ turn(yaw)
     angles = np.linspace(-1, 1, 201)
     reach = np.full(len(there), 6.0)
     votes, shift = most_voted(points, there, reach, angles, 0.4)

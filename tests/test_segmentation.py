@@ -15,6 +15,7 @@ from relmap.segmentation.em.mixture import WallMixture
 from relmap.segmentation.ends.corners import meet
 from relmap.segmentation.segmenter import planes_of
 from relmap.simulation import BuildingScan, building_scene
+from tests.worlds import turn
 
 VIEW_RAD = np.pi / 2
 RANGE_M = 8.0
@@ -121,13 +122,12 @@ def test_same_scan_and_seed_give_the_same_bits() -> None:
 def test_turning_the_scan_turns_the_planes(angle: float) -> None:
     """Without limits of the view a scan does not show which direction is ahead."""
     scan = building_scene(2003, sigma=0.0, sample_ends=True)
-    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    turned = np.column_stack([scan.points[:, :2] @ turn.T, scan.points[:, 2]])
+    turned = np.column_stack([scan.points[:, :2] @ turn(angle).T, scan.points[:, 2]])
     before, after = PlaneSegmenter().fit(scan.points), PlaneSegmenter().fit(turned)
     order = np.argsort(before.planes_.size)
     again = np.argsort(after.planes_.size)
     np.testing.assert_allclose(
-        before.planes_.ends[order] @ turn.T, after.planes_.ends[again], atol=1e-6
+        before.planes_.ends[order] @ turn(angle).T, after.planes_.ends[again], atol=1e-6
     )
 
 

@@ -16,13 +16,9 @@ from relmap.evaluation.metrics import purity
 from relmap.evaluation.surface_points import wall_points
 from relmap.evaluation.variants import map_of
 from relmap.simulation import WorldSpec, simulate_world
+from tests.worlds import turn
 
 FIELD_M = 24.0
-
-
-def turned(angle_rad: float) -> np.ndarray:
-    c, s = np.cos(angle_rad), np.sin(angle_rad)
-    return np.array([[c, -s], [s, c]])
 
 
 def matching_of(here: np.ndarray, there: np.ndarray, sigma_m: float) -> SoftMatching:
@@ -34,7 +30,7 @@ def test_a_scan_is_placed_though_its_single_matches_are_ambiguous(seed: int) -> 
     rng = np.random.default_rng(seed)
     landmarks = rng.uniform(0, FIELD_M, (40, 2))
     sigma_m = 0.25 * spacing_of(landmarks)
-    R, t = turned(0.7), np.array([3.0, -1.0])
+    R, t = turn(0.7), np.array([3.0, -1.0])
     here = landmarks + rng.normal(0, sigma_m, landmarks.shape)
     there = landmarks @ R.T + t + rng.normal(0, sigma_m, landmarks.shape)
     matching = matching_of(here, rng.permutation(there), sigma_m)

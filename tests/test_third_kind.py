@@ -14,6 +14,7 @@ from relmap.core.mapper import RelativeMapper
 from relmap.core.model import LandmarkModel
 from relmap.core.state.store import Rows, Shown
 from relmap.core.state.table import LandmarkState
+from tests.worlds import turn
 
 NEAR_M = 0.6
 N = 40
@@ -93,8 +94,7 @@ def test_signs_are_mapped_by_the_engine_as_it_is() -> None:
     seen_from: list[tuple[int, int]] = []
     for k in range(120):
         yaw = 0.1 * np.sin(k / 10)
-        c, s = np.cos(yaw), np.sin(yaw)
-        there = (signs[:, :2] - [0.2 * k, 0.0]) @ np.array([[c, -s], [s, c]])
+        there = (signs[:, :2] - [0.2 * k, 0.0]) @ turn(yaw)
         near = np.flatnonzero(np.linalg.norm(there, axis=1) < 8)
         noise = rng.normal(0.0, 0.01, (len(near), 3)) * [1.0, 1.0, 0.5]
         scan = np.column_stack([there[near], signs[near, 2] - yaw]) + noise

@@ -10,6 +10,7 @@ from relmap.simulation import simulate_building
 from relmap.simulation.floor_plan import World, make_floor_plan
 from relmap.simulation.visibility import SeenWalls, seen_walls
 from tests.segments import cast
+from tests.worlds import turn
 
 RIGHT_ANGLE = np.deg2rad(90.0)
 
@@ -84,8 +85,7 @@ def random_views(count: int, most_deg: float = 90) -> list[tuple[Floats, float, 
     for seed in range(count):
         rng = np.random.default_rng(1000 + seed)
         plan = make_floor_plan(worlds[seed % 2], rng)
-        yaw = rng.uniform(-np.pi, np.pi)
-        R = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+        R = turn(rng.uniform(-np.pi, np.pi))
         floor = plan.floors[rng.integers(len(plan.floors))]
         ends = plan.walls[:, :4].reshape(-1, 2, 2) - rng.uniform(floor[:2], floor[2:])
         views.append((ends @ R, rng.uniform(4, 12), np.deg2rad(rng.uniform(25, most_deg))))

@@ -19,6 +19,7 @@ from relmap.evaluation.feeding import segment_scan, segmenter_for
 from relmap.evaluation.metrics import ate
 from relmap.simulation import simulate_building
 from relmap.simulation.odometry import Wheels, wheel_odometry
+from tests.worlds import turn
 
 Array = Floats
 
@@ -56,8 +57,7 @@ def cast(corners: Array, pose: Array, rng: np.random.Generator) -> Array:
 
 def pose_of(x: float, y: float, yaw: float) -> Array:
     T = np.eye(4)
-    c, s = np.cos(yaw), np.sin(yaw)
-    T[:2, :2], T[:2, 3] = [[c, -s], [s, c]], [x, y]
+    T[:2, :2], T[:2, 3] = turn(yaw), [x, y]
     return T
 
 

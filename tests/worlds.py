@@ -35,9 +35,14 @@ class Walk:
 def random_rotation(dimension: int, angle: float, rng: np.random.Generator) -> Floats:
     """Return a rotation of up to `angle` radians about each axis."""
     if dimension == 2:
-        a = rng.uniform(-angle, angle)
-        return np.array([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]])
+        return turn(rng.uniform(-angle, angle))
     return Rotation.from_euler("ZYX", rng.uniform(-angle, angle, 3)).as_matrix()
+
+
+def turn(yaw: float | Floats) -> Floats:
+    """Return the rotation in the plane by an angle, or by each of several (n,)."""
+    c, s = np.cos(yaw), np.sin(yaw)
+    return np.moveaxis(np.array([[c, -s], [s, c]]), [0, 1], [-2, -1])
 
 
 def walk(dimension: int, seed: int, sigma: float = 0.0, iterations: int = 120) -> Walk:
