@@ -9,18 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from relmap.core.landmarks import LandmarkTable
 from relmap.datasets.base import ObservationLog
 from relmap.evaluation.truth import Truth
 from relmap.io.results import Result, Tracks
+from tests.tables import landmark_table, poses_along
 
 N, K = 5, 12
 TRUE_MAP = np.array([[0.0, 0, 0], [4, 0, 0], [0, 4, 0], [0, 0, 4], [4, 4, 4]])
 
 
 def make_truth() -> Truth:
-    poses = np.tile(np.eye(4), (K, 1, 1))
-    poses[:, 0, 3] = np.arange(K)
+    poses = poses_along(np.arange(K))
     return Truth(np.arange(N), TRUE_MAP, np.full(N, "static"), np.linspace(0.0, K - 1, K), poses)
 
 
@@ -36,18 +35,9 @@ def make_result() -> Result:
     turn = Rotation.from_rotvec([0.3, 0.2, 0.1]).as_matrix()
     T_map_true = np.eye(4)
     T_map_true[:3, :3], T_map_true[:3, 3] = turn, [1, 2, 3]
-    table = LandmarkTable(
-        landmark=np.arange(N) + 10,
-        position=TRUE_MAP @ turn.T + [1, 2, 3],
-        sd=np.full(N, 0.1),
-        observations=np.full(N, K),
-        first_iteration=np.zeros(N, np.int64),
-        last_iteration=np.full(N, K - 1),
-        level=np.ones(N, np.int64),
-        status=np.full(N, "static"),
-        submap=np.zeros(N, np.int64),
-        moving_bin=np.full(N, -1),
-    )
+    seen = {"observations": np.full(N, K), "first_iteration": np.zeros(N, np.int64)}
+    seen |= {"last_iteration": np.full(N, K - 1), "landmark": np.arange(N) + 10}
+    table = landmark_table(TRUE_MAP @ turn.T + [1, 2, 3], sd=np.full(N, 0.1), **seen)
     tracks = Tracks(log.iteration, log.rows, log.ids + 10)
     summary = {"scans": [0, K], "association": "nearest", "dimensions": 3}
     return Result(table, tracks, truth.stamps_s, T_map_true @ truth.poses, summary)

@@ -11,11 +11,11 @@ from scipy.spatial.transform import Rotation
 from benchmarks.shared import judging
 from relmap.core.arrays import Floats
 from relmap.evaluation import metrics
+from tests.tables import poses_along
 
 
 def poses_at(positions: Floats, turn: Rotation | None = None) -> Floats:
-    poses = np.tile(np.eye(4), (len(positions), 1, 1))
-    poses[:, :3, 3] = positions
+    poses = poses_along(*positions.T)
     if turn is not None:
         poses[:, :3, :3] = turn.as_matrix()
     return poses

@@ -9,10 +9,10 @@ from relmap.core.arrays import Floats
 from relmap.evaluation.truth import Truth
 from relmap.evaluation.walls import doubled_length, judge_walls
 from relmap.planes.walls.table import PlaneTable
+from tests.tables import poses_along, wall_table
 from tests.worlds import turn
 
-POSES = np.tile(np.eye(4), (3, 1, 1))
-POSES[:, :2, 3] = [[0.0, 0.0], [2.0, 0.0], [2.0, 3.0]]
+POSES = poses_along([0.0, 2.0, 2.0], [0.0, 0.0, 3.0])
 
 
 def segments(*rows: tuple[float, float, float, float]) -> Floats:
@@ -20,20 +20,7 @@ def segments(*rows: tuple[float, float, float, float]) -> Floats:
 
 
 def table(ends: Floats, status: str = "static") -> PlaneTable:
-    n = len(ends)
-    none = np.full((n, 2), -1)
-    count = np.full(n, 50)
-    return PlaneTable(
-        plane=np.arange(n),
-        ends=ends,
-        z_extent=np.zeros((n, 2)),
-        normal=np.zeros((n, 2)),
-        corner=none,
-        observations=count,
-        first_iteration=count,
-        last_iteration=count,
-        status=np.full(n, status),
-    )
+    return wall_table(ends, status=np.full(len(ends), status))
 
 
 def judged(

@@ -29,18 +29,8 @@ from relmap.figures.figure17 import Panel
 from relmap.figures.making import FIGURES, chosen_figures
 from relmap.figures.point_chart import MARGIN, ChartedRun, charted_run
 from relmap.simulation import simulate_building, simulate_figure_eight
-from tests.tinyfigures import (
-    SEEN,
-    dipping_chart,
-    tiny_chart,
-    tiny_comparisons,
-    tiny_densities,
-    tiny_eight,
-    tiny_errors,
-    tiny_log,
-    tiny_loop,
-    tiny_store,
-)
+from tests import tinyfigures as tiny
+from tests.tinyfigures import SEEN
 from tests.worlds import refined, seen
 
 YES, PARTLY, NO = "borne out", "partly borne out", "not borne out"
@@ -93,7 +83,7 @@ def test_bench_shows_the_true_walls_and_an_animation(
 
 
 def test_chart_holds_what_was_visible() -> None:
-    found = figure09_11.CHART.judge((tiny_chart(), ChartedRun(tiny_log(), tiny_store())))
+    found = figure09_11.CHART.judge((tiny.chart(), ChartedRun(tiny.log(), tiny.store())))
     assert (found.verdict, found.value) == (YES, 1.0)
     rows = np.array(found.table.rows)
     assert {(landmark, k) for _, landmark, k, _ in rows.tolist()} == {
@@ -103,17 +93,17 @@ def test_chart_holds_what_was_visible() -> None:
 
 
 def test_cells_of_another_landmark_are_wrong() -> None:
-    log = tiny_log()
+    log = tiny.log()
     assert log.ids is not None
     ids = np.where((log.ids == 3) & (log.iteration > 4), 99, log.ids)
-    run = ChartedRun(replace(log, ids=ids), tiny_store())
-    found = figure09_11.CHART.judge((tiny_chart(), run))
+    run = ChartedRun(replace(log, ids=ids), tiny.store())
+    found = figure09_11.CHART.judge((tiny.chart(), run))
     assert found.value == pytest.approx(1 - 2 / 48)  # iterations 5 and 6 of 6 landmarks x 8
     assert found.verdict == PARTLY
 
 
 def test_sorted_rows_share_less_and_less_with_the_seed() -> None:
-    found = figure09_11.SORTED.judge(tiny_chart())
+    found = figure09_11.SORTED.judge(tiny.chart())
     rows = np.array(found.table.rows)
     shared = np.bincount(rows[:, 0], weights=rows[:, 3])
     assert shared.tolist() == [6, 6, 5, 5, 5, 3]
@@ -121,13 +111,13 @@ def test_sorted_rows_share_less_and_less_with_the_seed() -> None:
 
 
 def test_rule_of_the_paper_is_compared_with_the_largest_area() -> None:
-    found = figure09_11.GROUP.judge([tiny_chart(), tiny_chart()])
+    found = figure09_11.GROUP.judge([tiny.chart(), tiny.chart()])
     assert (found.verdict, found.value) == (YES, 1.0)
     assert [row[3] for row in found.table.rows] == [6, 12, 15, 16, 20, 12]
-    stops_early = figure09_11.GROUP.judge([tiny_chart(), dipping_chart()])
+    stops_early = figure09_11.GROUP.judge([tiny.chart(), tiny.dipping_chart()])
     assert stops_early.value == pytest.approx(16 / 18)
     assert stops_early.verdict == NO
-    half = figure09_11.GROUP.judge([tiny_chart(), dipping_chart(), tiny_chart()])
+    half = figure09_11.GROUP.judge([tiny.chart(), tiny.dipping_chart(), tiny.chart()])
     assert half.value == pytest.approx((16 / 18 + 1) / 2)
     assert half.verdict == PARTLY
 
@@ -146,7 +136,7 @@ def test_visits_lie_within_the_run() -> None:
 
 
 def test_comparisons_are_judged_up_to_forty_percent() -> None:
-    data = tiny_comparisons()
+    data = tiny.comparisons()
     every = np.ones_like(data.right)
     good = Comparisons(data.n, data.dynamic, data.comparisons, every)
     found = figure12.FIGURE.judge(good)
@@ -182,18 +172,18 @@ def test_blocks_have_the_share_that_moves() -> None:
 
 def test_a_map_of_the_eight_is_judged_by_error_and_merging() -> None:
     judge, good = figure13.FIGURE.judge, {"landmark_rmse_m": 0.02, "coverage": 1.0, "ate_m": 0.05}
-    found = judge(tiny_eight(**good, landmarks_per_true=1.05))
+    found = judge(tiny.eight(**good, landmarks_per_true=1.05))
     assert (found.verdict, found.value) == (YES, 0.02)
     assert len(found.table.rows) == 12 + 9 + 12 + 9
-    assert judge(tiny_eight(**good, landmarks_per_true=1.3)).verdict == PARTLY
-    assert judge(tiny_eight(**good | {"coverage": 0.5}, landmarks_per_true=1.05)).verdict == PARTLY
+    assert judge(tiny.eight(**good, landmarks_per_true=1.3)).verdict == PARTLY
+    assert judge(tiny.eight(**good | {"coverage": 0.5}, landmarks_per_true=1.05)).verdict == PARTLY
 
 
 # Figures 14 and 15.
 
 
 def test_a_loop_is_flat_in_median_and_mean() -> None:
-    data = tiny_loop()
+    data = tiny.loop()
     found = figure14_15.LOOP.judge(data)
     assert (found.verdict, found.value) == (YES, 1.0)
     assert [row[1] for row in found.table.rows] == data.time_ms.tolist()
@@ -204,20 +194,20 @@ def test_a_loop_is_flat_in_median_and_mean() -> None:
 
 
 def test_landmarks_seen_so_far_are_counted() -> None:
-    log = tiny_log()
+    log = tiny.log()
     assert log.ids is not None
     so_far = [len({i for i, when in SEEN.items() if when[0] <= k}) for k in range(8)]
     assert figure14_15.seen_so_far(log.ids, log).tolist() == so_far
 
 
 def test_growth_is_compared_with_n_log_n() -> None:
-    data = tiny_densities()
+    data = tiny.densities()
     found = figure14_15.VISIBLE.judge(data)
     assert found.verdict == YES
     bound = 640 * np.log2(640) / (160 * np.log2(160))
     assert found.value == pytest.approx(data.median_ms[-1] / data.median_ms[-2] / bound)
     assert figure14_15.VISIBLE.judge(replace(data, mean_ms=data.visible**2)).verdict == PARTLY
-    assert figure14_15.VISIBLE.judge(tiny_densities(power=2)).verdict == NO
+    assert figure14_15.VISIBLE.judge(tiny.densities(power=2)).verdict == NO
 
 
 def test_every_iteration_is_timed() -> None:
@@ -233,7 +223,7 @@ def test_every_iteration_is_timed() -> None:
 def errors(paper: tuple[float, float]) -> ErrorCurves:
     others = {figure16.FITTED: (0.02, 0.02), figure16.LIVE: (0.03, 0.03)}
     others |= {figure16.SHAPED: (0.02, 0.01), figure16.MRPT: (0.04, 0.04)}
-    return tiny_errors(**{figure16.PAPER: paper}, **others)
+    return tiny.errors(**{figure16.PAPER: paper}, **others)
 
 
 def test_margins_over_the_ekf_are_judged_noise_by_noise() -> None:

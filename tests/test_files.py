@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from relmap import RelmapError
 from relmap.io.files import atomic_write, read_text, read_tum, staged_folder, write_tum
+from tests.tables import poses_along
 
 
 def full_disk(_: int) -> None:
@@ -237,8 +238,7 @@ def test_tum_keeps_every_bit_of_stamps_and_positions(
     seed: int,
 ) -> None:
     table = np.array(rows, dtype=np.float64).reshape(-1, 4)
-    poses = np.tile(np.eye(4), (len(table), 1, 1))
-    poses[:, :3, 3] = table[:, 1:]
+    poses = poses_along(*table[:, 1:].T)
     if len(table):
         poses[:, :3, :3] = Rotation.random(len(table), seed).as_matrix()
     path = tmp_path_factory.getbasetemp() / "path.tum"

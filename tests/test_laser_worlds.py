@@ -17,6 +17,7 @@ from relmap.simulation.shapes import FloorPlan, wall_distances
 from relmap.simulation.things import glass_ranges, round_ranges, walking
 from relmap.simulation.visibility import SeenWalls
 from tests.segments import cast, crossings
+from tests.tables import poses_along
 
 NEW: tuple[World, ...] = (
     "oblique",
@@ -236,8 +237,7 @@ def test_people_and_clutter_hide_walls_and_change_nothing_else() -> None:
 def test_people_walk_through_doors_and_not_through_walls(world: World) -> None:
     plan = plan_of(world, 3)
     stamps_s = np.arange(0.0, 200.0, 0.1)
-    far = np.tile(np.eye(4), (len(stamps_s), 1, 1))
-    far[:, 0, 3] = 1e3
+    far = poses_along(np.full(len(stamps_s), 1e3))
     people = walking(plan, 4, stamps_s, far, np.random.default_rng(3))
     assert people.shape == (2000, 4, 3)
     for person in people.swapaxes(0, 1):

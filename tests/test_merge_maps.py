@@ -22,6 +22,7 @@ from relmap.planes.places.wall_tie import wall_ties
 from relmap.planes.walls.files import read_any, read_planes, write_planes
 from relmap.planes.walls.table import PlaneTable
 from tests.commands import load, run_relmap, table
+from tests.tables import wall_table
 from tests.worlds import turn
 
 pytestmark = pytest.mark.usefixtures("unrendered")
@@ -68,9 +69,7 @@ def walls_of(ends: Floats, corner: list[list[int]]) -> PlaneTable:
     way = ends[:, 1] - ends[:, 0]
     along = way / np.linalg.norm(way, axis=1)[:, None]
     normal = np.column_stack([-along[:, 1], along[:, 0]])
-    k = np.arange(n)
-    seen, status = np.full(n, 10), np.full(n, "static")
-    return PlaneTable(k, ends, np.zeros((n, 2)), normal, np.array(corner), seen, k, k, status)
+    return wall_table(ends, normal=normal, corner=np.array(corner), observations=np.full(n, 10))
 
 
 def test_two_walls_that_are_one_reach_as_far_as_both() -> None:

@@ -18,6 +18,7 @@ from relmap.datasets.base import ObservationLog
 from relmap.evaluation.metrics import align, rms
 from relmap.evaluation.sources import BuildingSource, Data, EightSource
 from relmap.evaluation.truth import Truth
+from tests.tables import poses_along
 
 EIGHT = EightSource(iterations=150)
 WITHOUT_A_MAP = ("kiss-icp", "small-gicp")
@@ -183,8 +184,7 @@ def test_planar_worlds(name: str) -> None:
     points = (places - path[:, None]).reshape(-1, 2) + rng.normal(0, 0.02, (1500, 2))
     ids, k = np.tile(np.arange(25), 60), np.repeat(np.arange(60), 25)
     log = ObservationLog(points, k, np.arange(1500), 0, 60, ids)
-    poses = np.tile(np.eye(4), (60, 1, 1))
-    poses[:, :2, 3] = path
+    poses = poses_along(*path.T)
     flat = np.column_stack([places, np.zeros(25)])
     truth = Truth(np.arange(25), flat, np.full(25, "static"), np.arange(60.0), poses)
     run = run_method(find_method(name), Data(log, truth), "known")

@@ -12,6 +12,7 @@ from relmap.planes.pairwise import pairwise_map, relate
 from relmap.planes.scans.observation import checked_planes
 from relmap.planes.submaps.stitching import stitched
 from relmap.planes.walls.history import PlaneHistory
+from tests.tables import poses_along
 from tests.worlds import turn
 
 FIRST = np.array([[4.0, -2.0], [4.0, 2.0]])
@@ -59,8 +60,7 @@ def test_chain_of_relations_is_exact_where_all_ends_are_seen() -> None:
 
 
 def test_submaps_are_stitched_by_motions() -> None:
-    poses = np.tile(np.eye(4), (7, 1, 1))
-    poses[:, 0, 3] = np.arange(7.0)
+    poses = poses_along(np.arange(7))
     motions = np.zeros((7, 3))
     motions[:, 1] = -1.0
     first, second = np.full((7, 4, 4), np.nan), np.full((7, 4, 4), np.nan)

@@ -12,6 +12,7 @@ from relmap.planes.refinement.system import SPREAD, WallSystem, wall_residuals
 from relmap.planes.walls.assembly import WallNumbers, assemble
 from relmap.planes.walls.equations import WallEquations, Walls
 from relmap.planes.walls.history import PlaneHistory
+from tests.tables import poses_along
 from tests.worlds import turn
 
 
@@ -130,8 +131,7 @@ def test_walls_are_assembled_without_any_corner() -> None:
         motion=np.tile([0.0, -0.1, 0.0], (n, 1)),
         submap=np.zeros(n, dtype=np.int64),
     )
-    poses = np.tile(np.eye(4), (n, 1, 1))
-    poses[:, 0, 3] = 0.1 * np.arange(n)
+    poses = poses_along(0.1 * np.arange(n))
     none = np.empty(0, dtype=np.int64)
     numbers = WallNumbers(np.zeros(1, dtype=np.int64), none)
     assembled = assemble(history, numbers, poses, np.zeros(1, dtype=np.bool_))
@@ -159,8 +159,7 @@ def test_a_corner_is_known_to_the_distance_between_the_points_there() -> None:
         submap=np.zeros(n, dtype=np.int64),
         spacing_rad=spacing_rad,
     )
-    poses = np.tile(np.eye(4), (n, 1, 1))
-    poses[:, 0, 3] = x
+    poses = poses_along(x)
     numbers = WallNumbers(np.arange(2), np.arange(3))
     assembled = assemble(history, numbers, poses, np.zeros(2, dtype=np.bool_))
     assert assembled is not None

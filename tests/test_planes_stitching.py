@@ -7,13 +7,12 @@ import pytest
 
 from relmap.core.arrays import Floats
 from relmap.planes.submaps.stitching import ASTRAY_M, FEW, with_strays_put_back
+from tests.tables import poses_along
 
 
 def straight(n: int) -> tuple[Floats, Floats]:
     """Return poses (n, 4, 4) along x, a step of 0.1 m apart, and the motions (n, 3) between."""
-    poses = np.tile(np.eye(4), (n, 1, 1))
-    poses[:, 0, 3] = 0.1 * np.arange(n)
-    return poses, np.tile([0.0, -0.1, 0.0], (n, 1))
+    return poses_along(0.1 * np.arange(n)), np.tile([0.0, -0.1, 0.0], (n, 1))
 
 
 @pytest.mark.parametrize("n_off", [1, FEW, FEW + 1])

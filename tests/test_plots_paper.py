@@ -19,27 +19,18 @@ from relmap.figures.figure12 import Comparisons
 from relmap.figures.figure14_15 import LoopTiming, fit_n_log_n
 from relmap.figures.point_chart import ChartedRun, ChartPicture, chart_picture, paper_stops
 from relmap.plots.sheet import write_png
-from tests.tinyfigures import (
-    SEEN,
-    tiny_chart,
-    tiny_comparisons,
-    tiny_densities,
-    tiny_eight,
-    tiny_errors,
-    tiny_log,
-    tiny_loop,
-    tiny_store,
-)
+from tests import tinyfigures as tiny
+from tests.tinyfigures import SEEN
 
 DRAWN: dict[str, Callable[[], Figure]] = {
-    "9": lambda: figure09_11.CHART.draw((tiny_chart(), ChartedRun(tiny_log(), tiny_store()))),
-    "10": lambda: figure09_11.SORTED.draw(tiny_chart()),
-    "11": lambda: figure09_11.GROUP.draw([tiny_chart()]),
-    "12": lambda: figure12.FIGURE.draw(tiny_comparisons()),
-    "13": lambda: figure13.FIGURE.draw(tiny_eight()),
-    "14": lambda: figure14_15.LOOP.draw(tiny_loop()),
-    "15": lambda: figure14_15.VISIBLE.draw(tiny_densities()),
-    "16": lambda: figure16.FIGURE.draw(tiny_errors(mine=(0.02, 0.01), theirs=(0.04, 0.05))),
+    "9": lambda: figure09_11.CHART.draw((tiny.chart(), ChartedRun(tiny.log(), tiny.store()))),
+    "10": lambda: figure09_11.SORTED.draw(tiny.chart()),
+    "11": lambda: figure09_11.GROUP.draw([tiny.chart()]),
+    "12": lambda: figure12.FIGURE.draw(tiny.comparisons()),
+    "13": lambda: figure13.FIGURE.draw(tiny.eight()),
+    "14": lambda: figure14_15.LOOP.draw(tiny.loop()),
+    "15": lambda: figure14_15.VISIBLE.draw(tiny.densities()),
+    "16": lambda: figure16.FIGURE.draw(tiny.errors(mine=(0.02, 0.01), theirs=(0.04, 0.05))),
 }
 
 
@@ -83,7 +74,7 @@ def test_same_data_same_bytes_whatever_the_style(tmp_path: Path, number: str) ->
 
 
 def test_chart_holds_landmarks_seen_with_the_seed_in_the_window() -> None:
-    chart = tiny_chart()
+    chart = tiny.chart()
     assert sorted(chart.landmarks.tolist()) == [0, 1, 2, 3, 4, 6]  # 5 is never seen together with 2
     for landmark, row in zip(chart.landmarks.tolist(), chart.visible, strict=True):
         assert np.flatnonzero(row).tolist() == SEEN[landmark]
@@ -91,7 +82,7 @@ def test_chart_holds_landmarks_seen_with_the_seed_in_the_window() -> None:
 
 
 def test_chart_is_sorted_by_common_interval_and_grouped_by_area() -> None:
-    chart = tiny_chart()
+    chart = tiny.chart()
     assert chart.landmarks.tolist() == [2, 6, 1, 3, 4, 0]
     assert chart.common_interval.tolist() == [6, 6, 5, 5, 5, 3]
     assert chart.area.tolist() == [6, 12, 15, 16, 20, 12]
@@ -100,14 +91,14 @@ def test_chart_is_sorted_by_common_interval_and_grouped_by_area() -> None:
 
 
 def test_chart_may_begin_anywhere() -> None:
-    chart = chart_picture(tiny_store(), 2, 1, 7)
+    chart = chart_picture(tiny.store(), 2, 1, 7)
     assert chart.visible.shape == (6, 6)
     assert chart.visible[0].all()
 
 
 def test_no_group_is_an_error_that_says_so() -> None:
     with pytest.raises(RelmapError, match="landmark 5 makes no group in iterations 0 to 7"):
-        chart_picture(tiny_store(), 5, 0, 8)
+        chart_picture(tiny.store(), 5, 0, 8)
 
 
 @pytest.mark.parametrize(
@@ -126,7 +117,7 @@ def test_the_papers_rule_stops_at_the_first_that_adds_nothing(
 
 
 def test_group_picture_shows_where_the_papers_rule_differs() -> None:
-    assert "the paper's rule stops" not in legends(figure09_11.GROUP.draw([tiny_chart()]))
+    assert "the paper's rule stops" not in legends(figure09_11.GROUP.draw([tiny.chart()]))
     dips = ChartPicture(0, np.arange(6), np.eye(6, 9, dtype=bool), 6)
     assert "the paper's rule stops" in legends(figure09_11.GROUP.draw([dips]))
 
@@ -135,7 +126,7 @@ def test_group_picture_shows_where_the_papers_rule_differs() -> None:
 
 
 def test_comparisons_say_how_far_they_stay_within_n_log_n() -> None:
-    data = tiny_comparisons()
+    data = tiny.comparisons()
     assert data.within_n_log_n == 2
     assert "up to 40 % dynamic; beyond" in texts(figure12.FIGURE.draw(data))
     every = Comparisons(data.n, data.dynamic, data.comparisons * 0, data.right)
@@ -145,7 +136,7 @@ def test_comparisons_say_how_far_they_stay_within_n_log_n() -> None:
 
 
 def test_a_flat_loop_is_called_flat_and_another_is_not() -> None:
-    data = tiny_loop()
+    data = tiny.loop()
     assert data.said.startswith("flat: ")
     assert "median time x 1.00 (per visible landmark x 1.00)" in data.said
     slower = data.time_ms * np.linspace(1, 2, 80)
@@ -157,12 +148,12 @@ def test_a_flat_loop_is_called_flat_and_another_is_not() -> None:
 
 
 def test_growth_beyond_n_log_n_is_called_so() -> None:
-    assert tiny_densities().said.startswith("within n log n: from 160 to 640 visible")
-    assert tiny_densities(power=2).said.startswith("more than n log n")
+    assert tiny.densities().said.startswith("within n log n: from 160 to 640 visible")
+    assert tiny.densities(power=2).said.startswith("more than n log n")
 
 
 def test_fit_finds_what_is_there() -> None:
-    data = tiny_densities()
+    data = tiny.densities()
     assert fit_n_log_n(data.visible, data.median_ms) == pytest.approx((0.2, 1e-4))
 
 
@@ -173,7 +164,7 @@ def test_running_median_follows_and_ignores_spikes() -> None:
 
 
 def test_errors_of_methods_have_a_panel_for_each_noise() -> None:
-    figure = figure16.FIGURE.draw(tiny_errors(mine=(0.02, 0.01), theirs=(0.04, 0.05)))
+    figure = figure16.FIGURE.draw(tiny.errors(mine=(0.02, 0.01), theirs=(0.04, 0.05)))
     assert [axes.get_title() for axes in figure.axes] == [
         "Gaussian noise (median of 3 seeds, each seed thinly)",
         "flat noise (median of 3 seeds, each seed thinly)",

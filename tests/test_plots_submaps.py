@@ -5,24 +5,18 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.planes.walls.files import DrawnSubmap
-from relmap.planes.walls.table import PlaneTable
 from relmap.plots.planes import plot_planes, plot_submaps
+from tests.tables import poses_along, wall_table
 
-
-def no_planes() -> PlaneTable:
-    none, pairs = np.empty(0, np.int64), np.empty((0, 2))
-    ends = np.empty((0, 2, 2))
-    corners = np.empty((0, 2), np.int64)
-    return PlaneTable(none, ends, pairs, pairs, corners, none, none, none, np.empty(0, "U7"))
+NO_PLANES = wall_table(np.empty((0, 2, 2)))
 
 
 def drawn_submap(weak: list[int]) -> DrawnSubmap:
     """A submap without walls, of ten scans along a line."""
-    poses = np.tile(np.eye(4), (10, 1, 1))
-    poses[:, 0, 3] = np.arange(10)
+    poses = poses_along(np.arange(10))
     points = np.array([[2.0, 1.0], [3.0, 1.0]])
     k, at = np.arange(10), np.array(weak, dtype=np.int64)
-    return DrawnSubmap(k, k.astype(float), poses, no_planes(), points, np.array([2, 3]), at)
+    return DrawnSubmap(k, k.astype(float), poses, NO_PLANES, points, np.array([2, 3]), at)
 
 
 def test_a_floor_plan_shows_points_start_end_and_weak_links() -> None:
@@ -45,9 +39,8 @@ def test_each_submap_has_its_own_panel() -> None:
 
 
 def test_path_among_walls_is_broken_where_it_leaps() -> None:
-    poses = np.tile(np.eye(4), (40, 1, 1))
-    poses[:, 0, 3] = 0.1 * np.arange(40) + np.where(np.arange(40) < 20, 0.0, 15.0)
-    axes = plot_planes(no_planes(), poses).axes[0]
+    poses = poses_along(0.1 * np.arange(40) + np.where(np.arange(40) < 20, 0.0, 15.0))
+    axes = plot_planes(NO_PLANES, poses).axes[0]
     (line,) = (line for line in axes.get_lines() if line.get_label() == "path of the robot")
     assert np.flatnonzero(np.isnan(np.asarray(line.get_xdata()))).tolist() == [20]
 

@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from relmap.core.refinement.schur import Linearised
 from relmap.planes.odometry.motion_factors import MotionFactors
 from relmap.planes.odometry.steps import Steps, constant_errors
+from tests.tables import poses_along
 
 
 def test_motions_that_depend_on_odometry_get_its_final_length() -> None:
@@ -21,8 +22,7 @@ def test_motions_that_depend_on_odometry_get_its_final_length() -> None:
 
 def test_jitter_of_poses_does_not_bias_the_scale_of_wheels() -> None:
     rng = np.random.default_rng(0)
-    poses = np.tile(np.eye(4), (400, 1, 1))
-    poses[:, 0, 3] = np.arange(0, 40, 0.1)
+    poses = poses_along(np.arange(0, 40, 0.1))
     measured = np.linalg.inv(poses[:-1]) @ poses[1:]
     poses[:, :2, 3] += 0.03 * rng.normal(size=(len(poses), 2))
     steps = np.linalg.inv(poses[:-1]) @ poses[1:]

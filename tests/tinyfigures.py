@@ -29,7 +29,7 @@ SEEN = {
 }
 
 
-def tiny_store() -> ObservationStore:
+def store() -> ObservationStore:
     store = ObservationStore()
     for iteration in range(8):
         seen = np.array([landmark for landmark, when in SEEN.items() if iteration in when])
@@ -37,15 +37,15 @@ def tiny_store() -> ObservationStore:
     return store
 
 
-def tiny_log() -> ObservationLog:
+def log() -> ObservationLog:
     """The same observations with their landmarks as ids."""
-    landmarks, iterations = tiny_store().seen(0, 8)
+    landmarks, iterations = store().seen(0, 8)
     n = len(landmarks)
     return ObservationLog(np.zeros((n, 3)), iterations, np.arange(n), 0, 8, landmarks)
 
 
-def tiny_chart() -> ChartPicture:
-    return chart_picture(tiny_store(), 2, 0, 8)
+def chart() -> ChartPicture:
+    return chart_picture(store(), 2, 0, 8)
 
 
 def dipping_chart() -> ChartPicture:
@@ -54,33 +54,33 @@ def dipping_chart() -> ChartPicture:
     return ChartPicture(0, np.arange(6), visible, 6)
 
 
-def tiny_comparisons() -> Comparisons:
+def comparisons() -> Comparisons:
     n, dynamic = np.array([20, 50, 100]), np.array([0.1, 0.4, 0.7])
     bound = n_log_n(n)
     counts = np.stack([0.3 * bound, 0.9 * bound, 1.1 * bound])[:, :, None].repeat(5, axis=2)
     return Comparisons(n, dynamic, counts.astype(np.int64), counts % 2 < 1)
 
 
-def tiny_loop() -> LoopTiming:
+def loop() -> LoopTiming:
     visible = np.full(80, 100)
     time_ms = np.where(np.arange(80) % 10 == 0, 5.0, 1.0)
     return LoopTiming(time_ms, visible, np.arange(1, 81) * 10, np.arange(1, 81) * 9)
 
 
-def tiny_densities(power: float = 1.0) -> DensityTiming:
+def densities(power: float = 1.0) -> DensityTiming:
     n = np.array([10.0, 40.0, 160.0, 640.0])
     time_ms = 0.2 + 1e-4 * n_log_n(n) ** power
     return DensityTiming(n, time_ms, 2 * time_ms)
 
 
-def tiny_eight(**found: Any) -> EightMap:
+def eight(**found: Any) -> EightMap:
     rng = np.random.default_rng(0)
     landmarks, path = rng.uniform(-50, 50, (12, 3)), np.linspace([-50, 0, 0], [50, 0, 20], 9)
     evaluation = replace(Evaluation(landmark_rmse_m=0.1), **found)
     return EightMap(landmarks + 0.1, path + 0.1, landmarks, path, evaluation)
 
 
-def tiny_errors(**ends_m: tuple[float, float]) -> ErrorCurves:
+def errors(**ends_m: tuple[float, float]) -> ErrorCurves:
     """Three seeds whose median error at the end is given for each method, Gaussian and flat."""
     at, spread = np.array([9, 19]), np.array([0.9, 1.0, 1.1])
     return {
