@@ -37,6 +37,7 @@ from references.pose_chain import (
     solved,
     start,
 )
+from shared.tables import header, row
 
 from relmap import PointMapper
 from relmap.datasets import open_log
@@ -69,20 +70,16 @@ def main() -> None:
     parser.add_argument("--log", default="*", help="a log, or a pattern; all by default")
     parser.add_argument("--from-map", action="store_true", help="start from relmap's map")
     given = parser.parse_args()
-    print(
-        "| log | landmarks | error [m]: relmap | batch | GTSAM | "
-        "apart [m]: relmap | GTSAM | residuals |"
-    )
-    print("|---|---|---|---|---|---|---|---|")
+    errors, apart = ("error [m]: relmap", "batch", "GTSAM"), ("apart [m]: relmap", "GTSAM")
+    header("log", "landmarks", *errors, *apart, "residuals")
     for name in filter(partial(fnmatch, pat=given.log), LOGS):
         path, truth = LOGS[name]
         association: Association = "nearest" if name.endswith(OWN) else "known"
         truth_folder = truth and given.data / truth
-        row = _row(given.data / path, truth_folder, association, given.from_map)
-        print(f"| {name} | {row} |", flush=True)
+        row(name, *_cells(given.data / path, truth_folder, association, given.from_map))
 
 
-def _row(path: Path, truth: Path | str, association: Association, from_map: bool) -> str:
+def _cells(path: Path, truth: Path | str, association: Association, from_map: bool) -> list[str]:
     log = open_log(path)
     assert log.ids is not None
     mapper = PointMapper()
@@ -106,7 +103,7 @@ def _row(path: Path, truth: Path | str, association: Association, from_map: bool
     seen = np.bincount(problem.landmark) >= OFTEN
     ratio = np.sqrt(solved(problem, _laid(batch, own), own).cost / batch.cost)
     cells = [f"{often.sum()} of {seen.sum()}", *map(_metres, errors), *map(_metres, others)]
-    return " | ".join([*cells, f"{ratio:.3f}"])
+    return [*cells, f"{ratio:.3f}"]
 
 
 def _placed(mapper: PointMapper, ids: Ints, true_ids: Ints, labels: Ints) -> Floats:

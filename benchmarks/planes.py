@@ -14,6 +14,7 @@ from pathlib import Path
 from time import process_time
 
 import numpy as np
+from shared.tables import header, row, table
 
 from relmap import PlaneMapper
 from relmap.core.geometry.alignment import fit_rigid
@@ -72,25 +73,21 @@ def main() -> None:
 
 def _print_simulated(worlds: list[str], sigmas: list[float], seeds: int) -> None:
     """Print every run, then the median and the worst of each kind."""
-    columns = (
-        "chained [m] | refined [m] | literal recipe [m] | mapped | false corners | ATE [m] "
-        "| update [ms] | refine, 700 iterations [ms] |"
-    )
-    print(f"| world | sigma [m] | seed | {columns}\n" + "|---" * 11 + "|")
+    columns = ["chained [m]", "refined [m]", "literal recipe [m]", "mapped", "false corners"]
+    columns += ["ATE [m]", "update [ms]", "refine, 700 iterations [ms]"]
+    header("world", "sigma [m]", "seed", *columns)
     found: dict[tuple[str, float], list[Figures]] = {}
     for world in worlds:
         for sigma in sigmas:
             for seed in range(seeds):
                 figures = _simulated(world, sigma, seed)
                 found.setdefault((world, sigma), []).append(figures)
-                print(f"| {world} | {sigma} | {seed} | " + _row([figures]), flush=True)
-    print(f"\nMedian (worst) of {seeds} seeds:\n")
-    print(f"| world | sigma [m] | {columns}\n" + "|---" * 10 + "|")
-    for (world, sigma), runs in found.items():
-        print(f"| {world} | {sigma} | " + _row(runs))
+                row(world, sigma, seed, *_cells([figures]))
+    rows = [[*kind, *_cells(runs)] for kind, runs in found.items()]
+    table(f"Median (worst) of {seeds} seeds:", ["world", "sigma [m]", *columns], rows)
 
 
-def _row(runs: list[Figures]) -> str:
+def _cells(runs: list[Figures]) -> list[str]:
     cells = []
     for name, digits in (
         ("chained", ".3g"),
@@ -108,7 +105,7 @@ def _row(runs: list[Figures]) -> str:
             worst = min(values) if name == "mapped" else max(values)
             cell += f" ({format(worst, digits)})"
         cells.append(cell)
-    return " | ".join(cells) + " |"
+    return cells
 
 
 def _simulated(world: str, sigma: float, seed: int) -> Figures:
@@ -144,47 +141,46 @@ def _literal(mapper: PlaneMapper, run: Run, truth: Truth) -> float:
     """
     history = mapper.history
     ends = pairwise_map(history, int(history.plane.max()) + 1)
-    table = run.planes
-    row, end = np.nonzero(table.corner >= 0)
+    planes = run.planes
+    at, end = np.nonzero(planes.corner >= 0)
     R, t = fit_rigid(run.result.poses[:, :2, 3], truth.poses[:, :2, 3])
-    own = table.ends[row, end] @ R.T + t
+    own = planes.ends[at, end] @ R.T + t
     apart = np.linalg.norm(truth.ends[:, end].swapaxes(0, 1) - own[:, None], axis=2)
     wall = apart.argmin(axis=1)
-    placed = ends[table.plane[row], end]
+    placed = ends[planes.plane[at], end]
     known = np.isfinite(placed[:, 0])
-    placed, target = placed[known], truth.ends[wall, end][known]
-    R, t = fit_rigid(placed, target)
-    return metrics.rms(placed @ R.T + t - target) or 0.0
+    return metrics.aligned_rmse(placed[known], truth.ends[wall, end][known]) or 0.0
 
 
 def _print_logs(data: Path) -> None:
-    print("\n| log | scans | ATE [m] | poses | relations [m] | relations [deg] ", end="")
-    print("| walls | update [ms] | segment [ms] | refine [s] |")
-    print("|---" * 10 + "|")
+    print()
+    header(
+        *("log", "scans", "ATE [m]", "poses", "relations [m]", "relations [deg]"),
+        *("walls", "update [ms]", "segment [ms]", "refine [s]"),
+    )
     for name, path, interval in LOGS:
         log = open_scans(data / path)
         part = log if interval is None else log.between(*interval)
         run = run_mapper(PlaneMapper(), part, refine=True)
         scans = "all" if interval is None else f"{interval[0]}:{interval[1]}"
-        print(f"| {name} | {scans} " + _logged(run, part, data, name), flush=True)
+        row(name, scans, *_logged(run, part, data, name))
 
 
-def _logged(run: Run, log: ScanLog, data: Path, name: str) -> str:
+def _logged(run: Run, log: ScanLog, data: Path, name: str) -> list[str]:
     result = run.result
     assert log.poses is not None
     mine, other = metrics.match_stamps(result.stamps_s, log.stamps_s)
     ate = metrics.ate(result.poses[mine], log.poses[other], planar=True)
-    errors = None
+    found = ["", ""]
     if name in RELATIONS:
         relations = relations_by_clocks(data / RELATIONS[name])
         errors = relation_errors(result.stamps_s, result.poses, relations)
-    found = "| |" if errors is None else f"{errors[0]:.3f} | {np.rad2deg(errors[1]):.2f} |"
+        if errors is not None:
+            found = [f"{errors[0]:.3f}", f"{np.rad2deg(errors[1]):.2f}"]
     timing = result.summary["timing"]
-    return (
-        f"| {ate:.3f} | {len(result.poses) / len(log):.1%} | {found} "
-        f"{(run.planes.status == 'static').sum()} | {timing['median_ms']:.2f} "
-        f"| {timing['segmentation_median_ms']:.2f} | {timing['refine_ms'] / 1e3:.1f} |"
-    )
+    cells = [f"{ate:.3f}", f"{len(result.poses) / len(log):.1%}", *found]
+    cells += [f"{(run.planes.status == 'static').sum()}", f"{timing['median_ms']:.2f}"]
+    return [*cells, f"{timing['segmentation_median_ms']:.2f}", f"{timing['refine_ms'] / 1e3:.1f}"]
 
 
 if __name__ == "__main__":

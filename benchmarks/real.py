@@ -23,6 +23,7 @@ from pathlib import Path
 import numpy as np
 from laser import LOGS
 from shared.judging import judged, share_right
+from shared.tables import header, row
 from space import BLOCKS, HALL, KITCHEN, ate_of, ate_of_peer, read
 
 from relmap import Plane3dMapper, PlaneMapper, PointMapper
@@ -69,10 +70,9 @@ def main() -> None:
     parser.add_argument("--log", default="*", help="a log, or a pattern; all by default")
     given = parser.parse_args()
     data = given.data
-    print("| log | scans | submaps | usable | relmap, error [m] | other methods, error [m] |")
-    print("|---|---|---|---|---|---|")
+    header("log", "scans", "submaps", "usable", "relmap, error [m]", "other methods, error [m]")
     for name in filter(partial(fnmatch, pat=given.log), (*LOGS, *SPACE, *POINTS, *DRIVEN)):
-        print(f"| {name} | {_row(data, name)} |", flush=True)
+        row(name, _row(data, name))
 
 
 def _row(data: Path, name: str) -> str:

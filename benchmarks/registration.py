@@ -78,9 +78,7 @@ class Outcome:
         chosen = (observations >= OFTEN) & np.isin(ids, truth.landmark_ids)
         at = metrics.positions_of(truth.landmark_ids, ids[chosen])
         d = 2 if self.result.planar else 3
-        here, there = positions[chosen, :d], truth.positions[at, :d]
-        R, t = metrics.align(here, there)
-        return metrics.rms(here @ R.T + t - there)
+        return metrics.aligned_rmse(positions[chosen, :d], truth.positions[at, :d])
 
     @property
     def _majority(self) -> tuple[Ints, Ints, Ints]:

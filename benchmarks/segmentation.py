@@ -17,6 +17,7 @@ from time import process_time
 from typing import Any
 
 import numpy as np
+from shared.tables import header, row
 
 from relmap import PlaneSegmenter, RelmapError
 from relmap.core.arrays import Bools, Ints
@@ -47,15 +48,15 @@ class Tally:
 
     def add(self, scan: BuildingScan, labels: Ints, planes: Planes | None) -> None:
         """Evaluate one scan; without planes only its labels."""
-        for row in np.flatnonzero(np.bincount(scan.stretch) >= COUNTED * len(scan.points)):
-            plane, split = matched(scan.stretch == row, labels)
+        for wall in np.flatnonzero(np.bincount(scan.stretch) >= COUNTED * len(scan.points)):
+            plane, split = matched(scan.stretch == wall, labels)
             self.correct.append(plane >= 0)
             self.over.append(split)
             if plane >= 0 and planes is not None:
-                self._measure(scan, int(row), planes, plane)
+                self._measure(scan, int(wall), planes, plane)
 
-    def _measure(self, scan: BuildingScan, row: int, planes: Planes, plane: int) -> None:
-        ends, kinds = scan.seen.ends[row], scan.seen.end_type[row]
+    def _measure(self, scan: BuildingScan, wall: int, planes: Planes, plane: int) -> None:
+        ends, kinds = scan.seen.ends[wall], scan.seen.end_type[wall]
         along = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
         nx, ny = planes.normal[plane]
         turn = np.arctan2(-along[1] * ny - along[0] * nx, -along[1] * nx + along[0] * ny)
@@ -137,33 +138,25 @@ def warm_up() -> None:
 
 def print_comparison() -> None:
     """Print the table of all methods over noise and scan size."""
-    head = " | ".join(f"σ {sigma:g}" for sigma in SIGMAS)
-    print(f"| points | method | {head} | normal [°] | corner [m] | ms |")
-    print("|---|---|" + "---|" * (len(SIGMAS) + 3))
+    sigmas = (f"σ {sigma:g}" for sigma in SIGMAS)
+    header("points", "method", *sigmas, "normal [°]", "corner [m]", "ms")
     for points, scenes in SIZES.items():
         for method in ("known walls", *METHODS):
             tallies = [judge(method, sigma, points, range(scenes)) for sigma in SIGMAS]
             done = [tally for tally in tallies if tally is not None]
             if len(done) < len(tallies):
-                print(f"| {points} | {method} | does not run here |" + " |" * (len(SIGMAS) + 2))
+                row(points, method, "does not run here", *[""] * (len(SIGMAS) + 2))
                 continue
-            found = " | ".join(
-                f"{np.mean(tally.correct):.3f} / {np.mean(tally.over):.2f}" for tally in done
-            )
+            found = [f"{np.mean(one.correct):.3f} / {np.mean(one.over):.2f}" for one in done]
             at = done[SIGMAS.index(0.1)]
-            print(
-                f"| {points} | {method} | {found} | {middle(at.normal_deg, '.2f')} | "
-                f"{middle(at.corner_m)} | {middle([ms for t in done for ms in t.ms], '.0f')} |",
-                flush=True,
-            )
+            ms = middle([ms for one in done for ms in one.ms], ".0f")
+            row(points, method, *found, middle(at.normal_deg, ".2f"), middle(at.corner_m), ms)
 
 
 def print_default() -> None:
     """Print all figures of the default method at 2000 points."""
-    print(
-        "| scenes | found | over | normal [°] | corner [m] | bias [m] | precision | recall | ms |"
-    )
-    print("|---|---|---|---|---|---|---|---|---|")
+    accuracy = ("normal [°]", "corner [m]", "bias [m]", "precision", "recall")
+    header("scenes", "found", "over", *accuracy, "ms")
     rows: list[tuple[str, float, dict[str, Any]]] = [
         *((f"σ {sigma:g}", sigma, {}) for sigma in SIGMAS),
         ("σ 0, ends sampled", 0.0, {"sample_ends": True}),
@@ -179,12 +172,11 @@ def print_default() -> None:
         assert tally is not None
         precision, recall = tally.precision_recall()
         form = ".1e" if sigma == 0 else ".4f"
-        print(
-            f"| {name} | {np.mean(tally.correct):.3f} of {len(tally.correct)} | "
-            f"{np.mean(tally.over):.3f} | {middle(tally.normal_deg, form)} | "
-            f"{middle(tally.corner_m, form)} | {np.mean(tally.outward_m):.4f} | "
-            f"{precision:.3f} | {recall:.3f} | {middle(tally.ms, '.1f')} |",
-            flush=True,
+        row(
+            *(name, f"{np.mean(tally.correct):.3f} of {len(tally.correct)}"),
+            *(f"{np.mean(tally.over):.3f}", middle(tally.normal_deg, form)),
+            *(middle(tally.corner_m, form), f"{np.mean(tally.outward_m):.4f}"),
+            *(f"{precision:.3f}", f"{recall:.3f}", middle(tally.ms, ".1f")),
         )
         if options.get("sample_ends"):
             print(f"largest error there: corner {max(tally.corner_m):.1e} m")

@@ -35,6 +35,7 @@ from time import process_time
 import numpy as np
 from shared.clouds import Clouds, around, disturbed, elevated, noise, thinned, view
 from shared.judging import step_errors
+from shared.tables import header, row
 
 from relmap import Plane3dMapper
 from relmap.comparison.baselines.icp import KissIcp, SmallGicp
@@ -169,10 +170,8 @@ def main() -> None:
     peers = [peer for name, peer in known.items() if find_spec(name)]
     if len(peers) < len(known):
         print("KISS-ICP or small_gicp is not installed (pip install 'relmap[peers]'): left out")
-    names = "".join(f" {peer.__name__} |" for peer in peers)
-    print(f"| log | scans | submaps | largest | weak | right | ATE | turn | wrong | planes "
-          f"| recall | double | ms | last |{names}")  # fmt: skip
-    print("|---" * (14 + len(peers)) + "|")
+    columns = "log scans submaps largest weak right ATE turn wrong planes recall double ms last"
+    header(*columns.split(), *(peer.__name__ for peer in peers))
     for source in (hall, kitchen, blocks, storeys):
         kind = source.__name__.replace("storeys", "storey")
         if not any(fnmatch(kind, log.split("/")[0]) for log in given.log):
@@ -181,11 +180,10 @@ def main() -> None:
             if any(fnmatch(name, log) for log in given.log):
                 clouds = made()
                 beside = ["" if "/" in name else _peer(peer, clouds) for peer in peers]
-                row = " | ".join([*_row(clouds), *beside])
-                print(f"| {name} | {row} |", flush=True)
+                row(name, *_cells(clouds), *beside)
 
 
-def _row(clouds: Clouds) -> list[str]:
+def _cells(clouds: Clouds) -> list[str]:
     mapper, spent = Plane3dMapper(), []
     for cloud in clouds.points:
         began = process_time()

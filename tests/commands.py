@@ -48,7 +48,7 @@ def run_process(command: Sequence[str], **more: Any) -> subprocess.CompletedProc
 
 
 def run_changed(change: str, *arguments: object, **more: Any) -> subprocess.CompletedProcess[str]:
-    """Run `relmap` in another process, without progress, after some code of its own."""
+    """Run `relmap` in another process, without progress, after code that changes it."""
     begin = "import os, resource, signal, sys\nfrom relmap.cli import console, main"
     code = f"{begin}\nconsole.EVERY_S = 1e6\n{change}\nsys.exit(main(sys.argv[1:]))"
     return run_process([sys.executable, "-c", code, *map(str, arguments)], **more)

@@ -138,20 +138,17 @@ def landmark_error_curve(
     curve. Returns `iteration` (p,); `rmse_m` (p,): error of the static landmarks mapped so far,
     after rigid alignment; NaN with fewer than three.
     """
-    static = truth.landmark_ids[truth.status == "static"]
-    order = np.argsort(truth.landmark_ids)
-    ids, places = truth.landmark_ids[order], truth.landmarks_map[order]
+    static = truth.status == "static"
+    ids, places = truth.landmark_ids[static], truth.landmarks_map[static]
     iterations, errors = [], []
     for number, scan in enumerate(log.scans(), 1):
         method.update(scan.points_robot, scan.ids)
         if number % every and number < len(log):
             continue
         found = method.map
-        rows = np.flatnonzero(np.isin(found.landmark_ids, static))
-        position = found.positions[rows]
-        there = places[np.searchsorted(ids, found.landmark_ids[rows])]
-        R, t = metrics.align(position, there)
-        rmse = metrics.rms(position @ R.T + t - there) if len(rows) > 2 else None
+        at = metrics.positions_of(ids, found.landmark_ids)
+        known = at >= 0
+        rmse = metrics.aligned_rmse(found.positions[known], places[at[known]])
         iterations.append(scan.iteration)
-        errors.append(np.nan if rmse is None else rmse)
+        errors.append(np.nan if rmse is None or known.sum() < 3 else rmse)
     return np.array(iterations, np.int64), np.array(errors, np.float64)

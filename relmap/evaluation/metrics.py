@@ -68,6 +68,12 @@ def align(source: Floats, target: Floats) -> tuple[Floats, Floats]:
     return fit_rigid(source, target)
 
 
+def aligned_rmse(source: Floats, target: Floats) -> float | None:
+    """Return the `rms` of the distances after `align`."""
+    R, t = align(source, target)
+    return rms(source @ R.T + t - target)
+
+
 def majority_ids(landmark: Ints, true_id: Ints) -> tuple[Ints, Ints, Ints]:
     """Return the true landmark of each mapped one, by majority of its observations.
 
@@ -136,9 +142,7 @@ def ate(poses: Floats, true_poses: Floats, planar: bool) -> float | None:
     evaluation of RGB-D SLAM systems", IROS 2012.
     """
     d = 2 if planar else 3
-    position, truth = poses[:, :d, 3], true_poses[:, :d, 3]
-    R, t = align(position, truth)
-    return rms(position @ R.T + t - truth)
+    return aligned_rmse(poses[:, :d, 3], true_poses[:, :d, 3])
 
 
 def rpe(poses: Floats, true_poses: Floats, instant: NDArray[np.intp]) -> float | None:
