@@ -15,9 +15,8 @@ from relmap.core.landmarks import LandmarkMap
 from relmap.datasets import ObservationLog, open_log
 from relmap.datasets.mrpt_landmarks import read_ground_truth
 from relmap.datasets.victoria_park import read_reference_map
-from relmap.evaluation.metrics import purity as purity_of
 from relmap.simulation import simulate_figure_eight
-from tests.worlds import aligned_rmse, driven, stands_for, without_ids
+from tests.worlds import aligned_rmse, driven, purity_of, stands_for, without_ids
 
 
 def rmse(result: LandmarkMap, ids: Ints, truth: Floats) -> float:
@@ -71,7 +70,7 @@ def test_tracks_are_pure_without_ids(density: float, iterations: int, least: flo
     log = simulate_figure_eight(density=density, iterations=iterations, seed=0).log
     mapper, landmarks = map_without_ids(log)
     assert log.ids is not None
-    assert purity(landmarks, log.ids) >= least
+    assert purity_of(landmarks, log.ids) >= least
     id_of = stands_for(landmarks, log.ids)
     mapped = [id_of[label] for label in mapper.map.landmark_ids]
     ids, counts = np.unique(log.ids, return_counts=True)
@@ -84,7 +83,7 @@ def test_static_tracks_are_pure_among_moving_landmarks() -> None:
     assert log.ids is not None
     _, landmarks = map_without_ids(log)
     static = world.status[log.ids] == "static"
-    assert purity(landmarks[static], log.ids[static]) >= 0.995
+    assert purity_of(landmarks[static], log.ids[static]) >= 0.995
 
 
 @pytest.mark.parametrize("dynamic", [0.4, 0.65])
@@ -105,7 +104,7 @@ def test_mrpt_logs_are_tracked_without_ids(shared_data: Path, name: str) -> None
     log = open_log(path)
     mapper, landmarks = map_without_ids(log)
     assert log.ids is not None
-    assert purity(landmarks, log.ids) >= 0.999
+    assert purity_of(landmarks, log.ids) >= 0.999
     ids, positions, _ = read_ground_truth(path)
     assert often_seen_rmse(mapper, landmarks, log, ids, positions) <= 0.03
 
@@ -117,7 +116,7 @@ def test_victoria_park_is_mapped_without_ids(
     log = open_log(shared_data / "victoria-park").between(begin, end)
     mapper, landmarks = map_without_ids(log)
     assert log.ids is not None
-    assert purity(landmarks, log.ids) >= 0.999
+    assert purity_of(landmarks, log.ids) >= 0.999
     id_of = stands_for(landmarks, log.ids)
     mapped = np.array([id_of.get(label, -1) for label in mapper.map.landmark_ids])
     ids, counts = np.unique(log.ids[log.ids >= 0], return_counts=True)
@@ -142,7 +141,7 @@ def test_a_quarter_of_victoria_park_reports_its_submaps(shared_data: Path) -> No
     log = open_log(shared_data / "victoria-park").between(3649, 5449)
     mapper, landmarks = map_without_ids(log)
     assert log.ids is not None
-    assert purity(landmarks, log.ids) >= 0.999
+    assert purity_of(landmarks, log.ids) >= 0.999
     table, submaps = mapper.landmarks, mapper.submaps
     assert table.observations.sum() == len(log.points_robot)
     assert len(submaps) > 1
@@ -150,12 +149,6 @@ def test_a_quarter_of_victoria_park_reports_its_submaps(shared_data: Path) -> No
         np.testing.assert_array_equal(table.landmark[table.submap == number], submap.landmark_ids)
     assert np.isfinite(np.concatenate([submap.positions for submap in submaps])).all()
     assert (np.diff([len(submap.landmark_ids) for submap in submaps]) <= 0).all()
-
-
-def purity(landmarks: Ints, ids: Ints) -> float:
-    found = purity_of(landmarks, ids)
-    assert found is not None
-    return found
 
 
 def map_without_ids(log: ObservationLog) -> tuple[PointMapper, Ints]:

@@ -12,9 +12,8 @@ from relmap.core.association.reobservation.loops import LoopFinder
 from relmap.core.association.search import search
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.state.table import LandmarkState
-from relmap.evaluation.metrics import purity
 from relmap.simulation import WorldSpec, simulate_world
-from tests.worlds import random_rotation, stands_for, without_ids
+from tests.worlds import purity_of, random_rotation, stands_for, without_ids
 
 SIGMA = 0.02
 
@@ -76,9 +75,7 @@ def test_a_ring_is_closed_over_a_drift_of_metres() -> None:
     mapper, labels = without_ids(world.log)
     mapper.refine()
     now = mapper.landmarks_of(labels)
-    found = purity(now, world.true_ids)
-    assert found is not None
-    assert found >= 0.998
+    assert purity_of(now, world.true_ids) >= 0.998
     id_of = stands_for(now, world.true_ids)
     true = [id_of[label] for label in mapper.map.landmark_ids]
     assert len(true) <= 1.02 * len(set(true))

@@ -13,10 +13,19 @@ from relmap.core.geometry.spatialindex import SpatialIndex
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.state.schedule import GroupingSchedule
 from relmap.core.state.table import LandmarkState
-from relmap.evaluation.metrics import purity
 from relmap.points.model import PointModel
 from relmap.simulation import simulate_figure_eight
-from tests.worlds import aligned_rmse, fed, limit_of, mapped, seen, stands_for, walk, without_ids
+from tests.worlds import (
+    aligned_rmse,
+    fed,
+    limit_of,
+    mapped,
+    purity_of,
+    seen,
+    stands_for,
+    walk,
+    without_ids,
+)
 
 seeds = st.integers(0, 2**32 - 1)
 dimensions = st.sampled_from([2, 3])
@@ -25,16 +34,15 @@ dimensions = st.sampled_from([2, 3])
 @pytest.mark.parametrize(("density", "iterations"), [(25, 900), (25, 1800)])
 def test_landmarks_seen_again_are_merged_and_none_wrongly(density: float, iterations: int) -> None:
     world = simulate_figure_eight(density=density, iterations=iterations, seed=1)
-    assert world.log.ids is not None
     mapper, labels = without_ids(world.log)
     labels = mapper.landmarks_of(labels)
-    assert purity(labels, world.log.ids) == 1
+    assert purity_of(labels, world.log.ids) == 1
     id_of = stands_for(labels, world.log.ids)
     true = [id_of[label] for label in mapper.map.landmark_ids]
     assert len(true) / len(np.unique(true)) <= 1.1
     assert len(np.unique(true)) == len(world.landmark_ids)
     mapper.refine()
-    assert purity(mapper.landmarks_of(labels), world.log.ids) == 1
+    assert purity_of(mapper.landmarks_of(labels), world.log.ids) == 1
     true = [id_of[label] for label in mapper.map.landmark_ids]
     assert len(np.unique(true)) == len(world.landmark_ids)
     refined = aligned_rmse(mapper.map.positions, world.landmarks_map[true])

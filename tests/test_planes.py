@@ -15,7 +15,7 @@ from relmap.evaluation.corners import match_corners
 from relmap.evaluation.sources import truth_of
 from relmap.simulation import Building, simulate_building
 from relmap.simulation.visibility import seen_walls
-from tests.worlds import fed, finished, turn
+from tests.worlds import ate_m, fed, finished, turn
 
 ROOM = np.array(
     [
@@ -102,15 +102,9 @@ def test_noisy_walls_come_out_better_refined() -> None:
         front = ends[:, 0, 0] * ends[:, 1, 1] > ends[:, 0, 1] * ends[:, 1, 0]
         mapper.update(SimpleNamespace(ends=ends[front], end_type=scan.seen.end_type[front]))
     mapper.finish()
-
-    def ate() -> float:
-        path, true = mapper.trajectory[:, :2, 3], building.trajectory[:, :2, 3]
-        R, t = fit_rigid(path, true)
-        return float(np.sqrt(np.mean(np.sum((path @ R.T + t - true) ** 2, axis=1))))
-
-    chained = ate()
+    chained_m = ate_m(mapper.trajectory, building.trajectory)
     mapper.refine()
-    assert ate() < min(0.5 * chained, 0.03)
+    assert ate_m(mapper.trajectory, building.trajectory) < min(0.5 * chained_m, 0.03)
 
 
 def test_walls_seen_again_are_joined() -> None:

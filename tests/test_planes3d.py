@@ -10,7 +10,6 @@ import pytest
 
 from relmap import Plane3dMapper, RelmapError
 from relmap.core.arrays import Floats
-from relmap.evaluation import metrics
 from relmap.planes3d.adjustment import PlaneAdjustment, Scene
 from relmap.planes3d.files import COLUMNS
 from relmap.planes3d.refining import sightings
@@ -18,7 +17,7 @@ from relmap.planes3d.submap import Submap
 from relmap.planes3d.table import RAGGED
 from relmap.segmentation.space import PatchSegmenter
 from relmap.simulation.storey import Storey, cast_rays, simulate_storey
-from tests.worlds import fed, finished
+from tests.worlds import ate_m, fed, finished
 
 N = 12
 
@@ -87,11 +86,9 @@ def test_poses_are_as_good_as_plane_adjustment_with_true_associations(
     best = PlaneAdjustment(sightings(part)).solve(begin)
     poses = truth.copy()
     poses[:, :3, :3], poses[:, :3, 3] = best.R, best.t
-    limit, mine = (metrics.ate(each, truth, False) for each in (poses, mapper.trajectory))
-    assert limit is not None
-    assert mine is not None
-    assert 0 < limit < 0.003
-    assert mine < 1.1 * limit
+    limit_m = ate_m(poses, truth, planar=False)
+    assert 0 < limit_m < 0.003
+    assert ate_m(mapper.trajectory, truth, planar=False) < 1.1 * limit_m
 
 
 def test_planes_stand_once_where_they_are(noisy: tuple[Storey, Plane3dMapper]) -> None:

@@ -18,6 +18,7 @@ from relmap.planes import PlaneMapper
 from relmap.planes.walls.files import read_planes
 from relmap.segmentation import PlaneSegmenter
 from tests.commands import load, run_relmap, table
+from tests.worlds import ate_m
 
 pytestmark = pytest.mark.usefixtures("unrendered")
 
@@ -113,9 +114,7 @@ def test_first_metres_of_freiburg_079(shared_data: Path) -> None:
     assert len(run.result.poses) >= 0.95 * len(log)
     mine, other = metrics.match_stamps(run.result.stamps_s, log.stamps_s)
     assert log.poses is not None
-    ate_m = metrics.ate(run.result.poses[mine], log.poses[other], planar=True)
-    assert ate_m is not None
-    assert ate_m <= 0.08
+    assert ate_m(run.result.poses[mine], log.poses[other]) <= 0.08
 
 
 @pytest.mark.parametrize(("scans", "failed"), [(3, ""), (4, "1 of 2 submaps of four scans")])

@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 
 from relmap import PlaneMapper, PlaneSegmenter
-from relmap.evaluation.metrics import ate
 from relmap.planes.refinement.closing import voted
 from relmap.simulation import simulate_building
 from tests.test_planes import seen_from
-from tests.worlds import refined
+from tests.worlds import refined, submap_ate_m
 
 STREET = np.array(
     [
@@ -101,11 +100,7 @@ def refined_errors_m(beams: int = 361, **options: Any) -> list[float]:
     errors_m = []
     for submap in mapper.submaps:
         assert submap.refined
-        known = np.isfinite(submap.poses[:, 0, 0])
-        truth = building.trajectory[slice(*submap.span)][known]
-        error_m = ate(submap.poses[known], truth, planar=True)
-        assert error_m is not None
-        errors_m.append(error_m)
+        errors_m.append(submap_ate_m(submap, building.trajectory))
     assert sum(submap.n_scans for submap in mapper.submaps) == len(building.scans)
     return errors_m
 

@@ -12,7 +12,6 @@ from relmap import PlaneMapper
 from relmap.core.arrays import Floats
 from relmap.datasets.scans import ScanLog
 from relmap.evaluation.feeding import segment_scan, segmenter_for
-from relmap.evaluation.metrics import ate
 from relmap.evaluation.sources import log_of
 from relmap.planes.linking import guess_kernels
 from relmap.planes.linking.judging import View
@@ -25,7 +24,7 @@ from relmap.planes.scans.observation import PlaneObservation, checked_planes
 from relmap.planes.submaps.submap import torn_in
 from relmap.simulation import simulate_building
 from relmap.simulation.floor_plan import World
-from tests.worlds import refined
+from tests.worlds import refined, submap_ate_m
 
 # A room with a bay, seen from inside; one wall after another, counter-clockwise.
 CORNERS = np.array([[4, -3], [4, 2], [1.5, 2], [1.5, 3.5], [-3, 3.5], [-3, -3]], dtype=np.float64)
@@ -236,15 +235,10 @@ def test_long_steps_through_a_building(seed: int) -> None:
     run = simulate_building(361, 0.01, sampling="laser", seed=seed, step_m=1.0)
     log = log_of(run)
     mapper = driven(log, [scan.points_robot for scan in log.scans()])
-    assert log.poses is not None
     assert mapper.submaps[0].n_scans > 0.6 * len(log)
     for submap in mapper.submaps:
         if submap.n_scans > 2:
-            known = np.isfinite(submap.poses[:, 0, 0])
-            truth = log.poses[slice(*submap.span)][known]
-            error_m = ate(submap.poses[known], truth, planar=True)
-            assert error_m is not None
-            assert error_m < 0.3
+            assert submap_ate_m(submap, log.poses) < 0.3
 
 
 def test_a_run_with_beams_is_the_same_again() -> None:
@@ -260,14 +254,10 @@ def test_a_map_torn_at_a_link_is_cut_there(monkeypatch: pytest.MonkeyPatch) -> N
     log = log_of(run)
     mapper = driven(log, [scan.points_robot for scan in log.scans()])
     mapper.refine()
-    assert log.poses is not None
     assert len(mapper.submaps) > 1
     assert not len(torn_in(mapper.submaps, mapper.history))
     for submap in mapper.submaps:
-        known = np.isfinite(submap.poses[:, 0, 0])
-        error_m = ate(submap.poses[known], log.poses[slice(*submap.span)][known], planar=True)
-        assert error_m is not None
-        assert error_m < 1.0
+        assert submap_ate_m(submap, log.poses) < 1.0
 
 
 def test_a_coarse_laser_with_long_steps_breaks_rather_than_err() -> None:
@@ -279,8 +269,4 @@ def test_a_coarse_laser_with_long_steps_breaks_rather_than_err() -> None:
     own = [submap for submap in mapper.submaps if submap.n_scans >= 10]
     assert sum(submap.n_scans for submap in own) > 45
     for submap in own:
-        known = np.isfinite(submap.poses[:, 0, 0])
-        true_poses = run.trajectory[slice(*submap.span)][known]
-        off_m = ate(submap.poses[known], true_poses, planar=True)
-        assert off_m is not None
-        assert off_m < 0.3
+        assert submap_ate_m(submap, run.trajectory) < 0.3

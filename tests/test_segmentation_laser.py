@@ -8,10 +8,10 @@ import pytest
 from relmap import PlaneMapper, PlaneSegmenter
 from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
-from relmap.evaluation.metrics import ate
 from relmap.segmentation.scanline.lines import LaserScan, beam_noise, scan_walls
 from relmap.simulation import simulate_building
 from relmap.simulation.building import building_scene
+from tests.worlds import ate_m
 
 ONE_DEGREE = 181
 
@@ -63,9 +63,7 @@ def test_a_building_is_mapped_with_one_beam_a_degree() -> None:
         mapper.update(segmenter.fit(scan.points[:, :2]).planes_)
     mapper.finish()
     mapper.refine()
-    error = ate(mapper.trajectory, building.trajectory, planar=True)
-    assert error is not None
-    assert error < 0.06
+    assert ate_m(mapper.trajectory, building.trajectory) < 0.06
 
 
 def test_points_that_are_repeated_change_nothing() -> None:

@@ -12,11 +12,10 @@ from relmap.core.association.placement import Placement
 from relmap.core.association.registering import CLEAR
 from relmap.core.association.scale import spacing_of
 from relmap.core.association.soft import SoftMatching, likely_links
-from relmap.evaluation.metrics import purity
 from relmap.evaluation.surface_points import wall_points
 from relmap.evaluation.variants import map_of
 from relmap.simulation import WorldSpec, simulate_world
-from tests.worlds import turn
+from tests.worlds import purity_of, turn
 
 FIELD_M = 24.0
 
@@ -102,9 +101,7 @@ def test_a_world_of_much_noise_is_followed() -> None:
     mapper, scans = PointMapper(), list(world.log.scans())[:36]
     labels = np.concatenate([mapper.update(scan.points_robot) for scan in scans])
     ids = world.true_ids[: len(labels)]
-    found = purity(labels, ids)
-    assert found is not None
-    assert found > 0.88
+    assert purity_of(labels, ids) > 0.88
     assert len(np.unique(labels)) < 3 * len(np.unique(ids))
 
 
@@ -121,9 +118,7 @@ def test_columns_on_a_lattice_are_not_taken_for_their_neighbours(
     mapper, scans = PointMapper(), list(world.log.scans())[:25]
     labels = np.concatenate([mapper.update(scan.points_robot) for scan in scans])
     ids = world.true_ids[: len(labels)]
-    found = purity(labels, ids)
-    assert found is not None
-    assert found > 0.99
+    assert purity_of(labels, ids) > 0.99
     assert len(np.unique(labels)) < 2 * len(np.unique(ids))
 
 

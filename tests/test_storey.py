@@ -9,9 +9,8 @@ import pytest
 
 from relmap import Plane3dMapper, RelmapError
 from relmap.core.arrays import Floats, Ints
-from relmap.evaluation import metrics
 from relmap.simulation.storey import Storey, simulate_storey
-from tests.worlds import refined
+from tests.worlds import ate_m, refined
 
 
 def off_faces(world: Storey, points: Floats, face: Ints) -> Floats:
@@ -68,7 +67,7 @@ def test_a_house_is_mapped_over_the_stairs() -> None:
     world = simulate_storey("lidar", 0.01, 60, 2, storeys=2)
     mapper = refined(Plane3dMapper(), world.scans)
     assert len(mapper.submaps[0].iteration) == 60
-    assert (metrics.ate(mapper.trajectory, world.trajectory, False) or 1.0) < 0.005
+    assert ate_m(mapper.trajectory, world.trajectory, planar=False) < 0.005
 
 
 def test_planes_of_a_box_that_moves_are_dynamic() -> None:

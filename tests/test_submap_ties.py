@@ -10,7 +10,6 @@ import pytest
 
 from relmap import PlaneMapper
 from relmap.core.arrays import Floats, Ints
-from relmap.evaluation.metrics import ate
 from relmap.planes import mapper as planes_mapper
 from relmap.planes.places.submap_ties import MapPart, tied_parts
 from relmap.planes.places.wall_tie import LIMITS, WallPoints
@@ -20,6 +19,7 @@ from relmap.planes.submaps.submap import WallSubmap, torn_in
 from relmap.planes.walls.history import PlaneHistory
 from tests.segments import cast
 from tests.test_scan_links import driven, scans_of
+from tests.worlds import ate_m
 
 ROOM = np.array([[0.0, 0.0], [6.0, 0.0], [6.0, 3.0], [4.0, 3.0], [4.0, 4.0], [0.0, 4.0]])
 """A room with a niche, without symmetry."""
@@ -112,9 +112,7 @@ def test_a_place_seen_again_after_a_jump_is_joined(tmp_path: Path) -> None:
     mapper.refine()
     assert sorted(known_of(mapper)) == [again, list(range(35, 50))]
     assert log.poses is not None
-    error_m = ate(mapper.trajectory[again], log.poses[[*range(35), *range(5, 40)]], planar=True)
-    assert error_m is not None
-    assert error_m < 0.02
+    assert ate_m(mapper.trajectory[again], log.poses[[*range(35), *range(5, 40)]]) < 0.02
     same = PlaneMapper.load(tmp_path / "mapper.npz")
     same.refine()
     np.testing.assert_array_equal(same.trajectory, mapper.trajectory)

@@ -10,9 +10,8 @@ from relmap.core.arrays import Ints
 from relmap.core.association.reobservation.sightings import Sightings, rows_of_tracks
 from relmap.core.state.schedule import GroupingSchedule
 from relmap.core.state.table import LandmarkState
-from relmap.evaluation.metrics import purity
 from relmap.simulation import World, WorldSpec, simulate_figure_eight, simulate_world
-from tests.worlds import aligned_rmse, stands_for, without_ids
+from tests.worlds import aligned_rmse, purity_of, stands_for, without_ids
 
 
 def mapped_world(world: World) -> tuple[PointMapper, Ints]:
@@ -52,9 +51,8 @@ def test_a_track_that_is_parted_is_as_if_it_had_never_been_merged() -> None:
 def test_wrong_merges_are_undone_and_right_ones_are_not() -> None:
     world = simulate_figure_eight(density=25, iterations=900, seed=1)
     mapper, labels = without_ids(world.log)
-    assert world.log.ids is not None
     right = mapper.landmarks_of(labels)
-    assert purity(right, world.log.ids) == 1
+    assert purity_of(right, world.log.ids) == 1
     table = mapper.engine.table
     mapped = np.flatnonzero(table.weight > 0)
     apart = np.linalg.norm(table.position[mapped, None] - table.position[mapped], axis=2)
@@ -64,9 +62,9 @@ def test_wrong_merges_are_undone_and_right_ones_are_not() -> None:
         if table.is_later(new, old) and true[new] != true[old]:
             break
     mapper.engine.merge_pairs(np.array([[new, old]]))
-    assert purity(mapper.landmarks_of(labels), world.log.ids) != 1
+    assert purity_of(mapper.landmarks_of(labels), world.log.ids) != 1
     mapper.refine()
-    assert purity(mapper.landmarks_of(labels), world.log.ids) == 1
+    assert purity_of(mapper.landmarks_of(labels), world.log.ids) == 1
     assert len(mapper.map.landmark_ids) == len(world.landmark_ids)
     assert len(mapper.submaps) == 1
 
@@ -96,8 +94,7 @@ def test_tracks_of_several_landmarks_are_not_repaired() -> None:
     world = simulate_figure_eight(density=100, iterations=900, seed=1)
     mapper = PointMapper(MapperConfig(registration="nearest-previous"))
     labels = np.concatenate([mapper.update(scan.points_robot) for scan in world.log.scans()])
-    assert world.log.ids is not None
-    assert (purity(labels, world.log.ids) or 1) < 0.999
+    assert purity_of(labels, world.log.ids) < 0.999
     mapper.finish()
     mapper.refine()
     assert mapper.n_undone == 0

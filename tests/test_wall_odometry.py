@@ -16,10 +16,9 @@ from relmap.core.arrays import Floats
 from relmap.core.odometry import OdometryUse
 from relmap.datasets.scans import SensorView
 from relmap.evaluation.feeding import segment_scan, segmenter_for
-from relmap.evaluation.metrics import ate
 from relmap.simulation import simulate_building
 from relmap.simulation.odometry import Wheels, wheel_odometry
-from tests.worlds import turn
+from tests.worlds import ate_m, turn
 
 Array = Floats
 
@@ -179,9 +178,7 @@ def test_scans_without_walls_are_bridged() -> None:
     mapper.refine()
     assert len(mapper.submaps) == 1
     assert use_of(mapper).hanging.tolist() == list(range(30, 41))
-    error_m = ate(mapper.trajectory, poses, planar=True)
-    assert error_m is not None
-    assert error_m < 0.05
+    assert ate_m(mapper.trajectory, poses) < 0.05
 
 
 def test_where_walls_fix_the_motion_the_map_is_the_same() -> None:
@@ -192,7 +189,7 @@ def test_where_walls_fix_the_motion_the_map_is_the_same() -> None:
         mapper = mapped(scans, odometry)
         mapper.refine()
         assert len(mapper.submaps) == 1
-        found.append(ate(mapper.trajectory, poses, planar=True))
+        found.append(ate_m(mapper.trajectory, poses))
         if odometry is not None:
             assert len(use_of(mapper).hanging) == 0
     assert found[1] == pytest.approx(found[0], abs=0.003)
@@ -249,10 +246,8 @@ def test_wrong_odometry_is_left_out_and_named(spoil: Any) -> None:
     for mapper in (plain, other):
         mapper.refine()
     assert len(other.submaps) == len(plain.submaps) == 1
-    before, after = (ate(mapper.trajectory, poses, planar=True) for mapper in (plain, other))
-    assert before is not None
-    assert after is not None
-    assert after < 1.2 * before
+    before_m, after_m = (ate_m(mapper.trajectory, poses) for mapper in (plain, other))
+    assert after_m < 1.2 * before_m
     assert len(use_of(other).left_out) > 2
 
 
@@ -285,6 +280,4 @@ def test_walls_without_beams_are_bridged_too() -> None:
     mapper.refine()
     assert len(mapper.submaps) == 1
     assert len(use_of(mapper).hanging) > 0
-    error_m = ate(mapper.trajectory, poses, planar=True)
-    assert error_m is not None
-    assert error_m < 0.05
+    assert ate_m(mapper.trajectory, poses) < 0.05
