@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -24,9 +25,13 @@ def put(folder: Path, content: str | bytes, name: str = "observations.csv") -> P
 
 
 def failure(path: Path | str, format: str | None = None) -> str:
-    """Return the one-line error of reading."""
+    """Return the one-line error of reading a log."""
+    return one_line_error(open_log, path, format)
+
+
+def one_line_error(read: Callable[..., object], *arguments: object) -> str:
     with pytest.raises(RelmapError) as caught:
-        open_log(path, format)
+        read(*arguments)
     message = str(caught.value)
     assert len(message.splitlines()) == 1
     assert message.isprintable()

@@ -5,13 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pytest
 from numpy.testing import assert_allclose
 
 from relmap.core.arrays import Floats
-from relmap.core.errors import RelmapError
 from relmap.core.odometry import checked_odometry
 from relmap.datasets import ScanLog, open_scans
+from tests.logs import one_line_error
 
 ZEROS = "0 0 0 0 0"
 GRAPH = (
@@ -36,10 +35,7 @@ CLOUD = np.array([[1.0, 2, 3], [4, 5, 6], [np.nan, 0, 0], [7, 8, 9]])
 
 def failure(path: Path, format: str | None = None) -> str:
     """Return the one-line error of a log, raised at the latest when its scans are read."""
-    with pytest.raises(RelmapError) as caught:
-        list(open_scans(path, format).scans())
-    message = str(caught.value)
-    assert len(message.splitlines()) == 1
+    message = one_line_error(lambda: list(open_scans(path, format).scans()))
     assert len(message) < 640, len(message)
     return message
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ from relmap.datasets.slsjf import (
     is_ground_truth,
     read_ground_truth,
 )
+from tests.logs import one_line_error
 
 SEEN = np.array(
     [
@@ -44,12 +46,8 @@ def put(folder: Path, file: str, matrix: Floats | NDArray[np.uint16]) -> Path:
 
 def failure(path: Path, truth: bool = False) -> str:
     """Return the one-line error of reading."""
-    with pytest.raises(RelmapError) as caught:
-        read_ground_truth(path) if truth else open_log(path, "slsjf-sim")
-    message = str(caught.value)
-    assert len(message.splitlines()) == 1
-    assert message.isprintable()
-    return message
+    read = read_ground_truth if truth else partial(open_log, format="slsjf-sim")
+    return one_line_error(read, path)
 
 
 def test_log(tmp_path: Path) -> None:

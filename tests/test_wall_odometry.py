@@ -106,8 +106,13 @@ def use_of(mapper: PlaneMapper) -> OdometryUse:
     return mapper.odometry
 
 
-def length_m(poses: Array, first: int, last: int) -> float:
-    return float(np.linalg.norm(poses[last, :2, 3] - poses[first, :2, 3]))
+def assert_as_long_as_wheels_tell(mapper: PlaneMapper, poses: Array) -> None:
+    hanging = len(use_of(mapper).hanging)
+    # By chance, and as the scale is known no better than by the noise of the other steps.
+    noise_m = 0.01 * 0.25 * np.sqrt(hanging + hanging**2 / (len(poses) - hanging))
+    ways = (path[-1, :2, 3] - path[14, :2, 3] for path in (mapper.trajectory, poses))
+    found_m, true_m = (float(np.linalg.norm(way)) for way in ways)
+    assert abs(found_m - true_m) < 3 * noise_m
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -122,12 +127,7 @@ def test_a_bare_corridor_is_one_submap_and_as_long_as_wheels_tell(seed: int) -> 
     bare = [k for k, pose in enumerate(poses) if 8 < pose[0, 3] < 30]
     assert set(bare) <= set(use_of(mapper).hanging.tolist())
     assert not set(range(2, 14)) & set(use_of(mapper).hanging.tolist())
-    first, last = 14, len(poses) - 1
-    hanging = len(use_of(mapper).hanging)
-    # By chance, and as the scale is known no better than by the noise of the other steps.
-    noise_m = 0.01 * 0.25 * np.sqrt(hanging + hanging**2 / (len(poses) - hanging))
-    found = length_m(mapper.trajectory, first, last)
-    assert abs(found - length_m(poses, first, last)) < 3 * noise_m
+    assert_as_long_as_wheels_tell(mapper, poses)
 
 
 @pytest.mark.parametrize("seed", [1, 2])
@@ -142,11 +142,7 @@ def test_a_long_corridor_with_bays_stays_whole(seed: int) -> None:
     assert_allclose(np.linalg.norm(motions, axis=1), 0.25, atol=0.15)
     mapper.refine()
     assert [submap.refined for submap in mapper.submaps] == [True]
-    first, last = 14, len(poses) - 1
-    hanging = len(use_of(mapper).hanging)
-    noise_m = 0.01 * 0.25 * np.sqrt(hanging + hanging**2 / (len(poses) - hanging))
-    found = length_m(mapper.trajectory, first, last)
-    assert abs(found - length_m(poses, first, last)) < 3 * noise_m
+    assert_as_long_as_wheels_tell(mapper, poses)
 
 
 def test_covariances_reflect_the_noise_of_wheels() -> None:
