@@ -103,7 +103,6 @@ def test_mrpt_logs_are_tracked_without_ids(shared_data: Path, name: str) -> None
     path = shared_data / "mrpt-kf-slam" / f"{name}.observations.csv.gz"
     log = open_log(path)
     mapper, landmarks = map_without_ids(log)
-    assert log.ids is not None
     assert purity_of(landmarks, log.ids) >= 0.999
     ids, positions, _ = read_ground_truth(path)
     assert often_seen_rmse(mapper, landmarks, log, ids, positions) <= 0.03
@@ -140,7 +139,6 @@ def rmse_against(reference: tuple[Ints, Floats], ids: Ints, positions: Floats) -
 def test_a_quarter_of_victoria_park_reports_its_submaps(shared_data: Path) -> None:
     log = open_log(shared_data / "victoria-park").between(3649, 5449)
     mapper, landmarks = map_without_ids(log)
-    assert log.ids is not None
     assert purity_of(landmarks, log.ids) >= 0.999
     table, submaps = mapper.landmarks, mapper.submaps
     assert table.observations.sum() == len(log.points_robot)

@@ -144,6 +144,18 @@ def test_bad_configuration(place: Path, refused: Check, text: str, message: str)
     assert "mapper.toml" in line
 
 
+@pytest.mark.parametrize(("name", "said"), [("g", "g"), ("a\nb", r"'a\nb'")])
+@pytest.mark.parametrize("text", ["group_after = -3\n", "group_after 3\n"])
+def test_bad_configuration_whatever_the_name(
+    place: Path, refused: Check, name: str, said: str, text: str
+) -> None:
+    """A name of one letter, which the message has anyway, and one with a line break."""
+    (place / name).write_text(text)
+    line = refused("map", "log.csv", "-o", "out", "--config", name)
+    assert f"error: {said}: " in line
+    assert line.count("a\\nb") == said.count("a\\nb")
+
+
 @pytest.mark.parametrize("out", ["log.csv", "log.csv/below", "/proc/no", "/dev/null", "x" * 300])
 def test_folder_that_cannot_be_written(refused: Check, out: str) -> None:
     assert "cannot write into" in refused("map", "log.csv", "-o", out)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import typer
 
@@ -153,9 +153,9 @@ def read_config(
     given = {} if registration is None else {"registration": registration}
     if path is None:
         return config.MapperConfig.from_mapping(given)
-    try:
-        settings = read_toml(path)
+
+    def parse(settings: dict[str, Any]) -> MapperConfig:
         config.refuse(settings, unused or {})
         return config.MapperConfig.from_mapping(settings | given)
-    except RelmapError as error:
-        raise RelmapError(str(error) if str(path) in str(error) else f"{path}: {error}") from error
+
+    return read_toml(path, parse)

@@ -70,10 +70,7 @@ def read_spec(path: Path) -> list[Cell]:
 
     Raises `RelmapError` if it cannot be read, is not TOML or describes no valid grid.
     """
-    try:
-        return cells_of(read_toml(path))
-    except RelmapError as error:
-        raise RelmapError(str(error) if str(path) in str(error) else f"{path}: {error}") from error
+    return read_toml(path, cells_of)
 
 
 def cells_of(spec: Mapping[str, Any]) -> list[Cell]:

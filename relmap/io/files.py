@@ -6,10 +6,10 @@ import os
 import secrets
 import shutil
 import tomllib
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -29,6 +29,8 @@ from relmap.datasets.textfile import (
     why_not_written,
 )
 from relmap.io.tables import MAX_RESULT_M
+
+T = TypeVar("T")
 
 WHOLE = "summary.json"
 """A folder without this file is not read as a result: it is deleted first and moved last, so that a
@@ -161,12 +163,16 @@ def read_text(path: Path) -> str:
     return text
 
 
-def read_toml(path: Path) -> dict[str, Any]:
-    """Read a small TOML file; RelmapError if it cannot be read or is not TOML."""
+def read_toml(path: Path, parse: Callable[[dict[str, Any]], T]) -> T:
+    """Parse the content of a small TOML file; a RelmapError of any kind names the file."""
     try:
-        return tomllib.loads(read_text(path))
+        content = tomllib.loads(read_text(path))
     except (ValueError, RecursionError) as error:  # huge numbers, deep nesting
         raise invalid(path, f"not TOML: {reason(error)}") from error
+    try:
+        return parse(content)
+    except RelmapError as error:
+        raise invalid(path, str(error)) from error
 
 
 def write_tum(path: Path, stamps_s: Floats, poses: Floats) -> None:
