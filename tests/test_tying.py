@@ -86,6 +86,22 @@ def test_few_landmarks_in_a_chance_arrangement_join_nothing() -> None:
         assert list(tie_submaps(global_map, 0.2)) == []
 
 
+@pytest.mark.parametrize("n", [5, 7])
+def test_a_few_landmarks_are_joined_if_all_are_found_and_others_are_not(n: int) -> None:
+    """Few triangles of a sparse map fit by chance, so few matches more are enough."""
+    n_joined = 0
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        world = rng.uniform(0, 60, (100, 2))
+        again = world[np.argsort(np.linalg.norm(world - 30, axis=1))[:n]]
+        for few, is_same in ((again, True), (rng.uniform(20, 40, (n, 2)), False)):
+            global_map = in_submaps(world, moved(few, rng, 0.02))
+            tied = list(tie_submaps(global_map, 0.03))
+            n_joined += bool(tied) and is_same
+            assert is_same or not tied
+    assert n_joined >= 10
+
+
 @both_dimensions
 def test_an_ambiguous_place_joins_nothing(d: int) -> None:
     rng = np.random.default_rng(0)

@@ -82,8 +82,7 @@ def test_a_map_that_wrong_merges_bend_is_repaired(spec: WorldSpec) -> None:
     """Two stretches joined by one merge, or mapped metres from the place that they show."""
     world = simulate_world(spec)
     mapper, labels = mapped_world(world)
-    true = majority_ids(mapper.landmarks_of(labels), world.true_ids)
-    ids = dict(zip(*true[:2], strict=True))
+    ids = stands_for(mapper.landmarks_of(labels), world.true_ids)
     shown = [ids[label] for label in mapper.map.landmark_ids.tolist()]
     assert len(mapper.submaps) == 1
     assert len(shown) == len(set(shown))

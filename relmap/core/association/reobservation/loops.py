@@ -15,7 +15,7 @@ from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.association.placement import Placement
 from relmap.core.association.registering import LOG_CLEAR
 from relmap.core.association.reobservation.evidence import LOCAL_DRIFT
-from relmap.core.association.reobservation.recognition import ENOUGH, HITS, PlaceFinder
+from relmap.core.association.reobservation.recognition import ENOUGH, PlaceFinder
 from relmap.core.association.reobservation.tying import BY_CHANCE, CLEAR, NEIGHBOURHOOD, OVERLAP
 from relmap.core.association.scale import spacing_of
 from relmap.core.association.soft import SoftMatching, likely_links
@@ -113,12 +113,11 @@ class LoopFinder:
         pairs = np.column_stack([around, own[at]])[at >= 0]
         _, first = np.unique(pairs[:, 1], return_index=True)
         pairs = pairs[first]
-        trials = HITS * len(own)
         off_m = np.linalg.norm(places[0].apply(points) - points, axis=1).max()
         if off_m > self._drift_m(around, together, int(table.last[pairs[:, 1]].max(initial=0))):
             return None
         rival = finder.elsewhere(points, places)
-        sure = finder.by_chance(len(points), len(pairs), rival, trials) <= BY_CHANCE
+        sure = finder.by_chance(len(points), len(pairs), rival, len(own)) <= BY_CHANCE
         return Loop(pairs, places[0]) if sure and rival <= CLEAR * len(pairs) else None
 
     def _by_likelihood(self, later: Ints, older: Ints, farthest_m: float) -> Loop | None:

@@ -50,6 +50,7 @@ class PlaceFinder:
     def __init__(self, positions: Floats, noise_m: float) -> None:
         self._positions = positions
         self._among: Bools | None = None
+        self._n_tried = 0
         self._corners, sides = _triangles(positions)
         self._sides = cKDTree(sides) if len(sides) else None
         if self._sides is not None:
@@ -122,14 +123,16 @@ class PlaceFinder:
         far = np.where(counts, distance, np.inf)
         return np.take_along_axis(far, first, 1)[:, 0], np.take_along_axis(landmark, first, 1)[:, 0]
 
-    def by_chance(self, n: int, n_agreeing: int, elsewhere: int, trials: int) -> float:
-        """Return the probability that as many of n points are found in a wrong place.
+    def by_chance(self, n: int, n_agreeing: int, elsewhere: int, searches: int) -> float:
+        """Return the expected number of wrong places where as many of n points are found.
 
         Not counting the three of the triangle. Landmarks may lie at random or on a lattice; in the
         latter case many are found in other places too.
 
-        `elsewhere`: number found in the best of the other places.
+        `elsewhere`: number found in the best of the other places; `searches`: number of searches
+        like the last one, each with as many triangles that fit.
         """
+        trials = searches * max(self._n_tried, 1)
         # Half of the landmarks have another within `apart_m`; the fraction of that area in a
         # tolerance.
         share = np.log(2) * (self._tolerance_m / self._apart_m) ** self._positions.shape[1]
@@ -161,6 +164,7 @@ class PlaceFinder:
         likely = np.flatnonzero(fixed & (np.abs(off).max(axis=(1, 2)) <= 2 * self._tolerance_m))
         placed = np.einsum("hij,nj->hni", R[likely], points) + t[likely][:, None]
         apart = self._nearest(placed.reshape(-1, d))[0].reshape(len(likely), len(points))
+        self._n_tried = len(likely)
         enough = np.sum(apart <= REACH * self._tolerance_m, axis=1) >= needed
         return [Placement(R[k], t[k], 3) for k in likely[enough]]
 

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.core.association.reobservation.recognition import ENOUGH, HITS, MORE, PlaceFinder
+from relmap.core.association.reobservation.recognition import ENOUGH, MORE, PlaceFinder
 from relmap.core.association.reobservation.tying import BY_CHANCE, CLEAR
 from relmap.core.refinement.condensing import SegmentRows
 from relmap.core.state.table import NONE, LandmarkState
@@ -42,7 +42,7 @@ def find_strays(table: LandmarkState, rows: SegmentRows, noise_m: float) -> Iter
             when = rows.first_iteration[stray]
             among = table.first[own] <= when + NEARBY
             among &= table.last[own] >= when - NEARBY
-            at = _found(finder, rows.points[of], among, HITS * len(strays) * len(submaps))
+            at = _found(finder, rows.points[of], among, len(strays) * len(submaps))
             pairs = np.column_stack([table.now(rows.landmark[of]), own[at]])[at >= 0]
             found.append(pairs[np.unique(pairs[:, 1], return_index=True)[1]])
         *others, best = sorted(found, key=len)
@@ -51,12 +51,12 @@ def find_strays(table: LandmarkState, rows: SegmentRows, noise_m: float) -> Iter
             yield best
 
 
-def _found(finder: PlaceFinder, points: Floats, among: Bools, trials: int) -> Ints:
+def _found(finder: PlaceFinder, points: Floats, among: Bools, searches: int) -> Ints:
     """Return the rows of the map on which points (n, d) lie; -1 if uncertain."""
     places = finder.places(points, among) if among.sum() >= ENOUGH else []
     if not places:
         return np.full(len(points), -1)
     at = finder.landmarks_at(places[0].apply(points), among)
     hits, rival = len(np.unique(at[at >= 0])), finder.elsewhere(points, places)
-    sure = finder.by_chance(len(points), hits, rival, trials) <= BY_CHANCE
+    sure = finder.by_chance(len(points), hits, rival, searches) <= BY_CHANCE
     return at if sure and rival <= CLEAR * hits else np.full(len(points), -1)

@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association.base import nearest
 from relmap.core.association.placement import Placement
-from relmap.core.association.reobservation.recognition import ENOUGH, HITS, PlaceFinder
+from relmap.core.association.reobservation.recognition import ENOUGH, PlaceFinder
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.state.table import NONE, LandmarkState
 
@@ -61,7 +61,6 @@ def _found_elsewhere(
         return None
     positions, shifts, number = _laid_out(table, others)
     finder, back = (PlaceFinder(there, noise_m) for there in (positions, table.position[own]))
-    trials = HITS * len(np.unique(table.submap)) * len(table.submap)
     for around in neighbourhoods(table.position[own]):
         points = table.position[own[around]]
         places = finder.places(points)
@@ -75,7 +74,8 @@ def _found_elsewhere(
         # What looks like another place in the same submap may be a third one.
         elsewhere = finder.elsewhere(points, rivals)
         elsewhere = max(elsewhere, back.elsewhere(points, back.places(points)))
-        sure = finder.by_chance(len(points), len(hits[0]), elsewhere, trials) <= BY_CHANCE
+        searches = len(own) + len(others)
+        sure = finder.by_chance(len(points), len(hits[0]), elsewhere, searches) <= BY_CHANCE
         clear = elsewhere <= CLEAR * places[0].n_agreeing
         if sure and clear and _leads_back(back, positions[hits[0]], places[0], points):
             return other, replace(places[0], t=places[0].t - shifts[other])
