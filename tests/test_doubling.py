@@ -50,6 +50,7 @@ def test_a_stretch_beside_the_place_that_it_shows_is_found(d: int, n_again: int)
     table = mapped(np.vstack([field, shifted]))
     shown = np.zeros((2, 60 + n_again), dtype=np.bool_)
     shown[0, :60] = shown[1, 60:] = True
+    shown[:, 0] = False  # in no segment
     found = list(places_shown_twice(table, Seen(shown), TOLERANCE_M))
     if not n_again:
         assert not found

@@ -53,6 +53,8 @@ def places_shown_twice(
             if had[seed]:
                 continue
             together, around = search.neighbourhood(seed)
+            if len(around) <= ENOUGH:
+                continue
             had[around[: max(1, len(around) // OVERLAP)]] = True
             found = search.shift(seed, together, around)
             if found is not None:
