@@ -42,10 +42,11 @@ def test_a_steady_path_that_depends_on_one_wall_is_not_listed() -> None:
 
 def test_a_room_with_parallel_walls_is_not_fragile_but_a_corner_is() -> None:
     room_scan, _ = fragile_of(carried([0.0, 0.1], 3.0, -3.0))
-    corner_scan, along = fragile_of(carried([0.0, 0.1], 3.0))
     assert sorted(room_scan.tolist()) == [0, 0, 1, 1]  # across the single walls only
-    assert sorted(corner_scan.tolist()) == [0, 0, 0, 1, 1, 1]
-    assert np.sort(np.abs(along).argmax(axis=1)).tolist() == [0, 0, 1, 1, 2, 2]
+    for way_m in np.linspace(0.05, 0.4, 8):
+        corner_scan, along = fragile_of(carried([0.0, way_m], 3.0))
+        assert sorted(corner_scan.tolist()) == [0, 0, 0, 1, 1, 1]
+        assert np.sort(np.abs(along).argmax(axis=1)).tolist() == [0, 0, 1, 1, 2, 2]
 
 
 def fragile_of(part: Submap) -> tuple[Ints, Floats]:

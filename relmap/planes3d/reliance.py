@@ -10,8 +10,9 @@ import numpy as np
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.planes3d.adjustment import PlaneAdjustment, Scene, Sightings
 
-LOOSE = 1e-9
-"""Damping of poses that are undetermined without a landmark, as a fraction of the diagonal."""
+LOOSE = 1e-12
+"""Damping of poses that are undetermined without a landmark, as a fraction of the diagonal with
+it."""
 LOST, DISPLACED = 0.02, 0.005
 """Standard deviation of the position without a landmark, and displacement, as fractions of the
 range, above which a scan depends on it."""
@@ -43,9 +44,10 @@ def fragile(
     scan, count = pair[:, 0], len(reach_m)
     matrix = _sums(of.ravel(), np.einsum("nki,nkj->nij", by_pose, by_pose), len(pair))
     pull = _sums(of.ravel(), np.einsum("nki,nk->ni", by_pose, off), len(pair))
-    matrix = _sums(scan, matrix, count)[scan] - matrix
-    pull = _sums(scan, pull, count)[scan] - pull
-    scale = 1 / np.sqrt(np.maximum(np.einsum("nii->ni", matrix), 1e-12))
+    whole = _sums(scan, matrix, count)[scan]
+    matrix, pull = whole - matrix, _sums(scan, pull, count)[scan] - pull
+    # By the whole: what rounding leaves of a direction without a landmark is not information.
+    scale = 1 / np.sqrt(np.maximum(np.einsum("nii->ni", whole), 1e-12))
     matrix = matrix * scale[:, None] * scale[:, :, None] + LOOSE * np.eye(6)
     covariance = np.linalg.inv(matrix) * scale[:, None] * scale[:, :, None]
     way = (covariance @ pull[:, :, None])[:, 3:, 0]
