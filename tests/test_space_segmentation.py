@@ -8,6 +8,7 @@ import pytest
 from relmap import RelmapError
 from relmap.core.arrays import Floats
 from relmap.segmentation.space import Patches, PatchSegmenter
+from relmap.segmentation.space.condensing import condensed
 from relmap.simulation.storey import Storey, simulate_storey
 
 LARGE_M2, MANY = 0.25, 150
@@ -84,7 +85,7 @@ def test_large_planes_are_found_once_under_noise() -> None:
 
 
 def test_condensed_scatter_gives_the_squares_of_the_points() -> None:
-    points = board([2.0, 0.5, 1.0], [0.0, 2.0, 0.0], [0.3, 0.0, 1.5], sigma=0.02)
+    points = board([2.0, 0.5, 1.0], [0.0, 2.0, 0.0], [0.3, 0.0, 1.5], sigma=0.005)
     segmenter = PatchSegmenter(min_points=30).fit(points)
     patches = segmenter.patches_
     assert len(patches) == 1
@@ -104,6 +105,53 @@ def test_condensed_scatter_gives_the_squares_of_the_points() -> None:
         plane = np.append(normal, -offset)
         whole = float(plane @ patches.scatter[0] @ plane)
         assert whole == pytest.approx(direct, rel=0.1)
+
+
+def mean_errors(normals: Floats, offsets: Floats, sigma: float, growing: bool) -> Floats:
+    """Return the mean errors (m, 3) of the planes of 20 noisy scans, in standard deviations.
+
+    `normals` (m, 3), `offsets` (m,): planes, of which a ray ends at the first; `growing`: whether
+    the noise grows with the square of the range. The errors are tilt along u and v, and distance.
+    """
+    rng, sums = np.random.default_rng(0), np.zeros((len(normals), 3))
+    for _ in range(20):
+        rays = np.insert(np.tan(rng.uniform(-0.6, 0.6, (8000, 2))), 0, 1.0, axis=1)
+        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        ahead = rays @ normals.T
+        range_m = np.where(ahead > 0, offsets / np.maximum(ahead, 1e-9), np.inf).min(axis=1)
+        range_m += sigma * (range_m**2 / 9 if growing else 1.0) * rng.standard_normal(len(rays))
+        found = PatchSegmenter().fit(range_m[:, None] * rays).patches_
+        for k, row in enumerate((found.normal @ normals.T).argmin(axis=0)):
+            off = np.append(found.axes[row, :2] @ normals[k], found.centre[row] @ normals[k])
+            sums[k] += (off - [0.0, 0.0, offsets[k]]) * np.sqrt(found.information[row])
+    return sums / 20
+
+
+CORNER = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]]), np.array([3.0, 1.0, 1.0])
+
+
+@pytest.mark.parametrize(("sigma", "growing"), [(0.05, False), (0.02, True)])
+def test_noise_does_not_shift_planes_that_meet(sigma: float, growing: bool) -> None:
+    # Points of one plane are taken for another's, and near points count more where noise grows.
+    assert np.abs(mean_errors(*CORNER, sigma, growing)[:, 2]).max() < 1.0
+
+
+@pytest.mark.parametrize("growing", [False, True])
+def test_noise_does_not_tilt_oblique_planes(growing: bool) -> None:
+    normal = np.array([[0.8, 0.6, 0.0]])
+    assert np.abs(mean_errors(normal, np.array([2.5]), 0.05, growing)).max() < 1.0
+
+
+def test_points_that_may_be_of_another_plane_count_only_if_others_are_few() -> None:
+    wall = board([2.0, 0.0, 0.5], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0])
+    floor = board([1.5, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0])
+    points = np.concatenate([wall, floor]) - [0.0, 0.0, 1.0]
+    given = np.repeat([0, 1], 1600), np.full(3200, 0.02)
+    *_, number = condensed(points, *given, 0.1, 60)
+    assert (number < 1550).all()
+    assert (number > 1300).all()
+    *_, all_of_one = condensed(points, *given, 0.1, int(number.min()) + 1)
+    assert sorted(all_of_one.tolist()) == [number.max(), 1600]
 
 
 def test_coplanar_boards_are_one_and_a_step_makes_two() -> None:

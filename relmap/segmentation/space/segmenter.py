@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.core.scan import checked_points
+from relmap.segmentation.space.condensing import condensed
 from relmap.segmentation.space.growing import grown, joined, moments_by, planes_of
 from relmap.segmentation.space.patches import Patches, no_patches, reach_of
 from relmap.segmentation.space.voxels import (
@@ -167,6 +168,7 @@ class PatchSegmenter:
         self, points: Floats, range_m: Floats, voxels: Voxels
     ) -> tuple[Ints, Floats, Ints]:
         """Return the plane (n,) of each point, its noise (n,), and the plane (v,) of each voxel."""
+        from relmap.segmentation.space.condensing_kernels import range_errors
         from relmap.segmentation.space.growing_kernels import label_points
 
         flat = voxels.flat
@@ -189,6 +191,8 @@ class PatchSegmenter:
             name = np.append(np.where(keep, np.cumsum(keep) - 1, -1), -1)
             label, found = name[label], name[found]
             planes = planes_of(moments_of(points, found, int(keep.sum()), noise_m))
+        error_m = range_errors(points, found, planes, GRAZING)
+        noise_m = np.interp(range_m - error_m, *noise)
         return found, noise_m * np.where(found >= 0, steepness, 1.0), label
 
     def _condense(self, points: Floats, cells: Floats, cell_of: Ints, size_m: float) -> None:
@@ -205,9 +209,8 @@ class PatchSegmenter:
         name[order] = np.arange(len(order))
         name = np.append(name[own[:-1]], -1)
         self.labels_, cell_of, number = name[self.labels_], name[cell_of], number[order]
-        middle = moments_of(points, self.labels_, len(order))[:, 1:4] / number[:, None]
-        # About their own mean, so that rounding errors do not grow with the range.
-        sums = moments_of(points, self.labels_, len(order), self.noise_m_, middle)
+        given = points, self.labels_, self.noise_m_, size_m, self.min_points
+        sums, middle, used = condensed(*given)
         shift, variance, axes = principal(sums)
         weight, centre = sums[:, 0], middle + shift
         axes = axes[:, ::-1].copy()
@@ -215,7 +218,7 @@ class PatchSegmenter:
         axes[:, 0] = np.cross(axes[:, 1], axes[:, 2])
         variance = variance[:, ::-1]
         # The thickness of a plane is a better estimate of its noise than its range.
-        expected = number / weight
+        expected = used / weight
         weight = weight * expected / np.maximum(variance[:, 2], 1e-2 * expected)
         tilt = weight[:, None] * (variance[:, :2] - variance[:, 2:])
         cells, cell_of = _cells(cells, cell_of, centre, axes[:, 2])

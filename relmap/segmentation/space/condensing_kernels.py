@@ -1,0 +1,101 @@
+"""Compiled loops over the rays of a scan and its planes; see `relmap.segmentation.space`."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.linalg.compiling import compiled, helper
+
+
+@helper
+def _along(axis: Floats, point: Floats) -> float:
+    return float(axis[0] * point[0] + axis[1] * point[1] + axis[2] * point[2])
+
+
+@compiled
+def range_errors(points: Floats, label: Ints, planes: Floats, grazing: float) -> Floats:
+    """Return how far points (n, 3) are beyond their planes along their rays (n,); 0 without one.
+
+    `label` (n,): the plane of each, -1 for none; `planes` (m, 4): normals and offsets. Rays are
+    taken to meet planes at an angle with at least this sine, `grazing`.
+    """
+    found = np.zeros(len(points))
+    for i in range(len(points)):
+        if label[i] >= 0:
+            plane = planes[label[i]]
+            ahead = _along(plane, points[i])
+            steep = ahead / np.sqrt(_along(points[i], points[i]))
+            found[i] = (ahead - plane[3]) / np.copysign(max(abs(steep), grazing), steep)
+    return found
+
+
+@compiled
+def slid(points: Floats, label: Ints, planes: Floats, error_m: Floats) -> Floats:
+    """Return points (n, 3) slid along their planes to where their rays meet these.
+
+    `label` (n,), `planes` (m, 4), `error_m` (n,): see `range_errors`.
+    """
+    found = points.copy()
+    for i in range(len(points)):
+        if label[i] >= 0:
+            plane, share = planes[label[i]], error_m[i] / np.sqrt(_along(points[i], points[i]))
+            ahead = _along(plane, points[i])
+            for a in range(3):
+                found[i, a] -= share * (points[i, a] - ahead * plane[a])
+    return found
+
+
+@helper
+def _extents(points: Floats, label: Ints, axes: Floats, beyond_m: float) -> Floats:
+    """Return the least and largest coordinates (m, 2, 2) of the points of planes along two axes."""
+    found = np.empty((len(axes), 2, 2))
+    for k in range(len(axes)):
+        for a in range(2):
+            found[k, a, 0], found[k, a, 1] = np.inf, -np.inf
+    for i in range(len(points)):
+        if label[i] >= 0:
+            for k in range(2):
+                at, ends = _along(axes[label[i], 1 + k], points[i]), found[label[i], k]
+                ends[0], ends[1] = min(ends[0], at - beyond_m), max(ends[1], at + beyond_m)
+    return found
+
+
+@compiled
+def undecided(
+    points: Floats,
+    label: Ints,
+    sigma: Floats,
+    planes: Floats,
+    axes: Floats,
+    apart: float,
+    grazing: float,
+    beyond_m: float,
+) -> Bools:
+    """Return which points (n, 3) may be of another plane than theirs, by their rays.
+
+    `label` (n,), `planes` (m, 4), `grazing`: see `range_errors`; `sigma` (n,): noise across planes.
+    `axes` (m, 3, 3): normals and the axes along which planes extend `beyond_m` further than their
+    points. Rays distinguish planes that are `apart` standard deviations of each from each other.
+    """
+    extents, found = _extents(points, label, axes, beyond_m), np.zeros(len(points), dtype=np.bool_)
+    for i in range(len(points)):
+        if label[i] < 0:
+            continue
+        own, range_m = planes[label[i]], np.sqrt(_along(points[i], points[i]))
+        steep = abs(_along(own, points[i])) / range_m
+        wide = max(steep, grazing)
+        near_m = apart * sigma[i] / wide
+        for k in range(len(planes)):
+            other = _along(planes[k], points[i]) / range_m
+            # Where the ray meets its plane, times the angle: its distance from the other plane.
+            off_m = abs(own[3] * other - planes[k, 3] * _along(own, points[i]) / range_m)
+            other = abs(other)
+            if k == label[i] or off_m > near_m * (wide * other + max(other, grazing) * steep):
+                continue
+            u, v = _along(axes[k, 1], points[i]), _along(axes[k, 2], points[i])
+            ends = extents[k]
+            if ends[0, 0] <= u <= ends[0, 1] and ends[1, 0] <= v <= ends[1, 1]:
+                found[i] = True
+                break
+    return found
