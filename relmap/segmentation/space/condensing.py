@@ -18,17 +18,18 @@ from relmap.segmentation.space.voxels import GRAZING, moments_of, principal
 APART = 2.0
 """A ray distinguishes two planes if it meets them farther apart than this many standard deviations
 of each."""
+MOST = 0.5
+"""If fewer than this fraction of the points of a plane are of no other, all of them count."""
 
 
 def condensed(
-    points: Floats, label: Ints, noise_m: Floats, cell_m: float, fewest: int
+    points: Floats, label: Ints, noise_m: Floats, cell_m: float
 ) -> tuple[Floats, Floats, Ints]:
     """Return the weighted moments (m, 10) of planes about their middles, and these (m, 3).
 
     `label` (n,): the plane of each point (n, 3), -1 for none; `noise_m` (n,), metres: noise across
-    planes, which gives the weights. A plane reaches `cell_m` beyond its points. Of planes with
-    fewer than `fewest` points that are of no other one all count. Returns also the numbers (m,) of
-    points that count.
+    planes, which gives the weights. A plane reaches `cell_m` beyond its points. Returns also the
+    numbers (m,) of points that count.
     """
     from relmap.segmentation.space.condensing_kernels import range_errors, slid, undecided
 
@@ -36,8 +37,9 @@ def condensed(
     moments = moments_of(points, label, count, noise_m)
     planes, axes = planes_of(moments), principal(moments)[2]
     mixed = undecided(points, label, noise_m, planes, axes, APART, GRAZING, cell_m)
-    sure = np.bincount(label[(label >= 0) & ~mixed], minlength=count)
-    label = np.where(mixed & np.append(sure >= fewest, False)[label], -1, label)
+    most = MOST * np.bincount(label[label >= 0], minlength=count)
+    enough = np.bincount(label[(label >= 0) & ~mixed], minlength=count) >= most
+    label = np.where(mixed & np.append(enough, False)[label], -1, label)
     at = slid(points, label, planes, range_errors(points, label, planes, GRAZING))
     number = np.bincount(label[label >= 0], minlength=count)
     # About their own mean, so that rounding errors do not grow with the range.

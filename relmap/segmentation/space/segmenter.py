@@ -209,8 +209,7 @@ class PatchSegmenter:
         name[order] = np.arange(len(order))
         name = np.append(name[own[:-1]], -1)
         self.labels_, cell_of, number = name[self.labels_], name[cell_of], number[order]
-        given = points, self.labels_, self.noise_m_, size_m, self.min_points
-        sums, middle, used = condensed(*given)
+        sums, middle, used = condensed(points, self.labels_, self.noise_m_, size_m)
         shift, variance, axes = principal(sums)
         weight, centre = sums[:, 0], middle + shift
         axes = axes[:, ::-1].copy()
