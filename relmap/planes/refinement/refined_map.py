@@ -77,6 +77,23 @@ def refined_map(
     return replace(chained, torn=torn[0]), numbers
 
 
+def straightened(
+    history: PlaneHistory, numbers: WallNumbers, found: WallSubmap, moving: Bools
+) -> WallSubmap | None:
+    """Return a refined map solved again, with the links where it was bent as equations.
+
+    `history`: with these links in `bent`; `numbers`: the association of the map, which is kept; the
+    other arguments are those of `refined_map`. None if it does not converge or gets worse.
+    """
+    span = found.span
+    laid = assemble(history, numbers, among_all(found.poses, span, history), moving)
+    if laid is None:
+        return None
+    best = refined_to_the_noise(refined(laid, CLOSELY, HELD[0]), HELD[0])
+    again = WallSubmap.of(span, poses_of(best, span, history), best, refined=True)
+    return again if _better(again, found, history) else None
+
+
 def _solved(
     history: PlaneHistory,
     numbers: WallNumbers,

@@ -13,12 +13,16 @@ from relmap.core.arrays import Bools, Ints
 from relmap.planes.linking.scan_links import ScanLinks
 from relmap.planes.odometry.steps import Steps, steps_of
 from relmap.planes.plan.floor_plan import floor_plan
-from relmap.planes.refinement.refined_map import refined_map
+from relmap.planes.refinement.bending import bent_steps
+from relmap.planes.refinement.refined_map import refined_map, straightened
 from relmap.planes.scans.beams import BeamStore
 from relmap.planes.submaps.grouped_map import GroupedMap
 from relmap.planes.submaps.submap import WallSubmap
 from relmap.planes.walls.assembly import WallNumbers
 from relmap.planes.walls.history import PlaneHistory
+
+STRAIGHTENED = 2
+"""Maximum number of times that a refined submap is solved again since beams show it bent."""
 
 
 class RefinedWalls(NamedTuple):
@@ -48,14 +52,16 @@ def refined_submaps(grouped: GroupedMap, moving: Bools, links: ScanLinks) -> Ref
     merged = grouped.at_rest(grouped.numbers)
     first = partial(grouped.submaps, merged, moving)
     grouped = with_odometry(grouped, odometry_steps(links, grouped.history, first))
-    submaps, numbers = _refined(grouped, merged, moving)
+    found = _refined(grouped, merged, moving, links.beams)
     odometry = grouped.history.odometry
     if odometry and odometry.needed.any():  # estimated again, more accurately
-        grouped = with_odometry(grouped, odometry_steps(links, grouped.history, lambda: submaps))
-        submaps, numbers = _refined(grouped, merged, moving)
+        grouped = with_odometry(
+            grouped, odometry_steps(links, grouped.history, lambda: found.submaps)
+        )
+        found = _refined(grouped, merged, moving, links.beams)
     # Without beams no link was verified, and the chained map is as good as any part of it.
-    submaps = [replace(one, torn=one.torn[: len(links.beams)]) for one in submaps]
-    return RefinedWalls(submaps, numbers, grouped.history)
+    submaps = [replace(one, torn=one.torn[: len(links.beams)]) for one in found.submaps]
+    return RefinedWalls(submaps, found.numbers, found.history)
 
 
 def planned_submaps(refined: RefinedWalls, moving: Bools, beams: BeamStore) -> PlannedWalls:
@@ -73,20 +79,38 @@ def planned_submaps(refined: RefinedWalls, moving: Bools, beams: BeamStore) -> P
 
 
 def _refined(
-    grouped: GroupedMap, merged: WallNumbers, moving: Bools
-) -> tuple[list[WallSubmap], WallNumbers]:
-    """Return the submaps and the association; `merged` is that of the grouped map."""
+    grouped: GroupedMap, merged: WallNumbers, moving: Bools, beams: BeamStore
+) -> RefinedWalls:
+    """Return the refined submaps; `merged` is the association of the grouped map."""
     numbers, submaps = grouped.at_rest(grouped.unmerged), list[WallSubmap]()
+    history = grouped.history
     for submap in grouped.submaps(numbers, moving):
-        found, own = refined_map(grouped.history, numbers, submap, moving)
+        found, own = refined_map(history, numbers, submap, moving)
         if found.refined:
+            found, history = _straight(found, own, history, moving, beams)
             submaps.append(found)
             numbers = own
         else:
             chained = grouped.submap(submap.span, merged, moving)
             submaps.append(replace(chained, torn=found.torn))
             numbers = grouped.with_those_of(submap.span, numbers, merged)
-    return submaps, numbers
+    return RefinedWalls(submaps, numbers, history)
+
+
+def _straight(
+    submap: WallSubmap, numbers: WallNumbers, history: PlaneHistory, moving: Bools, beams: BeamStore
+) -> tuple[WallSubmap, PlaneHistory]:
+    """Return a refined submap without the bends that beams show, and the history with these."""
+    for _ in range(STRAIGHTENED if len(beams) else 0):
+        bent = np.union1d(history.bent, bent_steps(submap, history, beams))
+        if len(bent) == len(history.bent):
+            break
+        more = replace(history, bent=bent)
+        found = straightened(more, numbers, submap, moving)
+        if found is None:
+            break
+        submap, history = found, more
+    return submap, history
 
 
 def with_odometry(grouped: GroupedMap, odometry: Steps | None) -> GroupedMap:

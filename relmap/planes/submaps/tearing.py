@@ -33,18 +33,21 @@ def torn_links(poses: Floats, motions: Floats) -> Ints:
     `poses` (k, 4, 4); `motions` (k, 3): yaw, x, y from the previous robot frame to that of each
     iteration.
     """
-    way_m, turn = _off(poses, motions)
+    way_m, turn = deviations(poses, motions)
     return 1 + np.flatnonzero((way_m > APART_M) | (turn > APART_RAD))
 
 
 def _off_m(poses: Floats, motions: Floats) -> Floats:
     """Return the disagreement of a path with each of its links, NaN where unknown."""
-    way_m, turn = _off(poses, motions)
+    way_m, turn = deviations(poses, motions)
     return np.asarray(way_m + LEVER_M * turn)
 
 
-def _off(poses: Floats, motions: Floats) -> tuple[Floats, Floats]:
-    """Return the same for translation, metres, and rotation, radians."""
+def deviations(poses: Floats, motions: Floats) -> tuple[Floats, Floats]:
+    """Return how far the steps of a path are off its links (k - 1,), metres and radians.
+
+    NaN where unknown; the arguments are those of `torn_links`.
+    """
     relative = np.linalg.inv(poses[1:]) @ poses[:-1]
     turn = np.arctan2(relative[:, 1, 0], relative[:, 0, 0]) - motions[1:, 0]
     way_m = np.hypot(*(relative[:, :2, 3] - motions[1:, 1:]).T)

@@ -53,7 +53,7 @@ def undetermined_steps(
         steps = from_matrices(np.linalg.inv(submap.poses[rows[:-1]]) @ submap.poses[rows[1:]])
         scans = (submap.first_iteration + rows).tolist()
         for (before, scan), step in zip(pairwise(scans), steps, strict=True):
-            earlier, later = (_beams_of(k, history, links.beams) for k in (before, scan))
+            earlier, later = (beams_of(k, history, links.beams) for k in (before, scan))
             if len(earlier) and len(later):
                 one_wall = earlier.on_one_wall or later.on_one_wall
                 weak[scan] = one_wall or _excluded(step, free[scan], earlier, later) < least[scan]
@@ -71,7 +71,7 @@ def unsupported_links(history: PlaneHistory, links: LinkRecord) -> Ints:
     tied = 1 + np.flatnonzero((np.diff(history.submap) == 0) & (history.submap[1:] >= 0))
     free, found = _free_directions(history), list[int]()
     for scan in tied[_unusual(tied, history) & ~np.isinf(links.evidence[tied])].tolist():
-        earlier, later = (_beams_of(k, history, links.beams) for k in (scan - 1, scan))
+        earlier, later = (beams_of(k, history, links.beams) for k in (scan - 1, scan))
         step = inverse(history.motion[scan])
         if len(earlier) and len(later) and _excluded(step, free[scan], earlier, later) < 0:
             found.append(scan)
@@ -94,7 +94,8 @@ def _have_odometry(links: LinkRecord) -> bool:
     return links.wheels.noise_over_all(links.motions, links.measured) is not None
 
 
-def _beams_of(scan: int, history: PlaneHistory, beams: BeamStore) -> Beams:
+def beams_of(scan: int, history: PlaneHistory, beams: BeamStore) -> Beams:
+    """Return the beams of a scan, some of them on its walls."""
     begin, end = np.searchsorted(history.iteration, [scan, scan + 1]).tolist()
     return beams.of(scan, history.ends[begin:end])
 

@@ -22,6 +22,9 @@ LINK_M, LINK_RAD = 0.07, 0.015
 WEAK_M, WEAK_RAD = 0.1, 0.05
 """The same for a weak link. Otherwise a run of them can shrink or grow without limit (a simulated
 building with 15 people was off by 0.64 m instead of 0.03 m)."""
+BENT_M, BENT_RAD = 0.014, 0.003
+"""The same for a link that beams prefer to the step of a refined map: less, to outweigh the wall
+that bends it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +56,8 @@ class PlaneHistory:
         Angle between the beams of the laser; 0 if unknown.
     same : (k, 2) int64
         Numbers that are the same wall, according to links found later.
+    bent : (b,) int64
+        Iterations at which a refined map was bent, ascending: their motions are kept as equations.
     """
 
     iteration: Ints
@@ -67,6 +72,7 @@ class PlaneHistory:
     measured: Bools | None = None
     spacing_rad: float = 0.0
     same: Ints = field(default_factory=lambda: np.empty((0, 2), dtype=np.int64))
+    bent: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
 
     @property
     def n_iterations(self) -> int:
@@ -89,7 +95,7 @@ class PlaneHistory:
         """Return the equations for the motions between some iterations (k,).
 
         They are those of odometry, if there is any, and motions between scans that share few walls
-        that cross.
+        that cross, or where a refined map was bent.
         """
         factors = self._links(iterations)
         if self.odometry and self.odometry.needed.any():
@@ -97,17 +103,19 @@ class PlaneHistory:
         return factors
 
     def _links(self, iterations: Ints) -> MotionFactors:
-        """Return the motions between consecutive iterations that share few walls that cross."""
+        """Return the motions between some consecutive iterations; see `factors`."""
         if self.measured is None:
             return MotionFactors()
         before, after = iterations[:-1], iterations[1:]
         sure = self.measured[after] & ~np.isin(after, self.weak_links)
-        known = (self._shared[0][after] < CROSSINGS) & (after == before + 1)
+        bent = np.isin(after, self.bent)
+        known = ((self._shared[0][after] < CROSSINGS) | bent) & (after == before + 1)
         if self.odometry:
             known &= ~self.odometry.needed[after]
         pairs = np.flatnonzero(known & (self.submap[before] == self.submap[after]))
         steps = inverse(self.motion[after[pairs]])
         sd = np.where(sure[pairs, None], (LINK_RAD, LINK_M), (WEAK_RAD, WEAK_M))
+        sd[bent[pairs]] = BENT_RAD, BENT_M
         return MotionFactors(np.column_stack([pairs, pairs + 1]), steps, sd)
 
     @cached_property
