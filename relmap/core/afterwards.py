@@ -117,7 +117,7 @@ def _close_loops(engine: RelativeMapper, rows: SegmentRows, noise_m: float) -> N
 
 def _join_places(engine: RelativeMapper, rows: SegmentRows, noise_m: float) -> None:
     """Join places that a refined map shows twice, one beside the other."""
-    tolerance_m = TOLERANCE * engine.model.position_spread * noise_m
+    tolerance_m = TOLERANCE * engine.model.position_spread * float(np.nan_to_num(noise_m))
     for place in list(places_shown_twice(engine.table, Sightings(rows, engine.table), tolerance_m)):
         pairs = place.pairs[engine.table.is_own[place.pairs].all(axis=1)]
         pairs = pairs[engine.merger.allowed(pairs)]

@@ -18,6 +18,7 @@ from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.association.placement import Placement, consistent_placements
 from relmap.core.association.reobservation.evidence import ENOUGH, LOG_CHANCE
 from relmap.core.association.reobservation.loops import Loop
+from relmap.core.association.reobservation.recognition import EXACT
 from relmap.core.association.reobservation.sightings import Sightings
 from relmap.core.association.reobservation.tying import CLEAR, NEIGHBOURHOOD, OVERLAP
 from relmap.core.association.scale import spacing_of
@@ -69,12 +70,14 @@ class _Search:
     """
 
     def __init__(self, at: Floats, met: csr_array, tolerance_m: float) -> None:
-        self._at, self._met, self._tolerance_m = at, met, tolerance_m
-        self._tree, self._apart_m = cKDTree(at), spacing_of(at)
+        self._at, self._met, self._tree = at, met, cKDTree(at)
+        self._apart_m = spacing_of(at)
+        self._tolerance_m = max(tolerance_m, EXACT * self._apart_m)
 
     def neighbourhood(self, seed: int) -> tuple[Ints, Ints]:
         """Return the landmarks seen with one of them, the nearest first, and those nearby."""
-        together = self._met[[seed]].nonzero()[1].astype(np.int64)
+        begin, end = self._met.indptr[[seed, seed + 1]]
+        together: Ints = self._met.indices[begin:end].astype(np.int64)
         apart = np.linalg.norm(self._at[together] - self._at[seed], axis=1)
         together = together[np.argsort(apart, kind="stable")]
         return together, together[:NEIGHBOURHOOD]
@@ -86,36 +89,39 @@ class _Search:
         """
         at, d, tolerance_m = self._at, self._at.shape[1], self._tolerance_m
         reach_m = float(np.linalg.norm(at[around[-1]] - at[seed]))
-        strangers = self._strangers(seed, around, reach_m)
-        if len(strangers) < ENOUGH:
-            return None
-        met = self._met[strangers][:, around].toarray()
-        one, other = np.nonzero(~met)
-        pairs = np.column_stack([strangers[one], around[other]])
-        apart = np.linalg.norm(at[pairs[:, 0]] - at[pairs[:, 1]], axis=1)
-        pairs = pairs[np.argsort(apart, kind="stable")[:CANDIDATES]]
+        strangers, pairs = self._candidates(seed, together, around, reach_m)
         found = consistent_placements(at, at, pairs, tolerance_m, tolerance_m)
         placement, matches = next(found, (None, pairs[:0]))
         if placement is None:
             return None
         rival = len(next(found, (None, pairs[:0]))[1])
         matches = self._one_to_one(placement, matches)
+        if len(matches) < SHARE * len(strangers) or rival > CLEAR * len(matches):
+            return None
         share = min(np.log(2) * (tolerance_m / self._apart_m) ** d, 0.5)
         placements = d * (d + 1) / 2 * np.log(1 + 2 * reach_m / tolerance_m) + np.log(len(at))
-        chance = log_chance(len(strangers), len(matches), share, placements)
-        if chance > LOG_CHANCE or len(matches) < SHARE * len(strangers):
+        if log_chance(len(strangers), len(matches), share, placements) > LOG_CHANCE:
             return None
         inside = _inside(at[matches[:, 0]], at[together])
-        if rival > CLEAR * len(matches) or inside.mean() < AMONG:
-            return None
-        return placement, matches
+        return (placement, matches) if inside.mean() >= AMONG else None
 
-    def _strangers(self, seed: int, around: Ints, reach_m: float) -> Ints:
-        """Return the landmarks (k,) near one of them that were not seen with most around it."""
+    def _candidates(
+        self, seed: int, together: Ints, around: Ints, reach_m: float
+    ) -> tuple[Ints, Ints]:
+        """Return landmarks (n,) near one of them that were not seen with most around it.
+
+        And pairs (k, 2) of these and those around it that they may be, the nearest first.
+        """
         near = np.array(sorted(self._tree.query_ball_point(self._at[seed], reach_m)))
-        met = self._met[near][:, around].toarray()
-        is_other = ~self._met[near][:, [seed]].toarray()[:, 0]
-        return np.asarray(near[is_other & (met.mean(axis=1) < STRANGE)], dtype=np.int64)
+        strangers = near[~np.isin(near, together)]
+        if len(strangers) < ENOUGH:
+            return strangers, np.empty((0, 2), dtype=np.int64)
+        met = self._met[strangers][:, around].toarray()
+        is_other = met.mean(axis=1) < STRANGE
+        strangers, (one, other) = strangers[is_other], np.nonzero(~met[is_other])
+        pairs = np.column_stack([strangers[one], around[other]])
+        apart = np.linalg.norm(self._at[pairs[:, 0]] - self._at[pairs[:, 1]], axis=1)
+        return strangers, pairs[np.argsort(apart, kind="stable")[:CANDIDATES]]
 
     def _one_to_one(self, placement: Placement, matches: Ints) -> Ints:
         """Return matches (k, 2) that a placement brings together, each landmark once."""
