@@ -46,7 +46,7 @@ def settled_chain(
     if is_open:
         state = _bent(problem, state)
     is_known = sigmas is not None
-    found, problem = _with_noise(problem, step_sd, state, anchor, is_known, to_the_last)
+    found, problem = _with_noise(problem, state, is_known, to_the_last)
     if not is_known and not is_open:
         found = _better(problem, found)
     if to_the_last:
@@ -57,12 +57,7 @@ def settled_chain(
 
 
 def _with_noise(
-    problem: ChainProblem,
-    step_sd: tuple[Floats, Floats],
-    state: Chained,
-    anchor: int,
-    is_known: bool,
-    to_the_last: bool,
+    problem: ChainProblem, state: Chained, is_known: bool, to_the_last: bool
 ) -> tuple[Solution[Chained], ChainProblem]:
     """Return the solution, and the problem with the noise estimated from its residuals in turn."""
     for _ in range(TIMES):
@@ -74,10 +69,7 @@ def _with_noise(
         sigmas, before = problem.components(state, found.weight), problem.sigmas
         ratios = [a / b for a, b in zip(sigmas, before, strict=True)]
         is_known = max(abs(np.log(ratio)) for ratio in ratios) < SETTLED
-        whole, pattern = problem.turns_whole, problem.pattern
-        problem = ChainProblem(
-            problem.chain, step_sd, sigmas, state.positions, anchor, pattern, whole
-        )
+        problem = problem.with_noise(sigmas, state.positions)
     return found, problem
 
 

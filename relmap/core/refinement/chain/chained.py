@@ -7,6 +7,7 @@ is estimated from the residuals (variance components; Foerstner, 1979).
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -93,24 +94,21 @@ class ChainProblem:
         sigmas: Sigmas,
         positions: Floats,
         anchor: int,
-        pattern: Pattern | None = None,
         turns_whole: bool = True,
     ) -> None:
         self.turns_whole = turns_whole
         n, d = chain.points.shape
         m, k, q = len(positions), len(chain.motion) + 1, 3 if d == 3 else 1
-        self.chain, self.sigmas, self._anchor, self._q = chain, sigmas, anchor, q
-        self._root = chain.root / sigmas.seen
+        self.chain, self._anchor, self._q, self._single_sd = chain, anchor, q, step_sd
         self.moved = np.flatnonzero(np.isfinite(chain.motion[:, 0, 0]))
         motion = chain.motion[self.moved]
         self._t, R = motion[:, :d, 3], motion[:, :3, :3]
         self._way = np.linalg.norm(self._t, axis=1)
         turn = Rotation.from_matrix(R).as_rotvec() if len(R) else np.empty((0, 3))
         self._turn = turn if d == 3 else turn[:, 2:]
-        self._step_sd = step_sd[0][self.moved] * sigmas.way, step_sd[1][self.moved] * sigmas.turn
+        self._set_noise(sigmas, positions)
         self.freedoms = max(n * d + len(self.moved) * (d + q) - m * d - (k - 1) * (d + q), 1)
-        self.rounding = float(np.sum(self._root**2)) * (ROUNDING * size_of(positions)) ** 2
-        self.pattern = pattern or _pattern(chain, self.moved, m, k, d, q)
+        self.pattern = _pattern(chain, self.moved, m, k, d, q)
         first = self.pattern.first
         pose = first[m : m + k, None] + np.arange(d + q)
         constant = np.broadcast_to(first[-1] + np.arange(q + 2), (len(self.moved), q + 2))
@@ -127,6 +125,18 @@ class ChainProblem:
         self._base = chain.iteration[order][(begin + end) // 2]
         self._at_seen = self.pattern.lower(self._of_seen)
         self._at_moved = self.pattern.lower(self._of_moved)
+
+    def with_noise(self, sigmas: Sigmas, positions: Floats) -> ChainProblem:
+        """Return the problem with another noise; `positions` (m, d), metres: approximate."""
+        problem = copy(self)
+        problem._set_noise(sigmas, positions)
+        return problem
+
+    def _set_noise(self, sigmas: Sigmas, positions: Floats) -> None:
+        way_m, turn_rad = (sd[self.moved] for sd in self._single_sd)
+        self.sigmas, self._root = sigmas, self.chain.root / sigmas.seen
+        self._step_sd = way_m * sigmas.way, turn_rad * sigmas.turn
+        self.rounding = float(np.sum(self._root**2)) * (ROUNDING * size_of(positions)) ** 2
 
     @property
     def parts(self) -> tuple[slice, slice, slice]:
@@ -282,13 +292,11 @@ def _angles(R: Floats) -> Floats:
 def _pattern(chain: Chain, moved: Ints, m: int, k: int, d: int, q: int) -> Pattern:
     """Return the pattern of landmarks, poses and constant errors, ordered for little fill-in."""
     width = np.concatenate([np.full(m, d), np.full(k, d + q), [q + 2]])
-    pairs = np.unique(np.column_stack([m + chain.iteration, chain.landmark]), axis=0)
-    poses, begin = np.unique(pairs[:, 0], return_index=True)
-    cliques = [
-        np.append(of, pose)
-        for pose, of in zip(poses, np.split(pairs[:, 1], begin[1:]), strict=True)
-    ]
-    cliques += list(np.column_stack([m + moved, m + moved + 1, np.full(len(moved), m + k)]))
-    cliques += [np.array([b]) for b in range(m + k + 1)]
-    begin = np.append(0, np.cumsum([len(clique) for clique in cliques]))
-    return Pattern.of_cliques(width, begin, np.concatenate(cliques).astype(np.int64))
+    pairs = np.unique(chain.iteration * m + chain.landmark)
+    poses, counts = np.unique(pairs // m, return_counts=True)
+    scans = np.insert(pairs % m, np.cumsum(counts), m + poses)
+    steps = np.column_stack([m + moved, m + moved + 1, np.full(len(moved), m + k)]).ravel()
+    alone = np.arange(m + k + 1)
+    sizes = np.concatenate([counts + 1, np.full(len(moved), 3), np.ones_like(alone)])
+    begin = np.append(0, np.cumsum(sizes))
+    return Pattern.of_cliques(width, begin, np.concatenate([scans, steps, alone]))
