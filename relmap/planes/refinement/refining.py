@@ -100,16 +100,18 @@ def _refined(
 def _straight(
     submap: WallSubmap, numbers: WallNumbers, history: PlaneHistory, moving: Bools, beams: BeamStore
 ) -> tuple[WallSubmap, PlaneHistory]:
-    """Return a refined submap without the bends that beams show, and the history with these."""
-    for _ in range(STRAIGHTENED if len(beams) else 0):
-        bent = np.union1d(history.bent, bent_steps(submap, history, beams))
-        if len(bent) == len(history.bent):
-            break
-        more = replace(history, bent=bent)
+    """Return a refined submap with fewer of the bends that beams show, and the history with these.
+
+    Solving again moves the whole submap a little: it must be worth it.
+    """
+    bent = bent_steps(submap, history, beams) if len(beams) else np.empty(0, dtype=np.int64)
+    for _ in range(STRAIGHTENED if len(bent) else 0):
+        more = replace(history, bent=np.union1d(history.bent, bent))
         found = straightened(more, numbers, submap, moving)
-        if found is None:
+        left = bent if found is None else bent_steps(found, more, beams)
+        if found is None or len(left) >= len(bent):
             break
-        submap, history = found, more
+        submap, history, bent = found, more, left
     return submap, history
 
 
