@@ -102,14 +102,17 @@ def _straight(
 ) -> tuple[WallSubmap, PlaneHistory]:
     """Return a refined submap with fewer of the bends that beams show, and the history with these.
 
-    Solving again moves the whole submap a little: it must be worth it.
+    Solving again moves the whole submap a little: it is kept if fewer steps are bent then, and none
+    of those that are held to their links.
     """
     bent = bent_steps(submap, history, beams) if len(beams) else np.empty(0, dtype=np.int64)
     for _ in range(STRAIGHTENED if len(bent) else 0):
         more = replace(history, bent=np.union1d(history.bent, bent))
         found = straightened(more, numbers, submap, moving)
-        left = bent if found is None else bent_steps(found, more, beams)
-        if found is None or len(left) >= len(bent):
+        if found is None:
+            break
+        left = bent_steps(found, more, beams)
+        if len(left) >= len(bent) or np.isin(left, more.bent).any():
             break
         submap, history, bent = found, more, left
     return submap, history
