@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.sparse import csr_array
@@ -11,6 +13,7 @@ from relmap import PointMapper
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.association.reobservation.doubling import places_shown_twice
 from relmap.core.association.reobservation.sightings import Sightings, rows_of_tracks
+from relmap.core.geometry.alignment import fit_rigid
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.state.table import LandmarkState
 from relmap.simulation import WorldSpec, simulate_world
@@ -55,11 +58,12 @@ def test_a_stretch_beside_the_place_that_it_shows_is_found(d: int, n_again: int)
     if not n_again:
         assert not found
         return
-    later, older = found[0].pairs.T
+    later, older = found[0].T
     same = np.concatenate([np.arange(60), again])
     np.testing.assert_array_equal(same[later], same[older])
     assert len(later) >= 6
-    moved = found[0].placement.apply(table.position[later])
+    R, t = fit_rigid(table.position[later], table.position[older])
+    moved = table.position[later] @ R.T + t
     assert np.linalg.norm(moved - table.position[older], axis=1).max() <= TOLERANCE_M
 
 
@@ -76,6 +80,14 @@ def test_the_two_faces_of_a_wall_are_not_one() -> None:
     assert not list(places_shown_twice(table, Seen(shown), TOLERANCE_M))
 
 
+def test_a_stretch_that_fits_after_several_shifts_is_left() -> None:
+    """Part of a lattice amid another one, half a period off: it fits a period farther as well."""
+    at = np.stack(np.meshgrid(np.arange(8.0), np.arange(8.0)), axis=-1).reshape(-1, 2)
+    amid = at[(np.abs(at - 3.5) < 2).all(axis=1)] + 0.5
+    shown = np.repeat(np.eye(2, dtype=np.bool_), [len(at), len(amid)], axis=1)
+    assert not list(places_shown_twice(mapped(np.vstack([at, amid])), Seen(shown), TOLERANCE_M))
+
+
 def test_a_lattice_is_not_shifted_by_a_period() -> None:
     at = np.stack(np.meshgrid(np.arange(12.0), np.arange(8.0)), axis=-1).reshape(-1, 2)
     shown = np.array([at[:, 0] < 6, at[:, 0] >= 6])
@@ -87,7 +99,8 @@ def test_landmarks_that_were_seen_together() -> None:
     labels = [mapper.update(scan.points_robot) for scan in world.log.scans()]
     mapper.finish()
     engine = mapper.engine
-    sightings = Sightings(rows_of_tracks(engine.rows, engine.table), engine.table)
+    rows = rows_of_tracks(engine.rows, engine.table)
+    sightings = Sightings(rows, engine.table)
     own = np.flatnonzero(engine.table.weight > 0)
     shown = np.array([np.isin(own, mapper.landmarks_of(seen)) for seen in labels])
     together = (shown.T.astype(int) @ shown) > 0
@@ -96,3 +109,8 @@ def test_landmarks_that_were_seen_together() -> None:
     both = [together[one] & together[other] for one, other in pairs]
     expected = [b.sum() - b[one] - b[other] for b, (one, other) in zip(both, pairs, strict=True)]
     np.testing.assert_array_equal(sightings.seen_with_both(own[pairs], own), expected)
+    for kept in (engine.table.now(rows.landmark) != own[-1], np.zeros(len(rows.landmark), bool)):
+        columns = {name: getattr(rows, name)[kept] for name in ("landmark", "segment", "visible")}
+        fewer = Sightings(replace(rows, **columns), engine.table).met(own).toarray()
+        np.testing.assert_array_equal(fewer[:-1, :-1], together[:-1, :-1] & kept.any())
+        assert not fewer[-1].any()

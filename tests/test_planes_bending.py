@@ -11,7 +11,10 @@ import pytest
 from relmap.core.arrays import Floats
 from relmap.planes import PlaneMapper
 from relmap.planes.linking.registration import PlaneRegistration
+from relmap.planes.refinement import refining
 from relmap.planes.refinement.bending import bent_steps
+from relmap.planes.submaps.submap import WallSubmap
+from relmap.planes.walls.history import PlaneHistory
 from tests.test_planes_undetermined import along
 
 BEHIND = np.array([[-3.0, 2.5], [-3.0, -2.5], [-1.0, -2.5]])
@@ -85,3 +88,28 @@ def test_beams_show_where_a_map_is_bent_but_not_a_link(mapper: PlaneMapper) -> N
     beyond = bent.poses.copy()
     beyond[STEP - 1] = np.nan
     assert bent_steps(replace(bent, poses=beyond), history, beams).tolist() == []
+
+
+@pytest.mark.parametrize(
+    ("left", "is_kept"),
+    [([], True), ([STEP + 9], True), ([STEP], False), ([STEP + 8, STEP + 9], False)],
+    ids=["straight", "one-left", "still-bent", "bent-elsewhere"],
+)
+def test_a_map_solved_again_is_kept_only_if_it_is_straighter(
+    mapper: PlaneMapper, monkeypatch: pytest.MonkeyPatch, left: list[int], is_kept: bool
+) -> None:
+    found = iter([np.array([STEP, STEP + 5]), np.array(left, dtype=np.int64), np.array([], int)])
+    monkeypatch.setattr(refining, "bent_steps", lambda *_: next(found))
+    tried: list[list[int]] = []
+
+    def straightened(history: PlaneHistory, *_: object) -> WallSubmap:
+        tried.append(history.bent.tolist())
+        return replace(submap, poses=submap.poses + len(tried))
+
+    monkeypatch.setattr(refining, "straightened", straightened)
+    [submap] = mapper.submaps
+    mapper.refine()
+    [refined] = mapper.submaps
+    assert tried[0] == [STEP, STEP + 5]
+    assert (len(tried) > 1) == (is_kept and len(left) > 0)
+    assert np.array_equal(refined.poses, submap.poses + len(tried)) == is_kept

@@ -150,3 +150,10 @@ def test_worlds_that_were_once_wrong_are_right(spec: WorldSpec, worst: float) ->
     id_of = stands_for(mapper.landmarks_of(labels), world.true_ids)
     mapped = {int(i) for k, i in id_of.items() if k in mapper.map.landmark_ids}
     assert len(mapped & set(np.flatnonzero(often).tolist())) >= 0.97 * often.sum()
+
+
+def test_finishing_a_refined_map_again_leaves_it() -> None:
+    mapper, _ = mapped_world(simulate_world(WorldSpec(kind="ring", length_m=250.0, iterations=180)))
+    before = mapper.map.positions
+    mapper.finish()
+    np.testing.assert_allclose(mapper.map.positions, before, atol=1e-9)

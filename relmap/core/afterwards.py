@@ -12,6 +12,7 @@ from relmap.core.association.reobservation.sightings import Sightings, rows_of_t
 from relmap.core.association.reobservation.strays import find_strays
 from relmap.core.association.reobservation.tying import CLEAR, tie_submaps
 from relmap.core.gaps import bridge_gaps, is_bridged
+from relmap.core.geometry.alignment import fit_rigid
 from relmap.core.grouping.chart import PointChart
 from relmap.core.grouping.dynamics import FEWEST
 from relmap.core.map.bending import bend
@@ -119,11 +120,16 @@ def _join_places(engine: RelativeMapper, rows: SegmentRows, noise_m: float) -> N
     """Join places that a refined map shows twice, one beside the other."""
     tolerance_m = TOLERANCE * engine.model.position_spread * float(np.nan_to_num(noise_m))
     for place in list(places_shown_twice(engine.table, Sightings(rows, engine.table), tolerance_m)):
-        pairs = place.pairs[engine.table.is_own[place.pairs].all(axis=1)]
+        pairs = place[engine.table.is_own[place].all(axis=1)]
         pairs = pairs[engine.merger.allowed(pairs)]
-        if len(pairs) > CLEAR * len(place.pairs):
-            bend(engine.map, rows, pairs, place.placement.R, place.placement.t)
-            engine.merge_pairs(mergeable(engine.table, pairs))
+        if len(pairs) > CLEAR * len(place):
+            # Places joined before may have moved this one.
+            here, there = (engine.table.position[of] for of in pairs.T)
+            R, t = fit_rigid(here, there)
+            off_m = np.linalg.norm(here @ R.T + t - there, axis=1)
+            if np.median(off_m) <= tolerance_m:
+                bend(engine.map, rows, pairs, R, t)
+                engine.merge_pairs(mergeable(engine.table, pairs))
 
 
 def find_again(engine: RelativeMapper) -> None:

@@ -176,7 +176,7 @@ class PointMapper(Mapper):
 
     def _finish(self) -> None:
         super()._finish()
-        if self.config.refine_live:
+        if self.config.refine_live and not self.engine.refined:
             self.engine.live.complete()
             self.engine.merger.look_again()
         bridge_gaps(self.engine)

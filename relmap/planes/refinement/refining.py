@@ -106,7 +106,9 @@ def _straight(
     of those that are held to their links.
     """
     bent = bent_steps(submap, history, beams) if len(beams) else np.empty(0, dtype=np.int64)
-    for _ in range(STRAIGHTENED if len(bent) else 0):
+    for _ in range(STRAIGHTENED):
+        if not len(bent):
+            break
         more = replace(history, bent=np.union1d(history.bent, bent))
         found = straightened(more, numbers, submap, moving)
         if found is None:

@@ -17,7 +17,6 @@ from scipy.spatial import ConvexHull, QhullError, cKDTree
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.association.placement import Placement, consistent_placements
 from relmap.core.association.reobservation.evidence import ENOUGH, LOG_CHANCE
-from relmap.core.association.reobservation.loops import Loop
 from relmap.core.association.reobservation.recognition import EXACT
 from relmap.core.association.reobservation.sightings import Sightings
 from relmap.core.association.reobservation.tying import CLEAR, NEIGHBOURHOOD, OVERLAP
@@ -25,11 +24,9 @@ from relmap.core.association.scale import spacing_of
 from relmap.core.association.search import log_chance
 from relmap.core.state.table import NONE, LandmarkState
 
-SHARE = 0.5
-"""Fraction of the landmarks of a stretch that must match."""
 AMONG = 0.25
-"""Fraction of these that must lie among the others seen with those that they match: the two faces
-of a wall are not seen together either."""
+"""Fraction of the landmarks of a stretch that must lie in the convex hull of what was seen with the
+landmark amid the neighbourhood: the two faces of a wall are not seen together either."""
 STRANGE = 0.5
 """Largest fraction of a neighbourhood that was seen with a landmark of the other stretch."""
 CANDIDATES = 400
@@ -38,16 +35,18 @@ CANDIDATES = 400
 
 def places_shown_twice(
     table: LandmarkState, sightings: Sightings, tolerance_m: float
-) -> Iterator[Loop]:
-    """Yield the places that a submap shows twice.
+) -> Iterator[Ints]:
+    """Yield pairs (k, 2) of landmarks of a stretch and those that they are, beside it.
 
     `table`: of a refined map; `tolerance_m`: largest distance between the positions of one landmark
     after placement.
     """
     for submap in np.unique(table.submap[table.submap != NONE]).tolist():
         own = np.flatnonzero(table.submap == submap)
-        if len(own) < 2 * NEIGHBOURHOOD:
+        if len(own) < 2 * NEIGHBOURHOOD or not spacing_of(table.position[own]) > 0:
             continue
+        if table.last[own].min() >= table.since[own].max():
+            continue  # every landmark was seen together with every other
         search = _Search(table.position[own], sightings.met(own), tolerance_m)
         had = np.zeros(len(own), dtype=np.bool_)
         for seed in range(len(own)):
@@ -57,10 +56,10 @@ def places_shown_twice(
             if len(around) <= ENOUGH:
                 continue
             had[around[: max(1, len(around) // OVERLAP)]] = True
-            found = search.shift(seed, together, around)
-            if found is not None:
-                had[found[1]] = True
-                yield Loop(own[found[1]], found[0])
+            pairs = search.pairs(seed, together, around)
+            if len(pairs):
+                had[pairs] = True
+                yield own[pairs]
 
 
 class _Search:
@@ -75,35 +74,36 @@ class _Search:
         self._tolerance_m = max(tolerance_m, EXACT * self._apart_m)
 
     def neighbourhood(self, seed: int) -> tuple[Ints, Ints]:
-        """Return the landmarks seen with one of them, the nearest first, and those nearby."""
+        """Return the landmarks seen with one of them, and the nearest of these; nearest first."""
         begin, end = self._met.indptr[[seed, seed + 1]]
         together: Ints = self._met.indices[begin:end].astype(np.int64)
         apart = np.linalg.norm(self._at[together] - self._at[seed], axis=1)
         together = together[np.argsort(apart, kind="stable")]
         return together, together[:NEIGHBOURHOOD]
 
-    def shift(self, seed: int, together: Ints, around: Ints) -> tuple[Placement, Ints] | None:
-        """Return the motion of a stretch onto a neighbourhood, and pairs (k, 2) of both, if sure.
+    def pairs(self, seed: int, together: Ints, around: Ints) -> Ints:
+        """Return pairs (k, 2) of a stretch and a neighbourhood that one motion brings together.
 
-        The first of each pair is of the stretch.
+        None unless sure.
         """
+        none = np.empty((0, 2), dtype=np.int64)
         at, d, tolerance_m = self._at, self._at.shape[1], self._tolerance_m
         reach_m = float(np.linalg.norm(at[around[-1]] - at[seed]))
         strangers, pairs = self._candidates(seed, together, around, reach_m)
         found = consistent_placements(at, at, pairs, tolerance_m, tolerance_m)
         placement, matches = next(found, (None, pairs[:0]))
         if placement is None:
-            return None
+            return none
         rival = len(next(found, (None, pairs[:0]))[1])
         matches = self._one_to_one(placement, matches)
-        if len(matches) < SHARE * len(strangers) or rival > CLEAR * len(matches):
-            return None
+        if rival > CLEAR * len(matches):
+            return none
         share = min(np.log(2) * (tolerance_m / self._apart_m) ** d, 0.5)
         placements = d * (d + 1) / 2 * np.log(1 + 2 * reach_m / tolerance_m) + np.log(len(at))
         if log_chance(len(strangers), len(matches), share, placements) > LOG_CHANCE:
-            return None
+            return none
         inside = _inside(at[matches[:, 0]], at[together])
-        return (placement, matches) if inside.mean() >= AMONG else None
+        return matches if inside.mean() >= AMONG else none
 
     def _candidates(
         self, seed: int, together: Ints, around: Ints, reach_m: float

@@ -37,10 +37,12 @@ class Sightings:
         return len(np.intersect1d(here, there)) > share * min(len(here), len(there))
 
     def met(self, landmarks: Ints) -> csr_array:
-        """Return which of landmarks (k,) were seen in one scan with which, (k, k), and itself."""
+        """Return for each two of some landmarks (k,) whether a scan shows both; (k, k)."""
         scans = [self._scans(self._rows(landmark)) for landmark in landmarks.tolist()]
         of = np.repeat(np.arange(len(scans)), [len(each) for each in scans])
-        seen = csr_array((np.ones(len(of), dtype=np.int32), (of, np.concatenate(scans))))
+        shape = len(scans), LENGTH * (int(self._segment.max(initial=0)) + 1)
+        shown = of, np.concatenate(scans)
+        seen = csr_array((np.ones(len(of), dtype=np.int32), shown), shape=shape)
         return (seen @ seen.T).astype(np.bool_)
 
     def seen_with_both(self, pairs: Ints, others: Ints) -> Ints:
