@@ -25,7 +25,7 @@ from relmap.core.association.search import log_chance
 from relmap.core.state.table import NONE, LandmarkState
 
 AMONG = 0.25
-"""Fraction of the landmarks of a stretch that must lie in the convex hull of what was seen with the
+"""Fraction of the matches of a stretch that must lie in the convex hull of what was seen with the
 landmark amid the neighbourhood: the two faces of a wall are not seen together either."""
 STRANGE = 0.5
 """Largest fraction of a neighbourhood that was seen with a landmark of the other stretch."""
