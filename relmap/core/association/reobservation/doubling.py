@@ -27,8 +27,6 @@ from relmap.core.state.table import NONE, LandmarkState
 AMONG = 0.25
 """Fraction of the matches of a stretch that must lie in the convex hull of what was seen with the
 landmark amid the neighbourhood: the two faces of a wall are not seen together either."""
-STRANGE = 0.5
-"""Largest fraction of a neighbourhood that was seen with a landmark of the other stretch."""
 CANDIDATES = 400
 """Maximum number of candidate pairs, the nearest."""
 
@@ -108,7 +106,7 @@ class _Search:
     def _candidates(
         self, seed: int, together: Ints, around: Ints, reach_m: float
     ) -> tuple[Ints, Ints]:
-        """Return landmarks (n,) near one of them that were not seen with most around it.
+        """Return landmarks (n,) near one of them that were not seen with it.
 
         And pairs (k, 2) of these and those around it that they may be, the nearest first.
         """
@@ -116,9 +114,7 @@ class _Search:
         strangers = near[~np.isin(near, together)]
         if len(strangers) < ENOUGH:
             return strangers, np.empty((0, 2), dtype=np.int64)
-        met = self._met[strangers][:, around].toarray()
-        is_other = met.mean(axis=1) < STRANGE
-        strangers, (one, other) = strangers[is_other], np.nonzero(~met[is_other])
+        one, other = np.nonzero(~self._met[strangers][:, around].toarray())
         pairs = np.column_stack([strangers[one], around[other]])
         apart = np.linalg.norm(self._at[pairs[:, 0]] - self._at[pairs[:, 1]], axis=1)
         return strangers, pairs[np.argsort(apart, kind="stable")[:CANDIDATES]]
