@@ -176,7 +176,7 @@ def _logged(run: Run, log: ScanLog, data: Path, name: str) -> list[str]:
         relations = relations_by_clocks(data / RELATIONS[name])
         errors = relation_errors(result.stamps_s, result.poses, relations)
         if errors is not None:
-            found = [f"{errors[0]:.3f}", f"{np.rad2deg(errors[1]):.2f}"]
+            found = [f"{errors.shift_m:.3f}", f"{np.rad2deg(errors.turn_rad):.2f}"]
     timing = result.summary["timing"]
     cells = [f"{ate:.3f}", f"{len(result.poses) / len(log):.1%}", *found]
     cells += [f"{(run.planes.status == 'static').sum()}", f"{timing['median_ms']:.2f}"]

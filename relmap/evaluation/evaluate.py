@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+import numpy as np
+
 from relmap.datasets.base import ObservationLog
 from relmap.evaluation import metrics
 from relmap.evaluation.corners import MatchedCorners, judge_corners, match_corners
 from relmap.evaluation.landmarks import judge_landmarks
-from relmap.evaluation.relations import relation_errors
+from relmap.evaluation.relations import AT_SCANS_S, relation_errors
 from relmap.evaluation.space import judge_planes
 from relmap.evaluation.truth import Judged, Truth
 from relmap.evaluation.walls import judge_walls
@@ -134,19 +136,36 @@ def evaluate(result: Result, truth: Truth, log: ObservationLog | None = None) ->
         common = f"{len(mine)} of {len(result.stamps_s)} poses have the times of true ones"
         notes.append(f"no RPE: {common}, and other true poses lie between them")
     relation = relation_errors(result.stamps_s, result.poses, truth.relations)
-    if truth.relations and relation is None:
-        notes.append("no checked relation lies within the times of the result")
-    relation_m, relation_rad = relation or (None, None)
+    notes += _relation_notes(result, truth)
     return Evaluation(
         **figures,
         ate_m=metrics.ate(poses, true_poses, result.planar),
         rpe_m=rpe_m,
-        relation_m=relation_m,
-        relation_rad=relation_rad,
+        relation_m=relation.shift_m if relation else None,
+        relation_rad=relation.turn_rad if relation else None,
         counts=counts,
         notes=tuple(notes),
         variant=variant,
     )
+
+
+def _relation_notes(result: Result, truth: Truth) -> list[str]:
+    """Return what the figures of checked relations do not say: how many there are, and where."""
+    every, at_scans = (
+        relation_errors(result.stamps_s, result.poses, truth.relations, near_s)
+        for near_s in (np.inf, AT_SCANS_S)
+    )
+    if every is None:
+        return ["no checked relation lies within the times of the result"] * bool(truth.relations)
+    if at_scans is None:
+        return [f"no checked relation has both ends within {AT_SCANS_S} s of scans"]
+    if at_scans.n == every.n:
+        return []
+    return [
+        f"checked relations with both ends within {AT_SCANS_S} s of scans, {at_scans.n} of "
+        f"{every.n}: {at_scans.shift_m:.3f} m, {at_scans.turn_rad:.4f} rad; the path is "
+        "interpolated to the others"
+    ]
 
 
 def match_walls(result: PlaneResult, truth: Truth) -> MatchedCorners | None:

@@ -6,6 +6,7 @@ R. Kuemmerle et al., "On measuring the accuracy of SLAM algorithms", Autonomous 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,6 +18,9 @@ from relmap.datasets.textfile import open_text
 RELATIONS = ".relations"
 CLOCKS = ("ROBOTLASER1", -3, -1)
 """Lines of a CARMEN log with both clocks, the robot's and the logger's, and their positions."""
+AT_SCANS_S = 0.03
+"""Largest time from either end of a relation to a scan for which the path is not interpolated
+much: a robot turns by a degree meanwhile."""
 
 
 def relations_by_clocks(path: Path) -> tuple[Relations, ...]:
@@ -43,14 +47,23 @@ def relations_by_clocks(path: Path) -> tuple[Relations, ...]:
     return (relations,)
 
 
+class RelationErrors(NamedTuple):
+    """Mean error of `n` relations, metres and radians."""
+
+    shift_m: float
+    turn_rad: float
+    n: int
+
+
 def relation_errors(
-    stamps_s: Floats, poses: Floats, relations: tuple[Relations, ...]
-) -> tuple[float, float] | None:
+    stamps_s: Floats, poses: Floats, relations: tuple[Relations, ...], near_s: float = np.inf
+) -> RelationErrors | None:
     """Return the mean error of a path against checked relations (Kuemmerle et al., 2009).
 
     `stamps_s` (k,), ascending. `poses` (k, 4, 4): ``T_map_robot``; interpolated in between.
     `relations`: the same relations by several clocks; the clock with most relations within the
-    stamps is used. Returns (metres, radians): None if no relation lies within the stamps.
+    stamps is used. `near_s`: largest time from either end of a relation to a stamp; interpolation
+    adds its own error to the others. Returns None if there is no such relation within the stamps.
     """
     if not len(stamps_s) or not relations:
         return None
@@ -63,6 +76,7 @@ def relation_errors(
     ]
     best = int(np.argmax([rows.sum() for rows in inside]))
     rows, own = inside[best], relations[best]
+    rows &= np.maximum(_away_s(stamps_s, own.begin_s), _away_s(stamps_s, own.end_s)) <= near_s
     if not rows.any():
         return None
     T_begin = _poses_at(stamps_s, poses, own.begin_s[rows])
@@ -70,7 +84,14 @@ def relation_errors(
     off = np.linalg.inv(own.T_begin_end[rows]) @ np.linalg.inv(T_begin) @ T_end
     shift = np.hypot(off[:, 0, 3], off[:, 1, 3])
     turn = np.abs(np.arctan2(off[:, 1, 0], off[:, 0, 0]))
-    return float(shift.mean()), float(turn.mean())
+    return RelationErrors(float(shift.mean()), float(turn.mean()), int(rows.sum()))
+
+
+def _away_s(stamps_s: Floats, when: Floats) -> Floats:
+    """Return the time from each of `when` (n,) to the nearest stamp."""
+    later = np.searchsorted(stamps_s, when).clip(1, max(len(stamps_s) - 1, 1))
+    around = stamps_s[np.column_stack([later - 1, later]).clip(max=len(stamps_s) - 1)]
+    return np.asarray(np.abs(around - when[:, None]).min(axis=1))
 
 
 def _poses_at(stamps_s: Floats, poses: Floats, when: Floats) -> Floats:
