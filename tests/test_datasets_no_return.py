@@ -1,4 +1,4 @@
-"""Beams without a return that a log gives the largest range."""
+"""Beams without a return that a log gives the largest range, and beams on the robot itself."""
 
 from __future__ import annotations
 
@@ -53,3 +53,26 @@ def test_beams_at_the_largest_range_did_not_return(
     assert log.sensor.range_m == pytest.approx(REACH_M, rel=1e-3)
     (message,) = caplog.messages
     assert message.endswith("end at the largest range, 5 m, and are treated as no return")
+
+
+@pytest.mark.parametrize("written", [scans_npz, carmen_log])
+def test_beams_on_the_robot_are_left_out(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, written: object
+) -> None:
+    assert callable(written)
+    rng = np.random.default_rng(0)
+    mast = slice(20, 35)
+    scans = [hall(step) for step in range(60)]
+    for ranges in scans:
+        ranges[mast] = (0.3 + rng.normal(0, 0.02, 15)).round(3)
+    log = written(tmp_path, scans)
+    for scan, ranges in zip(log.scans(), scans, strict=True):
+        assert np.hypot(*scan.points_robot.T) == pytest.approx(np.delete(ranges, mast), rel=1e-6)
+    (message,) = caplog.messages
+    assert message.endswith("8.33 % of the beams end on the robot itself and are left out")
+
+
+def test_a_robot_that_stands_near_a_wall_keeps_its_beams(tmp_path: Path) -> None:
+    near = np.minimum(hall(0), 0.5 / np.maximum(np.sin(BEARINGS), 1e-3))
+    log = carmen_log(tmp_path, [near.round(3)] * 60)
+    assert {len(scan.points_robot) for scan in log.scans()} == {180}

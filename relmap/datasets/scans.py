@@ -15,6 +15,7 @@ from relmap.core.brief import Brief
 from relmap.core.errors import RelmapError
 from relmap.datasets.base import common_range
 from relmap.datasets.no_return import no_return_m
+from relmap.datasets.on_robot import on_robot
 from relmap.datasets.textfile import invalid, shown
 
 MAX_BEAMS, MAX_SCANS = 1 << 24, 1 << 18
@@ -176,12 +177,12 @@ def laser_scans(
     stamps_s: Floats,
     poses: Floats | None,
 ) -> ScanLog:
-    """Make a log of 2-D laser scans, without the beams that have no return.
+    """Make a log of 2-D laser scans, without the beams that have no return or hit the robot.
 
     `path`: the log, for warnings. `ranges_m`, `bearings_rad`, list of k (b,): beams from right to
     left; a range of 0 or less, which some lasers use for errors, or of `limit_m` or more is not a
-    return; see also `no_return_m`. `T_robot_laser` (k, 3): x, y (metres) and yaw (radians) of the
-    laser on the robot. `stamps_s` (k,); `poses` (k, 4, 4): T_reference_robot.
+    return; see also `no_return_m` and `on_robot`. `T_robot_laser` (k, 3): x, y (metres) and yaw
+    (radians) of the laser on the robot. `stamps_s` (k,); `poses` (k, 4, 4): T_reference_robot.
     """
     below = sum(int((ranges < 0).sum()) for ranges in ranges_m)
     if below:
@@ -189,6 +190,9 @@ def laser_scans(
     below_limit = [np.where(ranges < limit_m, ranges, 0.0) for ranges in ranges_m]
     limit_m = min(limit_m, no_return_m(path, below_limit, bearings_rad))
     returned = [(ranges > 0) & (ranges < limit_m) for ranges in ranges_m]
+    known_m = [np.where(there, r, 0.0) for there, r in zip(returned, ranges_m, strict=True)]
+    own = on_robot(path, known_m, bearings_rad)
+    returned = [there & ~robot for there, robot in zip(returned, own, strict=True)]
     counts = [int(beams.sum()) for beams in returned]
     offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
     points = np.empty((offsets[-1], 2))
