@@ -21,6 +21,8 @@ NEAR = np.array([[1.0, -3.0], [3.0, -3.0], [3.0, -1.0]])
 """Two walls that meet at a right angle, nearby."""
 BENT = np.column_stack([np.linspace(1.0, 6.0, 11), -2.5 + 0.15 * (np.arange(11) % 2)])
 """One wall, bent by 0.15 m to and fro."""
+TEETH = np.column_stack([np.linspace(-4.0, 4.0, 9), -4.0 + 0.8 * (np.arange(9) % 2)])
+"""A wall that repeats every two metres."""
 LEAP = 6
 """The scan after a leap."""
 
@@ -89,6 +91,19 @@ def test_a_submap_continues_where_its_last_scan_shows_the_same(
     poses[LEAP + 1 :, 0, 3] += away_m
     parted = replace(submap, poses=poses)
     assert undetermined_steps([parted], mapper.history, registration.links).tolist() == weak
+
+
+def test_a_step_unlike_those_around_it_must_exclude_theirs() -> None:
+    """Along a wall that repeats, standing still agrees as well as a step of its period."""
+    mapper = mapped(TEETH)
+    registration, [submap] = mapper.engine.association.registration, mapper.submaps
+    assert isinstance(registration, PlaneRegistration)
+    poses = submap.poses.copy()
+    poses[:, 0, 3] += 2.0 * np.arange(12)
+    for stands, weak in ((False, []), (True, [LEAP])):
+        poses[LEAP:, 0, 3] -= 2.0 * stands
+        moved = replace(submap, poses=poses)
+        assert undetermined_steps([moved], mapper.history, registration.links).tolist() == weak
 
 
 def test_without_beams_the_walls_decide() -> None:

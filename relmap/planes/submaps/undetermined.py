@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.planes.linking.link_record import LinkRecord
@@ -16,6 +16,7 @@ from relmap.planes.walls.history import PlaneHistory
 
 FREE_M = 0.3
 """Distance at which beams must exclude another motion."""
+BOTH_M = np.array([[-FREE_M], [FREE_M]])
 EXCLUDED, CLEARLY = 3.0, 20.0
 """Log odds by which they must, and where the walls in common leave a direction open: there the
 motion model or another match gave the step. In 30 short-sighted logs, with 5 for both, 25 wrong
@@ -38,8 +39,9 @@ def undetermined_steps(
 
     Short walls far away, such as an arc at the end of the range, leave a motion open that turns
     the robot about them. So a step is moved by 0.3 m in the direction that the walls in common
-    determine least, and turned as they allow. It is determined if the beams of both scans exclude
-    this on either side, and neither scan shows one wall only. Where a submap continues after scans
+    determine least, and turned as they allow. It is also replaced by the usual steps of the four
+    before and of the four after it, if they differ. It is determined if the beams of both scans
+    exclude all of these, and neither scan shows one wall only. Where a submap continues after scans
     that are not part of it, the motion is since the last one that is. Without beams, and with
     odometry, the walls decide (`PlaneHistory.weak_links`).
     """
@@ -48,16 +50,44 @@ def undetermined_steps(
     weak = np.zeros(history.n_iterations, dtype=np.bool_)
     weak[history.weak_links] = True
     free, least = _free_directions(history), np.where(weak, CLEARLY, EXCLUDED)
+    before, after, steps = _steps(submaps)
+    gap = (after - before)[:, None]
+    to_usual = _around(steps[:, 1:] / gap) * gap - steps[:, 1:]
+    each = zip(before.tolist(), after.tolist(), steps, to_usual.swapaxes(0, 1), strict=True)
+    for first, scan, step, ways in each:
+        earlier, later = (beams_of(i, history, links.beams) for i in (first, scan))
+        if len(earlier) and len(later):
+            one_wall = earlier.on_one_wall or later.on_one_wall
+            far = np.pad(ways, [(0, 0), (1, 0)])[np.hypot(*ways.T) > FREE_M]
+            changes = np.vstack([BOTH_M * _turned(free[scan], step[0]), far])
+            excluded = _excluded(step, changes, earlier, later)
+            weak[scan] = one_wall or excluded < least[scan]
+    return np.flatnonzero(weak)
+
+
+def _steps(submaps: Sequence[WallSubmap]) -> tuple[Ints, Ints, Floats]:
+    """Return the steps (k, 3) within submaps, and the scans (k,), (k,) before and after, ascending.
+
+    A step is the pose of the later scan in the frame of the earlier one: yaw, x, y.
+    """
+    found, steps = [np.empty((2, 0), dtype=np.int64)], [np.empty((0, 3))]
     for submap in submaps:
         rows = np.flatnonzero(np.isfinite(submap.poses[:, 0, 3]))
-        steps = from_matrices(np.linalg.inv(submap.poses[rows[:-1]]) @ submap.poses[rows[1:]])
-        scans = (submap.first_iteration + rows).tolist()
-        for (before, scan), step in zip(pairwise(scans), steps, strict=True):
-            earlier, later = (beams_of(k, history, links.beams) for k in (before, scan))
-            if len(earlier) and len(later):
-                one_wall = earlier.on_one_wall or later.on_one_wall
-                weak[scan] = one_wall or _excluded(step, free[scan], earlier, later) < least[scan]
-    return np.flatnonzero(weak)
+        found.append(submap.first_iteration + np.array([rows[:-1], rows[1:]]))
+        T = np.linalg.inv(submap.poses[rows[:-1]]) @ submap.poses[rows[1:]]
+        steps.append(from_matrices(T))
+    (before, after), every = np.concatenate(found, axis=1), np.concatenate(steps)
+    order = np.argsort(after, kind="stable")
+    return before[order], after[order], every[order]
+
+
+def _around(moved: Floats) -> Floats:
+    """Return the medians (2, k, 2) of the translations (k, 2) before each, and after each."""
+    if not len(moved):
+        return np.empty((2, 0, 2))
+    padded = np.pad(moved, [(BESIDE, BESIDE), (0, 0)], "edge")
+    medians = np.median(sliding_window_view(padded, BESIDE, axis=0), axis=-1)
+    return np.stack([medians[: len(moved)], medians[BESIDE + 1 :]])
 
 
 def unsupported_links(history: PlaneHistory, links: LinkRecord) -> Ints:
@@ -73,7 +103,8 @@ def unsupported_links(history: PlaneHistory, links: LinkRecord) -> Ints:
     for scan in tied[_unusual(tied, history) & ~np.isinf(links.evidence[tied])].tolist():
         earlier, later = (beams_of(k, history, links.beams) for k in (scan - 1, scan))
         step = inverse(history.motion[scan])
-        if len(earlier) and len(later) and _excluded(step, free[scan], earlier, later) < 0:
+        changes = BOTH_M * _turned(free[scan], step[0])
+        if len(earlier) and len(later) and _excluded(step, changes, earlier, later) < 0:
             found.append(scan)
     return np.array(found, dtype=np.int64)
 
@@ -100,15 +131,18 @@ def beams_of(scan: int, history: PlaneHistory, beams: BeamStore) -> Beams:
     return beams.of(scan, history.ends[begin:end])
 
 
-def _excluded(step: Floats, free: Floats, earlier: Beams, later: Beams) -> float:
-    """Return the log odds by which beams exclude the motions on either side of a step (3,).
+def _turned(free: Floats, yaw: float) -> Floats:
+    """Return a motion in the frame of the later scan as a change of the step (3,)."""
+    c, s = np.cos(yaw), np.sin(yaw)
+    return np.array([free[0], c * free[1] - s * free[2], s * free[1] + c * free[2]])
 
-    `step`: pose of the later scan in the frame of the earlier one: yaw, x, y; `free` (3,): the
-    motion in the frame of the later one that walls determine least.
+
+def _excluded(step: Floats, changes: Floats, earlier: Beams, later: Beams) -> float:
+    """Return the log odds by which beams exclude all changes (k, 3) of a step (3,).
+
+    `step`: pose of the later scan in the frame of the earlier one: yaw, x, y.
     """
-    c, s = np.cos(step[0]), np.sin(step[0])
-    change = FREE_M * np.array([free[0], c * free[1] - s * free[2], s * free[1] + c * free[2]])
-    lead, sd = leads(later, earlier, np.array([step + change, step - change]), step, NEAR_M)
+    lead, sd = leads(later, earlier, step + changes, step, NEAR_M)
     excluded = -float(log_odds(lead, sd**2).max())
     clear = lead.max() < -LEAST_SHARE * (len(earlier) + len(later))
     return excluded if clear else min(excluded, 0.0)
