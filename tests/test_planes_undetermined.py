@@ -62,6 +62,12 @@ def mapped(*lines: NDArray[np.float64], with_beams: bool = True) -> PlaneMapper:
     return mapper
 
 
+def registration_of(mapper: PlaneMapper) -> PlaneRegistration:
+    registration = mapper.engine.association.registration
+    assert isinstance(registration, PlaneRegistration)
+    return registration
+
+
 @pytest.mark.parametrize("refine", [False, True])
 def test_an_arc_at_the_end_of_the_range_determines_no_step(refine: bool) -> None:
     """The robot may turn about it; its corners and crossing walls alone do not show that."""
@@ -118,6 +124,17 @@ def test_a_link_turned_about_an_arc_is_cut() -> None:
     links = registration.links
     turned = about - turn(0.06) @ about
     links.motions[LEAP] = 0.06, *(turned - [0.02, 0.0])
+    links.evidence[LEAP] = 20.0  # Not evaluated again by `tie`.
+    mapper.finish()
+    assert [submap.span for submap in mapper.submaps] == [(0, LEAP), (LEAP, 12)]
+
+
+@pytest.mark.parametrize("leap_m", [1.0, 2.0])
+def test_a_link_is_cut_where_beams_prefer_the_usual_step(leap_m: float) -> None:
+    """Beams need not tell it from those 0.3 m beside it."""
+    mapper = driven(FAR, NEAR)
+    links = registration_of(mapper).links
+    links.motions[LEAP] = 0.0, -leap_m, 0.0
     links.evidence[LEAP] = 20.0  # Not evaluated again by `tie`.
     mapper.finish()
     assert [submap.span for submap in mapper.submaps] == [(0, LEAP), (LEAP, 12)]

@@ -58,8 +58,7 @@ def undetermined_steps(
         earlier, later = (beams_of(i, history, links.beams) for i in (first, scan))
         if len(earlier) and len(later):
             one_wall = earlier.on_one_wall or later.on_one_wall
-            far = np.pad(ways, [(0, 0), (1, 0)])[np.hypot(*ways.T) > FREE_M]
-            changes = np.vstack([BOTH_M * _turned(free[scan], step[0]), far])
+            changes = _changes(step, free[scan], ways)
             excluded = _excluded(step, changes, earlier, later)
             weak[scan] = one_wall or excluded < least[scan]
     return np.flatnonzero(weak)
@@ -94,16 +93,18 @@ def unsupported_links(history: PlaneHistory, links: LinkRecord) -> Ints:
     """Return the iterations (k,) into which a link is unlike those around it, and may be another.
 
     It differs from their median by more than 0.3 m, and the beams prefer one that is 0.3 m off in
-    the direction that walls determine least. Links by maps and by odometry are left as they are.
+    the direction that walls determine least, or the usual step before or after it. Links by maps and by odometry are left as they are.
     """
     if _have_odometry(links):
         return np.empty(0, dtype=np.int64)
     tied = 1 + np.flatnonzero((np.diff(history.submap) == 0) & (history.submap[1:] >= 0))
     free, found = _free_directions(history), list[int]()
-    for scan in tied[_unusual(tied, history) & ~np.isinf(links.evidence[tied])].tolist():
-        earlier, later = (beams_of(k, history, links.beams) for k in (scan - 1, scan))
-        step = inverse(history.motion[scan])
-        changes = BOTH_M * _turned(free[scan], step[0])
+    steps = inverse(history.motion[tied])
+    to_usual = (_around(steps[:, 1:]) - steps[:, 1:]).swapaxes(0, 1)
+    for k in np.flatnonzero(_unusual(tied, history) & ~np.isinf(links.evidence[tied])).tolist():
+        scan, step = int(tied[k]), steps[k]
+        earlier, later = (beams_of(i, history, links.beams) for i in (scan - 1, scan))
+        changes = _changes(step, free[scan], to_usual[k])
         if len(earlier) and len(later) and _excluded(step, changes, earlier, later) < 0:
             found.append(scan)
     return np.array(found, dtype=np.int64)
@@ -129,6 +130,16 @@ def beams_of(scan: int, history: PlaneHistory, beams: BeamStore) -> Beams:
     """Return the beams of a scan, some of them on its walls."""
     begin, end = np.searchsorted(history.iteration, [scan, scan + 1]).tolist()
     return beams.of(scan, history.ends[begin:end])
+
+
+def _changes(step: Floats, free: Floats, to_usual: Floats) -> Floats:
+    """Return the changes (k, 3) of a step (3,) that beams must exclude; its rotation stays.
+
+    `free` (3,): the direction that walls determine least; `to_usual` (2, 2): translations that
+    make it the usual step before or after it.
+    """
+    far = np.hypot(*to_usual.T) > FREE_M
+    return np.vstack([BOTH_M * _turned(free, step[0]), np.pad(to_usual, [(0, 0), (1, 0)])[far]])
 
 
 def _turned(free: Floats, yaw: float) -> Floats:
