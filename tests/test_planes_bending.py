@@ -13,6 +13,7 @@ from relmap.planes import PlaneMapper
 from relmap.planes.linking.registration import PlaneRegistration
 from relmap.planes.refinement import refining
 from relmap.planes.refinement.bending import bent_steps
+from relmap.planes.refinement.refined_map import refined_map
 from relmap.planes.submaps.submap import WallSubmap
 from relmap.planes.walls.assembly import WallNumbers
 from relmap.planes.walls.history import PlaneHistory
@@ -119,13 +120,13 @@ def test_a_map_solved_again_is_kept_only_if_it_is_straighter(
 def test_a_map_off_its_links_is_refined_again_with_these(
     mapper: PlaneMapper, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    solve, equations = refining.refined_map, list[int]()
+    equations = list[int]()
 
     def off_its_links(
         history: PlaneHistory, numbers: WallNumbers, chained: WallSubmap, moving: Bools
     ) -> tuple[WallSubmap, WallNumbers]:
         equations.append(len(history.bent))
-        found = solve(history, numbers, chained, moving)
+        found = refined_map(history, numbers, chained, moving)
         return found if len(history.bent) else (chained, numbers)
 
     monkeypatch.setattr(refining, "refined_map", off_its_links)

@@ -93,7 +93,8 @@ def unsupported_links(history: PlaneHistory, links: LinkRecord) -> Ints:
     """Return the iterations (k,) into which a link is unlike those around it, and may be another.
 
     It differs from their median by more than 0.3 m, and the beams prefer one that is 0.3 m off in
-    the direction that walls determine least, or the usual step before or after it. Links by maps and by odometry are left as they are.
+    the direction that walls determine least, or the usual step before or after it. Links by maps
+    and by odometry are left as they are.
     """
     if _have_odometry(links):
         return np.empty(0, dtype=np.int64)
