@@ -8,14 +8,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from relmap.core.arrays import Bools, Floats
+from relmap.core.arrays import Floats
 from relmap.planes import PlaneMapper
 from relmap.planes.linking.registration import PlaneRegistration
 from relmap.planes.refinement import refining
 from relmap.planes.refinement.bending import bent_steps
-from relmap.planes.refinement.refined_map import refined_map
 from relmap.planes.submaps.submap import WallSubmap
-from relmap.planes.walls.assembly import WallNumbers
 from relmap.planes.walls.history import PlaneHistory
 from tests.test_planes_undetermined import along
 
@@ -115,21 +113,3 @@ def test_a_map_solved_again_is_kept_only_if_it_is_straighter(
     assert tried[0] == [STEP, STEP + 5]
     assert (len(tried) > 1) == (is_kept and len(left) > 0)
     assert np.array_equal(refined.poses, submap.poses + len(tried)) == is_kept
-
-
-def test_a_map_off_its_links_is_refined_again_with_these(
-    mapper: PlaneMapper, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    equations = list[int]()
-
-    def off_its_links(
-        history: PlaneHistory, numbers: WallNumbers, chained: WallSubmap, moving: Bools
-    ) -> tuple[WallSubmap, WallNumbers]:
-        equations.append(len(history.bent))
-        found = refined_map(history, numbers, chained, moving)
-        return found if len(history.bent) else (chained, numbers)
-
-    monkeypatch.setattr(refining, "refined_map", off_its_links)
-    mapper.refine()
-    assert equations == [0, 2 * STEP]
-    assert mapper.submaps[0].refined

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -22,8 +21,6 @@ from relmap.planes.submaps.submap import WallSubmap
 from relmap.planes.walls.assembly import WallNumbers
 from relmap.planes.walls.history import PlaneHistory
 
-_LOG = logging.getLogger(__name__)
-TORN = "scans %d:%d: refinement tears the submap; it is kept as chained"
 STRAIGHTENED = 2
 """Maximum number of times that a refined submap is solved again since beams show it bent."""
 
@@ -84,28 +81,17 @@ def planned_submaps(refined: RefinedWalls, moving: Bools, beams: BeamStore) -> P
 def _refined(
     grouped: GroupedMap, merged: WallNumbers, moving: Bools, beams: BeamStore
 ) -> RefinedWalls:
-    """Return the refined submaps; `merged` is the association of the grouped map.
-
-    If a map is not torn, and yet further off its links than the chained one, it is refined again
-    with all its links as equations: few beams, seen through glass, may move walls together.
-    """
+    """Return the refined submaps; `merged` is the association of the grouped map."""
     numbers, submaps = grouped.at_rest(grouped.unmerged), list[WallSubmap]()
     history = grouped.history
     for submap in grouped.submaps(numbers, moving):
         found, own = refined_map(history, numbers, submap, moving)
-        if not found.refined and not len(found.torn) and len(beams):
-            held = replace(history, bent=np.union1d(history.bent, np.arange(*submap.span)))
-            again = refined_map(held, numbers, submap, moving)
-            if again[0].refined:
-                (found, own), history = again, held
         if found.refined:
             found, history = _straight(found, own, history, moving, beams)
             submaps.append(found)
             numbers = own
         else:
             chained = grouped.submap(submap.span, merged, moving)
-            if chained.assembled is not None:
-                _LOG.warning(TORN, *submap.span)
             submaps.append(replace(chained, torn=found.torn))
             numbers = grouped.with_those_of(submap.span, numbers, merged)
     return RefinedWalls(submaps, numbers, history)
