@@ -10,7 +10,7 @@ from relmap.core.association.reobservation.loops import LoopFinder
 from relmap.core.association.reobservation.merging import TOLERANCE, merge_doubles
 from relmap.core.association.reobservation.sightings import Sightings, rows_of_tracks
 from relmap.core.association.reobservation.strays import find_strays
-from relmap.core.association.reobservation.tying import CLEAR, tie_submaps
+from relmap.core.association.reobservation.tying import CLEAR, NEIGHBOURHOOD, tie_submaps
 from relmap.core.gaps import bridge_gaps, is_bridged
 from relmap.core.geometry.alignment import fit_rigid
 from relmap.core.grouping.chart import PointChart
@@ -18,7 +18,9 @@ from relmap.core.grouping.dynamics import FEWEST
 from relmap.core.map.bending import bend
 from relmap.core.mapper import RelativeMapper
 from relmap.core.refinement.condensing import SegmentRows
+from relmap.core.refinement.confirming import found_rest, seen_in
 from relmap.core.refinement.extending import extend_submaps
+from relmap.core.refinement.joint import CONFIRMED
 from relmap.core.revisiting import (
     close_revisits,
     merge_doubles_in_place,
@@ -34,6 +36,11 @@ SEEDS = 20
 FEW = 0.01
 """Fraction of the landmarks that must change in a round, after the second, for another round to
 follow: rounds that undo and repeat the same merges need not terminate."""
+SELDOM = 0.5
+"""Fraction of the usual number of observations below which a landmark is seldom seen."""
+TIED = 0.85
+"""Fraction of the scans that must match the one before if short tracks are to be mapped: in logs
+with fewer, maps of such tracks were off by ten times the error of least squares."""
 
 
 def finish(engine: RelativeMapper) -> None:
@@ -142,6 +149,9 @@ def find_again(engine: RelativeMapper) -> None:
         found = False
         for pairs in find_strays(table, rows, engine.averaging.noise.sigma_m):
             found |= engine.merge_pairs(pairs[merger.allowed(pairs)]) > 0
+    if _is_brief(engine, rows) and not is_bridged(engine):  # Otherwise groups start submaps.
+        found_rest(engine.map, seen_in(rows, CONFIRMED), NEIGHBOURHOOD)
+        extend_submaps(engine.map, rows, (table.submap == NONE) & ~table.dynamic)
 
 
 def leave_out_rare(engine: RelativeMapper) -> None:
@@ -151,14 +161,39 @@ def leave_out_rare(engine: RelativeMapper) -> None:
 
 
 def rarely_seen(engine: RelativeMapper) -> Bools:
-    """Return which landmarks (m,) are mapped with fewer observations than a group needs."""
-    table, n = engine.table, len(engine.table)
+    """Return which landmarks (m,) are mapped with fewer observations than a group needs.
+
+    Where landmarks stay in view too briefly for groups, fewer than half of the usual number.
+    """
+    table, n, enough = engine.table, len(engine.table), float(engine.config.group_after)
     if is_bridged(engine):  # Scans of one or two landmarks are in no segment.
         seen: Ints | Floats = np.bincount(table.now(engine.kept.landmark), minlength=n)
     else:
         rows = rows_of_tracks(engine.rows, table)
         seen = np.bincount(table.now(rows.landmark), rows.n_seen, minlength=n)
-    return np.asarray((table.weight > 0) & (seen < engine.config.group_after))
+        if _is_brief(engine, rows):
+            enough = SELDOM * _usually(rows)
+    return np.asarray((table.weight > 0) & (seen < enough))
+
+
+def _is_brief(engine: RelativeMapper, rows: SegmentRows) -> bool:
+    """Return whether most landmarks stay in view too briefly for a group, though scans match.
+
+    Where scans do not match, tracks are short too, and many of them are wrong.
+
+    `rows`: by tracks.
+    """
+    tied = engine.association.current.tied_share
+    return tied is not None and tied >= TIED and _usually(rows) < engine.config.group_after
+
+
+def _usually(rows: SegmentRows) -> float:
+    """Return the number of observations of the track of the median observation.
+
+    `rows`: by tracks.
+    """
+    seen = np.sort(np.bincount(rows.landmark, rows.n_seen))
+    return float(seen[np.searchsorted(np.cumsum(seen), seen.sum() / 2)]) if len(seen) else 0.0
 
 
 def extent(engine: RelativeMapper) -> tuple[int, int]:

@@ -32,12 +32,21 @@ def seen_in(rows: SegmentRows, at_least: int) -> SegmentRows:
 
 
 def rebuild(global_map: GlobalMap, sure: SegmentRows) -> None:
-    """Build all submaps anew, each from the segment with most unmapped landmarks.
+    """Build all submaps anew.
 
     `sure`: confirmed rows of all iterations.
     """
     table = global_map.table
     table.take_off_map(np.flatnonzero(table.submap != NONE))
+    found_rest(global_map, sure)
+
+
+def found_rest(global_map: GlobalMap, sure: SegmentRows, least: int = 0) -> None:
+    """Start submaps, each from the segment with most unmapped landmarks, as long as there are many.
+
+    `sure`: confirmed rows of all iterations; `least`: landmarks of a submap that is kept.
+    """
+    table = global_map.table
     landmark, tried = table.now(sure.landmark), np.zeros(sure.n_segments, dtype=bool)
     while True:
         free = (table.submap[landmark] == NONE) & ~table.dynamic[landmark]
@@ -46,13 +55,17 @@ def rebuild(global_map: GlobalMap, sure: SegmentRows) -> None:
         if counts.max(initial=0) < 2 * table.dimension:
             return
         tried[counts.argmax()] = True
-        _found(global_map, sure, np.flatnonzero(free & (sure.segment == counts.argmax())))
+        _found(global_map, sure, np.flatnonzero(free & (sure.segment == counts.argmax())), least)
 
 
-def _found(global_map: GlobalMap, sure: SegmentRows, rows: Ints) -> None:
+def _found(global_map: GlobalMap, sure: SegmentRows, rows: Ints, least: int) -> None:
     """Start a submap from rows (k,) of one segment, and extend it by unmapped landmarks."""
     table = global_map.table
     weights = sure.n_seen[rows].astype(np.float64)
     landmarks = table.now(sure.landmark[rows])
-    global_map.place(global_map.new_submap(), landmarks, sure.points[rows], weights)
+    submap = global_map.new_submap()
+    global_map.place(submap, landmarks, sure.points[rows], weights)
     extend_submaps(global_map, sure, table.submap == NONE)
+    own = np.flatnonzero(table.submap == submap)
+    if len(own) < least:
+        table.take_off_map(own)

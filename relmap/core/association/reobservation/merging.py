@@ -85,6 +85,8 @@ class Merger:
         observations a landmark has: the whole map has been adjusted.
         """
         mapped = np.flatnonzero(self._table.weight > 0)
+        if self._index is None:  # No group was compared with older ones.
+            self._index = self._begun(mapped)
         if self._index is None or not len(mapped):
             return np.empty(0, dtype=np.int64)
         self._enter(mapped)

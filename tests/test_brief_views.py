@@ -1,0 +1,43 @@
+"""Landmarks that stay in view too briefly for a group are mapped nevertheless, without ids."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from relmap.core.association.reobservation.merging import Merger
+from relmap.core.map.globalmap import GlobalMap
+from relmap.core.state.table import LandmarkState
+from relmap.points.model import PointModel
+from relmap.simulation import WorldSpec, simulate_world
+from tests.worlds import aligned_rmse, purity_of, stands_for, without_ids
+
+
+@pytest.mark.parametrize("seed", [5, 8])
+def test_landmarks_seen_fewer_than_ten_times_are_mapped(seed: int) -> None:
+    world = simulate_world(WorldSpec(iterations=230, missed=0.3, seed=seed))
+    mapper, labels = without_ids(world.log)
+    mapper.refine()
+    labels = mapper.landmarks_of(labels)
+    id_of = stands_for(labels, world.true_ids)
+    true = [id_of[label] for submap in mapper.submaps for label in submap.landmark_ids]
+    often = np.flatnonzero(np.bincount(world.true_ids[world.true_ids >= 0]) >= 10)
+    assert np.isin(often, true).mean() >= 0.95
+    assert purity_of(labels, world.true_ids) >= 0.998
+    largest = [id_of[label] for label in mapper.map.landmark_ids]
+    positions = mapper.map.positions[:, :2]
+    assert aligned_rmse(positions, world.landmarks_map[largest, :2]) <= 1.0
+
+
+def test_doubles_are_found_before_any_group_was_compared() -> None:
+    rng = np.random.default_rng(0)
+    place = rng.uniform(0, 20, (30, 2))
+    table, everyone = LandmarkState(), np.arange(60)
+    table.resize(60, 0, 2)
+    global_map = GlobalMap(table)
+    positions = np.vstack([place, place + 0.01 * rng.standard_normal((30, 2))])
+    global_map.place(global_map.new_submap(), everyone, positions, np.full(60, 10.0))
+    table.first[:] = table.since[:] = 2 * everyone
+    table.last[:] = 2 * everyone + 30
+    found = Merger(table, PointModel(), 10).doubles(0.02)
+    assert np.isin(np.arange(30, 60), found).mean() >= 0.9
