@@ -19,6 +19,20 @@ def mapped(*screens: Floats | None) -> Plane3dMapper:
     return mapper
 
 
+def hall_scan(x: float) -> Floats:
+    """Return what 32 rings see in a long hall, 1.3 m above its floor."""
+    azimuth, height = np.meshgrid(
+        np.deg2rad(np.arange(0.0, 360.0, 0.9)), np.deg2rad(np.linspace(-25.0, 15.0, 32))
+    )
+    level = np.cos(height)
+    ray = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(height)], axis=-1)
+    ray = ray.reshape(-1, 3)
+    ray[np.abs(ray) < 1e-9] = 1e-9
+    low, high = np.array([-x, -8.0, -1.3]), np.array([30.0 - x, 9.0, 7.0])
+    range_m = np.where(ray < 0, low / ray, high / ray).min(axis=1)
+    return np.asarray(ray * range_m[:, None])
+
+
 STANDS = wall(0, 2.0, (-0.5, 0.5))
 
 
@@ -45,3 +59,13 @@ def test_a_plane_that_slides_along_itself_is_dynamic() -> None:
     assert mapper.planes.status.tolist() == ["static"] * 3 + ["dynamic"]
     mapper.refine()
     assert mapper.planes.status.tolist() == ["static"] * 3 + ["dynamic"]
+
+
+def test_a_floor_that_rays_graze_farther_away_is_static() -> None:
+    mapper = Plane3dMapper()
+    for x in np.linspace(4.0, 20.0, 20):
+        mapper.update(hall_scan(x))
+    mapper.finish()
+    looks = mapper.submaps[0].sights.values()
+    assert sum(through for _, through in looks) == 0
+    assert (mapper.planes.status == "static").all()

@@ -14,7 +14,7 @@ from relmap.segmentation.space.voxels import NEAR, cells_of
 
 LOOKED_AT, AROUND = 16, 4
 """Number of cells of each plane that are looked for in every scan, and of the rays of the scan
-next to each: a scan sees through a cell if all of these end beyond it."""
+next to each: a scan sees through a cell if all of these end beyond it, the nearest behind it."""
 FACING = 0.3
 """Minimum cosine at which a surface is seen."""
 BESIDE, FURTHER = 1.0, 2.5
@@ -55,8 +55,9 @@ def _looks(seen: Patches, pose: Pose, cells: Floats, normal: Floats) -> tuple[In
     ends = seen.ends.astype(np.float64)
     range_m = np.linalg.norm(ends, axis=1)
     at, far_m = (cells - t) @ R, range_m.max(initial=0.0)
-    away = np.linalg.norm(at, axis=1)
-    facing = np.abs(np.einsum("ci,ci->c", at, normal @ R)) > FACING * away
+    away, front = np.linalg.norm(at, axis=1), normal @ R
+    height_m = np.einsum("ci,ci->c", at, front)
+    facing = np.abs(height_m) > FACING * away
     rows = np.flatnonzero(facing & (away < far_m))
     if not len(rows):
         return rows, rows
@@ -65,7 +66,11 @@ def _looks(seen: Patches, pose: Pose, cells: Floats, normal: Floats) -> tuple[In
     near = off < BESIDE * _cell_m(seen, range_m) / range_m * [1.0, *[FURTHER] * (AROUND - 1)]
     beyond_m, cell_m = range_m - away, _cell_m(seen, away)
     there = (near & (np.abs(beyond_m) < cell_m)).any(axis=1)
-    through = (~near | (beyond_m > cell_m)).all(axis=1)
+    # A ray beside the cell may graze the same surface farther away: one through it ends behind it.
+    end = np.append(ends, [[0.0] * 3], axis=0)[ray][:, 0]
+    behind_m = np.einsum("ci,ci->c", end, front[rows]) - height_m[rows]
+    behind = behind_m * np.sign(height_m[rows]) > FACING * cell_m[:, 0]
+    through = (~near | (beyond_m > cell_m)).all(axis=1) & behind
     return rows[near[:, 0] & there], rows[near[:, 0] & through]
 
 

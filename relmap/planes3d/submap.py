@@ -15,7 +15,7 @@ from relmap.segmentation.space.patches import reach_of
 Pose = tuple[Floats, Floats]
 MOST_LOOSE = 20
 """Maximum number of points on no plane that are kept in a cube of half a cell of the map."""
-THROUGH, MANY = 0.25, 6
+THROUGH, MANY = 0.2, 6
 """A plane is dynamic if more than this fraction of the looks at its cells, and this number of them,
 go through: of a box that moves along one of its faces, a scan sees this plane somewhere else."""
 
