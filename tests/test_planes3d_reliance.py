@@ -40,6 +40,14 @@ def test_a_steady_path_that_depends_on_one_wall_is_not_listed() -> None:
     assert unsure_steps(part) == {}
 
 
+def test_the_step_of_two_scans_that_a_break_left_is_listed() -> None:
+    part, _ = refined(carried([0.0, 0.1], 3.0, -3.0), 4)
+    assert unsure_steps(part) == {}
+    assert list(unsure_steps(part, is_broken=True)) == [1]
+    longer, _ = refined(carried([0.0, 0.1, 0.2], 3.0, -3.0), 4)
+    assert unsure_steps(longer, is_broken=True) == {}
+
+
 def test_a_room_with_parallel_walls_is_not_fragile_but_a_corner_is() -> None:
     room_scan, _ = fragile_of(carried([0.0, 0.1], 3.0, -3.0))
     assert sorted(room_scan.tolist()) == [0, 0, 1, 1]  # across the single walls only

@@ -206,9 +206,10 @@ class Plane3dMapper(Mapped3d):
 
     def _name_unsure(self) -> None:
         """Find the uncertain steps of all submaps, and what moved away."""
+        is_broken = len(self._submaps) > 1
         for part in self._submaps:
             part.sights = sights_of(part)
-            part.unsure = unsure_steps(part) if len(part.iteration) > 1 else {}
+            part.unsure = unsure_steps(part, is_broken) if len(part.iteration) > 1 else {}
 
     def _placed(self, seen: Patches, iteration: int) -> Placed | None:
         """Return the placement of a scan in the last submap; its matches are landmark numbers."""

@@ -26,6 +26,8 @@ ROUNDS, ROUGHLY = 12, 0.1
 landmarks are joined."""
 SURE, UNUSUAL = 3.0, 2.5
 """Standard deviations within which a step is known, and how many times the median is unusual."""
+UNCONFIRMED = 2
+"""Number of scans of a submap of a broken run whose only step no third scan confirms."""
 UNSURE = 0.0125
 """Standard deviation of an unsure step, as a fraction of the range."""
 ONE = 2.0
@@ -69,14 +71,15 @@ def _settled(part: Submap, least_gain: float) -> tuple[Submap, dict[int, int]]:
     return part, names
 
 
-def unsure_steps(part: Submap) -> dict[int, Floats]:
+def unsure_steps(part: Submap, is_broken: bool = False) -> dict[int, Floats]:
     """Return the iterations whose step from the scan before is poorly determined.
 
     A step is unsure if in some direction the standard deviation of the translation, or of the
     displacement by the rotation at the range, exceeds 1.25 % of the range; or if three of them
     exceed 1.5 % and it is two and a half times the usual one. So is a step that is unsteady in
     a direction in which a single landmark determines it, or unsteady by far, see
-    `relmap.planes3d.reliance`.
+    `relmap.planes3d.reliance`. `is_broken`: whether there are other submaps; then so is the step
+    of a submap of two scans, as what broke the run before or after it may have misled it.
 
     Each has the direction (3,) in which the translation is least certain, sensor frame.
     """
@@ -94,6 +97,7 @@ def unsure_steps(part: Submap) -> dict[int, Floats]:
         usual_m = np.median(sd_m[known]) if known.any() else np.inf
         unsure |= (SURE * sd_m > WEAK * reach_m) & (sd_m > UNUSUAL * usual_m)
         unsure |= sd_m > UNSURE * reach_m
+    unsure |= is_broken and len(part.iteration) <= UNCONFIRMED
     rows = np.flatnonzero(unsure).tolist()
     return {part.iteration[k + 1]: directed(axes[k, :, 2]) for k in rows}
 
