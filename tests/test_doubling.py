@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from relmap import PointMapper
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.association.reobservation.doubling import places_shown_twice
-from relmap.core.association.reobservation.sightings import Sightings, rows_of_tracks
+from relmap.core.association.reobservation.sightings import Sightings
 from relmap.core.geometry.alignment import fit_rigid
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.state.table import LandmarkState
@@ -99,7 +99,7 @@ def test_landmarks_that_were_seen_together() -> None:
     labels = [mapper.update(scan.points_robot) for scan in world.log.scans()]
     mapper.finish()
     engine = mapper.engine
-    rows = rows_of_tracks(engine.rows, engine.table)
+    rows = engine.rows
     sightings = Sightings(rows, engine.table)
     own = np.flatnonzero(engine.table.weight > 0)
     shown = np.array([np.isin(own, mapper.landmarks_of(seen)) for seen in labels])

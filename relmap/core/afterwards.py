@@ -8,7 +8,7 @@ from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.association.reobservation.doubling import places_shown_twice
 from relmap.core.association.reobservation.loops import LoopFinder
 from relmap.core.association.reobservation.merging import TOLERANCE, merge_doubles
-from relmap.core.association.reobservation.sightings import Sightings, rows_of_tracks
+from relmap.core.association.reobservation.sightings import Sightings
 from relmap.core.association.reobservation.strays import find_strays
 from relmap.core.association.reobservation.tying import CLEAR, NEIGHBOURHOOD, tie_submaps
 from relmap.core.gaps import bridge_gaps, is_bridged
@@ -80,7 +80,7 @@ def found_late(engine: RelativeMapper, begin: int, end: int) -> None:
 def tie(engine: RelativeMapper) -> None:
     """Join submaps that show the same place, close loops, and merge re-observed landmarks."""
     noise_m, merger = engine.averaging.noise.sigma_m, engine.merger
-    rows = rows_of_tracks(engine.rows, engine.table)
+    rows = engine.rows
     merger.sightings = Sightings(rows, engine.table)
     for _ in tie_submaps(engine.map, noise_m):
         merge_doubles(merger, engine.merge, noise_m)
@@ -142,7 +142,7 @@ def _join_places(engine: RelativeMapper, rows: SegmentRows, noise_m: float) -> N
 def find_again(engine: RelativeMapper) -> None:
     """Match unmatched scans to the map, and to what these scans themselves add to it."""
     table, merger = engine.table, engine.merger
-    rows = rows_of_tracks(engine.rows, table)
+    rows = engine.rows
     found = True
     while found:
         extend_submaps(engine.map, rows, (table.submap == NONE) & ~table.dynamic)
@@ -169,7 +169,7 @@ def rarely_seen(engine: RelativeMapper) -> Bools:
     if is_bridged(engine):  # Scans of one or two landmarks are in no segment.
         seen: Ints | Floats = np.bincount(table.now(engine.kept.landmark), minlength=n)
     else:
-        rows = rows_of_tracks(engine.rows, table)
+        rows = engine.rows
         seen = np.bincount(table.now(rows.landmark), rows.n_seen, minlength=n)
         if _is_brief(engine, rows):
             enough = SELDOM * _usually(rows)

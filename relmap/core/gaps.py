@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.association.reobservation.sightings import rows_of_tracks
 from relmap.core.mapper import RelativeMapper
 from relmap.core.motion_noise import MotionNoise
 from relmap.core.odometry import OdometryUse
@@ -37,8 +36,6 @@ def bridge_gaps(engine: RelativeMapper, to_the_last: bool = False, is_open: bool
     if not len(engine.motions):
         return False
     rows = engine.rows
-    if not engine.association.has_ids:
-        rows = rows_of_tracks(rows, engine.table)
     odometry = engine.motions.over(engine.store.n_iterations)
     measured = measured_motions(odometry, rows)
     noise, slipped = noise_of(odometry, measured, rows)

@@ -52,7 +52,7 @@ class RelativeMapper:
         self.table = LandmarkState()
         self.association = DataAssociation(model, config)
         keeps = model.keeps_observations or config.keep_observations
-        self.store = ObservationStore(model.columns, model.points, keeps)
+        self.store = ObservationStore(model.columns, model.points, keeps, self.table)
         self.schedule = GroupingSchedule(self.table, config)
         self.averaging = Averaging(self.table, model.noise_spread)
         self.map = GlobalMap(self.table)
@@ -101,8 +101,6 @@ class RelativeMapper:
         rows = self.model.rows(seen, found)
         shown = self.model.points(rows)
         landmarks = self.table.enter(shown.landmarks, shown.points_robot, iteration)
-        is_shown = shown.landmarks is rows["landmark"]
-        rows["landmark"] = landmarks if is_shown else self.table.now(rows["landmark"])
         self.store.append(**rows)
         return landmarks
 
@@ -157,8 +155,6 @@ class RelativeMapper:
         for new, old in pairs.tolist():
             for part in (self.table, self.schedule, self.merger):
                 part.merge(new, old)
-        if len(pairs):
-            self.store.rename(self.table)
         return len(pairs)
 
     def forget(self) -> bool:

@@ -11,7 +11,7 @@ from relmap.core.arrays import Bools, Ints
 from relmap.core.association import Constellation
 from relmap.core.association.reobservation.coinciding import compatible
 from relmap.core.association.reobservation.merging import doubtful, merge_doubles
-from relmap.core.association.reobservation.sightings import Sightings, rows_of_tracks
+from relmap.core.association.reobservation.sightings import Sightings
 from relmap.core.association.reobservation.undoing import (
     contradicted,
     nearer_another,
@@ -154,7 +154,7 @@ def _wrong(engine: RelativeMapper) -> Bools:
     table, current = engine.table, engine.association.current
     rare = rarely_seen(engine)
     wrong = doubtful(table, rare, engine.averaging.noise.sigma_m)
-    seldom = Sightings(rows_of_tracks(engine.rows, table), table).seldom(rare)
+    seldom = Sightings(engine.rows, table).seldom(rare)
     if current.is_blurred or current.estimates_covariances:
         wrong |= rare & seldom
     for refined in engine.refined:
@@ -180,7 +180,7 @@ def _look_over(engine: RelativeMapper) -> bool:
 def _merge_coinciding(engine: RelativeMapper) -> bool:
     """Merge landmarks that coincide in the refined map; return whether there were any."""
     merger = engine.merger
-    merger.sightings = Sightings(rows_of_tracks(engine.rows, engine.table), engine.table)
+    merger.sightings = Sightings(engine.rows, engine.table)
     merged = merge_doubles(merger, engine.merge, engine.averaging.noise.sigma_m)
     merger.sightings = None
     return merged
@@ -195,7 +195,7 @@ def _merge_compatible(engine: RelativeMapper, at_last: bool = False) -> bool:
     merged = 0
     if not engine.association.current.estimates_covariances:
         return False
-    sightings = Sightings(rows_of_tracks(engine.rows, engine.table), engine.table)
+    sightings = Sightings(engine.rows, engine.table)
     for refined in engine.refined:
         pairs = refined.landmarks[compatible(refined.positions, refined.covariances)]
         later = engine.table.first[pairs[:, 0]] < engine.table.first[pairs[:, 1]]
@@ -213,7 +213,7 @@ def _undo(engine: RelativeMapper) -> int:
     A submap that is no longer connected is split.
     """
     table = engine.table
-    rows = rows_of_tracks(engine.rows, table)
+    rows = engine.rows
     usual = np.inf if is_bridged(engine) else 1.0
     each = [contradicted(refined, table, rows, usual) for refined in engine.refined]
     if not is_bridged(engine):
@@ -234,14 +234,10 @@ def _part(engine: RelativeMapper, rows: SegmentRows, tracks: Ints) -> None:
     """Make merged tracks (k,) separate landmarks again, mapped where they were seen."""
     table = engine.table
     places, seen = places_of(table, rows, tracks)
-    # From now on, the landmark and the time of a row no longer determine its track.
-    engine.segments.rename(rows.landmark)
     for track, place, weight in zip(tracks.tolist(), places, seen.tolist(), strict=True):
         landmark = int(table.landmark_of[track])
-        stretch = int(table.track_begin[track]), int(table.track_end[track]) + 1
         others = [number for number in table.members(landmark) if number != track]
         table.part(track)
-        engine.store.part(landmark, track, *stretch)
         engine.merger.keep_apart(track, others)
         submap = int(table.submap[landmark])
         if weight > 0:
@@ -254,7 +250,7 @@ def _refine(engine: RelativeMapper, to_the_last: bool = True) -> None:
     if bridge_gaps(engine, to_the_last):
         return
     kept = engine.store if to_the_last and engine.config.keep_observations else None
-    rows = engine.rows if engine.association.has_ids else rows_of_tracks(engine.rows, engine.table)
+    rows = engine.rows
     engine.association.current.weigh_again(engine.weighed)
     engine.refined = _refine_submaps(engine, rows, kept)
 

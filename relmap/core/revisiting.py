@@ -20,7 +20,7 @@ from relmap.core.association.reobservation.gathering import gathered
 from relmap.core.association.reobservation.loops import TIED
 from relmap.core.association.reobservation.merging import merge_doubles
 from relmap.core.association.reobservation.revisits import TOLERANCE, RevisitFinder
-from relmap.core.association.reobservation.sightings import Sightings, rows_of_tracks
+from relmap.core.association.reobservation.sightings import Sightings
 from relmap.core.association.reobservation.tying import CLEAR
 from relmap.core.association.scale import spacing_of
 from relmap.core.gaps import bridge_gaps
@@ -51,7 +51,7 @@ def close_revisits(engine: RelativeMapper) -> None:
 def _merge_revisits(engine: RelativeMapper) -> list[float]:
     """Merge the landmarks of all certain revisits; return the drift of each, in deviations."""
     surprises, table = [], engine.table
-    sightings = Sightings(rows_of_tracks(engine.rows, table), table)
+    sightings = Sightings(engine.rows, table)
     for refined in engine.refined:
         drift = Drift(refined.spread.problem, refined.spread.settled)
         finder = RevisitFinder(table, refined.landmarks, drift, refined.noise_m)
@@ -84,7 +84,7 @@ def merge_in_place(engine: RelativeMapper, at_last: bool = False) -> None:
     With `at_last`, also those that were found to be distinct before but still coincide.
     """
     merger, found = engine.merger, True
-    sightings = Sightings(rows_of_tracks(engine.rows, engine.table), engine.table)
+    sightings = Sightings(engine.rows, engine.table)
     while found and engine.refined:
         noise_m = max(refined.noise_m for refined in engine.refined)
         pairs = lying_together(engine.table, noise_m)

@@ -121,10 +121,6 @@ class CondensedSegments:
             self._t.values,
         )
 
-    def rename(self, landmark: Ints) -> None:
-        """Replace the landmark of each row by those of `rows` or `with_rest` (n,)."""
-        self._landmark.values[:] = landmark[: len(self._landmark)]
-
     def condense(self, store: ObservationStore, before: int, dynamic: Bools) -> bool:
         """Condense the next segment if it is complete before an iteration; return whether.
 
@@ -152,7 +148,7 @@ class CondensedSegments:
         begin, k, d = self.end, end - self.end, store.dimension
         self._make_room(k, d)
         present, _, block = store.seen_with(-1, begin, end)
-        steady = ~dynamic[present]
+        steady = ~dynamic[store.now(present)]
         own = block if steady.all() else block[steady]
         free = np.isfinite(own[:, :, :1]).sum(axis=(0, 2)) >= 2
         while free.any():

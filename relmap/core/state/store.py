@@ -45,7 +45,8 @@ class ObservationStore:
 
     `columns`: the columns of an observation, without rows. `show`: returns the static points that
     rows show; see `relmap.core.model.LandmarkModel`. `keeps`: whether rows are kept after the last
-    group that needs them.
+    group that needs them. `table`: of the landmarks. Rows keep the numbers under which landmarks
+    were seen, so that a merge can be undone; they are read as the landmarks of the table.
     """
 
     _columns: dict[str, GrowingArray[Any]]
@@ -56,8 +57,10 @@ class ObservationStore:
         columns: Rows | None = None,
         show: Callable[[Rows], Shown] = shown_points,
         keeps: bool = False,
+        table: LandmarkState | None = None,
     ) -> None:
         self._keeps = keeps
+        self._table = table
         self._show = show
         room = MANY if keeps else FEW
         self._columns = {
@@ -132,21 +135,15 @@ class ObservationStore:
             self._offsets.drop(n)
             self._stored_from = before
 
-    def rename(self, table: LandmarkState) -> None:
-        """Reassign the stored observations to the landmarks after merging."""
-        landmark = self.column("landmark")[self._rows(self._first_iteration, self.n_iterations)[0]]
-        landmark[:] = table.now(landmark)
-
-    def part(self, landmark: int, track: int, begin: int, end: int) -> None:
-        """Reassign a landmark's stored observations of iterations `begin` to `end` to a track."""
-        rows, when = self.between(self._first_iteration, self.n_iterations)
-        landmarks = self.column("landmark")[rows]
-        landmarks[(landmarks == landmark) & (when >= begin) & (when < end)] = track
+    def now(self, landmarks: Ints) -> Ints:
+        """Return the landmarks (n,) that stored numbers stand for after merging."""
+        return landmarks if self._table is None else self._table.now(landmarks)
 
     def seen(self, begin: int, end: int) -> tuple[Ints, Ints]:
         """Return landmark and iteration of every point shown in iterations `begin` to `end`."""
         shown, offsets = self._shown(begin, end)
-        return shown.landmarks, np.repeat(np.arange(begin, end), np.diff(offsets))
+        seen = self.now(shown.landmarks)
+        return seen, np.repeat(np.arange(begin, end), np.diff(offsets))
 
     def points(self, begin: int, end: int) -> Floats:
         """Return every point (k, d) shown in iterations `begin` to `end`, ordered as in `seen`."""
@@ -155,16 +152,17 @@ class ObservationStore:
     def seen_with(self, seed: int, begin: int, end: int) -> tuple[Ints, Ints, Floats]:
         """Return all observations of those iterations from `begin` to `end` that show a seed.
 
-        `seed`: -1 for those of all iterations. Returns `landmarks` (n,): the seed, then the others,
-        ascending, `iterations` (i,), ascending and `block` (n, i, d), robot frame, metres: NaN
-        where missing.
+        `seed`: -1 for those of all iterations, by the numbers under which they were seen. Returns
+        `landmarks` (n,): the seed, then the others, ascending, `iterations` (i,), ascending and
+        `block` (n, i, d), robot frame, metres: NaN where missing.
         """
         from relmap.core.grouping.chart_kernels import chart_block
 
         shown, offsets = self._shown(begin, end)
-        self._slots.resize(max(seed, int(shown.landmarks.max(initial=-1))) + 1, -1)
+        seen = shown.landmarks if seed < 0 else self.now(shown.landmarks)
+        self._slots.resize(max(seed, int(seen.max(initial=-1))) + 1, -1)
         landmarks, columns, block = chart_block(
-            shown.landmarks, shown.points_robot, offsets, seed, self._slots.values
+            seen, shown.points_robot, offsets, seed, self._slots.values
         )
         return landmarks, columns + begin, block
 

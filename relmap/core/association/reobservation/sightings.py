@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
@@ -22,7 +20,7 @@ SELDOM = 0.25
 class Sightings:
     """Which landmarks were seen together: in one scan a landmark occurs only once.
 
-    `rows`: by tracks, see `rows_of_tracks`.
+    `rows`: by the numbers under which landmarks were seen.
     """
 
     def __init__(self, rows: SegmentRows, table: LandmarkState) -> None:
@@ -88,22 +86,3 @@ class Sightings:
     def _rows(self, landmark: int) -> Ints:
         numbers = self._table.members(landmark)
         return np.concatenate([np.arange(*self._begin[[k, k + 1]]) for k in numbers])
-
-
-def rows_of_tracks(rows: SegmentRows, table: LandmarkState) -> SegmentRows:
-    """Return rows by the number under which each was seen, undoing merges.
-
-    Tracks of one landmark are distinguished by their time.
-    """
-    bits = rows.visible.astype(np.int64)
-    time = rows.first_iteration[rows.segment] + np.log2(bits & -bits).astype(np.int64)
-    own = table.track_begin[rows.landmark] <= time
-    own &= time <= table.track_end[rows.landmark]
-    landmark = rows.landmark.copy()
-    numbers = np.lexsort((table.track_begin, table.landmark_of))
-    span = int(table.track_end.max(initial=0)) + 1
-    keys = table.landmark_of[numbers] * span + table.track_begin[numbers]
-    wanted = table.landmark_of[landmark[~own]]
-    at = numbers[(np.searchsorted(keys, wanted * span + time[~own], side="right") - 1).clip(0)]
-    landmark[~own] = np.where(table.landmark_of[at] == wanted, at, landmark[~own])
-    return replace(rows, landmark=landmark)

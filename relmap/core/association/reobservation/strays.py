@@ -23,7 +23,7 @@ NEARBY = 100
 def find_strays(table: LandmarkState, rows: SegmentRows, noise_m: float) -> Iterator[Ints]:
     """Yield pairs (k, 2) of unmapped tracks and the mapped landmarks that they are.
 
-    `rows`: by tracks; `noise_m`: standard deviation of an observed coordinate.
+    `noise_m`: standard deviation of an observed coordinate.
     """
     n, d = rows.n_segments, table.dimension
     mapped = table.weight[table.landmark_of[rows.landmark]] > 0

@@ -46,7 +46,7 @@ def contradicted(
     such residuals: such a segment is misplaced. The noise is taken from the median segment, because
     wrong merges increase the noise estimate of the map.
 
-    `rows`: by tracks. `usual`: usual deviation of segments from the map, in units of what noise
+    `usual`: usual deviation of segments from the map, in units of what noise
     explains. Segments linked by odometry may deviate more, and landmarks may appear at different
     positions from different sides: a wrong merge deviates by more than is usual.
     """
@@ -69,7 +69,7 @@ def contradicted(
 def places_of(table: LandmarkState, rows: SegmentRows, tracks: Ints) -> tuple[Floats, Floats]:
     """Return the mean positions (k, d) of tracks (k,) of mapped landmarks, and counts (k,).
 
-    `rows`: by tracks; `tracks` (k,).
+    `tracks` (k,).
     """
     landmark = table.landmark_of[rows.landmark]
     wanted = np.isin(rows.landmark, tracks)
@@ -86,10 +86,7 @@ def places_of(table: LandmarkState, rows: SegmentRows, tracks: Ints) -> tuple[Fl
 def nearer_another(
     refined: Refined, table: LandmarkState, rows: SegmentRows, sightings: Sightings
 ) -> Ints:
-    """Return the merged tracks (k,) that another landmark of a refined map explains far better.
-
-    `rows`: by tracks.
-    """
+    """Return the merged tracks (k,) that another landmark of a refined map explains far better."""
     tracks = np.unique(refined.merges.track)
     if len(refined.landmarks) <= CANDIDATES or not len(tracks):
         return np.empty(0, dtype=np.int64)
