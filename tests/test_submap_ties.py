@@ -63,6 +63,17 @@ def test_a_square_room_fits_itself_in_four_ways() -> None:
     assert len(tied_parts([part_of(0, square, inside), part_of(1, square, inside, True)])) == 2
 
 
+def test_a_round_room_fits_itself_after_any_turn() -> None:
+    """Its walls that are mapped coincide after one turn only, but beams end on it after each."""
+    mapped = np.array([0.0, 35.0, 85.0, 150.0, 200.0, 245.0, 310.0])
+    degrees = np.sort(np.concatenate([mapped, mapped + 20, [70.0, 128.0, 185.0, 288.0, 345.0]]))
+    corners = 5.0 * np.column_stack([np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))])
+    every = (part_of(k, corners, INSIDE - 3.0, moved=bool(k)) for k in range(2))
+    rows = np.flatnonzero(np.isin(degrees, mapped))
+    parts = [replace(one, ends=one.ends[rows], walls=one.walls[rows]) for one in every]
+    assert len(tied_parts(parts)) == 2
+
+
 def test_beams_that_pass_through_a_wall_contradict() -> None:
     """The same room, but one end of it stands open for 3 m."""
     longer = ROOM.copy()

@@ -7,8 +7,8 @@ through them contradict it. The best pair is joined to one map, and the search r
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
 from typing import NamedTuple
@@ -48,6 +48,9 @@ SYMMETRIC = 0.02
 submaps: a corridor round a building looks the same after half a turn (0.037 and more)."""
 RIVAL = 0.5
 """Largest support of another alignment, as a fraction of the best."""
+TURNS_RAD = np.deg2rad(np.arange(15, 346, 15))
+"""Turns about the middle of the walls in common that beams must exclude: a round room looks much
+the same after each of them, while its walls suggest only some."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,7 +208,19 @@ def unrivalled(part: MapPart, other: MapPart) -> SubmapTie | None:
         return None
     if best.contradicted > SYMMETRIC and part.jumps_to(other, best.tie):
         return None
-    return best
+    turned = (_judged(part, other, tie) for tie in _turned(part, other, best.tie))
+    return None if any(each.support_m > RIVAL * best.support_m for each in turned) else best
+
+
+def _turned(part: MapPart, other: MapPart, tie: WallTie) -> Iterator[WallTie]:
+    """Yield an alignment turned about the point that the coinciding walls face."""
+    begin, end = part.ends[coinciding(other.ends, part.ends, tie)[:, 1]].transpose(1, 0, 2)
+    along, middle = end - begin, (begin + end) / 2
+    centre = np.linalg.lstsq(along, (along * middle).sum(axis=1))[0]
+    for angle in TURNS_RAD.tolist():
+        c, s = np.cos(angle), np.sin(angle)
+        turn = np.array([[c, -s], [s, c]])
+        yield replace(tie, R=turn @ tie.R, t=turn @ (tie.t - centre) + centre)
 
 
 def _crosses(tie: WallTie) -> bool:
