@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from relmap.core.arrays import Floats
 from relmap.datasets import ScanLog, open_scans
+from relmap.datasets.on_robot import on_robot
 from tests.logs import put
 from tests.scanlogs import npz
 
@@ -76,3 +78,25 @@ def test_a_robot_that_stands_near_a_wall_keeps_its_beams(tmp_path: Path) -> None
     near = np.minimum(hall(0), 0.5 / np.maximum(np.sin(BEARINGS), 1e-3))
     log = carmen_log(tmp_path, [near.round(3)] * 60)
     assert {len(scan.points_robot) for scan in log.scans()} == {180}
+
+
+@pytest.mark.parametrize("written", [scans_npz, carmen_log])
+def test_a_log_without_any_return_is_opened(tmp_path: Path, written: object) -> None:
+    assert callable(written)
+    log = written(tmp_path, [np.full(180, REACH_M)] * 30)
+    assert sum(len(scan.points_robot) for scan in log.scans()) == 0
+
+
+def test_rounded_echoes_of_a_beam_are_one_direction() -> None:
+    rng = np.random.default_rng(0)
+    bearings = np.repeat(BEARINGS, 3)
+    bearings_rad = [bearings + rng.normal(0, 1e-8, len(bearings)) for _ in range(30)]
+    ranges_m = [rng.uniform(1, 8, len(bearings)) for _ in range(30)]
+    for ranges in ranges_m:
+        ranges[60:105] = 0.3
+    tracemalloc.start()
+    own = on_robot(Path("a.npz"), ranges_m, bearings_rad)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert all(beams[60:105].all() and beams.sum() == 45 for beams in own)
+    assert peak < 50e6

@@ -18,6 +18,8 @@ MOSTLY, SELDOM, CHANGING = 0.9, 0.5, 0.1
 directions in which at most half of the scans must have it: if the robot stands, none changes."""
 SCANS = 20
 """Minimum number of scans."""
+ONE_RAD = 1e-4
+"""Beams closer to each other than this have one direction: echoes of one beam, rounded."""
 
 
 def on_robot(path: Path, ranges_m: list[Floats], bearings_rad: list[Floats]) -> list[Bools]:
@@ -30,11 +32,12 @@ def on_robot(path: Path, ranges_m: list[Floats], bearings_rad: list[Floats]) -> 
     own = [np.zeros(len(ranges), dtype=np.bool_) for ranges in ranges_m]
     steps = [np.diff(np.sort(bearings)) for bearings in bearings_rad]
     steps_rad = np.concatenate([*steps, np.zeros(1)])
-    if len(ranges_m) < SCANS or not (steps_rad > 0).any():
+    steps_rad = steps_rad[steps_rad > ONE_RAD]
+    if len(ranges_m) < SCANS or not len(steps_rad) or not any((r > 0).any() for r in ranges_m):
         return own
     counts = [len(ranges) for ranges in ranges_m]
     every_m, bearings = np.concatenate(ranges_m), np.concatenate(bearings_rad)
-    direction = np.rint((bearings - bearings.min()) / np.median(steps_rad[steps_rad > 0]))
+    direction = np.rint((bearings - bearings.min()) / np.median(steps_rad))
     found = _near(every_m, direction.astype(np.int64), np.repeat(np.arange(len(counts)), counts))
     if found.any():
         _LOG.warning(
