@@ -169,3 +169,13 @@ def test_finishing_a_refined_map_again_leaves_it() -> None:
     before = mapper.map.positions
     mapper.finish()
     np.testing.assert_allclose(mapper.map.positions, before, atol=1e-9)
+
+
+def test_observations_kept_once_odometry_begins_have_the_number_before_a_merge() -> None:
+    points = np.random.default_rng(0).uniform(-10, 10, (20, 2))
+    mapper, ids = PointMapper(), np.arange(20)
+    for _ in range(6):
+        mapper.update(points, ids)
+    mapper.engine.merge_pairs(np.array([[7, 3]]))
+    mapper.update(points, ids, odometry=np.eye(4))
+    assert np.bincount(mapper.engine.kept.landmark).tolist() == [7] * 20

@@ -64,7 +64,7 @@ def found_late(engine: RelativeMapper, begin: int, end: int) -> None:
 
     If landmarks stay in view only briefly, none is due before it leaves.
     """
-    landmarks = engine.table.now(engine.store.seen(begin, end)[0])
+    landmarks = engine.store.seen(begin, end)[0]
     if not len(landmarks) or (engine.table.weight[landmarks] > 0).any():
         return
     times = np.bincount(landmarks)

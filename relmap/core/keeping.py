@@ -37,6 +37,6 @@ def keep_observations(
 def _keep_stored(engine: RelativeMapper, end: int) -> None:
     """Keep the observations of the stored iterations before `end`."""
     for i in range(engine.store.first_iteration, end):
-        landmarks, _ = engine.store.seen(i, i + 1)
+        landmarks = engine.store.column("landmark")[engine.store.rows(i)]  # Before merging.
         if len(landmarks):
             engine.kept.append(landmarks, engine.store.points(i, i + 1), i)
