@@ -80,6 +80,16 @@ def test_a_robot_that_stands_near_a_wall_keeps_its_beams(tmp_path: Path) -> None
     assert {len(scan.points_robot) for scan in log.scans()} == {180}
 
 
+def test_a_wall_that_the_robot_follows_keeps_its_beams(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    scans = [hall(step) for step in range(60)]
+    for ranges in scans:
+        beside_m = 0.3 + rng.normal(0, 0.02)
+        ranges[:90] = np.minimum(ranges[:90], beside_m / np.maximum(-np.sin(BEARINGS[:90]), 1e-3))
+    log = carmen_log(tmp_path, [ranges.round(3) for ranges in scans])
+    assert {len(scan.points_robot) for scan in log.scans()} == {180}
+
+
 @pytest.mark.parametrize("written", [scans_npz, carmen_log])
 def test_a_log_without_any_return_is_opened(tmp_path: Path, written: object) -> None:
     assert callable(written)

@@ -11,6 +11,7 @@ import pytest
 from relmap import PlaneMapper
 from relmap.core.arrays import Floats, Ints
 from relmap.planes import mapper as planes_mapper
+from relmap.planes.places import submap_ties
 from relmap.planes.places.submap_ties import MapPart, tied_parts
 from relmap.planes.places.wall_tie import LIMITS, WallPoints
 from relmap.planes.places.wall_tie_kernels import fit
@@ -63,15 +64,15 @@ def test_a_square_room_fits_itself_in_four_ways() -> None:
     assert len(tied_parts([part_of(0, square, inside), part_of(1, square, inside, True)])) == 2
 
 
-def test_a_round_room_fits_itself_after_any_turn() -> None:
-    """Its walls that are mapped coincide after one turn only, but beams end on it after each."""
-    mapped = np.array([0.0, 35.0, 85.0, 150.0, 200.0, 245.0, 310.0])
-    degrees = np.sort(np.concatenate([mapped, mapped + 20, [70.0, 128.0, 185.0, 288.0, 345.0]]))
-    corners = 5.0 * np.column_stack([np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))])
-    every = (part_of(k, corners, INSIDE - 3.0, moved=bool(k)) for k in range(2))
-    rows = np.flatnonzero(np.isin(degrees, mapped))
-    parts = [replace(one, ends=one.ends[rows], walls=one.walls[rows]) for one in every]
+def test_a_round_room_fits_itself_after_any_turn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its walls coincide after one turn only, but beams end near them after others as well."""
+    bearing = np.linspace(0, 2 * np.pi, 12, endpoint=False)
+    radius_m = 5.0 + np.random.default_rng(0).uniform(-0.3, 0.3, (12, 1))
+    corners = radius_m * np.column_stack([np.cos(bearing), np.sin(bearing)])
+    parts = [part_of(k, corners, INSIDE - 3.0, moved=bool(k)) for k in range(2)]
     assert len(tied_parts(parts)) == 2
+    monkeypatch.setattr(submap_ties, "TURNS_RAD", np.empty(0))
+    assert len(tied_parts(parts)) == 1
 
 
 def test_beams_that_pass_through_a_wall_contradict() -> None:

@@ -61,5 +61,14 @@ def _near(ranges_m: Floats, direction: Ints, scan: Ints) -> Bools:
     share = np.bincount(seen, minlength=len(usual_m)) / len(np.unique(scan))
     if np.quantile(share[usual_m > 0], CHANGING) > SELDOM:
         return np.zeros(len(ranges_m), dtype=np.bool_)
-    fixed = (share >= MOSTLY) & (usual_m <= REACH_M)
+    fixed = (share >= MOSTLY) & (_farthest_m(usual_m) <= REACH_M)
     return np.asarray(fixed[direction] & (ranges_m > 0) & (ranges_m <= usual_m[direction] + SAME_M))
+
+
+def _farthest_m(usual_m: Floats) -> Floats:
+    """Return the largest range (d,) of the surface that each direction, in order, is part of.
+
+    A wall beside which the robot drives goes on beyond its own parts; these end abruptly.
+    """
+    begins = np.abs(np.diff(usual_m, prepend=np.inf)) > SAME_M
+    return np.asarray(np.maximum.reduceat(usual_m, np.flatnonzero(begins))[np.cumsum(begins) - 1])
