@@ -7,6 +7,8 @@ import pytest
 
 from relmap.core.association.reobservation.merging import Merger
 from relmap.core.map.globalmap import GlobalMap
+from relmap.core.refinement.condensing import SegmentRows
+from relmap.core.refinement.confirming import found_rest
 from relmap.core.state.table import LandmarkState
 from relmap.points.model import PointModel
 from relmap.simulation import WorldSpec, simulate_world
@@ -41,3 +43,21 @@ def test_doubles_are_found_before_any_group_was_compared() -> None:
     table.last[:] = 2 * everyone + 30
     found = Merger(table, PointModel(), 10).doubles(0.02)
     assert np.isin(np.arange(30, 60), found).mean() >= 0.9
+
+
+def test_a_submap_from_a_segment_averages_merged_tracks() -> None:
+    points = np.random.default_rng(0).uniform(0, 20, (7, 2))
+    points[6] = points[5] + [0.03, 0.0]
+    table, everyone = LandmarkState(), np.arange(7)
+    table.resize(7, 0, 2)
+    table.merge(6, 5)
+    visible = np.array([0xFF] * 5 + [0x01, 0x06], dtype=np.uint8)  # seen once, and twice
+    none, pose = np.zeros(1, dtype=np.int64), np.eye(2)[None]
+    zero = np.zeros(7, dtype=np.int64)
+    rows = SegmentRows(
+        everyone, zero, points, visible, none, np.zeros(1), none, none, pose, np.zeros((1, 2))
+    )
+    found_rest(GlobalMap(table), rows)
+    assert table.weight[5] == 3
+    np.testing.assert_allclose(table.position[5], points[5] + [0.02, 0.0], atol=1e-12)
+    np.testing.assert_allclose(table.position[:5], points[:5], atol=1e-12)

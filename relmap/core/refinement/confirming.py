@@ -61,10 +61,14 @@ def found_rest(global_map: GlobalMap, sure: SegmentRows, least: int = 0) -> None
 def _found(global_map: GlobalMap, sure: SegmentRows, rows: Ints, least: int) -> None:
     """Start a submap from rows (k,) of one segment, and extend it by unmapped landmarks."""
     table = global_map.table
-    weights = sure.n_seen[rows].astype(np.float64)
-    landmarks = table.now(sure.landmark[rows])
+    # A landmark has several rows if its tracks were merged.
+    landmarks, of = np.unique(table.now(sure.landmark[rows]), return_inverse=True)
+    seen = sure.n_seen[rows].astype(np.float64)
+    weights = np.asarray(np.bincount(of, seen), dtype=np.float64)
+    points = np.zeros((len(landmarks), table.dimension))
+    np.add.at(points, of, seen[:, None] * sure.points[rows])
     submap = global_map.new_submap()
-    global_map.place(submap, landmarks, sure.points[rows], weights)
+    global_map.place(submap, landmarks, points / weights[:, None], weights)
     extend_submaps(global_map, sure, table.submap == NONE)
     own = np.flatnonzero(table.submap == submap)
     if len(own) < least:
