@@ -10,6 +10,7 @@ import pytest
 
 from relmap.core.arrays import Floats
 from relmap.datasets import ScanLog, open_scans
+from relmap.datasets import on_robot as on_robot_module
 from relmap.datasets.on_robot import on_robot
 from tests.logs import put
 from tests.scanlogs import npz
@@ -72,6 +73,20 @@ def test_beams_on_the_robot_are_left_out(
         assert np.hypot(*scan.points_robot.T) == pytest.approx(np.delete(ranges, mast), rel=1e-6)
     (message,) = caplog.messages
     assert message.endswith("8.33 % of the beams end on the robot itself and are left out")
+
+
+def test_some_scans_of_a_long_log_show_the_parts_of_the_robot(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scans = [hall(step) for step in range(60)]
+    for ranges in scans:
+        ranges[20:35] = 0.3
+    every = carmen_log(tmp_path, scans)
+    monkeypatch.setattr(on_robot_module, "MOST", 21)
+    some = carmen_log(tmp_path, scans)
+    for one, other in zip(every.scans(), some.scans(), strict=True):
+        assert len(one.points_robot) == 180 - 15
+        np.testing.assert_array_equal(one.points_robot, other.points_robot)
 
 
 def test_a_robot_that_stands_near_a_wall_keeps_its_beams(tmp_path: Path) -> None:

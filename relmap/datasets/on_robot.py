@@ -16,8 +16,8 @@ REACH_M, SAME_M = 0.6, 0.1
 MOSTLY, SELDOM, CHANGING = 0.9, 0.5, 0.1
 """Fraction of the scans in which such a direction has the same range; and the fraction of all
 directions in which at most half of the scans must have it: if the robot stands, none changes."""
-SCANS = 20
-"""Minimum number of scans."""
+SCANS, MOST = 20, 2000
+"""Minimum number of scans, and how many, spread over the log, are searched for own parts."""
 ONE_RAD = 1e-4
 """Beams closer to each other than this have one direction: echoes of one beam, rounded."""
 
@@ -29,27 +29,37 @@ def on_robot(path: Path, ranges_m: list[Floats], bearings_rad: list[Floats]) -> 
     of the scans have the same short range. `path`: the log, for the warning; `ranges_m`,
     `bearings_rad`, list of k (b,): beams of each scan; those of range 0 did not return.
     """
-    own = [np.zeros(len(ranges), dtype=np.bool_) for ranges in ranges_m]
-    steps = [np.diff(np.sort(bearings)) for bearings in bearings_rad]
-    steps_rad = np.concatenate([*steps, np.zeros(1)])
+    none = [np.zeros(len(ranges), dtype=np.bool_) for ranges in ranges_m]
+    if len(ranges_m) < SCANS:
+        return none
+    some = np.unique(np.linspace(0, len(ranges_m) - 1, MOST).astype(np.int64)).tolist()
+    some_m = np.concatenate([ranges_m[i] for i in some])
+    steps_rad = np.concatenate([np.diff(np.sort(bearings_rad[i])) for i in some])
     steps_rad = steps_rad[steps_rad > ONE_RAD]
-    if len(ranges_m) < SCANS or not len(steps_rad) or not any((r > 0).any() for r in ranges_m):
-        return own
-    counts = [len(ranges) for ranges in ranges_m]
-    every_m, bearings = np.concatenate(ranges_m), np.concatenate(bearings_rad)
-    direction = np.rint((bearings - bearings.min()) / np.median(steps_rad))
-    found = _near(every_m, direction.astype(np.int64), np.repeat(np.arange(len(counts)), counts))
-    if found.any():
+    if not len(steps_rad) or not (some_m > 0).any():
+        return none
+    first_rad = min(bearings.min(initial=np.inf) for bearings in bearings_rad)
+    step_rad = np.median(steps_rad)
+    direction = [np.rint((one - first_rad) / step_rad).astype(np.int64) for one in bearings_rad]
+    scan = np.repeat(np.arange(len(some)), [len(ranges_m[i]) for i in some])
+    limit_m = _own_m(some_m, np.concatenate([direction[i] for i in some]), scan)
+    limit_m = np.append(limit_m, np.zeros(1 + max(one.max(initial=0) for one in direction)))
+    beams = zip(ranges_m, direction, strict=True)
+    own = [(ranges > 0) & (ranges <= limit_m[where]) for ranges, where in beams]
+    if share := np.concatenate(own).mean():
         _LOG.warning(
             "%s: %.3g %% of the beams end on the robot itself and are left out",
             shown(path),
-            100 * found.mean(),
+            100 * share,
         )
-    return np.split(found, np.cumsum(counts)[:-1])
+    return own
 
 
-def _near(ranges_m: Floats, direction: Ints, scan: Ints) -> Bools:
-    """Return which beams (n,) end on the robot, given their directions and scans."""
+def _own_m(ranges_m: Floats, direction: Ints, scan: Ints) -> Floats:
+    """Return the range (d,) up to which beams of each direction end on the robot; 0 for none.
+
+    `ranges_m`, `direction`, `scan` (n,): of each beam.
+    """
     returned = np.flatnonzero(ranges_m > 0)
     order = returned[np.lexsort((ranges_m[returned], direction[returned]))]
     begins = np.flatnonzero(np.diff(direction[order], prepend=-1))
@@ -60,9 +70,9 @@ def _near(ranges_m: Floats, direction: Ints, scan: Ints) -> Bools:
     seen = np.unique(np.column_stack([direction[same], scan[same]]), axis=0)[:, 0]
     share = np.bincount(seen, minlength=len(usual_m)) / len(np.unique(scan))
     if np.quantile(share[usual_m > 0], CHANGING) > SELDOM:
-        return np.zeros(len(ranges_m), dtype=np.bool_)
+        return np.zeros(len(usual_m))
     fixed = (share >= MOSTLY) & (_farthest_m(usual_m) <= REACH_M)
-    return np.asarray(fixed[direction] & (ranges_m > 0) & (ranges_m <= usual_m[direction] + SAME_M))
+    return np.where(fixed, usual_m + SAME_M, 0.0)
 
 
 def _farthest_m(usual_m: Floats) -> Floats:
