@@ -180,18 +180,13 @@ def _is_brief(engine: RelativeMapper, rows: SegmentRows) -> bool:
     """Return whether most landmarks stay in view too briefly for a group, though scans match.
 
     Where scans do not match, tracks are short too, and many of them are wrong.
-
-    `rows`: by tracks.
     """
     tied = engine.association.current.tied_share
     return tied is not None and tied >= TIED and _usually(rows) < engine.config.group_after
 
 
 def _usually(rows: SegmentRows) -> float:
-    """Return the number of observations of the track of the median observation.
-
-    `rows`: by tracks.
-    """
+    """Return the number of observations of the track of the median observation."""
     seen = np.sort(np.bincount(rows.landmark, rows.n_seen))
     return float(seen[np.searchsorted(np.cumsum(seen), seen.sum() / 2)]) if len(seen) else 0.0
 

@@ -46,9 +46,9 @@ def contradicted(
     such residuals: such a segment is misplaced. The noise is taken from the median segment, because
     wrong merges increase the noise estimate of the map.
 
-    `usual`: usual deviation of segments from the map, in units of what noise
-    explains. Segments linked by odometry may deviate more, and landmarks may appear at different
-    positions from different sides: a wrong merge deviates by more than is usual.
+    `usual`: usual deviation of segments from the map, in units of what noise explains. Segments
+    linked by odometry may deviate more, and landmarks may appear at different positions from
+    different sides: a wrong merge deviates by more than is usual.
     """
     segments, merges, d = refined.segments, refined.merges, refined.positions.shape[1]
     if not len(segments.residual):
@@ -67,10 +67,7 @@ def contradicted(
 
 
 def places_of(table: LandmarkState, rows: SegmentRows, tracks: Ints) -> tuple[Floats, Floats]:
-    """Return the mean positions (k, d) of tracks (k,) of mapped landmarks, and counts (k,).
-
-    `tracks` (k,).
-    """
+    """Return the mean positions (k, d) of tracks (k,) of mapped landmarks, and counts (k,)."""
     landmark = table.landmark_of[rows.landmark]
     wanted = np.isin(rows.landmark, tracks)
     kept = (table.weight[landmark] > 0) & ~wanted
