@@ -80,8 +80,9 @@ def matrices(motions: Floats) -> Floats:
 
 
 def from_matrices(T: Floats) -> Floats:
-    """Return the planar motions (k, 3) of matrices (k, 4, 4)."""
-    return np.column_stack([np.arctan2(T[:, 1, 0], T[:, 0, 0]), T[:, :2, 3]])
+    """Return the planar motions (..., 3) of matrices (..., 4, 4)."""
+    turn = np.arctan2(T[..., 1, 0], T[..., 0, 0])
+    return np.concatenate([turn[..., None], T[..., :2, 3]], axis=-1)
 
 
 def wrapped(angle: Floats) -> Floats:

@@ -47,9 +47,14 @@ def _is_better(
     at = int(np.searchsorted(known, row))
     near = known[max(at - SIDE, 0) : at + SIDE].tolist()
     seen = {k: one for k in near if len(one := beams_of(first + k, history, beams))}
+    pairs = list(product([k for k in seen if k < row], [k for k in seen if k >= row]))
+    if not pairs:
+        return False
+    i, j = np.array(pairs).T
+    both = np.stack([poses[j], change @ poses[j]], axis=1)
+    motions = from_matrices(np.linalg.inv(poses[i])[:, None] @ both)
     lead, variance, n = np.zeros(1), np.zeros(1), 0
-    for i, j in product([k for k in seen if k < row], [k for k in seen if k >= row]):
-        both = from_matrices(np.linalg.inv(poses[i]) @ np.stack([poses[j], change @ poses[j]]))
-        own, sd = leads(seen[j], seen[i], both[1:], both[0], NEAR_M)
-        lead, variance, n = lead + own, variance + sd**2, n + len(seen[i]) + len(seen[j])
+    for (earlier, later), (kept, moved) in zip(pairs, motions, strict=True):
+        own, sd = leads(seen[later], seen[earlier], moved[None], kept, NEAR_M)
+        lead, variance, n = lead + own, variance + sd**2, n + len(seen[earlier]) + len(seen[later])
     return bool(log_odds(lead, variance)[0] > RIVAL and lead[0] > LEAST_SHARE * n)
