@@ -214,19 +214,28 @@ def _corners(corner: Ints, corner_of: Ints) -> tuple[Ints, Ints, Ints, Ints]:
 def laid_out(given: WallEquations, poses: Floats) -> Walls:
     """Return walls and corners as averages of their observations, by given poses."""
     R, t = poses[:, :2, :2], poses[:, :2, 3]
-    placed = np.einsum("nij,nej->nei", R[given.iteration], given.ends)
-    placed += t[given.iteration][:, None]
+    c, s = R[given.iteration, 0, 0], R[given.iteration, 1, 0]
+    ends = placed(given.ends, c, s, t[given.iteration])
     weight = 1 / given.sd**2
     total = np.bincount(given.wall, weight)
     centre = np.column_stack(
-        [np.bincount(given.wall, weight * axis) / total for axis in placed.mean(axis=1).T]
+        [np.bincount(given.wall, weight * axis) / total for axis in ends.mean(axis=1).T]
     )
-    along = placed[:, 1] - placed[:, 0]
+    along = ends[:, 1] - ends[:, 0]
     x, y = (np.bincount(given.wall, weight * axis) for axis in along.T)
     angle = np.arctan2(x, -y)
     of = given.wall[given.corner_row]
-    off = placed[given.corner_row, given.corner_end] - centre[of]
+    off = ends[given.corner_row, given.corner_end] - centre[of]
     reach = (off * directions(angle)[1][of]).sum(axis=1)
     at = np.bincount(given.corner, reach) / np.bincount(given.corner)
     yaw = np.arctan2(R[:, 1, 0], R[:, 0, 0])
     return Walls(yaw, t, centre, angle, np.zeros(len(angle)), at)
+
+
+def placed(ends: Floats, c: Floats, s: Floats, t: Floats) -> Floats:
+    """Return the ends (n, 2, 2) of walls, rotated by cosine and sine (n,) and moved by t (n, 2)."""
+    x, y = ends[..., 0], ends[..., 1]
+    moved = np.empty_like(ends)
+    moved[..., 0] = c[:, None] * x - s[:, None] * y + t[:, :1]
+    moved[..., 1] = s[:, None] * x + c[:, None] * y + t[:, 1:]
+    return moved

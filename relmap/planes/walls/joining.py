@@ -12,7 +12,7 @@ import numpy as np
 from scipy.sparse import coo_array
 
 from relmap.core.arrays import Floats, Ints
-from relmap.planes.walls.assembly import Assembled, WallNumbers, directions
+from relmap.planes.walls.assembly import Assembled, WallNumbers, directions, placed
 from relmap.planes.walls.history import first_of
 
 TURN_RAD = np.deg2rad(6.0)
@@ -168,6 +168,4 @@ def placed_ends(assembled: Assembled) -> Floats:
     """Return the ends (n, 2, 2) of the observations in the map frame."""
     given, state = assembled.given, assembled.state
     c, s = np.cos(state.yaw), np.sin(state.yaw)
-    R = np.stack([np.stack([c, -s], axis=1), np.stack([s, c], axis=1)], axis=1)
-    turned = np.einsum("nij,nej->nei", R[given.iteration], given.ends)
-    return np.asarray(turned + state.t[given.iteration][:, None])
+    return placed(given.ends, c[given.iteration], s[given.iteration], state.t[given.iteration])
