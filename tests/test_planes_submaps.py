@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -109,22 +110,42 @@ def test_a_torn_path_disagrees_with_its_links() -> None:
 
 def test_a_map_that_refining_tears_stays_as_chained(monkeypatch: pytest.MonkeyPatch) -> None:
     from relmap.planes.refinement import refined_map
-    from relmap.planes.refinement.solving import refined_to_the_noise
+    from relmap.planes.refinement.solving import refined
 
     mapper = PlaneMapper()
     drive(mapper, 30)
     mapper.finish()
     chained = mapper.trajectory
 
-    def torn(assembled: Any, held: float) -> Any:
-        best = refined_to_the_noise(assembled, held)
+    def torn(assembled: Any, rounds: Any, held: float) -> Any:
+        best = refined(assembled, rounds, held)
         best.state.t[10:] += 800.0
         return best
 
-    monkeypatch.setattr(refined_map, "refined_to_the_noise", torn)
+    monkeypatch.setattr(refined_map, "refined", torn)
     mapper.refine()
     np.testing.assert_array_equal(mapper.trajectory, chained)
     assert [submap.refined for submap in mapper.submaps] == [False]
+
+
+def test_a_map_that_lowering_the_noise_tears_stays_as_refined(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    from relmap.planes.refinement import refined_map
+
+    def torn(assembled: Any, _: float) -> Any:
+        state = replace(assembled.state, t=assembled.state.t.copy())
+        state.t[10:] += 800.0
+        return replace(assembled, state=state)
+
+    monkeypatch.setattr(refined_map, "refined_to_the_noise", torn)
+    mapper = PlaneMapper()
+    drive(mapper, 30)
+    mapper.finish()
+    chained = mapper.trajectory
+    mapper.refine()
+    assert [submap.refined for submap in mapper.submaps] == [True]
+    np.testing.assert_allclose(mapper.trajectory, chained, atol=0.01)
 
 
 def test_steps_of_refinement_are_bounded() -> None:

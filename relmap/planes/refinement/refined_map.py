@@ -13,8 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.planes.refinement.closing import walls_seen_again
-from relmap.planes.refinement.solving import refined, refined_to_the_noise
+from relmap.planes.refinement.closing import NEAR_M, walls_seen_again
+from relmap.planes.refinement.solving import LAST, refined, refined_to_the_noise
 from relmap.planes.submaps.stitching import stitched, with_strays_put_back
 from relmap.planes.submaps.submap import WallSubmap, among_all, torn_in
 from relmap.planes.submaps.tearing import disagreement
@@ -28,7 +28,8 @@ WIDELY = ((2, 1e4), (1, 300.0), (1, 50.0), (1, 15.0), (2, 5.0))
 """Rounds of solutions for closing loops, for any amount of drift."""
 CLOSELY = ((5, 1e4), (2, 300.0), (1, 100.0), (1, 20.0), (1, 5.0))
 CLOSED = 2
-"""The same once a loop is closed, and the maximum number of searches for loops."""
+"""The same once a loop is closed, and the maximum number of searches for loops. The search is
+repeated if the map moved so far that other places come within its reach."""
 BENT = 1.25
 """Factor by which closing a loop may increase the error at links that walls determine: at most 1.04
 for right loops in ten logs of lasers and eight simulated corridors, and 1.7 where doors, or parts
@@ -47,8 +48,9 @@ HELD = 0.0, 1e-4, 1e-3
 HELD_M = 100.0
 """Longest path of a map that is damped: it stays near the chained one, whose error grows with the
 path."""
-JOINED = 4
-"""Maximum number of rounds of joining coinciding walls and refining."""
+JOINED, RESTING_M = 4, 0.1
+"""Maximum number of rounds of joining coinciding walls and refining, and the movement of the map
+below which a round is the last."""
 
 
 def refined_map(
@@ -59,7 +61,8 @@ def refined_map(
 ) -> tuple[WallSubmap, WallNumbers]:
     """Move walls, corners and poses of a submap to the joint optimum of all observations.
 
-    Walls that then coincide are joined, which closes loops.
+    Walls that then coincide are joined, which closes loops. The noise is at least that of real
+    walls, see `at_the_noise`.
 
     `numbers`: initial association; `chained`: initial submap; `moving` (p,): plane tracks ignored
     because they move. Returns `submap`: not refined if nothing is mapped, or if refinement does not
@@ -68,7 +71,7 @@ def refined_map(
     if chained.assembled is None:
         return chained, numbers
     torn = list[Ints]()
-    for held in HELD if chained.length_m < HELD_M else HELD[:1]:
+    for held in _dampings(chained):
         found, found_numbers = _solved(history, numbers, chained, moving, held)
         if _better(found, chained, history):
             return found, found_numbers
@@ -89,9 +92,30 @@ def straightened(
     laid = assemble(history, numbers, among_all(found.poses, span, history), moving)
     if laid is None:
         return None
-    best = refined_to_the_noise(refined(laid, CLOSELY, HELD[0]), HELD[0])
-    again = WallSubmap.of(span, poses_of(best, span, history), best, refined=True)
+    again = _refined(refined(laid, (*CLOSELY, LAST), HELD[0]), span, history)
     return again if _better(again, found, history) else None
+
+
+def at_the_noise(found: WallSubmap, history: PlaneHistory) -> WallSubmap:
+    """Return a refined map solved at the accuracy of the observations, unless that is worse."""
+    assert found.assembled is not None
+    for held in _dampings(found):
+        best = refined_to_the_noise(found.assembled, held)
+        if best is found.assembled:
+            break
+        again = _refined(best, found.span, history)
+        if _better(again, found, history):
+            return again
+    return found
+
+
+def _dampings(submap: WallSubmap) -> Sequence[float]:
+    """Return the damping of a map, and of further attempts."""
+    return HELD if submap.length_m < HELD_M else HELD[:1]
+
+
+def _refined(best: Assembled, span: tuple[int, int], history: PlaneHistory) -> WallSubmap:
+    return WallSubmap.of(span, poses_of(best, span, history), best, refined=True)
 
 
 def _solved(
@@ -102,9 +126,8 @@ def _solved(
     held: float,
 ) -> tuple[WallSubmap, WallNumbers]:
     """Return the refined submap and its association."""
-    span = chained.span
     assert chained.assembled is not None
-    motions = history.motion[slice(*span)]
+    span, motions = chained.span, history.motion[slice(*chained.span)]
     measured = np.where(np.isin(np.arange(*span), history.weak_links)[:, None], np.nan, motions)
 
     def again(joined: WallNumbers, rounds: Sequence[tuple[int, float]]) -> tuple[Assembled, Floats]:
@@ -125,14 +148,24 @@ def _solved(
         bent = off_m > BENT * off_before_m + WORSE_M
         if bent or disagreement(tied[1], motions)[0] > torn:
             break  # similar places were confused
+        moved_m = _moved_m(poses, tied[1])
         numbers, (best, poses) = joined, tied
+        if moved_m < NEAR_M:
+            break
     for _ in range(JOINED):
         joined = join_walls(best, numbers)
         if joined.same_as(numbers):
             break
+        before = poses
         numbers, (best, poses) = joined, again(joined, ROUGHLY)
-    best = refined_to_the_noise(best, held)
-    return WallSubmap.of(span, poses_of(best, span, history), best, refined=True), numbers
+        if _moved_m(before, poses) < RESTING_M:
+            break
+    return _refined(refined(best, (LAST,), held), span, history), numbers
+
+
+def _moved_m(before: Floats, poses: Floats) -> float:
+    """Return the largest movement of a scan between poses (k, 4, 4), NaN for other scans."""
+    return float(np.nanmax(np.hypot(*(poses - before)[:, :2, 3].T)))
 
 
 def _better(found: WallSubmap, chained: WallSubmap, history: PlaneHistory) -> bool:

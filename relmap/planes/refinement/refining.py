@@ -14,7 +14,7 @@ from relmap.planes.linking.scan_links import ScanLinks
 from relmap.planes.odometry.steps import Steps, steps_of
 from relmap.planes.plan.floor_plan import floor_plan
 from relmap.planes.refinement.bending import bent_steps
-from relmap.planes.refinement.refined_map import refined_map, straightened
+from relmap.planes.refinement.refined_map import at_the_noise, refined_map, straightened
 from relmap.planes.scans.beams import BeamStore
 from relmap.planes.submaps.grouped_map import GroupedMap
 from relmap.planes.submaps.submap import WallSubmap
@@ -88,7 +88,7 @@ def _refined(
         found, own = refined_map(history, numbers, submap, moving)
         if found.refined:
             found, history = _straight(found, own, history, moving, beams)
-            submaps.append(found)
+            submaps.append(at_the_noise(found, history))
             numbers = own
         else:
             chained = grouped.submap(submap.span, merged, moving)

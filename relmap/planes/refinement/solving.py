@@ -41,18 +41,16 @@ def refined_to_the_noise(assembled: Assembled, held: float) -> Assembled:
 
     If they are more accurate than real walls, the least noise is lowered step by step, so that
     outliers are rejected before the noise is small (graduated non-convexity; Blake and Zisserman,
-    1987).
+    1987). Otherwise the map is returned unchanged.
     """
-    system, share = WallSystem(assembled.given, held), 1.0
-    best = _solved(system, assembled, (LAST,))
+    if assembled.typical_m >= FLAT_M:
+        return assembled
+    given, best, share = assembled.given, assembled, 1.0
+    system = WallSystem(given, held)
     while share * FLAT_M > max(assembled.typical_m, EXACT_M):
         share *= SHARPER
-        given = replace(
-            assembled.given,
-            sd=share * assembled.given.sd,
-            corner_sd=share * assembled.given.corner_sd,
-        )
-        best = _solved(system, replace(best, given=given), (SHARPLY,), by_scan=False)
+        lower = replace(given, sd=share * given.sd, corner_sd=share * given.corner_sd)
+        best = _solved(system, replace(best, given=lower), (SHARPLY,), by_scan=False)
     return best
 
 

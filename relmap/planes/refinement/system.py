@@ -35,8 +35,8 @@ LOOSE_POSE, LOOSE, LEAST = 1e-10, 1e-12, 1e-9
 weights of an observation."""
 FARTHEST, FARTHEST_RAD = 1.0, np.pi / 2
 """Largest step of a pose, in sizes of the map, and largest rotation."""
-UNSURE = 1e-2
-"""Gain, in squared standard deviations of the whole map, below which to stop."""
+UNSURE = 1e-3
+"""Gain per unknown, in squared standard deviations, below which to stop."""
 REST = 0.03
 """Steps longer than this, metres and radians, indicate that the solution does not converge."""
 USUAL = 3.0
@@ -92,7 +92,7 @@ class WallSystem:
             state,
             weigh,
             rounds,
-            unsure=UNSURE,
+            unsure=UNSURE * self._n_unknowns,
             same=np.inf,
             monotone=self._held > 0,
             reuse=False,
@@ -217,8 +217,8 @@ class WallSystem:
         starts = np.searchsorted(iteration[rows], np.append(poses, len(poses)))
         free = (poses > 0).astype(np.float64)
         self._poses = Elimination(self.pattern, unknown, starts, rows, poses // STRETCH, free=free)
-        unknowns = self.pattern.n_unknowns + 3 * (len(poses) - 1)
-        self.freedoms = max(len(iteration) - unknowns, 1)
+        self._n_unknowns = self.pattern.n_unknowns + 3 * (len(poses) - 1)
+        self.freedoms = max(len(iteration) - self._n_unknowns, 1)
 
 
 def _unknowns(state: Walls) -> Floats:
