@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from relmap import PointMapper
+from relmap.core.association.likelihood import CLEAR
 from relmap.core.association.placement import Placement
-from relmap.core.association.registering import CLEAR
 from relmap.core.association.scale import spacing_of
 from relmap.core.association.soft import SoftMatching, likely_links
 from relmap.evaluation.surface_points import wall_points

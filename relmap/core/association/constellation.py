@@ -143,7 +143,8 @@ class Constellation(Numbered):
         for tracks, since in ((self._tracks, self._tracks_since), (self._stray, self._stray_since)):
             if tracks is None:
                 continue
-            placing = TrackPlacing(Chance(self._scale, self._idle, metric))
+            idle = self._idle if tracks is self._tracks else self._n_scans - 1 - (since or 0)
+            placing = TrackPlacing(Chance(self._scale, idle, metric))
             seen = len(points_robot) and len(tracks)
             placement = placing.placement(tracks, points_robot) if seen else None
             if placement is not None:

@@ -15,50 +15,47 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.association.chance import (
     ENOUGH,
     LOG_CHANCE,
-    LOG_CHANCE_NEAR,
     PLENTY,
-    Chance,
     moved_m,
 )
+from relmap.core.association.likelihood import CLEAR, SHARE, LikelyPlacing
 from relmap.core.association.metric import rows_of
 from relmap.core.association.placement import DISTINCT, Placement, trimmed_fit
-from relmap.core.association.scale import CHI2_MEDIAN, EXACT, SHARP, SIGMAS, SLOWNESS, WIDER, Scale
-from relmap.core.association.search import fits_mirrored, search, settled
-from relmap.core.association.soft import SoftMatching
+from relmap.core.association.scale import (
+    CHI2_MEDIAN,
+    COARSE,
+    EXACT,
+    FINER,
+    SHARP,
+    SIGMAS,
+    SLOWNESS,
+    WIDER,
+)
+from relmap.core.association.search import fits_mirrored, is_periodic, search, settled
 from relmap.core.association.tracks import LiveTracks
 
 NEAR_SHARE = 0.8
 """Fraction of the nearest neighbours that must agree to skip the wider search."""
 DECIDABLE = 8
 """Minimum number of possible matches with which the likelihood decides between rivals."""
-SHARE = 0.6
-"""Fraction of the possible matches that must agree while the noise is unknown or the likelihood
-decides."""
 MISFIT = 2.0
 """Largest variance of their matches to skip it, relative to the usual one: if landmarks stand on a
 lattice, the nearest neighbours may agree one period away, but less closely."""
 SAMPLE = 32
 """Maximum number of tracks used to fit a placement; more would not improve it."""
-CLEAR = 0.6
-"""Fraction of the matches, or of the log likelihood ratio, that a rival may have."""
 BLURRED = (0.1, 0.2, 0.35)
 """Noise, in spacings, that is tried where none explains the matches."""
-ASIDE = 2.0
-"""Largest shift of a rival of a placement found, in spacings."""
 LEAST_MISFIT = 0.25
 """Minimum variance of matches relative to that assumed: with too much noise assumed, a rival nearby
 would not differ."""
-LOG_CLEAR = float(np.log(1 / 20))
-"""Log of the likelihood of chance, or of a rival, relative to the most likely placement."""
 FAMILIAR = 5
 """Observations of a landmark required if only two landmarks determine a planar scan."""
 NEARBY = 0.2
 """Largest motion of these two, in spacings."""
+SHORT = 0.5
+"""Motion, in spacings, up to which nearest neighbours agree in a pattern that repeats."""
 BLIND = 8
 """Nearly empty scans after which any place may follow, also one that looks alike."""
-
-Scored = tuple[Placement, float, float]
-"""A placement, and the log likelihood ratios of it and of a rival."""
 
 
 class _Searched(NamedTuple):
@@ -75,30 +72,18 @@ class _Searched(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class TrackPlacing:
-    """Finds the placement of the tracks' frame in that of a scan.
-
-    `chance`: with the scale of the scans so far, which each scan updates.
-    """
-
-    chance: Chance
-
-    @property
-    def scale(self) -> Scale:
-        """Scale of the scans so far."""
-        return self.chance.scale
-
-    @property
-    def metric(self) -> Floats | None:
-        """Metric of the points of the scan (n, d, d)."""
-        return self.chance.metric
+class TrackPlacing(LikelyPlacing):
+    """Finds the placement of the tracks' frame in that of a scan, of any noise."""
 
     def placement(self, tracks: LiveTracks, points: Floats) -> Placement | None:
         """Return the placement that brings tracks onto points (n, d); None if none is certain."""
-        learnt = self.scale.noise_m
-        found, is_ambiguous = self._found(tracks, points)
+        learnt, is_ambiguous, found = self.scale.noise_m, False, None
+        if learnt is None and self._repeats(tracks, points, self.scale.tolerance_m):
+            found = self._explaining(tracks, points, FINER, np.inf)
+        if found is None:
+            found, is_ambiguous = self._found(tracks, points)
         if self.scale.is_blurred:
-            found = self._likely(tracks, points, found)
+            found = self.likely(tracks, points, found)
         if found is None:
             found = self._found_of_unknown_noise(tracks, points, is_ambiguous)
         if found is None or not self._is_elsewhere(found, learnt, tracks, points):
@@ -142,47 +127,8 @@ class TrackPlacing:
         if self.scale.is_blurred:
             d, extent_m = points.shape[1], float(np.ptp(points, axis=0).max())
             chance = (2 * d - 3) * np.log(2 * np.pi) + self.chance.log_placements(d, extent_m)
-            chance -= self._soft(tracks, points).fitted(placement.R, placement.t)[1]
+            chance -= self.soft(tracks, points).fitted(placement.R, placement.t)[1]
         return bool(chance <= LOG_CHANCE)
-
-    def _likely(
-        self, tracks: LiveTracks, points: Floats, found: Placement | None
-    ) -> Placement | None:
-        """Return the most likely placement, near that found if there is one; None if uncertain."""
-        matching, spacing_m = self._soft(tracks, points), self.scale.spacing_m
-        here = matching.source
-        if found is None or moved_m(found, here) > spacing_m:
-            best = matching.found(*matching.by_triangles())
-            near = matching.found(*matching.by_shifts(ASIDE * spacing_m))
-            if near and self._is_clear(near, best, matching):
-                best = near  # triangles are those of a few tracks only
-        else:
-            best = matching.found(*matching.by_shifts(ASIDE * spacing_m, found))
-        if best is None:
-            return None
-        placement, score, rival = best
-        far_m = moved_m(placement, here)
-        chance = self.chance.log_placements(here.shape[1], far_m) - score
-        if chance > (LOG_CLEAR if far_m <= spacing_m else LOG_CHANCE_NEAR):
-            return None
-        if rival > min(score + LOG_CLEAR, CLEAR * score):
-            return None
-        if self.scale.is_blurred:  # otherwise it is learnt from the links
-            self.scale.learn_misfit(matching.misfit(placement))
-        return placement
-
-    @staticmethod
-    def _is_clear(near: Scored, best: Scored | None, matching: SoftMatching) -> bool:
-        """Return whether a placement is clearly more likely than another, or explains the scan."""
-        if best is None:
-            return near[0].n_agreeing >= SHARE * min(len(matching.source), len(matching.target))
-        return CLEAR * near[1] > best[1]
-
-    def _soft(self, tracks: LiveTracks, points: Floats) -> SoftMatching:
-        known, seen = tracks.crowd(points, len(tracks))
-        variance, metric = self.scale.variances(tracks.seen[known]), rows_of(self.metric, seen)
-        expected, spacing_m = tracks.expected[known], self.scale.spacing_m
-        return SoftMatching(expected, variance, points[seen], spacing_m, metric)
 
     def _found(self, tracks: LiveTracks, points: Floats) -> tuple[Placement | None, bool]:
         """Find the placement of the tracks' frame in the scan with the most matches.
@@ -207,7 +153,10 @@ class TrackPlacing:
             is_usual = (
                 is_sharp and not missed and self._is_usual(near, here, there, tolerance_m, own)
             )
-            if is_usual and near.n_agreeing >= max(PLENTY, share):
+            is_next = self.scale.noise_m is not None and not (missed or self.chance.idle)
+            is_short = is_next and moved_m(near, here) <= SHORT * spacing_m
+            is_safe = is_short or not self._repeats(tracks, points, tolerance_m)
+            if is_safe and is_usual and near.n_agreeing >= max(PLENTY, share):
                 return near, False
             alone = near.n_agreeing == len(rows) == d == 2
             if alone and self._is_familiar_pair(tracks, rows, distance):
@@ -216,11 +165,12 @@ class TrackPlacing:
             near = settled(here, points, near, tolerance_m, metric)
             if near is not None and not self.chance.is_exceeded(near, here, points, missed):
                 near = None
-        if near is not None and is_usual and near.n_agreeing >= share:
+        if near is not None and is_safe and is_usual and near.n_agreeing >= share:
             return near, False
         far = self._search(tracks, points)
         is_best = is_sharp and near is not None and far.n_agreeing <= near.n_agreeing
-        if near and is_best and (near.n_agreeing >= share or not far.is_doubtful):
+        is_safe = near is not None and is_safe and near.n_agreeing >= share
+        if near and is_best and (is_safe or not far.is_doubtful):
             return near, False
         explains = far.n_agreeing >= SHARE * tracks.possible(points)
         return far.placement, far.placement is None and far.is_ambiguous and explains
@@ -243,6 +193,11 @@ class TrackPlacing:
         usual_m = max(self.scale.noise_m, EXACT / SIGMAS * self.scale.spacing_m)
         return bool(variance <= MISFIT * usual_m**2)
 
+    @staticmethod
+    def _repeats(tracks: LiveTracks, points: Floats, tolerance_m: float) -> bool:
+        """Return whether nearest neighbours of tracks and points may agree a period away."""
+        return is_periodic(tracks.expected, tolerance_m) or is_periodic(points, tolerance_m)
+
     def _is_familiar_pair(self, tracks: LiveTracks, rows: Ints, distance: Floats) -> bool:
         """Return whether two matches in the plane suffice: well known, just seen, hardly moved."""
         known = (tracks.seen[rows] >= FAMILIAR).all() and (tracks.missed[rows] == 0).all()
@@ -258,23 +213,51 @@ class TrackPlacing:
         widest_m = self.scale.tolerance_m if is_ambiguous else np.inf
         scale, possible = self.scale, tracks.possible(points)
         learnt, scale.noise_m = scale.noise_m, None
-        for scale.wider in WIDER if possible >= PLENTY else ():
-            is_new = scale.wider != 1 if learnt is None else scale.tolerance_m > SIGMAS * learnt
-            if is_new and scale.tolerance_m < widest_m:
-                placement, _ = self._found(tracks, points)
-                if placement is not None and placement.n_agreeing >= SHARE * possible:
-                    return placement
-        scale.wider = 1.0
+        factors: tuple[float, ...] = (*FINER, 1.0, *WIDER)
+        if learnt is not None:
+            factors = tuple(
+                one for one in factors if self._may_have_grown(tracks, points, learnt, one)
+            )
+        placement = self._explaining(tracks, points, factors, widest_m)
+        if placement is not None:
+            return placement
         scale.noise_m = learnt
         may_be_blurred = learnt is None or scale.is_blurred
         for share in BLURRED if possible >= PLENTY and may_be_blurred else ():
             scale.noise_m = share * scale.spacing_m
             is_new = scale.noise_m >= (learnt or 0) and SIGMAS * scale.noise_m < widest_m
             if scale.is_blurred and is_new:
-                matching, placement = self._soft(tracks, points), self._likely(tracks, points, None)
+                matching, placement = self.soft(tracks, points), self.likely(tracks, points, None)
                 if placement is not None and matching.misfit(placement) >= LEAST_MISFIT:
                     return placement
         scale.noise_m = learnt
+        return None
+
+    def _may_have_grown(
+        self, tracks: LiveTracks, points: Floats, learnt: float, factor: float
+    ) -> bool:
+        """Return whether a wider tolerance than the noise implies may explain a scan.
+
+        On a pattern that repeats it would explain a motion that is a period off.
+        """
+        tolerance_m = factor * COARSE * self.scale.spacing_m
+        return tolerance_m > SIGMAS * learnt and not self._repeats(tracks, points, tolerance_m)
+
+    def _explaining(
+        self, tracks: LiveTracks, points: Floats, factors: tuple[float, ...], widest_m: float
+    ) -> Placement | None:
+        """Return the first placement that explains most of the scan as the tolerance grows.
+
+        `factors`: of the tolerance while the noise is unknown; `widest_m`: it stays below. On a
+        lattice, placements a period apart agree to a coarse tolerance, only one to a fine one.
+        """
+        scale, possible = self.scale, tracks.possible(points)
+        for scale.wider in factors if possible >= PLENTY else ():
+            if scale.tolerance_m < widest_m:
+                placement, _ = self._found(tracks, points)
+                if placement is not None and placement.n_agreeing >= SHARE * possible:
+                    return placement
+        scale.wider = 1.0
         return None
 
     def _search(self, tracks: LiveTracks, points: Floats) -> _Searched:
@@ -295,11 +278,9 @@ class TrackPlacing:
         is_decidable &= min(len(here), len(there)) >= DECIDABLE
         # Matches that chance produces in some placement explain nothing.
         is_clear = rival <= CLEAR * placement.n_agreeing or self.chance.log(rival, here, there) > 0
-        if is_clear and (
-            not is_decidable or self._soft(tracks, points).misfit(placement) <= MISFIT
-        ):
+        if is_clear and (not is_decidable or self.soft(tracks, points).misfit(placement) <= MISFIT):
             return _Searched(placement, placement.n_agreeing)
-        likely = self._likely(tracks, points, None) if is_decidable else None
+        likely = self.likely(tracks, points, None) if is_decidable else None
         near = tracks.crowd(points, len(tracks))[0]
         if likely is not None and likely.n_agreeing < SHARE * min(len(near), len(there)):
             likely = None  # the best one may not be among those suggested

@@ -11,8 +11,10 @@ from relmap.core.association.metric import MEMORY, RayNoise
 
 COARSE = 0.1
 """Tolerance before the noise is known, in spacings."""
-WIDER = (0.1, 0.3, 1, 2, 3.5)
-"""Multiples of it that are tried in turn; on a lattice a coarse tolerance has rivals."""
+FINER = (0.1, 0.3)
+"""Multiples of it that are tried first; on a lattice a coarse tolerance has rivals."""
+WIDER = (2.0, 3.5)
+"""Multiples of it that are tried last."""
 SIGMAS, FEW_SIGMAS = 4.5, 3.0
 """Tolerance once the noise is known, in standard deviations; and if that is large compared with the
 spacing."""

@@ -11,8 +11,10 @@ import math
 from itertools import combinations
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Floats, Ints
+from relmap.core.association.base import nearest
 from relmap.core.association.metric import rows_of, stretch_of
 from relmap.core.association.placement import Placement, trimmed_fit
 
@@ -24,6 +26,10 @@ ROUNDS = 4
 """Maximum number of refits of a placement to its matches."""
 RIVALS = 4
 """Rivals that are refitted before they are counted."""
+NEIGHBOURS = 4
+"""Shifts by which a pattern may repeat: from one point to those nearest to it."""
+REPEATED, FEWEST = 0.4, 2
+"""Fraction of the points that such a shift brings onto others, and minimum number of them."""
 
 
 def log_chance(n: int, n_agreeing: int, share: float, log_placements: float) -> float:
@@ -167,3 +173,18 @@ def fits_mirrored(
         return False
     own = search(source, source * sign, tolerance_m, 3)  # on a line: all
     return own is None or own[0].n_agreeing < least
+
+
+def is_periodic(points: Floats, tolerance_m: float) -> bool:
+    """Return whether points (n, d), metres, repeat in the distance of neighbours.
+
+    As trees in an orchard or lamps along a road do: nearest neighbours may agree a period away.
+    """
+    if len(points) <= FEWEST:
+        return False
+    offsets = points - points[np.argmin(np.sum((points - points.mean(axis=0)) ** 2, axis=1))]
+    order = np.argsort(np.sum(offsets**2, axis=1), kind="stable")
+    others, shifts = points[order[1:]], offsets[order[1 : 1 + NEIGHBOURS]]
+    moved = (others + shifts[:, None]).reshape(-1, points.shape[1])
+    coincide = nearest(cKDTree(points), moved)[0].reshape(len(shifts), -1) <= tolerance_m
+    return bool(coincide.sum(axis=1).max() >= max(FEWEST, REPEATED * len(others)))

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.association.likelihood import LOG_CLEAR
 from relmap.core.association.placement import Placement
-from relmap.core.association.registering import LOG_CLEAR
 from relmap.core.association.reobservation.evidence import LOCAL_DRIFT
 from relmap.core.association.reobservation.recognition import ENOUGH, PlaceFinder
 from relmap.core.association.reobservation.tying import BY_CHANCE, CLEAR, NEIGHBOURHOOD, OVERLAP

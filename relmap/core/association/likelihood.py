@@ -1,0 +1,88 @@
+"""The most likely placement of live tracks in a scan, where single matches are ambiguous."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from relmap.core.arrays import Floats
+from relmap.core.association.chance import LOG_CHANCE_NEAR, Chance, moved_m
+from relmap.core.association.metric import rows_of
+from relmap.core.association.placement import Placement
+from relmap.core.association.scale import Scale
+from relmap.core.association.soft import SoftMatching
+from relmap.core.association.tracks import LiveTracks
+
+SHARE = 0.6
+"""Fraction of the possible matches that must agree while the noise is unknown or the likelihood
+decides."""
+CLEAR = 0.6
+"""Fraction of the matches, or of the log likelihood ratio, that a rival may have."""
+ASIDE = 2.0
+"""Largest shift of a rival of a placement found, in spacings."""
+LOG_CLEAR = float(np.log(1 / 20))
+"""Log of the likelihood of chance, or of a rival, relative to the most likely placement."""
+
+Scored = tuple[Placement, float, float]
+"""A placement, and the log likelihood ratios of it and of a rival."""
+
+
+@dataclass(frozen=True, eq=False)
+class LikelyPlacing:
+    """Finds the most likely placement of the tracks' frame in that of a scan.
+
+    `chance`: with the scale of the scans so far, which each scan updates.
+    """
+
+    chance: Chance
+
+    @property
+    def scale(self) -> Scale:
+        """Scale of the scans so far."""
+        return self.chance.scale
+
+    @property
+    def metric(self) -> Floats | None:
+        """Metric of the points of the scan (n, d, d)."""
+        return self.chance.metric
+
+    def likely(
+        self, tracks: LiveTracks, points: Floats, found: Placement | None
+    ) -> Placement | None:
+        """Return the most likely placement, near that found if there is one; None if uncertain."""
+        matching, spacing_m = self.soft(tracks, points), self.scale.spacing_m
+        here = matching.source
+        if found is None or moved_m(found, here) > spacing_m:
+            best = matching.found(*matching.by_triangles())
+            near = matching.found(*matching.by_shifts(ASIDE * spacing_m))
+            if near and self._is_clear(near, best, matching):
+                best = near  # triangles are those of a few tracks only
+        else:
+            best = matching.found(*matching.by_shifts(ASIDE * spacing_m, found))
+        if best is None:
+            return None
+        placement, score, rival = best
+        far_m = moved_m(placement, here)
+        chance = self.chance.log_placements(here.shape[1], far_m) - score
+        if chance > (LOG_CLEAR if far_m <= spacing_m else LOG_CHANCE_NEAR):
+            return None
+        if rival > min(score + LOG_CLEAR, CLEAR * score):
+            return None
+        if self.scale.is_blurred:  # otherwise it is learnt from the links
+            self.scale.learn_misfit(matching.misfit(placement))
+        return placement
+
+    @staticmethod
+    def _is_clear(near: Scored, best: Scored | None, matching: SoftMatching) -> bool:
+        """Return whether a placement is clearly more likely than another, or explains the scan."""
+        if best is None:
+            return near[0].n_agreeing >= SHARE * min(len(matching.source), len(matching.target))
+        return CLEAR * near[1] > best[1]
+
+    def soft(self, tracks: LiveTracks, points: Floats) -> SoftMatching:
+        """Return tracks and points (n, d) for the search of the most likely placement."""
+        known, seen = tracks.crowd(points, len(tracks))
+        variance, metric = self.scale.variances(tracks.seen[known]), rows_of(self.metric, seen)
+        expected, spacing_m = tracks.expected[known], self.scale.spacing_m
+        return SoftMatching(expected, variance, points[seen], spacing_m, metric)

@@ -1,0 +1,83 @@
+"""Landmarks in a pattern that repeats: no scan is matched to another a period away."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from relmap.core.arrays import Floats, Ints
+from relmap.core.association import Constellation
+from relmap.core.association.search import is_periodic
+
+REACH_M, WIDTH_M = 20.0, 8.0
+SIGMA_M = 0.03
+
+
+def avenue(
+    period_m: float, jitter_m: float, missing: float, rng: np.random.Generator
+) -> tuple[Floats, Ints]:
+    """Return posts (n, 2) on both sides of a road of 150 m, and their ids."""
+    x = np.arange(-12, 162, period_m)
+    sides = [np.column_stack([x, np.full(len(x), y)]) for y in (-WIDTH_M / 2, WIDTH_M / 2)]
+    posts = np.concatenate(sides)
+    posts = posts[rng.random(len(posts)) >= missing]
+    posts += rng.normal(0, jitter_m, posts.shape)
+    return posts, np.arange(len(posts))
+
+
+def scans_along(
+    posts: Floats, ids: Ints, step_m: float, rng: np.random.Generator
+) -> list[tuple[Floats, Ints]]:
+    """Return the posts in view ahead, robot frame, of each scan along the road, and their ids."""
+    scans = []
+    for x in np.arange(0, 130, step_m):
+        points = posts - [x, 0]
+        seen = np.linalg.norm(points, axis=1) <= REACH_M
+        seen &= np.abs(np.arctan2(points[:, 1], points[:, 0])) <= np.pi / 3
+        order = rng.permutation(np.flatnonzero(seen))
+        scans.append((points[order] + rng.normal(0, SIGMA_M, (len(order), 2)), ids[order]))
+    return scans
+
+
+@pytest.mark.parametrize(
+    ("period_m", "jitter_m", "missing"), [(6.0, 0.05, 0.0), (6.0, 0.05, 0.1), (3.0, 0.1, 0.2)]
+)
+@pytest.mark.parametrize("seed", range(3))
+def test_tracks_along_an_avenue_are_pure(
+    period_m: float, jitter_m: float, missing: float, seed: int
+) -> None:
+    """Also where a scan matches none at first, and its neighbour may be a period away."""
+    rng = np.random.default_rng(seed)
+    registration, labels, true = Constellation(5), [], []
+    scans = scans_along(*avenue(period_m, jitter_m, missing, rng), period_m / 3, rng)
+    for k, (points, ids) in enumerate(scans):
+        if k % 10 == 9:  # a scan of which most is hidden
+            points, ids = points[:2], ids[:2]
+        labels.append(registration.match(points, None))
+        true.append(ids)
+    label, landmark = np.concatenate(labels), np.concatenate(true)
+    n_pure = sum(
+        np.unique(landmark[label == one], return_counts=True)[1].max() for one in set(label)
+    )
+    assert n_pure / len(label) > 0.98
+    assert registration.tied_share is not None
+    assert registration.tied_share > 0.6
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_patterns_that_repeat_are_known(seed: int) -> None:
+    """A lattice with gaps and two rows of posts repeat; scattered landmarks do not."""
+    rng = np.random.default_rng(seed)
+    x, y = np.meshgrid(np.arange(5) * 3.0, np.arange(4) * 5.0)
+    lattice = np.column_stack([x.ravel(), y.ravel()])
+    lattice = lattice[rng.permutation(20)[:16]] + rng.normal(0, 0.05, (16, 2))
+    assert is_periodic(lattice, 0.3)
+    assert is_periodic(avenue(6.0, 0.05, 0.0, rng)[0][:8], 0.3)
+    assert not is_periodic(rng.uniform(0, 16, (20, 2)), 0.3)
+    assert not is_periodic(rng.uniform(0, 16, (20, 3)), 0.3)
+
+
+@pytest.mark.parametrize("n", [0, 1, 2])
+def test_too_few_points_do_not_repeat(n: int) -> None:
+    """Two points have one distance."""
+    assert not is_periodic(np.zeros((n, 2)) + np.arange(n)[:, None], 0.1)
