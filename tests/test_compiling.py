@@ -6,11 +6,16 @@ import ast
 import os
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
+from numba.core.runtime import nrt
 
 import relmap
+from relmap.core.linalg.compiling import compiled
 
 PACKAGE = Path(relmap.__file__).parent
 KERNEL = """
@@ -107,3 +112,58 @@ def test_where_the_package_cannot_be_written_code_is_kept_elsewhere_if_anywhere(
         assert len(lines) == 2
         assert all("in every run, unless NUMBA_CACHE_DIR" in line for line in lines)
     assert bool(list(user.glob(".cache/**/*.nbi"))) == (home == "a folder")
+
+
+def indexed(rows: np.ndarray, flags: np.ndarray, at: int) -> tuple[float, int, bool, np.ndarray]:
+    """Use what the code of loops is shortened for, in all its forms."""
+    total, count, marked = 0.0, 0, False
+    for i in range(len(rows)):
+        row = rows[i]
+        for j in range(at, rows.shape[1]):
+            total += row[j] * rows[i, -1] - rows[-i, j] ** 2
+            if flags[j]:
+                break
+        else:
+            count += 10
+        marked |= flags[i]
+    for i in range(len(rows) - 1, -1, -2):
+        count += i
+    for i in range(5, at):
+        count += 1000 * i
+    turned = rows[:, ::-1].T
+    turned[1, 0] += turned[-1, -2]
+    for row in turned:
+        total += row[0] // 0.3 - row[-1]
+    largest = rows
+    for k in range(3):
+        copy = rows + k
+        copy[k, 1:] = rows[k, :-1]
+        if k % 2:
+            largest = copy
+    flags[-1] = count > 7
+    return total, count, marked, largest
+
+
+@pytest.mark.parametrize("at", [-2, 0, 2, 7])
+def test_compiled_code_does_what_python_does(at: int) -> None:
+    rows, flags = np.random.default_rng(3).normal(size=(4, 4)), np.arange(4) == 2
+    here, there = (rows.copy(), flags.copy()), (rows.copy(), flags.copy())
+    expected, found = indexed(*here, at), COMPILED(*there, at)
+    for one, other in zip((*expected, *here), (*found, *there), strict=True):
+        assert np.array_equal(one, other)
+
+
+def test_compiled_code_frees_its_arrays() -> None:
+    runtime: Any = nrt
+    rows, flags = np.ones((4, 4)), np.zeros(4, bool)
+    COMPILED(rows, flags, 0)
+    import_module("numba.core.runtime._nrt_python").memsys_enable_stats()
+    before, counts = runtime.rtsys.get_allocation_stats(), sys.getrefcount(rows)
+    for _ in range(10):
+        COMPILED(rows, flags, 0)
+    after = runtime.rtsys.get_allocation_stats()
+    assert after.mi_alloc - before.mi_alloc == after.mi_free - before.mi_free > 0
+    assert sys.getrefcount(rows) == counts
+
+
+COMPILED = compiled(indexed)

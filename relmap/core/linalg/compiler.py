@@ -1,0 +1,186 @@
+# mypy: disable-error-code="no-untyped-call"
+"""How numba compiles the loops: its own steps, less those that loops do not need."""
+
+from __future__ import annotations
+
+import operator
+from functools import cache
+from typing import Any, ClassVar, cast
+
+import llvmlite.binding as llvm
+from numba.core import typed_passes, types, typing, untyped_passes
+from numba.core.codegen import JITCodeLibrary, get_host_cpu_features
+from numba.core.compiler import CompilerBase, DefaultPassBuilder
+from numba.core.compiler_machinery import register_pass
+
+from relmap.core.linalg.lowering import ShortLower
+
+_NEEDLESS = {
+    untyped_passes.IRProcessing,
+    untyped_passes.WithLifting,
+    untyped_passes.InlineClosureLikes,
+    untyped_passes.RewriteDynamicRaises,
+    untyped_passes.MakeFunctionToJitFunction,
+    untyped_passes.InlineInlinables,
+    untyped_passes.FindLiterallyCalls,
+    untyped_passes.LiteralUnroll,
+    untyped_passes.LiteralPropagationSubPipelinePass,
+    typed_passes.InlineOverloads,
+    typed_passes.NopythonRewrites,
+    typed_passes.DumpParforDiagnostics,
+}
+"""Steps for what loops do not contain, such as closures and array arithmetic."""
+
+
+@cache
+def _machine() -> Any:
+    """Return the processor for which code is optimised."""
+    target = llvm.Target.from_triple(llvm.get_process_triple())
+    features = cast("Any", get_host_cpu_features)()
+    return target.create_target_machine(llvm.get_host_cpu_name(), features)
+
+
+class _Unoptimised(cast("Any", JITCodeLibrary)):  # type: ignore[misc]
+    """Code that is optimised once, with everything that it calls.
+
+    By default numba would also optimise each function before that.
+    """
+
+    def _optimize_functions(self, module: Any) -> None:
+        module.data_layout = str(self._codegen.target_data)
+
+
+class _KernelLibrary(_Unoptimised):
+    """The code of a function that Python calls; its loops are neither unrolled nor vectorised."""
+
+    def _optimize_final_module(self) -> None:
+        try:
+            options = llvm.create_pipeline_tuning_options(2)
+            options.loop_unrolling = False
+            options.loop_vectorization = options.loop_interleaving = False
+            builder = llvm.create_pass_builder(_machine(), options)
+            passes = builder.getModulePassManager()
+            passes.add_refprune_pass()
+        except (AttributeError, TypeError):  # another version of numba
+            super()._optimize_final_module()
+        else:
+            passes.run(self._final_module, builder)
+
+
+class _PartLibrary(_Unoptimised):
+    """The code of a helper, simplified, to be inlined into its callers.
+
+    By default numba would also generate stand-alone machine code that is never called.
+    """
+
+    def _optimize_final_module(self) -> None:
+        try:
+            options = llvm.create_pipeline_tuning_options(1)
+            builder = llvm.create_pass_builder(_machine(), options)
+            passes = llvm.create_new_module_pass_manager()
+            passes.add_sroa_pass()
+            passes.add_instruction_combine_pass()
+            passes.add_simplify_cfg_pass()
+        except (AttributeError, TypeError):  # another version of numba
+            return  # the callers optimise
+        passes.run(self._final_module, builder)
+
+    def _finalize_final_module(self) -> None:
+        self._finalized = True
+
+    def get_pointer_to_function(self, _name: str) -> int:
+        return 0  # as for functions not callable from Python
+
+    @property
+    def codegen(self) -> _PartLibrary:
+        return self
+
+    def set_env(self, *_: object) -> None:
+        """Do nothing: only functions callable from Python have an environment."""
+
+
+class _Types(cast("Any", typing).Context):  # type: ignore[misc]
+    """What numba knows of types, with a memory for the functions that were resolved."""
+
+    memory: ClassVar[dict[object, Any]] = {}
+
+    def __init__(self, known: Any) -> None:
+        """Share all of `known`."""
+        self.__dict__.update(known.__dict__)
+        self._known = known
+
+    def resolve_function_type(self, function: Any, args: Any, kws: Any) -> Any:
+        """Return the signature for arguments of these types."""
+        if kws or isinstance(function, (str, types.Dispatcher)):
+            return self._known.resolve_function_type(function, args, kws)
+        key = function, tuple(args)
+        if key not in self.memory:
+            self.memory[key] = self._known.resolve_function_type(function, args, kws)
+        return self.memory[key]
+
+    def resolve_setitem(self, target: Any, index: Any, value: Any) -> Any:
+        """Return the signature of an assignment to an entry."""
+        return self.resolve_function_type(operator.setitem, (target, index, value), {})
+
+
+class _AsKernel(typed_passes.NativeLowering):
+    _name = "as_kernel"
+    library: Any = _KernelLibrary
+
+    @property
+    def lowering_class(self) -> type[ShortLower]:
+        return ShortLower
+
+    def run_pass(self, state: Any) -> bool:
+        state.library = self.library(state.targetctx.codegen(), state.func_id.func_qualname)
+        state.library.enable_object_caching()
+        return cast("bool", super().run_pass(state))
+
+
+class _AsUnrolled(_AsKernel):
+    library = JITCodeLibrary
+
+
+class _AsPart(_AsKernel):
+    _name = "as_part"
+    library = _PartLibrary
+
+    def run_pass(self, state: Any) -> bool:
+        # Typed with the same options as its callers, so that they share functions that numba itself
+        # compiles, such as `np.empty`.
+        state.flags.no_cpython_wrapper = True
+        return super().run_pass(state)
+
+
+class KernelCompiler(CompilerBase):
+    """For a function that Python calls."""
+
+    lowering: Any = _AsKernel
+
+    def define_pipelines(self) -> list[Any]:
+        """Return numba's steps, less the needless ones and with the code of loops."""
+        self.state.typingctx = _Types(self.state.typingctx)
+        passes = DefaultPassBuilder.define_nopython_pipeline(self.state)
+        passes.passes = [
+            (self.lowering if one is typed_passes.NativeLowering else one, name)
+            for one, name in passes.passes
+            if one not in _NEEDLESS
+        ]
+        passes.finalize()
+        return [passes]
+
+
+class UnrolledCompiler(KernelCompiler):
+    """The same, with loops unrolled and vectorised, which takes longer."""
+
+    lowering = _AsUnrolled
+
+
+class PartCompiler(KernelCompiler):
+    """For a function that only compiled functions call."""
+
+    lowering = _AsPart
+
+
+for _one in _AsKernel, _AsUnrolled, _AsPart:
+    cast("Any", register_pass)(mutates_CFG=True, analysis_only=False)(_one)

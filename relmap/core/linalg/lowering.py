@@ -1,0 +1,136 @@
+# mypy: disable-error-code="no-untyped-call"
+# ruff: noqa: D102 -- the methods are those of numba
+"""Code for loops, entries of arrays and counted references, as short as possible.
+
+Compile time follows the amount of code. By default numba writes some 45 instructions for an entry
+of an array, 110 for a loop and a dozen to count a reference, of which nearly all are removed later.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any, cast
+
+from llvmlite.ir import Undefined
+from numba.core import cgutils, ir, ir_utils, types
+from numba.core.lowering import Lower
+from numba.np import arrayobj
+
+_COUNTED = types.MemInfoPointer(types.voidptr)
+
+
+@cache
+def _has_count(models: Any, kind: Any) -> bool:
+    return cast("bool", models[kind].contains_nrt_meminfo())
+
+
+class ShortLower(Lower):
+    """The step from typed code to LLVM; what is not overridden is as by default."""
+
+    def incref(self, typ: Any, val: Any) -> None:
+        if _has_count(self.context.data_model_manager, typ):
+            super().incref(*self._counted(typ, val))
+
+    def decref(self, typ: Any, val: Any) -> None:
+        if _has_count(self.context.data_model_manager, typ):
+            super().decref(*self._counted(typ, val))
+
+    def _counted(self, kind: Any, value: Any) -> tuple[Any, Any]:
+        is_array = isinstance(kind, types.Array)
+        return (_COUNTED, self._part(kind, value, "meminfo")) if is_array else (kind, value)
+
+    def delvar(self, name: str) -> None:
+        if _has_count(self.context.data_model_manager, self.typeof(name)):
+            super().delvar(name)
+
+    def alloca_lltype(self, name: str, lltype: Any, datamodel: Any = None) -> Any:
+        return cgutils.alloca_once(self.builder, lltype, name=name, zfill=False)
+
+    def lower_binop(self, resty: Any, expr: Any, op: Any) -> Any:
+        is_typed = op is expr.fn and expr.static_lhs is expr.static_rhs is ir.UNDEFINED
+        if not is_typed:  # such as the square
+            return super().lower_binop(resty, expr, op)
+        signature = self.fndesc.calltypes[expr]
+        function = self.context.typing_context.resolve_value_type(op)
+        code = self.context.get_function(function, signature)
+        sides = zip((expr.lhs, expr.rhs), signature.args, strict=True)
+        result = code(self.builder, [self._cast_var(side, kind) for side, kind in sides])
+        return self.context.cast(self.builder, result, signature.return_type, resty)
+
+    def lower_getitem(self, resty: Any, expr: Any, value: Any, index: Any, signature: Any) -> Any:
+        at = self._entry(value, index, signature)
+        if at is None:
+            return super().lower_getitem(resty, expr, value, index, signature)
+        entry = arrayobj.load_item(self.context, self.builder, signature.args[0], at)
+        return self.context.cast(self.builder, entry, signature.return_type, resty)
+
+    def lower_setitem(self, target: Any, index: Any, value: Any, signature: Any) -> Any:
+        at = self._entry(target, index, signature)
+        if at is None:
+            return super().lower_setitem(target, index, value, signature)
+        array = signature.args[0]
+        entry = self._cast_var(value, signature.args[2])
+        entry = self.context.cast(self.builder, entry, signature.args[2], array.dtype)
+        return arrayobj.store_item(self.context, self.builder, array, entry, at)
+
+    def _entry(self, variable: Any, index: Any, signature: Any) -> Any:
+        """Return a pointer to an entry of a contiguous array, None if it is something else."""
+        kind, places = signature.args[:2]
+        if not isinstance(kind, types.Array) or kind.layout != "C":
+            return None
+        is_one = kind.ndim == 1 and places == types.intp
+        if not is_one and places != types.UniTuple(types.intp, kind.ndim):
+            return None
+        array, at = self._cast_var(variable, kind), self._cast_var(index, places)
+        at = [at] if is_one else cgutils.unpack_tuple(self.builder, at)
+        shape = cgutils.unpack_tuple(self.builder, self._part(kind, array, "shape"))
+        data = self._part(kind, array, "data")
+        return cgutils.get_item_pointer2(
+            self.context, self.builder, data, shape, None, "C", at, wraparound=True
+        )
+
+    def lower_expr(self, resty: Any, expr: Any) -> Any:
+        if expr.op == "getiter" and self._is_range_by_one(expr.value):
+            return self._begin(resty, self.loadvar(expr.value.name))
+        if expr.op == "iternext" and self.typeof(expr.value.name) == types.range_iter64_type:
+            return self._next(resty, self.typeof(expr.value.name), self.loadvar(expr.value.name))
+        if expr.op in ("pair_first", "pair_second"):
+            pair = self.loadvar(expr.value.name)
+            part = self._part(self.typeof(expr.value.name), pair, expr.op.removeprefix("pair_"))
+            self.incref(resty, part)
+            return part
+        return super().lower_expr(resty, expr)
+
+    def _is_range_by_one(self, variable: Any) -> bool:
+        call = ir_utils.guard(ir_utils.get_definition, self.func_ir, variable)
+        is_range = self.typeof(variable.name) == types.range_state64_type
+        return is_range and getattr(call, "op", "") == "call" and len(call.args) < 3
+
+    def _begin(self, kind: Any, bounds: Any) -> Any:
+        builder = self.builder
+        start, stop, step = cgutils.unpack_tuple(builder, bounds)
+        at, left = (cgutils.alloca_once(builder, start.type) for _ in range(2))
+        builder.store(start, at)
+        count = builder.sub(stop, start)
+        is_empty = builder.icmp_signed("<", count, count.type(0))
+        builder.store(builder.select(is_empty, count.type(0), count), left)
+        return self._whole(kind, iter=at, stop=stop, step=step, count=left)
+
+    def _next(self, pair: Any, kind: Any, iterator: Any) -> Any:
+        builder = self.builder
+        at, step, left = (self._part(kind, iterator, name) for name in ("iter", "step", "count"))
+        value, count = builder.load(at), builder.load(left)
+        builder.store(builder.add(value, step), at)
+        builder.store(builder.sub(count, count.type(1)), left)
+        is_valid = builder.icmp_signed(">", count, count.type(0))
+        return self._whole(pair, first=value, second=is_valid)
+
+    def _part(self, kind: Any, value: Any, name: str) -> Any:
+        return self.context.data_model_manager[kind].get(self.builder, value, name)
+
+    def _whole(self, kind: Any, **parts: Any) -> Any:
+        model = self.context.data_model_manager[kind]
+        whole = model.get_value_type()(Undefined)
+        for name, part in parts.items():
+            whole = self.builder.insert_value(whole, part, model.get_field_position(name))
+        return whole
