@@ -15,6 +15,7 @@ import pytest
 from numba.core.runtime import nrt
 
 import relmap
+from relmap.core.linalg import compiler
 from relmap.core.linalg.compiling import compiled
 
 PACKAGE = Path(relmap.__file__).parent
@@ -151,6 +152,15 @@ def test_compiled_code_does_what_python_does(at: int) -> None:
     expected, found = indexed(*here, at), COMPILED(*there, at)
     for one, other in zip((*expected, *here), (*found, *there), strict=True):
         assert np.array_equal(one, other)
+
+
+def test_other_versions_of_numba_compile_with_their_own_steps(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(compiler, "IS_KNOWN", False)
+    here, there = (np.ones((4, 4)), np.zeros(4, bool)), (np.ones((4, 4)), np.zeros(4, bool))
+    one = compiled(lambda rows, flags: (rows[1:, 0] + 2 * rows[0, 1:])[flags[1:].argmin()])
+    assert one(*here) == one.py_func(*there)  # type: ignore[attr-defined]
 
 
 def test_compiled_code_frees_its_arrays() -> None:

@@ -8,13 +8,18 @@ from functools import cache
 from typing import Any, ClassVar, cast
 
 import llvmlite.binding as llvm
+import numba
 from numba.core import typed_passes, types, typing, untyped_passes
 from numba.core.codegen import JITCodeLibrary, get_host_cpu_features
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import register_pass
+from numba.core.lowering import Lower
 
 from relmap.core.linalg.lowering import ShortLower
 
+IS_KNOWN = (0, 61) <= numba.version_info.short <= (0, 68)
+"""Whether the tests have passed with this version of numba. Others use their own steps and code,
+which takes longer."""
 _NEEDLESS = {
     untyped_passes.IRProcessing,
     untyped_passes.WithLifting,
@@ -128,8 +133,8 @@ class _AsKernel(typed_passes.NativeLowering):
     library: Any = _KernelLibrary
 
     @property
-    def lowering_class(self) -> type[ShortLower]:
-        return ShortLower
+    def lowering_class(self) -> type[Lower]:
+        return ShortLower if IS_KNOWN else Lower
 
     def run_pass(self, state: Any) -> bool:
         state.library = self.library(state.targetctx.codegen(), state.func_id.func_qualname)
@@ -159,12 +164,13 @@ class KernelCompiler(CompilerBase):
 
     def define_pipelines(self) -> list[Any]:
         """Return numba's steps, less the needless ones and with the code of loops."""
-        self.state.typingctx = _Types(self.state.typingctx)
+        if IS_KNOWN:
+            self.state.typingctx = _Types(self.state.typingctx)
         passes = DefaultPassBuilder.define_nopython_pipeline(self.state)
         passes.passes = [
             (self.lowering if one is typed_passes.NativeLowering else one, name)
             for one, name in passes.passes
-            if one not in _NEEDLESS
+            if not (IS_KNOWN and one in _NEEDLESS)
         ]
         passes.finalize()
         return [passes]
