@@ -160,7 +160,7 @@ def test_other_versions_of_numba_compile_with_their_own_steps(
     monkeypatch.setattr(compiler, "IS_KNOWN", False)
     here, there = (np.ones((4, 4)), np.zeros(4, bool)), (np.ones((4, 4)), np.zeros(4, bool))
     one = compiled(lambda rows, flags: (rows[1:, 0] + 2 * rows[0, 1:])[flags[1:].argmin()])
-    assert one(*here) == one.py_func(*there)  # type: ignore[attr-defined]
+    assert one(*here) == one.py_func(*there)  # type: ignore[attr-defined, no-untyped-call]
 
 
 def test_compiled_code_frees_its_arrays() -> None:
