@@ -7,7 +7,7 @@ import pytest
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association import Constellation
-from relmap.core.association.search import is_periodic
+from relmap.core.association.search import period_of
 
 REACH_M, WIDTH_M = 20.0, 8.0
 SIGMA_M = 0.03
@@ -64,6 +64,28 @@ def test_tracks_along_an_avenue_are_pure(
     assert registration.tied_share > 0.6
 
 
+@pytest.mark.parametrize("step_m", [0.0, 0.3, 1.2])
+@pytest.mark.parametrize(
+    ("sides", "jitter_m"), [(1, 0.0), (1, 0.02), (2, 0.0), (2, 0.02), (5, 0.0), (5, 0.05)]
+)
+def test_short_steps_along_exact_rows_are_matched(
+    step_m: float, sides: int, jitter_m: float
+) -> None:
+    """A step of less than half of the period is assumed, also while the noise is unknown."""
+    rng = np.random.default_rng(0)
+    x, y = np.meshgrid(np.arange(-40, 80, 4.0), np.arange(sides) * 5.0 + 1)
+    posts = np.column_stack([x.ravel(), y.ravel()]) + rng.normal(0, jitter_m, (x.size, 2))
+    registration, seen, labels = Constellation(5), set[int](), set[int]()
+    for k in range(20):
+        points = posts - [k * step_m, 0]
+        ids = rng.permutation(np.flatnonzero(np.linalg.norm(points, axis=1) < REACH_M))
+        found = registration.match(points[ids] + rng.normal(0, 0.02, (len(ids), 2)), None)
+        seen |= set(ids.tolist())
+        labels |= set(found.tolist())
+    assert registration.tied_share == 1.0
+    assert len(labels) == len(seen)
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_patterns_that_repeat_are_known(seed: int) -> None:
     """A lattice with gaps and two rows of posts repeat; scattered landmarks do not."""
@@ -71,13 +93,16 @@ def test_patterns_that_repeat_are_known(seed: int) -> None:
     x, y = np.meshgrid(np.arange(5) * 3.0, np.arange(4) * 5.0)
     lattice = np.column_stack([x.ravel(), y.ravel()])
     lattice = lattice[rng.permutation(20)[:16]] + rng.normal(0, 0.05, (16, 2))
-    assert is_periodic(lattice, 0.3)
-    assert is_periodic(avenue(6.0, 0.05, 0.0, rng)[0][:8], 0.3)
-    assert not is_periodic(rng.uniform(0, 16, (20, 2)), 0.3)
-    assert not is_periodic(rng.uniform(0, 16, (20, 3)), 0.3)
+    assert period_of(lattice, 0.3) == pytest.approx(3.0, abs=0.2)
+    posts = avenue(6.0, 0.05, 0.0, rng)[0]
+    assert period_of(posts, 0.3) == pytest.approx(6.0, abs=0.2)
+    with_bush = np.vstack([posts, posts.mean(axis=0) + 0.8])
+    assert period_of(with_bush, 0.3) == pytest.approx(6.0, abs=0.2)
+    assert period_of(rng.uniform(0, 16, (20, 2)), 0.3) == np.inf
+    assert period_of(rng.uniform(0, 16, (20, 3)), 0.3) == np.inf
 
 
 @pytest.mark.parametrize("n", [0, 1, 2])
 def test_too_few_points_do_not_repeat(n: int) -> None:
     """Two points have one distance."""
-    assert not is_periodic(np.zeros((n, 2)) + np.arange(n)[:, None], 0.1)
+    assert period_of(np.zeros((n, 2)) + np.arange(n)[:, None], 0.1) == np.inf

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
+from relmap.core.association.base import middle
 from relmap.core.association.chance import (
     ENOUGH,
     LOG_CHANCE,
@@ -31,7 +32,7 @@ from relmap.core.association.scale import (
     SLOWNESS,
     WIDER,
 )
-from relmap.core.association.search import fits_mirrored, is_periodic, search, settled
+from relmap.core.association.search import fits_mirrored, period_of, search, settled
 from relmap.core.association.tracks import LiveTracks
 
 NEAR_SHARE = 0.8
@@ -52,8 +53,8 @@ FAMILIAR = 5
 """Observations of a landmark required if only two landmarks determine a planar scan."""
 NEARBY = 0.2
 """Largest motion of these two, in spacings."""
-SHORT = 0.5
-"""Motion, in spacings, up to which nearest neighbours agree in a pattern that repeats."""
+SHORT = 0.25
+"""Motion, in spacings, that is less than half of the period of any pattern."""
 BLIND = 8
 """Nearly empty scans after which any place may follow, also one that looks alike."""
 
@@ -78,7 +79,7 @@ class TrackPlacing(LikelyPlacing):
     def placement(self, tracks: LiveTracks, points: Floats) -> Placement | None:
         """Return the placement that brings tracks onto points (n, d); None if none is certain."""
         learnt, is_ambiguous, found = self.scale.noise_m, False, None
-        if learnt is None and self._repeats(tracks, points, self.scale.tolerance_m):
+        if learnt is None and np.isfinite(self._period_m(tracks, points)):
             found = self._explaining(tracks, points, FINER, np.inf)
         if found is None:
             found, is_ambiguous = self._found(tracks, points)
@@ -153,9 +154,7 @@ class TrackPlacing(LikelyPlacing):
             is_usual = (
                 is_sharp and not missed and self._is_usual(near, here, there, tolerance_m, own)
             )
-            is_next = self.scale.noise_m is not None and not (missed or self.chance.idle)
-            is_short = is_next and moved_m(near, here) <= SHORT * spacing_m
-            is_safe = is_short or not self._repeats(tracks, points, tolerance_m)
+            is_safe = self._is_safe(near, tracks, points)
             if is_safe and is_usual and near.n_agreeing >= max(PLENTY, share):
                 return near, False
             alone = near.n_agreeing == len(rows) == d == 2
@@ -193,10 +192,22 @@ class TrackPlacing(LikelyPlacing):
         usual_m = max(self.scale.noise_m, EXACT / SIGMAS * self.scale.spacing_m)
         return bool(variance <= MISFIT * usual_m**2)
 
-    @staticmethod
-    def _repeats(tracks: LiveTracks, points: Floats, tolerance_m: float) -> bool:
-        """Return whether nearest neighbours of tracks and points may agree a period away."""
-        return is_periodic(tracks.expected, tolerance_m) or is_periodic(points, tolerance_m)
+    def _is_safe(self, placement: Placement, tracks: LiveTracks, points: Floats) -> bool:
+        """Return whether a placement is not a period of a pattern off.
+
+        From one scan to the next, a step of less than half of the period is assumed.
+        """
+        is_next = not (tracks.missed.min() or self.chance.idle)
+        moved = placement.apply(tracks.expected) - tracks.expected
+        far_m = middle(np.linalg.norm(moved, axis=1))
+        if is_next and far_m <= SHORT * self.scale.spacing_m:
+            return True
+        period_m = self._period_m(tracks, points)
+        return np.isinf(period_m) or (is_next and far_m <= period_m / 2)
+
+    def _period_m(self, tracks: LiveTracks, points: Floats) -> float:
+        tolerance_m = self.scale.tolerance_m
+        return min(period_of(tracks.expected, tolerance_m), period_of(points, tolerance_m))
 
     def _is_familiar_pair(self, tracks: LiveTracks, rows: Ints, distance: Floats) -> bool:
         """Return whether two matches in the plane suffice: well known, just seen, hardly moved."""
@@ -213,14 +224,14 @@ class TrackPlacing(LikelyPlacing):
         widest_m = self.scale.tolerance_m if is_ambiguous else np.inf
         scale, possible = self.scale, tracks.possible(points)
         learnt, scale.noise_m = scale.noise_m, None
-        factors: tuple[float, ...] = (*FINER, 1.0, *WIDER)
+        factors: tuple[float, ...] = (*FINER, *WIDER)
         if learnt is not None:
-            factors = tuple(
-                one for one in factors if self._may_have_grown(tracks, points, learnt, one)
-            )
+            unit_m, known_m = COARSE * scale.spacing_m, SIGMAS * learnt
+            factors = tuple(one for one in (*FINER, 1.0, *WIDER) if one * unit_m > known_m)
         placement = self._explaining(tracks, points, factors, widest_m)
-        if placement is not None:
+        if placement is not None and (learnt is None or self._is_safe(placement, tracks, points)):
             return placement
+        scale.wider = 1.0
         scale.noise_m = learnt
         may_be_blurred = learnt is None or scale.is_blurred
         for share in BLURRED if possible >= PLENTY and may_be_blurred else ():
@@ -232,16 +243,6 @@ class TrackPlacing(LikelyPlacing):
                     return placement
         scale.noise_m = learnt
         return None
-
-    def _may_have_grown(
-        self, tracks: LiveTracks, points: Floats, learnt: float, factor: float
-    ) -> bool:
-        """Return whether a wider tolerance than the noise implies may explain a scan.
-
-        On a pattern that repeats it would explain a motion that is a period off.
-        """
-        tolerance_m = factor * COARSE * self.scale.spacing_m
-        return tolerance_m > SIGMAS * learnt and not self._repeats(tracks, points, tolerance_m)
 
     def _explaining(
         self, tracks: LiveTracks, points: Floats, factors: tuple[float, ...], widest_m: float

@@ -11,10 +11,8 @@ import math
 from itertools import combinations
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.association.base import nearest
 from relmap.core.association.metric import rows_of, stretch_of
 from relmap.core.association.placement import Placement, trimmed_fit
 
@@ -26,8 +24,9 @@ ROUNDS = 4
 """Maximum number of refits of a placement to its matches."""
 RIVALS = 4
 """Rivals that are refitted before they are counted."""
-NEIGHBOURS = 4
-"""Shifts by which a pattern may repeat: from one point to those nearest to it."""
+PATCH, CENTRES, NEIGHBOURS = 32, 2, 4
+"""Points whose pattern may repeat, those amid them, and the neighbours of each of these whose
+distance may be the period."""
 REPEATED, FEWEST = 0.4, 2
 """Fraction of the points that such a shift brings onto others, and minimum number of them."""
 
@@ -175,16 +174,17 @@ def fits_mirrored(
     return own is None or own[0].n_agreeing < least
 
 
-def is_periodic(points: Floats, tolerance_m: float) -> bool:
-    """Return whether points (n, d), metres, repeat in the distance of neighbours.
+def period_of(points: Floats, tolerance_m: float) -> float:
+    """Return the distance after which points (n, d) repeat, metres; infinite if they do not.
 
     As trees in an orchard or lamps along a road do: nearest neighbours may agree a period away.
     """
+    from relmap.core.association.search_kernels import shortest_period
+
     if len(points) <= FEWEST:
-        return False
-    offsets = points - points[np.argmin(np.sum((points - points.mean(axis=0)) ** 2, axis=1))]
-    order = np.argsort(np.sum(offsets**2, axis=1), kind="stable")
-    others, shifts = points[order[1:]], offsets[order[1 : 1 + NEIGHBOURS]]
-    moved = (others + shifts[:, None]).reshape(-1, points.shape[1])
-    coincide = nearest(cKDTree(points), moved)[0].reshape(len(shifts), -1) <= tolerance_m
-    return bool(coincide.sum(axis=1).max() >= max(FEWEST, REPEATED * len(others)))
+        return np.inf
+    apart = np.sum((points - points.mean(axis=0)) ** 2, axis=1)
+    near = np.argpartition(apart, PATCH)[:PATCH] if len(points) > PATCH else np.arange(len(points))
+    patch = points[near[np.argsort(apart[near], kind="stable")]]
+    fewest = max(FEWEST, REPEATED * (len(patch) - 1))
+    return float(shortest_period(patch, tolerance_m, fewest, CENTRES, NEIGHBOURS))

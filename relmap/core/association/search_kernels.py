@@ -145,3 +145,45 @@ def _enter(points: Floats, i: int, j: int, k: int, corners: Floats) -> None:
     """Copy three of points (n, d) as corners (3, d)."""
     for a in range(points.shape[1]):
         corners[0, a], corners[1, a], corners[2, a] = points[i, a], points[j, a], points[k, a]
+
+
+@compiled
+def shortest_period(
+    patch: Floats, tolerance_m: float, fewest: float, centres: int, neighbours: int
+) -> float:
+    """Return the shortest shift that brings `fewest` points of a patch (n, d) onto others, metres.
+
+    Shifts are those from each of the first points, the `centres`, to its nearest neighbours.
+    Infinite if there is none; shorter ones than twice the tolerance bring points near themselves.
+    """
+    shortest = np.inf
+    for c in range(min(centres, len(patch))):
+        last = 4 * tolerance_m * tolerance_m
+        for _ in range(neighbours):
+            to, square = -1, np.inf
+            for j in range(len(patch)):
+                apart = _shifted(patch, c, c, c, j)
+                if last < apart < square:
+                    to, square = j, apart
+            if to < 0 or square >= shortest:
+                break
+            last, count = square, 0
+            for i in range(len(patch)):
+                for j in range(len(patch)):
+                    # The neighbour of the centre says nothing.
+                    if i != c and _shifted(patch, i, c, to, j) <= tolerance_m * tolerance_m:
+                        count += 1
+                        break
+            if count >= fewest:
+                shortest = square
+    return np.sqrt(shortest)
+
+
+@helper
+def _shifted(patch: Floats, i: int, start: int, end: int, j: int) -> float:
+    """Return the square of the distance from a point to another, shifted by a third to a fourth."""
+    total = 0.0
+    for a in range(patch.shape[1]):
+        off = patch[i, a] + patch[end, a] - patch[start, a] - patch[j, a]
+        total += off * off
+    return total
