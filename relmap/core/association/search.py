@@ -24,7 +24,7 @@ ROUNDS = 4
 """Maximum number of refits of a placement to its matches."""
 RIVALS = 4
 """Rivals that are refitted before they are counted."""
-PATCH, CENTRES, NEIGHBOURS = 32, 2, 4
+PATCH, CENTRES, NEIGHBOURS = 24, 2, 4
 """Points whose pattern may repeat, those amid them, and the neighbours of each of these whose
 distance may be the period."""
 REPEATED, FEWEST = 0.4, 2

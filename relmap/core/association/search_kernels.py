@@ -167,16 +167,25 @@ def shortest_period(
                     to, square = j, apart
             if to < 0 or square >= shortest:
                 break
-            last, count = square, 0
-            for i in range(len(patch)):
-                for j in range(len(patch)):
-                    # The neighbour of the centre says nothing.
-                    if i != c and _shifted(patch, i, c, to, j) <= tolerance_m * tolerance_m:
-                        count += 1
-                        break
-            if count >= fewest:
+            last = square
+            if _repeats(patch, c, to, tolerance_m, fewest):
                 shortest = square
     return np.sqrt(shortest)
+
+
+@helper
+def _repeats(patch: Floats, start: int, end: int, tolerance_m: float, fewest: float) -> bool:
+    """Return whether the shift from one point to another brings `fewest` others onto points."""
+    count = 0
+    for i in range(len(patch)):
+        if count + len(patch) - i < fewest:
+            break
+        for j in range(len(patch)):
+            # The first point itself comes onto the second.
+            if i != start and _shifted(patch, i, start, end, j) <= tolerance_m * tolerance_m:
+                count += 1
+                break
+    return count >= fewest
 
 
 @helper
