@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import ast
 import os
+import runpy
 import subprocess
 import sys
 from importlib import import_module
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import numba
 import numpy as np
 import pytest
+from numba.core import untyped_passes
 from numba.core.runtime import nrt
 
 import relmap
 from relmap.core.linalg import compiler
-from relmap.core.linalg.compiling import compiled
 
 PACKAGE = Path(relmap.__file__).parent
 KERNEL = """
@@ -32,6 +35,12 @@ import relmap.cli, folder.kernel
 relmap.cli.main(["--version"])
 print(folder.kernel.doubled(3.0))
 """
+
+
+def afresh(function: Any, compiler: Any = compiler.KernelCompiler) -> Any:
+    """Compile as `compiled`, but without a cache, which would hide changes of the compiler."""
+    options: dict[str, Any] = {"error_model": "numpy", "no_cfunc_wrapper": True}
+    return numba.njit(pipeline_class=compiler, **options)(function)
 
 
 def decorators(node: ast.AST) -> set[str]:
@@ -154,13 +163,36 @@ def test_compiled_code_does_what_python_does(at: int) -> None:
         assert np.array_equal(one, other)
 
 
+def test_ranges_may_come_from_elsewhere() -> None:
+    backwards: Any = numba.njit(lambda n: range(n - 1, -1, -1))
+
+    def digits(n: int, bounds: tuple[int, int, int]) -> int:
+        number = 0
+        for i in backwards(n):
+            number = 10 * number + i
+        for i in range(*bounds):
+            number = 10 * number + i
+        return number
+
+    assert afresh(digits)(4, (9, 3, -2)) == 3210975
+
+
+def test_indices_are_checked_on_request(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(numba.config, "BOUNDSCHECK", 1)
+    with pytest.raises(IndexError):
+        afresh(lambda rows: rows[len(rows), 0])(np.ones((4, 4)))
+
+
 def test_other_versions_of_numba_compile_with_their_own_steps(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(compiler, "IS_KNOWN", False)
+    monkeypatch.setattr(numba, "version_info", SimpleNamespace(short=(0, 99)))
+    monkeypatch.delattr(untyped_passes, "LiteralUnroll")
+    monkeypatch.setitem(sys.modules, "relmap.core.linalg.lowering", None)
+    other = runpy.run_path(compiler.__file__)["KernelCompiler"]
     here, there = (np.ones((4, 4)), np.zeros(4, bool)), (np.ones((4, 4)), np.zeros(4, bool))
-    one = compiled(lambda rows, flags: (rows[1:, 0] + 2 * rows[0, 1:])[flags[1:].argmin()])
-    assert one(*here) == one.py_func(*there)  # type: ignore[attr-defined, no-untyped-call]
+    one = afresh(lambda rows, flags: (rows[1:, 0] + 2 * rows[0, 1:])[flags[1:].argmin()], other)
+    assert one(*here) == one.py_func(*there)
 
 
 def test_compiled_code_frees_its_arrays() -> None:
@@ -176,4 +208,4 @@ def test_compiled_code_frees_its_arrays() -> None:
     assert sys.getrefcount(rows) == counts
 
 
-COMPILED = compiled(indexed)
+COMPILED = afresh(indexed)

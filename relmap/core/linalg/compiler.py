@@ -9,30 +9,28 @@ from typing import Any, ClassVar, cast
 
 import llvmlite.binding as llvm
 import numba
-from numba.core import typed_passes, types, typing, untyped_passes
+from numba.core import typed_passes, types, typing
 from numba.core.codegen import JITCodeLibrary, get_host_cpu_features
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import register_pass
 from numba.core.lowering import Lower
 
-from relmap.core.linalg.lowering import ShortLower
-
 IS_KNOWN = (0, 61) <= numba.version_info.short <= (0, 68)
 """Whether the tests have passed with this version of numba. Others use their own steps and code,
 which takes longer."""
 _NEEDLESS = {
-    untyped_passes.IRProcessing,
-    untyped_passes.WithLifting,
-    untyped_passes.InlineClosureLikes,
-    untyped_passes.RewriteDynamicRaises,
-    untyped_passes.MakeFunctionToJitFunction,
-    untyped_passes.InlineInlinables,
-    untyped_passes.FindLiterallyCalls,
-    untyped_passes.LiteralUnroll,
-    untyped_passes.LiteralPropagationSubPipelinePass,
-    typed_passes.InlineOverloads,
-    typed_passes.NopythonRewrites,
-    typed_passes.DumpParforDiagnostics,
+    "IRProcessing",
+    "WithLifting",
+    "InlineClosureLikes",
+    "RewriteDynamicRaises",
+    "MakeFunctionToJitFunction",
+    "InlineInlinables",
+    "FindLiterallyCalls",
+    "LiteralUnroll",
+    "LiteralPropagationSubPipelinePass",
+    "InlineOverloads",
+    "NopythonRewrites",
+    "DumpParforDiagnostics",
 }
 """Steps for what loops do not contain, such as closures and array arithmetic."""
 
@@ -119,9 +117,10 @@ class _Types(cast("Any", typing).Context):  # type: ignore[misc]
         if kws or isinstance(function, (str, types.Dispatcher)):
             return self._known.resolve_function_type(function, args, kws)
         key = function, tuple(args)
-        if key not in self.memory:
-            self.memory[key] = self._known.resolve_function_type(function, args, kws)
-        return self.memory[key]
+        found = self.memory.get(key) or self._known.resolve_function_type(function, args, kws)
+        if found is not None:  # a function that is compiled later may be found then
+            self.memory[key] = found
+        return found
 
     def resolve_setitem(self, target: Any, index: Any, value: Any) -> Any:
         """Return the signature of an assignment to an entry."""
@@ -134,7 +133,11 @@ class _AsKernel(typed_passes.NativeLowering):
 
     @property
     def lowering_class(self) -> type[Lower]:
-        return ShortLower if IS_KNOWN else Lower
+        if not IS_KNOWN:
+            return Lower
+        from relmap.core.linalg.lowering import ShortLower
+
+        return ShortLower
 
     def run_pass(self, state: Any) -> bool:
         state.library = self.library(state.targetctx.codegen(), state.func_id.func_qualname)
@@ -170,7 +173,7 @@ class KernelCompiler(CompilerBase):
         passes.passes = [
             (self.lowering if one is typed_passes.NativeLowering else one, name)
             for one, name in passes.passes
-            if not (IS_KNOWN and one in _NEEDLESS)
+            if not (IS_KNOWN and one.__name__ in _NEEDLESS)
         ]
         passes.finalize()
         return [passes]

@@ -76,7 +76,8 @@ class ShortLower(Lower):
     def _entry(self, variable: Any, index: Any, signature: Any) -> Any:
         """Return a pointer to an entry of a contiguous array, None if it is something else."""
         kind, places = signature.args[:2]
-        if not isinstance(kind, types.Array) or kind.layout != "C":
+        is_contiguous = isinstance(kind, types.Array) and kind.layout == "C"
+        if self.context.enable_boundscheck or not is_contiguous:
             return None
         is_one = kind.ndim == 1 and places == types.intp
         if not is_one and places != types.UniTuple(types.intp, kind.ndim):
@@ -102,9 +103,13 @@ class ShortLower(Lower):
         return super().lower_expr(resty, expr)
 
     def _is_range_by_one(self, variable: Any) -> bool:
+        if self.typeof(variable.name) != types.range_state64_type:
+            return False
         call = ir_utils.guard(ir_utils.get_definition, self.func_ir, variable)
-        is_range = self.typeof(variable.name) == types.range_state64_type
-        return is_range and getattr(call, "op", "") == "call" and len(call.args) < 3
+        if getattr(call, "op", "") != "call" or call.vararg or len(call.args) > 2:
+            return False
+        callee = ir_utils.guard(ir_utils.get_definition, self.func_ir, call.func)
+        return isinstance(callee, ir.Global) and callee.value is range
 
     def _begin(self, kind: Any, bounds: Any) -> Any:
         builder = self.builder

@@ -29,7 +29,7 @@ WIDELY = ((2, 1e4), (1, 300.0), (1, 50.0), (1, 15.0), (2, 5.0))
 CLOSELY = ((5, 1e4), (2, 300.0), (1, 100.0), (1, 20.0), (1, 5.0))
 CLOSED = 2
 """The same once a loop is closed, and the maximum number of searches for loops. The search is
-repeated if the map moved so far that other places come within its reach."""
+repeated only if the map moved by at least `NEAR_M`, the reach of the search."""
 BENT = 1.25
 """Factor by which closing a loop may increase the error at links that walls determine: at most 1.04
 for right loops in ten logs of lasers and eight simulated corridors, and 1.7 where doors, or parts
