@@ -170,7 +170,7 @@ def shortest_period(
             last = square
             if _repeats(patch, c, to, tolerance_m, fewest):
                 shortest = square
-    return np.sqrt(shortest)
+    return float(np.sqrt(shortest))
 
 
 @helper
