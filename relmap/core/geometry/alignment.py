@@ -54,14 +54,8 @@ def rotation_of_moment(moment: Floats) -> Floats:
     """Return the proper rotations (..., d, d) that best fit cross moments (..., d, d).
 
     The moment is ``sum(w * source_i target_j)`` of centred points; reflections are excluded by
-    flipping the axis of the smallest singular value (Umeyama 1991, eq. 43). In the plane the angle
-    is known in closed form.
+    flipping the axis of the smallest singular value (Umeyama 1991, eq. 43).
     """
-    if moment.shape[-1] == 2:
-        c, s = moment[..., 0, 0] + moment[..., 1, 1], moment[..., 0, 1] - moment[..., 1, 0]
-        angle = np.arctan2(s, c)
-        c, s = np.cos(angle), np.sin(angle)
-        return np.stack([np.stack([c, -s], axis=-1), np.stack([s, c], axis=-1)], axis=-2)
     U, _, Vt = np.linalg.svd(moment)
     V = np.swapaxes(Vt, -1, -2)
     sign = np.sign(np.linalg.det(V @ np.swapaxes(U, -1, -2)))
