@@ -7,7 +7,7 @@ import pytest
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association import Constellation
-from relmap.core.association.search import period_of
+from relmap.core.association.search import period_of, search
 
 REACH_M, WIDTH_M = 20.0, 8.0
 SIGMA_M = 0.03
@@ -106,3 +106,12 @@ def test_patterns_that_repeat_are_known(seed: int) -> None:
 def test_too_few_points_do_not_repeat(n: int) -> None:
     """Two points have one distance."""
     assert period_of(np.zeros((n, 2)) + np.arange(n)[:, None], 0.1) == np.inf
+
+
+def test_the_other_way_round_is_a_rival() -> None:
+    """In space, a planar pattern fits turned over, although points on the axis match as before."""
+    row = np.array([[0.0, 4, 0], [7, 4.5, 0], [14, 4, 0], [7, -4, 0]])
+    found = search(row, row - [0.5, 0, 0], 0.2, 3)
+    assert found is not None
+    placement, rival = found
+    assert placement.n_agreeing == rival == len(row)

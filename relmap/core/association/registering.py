@@ -97,8 +97,11 @@ class TrackPlacing(LikelyPlacing):
     ) -> bool:
         """Return whether the scan may show another place than the tracks.
 
+        In a pattern that repeats, a few matches may be anywhere, also the other way round.
         After many nearly empty scans, only if it shows nearly all tracks in place it does not.
         """
+        if found.n_agreeing < PLENTY and not self._is_safe(found, tracks, points):
+            return True
         if self.chance.idle > BLIND:
             share = NEAR_SHARE * min(len(tracks), len(points))
             has_moved = moved_m(found, tracks.expected) > self.scale.spacing_m
@@ -168,8 +171,8 @@ class TrackPlacing(LikelyPlacing):
             return near, False
         far = self._search(tracks, points)
         is_best = is_sharp and near is not None and far.n_agreeing <= near.n_agreeing
-        is_safe = near is not None and is_safe and near.n_agreeing >= share
-        if near and is_best and (is_safe or not far.is_doubtful):
+        is_most = near is not None and is_safe and near.n_agreeing >= share
+        if near and is_best and (is_most or not far.is_doubtful):
             return near, False
         explains = far.n_agreeing >= SHARE * tracks.possible(points)
         return far.placement, far.placement is None and far.is_ambiguous and explains

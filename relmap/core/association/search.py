@@ -24,6 +24,8 @@ ROUNDS = 4
 """Maximum number of refits of a placement to its matches."""
 RIVALS = 4
 """Rivals that are refitted before they are counted."""
+APART = 10.0
+"""Distance, in tolerances, of most points after two placements that are different motions."""
 PATCH, CENTRES, NEIGHBOURS = 24, 2, 4
 """Points whose pattern may repeat, those amid them, and the neighbours of each of these whose
 distance may be the period."""
@@ -52,8 +54,8 @@ def search(
 
     `source` (n, d), `target` (m, d), metres. `tolerance_m`: largest distance between the points of
     a match. `fewest`: minimum number of matches. `metric` (m, d, d): of the targets; the tolerance
-    is in its units. Returns `rival`: matches of the best other placement that this one assigns
-    differently. None if no placement is found.
+    is in its units. Returns `rival`: matches of the best other placement, and of one that moves the
+    points nearly alike only those that this one assigns differently. None if no placement is found.
     """
     from relmap.core.association.search_kernels import placements_by_triangles
 
@@ -79,7 +81,10 @@ def search(
         placed = settled(source, target, Placement(R[row], t[row], 0), tolerance_m, metric)
         if placed is not None and others[row]:
             other = _matches(source, target, placed, tolerance_m, metric)
-            rival = max(rival, int(np.sum((other >= 0) & (other != match))))
+            apart_m = np.linalg.norm(placed.apply(source) - best.apply(source), axis=1)
+            # The other way round, points on the axis of a pattern match as before.
+            is_other = np.median(apart_m) > APART * tolerance_m
+            rival = max(rival, int(np.sum((other >= 0) & (is_other | (other != match)))))
     return best, rival
 
 
