@@ -19,7 +19,7 @@ from relmap.core.map.bending import bend
 from relmap.core.mapper import RelativeMapper
 from relmap.core.refinement.condensing import SegmentRows
 from relmap.core.refinement.confirming import found_rest, seen_in
-from relmap.core.refinement.extending import extend_submaps
+from relmap.core.refinement.extending import extend_submaps, join_seen_together
 from relmap.core.refinement.joint import CONFIRMED
 from relmap.core.revisiting import (
     close_revisits,
@@ -140,7 +140,10 @@ def _join_places(engine: RelativeMapper, rows: SegmentRows, noise_m: float) -> N
 
 
 def find_again(engine: RelativeMapper) -> None:
-    """Match unmatched scans to the map, and to what these scans themselves add to it."""
+    """Match unmatched scans to the map, and to what these scans themselves add to it.
+
+    Then join submaps that scans show together.
+    """
     table, merger = engine.table, engine.merger
     rows = engine.rows
     found = True
@@ -149,7 +152,10 @@ def find_again(engine: RelativeMapper) -> None:
         found = False
         for pairs in find_strays(table, rows, engine.averaging.noise.sigma_m):
             found |= engine.merge_pairs(pairs[merger.allowed(pairs)]) > 0
-    if _is_brief(engine, rows) and not is_bridged(engine):  # Otherwise groups start submaps.
+    if is_bridged(engine):
+        return
+    join_seen_together(engine.map, rows)
+    if _is_brief(engine, rows):  # Otherwise groups start submaps.
         found_rest(engine.map, seen_in(rows, CONFIRMED), NEIGHBOURHOOD)
         extend_submaps(engine.map, rows, (table.submap == NONE) & ~table.dynamic)
 

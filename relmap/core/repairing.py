@@ -143,6 +143,8 @@ def _repair(engine: RelativeMapper) -> None:
     engine.table.take_off_map(np.flatnonzero(rare))
     if undone or rare.any() or engine.config.keep_observations or is_bridged(engine):
         _refine(engine)
+    if not is_bridged(engine) and _merge_compatible(engine, at_last=True):
+        _refine(engine)
 
 
 def _wrong(engine: RelativeMapper) -> Bools:

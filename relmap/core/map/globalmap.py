@@ -93,10 +93,10 @@ class GlobalMap:
     def _join(self, other: int, submap: int, landmarks: Ints, positions: Floats) -> None:
         shared = self.table.submap[landmarks] == other
         there = self.table.position[landmarks[shared]]
-        if fixes_rotation(there) and self._is_fixed(other, landmarks[shared]):
+        if fixes_rotation(there) and self.is_fixed(other, landmarks[shared]):
             self.tie(other, submap, *fit_rigid(there, positions[shared]))
 
-    def _is_fixed(self, submap: int, shared: Ints) -> bool:
+    def is_fixed(self, submap: int, shared: Ints) -> bool:
         """Return whether some landmarks determine the positions of their whole submap well."""
         from relmap.core.geometry.fitting_kernels import swings
 

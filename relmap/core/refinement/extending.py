@@ -14,7 +14,7 @@ import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.geometry.alignment import place_each, sums_each
-from relmap.core.geometry.robust import fit_robust_each
+from relmap.core.geometry.robust import EXACT, fit_robust_each
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.refinement.condensing import SegmentRows
 from relmap.core.state.table import NONE
@@ -28,6 +28,8 @@ AGREEING = 0.8
 """Fraction of the segments that must agree: a landmark at rest half of the time is dynamic."""
 SURE = 3
 """Segments that must agree on the position of a landmark considered dynamic."""
+RIGID = 0.8
+"""Fraction of the landmarks of a submap placed by segments in another that must fit one motion."""
 SEEN_AGAIN = 2
 """Minimum number of observations to place a landmark: with fewer, errors are not detectable."""
 
@@ -62,6 +64,60 @@ def extend_submaps(global_map: GlobalMap, rows: SegmentRows, among: Bools | None
             table.take_off_map(own)
         done[own] = True
     return grew
+
+
+def join_seen_together(global_map: GlobalMap, rows: SegmentRows) -> bool:
+    """Join submaps of which segments show several landmarks each; return whether any were.
+
+    The segments are placed in the larger submap, and the smaller one is moved as a whole to where
+    they show its landmarks. A group may not have connected the two because few of their landmarks
+    stayed in view together. `rows`: rows of all iterations.
+    """
+    table, joined = global_map.table, False
+    submaps, sizes = np.unique(table.submap[table.submap != NONE], return_counts=True)
+    for submap in submaps[np.argsort(-sizes, kind="stable")].tolist():
+        while _join_one(global_map, submap, rows):
+            joined = True
+    return joined
+
+
+def _join_one(global_map: GlobalMap, submap: int, rows: SegmentRows) -> bool:
+    """Join a smaller submap to this one; return whether there was one."""
+    table, landmark = global_map.table, global_map.table.now(rows.landmark)
+    known = table.submap == submap
+    shared = np.isin(rows.segment, rows.segment[known[landmark]])
+    sizes = np.bincount(table.submap[table.submap != NONE])
+    others = np.setdiff1d(table.submap[landmark[shared]], [NONE, submap]).tolist()
+    others = [other for other in others if sizes[other] <= sizes[submap]]
+    if not others:
+        return False
+    laid = lay(rows, landmark, table.position, known[landmark])
+    for other in others:
+        placement = _shown_at(global_map, other, rows, landmark, laid)
+        if placement is not None:
+            global_map.tie(other, submap, *placement)
+            return True
+    return False
+
+
+def _shown_at(
+    global_map: GlobalMap, other: int, rows: SegmentRows, landmark: Ints, laid: _Laid
+) -> tuple[Floats, Floats] | None:
+    """Return rotation and translation of a submap to where laid rows (n,) show its landmarks."""
+    table = global_map.table
+    shown = np.flatnonzero((table.submap[landmark] == other) & (laid.variance <= TIERS[1]))
+    members, places, weights = _placed(rows, landmark, shown, laid, 1)
+    if len(members) <= table.dimension:
+        return None
+    at = np.zeros(len(members), dtype=np.int64)
+    R, t, fixed, _ = fit_robust_each(table.position[members], places, weights, at, 1)
+    shown = shown[np.isin(landmark[shown], members)]
+    there = table.position[landmark[shown]] @ R[0].T + t[0]
+    apart = np.linalg.norm(laid.placed[shown] - there, axis=1) / np.sqrt(laid.variance[shown])
+    fitting = members[_upper(apart, landmark[shown]) <= laid.limit]
+    enough = max(table.dimension + 1, RIGID * len(members))
+    sure = fixed[0] and len(fitting) >= enough and global_map.is_fixed(other, fitting)
+    return (R[0], t[0]) if sure else None
 
 
 def _extend(
@@ -108,7 +164,8 @@ def lay(rows: SegmentRows, landmark: Ints, positions: Floats, known: Bools) -> _
     apart = np.linalg.norm(placed[inside] - positions[landmark[inside]], axis=1)
     deviation = _upper(apart / np.sqrt(variance[inside]), landmark[inside])
     usual = float(np.quantile(deviation, LEAST_STEADY)) if len(deviation) else 0.0
-    return _Laid(placed, variance, STEADY * usual)
+    size_m = float(np.ptp(there, axis=0).max()) if len(there) else 0.0
+    return _Laid(placed, variance, max(STEADY * usual, EXACT * size_m))
 
 
 def _upper(values: Floats, of: Ints) -> Floats:

@@ -43,6 +43,13 @@ class Sightings:
         seen = csr_array((np.ones(len(of), dtype=np.int32), shown), shape=shape)
         return (seen @ seen.T).astype(np.bool_)
 
+    def tracks_met(self, track: int, others: Ints) -> Bools:
+        """Return which other tracks (k,) a scan shows together with a track; merging is ignored."""
+        scans = [
+            self._scans(np.arange(*self._begin[[k, k + 1]])) for k in [track, *others.tolist()]
+        ]
+        return np.array([len(np.intersect1d(scans[0], each)) > 0 for each in scans[1:]], dtype=bool)
+
     def seen_with_both(self, pairs: Ints, others: Ints) -> Ints:
         """Return the number of others (n,) seen in one scan with each of a pair (k, 2); (k,)."""
         every = np.union1d(pairs, others).tolist()

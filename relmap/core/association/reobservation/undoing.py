@@ -80,40 +80,106 @@ def places_of(table: LandmarkState, rows: SegmentRows, tracks: Ints) -> tuple[Fl
     return places[tracks] / np.maximum(seen[tracks], 1)[:, None], seen[tracks]
 
 
+class _Placed:
+    """Tracks placed by segments aligned to a refined map.
+
+    Attributes: `seen` (m,): number of observations of each track; `sums` (m, d), metres: sum of
+    their positions.
+    """
+
+    def __init__(self, refined: Refined, table: LandmarkState, rows: SegmentRows) -> None:
+        self.position, self._of = np.full(table.position.shape, np.nan), table.landmark_of
+        self.position[refined.landmarks] = refined.positions
+        kept = np.isfinite(self.position[self._of[rows.landmark], 0])
+        placed, fixed = laid_on(rows, self.position, kept, self._of[rows.landmark])
+        fixed &= kept
+        track, n_seen = rows.landmark[fixed], rows.n_seen[fixed]
+        self.seen = np.bincount(track, n_seen, len(table))
+        self.sums = sums_each(n_seen[:, None] * placed[fixed], track, len(table))
+
+    def misfits(self, tracks: Ints) -> Floats:
+        """Return the squared misfits (k,) of tracks to the rest of their landmarks."""
+        own = self._of[tracks]
+        whole = np.bincount(self._of, self.seen, len(self.seen))
+        rest = whole[own] - self.seen[tracks]
+        without = sums_each(self.sums, self._of, len(whole))[own] - self.sums[tracks]
+        apart = self.place(tracks) - without / rest[:, None]
+        return np.asarray(np.sum(apart**2, axis=1) / (1 / self.seen[tracks] + 1 / rest))
+
+    def place(self, tracks: Ints) -> Floats:
+        """Return the mean positions (k, d) of tracks."""
+        return np.asarray(self.sums[tracks] / self.seen[tracks][:, None])
+
+    def misfit(self, some: Ints, others: Ints) -> float:
+        """Return the squared misfit of the means of two sets of tracks, in variances."""
+        n, m = self.seen[some].sum(), self.seen[others].sum()
+        if not (n and m):
+            return 0.0
+        apart = self.sums[some].sum(axis=0) / n - self.sums[others].sum(axis=0) / m
+        return float(apart @ apart / (1 / n + 1 / m))
+
+
 def nearer_another(
     refined: Refined, table: LandmarkState, rows: SegmentRows, sightings: Sightings
 ) -> Ints:
-    """Return the merged tracks (k,) that another landmark of a refined map explains far better."""
-    tracks = np.unique(refined.merges.track)
+    """Return the merged tracks (k,) that another landmark of a refined map explains far better.
+
+    Two landmarks close to each other may have exchanged tracks, so that each contains one that was
+    seen together with one of the other: then both are returned.
+    """
+    tracks, of = np.unique(refined.merges.track), table.landmark_of
     if len(refined.landmarks) <= CANDIDATES or not len(tracks):
         return np.empty(0, dtype=np.int64)
-    position, of = np.full(table.position.shape, np.nan), table.landmark_of
-    position[refined.landmarks] = refined.positions
-    kept = np.isfinite(position[of[rows.landmark], 0])
-    placed, fixed = laid_on(rows, position, kept, of[rows.landmark])
-    fixed &= kept
-    seen = np.bincount(rows.landmark[fixed], rows.n_seen[fixed], len(table))
-    sums = sums_each(rows.n_seen[fixed][:, None] * placed[fixed], rows.landmark[fixed], len(table))
-    whole = np.bincount(of, seen, len(table))
+    placed, enough = _Placed(refined, table, rows), FAR_BETTER * refined.noise_m**2
+    whole = np.bincount(of, placed.seen, len(table))
     tracks = tracks[
-        (seen[tracks] > 0) & (whole[of[tracks]] > seen[tracks]) & (of[tracks] != tracks)
+        (placed.seen[tracks] > 0)
+        & (whole[of[tracks]] > placed.seen[tracks])
+        & (of[tracks] != tracks)
     ]
-    place, own = sums[tracks] / seen[tracks][:, None], of[tracks]
-    rest = whole[own] - seen[tracks]
-    without = (sums_each(sums, of, len(table))[own] - sums[tracks]) / rest[:, None]
-    misfit = np.sum((place - without) ** 2, axis=1) / (1 / seen[tracks] + 1 / rest)
+    place, misfit = placed.place(tracks), placed.misfits(tracks)
     _, near = cKDTree(refined.positions).query(place, CANDIDATES)
     other = refined.landmarks[near]
-    apart = np.sum((place[:, None] - position[other]) ** 2, axis=2)
-    apart /= 1 / seen[tracks][:, None] + 1 / np.maximum(whole[other], 1)
-    apart[other == own[:, None]] = np.inf
-    better = misfit - apart.min(axis=1) > FAR_BETTER * refined.noise_m**2
+    apart = np.sum((place[:, None] - placed.position[other]) ** 2, axis=2)
+    apart /= 1 / placed.seen[tracks][:, None] + 1 / np.maximum(whole[other], 1)
+    apart[other == of[tracks][:, None]] = np.inf
+    better = misfit - apart.min(axis=1) > enough
     best = other[np.arange(len(tracks)), apart.argmin(axis=1)]
-    free = [
-        not sightings.together(track, landmark, RARELY)
-        for track, landmark in zip(tracks[better].tolist(), best[better].tolist(), strict=True)
-    ]
-    return np.asarray(tracks[better][np.array(free, dtype=bool)])
+    found: set[int] = set()
+    for k in np.flatnonzero(2 * misfit > enough).tolist():
+        track = int(tracks[k])
+        if better[k] and not sightings.together(track, int(best[k]), RARELY):
+            found.add(track)
+        for rival in other[k][other[k] != of[track]].tolist():
+            exchanged = _exchanged(placed, table, sightings, track, rival, enough)
+            found.update(exchanged)
+    return np.array(sorted(found), dtype=np.int64)
+
+
+def _exchanged(
+    placed: _Placed,
+    table: LandmarkState,
+    sightings: Sightings,
+    track: int,
+    rival: int,
+    enough: float,
+) -> list[int]:
+    """Return a track and those that its landmark should have had in exchange from another.
+
+    None unless the exchange reduces the misfit enough.
+    """
+    members = np.array(table.members(rival))
+    met = sightings.tracks_met(track, members)
+    here = np.setdiff1d(table.members(int(table.landmark_of[track])), [track])
+    mine, theirs, stay = np.array([track]), members[met], members[~met]
+    if not len(theirs) or not len(stay):
+        return []
+    now = placed.misfit(mine, here) + placed.misfit(theirs, stay)
+    then = placed.misfit(mine, stay) + placed.misfit(theirs, here)
+    if now - then <= enough:
+        return []
+    # The first track of a landmark is not parted from it; the others are then.
+    return [track, *(stay if rival in theirs else theirs).tolist()]
 
 
 def pieces(table: LandmarkState, rows: SegmentRows, submap: int) -> list[Ints]:
