@@ -71,6 +71,11 @@ class Chance:
         n = max(min(len(here), len(there)), n_agreeing)
         return log_chance(n, n_agreeing, share, placements)
 
+    def reach_m(self, far_m: float, d: int) -> float:
+        """Return the motion beyond which placements are far less likely than up to `far_m`."""
+        factor = math.exp(-LOG_CHANCE * 2 / (d * (d + 1)))
+        return factor * max(far_m, self.scale.tolerance_m)
+
     def log_placements(self, d: int, far_m: float) -> float:
         """Return the log of the number of placements that move no point farther."""
         return d * (d + 1) / 2 * math.log(1 + 2 * far_m / self.scale.tolerance_m)

@@ -264,6 +264,29 @@ class TrackPlacing(LikelyPlacing):
         scale.wider = 1.0
         return None
 
+    def _is_unrivalled(
+        self,
+        placement: Placement,
+        rival: int,
+        here: Floats,
+        there: Floats,
+        metric: Floats | None,
+        is_next: bool,
+    ) -> bool:
+        """Return whether the rivals of a placement of points (n, d) on others (m, d) are unlikely.
+
+        They match far less, or no more than chance does in some placement; or, from one scan to the
+        next, less after so much more motion that far more placements are like them.
+        """
+        least = CLEAR * placement.n_agreeing
+        if rival <= least or self.chance.log(rival, here, there) > 0:
+            return True
+        if rival >= placement.n_agreeing or not is_next:
+            return False
+        reach_m = self.chance.reach_m(moved_m(placement, here), here.shape[1])
+        near = search(here, there, self.scale.tolerance_m, ENOUGH, metric, reach_m)
+        return near is not None and near[1] <= least
+
     def _search(self, tracks: LiveTracks, points: Floats) -> _Searched:
         """Search for the tracks in the scan, for any motion of the robot.
 
@@ -272,7 +295,8 @@ class TrackPlacing(LikelyPlacing):
         """
         missed, (known, seen) = int(tracks.missed.min()), tracks.crowd(points)
         here, there = tracks.expected[known], points[seen]
-        found = search(here, there, self.scale.tolerance_m, ENOUGH, rows_of(self.metric, seen))
+        own = rows_of(self.metric, seen)
+        found = search(here, there, self.scale.tolerance_m, ENOUGH, own)
         if found is None:
             return _Searched(None, 0)
         placement, rival = found
@@ -280,8 +304,8 @@ class TrackPlacing(LikelyPlacing):
             return _Searched(None, placement.n_agreeing)
         is_decidable = self.scale.noise_m is not None
         is_decidable &= min(len(here), len(there)) >= DECIDABLE
-        # Matches that chance produces in some placement explain nothing.
-        is_clear = rival <= CLEAR * placement.n_agreeing or self.chance.log(rival, here, there) > 0
+        is_next = not (missed or self.chance.idle)
+        is_clear = self._is_unrivalled(placement, rival, here, there, own, is_next)
         if is_clear and (not is_decidable or self.soft(tracks, points).misfit(placement) <= MISFIT):
             return _Searched(placement, placement.n_agreeing)
         likely = self.likely(tracks, points, None) if is_decidable else None

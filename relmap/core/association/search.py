@@ -49,13 +49,15 @@ def search(
     tolerance_m: float,
     fewest: int,
     metric: Floats | None = None,
+    reach_m: float = np.inf,
 ) -> tuple[Placement, int] | None:
     """Return the placement with the most matches, and the number of matches of the best rival.
 
     `source` (n, d), `target` (m, d), metres. `tolerance_m`: largest distance between the points of
     a match. `fewest`: minimum number of matches. `metric` (m, d, d): of the targets; the tolerance
-    is in its units. Returns `rival`: matches of the best other placement, and of one that moves the
-    points nearly alike only those that this one assigns differently. None if no placement is found.
+    is in its units. `reach_m`: placements that move a point farther are left out. Returns `rival`:
+    matches of the best other placement, and of one that moves the points nearly alike only those
+    that this one assigns differently. None if no placement is found.
     """
     from relmap.core.association.search_kernels import placements_by_triangles
 
@@ -65,6 +67,10 @@ def search(
     R, t, matches = placements_by_triangles(
         source, target, triangles, 1.5 * tolerance_m, fewest, MOST, metric, stretch_of(metric)
     )
+    if np.isfinite(reach_m) and len(R):
+        moved = np.einsum("hij,nj->hni", R, source) + t[:, None] - source
+        near = np.linalg.norm(moved, axis=2).max(axis=1) <= reach_m
+        R, t, matches = R[near], t[near], matches[near]
     if not len(R):
         return None
     best = None
