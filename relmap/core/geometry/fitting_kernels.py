@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from relmap.core.arrays import Bools, Floats
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.geometry.rotation_kernels import best_rotation, fixes
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import smallest
@@ -191,3 +191,30 @@ def trimmed_fit_rows(
     for i in range(n):
         n_agreeing += misfit[i] <= tolerance_m
     return R, t, n_agreeing
+
+
+@compiled
+def trimmed_fit_each(
+    source: Floats,
+    target: Floats,
+    near: Bools,
+    tolerance_m: float,
+    fewest: int,
+    R: Floats,
+    t: Floats,
+) -> Ints:
+    """Fit points (n, d) to each of several sets of targets (h, n, d); see `trimmed_fit`.
+
+    `near` (h, n): the pairs of each; with less than `fewest`, the fit is left out. Sets R (h, d, d)
+    and t (h, d), and returns the numbers of matches within the tolerance (h,), -1 without a fit.
+    """
+    n_agreeing = np.full(len(target), -1)
+    for k in range(len(target)):
+        rows = np.flatnonzero(near[k])
+        if len(rows) >= fewest:
+            turn, shift, n_agreeing[k] = trimmed_fit_rows(
+                source[rows], target[k][rows], tolerance_m
+            )
+            R[k] = turn
+            t[k] = shift
+    return n_agreeing

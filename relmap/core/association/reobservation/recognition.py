@@ -15,7 +15,7 @@ from scipy.special import bdtrc, betaincinv
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.association.base import nearest
-from relmap.core.association.placement import DISTINCT, Placement, trimmed_fit
+from relmap.core.association.placement import DISTINCT, Placement
 from relmap.core.geometry.alignment import fit_rigid_each
 
 NEIGHBOURS = 7
@@ -37,8 +37,8 @@ SIGMAS = 4.0
 EXACT = 1e-3
 """The same in spacings for noise-free data; and the upper limit in spacings, `COARSE`."""
 COARSE = 0.2
-REACH = 3.0
-"""Initial tolerance, in units of the final one."""
+REACH, SETTLING = 3.0, 3
+"""Initial tolerance, in units of the final one, and number of fits to what is within it."""
 
 
 class PlaceFinder:
@@ -81,14 +81,18 @@ class PlaceFinder:
         needed = max(ENOUGH + MORE * (d - 2), SHARE * n)
         if self._sides is None or n < needed or self._positions.shape[1] != d:
             return []
+        R, t = self._hypotheses(points, RIVAL * needed)
+        there = points @ R.transpose(0, 2, 1) + t[:, None]
+        better_R, better_t, n_agreeing = self._settled(points, there)
         found: list[Placement] = []
-        for placement in self._hypotheses(points, RIVAL * needed):
-            if not any(self._is_near(points, placement, other) for other in found):
-                better = self._settled(points, placement)
-                if better is not None and better.n_agreeing >= RIVAL * needed:
-                    found.append(better)
-            if len(found) == MOST:
-                break
+        left = n_agreeing >= RIVAL * needed
+        while left.any() and len(found) < MOST:
+            k = int(left.argmax())
+            found.append(Placement(better_R[k], better_t[k], int(n_agreeing[k])))
+            left[k] = False
+            # Equal up to the changes made by fitting.
+            apart = np.abs(there - found[-1].apply(points)).max(axis=(1, 2))
+            left &= apart > REACH * self._tolerance_m
         found.sort(key=lambda placement: -placement.n_agreeing)
         return found if found and found[0].n_agreeing >= needed else []
 
@@ -141,14 +145,16 @@ class PlaceFinder:
             share = max(share, float(betaincinv(elsewhere - 3, n - elsewhere + 1, 1 / trials)))
         return trials * float(bdtrc(n_agreeing - 4, n - 3, share))
 
-    def _hypotheses(self, points: Floats, needed: float) -> list[Placement]:
-        """Return placements of the scan from triangles found in the map, best first.
+    def _hypotheses(self, points: Floats, needed: float) -> tuple[Floats, Floats]:
+        """Return rotations (h, d, d) and translations (h, d) of the scan, best first.
 
-        Only those that bring enough of the scan near mapped landmarks.
+        From triangles found in the map; only those that bring enough of the scan near mapped
+        landmarks.
         """
         corners, sides = _triangles(points)
         if self._sides is None or not len(sides):
-            return []
+            d = points.shape[1]
+            return np.empty((0, d, d)), np.empty((0, d))
         distance, hit = nearest(self._sides, sides, 4 if self._among is None else 8)
         near = distance <= 2 * self._tolerance_m
         if self._among is not None:
@@ -166,26 +172,33 @@ class PlaceFinder:
         apart = self._nearest(placed.reshape(-1, d))[0].reshape(len(likely), len(points))
         self._n_tried = len(likely)
         enough = np.sum(apart <= REACH * self._tolerance_m, axis=1) >= needed
-        return [Placement(R[k], t[k], 3) for k in likely[enough]]
+        return R[likely[enough]], t[likely[enough]]
 
-    def _settled(self, points: Floats, placement: Placement) -> Placement | None:
-        """Fit a placement to all points that it brings onto mapped landmarks."""
-        reach_m = REACH * self._tolerance_m
-        for _ in range(3):
-            distance, landmark = self._nearest(placement.apply(points))
-            near = np.flatnonzero(distance <= reach_m)
-            if len(near) < ENOUGH:
-                return None
-            fitted = trimmed_fit(points[near], self._positions[landmark[near]], self._tolerance_m)
-            if fitted is None:
-                return None
-            placement, reach_m = fitted, max(reach_m / 2, self._tolerance_m)
-        return placement
+    def _settled(self, points: Floats, placed: Floats) -> tuple[Floats, Floats, Ints]:
+        """Fit placements to all points that they bring onto mapped landmarks.
 
-    def _is_near(self, points: Floats, one: Placement, other: Placement) -> bool:
-        """Return whether two placements are equal up to the changes made by fitting."""
-        off = np.abs(one.apply(points) - other.apply(points))
-        return bool(off.max() <= REACH * self._tolerance_m)
+        `points` (n, d); `placed` (h, n, d): after each placement. Returns R (h, d, d); t (h, d);
+        and the numbers (h,) of points that agree, -1 if too few do.
+        """
+        from relmap.core.geometry.fitting_kernels import trimmed_fit_each
+
+        h, n, d = placed.shape
+        R, t, n_agreeing = np.zeros((h, d, d)), np.zeros((h, d)), np.zeros(h, dtype=np.int64)
+        reach_m, left = REACH * self._tolerance_m, np.arange(h)
+        for _ in range(SETTLING):
+            if not len(left):
+                break
+            distance, landmark = self._nearest(placed.reshape(-1, d))
+            near = (distance <= reach_m).reshape(-1, n)
+            target = self._positions[landmark % len(self._positions)].reshape(-1, n, d)
+            turn, shift = R[left], t[left]
+            agree = trimmed_fit_each(points, target, near, self._tolerance_m, ENOUGH, turn, shift)
+            R[left], t[left], n_agreeing[left] = turn, shift, agree
+            fitted = agree >= 0
+            left = left[fitted]
+            placed = points @ R[left].transpose(0, 2, 1) + t[left][:, None]
+            reach_m = max(reach_m / 2, self._tolerance_m)
+        return R, t, n_agreeing
 
 
 def _triangles(positions: Floats) -> tuple[Ints, Floats]:
