@@ -11,10 +11,11 @@ from relmap.core.refinement.extending import join_seen_together
 from tests.worlds import finished, random_rotation, walk
 
 
-def split(dimension: int, sigma: float = 0.0) -> tuple[PointMapper, Ints, Floats]:
+def split(dimension: int, sigma: float = 0.0, ids: bool = True) -> tuple[PointMapper, Ints, Floats]:
     """Return a map whose second half is another submap, that half, and where it was."""
     road = walk(dimension, seed=3, sigma=sigma)
-    mapper = finished(PointMapper(), [(points, ids) for ids, points in road.scans])
+    scans = [(points, seen) if ids else points for seen, points in road.scans]
+    mapper = finished(PointMapper(), scans)
     table, global_map = mapper.engine.table, mapper.engine.map
     half = np.flatnonzero(table.submap == 0)
     half = half[table.first[half] > 60]
@@ -44,10 +45,31 @@ def test_submaps_of_other_shapes_than_scans_show_are_not_joined() -> None:
     assert np.all(mapper.engine.table.submap[half] == 1)
 
 
-def test_submaps_never_seen_together_are_not_joined() -> None:
-    mapper, half, _ = split(2)
-    rows = mapper.engine.rows
-    both = np.isin(rows.segment, rows.segment[np.isin(rows.landmark, half)])
-    mapper.engine.table.take_off_map(np.setdiff1d(rows.landmark[both], half))
-    assert len(np.unique(mapper.engine.table.submap)) == 3
+def test_most_of_the_landmarks_that_scans_show_must_fit_one_motion() -> None:
+    """Of four, three do."""
+    mapper, half, before = split(2, sigma=0.02)
+    mapper.engine.table.take_off_map(half[4:])
+    bent = before[:4].copy()
+    bent[1] += [3.0, -2.0]
+    mapper.engine.map.place(1, half[:4], bent, np.full(4, 20.0))
     assert not join_seen_together(mapper.engine.map, mapper.engine.rows)
+    mapper.engine.map.place(1, half[:4], before[:4], np.full(4, 20.0))
+    assert join_seen_together(mapper.engine.map, mapper.engine.rows)
+
+
+def test_landmarks_that_only_determine_a_pose_do_not_join_submaps() -> None:
+    mapper, half, _ = split(2)
+    rows, table = mapper.engine.rows, mapper.engine.table
+    both = np.isin(rows.segment, rows.segment[np.isin(rows.landmark, half)])
+    others = np.setdiff1d(rows.landmark[both], half)
+    table.take_off_map(others[2:])
+    assert not join_seen_together(mapper.engine.map, rows)
+    assert np.all(table.submap[half] == 1)
+
+
+def test_a_map_is_refined_again_after_submaps_were_joined() -> None:
+    mapper, half, _ = split(2, sigma=0.02, ids=False)
+    assert len(mapper.submaps) == 2
+    mapper.refine()
+    assert len(mapper.submaps) == len(mapper.refined) == 1
+    assert np.isin(half, mapper.refined[0].landmarks).all()

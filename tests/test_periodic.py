@@ -117,14 +117,13 @@ def test_the_other_way_round_is_a_rival() -> None:
     assert placement.n_agreeing == rival == len(row)
 
 
-@pytest.mark.parametrize("step_m", [0.5, 1.5])
-def test_posts_that_fit_the_other_way_round_are_followed(step_m: float) -> None:
+def test_posts_that_fit_the_other_way_round_are_followed() -> None:
     """Four corners of a rectangle fit turned over, but then the robot would be beyond them."""
     rng = np.random.default_rng(1)
     posts = np.array([[17.0, 0.0], [19.0, 0.0], [17.0, -3.0], [19.0, -3.0], [9.0, 1.0]])
     registration = Constellation(5)
     first = registration.match(posts, None)
-    for x in np.arange(step_m, 6, step_m):
+    for x in (1.5, 3.0, 4.5):
         points = posts - [x, 0] + rng.normal(0, 0.01, posts.shape)
         assert (registration.match(points, None) == first).all()
 

@@ -5,14 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.core.association.reobservation.doubling import places_shown_twice
 from relmap.core.association.reobservation.loops import LoopFinder
-from relmap.core.association.reobservation.merging import TOLERANCE, merge_doubles
+from relmap.core.association.reobservation.merging import merge_doubles
 from relmap.core.association.reobservation.sightings import Sightings
 from relmap.core.association.reobservation.strays import find_strays
 from relmap.core.association.reobservation.tying import CLEAR, NEIGHBOURHOOD, tie_submaps
 from relmap.core.gaps import bridge_gaps, is_bridged
-from relmap.core.geometry.alignment import fit_rigid
 from relmap.core.grouping.chart import PointChart
 from relmap.core.grouping.dynamics import FEWEST
 from relmap.core.map.bending import bend
@@ -26,7 +24,6 @@ from relmap.core.revisiting import (
     merge_doubles_in_place,
     merge_in_place,
     merge_within_drift,
-    mergeable,
 )
 from relmap.core.state.table import NONE
 from relmap.core.turns import group_or_found, last_pass, placed_first
@@ -92,7 +89,6 @@ def tie(engine: RelativeMapper) -> None:
     else:
         _close_loops(engine, rows, noise_m)
         if engine.refined:  # Before that, coinciding landmarks may be distinct.
-            _join_places(engine, rows, noise_m)
             merge_doubles(merger, engine.merge, noise_m)
     merger.sightings = None
 
@@ -123,26 +119,10 @@ def _close_loops(engine: RelativeMapper, rows: SegmentRows, noise_m: float) -> N
             merge_doubles(engine.merger, engine.merge, engine.averaging.noise.sigma_m)
 
 
-def _join_places(engine: RelativeMapper, rows: SegmentRows, noise_m: float) -> None:
-    """Join places that a refined map shows twice, one beside the other."""
-    tolerance_m = TOLERANCE * engine.model.position_spread * float(np.nan_to_num(noise_m))
-    for place in list(places_shown_twice(engine.table, Sightings(rows, engine.table), tolerance_m)):
-        pairs = place[engine.table.is_own[place].all(axis=1)]
-        pairs = pairs[engine.merger.allowed(pairs)]
-        if len(pairs) > CLEAR * len(place):
-            # Places joined before may have moved this one.
-            here, there = (engine.table.position[of] for of in pairs.T)
-            R, t = fit_rigid(here, there)
-            off_m = np.linalg.norm(here @ R.T + t - there, axis=1)
-            if np.median(off_m) <= tolerance_m:
-                bend(engine.map, rows, pairs, R, t)
-                engine.merge_pairs(mergeable(engine.table, pairs))
-
-
-def find_again(engine: RelativeMapper) -> None:
+def find_again(engine: RelativeMapper) -> bool:
     """Match unmatched scans to the map, and to what these scans themselves add to it.
 
-    Then join submaps that scans show together.
+    Then join submaps that scans show together; returns whether any were.
     """
     table, merger = engine.table, engine.merger
     rows = engine.rows
@@ -153,11 +133,13 @@ def find_again(engine: RelativeMapper) -> None:
         for pairs in find_strays(table, rows, engine.averaging.noise.sigma_m):
             found |= engine.merge_pairs(pairs[merger.allowed(pairs)]) > 0
     if is_bridged(engine):
-        return
-    join_seen_together(engine.map, rows)
+        return False
+    sure = seen_in(rows, CONFIRMED)
+    joined = join_seen_together(engine.map, sure)
     if _is_brief(engine, rows):  # Otherwise groups start submaps.
-        found_rest(engine.map, seen_in(rows, CONFIRMED), NEIGHBOURHOOD)
+        found_rest(engine.map, sure, NEIGHBOURHOOD)
         extend_submaps(engine.map, rows, (table.submap == NONE) & ~table.dynamic)
+    return joined
 
 
 def leave_out_rare(engine: RelativeMapper) -> None:

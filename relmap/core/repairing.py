@@ -172,8 +172,8 @@ def _look_over(engine: RelativeMapper) -> bool:
     before = extent(engine)
     _merge_compatible(engine)
     tie(engine)
-    find_again(engine)
-    found = extent(engine) != before
+    joined = find_again(engine)
+    found = joined or extent(engine) != before
     if found:
         _refine(engine, to_the_last=False)
     return found

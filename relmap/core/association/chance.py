@@ -72,9 +72,9 @@ class Chance:
         return log_chance(n, n_agreeing, share, placements)
 
     def reach_m(self, far_m: float, d: int) -> float:
-        """Return the motion beyond which placements are far less likely than up to `far_m`."""
-        factor = math.exp(-LOG_CHANCE * 2 / (d * (d + 1)))
-        return factor * max(far_m, self.scale.tolerance_m)
+        """Return the motion up to which there are a thousand times as many placements."""
+        factor, half_m = math.exp(-LOG_CHANCE * 2 / (d * (d + 1))), self.scale.tolerance_m / 2
+        return factor * (far_m + half_m) - half_m
 
     def log_placements(self, d: int, far_m: float) -> float:
         """Return the log of the number of placements that move no point farther."""

@@ -276,7 +276,8 @@ class TrackPlacing(LikelyPlacing):
         """Return whether the rivals of a placement of points (n, d) on others (m, d) are unlikely.
 
         They match far less, or no more than chance does in some placement; or, from one scan to the
-        next, less after so much more motion that far more placements are like them.
+        next, those that match less need so much more motion that a thousand times as many
+        placements are possible.
         """
         least = CLEAR * placement.n_agreeing
         if rival <= least or self.chance.log(rival, here, there) > 0:

@@ -205,8 +205,9 @@ def trimmed_fit_each(
 ) -> Ints:
     """Fit points (n, d) to each of several sets of targets (h, n, d); see `trimmed_fit`.
 
-    `near` (h, n): the pairs of each; with less than `fewest`, the fit is left out. Sets R (h, d, d)
-    and t (h, d), and returns the numbers of matches within the tolerance (h,), -1 without a fit.
+    `near` (h, n): the pairs of each; with fewer than `fewest`, the fit is left out. Sets R
+    (h, d, d) and t (h, d), and returns the numbers of matches within the tolerance (h,), -1 without
+    a fit.
     """
     n_agreeing = np.full(len(target), -1)
     for k in range(len(target)):

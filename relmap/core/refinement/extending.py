@@ -14,7 +14,7 @@ import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.geometry.alignment import place_each, sums_each
-from relmap.core.geometry.robust import EXACT, fit_robust_each
+from relmap.core.geometry.robust import fit_robust_each
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.refinement.condensing import SegmentRows
 from relmap.core.state.table import NONE
@@ -25,11 +25,10 @@ STEADY, LEAST_STEADY = 3.0, 0.95
 """Deviation up to which segments agree on a position, relative to the 95th percentile of the mapped
 landmarks: landmarks are not equally noisy."""
 AGREEING = 0.8
-"""Fraction of the segments that must agree: a landmark at rest half of the time is dynamic."""
+"""Fraction of the segments that must agree, as a landmark at rest half of the time is dynamic; and
+of the landmarks of a submap that must fit one motion."""
 SURE = 3
 """Segments that must agree on the position of a landmark considered dynamic."""
-RIGID = 0.8
-"""Fraction of the landmarks of a submap placed by segments in another that must fit one motion."""
 SEEN_AGAIN = 2
 """Minimum number of observations to place a landmark: with fewer, errors are not detectable."""
 
@@ -67,37 +66,43 @@ def extend_submaps(global_map: GlobalMap, rows: SegmentRows, among: Bools | None
 
 
 def join_seen_together(global_map: GlobalMap, rows: SegmentRows) -> bool:
-    """Join submaps of which segments show several landmarks each; return whether any were.
+    """Join submaps that segments show together; return whether any were.
 
-    The segments are placed in the larger submap, and the smaller one is moved as a whole to where
-    they show its landmarks. A group may not have connected the two because few of their landmarks
-    stayed in view together. `rows`: rows of all iterations.
+    Segments that show more landmarks of the larger submap than determine their pose are placed in
+    it, and the smaller one is moved as a whole to where they show its landmarks. A group may not
+    have connected the two because few of their landmarks stayed in view together. `rows`: confirmed
+    rows of all iterations.
     """
-    table, joined = global_map.table, False
-    submaps, sizes = np.unique(table.submap[table.submap != NONE], return_counts=True)
-    for submap in submaps[np.argsort(-sizes, kind="stable")].tolist():
-        while _join_one(global_map, submap, rows):
-            joined = True
+    table, joined, more = global_map.table, False, True
+    while more:
+        more = False
+        submaps, sizes = np.unique(table.submap[table.submap != NONE], return_counts=True)
+        for submap in submaps[np.argsort(-sizes, kind="stable")].tolist():
+            more |= _join_to(global_map, submap, rows)
+        joined |= more
     return joined
 
 
-def _join_one(global_map: GlobalMap, submap: int, rows: SegmentRows) -> bool:
-    """Join a smaller submap to this one; return whether there was one."""
+def _join_to(global_map: GlobalMap, submap: int, rows: SegmentRows) -> bool:
+    """Join smaller submaps to this one; return whether there were any."""
     table, landmark = global_map.table, global_map.table.now(rows.landmark)
-    known = table.submap == submap
-    shared = np.isin(rows.segment, rows.segment[known[landmark]])
+    known = table.submap[landmark] == submap
+    shown = np.bincount(rows.segment[known], minlength=rows.n_segments)
+    shared = landmark[shown[rows.segment] > table.dimension]
     sizes = np.bincount(table.submap[table.submap != NONE])
-    others = np.setdiff1d(table.submap[landmark[shared]], [NONE, submap]).tolist()
+    others = np.setdiff1d(table.submap[shared], [NONE, submap]).tolist()
     others = [other for other in others if sizes[other] <= sizes[submap]]
     if not others:
         return False
-    laid = lay(rows, landmark, table.position, known[landmark])
+    laid = lay(rows, landmark, table.position, known)
+    laid.variance[shown[rows.segment] <= table.dimension] = np.inf
+    joined = False
     for other in others:
         placement = _shown_at(global_map, other, rows, landmark, laid)
         if placement is not None:
             global_map.tie(other, submap, *placement)
-            return True
-    return False
+            joined = True
+    return joined
 
 
 def _shown_at(
@@ -115,7 +120,7 @@ def _shown_at(
     there = table.position[landmark[shown]] @ R[0].T + t[0]
     apart = np.linalg.norm(laid.placed[shown] - there, axis=1) / np.sqrt(laid.variance[shown])
     fitting = members[_upper(apart, landmark[shown]) <= laid.limit]
-    enough = max(table.dimension + 1, RIGID * len(members))
+    enough = max(table.dimension + 1, AGREEING * len(members))
     sure = fixed[0] and len(fitting) >= enough and global_map.is_fixed(other, fitting)
     return (R[0], t[0]) if sure else None
 
@@ -164,8 +169,7 @@ def lay(rows: SegmentRows, landmark: Ints, positions: Floats, known: Bools) -> _
     apart = np.linalg.norm(placed[inside] - positions[landmark[inside]], axis=1)
     deviation = _upper(apart / np.sqrt(variance[inside]), landmark[inside])
     usual = float(np.quantile(deviation, LEAST_STEADY)) if len(deviation) else 0.0
-    size_m = float(np.ptp(there, axis=0).max()) if len(there) else 0.0
-    return _Laid(placed, variance, max(STEADY * usual, EXACT * size_m))
+    return _Laid(placed, variance, STEADY * usual)
 
 
 def _upper(values: Floats, of: Ints) -> Floats:

@@ -30,8 +30,9 @@ SHARE = 0.5
 """Fraction of the scan that must be found."""
 RIVAL = 0.6
 """Minimum fraction of these found by a rival."""
-MOST = 20
-"""Maximum number of distinct places considered; with more, the scan is ambiguous anyway."""
+MOST, AT_ONCE = 20, 50
+"""Maximum number of distinct places considered, as with more the scan is ambiguous anyway; and of
+candidates that are fitted at once."""
 SIGMAS = 4.0
 """Tolerance of a landmark's position, in standard deviations of an observation."""
 EXACT = 1e-3
@@ -82,19 +83,34 @@ class PlaceFinder:
         if self._sides is None or n < needed or self._positions.shape[1] != d:
             return []
         R, t = self._hypotheses(points, RIVAL * needed)
-        there = points @ R.transpose(0, 2, 1) + t[:, None]
-        better_R, better_t, n_agreeing = self._settled(points, there)
         found: list[Placement] = []
-        left = n_agreeing >= RIVAL * needed
-        while left.any() and len(found) < MOST:
-            k = int(left.argmax())
-            found.append(Placement(better_R[k], better_t[k], int(n_agreeing[k])))
-            left[k] = False
-            # Equal up to the changes made by fitting.
-            apart = np.abs(there - found[-1].apply(points)).max(axis=(1, 2))
-            left &= apart > REACH * self._tolerance_m
+        for k in range(0, len(R), AT_ONCE):
+            if len(found) == MOST:
+                break
+            there = points @ R[k : k + AT_ONCE].transpose(0, 2, 1) + t[k : k + AT_ONCE, None]
+            self._add_settled(points, there, RIVAL * needed, found)
         found.sort(key=lambda placement: -placement.n_agreeing)
         return found if found and found[0].n_agreeing >= needed else []
+
+    def _add_settled(
+        self, points: Floats, placed: Floats, needed: float, found: list[Placement]
+    ) -> None:
+        """Add candidate placements, settled, to those found, unless they began near one of them.
+
+        `points` (n, d); `placed` (h, n, d): after each placement.
+        """
+        near_m = REACH * self._tolerance_m  # equal up to the changes made by fitting
+        left = np.ones(len(placed), dtype=np.bool_)
+        for other in found:
+            left &= np.abs(placed - other.apply(points)).max(axis=(1, 2)) > near_m
+        placed = placed[left]
+        R, t, n_agreeing = self._settled(points, placed)
+        left = n_agreeing >= needed
+        while left.any() and len(found) < MOST:
+            k = int(left.argmax())
+            found.append(Placement(R[k], t[k], int(n_agreeing[k])))
+            left[k] = False
+            left &= np.abs(placed - found[-1].apply(points)).max(axis=(1, 2)) > near_m
 
     def landmarks_at(self, points: Floats, among: Bools | None = None) -> Ints:
         """Return the rows of the map that lie at points (n, d), map frame; -1 if none does."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Bools, Ints
@@ -28,27 +27,23 @@ class Sightings:
         self._segment, self._visible = rows.segment[order], rows.visible[order]
         self._begin = np.searchsorted(rows.landmark[order], np.arange(len(table) + 1))
         self._table = table
+        self._known: dict[int, Ints] = {}
 
     def together(self, one: int, other: int, share: float = 0.0) -> bool:
         """Return whether two landmarks share more than a fraction of the scans of the rarer."""
         here, there = (self._scans(self._rows(landmark)) for landmark in (one, other))
         return len(np.intersect1d(here, there)) > share * min(len(here), len(there))
 
-    def met(self, landmarks: Ints) -> csr_array:
-        """Return for each two of some landmarks (k,) whether a scan shows both; (k, k)."""
-        scans = [self._scans(self._rows(landmark)) for landmark in landmarks.tolist()]
-        of = np.repeat(np.arange(len(scans)), [len(each) for each in scans])
-        shape = len(scans), LENGTH * (int(self._segment.max(initial=0)) + 1)
-        shown = of, np.concatenate(scans)
-        seen = csr_array((np.ones(len(of), dtype=np.int32), shown), shape=shape)
-        return (seen @ seen.T).astype(np.bool_)
-
     def tracks_met(self, track: int, others: Ints) -> Bools:
         """Return which other tracks (k,) a scan shows together with a track; merging is ignored."""
-        scans = [
-            self._scans(np.arange(*self._begin[[k, k + 1]])) for k in [track, *others.tolist()]
-        ]
-        return np.array([len(np.intersect1d(scans[0], each)) > 0 for each in scans[1:]], dtype=bool)
+        own, scans = self._scans_of(track), [self._scans_of(other) for other in others.tolist()]
+        met = [len(np.intersect1d(own, each, assume_unique=True)) > 0 for each in scans]
+        return np.array(met, dtype=bool)
+
+    def _scans_of(self, track: int) -> Ints:
+        if track not in self._known:
+            self._known[track] = self._scans(np.arange(*self._begin[[track, track + 1]]))
+        return self._known[track]
 
     def seen_with_both(self, pairs: Ints, others: Ints) -> Ints:
         """Return the number of others (n,) seen in one scan with each of a pair (k, 2); (k,)."""

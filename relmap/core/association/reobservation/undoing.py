@@ -83,38 +83,34 @@ def places_of(table: LandmarkState, rows: SegmentRows, tracks: Ints) -> tuple[Fl
 class _Placed:
     """Tracks placed by segments aligned to a refined map.
 
-    Attributes: `seen` (m,): number of observations of each track; `sums` (m, d), metres: sum of
-    their positions.
+    Attributes: `position` (m, d), metres: of the landmarks of the map, others are NaN; `seen` (m,):
+    number of observations of each track; `sums` (m, d), metres: sum of their positions; `misfit`
+    (m,), square metres: of the mean of each track to the rest of its landmark, for one observation.
     """
 
     def __init__(self, refined: Refined, table: LandmarkState, rows: SegmentRows) -> None:
-        self.position, self._of = np.full(table.position.shape, np.nan), table.landmark_of
+        self.position, of = np.full(table.position.shape, np.nan), table.landmark_of
         self.position[refined.landmarks] = refined.positions
-        kept = np.isfinite(self.position[self._of[rows.landmark], 0])
-        placed, fixed = laid_on(rows, self.position, kept, self._of[rows.landmark])
+        kept = np.isfinite(self.position[of[rows.landmark], 0])
+        placed, fixed = laid_on(rows, self.position, kept, of[rows.landmark])
         fixed &= kept
         track, n_seen = rows.landmark[fixed], rows.n_seen[fixed]
         self.seen = np.bincount(track, n_seen, len(table))
         self.sums = sums_each(n_seen[:, None] * placed[fixed], track, len(table))
+        self.whole = np.bincount(of, self.seen, len(table))
+        rest, sums = self.whole[of] - self.seen, sums_each(self.sums, of, len(table))[of]
+        known = np.flatnonzero((self.seen > 0) & (rest > 0))
+        apart = self.mean(known) - (sums - self.sums)[known] / rest[known][:, None]
+        self.misfit = np.zeros(len(table))
+        self.misfit[known] = np.sum(apart**2, axis=1) / (1 / self.seen[known] + 1 / rest[known])
 
-    def misfits(self, tracks: Ints) -> Floats:
-        """Return the squared misfits (k,) of tracks to the rest of their landmarks."""
-        own = self._of[tracks]
-        whole = np.bincount(self._of, self.seen, len(self.seen))
-        rest = whole[own] - self.seen[tracks]
-        without = sums_each(self.sums, self._of, len(whole))[own] - self.sums[tracks]
-        apart = self.place(tracks) - without / rest[:, None]
-        return np.asarray(np.sum(apart**2, axis=1) / (1 / self.seen[tracks] + 1 / rest))
-
-    def place(self, tracks: Ints) -> Floats:
-        """Return the mean positions (k, d) of tracks."""
+    def mean(self, tracks: Ints) -> Floats:
+        """Return the mean positions (k, d) of tracks (k,)."""
         return np.asarray(self.sums[tracks] / self.seen[tracks][:, None])
 
-    def misfit(self, some: Ints, others: Ints) -> float:
-        """Return the squared misfit of the means of two sets of tracks, in variances."""
+    def between(self, some: Ints, others: Ints) -> float:
+        """Return the misfit of the means of two sets of tracks, for one observation."""
         n, m = self.seen[some].sum(), self.seen[others].sum()
-        if not (n and m):
-            return 0.0
         apart = self.sums[some].sum(axis=0) / n - self.sums[others].sum(axis=0) / m
         return float(apart @ apart / (1 / n + 1 / m))
 
@@ -131,28 +127,24 @@ def nearer_another(
     if len(refined.landmarks) <= CANDIDATES or not len(tracks):
         return np.empty(0, dtype=np.int64)
     placed, enough = _Placed(refined, table, rows), FAR_BETTER * refined.noise_m**2
-    whole = np.bincount(of, placed.seen, len(table))
-    tracks = tracks[
-        (placed.seen[tracks] > 0)
-        & (whole[of[tracks]] > placed.seen[tracks])
-        & (of[tracks] != tracks)
-    ]
-    place, misfit = placed.place(tracks), placed.misfits(tracks)
+    tracks = tracks[(placed.misfit[tracks] > 0) & (of[tracks] != tracks)]
+    place, misfit = placed.mean(tracks), placed.misfit[tracks]
     _, near = cKDTree(refined.positions).query(place, CANDIDATES)
     other = refined.landmarks[near]
     apart = np.sum((place[:, None] - placed.position[other]) ** 2, axis=2)
-    apart /= 1 / placed.seen[tracks][:, None] + 1 / np.maximum(whole[other], 1)
+    apart /= 1 / placed.seen[tracks][:, None] + 1 / np.maximum(placed.whole[other], 1)
     apart[other == of[tracks][:, None]] = np.inf
-    better = misfit - apart.min(axis=1) > enough
-    best = other[np.arange(len(tracks)), apart.argmin(axis=1)]
+    best, least = other[np.arange(len(tracks)), apart.argmin(axis=1)], apart.min(axis=1)
     found: set[int] = set()
-    for k in np.flatnonzero(2 * misfit > enough).tolist():
-        track = int(tracks[k])
-        if better[k] and not sightings.together(track, int(best[k]), RARELY):
-            found.add(track)
-        for rival in other[k][other[k] != of[track]].tolist():
-            exchanged = _exchanged(placed, table, sightings, track, rival, enough)
-            found.update(exchanged)
+    for k in np.flatnonzero(misfit - least > enough).tolist():
+        if not sightings.together(int(tracks[k]), int(best[k]), RARELY):
+            found.add(int(tracks[k]))
+    worst = np.zeros(len(table))
+    np.maximum.at(worst, of, placed.misfit)
+    gain = misfit[:, None] + worst[other]  # an exchange gains no more
+    for k, j in np.argwhere((gain > enough) & (apart < gain)).tolist():
+        pair = int(tracks[k]), int(other[k, j])
+        found.update(_exchanged(placed, table, sightings, *pair, enough))
     return np.array(sorted(found), dtype=np.int64)
 
 
@@ -166,20 +158,19 @@ def _exchanged(
 ) -> list[int]:
     """Return a track and those that its landmark should have had in exchange from another.
 
-    None unless the exchange reduces the misfit enough.
+    None unless the exchange is possible and reduces the misfit enough.
     """
     members = np.array(table.members(rival))
     met = sightings.tracks_met(track, members)
     here = np.setdiff1d(table.members(int(table.landmark_of[track])), [track])
     mine, theirs, stay = np.array([track]), members[met], members[~met]
-    if not len(theirs) or not len(stay):
+    if rival in theirs or not all(placed.seen[one].sum() for one in (here, theirs, stay)):
         return []
-    now = placed.misfit(mine, here) + placed.misfit(theirs, stay)
-    then = placed.misfit(mine, stay) + placed.misfit(theirs, here)
-    if now - then <= enough:
+    if any(sightings.tracks_met(one, here).any() for one in theirs.tolist()):
         return []
-    # The first track of a landmark is not parted from it; the others are then.
-    return [track, *(stay if rival in theirs else theirs).tolist()]
+    now = placed.between(mine, here) + placed.between(theirs, stay)
+    then = placed.between(mine, stay) + placed.between(theirs, here)
+    return [track, *theirs.tolist()] if now - then > enough else []
 
 
 def pieces(table: LandmarkState, rows: SegmentRows, submap: int) -> list[Ints]:
