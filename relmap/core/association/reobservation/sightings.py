@@ -34,11 +34,15 @@ class Sightings:
         here, there = (self._scans(self._rows(landmark)) for landmark in (one, other))
         return len(np.intersect1d(here, there)) > share * min(len(here), len(there))
 
-    def tracks_met(self, track: int, others: Ints) -> Bools:
-        """Return which other tracks (k,) a scan shows together with a track; merging is ignored."""
+    def tracks_met(self, track: int, others: Ints, share: float = 0.0) -> Bools:
+        """Return which other tracks (k,) share more than a fraction of the scans of the rarer.
+
+        Merging is ignored.
+        """
         own, scans = self._scans_of(track), [self._scans_of(other) for other in others.tolist()]
-        met = [len(np.intersect1d(own, each, assume_unique=True)) > 0 for each in scans]
-        return np.array(met, dtype=bool)
+        met = [len(np.intersect1d(own, each, assume_unique=True)) for each in scans]
+        rarer = [min(len(own), len(each)) for each in scans]
+        return np.asarray(np.array(met) > share * np.array(rarer))
 
     def _scans_of(self, track: int) -> Ints:
         if track not in self._known:

@@ -156,7 +156,7 @@ def _exchanged(
     rival: int,
     enough: float,
 ) -> list[int]:
-    """Return a track and those that its landmark should have had in exchange from another.
+    """Return a track and those to part from another landmark, for which it is exchanged.
 
     None unless the exchange is possible and reduces the misfit enough.
     """
@@ -164,13 +164,16 @@ def _exchanged(
     met = sightings.tracks_met(track, members)
     here = np.setdiff1d(table.members(int(table.landmark_of[track])), [track])
     mine, theirs, stay = np.array([track]), members[met], members[~met]
-    if rival in theirs or not all(placed.seen[one].sum() for one in (here, theirs, stay)):
+    if not all(placed.seen[one].sum() for one in (here, theirs, stay)):
         return []
-    if any(sightings.tracks_met(one, here).any() for one in theirs.tolist()):
+    if any(sightings.tracks_met(one, here, RARELY).any() for one in theirs.tolist()):
         return []
     now = placed.between(mine, here) + placed.between(theirs, stay)
     then = placed.between(mine, stay) + placed.between(theirs, here)
-    return [track, *theirs.tolist()] if now - then > enough else []
+    if now - then <= enough:
+        return []
+    # The first track of a landmark cannot be parted from it: the others are.
+    return [track, *(stay if rival in theirs else theirs).tolist()]
 
 
 def pieces(table: LandmarkState, rows: SegmentRows, submap: int) -> list[Ints]:
