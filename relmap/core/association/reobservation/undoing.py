@@ -84,8 +84,9 @@ class _Placed:
     """Tracks placed by segments aligned to a refined map.
 
     Attributes: `position` (m, d), metres: of the landmarks of the map, others are NaN; `seen` (m,):
-    number of observations of each track; `sums` (m, d), metres: sum of their positions; `misfit`
-    (m,), square metres: of the mean of each track to the rest of its landmark, for one observation.
+    number of observations of each track, and `whole` (m,), of each landmark; `sums` (m, d), metres:
+    sum of the positions of each track; `misfit` (m,), square metres: squared distance of the mean
+    of each track from the rest of its landmark, scaled to the variance of one observation.
     """
 
     def __init__(self, refined: Refined, table: LandmarkState, rows: SegmentRows) -> None:
@@ -109,7 +110,7 @@ class _Placed:
         return np.asarray(self.sums[tracks] / self.seen[tracks][:, None])
 
     def between(self, some: Ints, others: Ints) -> float:
-        """Return the misfit of the means of two sets of tracks, for one observation."""
+        """Return the squared distance of the means of two sets of tracks, scaled likewise."""
         n, m = self.seen[some].sum(), self.seen[others].sum()
         apart = self.sums[some].sum(axis=0) / n - self.sums[others].sum(axis=0) / m
         return float(apart @ apart / (1 / n + 1 / m))
@@ -141,7 +142,7 @@ def nearer_another(
             found.add(int(tracks[k]))
     worst = np.zeros(len(table))
     np.maximum.at(worst, of, placed.misfit)
-    gain = misfit[:, None] + worst[other]  # an exchange gains no more
+    gain = misfit[:, None] + worst[other]  # the exchange of one track gains no more
     for k, j in np.argwhere((gain > enough) & (apart < gain)).tolist():
         pair = int(tracks[k]), int(other[k, j])
         found.update(_exchanged(placed, table, sightings, *pair, enough))
