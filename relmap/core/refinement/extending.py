@@ -87,7 +87,9 @@ def _join_to(global_map: GlobalMap, submap: int, rows: SegmentRows) -> bool:
     """Join smaller submaps to this one; return whether there were any."""
     table, landmark = global_map.table, global_map.table.now(rows.landmark)
     known = table.submap[landmark] == submap
-    shown = np.bincount(rows.segment[known], minlength=rows.n_segments)
+    # A landmark has several rows if its tracks were merged.
+    pairs = np.unique(np.column_stack([rows.segment[known], landmark[known]]), axis=0)
+    shown = np.bincount(pairs[:, 0], minlength=rows.n_segments)
     shared = landmark[shown[rows.segment] > table.dimension]
     sizes = np.bincount(table.submap[table.submap != NONE])
     others = np.setdiff1d(table.submap[shared], [NONE, submap]).tolist()

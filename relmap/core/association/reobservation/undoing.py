@@ -122,7 +122,7 @@ def nearer_another(
     """Return the merged tracks (k,) that another landmark of a refined map explains far better.
 
     Two landmarks close to each other may have exchanged tracks, so that each contains one that was
-    seen together with one of the other: then both are returned.
+    seen together with one of the other: then these are returned.
     """
     tracks, of = np.unique(refined.merges.track), table.landmark_of
     if len(refined.landmarks) <= CANDIDATES or not len(tracks):
