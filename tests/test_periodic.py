@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from relmap import PointMapper
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association import Constellation
 from relmap.core.association.search import period_of, search
+from tests.worlds import purity_of
 
 REACH_M, WIDTH_M = 20.0, 8.0
 SIGMA_M = 0.03
@@ -136,3 +138,23 @@ def test_posts_that_fit_after_a_turn_are_not_followed_when_the_robot_may_have_tu
     first = registration.match(posts, None)
     registration.match(rng.uniform(-20, 20, (4, 2)), None)
     assert not np.isin(registration.match(posts - [1.5, 0], None), first).any()
+
+
+@pytest.mark.parametrize("seed", [0, 3, 6])
+def test_scans_found_late_are_not_taken_for_another_part_of_an_avenue(seed: int) -> None:
+    """Submaps of a few posts show some of it only: a scan of another part may fit by chance."""
+    rng, scans = np.random.default_rng(seed), []
+    posts, ids = avenue(8.0, 0.15, 0.0, rng)
+    for x in np.arange(0, 150, 1.2):
+        points = posts - [x, 0]
+        seen = (np.linalg.norm(points, axis=1) <= REACH_M) & (rng.random(len(ids)) > 0.25)
+        order = rng.permutation(np.flatnonzero(seen))
+        scans.append((points[order] + rng.normal(0, 0.05, (len(order), 2)), ids[order]))
+    mapper = PointMapper()
+    labels = np.concatenate([mapper.update(points) for points, _ in scans])
+    true = np.concatenate([of for _, of in scans])
+    before = purity_of(labels, true)
+    mapper.finish()
+    mapper.refine()
+    assert sum(len(submap.landmark_ids) for submap in mapper.submaps) > 30
+    assert purity_of(mapper.landmarks_of(labels), true) > before - 0.005

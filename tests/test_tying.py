@@ -30,7 +30,7 @@ def in_submaps(*places: Points) -> GlobalMap:
     global_map = GlobalMap(table)
     numbers = np.split(np.arange(n), np.cumsum([len(one) for one in places])[:-1])
     for landmarks, positions in zip(numbers, places, strict=True):
-        weights = np.full(len(landmarks), 10.0)
+        weights = np.ones(len(landmarks))  # `moved` adds the noise of one observation
         global_map.place(global_map.new_submap(), landmarks, positions, weights)
     return global_map
 
@@ -100,6 +100,19 @@ def test_a_few_landmarks_are_joined_if_all_are_found_and_others_are_not(n: int) 
             n_joined += bool(tied) and is_same
             assert is_same or not tied
     assert n_joined >= 10
+
+
+@pytest.mark.parametrize("seed", range(3))
+@both_dimensions
+def test_a_copy_that_deviates_by_more_than_the_noise_joins_nothing(d: int, seed: int) -> None:
+    """Everything is found within the tolerance, but averaged landmarks are better known."""
+    rng, n_averaged, sigma = np.random.default_rng(seed), 25, 0.05
+    motif = rng.uniform(0, 12, (20, d))
+    for deviation, is_same in ((0.0, True), (0.05, False)):
+        copies = (motif + deviation * rng.standard_normal(motif.shape) for _ in range(2))
+        global_map = in_submaps(*(moved(copy, rng, sigma / 5) for copy in copies))
+        global_map.table.weight[:] = n_averaged
+        assert len(list(tie_submaps(global_map, sigma))) == is_same
 
 
 @both_dimensions

@@ -110,14 +110,15 @@ class LoopFinder:
         if not places:
             return None
         at = finder.landmarks_at(places[0].apply(points), before)
-        pairs = np.column_stack([around, own[at]])[at >= 0]
-        _, first = np.unique(pairs[:, 1], return_index=True)
-        pairs = pairs[first]
+        once = np.unique(at, return_index=True)[1]
+        once = once[at[once] >= 0]
+        pairs = np.column_stack([around[once], own[at[once]]])
         off_m = np.linalg.norm(places[0].apply(points) - points, axis=1).max()
         if off_m > self._drift_m(around, together, int(table.last[pairs[:, 1]].max(initial=0))):
             return None
         rival = finder.elsewhere(points, places)
         sure = finder.by_chance(len(points), len(pairs), rival, len(own)) <= BY_CHANCE
+        sure &= finder.is_close(points[once], at[once], table.weight[pairs.T], n_maps=2)
         return Loop(pairs, places[0]) if sure and rival <= CLEAR * len(pairs) else None
 
     def _by_likelihood(self, later: Ints, older: Ints, farthest_m: float) -> Loop | None:

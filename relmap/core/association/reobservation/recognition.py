@@ -16,7 +16,8 @@ from scipy.special import bdtrc, betaincinv
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.association.base import nearest
 from relmap.core.association.placement import DISTINCT, Placement
-from relmap.core.geometry.alignment import fit_rigid_each
+from relmap.core.association.reobservation.evidence import LOCAL_DRIFT
+from relmap.core.geometry.alignment import fit_rigid, fit_rigid_each
 
 NEIGHBOURS = 7
 """Number of nearest landmarks with which a landmark forms triangles."""
@@ -38,6 +39,9 @@ SIGMAS = 4.0
 EXACT = 1e-3
 """The same in spacings for noise-free data; and the upper limit in spacings, `COARSE`."""
 COARSE = 0.2
+MISFIT = 2.5
+"""Largest variance of found landmarks, relative to that expected: where a pattern repeats, another
+place agrees within the tolerance, but less closely."""
 REACH, SETTLING = 3.0, 3
 """Initial tolerance, in units of the final one, and number of fits to what is within it."""
 
@@ -59,6 +63,7 @@ class PlaceFinder:
             self._apart_m = float(np.median(nearest(self._tree, positions, 2)[0][:, 1]))
             least, most = EXACT * self._apart_m, COARSE * self._apart_m
             self._tolerance_m = float(np.clip(SIGMAS * noise_m, least, most))
+            self._noise_m = max(noise_m, least / SIGMAS)
 
     def find(self, points: Floats) -> Placement | None:
         """Return the placement of a scan's frame in the map's; None if it is ambiguous.
@@ -132,6 +137,19 @@ class PlaceFinder:
             if np.median(np.linalg.norm(other.apply(points) - there, axis=1)) > apart_m
         ]
         return max(rivals, default=0)
+
+    def is_close(self, points: Floats, at: Ints, n_averaged: Floats, n_maps: int) -> bool:
+        """Return whether points (k, d) agree with landmarks (k,) as closely as noise allows.
+
+        `n_averaged` (2, k): observations averaged into the points and the landmarks; `n_maps`: 2 if
+        the points are of a map, too, which drifts, 1 if they are of a segment.
+        """
+        there, (n, d) = self._positions[at], points.shape
+        variance = (1 / np.maximum(n_averaged, 1)).sum(axis=0) + n_maps * LOCAL_DRIFT
+        R, t = fit_rigid(points, there)
+        square = np.sum((points @ R.T + t - there) ** 2, axis=1)
+        freedom = n * d - d * (d + 1) / 2
+        return bool(np.sum(square / variance) <= MISFIT * freedom * self._noise_m**2)
 
     def _nearest(self, points: Floats) -> tuple[Floats, Ints]:
         """Return distance and row of the nearest counted landmark for each point (n, d)."""

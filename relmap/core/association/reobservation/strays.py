@@ -42,21 +42,25 @@ def find_strays(table: LandmarkState, rows: SegmentRows, noise_m: float) -> Iter
             when = rows.first_iteration[stray]
             among = table.first[own] <= when + NEARBY
             among &= table.last[own] >= when - NEARBY
-            at = _found(finder, rows.points[of], among, len(strays) * len(submaps))
-            pairs = np.column_stack([table.now(rows.landmark[of]), own[at]])[at >= 0]
-            found.append(pairs[np.unique(pairs[:, 1], return_index=True)[1]])
-        *others, best = sorted(found, key=len)
+            mine, its = _found(finder, rows.points[of], among, len(strays) * len(submaps))
+            averaged = np.stack([rows.n_seen[of[mine]], table.weight[own[its]]])
+            if len(mine) and finder.is_close(rows.points[of[mine]], its, averaged, n_maps=1):
+                found.append(np.column_stack([table.now(rows.landmark[of[mine]]), own[its]]))
+        *others, best = sorted(found, key=len) or [np.empty((0, 2), dtype=np.int64)]
         # A scan that fits several submaps may be of a repeated structure.
         if len(best) and all(len(other) <= CLEAR * len(best) for other in others):
             yield best
 
 
-def _found(finder: PlaceFinder, points: Floats, among: Bools, searches: int) -> Ints:
-    """Return the rows of the map on which points (n, d) lie; -1 if uncertain."""
+def _found(finder: PlaceFinder, points: Floats, among: Bools, searches: int) -> tuple[Ints, Ints]:
+    """Return which points (n, d) lie on which landmarks, once each; none if uncertain."""
     places = finder.places(points, among) if among.sum() >= ENOUGH else []
     if not places:
-        return np.full(len(points), -1)
+        return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
     at = finder.landmarks_at(places[0].apply(points), among)
-    hits, rival = len(np.unique(at[at >= 0])), finder.elsewhere(points, places)
-    sure = finder.by_chance(len(points), hits, rival, searches) <= BY_CHANCE
-    return at if sure and rival <= CLEAR * hits else np.full(len(points), -1)
+    its, mine = np.unique(at, return_index=True)
+    mine, its = mine[its >= 0], its[its >= 0]
+    rival = finder.elsewhere(points, places)
+    sure = finder.by_chance(len(points), len(its), rival, searches) <= BY_CHANCE
+    which = slice(None) if sure and rival <= CLEAR * len(its) else slice(0)
+    return mine[which], its[which]

@@ -64,8 +64,8 @@ def _found_elsewhere(
     for around in neighbourhoods(table.position[own]):
         points = table.position[own[around]]
         places = finder.places(points)
-        hits = [finder.landmarks_at(place.apply(points)) for place in places]
-        hits = [np.unique(hit[hit >= 0]) for hit in hits]
+        found = [finder.landmarks_at(place.apply(points)) for place in places]
+        hits = [np.unique(at[at >= 0]) for at in found]
         in_submaps = [np.unique(number[hit]) for hit in hits]
         if not places or len(in_submaps[0]) > 1:
             continue
@@ -77,7 +77,10 @@ def _found_elsewhere(
         searches = len(own) + len(others)
         sure = finder.by_chance(len(points), len(hits[0]), elsewhere, searches) <= BY_CHANCE
         clear = elsewhere <= CLEAR * places[0].n_agreeing
-        if sure and clear and _leads_back(back, positions[hits[0]], places[0], points):
+        mine, its = around[found[0] >= 0], found[0][found[0] >= 0]
+        averaged = table.weight[np.stack([own[mine], others[its]])]
+        close = finder.is_close(table.position[own[mine]], its, averaged, n_maps=2)
+        if sure and clear and close and _leads_back(back, positions[hits[0]], places[0], points):
             return other, replace(places[0], t=places[0].t - shifts[other])
     return None
 
