@@ -74,7 +74,6 @@ Out = Annotated[
 Scans = Annotated[
     Interval | None,
     typer.Option(
-        "--scans",
         metavar="A:B",
         parser=interval,
         help="Only iterations A to B - 1, counted from 0.",
@@ -91,7 +90,6 @@ Format = Annotated[
 Columns = Annotated[
     dict[str, str] | None,
     typer.Option(
-        "--columns",
         metavar="x=PX,y=PY,...",
         parser=columns,
         help="Column names of a table (CSV, Parquet) for iteration, stamp "

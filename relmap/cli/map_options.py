@@ -72,7 +72,6 @@ Variant = Annotated[
 Voxel = Annotated[
     float | None,
     typer.Option(
-        "--voxel",
         metavar="METRES",
         help="For planes3d: initial voxel size; chosen from the clouds if not given.",
     ),
@@ -91,7 +90,6 @@ Refine = Annotated[
 Registration = Annotated[
     Literal["constellation", "nearest-previous"] | None,
     typer.Option(
-        "--registration",
         help="How observations without ids are matched: by consistent constellations, or "
         "as in the paper, to the nearest of the previous iteration.",
     ),
@@ -99,7 +97,6 @@ Registration = Annotated[
 Config = Annotated[
     Path | None,
     typer.Option(
-        "--config",
         metavar="FILE.toml",
         help="Settings of the mapper: the fields of relmap.MapperConfig, as field = value.",
     ),
@@ -107,7 +104,6 @@ Config = Annotated[
 Journal = Annotated[
     Path | None,
     typer.Option(
-        "--journal",
         metavar="FILE",
         help="Record the run in this SQLite file, so that 'relmap resume FILE' "
         "can continue it if it ends early.",
@@ -116,7 +112,6 @@ Journal = Annotated[
 RangeSigma = Annotated[
     float | None,
     typer.Option(
-        "--range-sigma",
         metavar="METRES",
         help="Standard deviation of the measured ranges; with --bearing-sigma each "
         "observation is weighted by its own noise. By default as given by the log.",
@@ -125,7 +120,6 @@ RangeSigma = Annotated[
 BearingSigma = Annotated[
     float | None,
     typer.Option(
-        "--bearing-sigma",
         metavar="RADIANS",
         help="Standard deviation of the measured bearings, radians; requires --range-sigma.",
     ),
@@ -133,7 +127,6 @@ BearingSigma = Annotated[
 ElevationSigma = Annotated[
     float | None,
     typer.Option(
-        "--elevation-sigma",
         metavar="RADIANS",
         help="In space: the same for elevations; by default --bearing-sigma.",
     ),
@@ -161,7 +154,6 @@ Segmenter = Annotated[
 Onto = Annotated[
     Path | None,
     typer.Option(
-        "--onto",
         metavar="RESULT",
         help="Add the log to the map in this result folder: once a scan is localised in it, "
         "mapping continues from there. Walls are added if a stretch of 7 m fits in one place only.",
@@ -181,7 +173,6 @@ Live = Annotated[
 LiveFile = Annotated[
     Path | None,
     typer.Option(
-        "--live-file",
         metavar="FILE.rrd",
         help="Record the live view in a file for the Rerun viewer instead; needs no display.",
     ),

@@ -44,7 +44,6 @@ def pair(text: str) -> Pair:
 Noise = Annotated[
     Pair | None,
     typer.Option(
-        "--odometry",
         metavar="WAY:TURN",
         parser=pair,
         help="Write odometry.csv with errors of each step: WAY, a fraction of its length, and "
@@ -54,7 +53,6 @@ Noise = Annotated[
 Bias = Annotated[
     Pair | None,
     typer.Option(
-        "--odometry-bias",
         metavar="WAY:TURN",
         parser=pair,
         help="Systematic odometry errors: a fraction of the distance, and degrees to the left "
@@ -64,7 +62,6 @@ Bias = Annotated[
 Broken = Annotated[
     Fault | None,
     typer.Option(
-        "--odometry-fault",
         help="slip: a tenth of the steps counts twice; reversed: wrong sign; stale: 0.5 s "
         "late, or three iterations without a clock.",
     ),
