@@ -187,7 +187,7 @@ def test_not_enough_memory(refused: Check, monkeypatch: pytest.MonkeyPatch) -> N
     def exhausted(*_: object, **__: object) -> None:
         raise MemoryError
 
-    monkeypatch.setattr("relmap.evaluation.run.run_mapper", exhausted)
+    monkeypatch.setattr("relmap.cli.mapping.run_mapper", exhausted)
     assert "not enough memory" in refused("map", "log.csv", "-o", "out")
 
 
@@ -196,7 +196,7 @@ def test_a_bug_shows_its_traceback(place: Path, monkeypatch: pytest.MonkeyPatch)
         raise ZeroDivisionError
 
     before = snapshot(place)
-    monkeypatch.setattr("relmap.evaluation.run.run_mapper", bug)
+    monkeypatch.setattr("relmap.cli.mapping.run_mapper", bug)
     with pytest.raises(ZeroDivisionError):
         main(["map", "log.csv", "-o", "out"])
     assert snapshot(place) == before

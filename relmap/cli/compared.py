@@ -5,29 +5,28 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from numpy.typing import NDArray
 
 from relmap.cli.arguments import Association
 from relmap.cli.console import figure
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from relmap.comparison.compare import Compared
-    from relmap.comparison.methods.running import MethodRun
-    from relmap.evaluation.feeding import Log
-    from relmap.evaluation.landmarks import Overlay
-    from relmap.evaluation.sources import Data
-    from relmap.io.results import Result
-    from relmap.planes.walls.files import PlaneResult
+from relmap.comparison.compare import CSV_COLUMNS, Compared
+from relmap.comparison.methods.running import MethodRun
+from relmap.datasets.base import ObservationLog
+from relmap.evaluation.evaluate import match_walls
+from relmap.evaluation.feeding import Log
+from relmap.evaluation.landmarks import Overlay, overlay
+from relmap.evaluation.sources import Data
+from relmap.io.files import atomic_write, write_tum
+from relmap.io.results import Result
+from relmap.io.tables import columns_text, csv_text
+from relmap.planes.walls.files import PlaneResult
+from relmap.planes3d.files import Plane3dResult
 
 
 def write_compared(folder: Path, rows: Sequence[Compared], association: Association) -> None:
     """Write the table, and the path and map of every method that ran."""
-    from relmap.comparison.compare import CSV_COLUMNS
-    from relmap.io.files import atomic_write, write_tum
-    from relmap.io.tables import columns_text, csv_text
-
     lines = (row.row(association) for row in rows)
     atomic_write(folder / "comparison.csv", csv_text(CSV_COLUMNS, lines))
     for row in rows:
@@ -39,13 +38,10 @@ def write_compared(folder: Path, rows: Sequence[Compared], association: Associat
 
 def _map_of(result: Result) -> dict[str, NDArray[Any]]:
     """Return the columns of a map: landmarks, or the ends of walls."""
-    from relmap.planes.walls.files import PlaneResult
-
     if isinstance(result, PlaneResult):
         mapped = result.planes.status == "static"
-        ends = zip(
-            ("x0", "y0", "x1", "y1"), result.planes.ends[mapped].reshape(-1, 4).T, strict=True
-        )
+        corners = result.planes.ends[mapped].reshape(-1, 4).T
+        ends = zip(("x0", "y0", "x1", "y1"), corners, strict=True)
         return {"plane": result.planes.plane[mapped], **dict(ends)}
     places = zip("xyz", result.landmarks.position[result.mapped].T, strict=True)
     return {"landmark": result.landmarks.landmark[result.mapped], **dict(places)}
@@ -53,8 +49,6 @@ def _map_of(result: Result) -> dict[str, NDArray[Any]]:
 
 def draw(folder: Path, rows: Iterable[Compared], data: Data[Log], title: str) -> None:
     """Draw the comparison, and the map or the errors of every method that ran."""
-    from relmap.planes.walls.files import PlaneResult
-    from relmap.planes3d.files import Plane3dResult
     from relmap.plots.comparison import write_comparison_png
     from relmap.plots.errors import shared_scale, write_errors_png
     from relmap.plots.of_mapper import plot_result
@@ -87,11 +81,6 @@ def _titled(name: str, run: MethodRun) -> str:
 
 def _overlay(result: Result, data: Data[Log]) -> Overlay | None:
     """Return the truth in the frame of a map of points, if known."""
-    from relmap.datasets.base import ObservationLog
-    from relmap.evaluation.landmarks import overlay
-    from relmap.planes.walls.files import PlaneResult
-    from relmap.planes3d.files import Plane3dResult
-
     if data.truth is None or isinstance(result, PlaneResult | Plane3dResult):
         return None
     log = data.log if isinstance(data.log, ObservationLog) else None
@@ -99,10 +88,8 @@ def _overlay(result: Result, data: Data[Log]) -> Overlay | None:
 
 
 def _draw_walls(picture: Path, result: PlaneResult, data: Data[Log], name: str) -> None:
-    from relmap.evaluation.evaluate import match_walls
     from relmap.plots.planes import write_planes_png
 
-    truth = data.truth
-    matched = match_walls(result, truth) if truth else None
-    known = (truth, matched) if truth and matched else None
+    matched = match_walls(result, data.truth) if data.truth else None
+    known = (data.truth, matched) if data.truth and matched else None
     write_planes_png(picture, result.planes, result.poses, known, name)

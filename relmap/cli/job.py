@@ -6,20 +6,29 @@ import shlex
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 from relmap.cli.arguments import Association, Interval, Level, Odometry, Variant
+from relmap.core.config import MapperConfig
 from relmap.core.errors import RelmapError
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from relmap.core.config import MapperConfig
-    from relmap.evaluation.feeding import AnyMapper, Log
+from relmap.evaluation.feeding import AnyMapper, Log
+from relmap.io.journal import JournalReader
+from relmap.io.results import MAPPER
+from relmap.planes import PlaneMapper
+from relmap.planes3d import Plane3dMapper
+from relmap.points import PointMapper
+from relmap.segmentation.space import PatchSegmenter
 
 T = TypeVar("T")
-MAPPERS = {"points": "PointMapper", "planes": "PlaneMapper", "planes3d": "Plane3dMapper"}
-"""The mapper of each variant, a name in `relmap`."""
+MAPPERS: dict[str, type[AnyMapper]] = {
+    "points": PointMapper,
+    "planes": PlaneMapper,
+    "planes3d": Plane3dMapper,
+}
+"""The mapper of each variant."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,7 +117,7 @@ class Job:
         if run is None:
             raise RelmapError(
                 f"journal {path} was not written by relmap map and does not name its log; "
-                f"continue it with {MAPPERS[meta['variant']]}.resume"
+                f"continue it with {MAPPERS[meta['variant']].__name__}.resume"
             )
         try:
             interval = run["scans"]
@@ -141,11 +150,7 @@ class Job:
 
     def mapper(self, after: Callable[[Any], object] | None = None) -> AnyMapper:
         """Return the mapper to start or to continue with; `after` as for `Mapper.resume`."""
-        import relmap
-        from relmap.io.results import MAPPER
-        from relmap.segmentation.space import PatchSegmenter
-
-        kind: type[AnyMapper] = getattr(relmap, MAPPERS[self.variant])
+        kind = MAPPERS[self.variant]
         if self.resumed and self.journal is not None:
             return kind.resume(self.journal, after)
         if self.onto is not None:
@@ -168,8 +173,6 @@ def journaled_labels(job: Job, log: Log) -> list[NDArray[Any]]:
 
     Raises `RelmapError` if the journal is damaged or the log is not the one it was started with.
     """
-    from relmap.io.journal import JournalReader
-
     if not job.resumed or job.journal is None:
         return []
     labels, now = [], iter(log.scans())
@@ -189,8 +192,6 @@ def journaled_labels(job: Job, log: Log) -> list[NDArray[Any]]:
 
 
 def _is_same(was: Any, scan: Any) -> bool:
-    import numpy as np
-
     if scan is None or not np.array_equal(was.values.ravel(), scan.points_robot.ravel()):
         return False
     return was.ids is None or np.array_equal(was.ids, scan.ids)

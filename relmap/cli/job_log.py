@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import replace
 
+import numpy as np
 import typer
 
 from relmap.cli.console import busy
 from relmap.cli.job import Job
 from relmap.core.errors import RelmapError
+from relmap.core.sensor import range_bearing_covariances
+from relmap.datasets.base import ObservationLog
+from relmap.datasets.scans import ScanLog
+from relmap.evaluation.feeding import Log
+from relmap.evaluation.levelling import levelled, shows_floors
+from relmap.evaluation.sources import read_log
+from relmap.segmentation.segmenter import SPATIAL
 
-if TYPE_CHECKING:
-    from relmap.evaluation.feeding import Log
+BEYOND_M = 300.0
+"""Farther than 2-D lasers reach, and most points of a lidar: such coordinates are hardly metres."""
 
 
 def log_of(job: Job) -> Log:
@@ -19,8 +27,6 @@ def log_of(job: Job) -> Log:
 
     Raises `RelmapError` if it cannot be read, or lacks what the job needs.
     """
-    from relmap.evaluation.sources import read_log
-
     source = job.at(job.source)
     with busy("reading"):
         log = read_log(source, job.variant, job.log_format, job.interval, job.columns, job.topics)
@@ -39,14 +45,8 @@ def log_of(job: Job) -> Log:
 
 def _doubt_unit(log: Log) -> None:
     """Warn of coordinates that are hardly in metres: the map would be as good, in their unit."""
-    import numpy as np
-
-    from relmap.cli.outcome import BEYOND_M
-
-    first = next(
-        (scan.points_robot for scan in log.scans() if len(scan.points_robot)), np.zeros((1, 3))
-    )
-    middle_m = float(np.median(np.linalg.norm(first, axis=1)))
+    clouds = (scan.points_robot for scan in log.scans() if len(scan.points_robot))
+    middle_m = float(np.median(np.linalg.norm(next(clouds, np.zeros((1, 3))), axis=1)))
     if middle_m > BEYOND_M:
         typer.echo(
             f"relmap: half of the points of a cloud are more than {middle_m:.0f} m away: "
@@ -57,10 +57,6 @@ def _doubt_unit(log: Log) -> None:
 
 def _level(job: Job, log: Log) -> Log:
     """Return a log levelled if requested and needed."""
-    from relmap.datasets.scans import ScanLog
-    from relmap.evaluation.levelling import levelled, shows_floors
-    from relmap.segmentation.segmenter import SPATIAL
-
     if job.level == "none" or job.segmenter in SPATIAL or not isinstance(log, ScanLog):
         return log
     if not shows_floors(log):
@@ -71,8 +67,6 @@ def _level(job: Job, log: Log) -> Log:
 
 
 def _each_once(job: Job, log: Log) -> Log:
-    from relmap.datasets.base import ObservationLog
-
     if not isinstance(log, ObservationLog):
         return log
     once = log.each_once()
@@ -84,11 +78,6 @@ def _each_once(job: Job, log: Log) -> Log:
 
 
 def _with_noise(log: Log, sigmas: tuple[float, ...]) -> Log:
-    from dataclasses import replace
-
-    from relmap.core.sensor import range_bearing_covariances
-    from relmap.datasets.base import ObservationLog
-
     assert isinstance(log, ObservationLog)
     if len(sigmas) > log.points_robot.shape[1]:
         raise RelmapError("--elevation-sigma is for logs in space, and this one is planar")

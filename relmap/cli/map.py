@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING
 from relmap.cli import arguments as args
 from relmap.cli import map_options as options
 from relmap.cli.interrupt import stoppable
-from relmap.cli.job import Job
-from relmap.cli.outcome import report
 
 if TYPE_CHECKING:
     from relmap.core.config import MapperConfig
@@ -51,6 +49,9 @@ def map_command(
     args.refuse(columns and (planes or log_format), "--columns applies only to tables of landmarks")
     _check_onto(onto, journal, config or registration)
     args.refuse(animate and not planes, "--animate draws walls: give --variant planes with it")
+    from relmap.cli.job import Job
+    from relmap.cli.outcome import report
+
     with stoppable() as stopped:
         job = Job(
             source=source,

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, closing
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import typer
 
@@ -16,14 +16,19 @@ from relmap.cli.console import Counter, busy, tracked
 from relmap.cli.job import Job, journaled_labels
 from relmap.cli.job_log import log_of
 from relmap.core.errors import RelmapError
-
-if TYPE_CHECKING:
-    from relmap.datasets.scans import ScanLog
-    from relmap.evaluation.feeding import AnyMapper, Log
-    from relmap.evaluation.run import Run
-    from relmap.evaluation.truth import Truth
-    from relmap.planes import PlaneMapper
-    from relmap.plots.bench_recorder import BenchRecorder
+from relmap.datasets.scans import ScanLog
+from relmap.evaluation.feeding import AnyMapper, Log, preparation, segmenter_for
+from relmap.evaluation.run import Run, run_mapper
+from relmap.evaluation.saved import write_tables
+from relmap.evaluation.sources import recognised_format
+from relmap.evaluation.truth import Truth, read_truth
+from relmap.io import results
+from relmap.io.files import staged_folder
+from relmap.planes import PlaneMapper
+from relmap.planes.walls.files import PLANES, PlaneResult, submap_files
+from relmap.plots.bench_recorder import BenchRecorder, frame_step
+from relmap.plots.live import LiveView
+from relmap.points import PointMapper
 
 BENCH_PNG = "bench.png"
 BENCH_GIF = "bench.gif"
@@ -41,8 +46,6 @@ def map_log(job: Job) -> tuple[Run, int]:
     Returns `n_files`: number of files written. Raises `RelmapError` if an argument or the log is
     invalid, or the folder cannot be written; an earlier result in it is then unchanged.
     """
-    from relmap.io.files import staged_folder
-
     out = job.at(job.out)
     _check_journal(job.journal, out)
     log = log_of(job)
@@ -53,8 +56,6 @@ def map_log(job: Job) -> tuple[Run, int]:
 
 def _check_journal(journal: Path | None, out: Path) -> None:
     """Raise an error if the run would overwrite or remove its own journal."""
-    from relmap.io import results
-
     if journal is None or os.path.realpath(journal.parent) != os.path.realpath(out):
         return
     names = {results.LANDMARKS, results.TRACKS, results.TRAJECTORY, results.SUBMAPS}
@@ -68,10 +69,6 @@ def _check_journal(journal: Path | None, out: Path) -> None:
 
 def _mapped_into(folder: Path, job: Job, log: Log) -> Run:
     """Map a log, and write results and pictures into an existing folder."""
-    from relmap.evaluation.run import run_mapper
-    from relmap.io.results import MAPPER
-    from relmap.plots.live import LiveView
-
     seen, about = journaled_labels(job, log), _about(job, log)
     with ExitStack() as afterwards:
         counter = afterwards.enter_context(closing(Counter("mapping")))
@@ -108,7 +105,7 @@ def _mapped_into(folder: Path, job: Job, log: Log) -> Run:
             view.show(mapper)
         _note_tie(run, mapper, log)
         _write(folder, run, job, getattr(log, "names", None))
-        mapper.save(folder / MAPPER)
+        mapper.save(folder / results.MAPPER)
     if bench is not None:
         _draw_bench(folder, bench, job.animate)
     return run
@@ -118,10 +115,6 @@ def _taken_up(
     mapper: AnyMapper, log: Log, scans: Iterable[Any], about: dict[str, Any]
 ) -> Iterator[Any]:
     """Yield scans, and add them to an existing map from the first one localised there."""
-    from relmap.evaluation.feeding import preparation
-    from relmap.planes import PlaneMapper
-    from relmap.points import PointMapper
-
     prepare, tied = preparation(mapper, log), False
     for scan in scans:
         if not tied and isinstance(mapper, PlaneMapper):
@@ -135,16 +128,12 @@ def _taken_up(
 
 def _note_tie(run: Run, mapper: AnyMapper, log: Log) -> None:
     """Record in the summary where `finish` tied a log of walls to an earlier map."""
-    from relmap.planes import PlaneMapper
-
     if isinstance(mapper, PlaneMapper) and mapper.tied_at is not None:
         before = run.result.summary["counts"]["iterations"] - mapper.n_iterations
         run.result.summary["tied_at"] = log.first_iteration + mapper.tied_at + before
 
 
 def _about(job: Job, log: Log) -> dict[str, Any]:
-    from relmap.evaluation.sources import recognised_format
-
     about: dict[str, Any] = {
         "input": str(job.source),
         "format": job.log_format or recognised_format(job.at(job.source), job.variant),
@@ -153,8 +142,9 @@ def _about(job: Job, log: Log) -> dict[str, Any]:
         "variant": job.variant,
         **({"level": job.level, "segmenter": job.segmenter} if job.variant == "planes" else {}),
         "seed": 0 if job.variant == "planes" else None,
+        "onto": None if job.onto is None else str(job.onto),
+        "tied_at": None,
     }
-    about |= {"onto": None if job.onto is None else str(job.onto), "tied_at": None}
     if job.variant == "points":
         weighed = getattr(log, "covariances", None) is not None
         about |= {"weighed": weighed, "sigmas": job.sigmas}
@@ -163,19 +153,14 @@ def _about(job: Job, log: Log) -> dict[str, Any]:
 
 def stale_files(out: Path) -> list[str]:
     """Return the files of an earlier result, also of walls, that become obsolete."""
-    from relmap.io.results import EVALUATION, NAMES
-    from relmap.planes.walls.files import PLANES, submap_files
     from relmap.plots.report import REPORT
 
     merged = "trajectory-2.tum"
-    own = [EVALUATION, NAMES, PLANES, REPORT, BENCH_PNG, BENCH_GIF, merged]
+    own = [results.EVALUATION, results.NAMES, PLANES, REPORT, BENCH_PNG, BENCH_GIF, merged]
     return own + list(submap_files(out))
 
 
 def _write(folder: Path, run: Run, job: Job, names: Sequence[str] | None) -> None:
-    from relmap.evaluation.saved import write_tables
-    from relmap.io.results import write_names
-    from relmap.planes.walls.files import PlaneResult
     from relmap.plots.of_mapper import write_pictures
 
     if isinstance(run.result, PlaneResult) and not run.result.drawn:
@@ -185,19 +170,14 @@ def _write(folder: Path, run: Run, job: Job, names: Sequence[str] | None) -> Non
         )
     write_tables(folder, run.result)
     if names and job.association == "known":
-        write_names(folder, names)
+        results.write_names(folder, names)
     write_pictures(folder, run.result, run.groups, job.command, job.source.name)
 
 
 def _bench(job: Job, log: Log, n_seen: int) -> BenchRecorder | None:
     """Return the recorder of wall mapping; None for other variants."""
-    from relmap.datasets.scans import ScanLog
-
     if job.variant != "planes" or not isinstance(log, ScanLog):
         return None
-    from relmap.evaluation.feeding import segmenter_for
-    from relmap.plots.bench_recorder import BenchRecorder, frame_step
-
     every = frame_step(len(log)) if job.animate else 0
     before_s, truth = log.stamps_s[:n_seen].tolist(), _truth_beside(job.at(job.source))
     segmenter = segmenter_for(log.sensor, job.segmenter)
@@ -220,8 +200,6 @@ def _draw_bench(folder: Path, bench: BenchRecorder, animate: bool) -> None:
 
 def _truth_beside(source: Path) -> Truth | None:
     """Return the true walls of a simulated log, to draw them; None if there are none."""
-    from relmap.evaluation.truth import read_truth
-
     folder = source if source.is_dir() else source.parent
     if not (folder / "truth" / "planes.csv").is_file():
         return None

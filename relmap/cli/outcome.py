@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from time import monotonic
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
+import numpy as np
 import typer
 
 from relmap.cli.console import INTERRUPTED, lasting
 from relmap.cli.job import Job
+from relmap.cli.job_log import BEYOND_M
 from relmap.cli.mapping import map_log
-
-if TYPE_CHECKING:
-    from relmap.io.results import Result
-    from relmap.planes.walls.files import PlaneResult
+from relmap.io.results import Result
+from relmap.planes.walls.files import PlaneResult
 
 OFTEN = 10
 """Observations that make a landmark worth mapping."""
@@ -27,8 +27,6 @@ MISREAD = 0.04
 """Fraction of the observations contradicting their ids above which a map may be wrong: of 49
 simulated ones one of 12 with 2 % wrong ids was, 3 of 13 with 5 %, 5 of 14 with 10 %, 8 of 10 with
 20 %."""
-BEYOND_M = 300.0
-"""Farther than 2-D lasers reach, and most points of a lidar: such coordinates are hardly metres."""
 NOTHING = (
     "; nothing is mapped: a map needs landmarks that are seen together in at least four scans, "
     "three in the plane and four in space"
@@ -126,8 +124,6 @@ def bare(summary: dict[str, Any], farthest_m: float) -> str:
 
 def farthest(result: Result) -> float:
     """Return the distance of the farthest point of the scans of walls, metres."""
-    import numpy as np
-
     first = cast("PlaneResult", result).drawn[0]
     from_scan = first.points - first.poses[first.point_scan, :2, 3]
     return float(np.hypot(*from_scan.T).max(initial=0.0))

@@ -10,8 +10,6 @@ import typer
 
 from relmap.cli.arguments import folder
 from relmap.cli.interrupt import stoppable
-from relmap.cli.job import Job
-from relmap.cli.outcome import report
 
 HELP = """Continue a run of 'relmap map --journal FILE' that ended early.
 
@@ -47,6 +45,8 @@ def resume_command(
     ] = False,
 ) -> None:
     """Resume a run; the help text explains the arguments."""
+    from relmap.cli.job import Job
+    from relmap.cli.outcome import report
     from relmap.io.journal import JournalReader, salvage
 
     if repair:
