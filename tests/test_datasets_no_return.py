@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from relmap.core.arrays import Floats
-from relmap.datasets import ScanLog, open_scans
-from relmap.datasets import on_robot as on_robot_module
-from relmap.datasets.on_robot import on_robot
+from relmap.datasets import ScanLog, laser, open_scans
+from relmap.datasets.laser import on_robot
 from tests.logs import put
 from tests.scanlogs import npz
 
@@ -82,7 +81,7 @@ def test_some_scans_of_a_long_log_show_the_parts_of_the_robot(
     for ranges in scans:
         ranges[20:35] = 0.3
     every = carmen_log(tmp_path, scans)
-    monkeypatch.setattr(on_robot_module, "MOST", 21)
+    monkeypatch.setattr(laser, "MOST", 21)
     some = carmen_log(tmp_path, scans)
     for one, other in zip(every.scans(), some.scans(), strict=True):
         assert len(one.points_robot) == 180 - 15

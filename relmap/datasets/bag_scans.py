@@ -20,7 +20,8 @@ from relmap.datasets.assembly import MAX_COORDINATE_M
 from relmap.datasets.bag_detections import DETECTIONS
 from relmap.datasets.bag_frames import Driven, Mounting, stamp_s
 from relmap.datasets.bags import Bag, bag_errors, is_bag, topics_in
-from relmap.datasets.scans import ScanLog, in_time_order, laser_scans, require_memory
+from relmap.datasets.laser import Beams, laser_scans, require_memory
+from relmap.datasets.scans import ScanLog, in_time_order
 from relmap.datasets.textfile import invalid, shown
 
 LASER, CLOUD = "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/PointCloud2"
@@ -62,37 +63,24 @@ class BagScans:
 
 
 def _lasers(bag: Bag, topic: str, mounting: Mounting) -> tuple[ScanLog, str]:
-    stamps: list[float] = []
-    ranges, bearings, poses, frames, limits, beams = [], [], [], set(), [], 0
+    stamps, scans, frames, limit_m, n_beams = [], [], set(), np.inf, 0
     for t, message in bag.messages(topic):
         frame, T_robot_laser = mounting.of(message.header.frame_id)
-        r, bearing, pose = _beams(bag, message, T_robot_laser)
-        beams += len(r)
-        require_memory(shown(bag.path), len(stamps), beams)
+        scans.append(_beams(bag, message, T_robot_laser))
+        n_beams += len(scans[-1].ranges_m)
+        require_memory(shown(bag.path), len(stamps), n_beams)
         stamps.append(stamp_s(t, message))
-        ranges.append(r)
-        bearings.append(bearing)
-        poses.append(pose)
         frames.add(frame)
-        limits.append(float(message.range_max))
-    if not stamps or not beams:
+        if message.range_max > 0:
+            limit_m = min(limit_m, float(message.range_max))
+    if not n_beams:
         raise invalid(bag.path, f"topic {topic} holds no scan, expected some")
     order, stamps_s = in_time_order(bag.path, np.array(stamps))
-    finite = [limit for limit in limits if 0 < limit < np.inf]
-    log = laser_scans(
-        bag.path,
-        [ranges[k] for k in order],
-        [bearings[k] for k in order],
-        min(finite, default=np.inf),
-        np.array(poses)[order],
-        stamps_s,
-        None,
-    )
+    log = laser_scans(bag.path, [scans[k] for k in order], limit_m, stamps_s, None)
     return log, min(frames)
 
 
-def _beams(bag: Bag, message: Any, T_robot_laser: Floats) -> tuple[Floats, Floats, list[float]]:
-    """Return ranges and bearings from right to left, and x, y, yaw of the laser on the robot."""
+def _beams(bag: Bag, message: Any, T_robot_laser: Floats) -> Beams:
     r = np.asarray(message.ranges, dtype=np.float64)
     first, step = float(message.angle_min), float(message.angle_increment)
     bearing = first + step * np.arange(len(r), dtype=np.float64)
@@ -106,7 +94,7 @@ def _beams(bag: Bag, message: Any, T_robot_laser: Floats) -> tuple[Floats, Float
     if len(bearing) > 1 and bearing[1] < bearing[0]:
         r, bearing = r[::-1], bearing[::-1]
     yaw = np.arctan2(T_robot_laser[1, 0], T_robot_laser[0, 0])
-    return r, bearing, [*T_robot_laser[:2, 3].tolist(), float(yaw)]
+    return Beams(r, bearing, [*T_robot_laser[:2, 3].tolist(), float(yaw)])
 
 
 def _clouds(bag: Bag, topic: str, mounting: Mounting) -> tuple[ScanLog, str]:

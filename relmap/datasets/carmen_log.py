@@ -19,9 +19,9 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -31,8 +31,9 @@ from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
 from relmap.datasets.carmen_odometry import Hints, odometry_of
 from relmap.datasets.headers import members_of
+from relmap.datasets.laser import Beams, laser_scans, require_memory
 from relmap.datasets.number_rows import NumberRows, finite_numbers
-from relmap.datasets.scans import ScanLog, in_time_order, laser_scans, planar_poses, require_memory
+from relmap.datasets.scans import ScanLog, in_time_order, planar_poses
 from relmap.datasets.textfile import invalid, numbered_lines, quoted, shown
 
 FULL_SCALES_M = (32.767, 51.16, 81.91)
@@ -50,21 +51,18 @@ _FORMS = {
 
 
 @dataclass(frozen=True, eq=False)
-class _Scan:
+class _Scan(Beams):
     """Content of one line; `limit_m` is its statement of the sensor's maximum range.
 
     Poses are x, y, yaw; `counted` is the robot pose in the odometry fields, and `speeds` are the
     forward and angular speed, if any.
     """
 
-    ranges_m: Floats
-    bearings_rad: Floats
     pose: list[float]
     counted: list[float]
-    T_robot_laser: list[float]
     stamp_s: float
-    limit_m: float
-    speeds: list[float] = field(default_factory=list)
+    limit_m: float = math.inf
+    speeds: Sequence[float] = ()
 
 
 def carmen_logs(folder: Path) -> list[Path]:
@@ -121,15 +119,7 @@ def _log(path: Path, scans: list[_Scan], vertices: Floats, hints: Hints) -> Scan
     hints = hints.moving([speed for scan in scans for speed in scan.speeds])
     # The frame of FLASER lines is that of the laser; they have no speeds.
     odometry, reason = odometry_of(poses, counted, hints, of_laser=not scans[0].speeds)
-    log = laser_scans(
-        path,
-        [scan.ranges_m for scan in scans],
-        [scan.bearings_rad for scan in scans],
-        _limit(scans),
-        np.array([scan.T_robot_laser for scan in scans]),
-        stamps_s,
-        poses,
-    )
+    log = laser_scans(path, scans, _limit(scans), stamps_s, poses)
     return replace(log, odometry=odometry, no_odometry=reason)
 
 
@@ -156,11 +146,10 @@ def _flaser(line: _Line) -> _Scan:
     return _Scan(
         line.ranges(values[:n]),
         -math.pi / 2 + step * np.arange(n, dtype=np.float64),
+        [0.0, 0.0, 0.0],
         values[n : n + 3],
         values[n + 3 : n + 6],
-        [0.0, 0.0, 0.0],
         values[-1],
-        math.inf,
     )
 
 
@@ -172,9 +161,9 @@ def _robotlaser(line: _Line) -> _Scan:
     return _Scan(
         line.ranges(values[8 : n + 8]),
         values[1] + values[3] * np.arange(n, dtype=np.float64),
-        robot,
-        robot,
         _in_frame(laser, robot),
+        robot,
+        robot,
         values[-1],
         values[4],
         values[n + m + 15 : n + m + 17],

@@ -18,9 +18,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from relmap.core.arrays import Floats
+from relmap.datasets.laser import FIXED
 from relmap.datasets.number_rows import finite_numbers
 from relmap.datasets.odometry import motions, moved_frame, relative
-from relmap.datasets.scans import FIXED, planar_poses
+from relmap.datasets.scans import planar_poses
 
 OFFSET = "robot_frontlaser_offset"
 SAME, MOST = 10 * FIXED, 0.9

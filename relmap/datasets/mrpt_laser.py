@@ -16,12 +16,12 @@ from pathlib import Path
 
 import numpy as np
 
-from relmap.core.arrays import Floats
 from relmap.datasets.assembly import MAX_COORDINATE_M
 from relmap.datasets.headers import TABLES, columns_of, only_one, tables_with
+from relmap.datasets.laser import Beams, laser_scans, require_memory
 from relmap.datasets.number_rows import finite_numbers
 from relmap.datasets.odometry import motions, path_of
-from relmap.datasets.scans import ScanLog, in_time_order, laser_scans, planar_poses, require_memory
+from relmap.datasets.scans import ScanLog, in_time_order, planar_poses
 from relmap.datasets.table import Column, Table, read_table
 from relmap.datasets.textfile import invalid, shown
 
@@ -52,11 +52,8 @@ class MrptLaser:
         ranges = np.column_stack([table.columns[f"r{k}"] for k in range(beams)])[order]
         bearing = np.linspace(-math.pi / 2, math.pi / 2, beams)
         poses = planar_poses(*(table.columns[name] for name in ("gt_x", "gt_y", "gt_theta")))
-        k = len(ranges)
-        mounted = np.tile(sensor, (k, 1))
-        log = laser_scans(
-            file, list(ranges), [bearing] * k, limit_m, mounted, stamps_s, poses[order]
-        )
+        scans = [Beams(scan_m, bearing, sensor) for scan_m in ranges]
+        log = laser_scans(file, scans, limit_m, stamps_s, poses[order])
         steps = planar_poses(*(table.columns[name] for name in ("odo_dx", "odo_dy", "odo_dtheta")))
         return replace(log, odometry=motions(path_of(np.roll(steps, 1, axis=0))[order]))
 
@@ -71,13 +68,13 @@ def _columns(beams: int) -> list[Column]:
     ]
 
 
-def _sensor(table: Table) -> tuple[Floats, float]:
+def _sensor(table: Table) -> tuple[list[float], float]:
     """Return the pose x, y, yaw of the sensor on the robot, and its maximum range, metres."""
     text = "\n".join(table.comments)
     pose, maximum = _SENSOR.search(text), _MAXIMUM.search(text)
     if pose and maximum:
         numbers = finite_numbers((*pose.groups(), maximum[1]))
         if numbers and numbers[-1] > 0:
-            return np.array(numbers[:3]), numbers[3]
+            return numbers[:3], numbers[3]
     expected = "'# sensor on robot x=0 y=0 z=0 yaw=0 ; max range 80 m'"
     raise invalid(table.path, f"comments above the header: no usable sensor, expected {expected}")

@@ -12,21 +12,12 @@ from scipy.spatial.transform import Rotation
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.brief import Brief
-from relmap.core.errors import RelmapError
 from relmap.datasets.base import common_range
-from relmap.datasets.no_return import no_return_m
-from relmap.datasets.on_robot import on_robot
 from relmap.datasets.textfile import invalid, shown
-
-MAX_BEAMS, MAX_SCANS = 1 << 24, 1 << 18
-"""Maximum number of beams and scans of a laser log: some fifty thousand scans of 360 beams."""
 
 _LOG = logging.getLogger(__name__)
 _ROUNDING = 1e-2
 """Tolerance of products of the rows of a rotation, for rounded files."""
-
-FIXED = 1e-3
-"""Allowed variation of the pose of a laser on the robot, due to rounding: metres and radians."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -159,59 +150,6 @@ def stored_scans(
         poses,
         sensor=sensor or SensorView(),
     )
-
-
-def require_memory(where: str, scans: int, beams: int) -> None:
-    """Raise a `RelmapError` if a laser log exceeds the limits of scans or beams."""
-    if scans > MAX_SCANS or beams > MAX_BEAMS:
-        problem = f"more than {MAX_SCANS} scans or {MAX_BEAMS} beams, expected at most that"
-        raise RelmapError(f"{where}: {problem}")
-
-
-def laser_scans(
-    path: Path,
-    ranges_m: list[Floats],
-    bearings_rad: list[Floats],
-    limit_m: float,
-    T_robot_laser: Floats,
-    stamps_s: Floats,
-    poses: Floats | None,
-) -> ScanLog:
-    """Make a log of 2-D laser scans, without the beams that have no return or hit the robot.
-
-    `path`: the log, for warnings. `ranges_m`, `bearings_rad`, list of k (b,): beams from right to
-    left; a range of 0 or less, which some lasers use for errors, or of `limit_m` or more is not a
-    return; see also `no_return_m` and `on_robot`. `T_robot_laser` (k, 3): x, y (metres) and yaw
-    (radians) of the laser on the robot. `stamps_s` (k,); `poses` (k, 4, 4): T_reference_robot.
-    """
-    below = sum(int((ranges < 0).sum()) for ranges in ranges_m)
-    if below:
-        _LOG.warning("%s: %d ranges below 0 are treated as no return", shown(path), below)
-    below_limit = [np.where(ranges < limit_m, ranges, 0.0) for ranges in ranges_m]
-    limit_m = min(limit_m, no_return_m(path, below_limit, bearings_rad))
-    returned = [(ranges > 0) & (ranges < limit_m) for ranges in ranges_m]
-    known_m = [np.where(there, r, 0.0) for there, r in zip(returned, ranges_m, strict=True)]
-    own = on_robot(path, known_m, bearings_rad)
-    returned = [there & ~robot for there, robot in zip(returned, own, strict=True)]
-    counts = [int(beams.sum()) for beams in returned]
-    offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-    points = np.empty((offsets[-1], 2))
-    for k, (x, y, yaw) in enumerate(T_robot_laser):
-        r, angle = ranges_m[k][returned[k]], bearings_rad[k][returned[k]] + yaw
-        there = points[offsets[k] : offsets[k + 1]]
-        there[:, 0], there[:, 1] = x + r * np.cos(angle), y + r * np.sin(angle)
-    sensor = _laser_view(bearings_rad, limit_m, T_robot_laser)
-    return stored_scans(points, offsets, stamps_s, poses, sensor)
-
-
-def _laser_view(bearings_rad: list[Floats], limit_m: float, T_robot_laser: Floats) -> SensorView:
-    """Return the properties common to all scans; empty if the laser is not fixed on the robot."""
-    if np.ptp(T_robot_laser, axis=0).max() > FIXED:
-        return SensorView()
-    half = min(min(-bearings.min(), bearings.max()) for bearings in bearings_rad)
-    view_rad = 2 * float(half) if half > 0 else None
-    range_m = float(limit_m) if np.isfinite(limit_m) else None
-    return SensorView(view_rad, range_m, *T_robot_laser[0].tolist())
 
 
 def poses_of(rotation: Rotation, t: Floats) -> Floats:

@@ -22,9 +22,8 @@ from relmap.core.arrays import Bools, Floats
 from relmap.datasets.assembly import MAX_COORDINATE_M
 from relmap.datasets.foreign import ZIP, foreign_at
 from relmap.datasets.headers import file_in
-from relmap.datasets.no_return import no_return_m
+from relmap.datasets.laser import usable_beams
 from relmap.datasets.npz import DAMAGE, read_array
-from relmap.datasets.on_robot import on_robot
 from relmap.datasets.scans import ScanLog, SensorView, in_time_order, stored_scans
 from relmap.datasets.textfile import invalid, quoted, replacing, require_path, unreadable
 
@@ -85,17 +84,11 @@ class ScansNpz:
 
 
 def _returned(file: Path, points: Floats, iteration: NDArray[Any]) -> tuple[Bools, float]:
-    """Return which beams, points (n, 2), returned, and the range of those that did not.
-
-    Those on the robot itself count as not returned.
-    """
+    """Return which beams, points (n, 2), are usable, and the range of those that did not return."""
     range_m, bearing = np.hypot(*points.T), np.arctan2(points[:, 1], points[:, 0])
     bounds = np.flatnonzero(np.diff(iteration)) + 1
-    ranges_m, bearings_rad = np.split(range_m, bounds), np.split(bearing, bounds)
-    limit_m = no_return_m(file, ranges_m, bearings_rad)
-    returned = np.where(range_m < limit_m, range_m, 0.0)
-    own = np.concatenate(on_robot(file, np.split(returned, bounds), bearings_rad))
-    return (range_m < limit_m) & ~own, limit_m
+    usable, limit_m = usable_beams(file, np.split(range_m, bounds), np.split(bearing, bounds))
+    return np.concatenate(usable), limit_m
 
 
 def write_scans_npz(

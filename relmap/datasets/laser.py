@@ -1,0 +1,202 @@
+"""Scans of a 2-D laser, without the beams that say nothing of the world around.
+
+Some did not return, at a range that the log may not state; others hit the robot itself: a mast, a
+cable or the edge of its cover.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.errors import RelmapError
+from relmap.datasets.scans import ScanLog, SensorView, stored_scans
+from relmap.datasets.textfile import shown
+
+_LOG = logging.getLogger(__name__)
+MAX_BEAMS, MAX_SCANS = 1 << 24, 1 << 18
+"""Maximum number of beams and scans of a laser log: some fifty thousand scans of 360 beams."""
+FIXED = 1e-3
+"""Allowed variation of the pose of a laser on the robot, due to rounding: metres and radians."""
+SAME = 3e-4
+"""Largest relative difference of ranges that are the same: coordinates may be rounded."""
+WIDE_RAD = np.deg2rad(10.0)
+"""Angle of neighbouring beams of the same range. Those on a wall ahead are the same over less, also
+if ranges are rounded to 0.01 m, unless it is less than 2 m away."""
+WIDE_SCANS = 3
+"""Minimum number of scans with such beams."""
+REACH_M, SAME_M = 0.6, 0.1
+"""Largest range of the robot's own parts, and by how much it varies: noise, vibration."""
+MOSTLY, SELDOM, CHANGING = 0.9, 0.5, 0.1
+"""Fraction of the scans in which such a direction has the same range; and the fraction of all
+directions in which at most half of the scans must have it: if the robot stands, none changes."""
+SCANS, MOST = 20, 2000
+"""Minimum number of scans, and how many, spread over the log, are searched for own parts."""
+ONE_RAD = 1e-4
+"""Beams closer to each other than this have one direction: echoes of one beam, rounded."""
+
+
+def require_memory(where: str, scans: int, beams: int) -> None:
+    """Raise a `RelmapError` if a laser log exceeds the limits of scans or beams."""
+    if scans > MAX_SCANS or beams > MAX_BEAMS:
+        problem = f"more than {MAX_SCANS} scans or {MAX_BEAMS} beams, expected at most that"
+        raise RelmapError(f"{where}: {problem}")
+
+
+@dataclass(frozen=True, eq=False)
+class Beams:
+    """The beams of one scan of a 2-D laser, from right to left.
+
+    `ranges_m`, `bearings_rad` (b,); a range of 0 or less, which some lasers use for errors, is not
+    a return. `T_robot_laser`: x, y (metres) and yaw (radians) of the laser on the robot.
+    """
+
+    ranges_m: Floats
+    bearings_rad: Floats
+    T_robot_laser: Sequence[float]
+
+
+def laser_scans(
+    path: Path, scans: Sequence[Beams], limit_m: float, stamps_s: Floats, poses: Floats | None
+) -> ScanLog:
+    """Make a log of k 2-D laser scans, without the beams that have no return or hit the robot.
+
+    `path`: the log, for warnings. A range of `limit_m` or more is not a return; see also
+    `usable_beams`. `stamps_s` (k,); `poses` (k, 4, 4): T_reference_robot.
+    """
+    ranges_m = [scan.ranges_m for scan in scans]
+    below = sum(int((ranges < 0).sum()) for ranges in ranges_m)
+    if below:
+        _LOG.warning("%s: %d ranges below 0 are treated as no return", shown(path), below)
+    usable, limit_m = usable_beams(path, ranges_m, [scan.bearings_rad for scan in scans], limit_m)
+    points = []
+    for scan, there in zip(scans, usable, strict=True):
+        there &= scan.ranges_m > 0
+        r, (x, y, yaw) = scan.ranges_m[there], scan.T_robot_laser
+        angle = scan.bearings_rad[there] + yaw
+        points.append(np.column_stack([x + r * np.cos(angle), y + r * np.sin(angle)]))
+    offsets = np.cumsum([0, *map(len, points)])
+    return stored_scans(np.concatenate(points), offsets, stamps_s, poses, _view(scans, limit_m))
+
+
+def _view(scans: Sequence[Beams], limit_m: float) -> SensorView:
+    """Return the properties common to all scans; empty if the laser is not fixed on the robot."""
+    T_robot_laser = np.array([scan.T_robot_laser for scan in scans])
+    if np.ptp(T_robot_laser, axis=0).max() > FIXED:
+        return SensorView()
+    half = min(min(-scan.bearings_rad.min(), scan.bearings_rad.max()) for scan in scans)
+    view_rad = 2 * float(half) if half > 0 else None
+    range_m = float(limit_m) if np.isfinite(limit_m) else None
+    return SensorView(view_rad, range_m, *T_robot_laser[0].tolist())
+
+
+def usable_beams(
+    path: Path, ranges_m: list[Floats], bearings_rad: list[Floats], limit_m: float = np.inf
+) -> tuple[list[Bools], float]:
+    """Return which beams of each scan, list of k (b,), are usable, and the range below which.
+
+    `path`: the log, for warnings. `ranges_m`, `bearings_rad`, list of k (b,): beams of each scan,
+    in their order. `limit_m`: the range of beams without a return as stated by the log; see also
+    `no_return_m` and `on_robot`.
+    """
+    below_m = [np.where(ranges < limit_m, ranges, 0.0) for ranges in ranges_m]
+    limit_m = min(limit_m, no_return_m(path, below_m, bearings_rad))
+    known_m = [np.where((r > 0) & (r < limit_m), r, 0.0) for r in ranges_m]
+    own = on_robot(path, known_m, bearings_rad)
+    return [(r < limit_m) & ~robot for r, robot in zip(ranges_m, own, strict=True)], limit_m
+
+
+def no_return_m(path: Path, ranges_m: list[Floats], bearings_rad: list[Floats]) -> float:
+    """Return the range of beams without a return, infinity if there are none.
+
+    It is the largest one of a log if in several scans wide sectors have it: no wall looks like this
+    from several places. Parameters as for `usable_beams`.
+    """
+    every = np.concatenate([*ranges_m, np.zeros(1)])
+    least = float(every.max() * (1 - SAME))
+    wide = sum(
+        _widest_rad(ranges >= least, bearings) > WIDE_RAD
+        for ranges, bearings in zip(ranges_m, bearings_rad, strict=True)
+    )
+    if wide < WIDE_SCANS or least <= 0:
+        return np.inf
+    _LOG.warning(
+        "%s: %.3g %% of the beams end at the largest range, %.4g m, and are treated as no return",
+        shown(path),
+        100 * np.mean(every[:-1] >= least),
+        every.max(),
+    )
+    return least
+
+
+def _widest_rad(chosen: Bools, bearings_rad: Floats) -> float:
+    """Return the angle of the widest sector of chosen beams (b,)."""
+    if not chosen.any():
+        return 0.0
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], chosen, [0]])))
+    turn = bearings_rad[edges[1::2] - 1] - bearings_rad[edges[::2]]
+    return float(np.abs(np.mod(turn + np.pi, 2 * np.pi) - np.pi).max())
+
+
+def on_robot(path: Path, ranges_m: list[Floats], bearings_rad: list[Floats]) -> list[Bools]:
+    """Return which beams of each scan end on the robot: list of k (b,).
+
+    These move with the robot and would tell that it stands still. In their directions nine tenths
+    of the scans have the same short range. Parameters as for `usable_beams`; beams of range 0 did
+    not return.
+    """
+    none = [np.zeros(len(ranges), dtype=np.bool_) for ranges in ranges_m]
+    if len(ranges_m) < SCANS:
+        return none
+    some = np.unique(np.linspace(0, len(ranges_m) - 1, MOST).astype(np.int64)).tolist()
+    some_m = np.concatenate([ranges_m[i] for i in some])
+    steps_rad = np.concatenate([np.diff(np.sort(bearings_rad[i])) for i in some])
+    steps_rad = steps_rad[steps_rad > ONE_RAD]
+    if not len(steps_rad) or not (some_m > 0).any():
+        return none
+    first_rad = min(bearings.min(initial=np.inf) for bearings in bearings_rad)
+    step_rad = np.median(steps_rad)
+    direction = [np.rint((one - first_rad) / step_rad).astype(np.int64) for one in bearings_rad]
+    scan = np.repeat(np.arange(len(some)), [len(ranges_m[i]) for i in some])
+    limit_m = _own_m(some_m, np.concatenate([direction[i] for i in some]), scan)
+    limit_m = np.append(limit_m, np.zeros(1 + max(one.max(initial=0) for one in direction)))
+    beams = zip(ranges_m, direction, strict=True)
+    own = [(ranges > 0) & (ranges <= limit_m[where]) for ranges, where in beams]
+    if share := np.concatenate(own).mean():
+        message = "%s: %.3g %% of the beams end on the robot itself and are left out"
+        _LOG.warning(message, shown(path), 100 * share)
+    return own
+
+
+def _own_m(ranges_m: Floats, direction: Ints, scan: Ints) -> Floats:
+    """Return the range (d,) up to which beams of each direction end on the robot; 0 for none.
+
+    `ranges_m`, `direction`, `scan` (n,): of each beam.
+    """
+    returned = np.flatnonzero(ranges_m > 0)
+    order = returned[np.lexsort((ranges_m[returned], direction[returned]))]
+    begins = np.flatnonzero(np.diff(direction[order], prepend=-1))
+    counts = np.diff(np.append(begins, len(order)))
+    usual_m = np.zeros(direction.max(initial=0) + 1)
+    usual_m[direction[order[begins]]] = ranges_m[order[begins + counts // 2]]
+    same = (ranges_m > 0) & (np.abs(ranges_m - usual_m[direction]) <= SAME_M)
+    seen = np.unique(np.column_stack([direction[same], scan[same]]), axis=0)[:, 0]
+    share = np.bincount(seen, minlength=len(usual_m)) / len(np.unique(scan))
+    if np.quantile(share[usual_m > 0], CHANGING) > SELDOM:
+        return np.zeros(len(usual_m))
+    fixed = (share >= MOSTLY) & (_farthest_m(usual_m) <= REACH_M)
+    return np.where(fixed, usual_m + SAME_M, 0.0)
+
+
+def _farthest_m(usual_m: Floats) -> Floats:
+    """Return the largest range (d,) of the surface that each direction, in order, is part of.
+
+    A wall beside which the robot drives goes on beyond its own parts; these end abruptly.
+    """
+    begins = np.abs(np.diff(usual_m, prepend=np.inf)) > SAME_M
+    return np.asarray(np.maximum.reduceat(usual_m, np.flatnonzero(begins))[np.cumsum(begins) - 1])
