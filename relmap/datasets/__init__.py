@@ -19,7 +19,6 @@ from relmap.datasets.carmen_log import CarmenLog, carmen_logs
 from relmap.datasets.depth_images import DepthImages
 from relmap.datasets.dlr_circles import DlrCircles
 from relmap.datasets.foreign import foreign_at
-from relmap.datasets.frames import log_of_frame
 from relmap.datasets.headers import read_head
 from relmap.datasets.kitti_bin import KittiBin
 from relmap.datasets.mrclam import Mrclam
@@ -27,13 +26,13 @@ from relmap.datasets.mrpt_landmarks import MrptLandmarks
 from relmap.datasets.mrpt_laser import MrptLaser
 from relmap.datasets.observation_csv import OTHER_NAMES, ObservationCsv, write_observation_csv
 from relmap.datasets.odometry import with_odometry_beside
-from relmap.datasets.own_table import OwnTable
+from relmap.datasets.own_table import OwnTable, log_of_frame
 from relmap.datasets.point_clouds import PointClouds
-from relmap.datasets.relations import Relations, read_relations
 from relmap.datasets.scans import PointScan, ScanLog
 from relmap.datasets.scans_npz import ScansNpz, write_scans_npz
 from relmap.datasets.slsjf import SlsjfSimulation
 from relmap.datasets.textfile import invalid, open_text, quoted, require_path, shown
+from relmap.datasets.trajectories import Relations, read_relations
 from relmap.datasets.victoria_park import VictoriaPark
 
 __all__ = [

@@ -25,7 +25,7 @@ from relmap.datasets.bag_frames import Driven, Mounting, stamp_s
 from relmap.datasets.bags import Bag, bag_errors, is_bag, topics_in
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.observation_csv import COLUMNS
-from relmap.datasets.own_columns import Ids, log_of
+from relmap.datasets.own_table import Ids, log_of
 from relmap.datasets.scans import in_time_order
 from relmap.datasets.textfile import shown
 

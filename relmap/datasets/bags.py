@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Self
 from relmap.core.errors import RelmapError
 from relmap.datasets.foreign import BAGS, foreign_at
 from relmap.datasets.headers import members_of
-from relmap.datasets.textfile import invalid, quoted, shown
+from relmap.datasets.textfile import invalid, listed, quoted, shown
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from relmap.datasets.bag_salvage import Found
 
 _ENDINGS = (".bag", ".db3", ".mcap")
-_MOST_LISTED = 12
 _LOG = logging.getLogger(__name__)
 
 
@@ -176,8 +175,7 @@ class Bag:
 
     def _refused(self, problem: str) -> RelmapError:
         names = [f"{topic} ({type_})" for topic, type_ in sorted(self.types.items())]
-        listed = ", ".join(names[:_MOST_LISTED]) + ", ..." * (len(names) > _MOST_LISTED)
-        return invalid(self.path, f"{problem}; the bag holds {shown(listed)}")
+        return invalid(self.path, f"{problem}; the bag holds {shown(listed(names))}")
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""Tables with arbitrary column names: CSV and Parquet files, data frames.
+"""Tables with arbitrary column names: CSV and Parquet files, data frames of pandas and polars.
 
 A row is one observation of a landmark. ``--columns x=px,y=py,iteration=frame,stamp=t,id=name``
 names the columns; the defaults are the names of `relmap.datasets.observation_csv`. Other columns
@@ -8,22 +8,32 @@ are ignored, with a warning. Times may replace iteration numbers; ids may be tex
 from __future__ import annotations
 
 import csv
+import logging
+import math
 from array import array
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.foreign import PARQUET, foreign_at
-from relmap.datasets.frames import log_of_columns, read_parquet
 from relmap.datasets.headers import read_head
 from relmap.datasets.number_rows import parse_number, too_many
-from relmap.datasets.own_columns import BY_NAME, Ids, check_columns, chosen, log_of
-from relmap.datasets.table import MAX_NUMBERS, Column
-from relmap.datasets.textfile import invalid, open_text, quoted, require_utf8, shown
+from relmap.datasets.observation_csv import COLUMNS, log_of_table
+from relmap.datasets.table import MAX_EXACT_INTEGER, MAX_NUMBERS, Column, checked_table
+from relmap.datasets.textfile import invalid, listed, open_text, quoted, require_utf8, shown
+
+MAX_NAME = 200
+"""Maximum number of characters of a text id."""
+
+BY_NAME = {column.name: column for column in COLUMNS}
+_LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -43,9 +53,9 @@ class OwnTable:
 
     def load(self, path: Path) -> ObservationLog:
         """Read the log."""
-        check_columns(self.columns)
+        _check_columns(self.columns)
         if foreign_at(path) == PARQUET:
-            return log_of_columns(path, read_parquet(path, self.columns))
+            return _log_of_columns(path, _read_parquet(path, self.columns))
         return _read_text(path, self.columns)
 
 
@@ -54,7 +64,7 @@ def _read_text(path: Path, columns: Mapping[str, str]) -> ObservationLog:
     with open_text(path) as stream:
         head = read_head(path, stream)
         (there,) = csv.reader([head.separator.join(head.columns)], delimiter=head.separator)
-        wanted = chosen(path, there, columns)
+        wanted = _chosen(path, there, columns)
         used = [BY_NAME[ours] for ours in wanted]
         at = [(BY_NAME[ours], there.index(theirs)) for ours, theirs in wanted.items()]
         for line, cells in _rows(path, stream, head.line, head.separator):
@@ -99,3 +109,179 @@ def _rows(
                 yield line + reader.line_num, cells
     except csv.Error as error:
         raise invalid(path, f"line {line + reader.line_num}: {error}") from error
+
+
+def log_of_frame(frame: Any, columns: Mapping[str, str] | None = None) -> ObservationLog:
+    """Return the log in a data frame.
+
+    Parameters
+    ----------
+    frame : pandas.DataFrame or polars.DataFrame
+        One row per observation.
+    columns : mapping of str to str, optional
+        Column names of ``iteration``, ``stamp`` (seconds, or a time), ``x``, ``y``, ``z`` (robot
+        frame, metres) and ``id``, if different. Iteration or stamp, z and id may be missing.
+
+    Returns
+    -------
+    ObservationLog
+
+    Raises
+    ------
+    RelmapError
+        If it is not a data frame, a column is missing or a value is invalid: with 0-based row and
+        column.
+    """
+    path = Path("data frame")
+    _check_columns(columns or {})
+    if not (hasattr(frame, "columns") and hasattr(frame, "shape")):
+        raise RelmapError(f"expected a DataFrame of pandas or polars, got a {type(frame).__name__}")
+    theirs = _chosen(path, [str(name) for name in frame.columns], columns or {})
+    found = {ours: frame[name].to_numpy() for ours, name in theirs.items()}
+    return _log_of_columns(path, found, first=0)
+
+
+def _read_parquet(path: Path, columns: Mapping[str, str]) -> dict[str, NDArray[Any]]:
+    """Return the used columns of a Parquet file."""
+    try:
+        from pyarrow import ArrowException, parquet
+    except ImportError:
+        raise invalid(path, f"is {PARQUET}: pip install 'relmap[parquet]' to read it") from None
+    try:
+        with parquet.ParquetFile(path) as file:
+            wanted = _chosen(path, list(file.schema_arrow.names), columns)
+            if file.metadata.num_rows * len(wanted) > MAX_NUMBERS:
+                raise invalid(path, f"more than {MAX_NUMBERS} numbers in its columns")
+            table = file.read(columns=list(wanted.values()))
+            return {ours: table.column(name).to_numpy() for ours, name in wanted.items()}
+    except (ArrowException, OSError, ValueError, KeyError, TypeError) as error:
+        reason = quoted(str(error).partition("\n")[0])
+        raise invalid(path, f"cannot be read as {PARQUET}: {reason}") from error
+
+
+def _log_of_columns(
+    path: Path, found: Mapping[str, NDArray[Any]], first: int = 1
+) -> ObservationLog:
+    """Return the log in the columns of a frame, whose rows are counted from `first`."""
+    used, ids, columns = [BY_NAME[ours] for ours in found], Ids(), []
+    n = len(next(iter(found.values())))
+    for column in used:
+        cells = found[column.name]
+        if column.name != "id":
+            columns.append(_as_floats(path, column, cells, first))
+            continue
+        for row, cell in enumerate(cells.tolist()):
+            ids.add(_as_text(cell), f"{shown(path)}: row {first + row}, field id")
+        columns.append(np.full(n, -1.0))
+    return log_of(path, used, np.column_stack(columns), np.arange(first, first + n), "row", ids)
+
+
+def _as_text(cell: object) -> str:
+    missing = cell is None or cell != cell or type(cell).__name__ == "NAType"
+    return "" if missing else str(cell).strip()
+
+
+def _as_floats(path: Path, column: Column, cells: NDArray[Any], first: int) -> Floats:
+    if cells.dtype.kind == "M" and column.name == "stamp":
+        seconds = cells.astype("datetime64[ns]").astype(np.int64) / 1e9
+        return np.where(np.isnat(cells), np.nan, seconds)
+    try:
+        if column.name == "stamp" and all(hasattr(cell, "timestamp") for cell in cells):
+            return np.array([cell.timestamp() for cell in cells])  # times in a time zone
+        # Old versions of numpy convert a list with a single number.
+        has_lists = cells.dtype.kind == "O" and any(map(np.ndim, cells))
+        if cells.dtype.kind not in "biufO" or has_lists:
+            raise ValueError(cells.dtype)
+        return np.asarray(cells, dtype=np.float64)
+    except (TypeError, ValueError):
+        kinds = (isinstance(cell, int | float) for cell in cells.tolist())
+        wrong = next((k for k, is_number in enumerate(kinds) if not is_number), 0)
+        problem = f"row {first + wrong}, field {column.name}: {quoted(str(cells[wrong]))}"
+        raise invalid(path, f"{problem}, expected {column.expected}") from None
+
+
+def _check_columns(columns: Mapping[str, str]) -> None:
+    """Raise a `RelmapError` for columns that the observation log does not have, or one in two."""
+    unknown = [quoted(name) for name in columns if name not in BY_NAME]
+    if unknown:
+        raise RelmapError(f"columns: {', '.join(unknown)}, expected some of {', '.join(BY_NAME)}")
+    names = list(columns.values())
+    twice = [quoted(name) for name in names if names.count(name) > 1]
+    if twice:
+        raise RelmapError(f"columns: {twice[0]} is given twice, expected different columns")
+
+
+def _chosen(path: Path, there: list[str], columns: Mapping[str, str]) -> dict[str, str]:
+    """Return the names of the used columns in the table."""
+    names = {ours: columns.get(ours, ours) for ours in BY_NAME}
+    wanted = {ours: theirs for ours, theirs in names.items() if theirs in there}
+    needed = {"x", "y", *columns}
+    if not wanted.keys() & {"iteration", "stamp"}:
+        needed.add("iteration")
+    missing = [quoted(names[ours]) for ours in (*columns, *names) if ours in needed - wanted.keys()]
+    several = [quoted(theirs) for theirs in set(wanted.values()) if there.count(theirs) > 1]
+    if missing or several:
+        problem = f"no column {missing[0]}" if missing else f"two columns {several[0]}"
+        names_there = listed([*map(quoted, there)])
+        raise invalid(path, f"{problem}, expected one; there are {names_there}")
+    others = [quoted(name) for name in there if name not in wanted.values()]
+    if others:
+        _LOG.warning("%s: other columns are ignored: %s", shown(path), listed(others))
+    return wanted
+
+
+class Ids:
+    """The ids of rows, numbers or texts; the type is determined after all are read."""
+
+    def __init__(self) -> None:
+        self._index: dict[str, int] = {}
+        self._of_row = array("q")
+
+    def add(self, text: str, where: str) -> None:
+        """Add the id of a row, empty without one; RelmapError if it is too long."""
+        if len(text) > MAX_NAME:
+            expected = f"expected at most {MAX_NAME} characters"
+            raise RelmapError(f"{where}: {quoted(text)}, {expected}")
+        self._of_row.append(self._index.setdefault(text, len(self._index)) if text else -1)
+
+    def numbered(self) -> tuple[Floats, tuple[str, ...] | None]:
+        """Return the id of each row (n,), negative for none, and their names if texts."""
+        names, of_row = list(self._index), np.array(self._of_row, dtype=np.int64)
+        numbers = [_whole(name) for name in names]
+        if all(number is not None for number in numbers):
+            values = np.array([*numbers, -1.0], dtype=np.float64)
+            return values[of_row], None
+        order = sorted(range(len(names)), key=names.__getitem__)
+        rank = np.empty(len(names) + 1)
+        rank[order], rank[-1] = np.arange(len(names)), -1
+        return rank[of_row], tuple(names[k] for k in order)
+
+
+def _whole(text: str) -> float | None:
+    try:
+        value = parse_number(text)
+    except ValueError:
+        return None
+    return value if abs(value) <= MAX_EXACT_INTEGER and value == math.floor(value) else None
+
+
+def log_of(
+    path: Path, used: list[Column], values: Floats, lines: Ints, place: str, ids: Ids | None
+) -> ObservationLog:
+    """Return the log given by the numbers (n, columns) of a table, and its ids.
+
+    `lines`, `place`: as for `Table`; `ids`: the content of the id column, if any. Raises
+    `RelmapError` if there is no row, or a number is out of the range of its column.
+    """
+    names = None
+    for k, column in enumerate(used):
+        if column.name == "id" and ids is not None:
+            values[:, k], names = ids.numbered()
+    if not len(values):
+        raise invalid(path, "holds no row, expected at least one")
+    table = checked_table(path, used, values, lines, place)
+    stamps_s = table.columns.get("stamp")
+    if "iteration" not in table.columns and stamps_s is not None:
+        _, iteration = np.unique(stamps_s, return_inverse=True)
+        table.columns["iteration"] = iteration.astype(np.float64)
+    return replace(log_of_table(table), names=names)

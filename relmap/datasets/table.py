@@ -13,7 +13,7 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.datasets.headers import Head, cells_of, read_head
 from relmap.datasets.number_rows import parse_number, too_many
-from relmap.datasets.textfile import invalid, open_text, quoted, require_utf8, shown
+from relmap.datasets.textfile import invalid, listed, open_text, quoted, require_utf8, shown
 
 MAX_EXACT_INTEGER = 2**53 - 1
 """Largest number below which float64 represents every integer."""
@@ -123,11 +123,6 @@ def header_text(columns: Sequence[Column]) -> str:
     return first.name + text + ",..." * (len(others) > len(shown_columns))
 
 
-def _names(columns: Sequence[Column], comma: str) -> str:
-    names = [column.name for column in columns]
-    return comma.join(names[:_MOST_NAMES] + ["..."] * (len(names) > _MOST_NAMES))
-
-
 def _columns_in_file(
     path: Path, head: Head, columns: Sequence[Column], advice: str
 ) -> list[Column]:
@@ -142,7 +137,7 @@ def _columns_in_file(
         if names
     ]
     if problems:
-        expected = f"{header_text(columns)} (known columns: {_names(columns, ', ')}){advice}"
+        expected = f"{header_text(columns)} (known columns: {listed([*known])}){advice}"
         problem = f"line {head.line}: {' and '.join(problems)}"
         raise invalid(path, f"{problem}; expected the header {expected}")
     return [known[cell] for cell in head.columns]
@@ -175,7 +170,8 @@ def _exact(
     cells = cells_of(text, separator)
     if len(cells) != len(columns):
         problem = f"line {line}: {len(cells)} fields in {quoted(text)}"
-        raise invalid(path, f"{problem}, expected {len(columns)}: {_names(columns, ',')}")
+        names = listed([column.name for column in columns], ",")
+        raise invalid(path, f"{problem}, expected {len(columns)}: {names}")
     row = []
     for column, cell in zip(columns, cells, strict=True):
         if not cell and column.empty is not None:

@@ -7,7 +7,7 @@ import io
 import os
 import stat
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, TextIO
@@ -29,6 +29,7 @@ MAX_LINE_BYTES = 1 << 16
 
 _GZIP_MAGIC = b"\x1f\x8b"
 _SHOWN_CHARACTERS = 60
+_LISTED = 12
 
 
 def shown(value: object) -> str:
@@ -43,6 +44,11 @@ def quoted(text: str) -> str:
     if len(text) > _SHOWN_CHARACTERS:
         text = text[: _SHOWN_CHARACTERS - 3] + "..."
     return ascii(text) if not text.isprintable() else repr(text)
+
+
+def listed(texts: Sequence[str], comma: str = ", ") -> str:
+    """Return texts as a list for a one-line message, shortened if there are many."""
+    return comma.join([*texts[:_LISTED], *["..."] * (len(texts) > _LISTED)])
 
 
 def invalid(path: Path | str, problem: str) -> RelmapError:

@@ -1,28 +1,38 @@
-"""True paths as files of poses: TUM (``t x y z qx qy qz qw``) and KITTI (3 x 4 matrices by rows).
+"""True paths as files of poses, and manually checked relations between poses.
 
+Paths are in the format of TUM (``t x y z qx qy qz qw``) or of KITTI (3 x 4 matrices by rows).
 KITTI's poses have no times: they are read from ``times.txt`` beside the file, one per line,
 otherwise line numbers from 0 are used.
+
+Relations are the ground truth of real laser logs (R. Kuemmerle et al., "On measuring the accuracy
+of SLAM algorithms", Autonomous Robots 27, 2009). Each line is ``t1 t2 x y z roll pitch yaw``: the
+pose at t2 in the frame of the pose at t1.
 """
 
 from __future__ import annotations
 
 import os
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
 from relmap.datasets.number_rows import finite_numbers, read_rows
 from relmap.datasets.odometry import read_tum
+from relmap.datasets.scans import poses_of
 from relmap.datasets.textfile import invalid, numbered_lines, shown
 
 TIMES = "times.txt"
 _TUM, _KITTI = 8, 12
 _RIGID = 1e-3
 """Tolerance of the rotation of a pose, for rounded files."""
+_RELATION = "t1 t2 x y z roll pitch yaw"
+_RELATION_LIMITS = (1e12, 1e12, *[MAX_COORDINATE_M] * 6)
 
 
 def is_trajectory(path: Path) -> bool:
@@ -68,3 +78,26 @@ def _times_of(path: Path, n_poses: int) -> Floats:
     if len(stamps_s) != n_poses:
         raise invalid(times, f"{len(stamps_s)} times, expected {n_poses} as in {shown(path.name)}")
     return stamps_s
+
+
+@dataclass(frozen=True, eq=False)
+class Relations:
+    """True relative poses, as a structure of arrays.
+
+    `begin_s`, `end_s` (r,): times of the two poses, seconds, by the log's clock; `T_begin_end`
+    (r, 4, 4): the later pose in the frame of the earlier one, metres.
+    """
+
+    begin_s: Floats
+    end_s: Floats
+    T_begin_end: Floats
+
+
+def read_relations(path: Path) -> Relations:
+    """Read a ``.relations`` file.
+
+    Raises `RelmapError` if it cannot be read, has no relation, or a line is not a relation.
+    """
+    table = read_rows(path, _RELATION_LIMITS, "#", "relation", f"8 numbers: {_RELATION}").values
+    T = poses_of(Rotation.from_euler("xyz", table[:, 5:]), table[:, 2:5])
+    return Relations(table[:, 0], table[:, 1], T)
