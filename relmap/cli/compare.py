@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from relmap.cli import arguments as args
-from relmap.cli.console import busy, figure, print_table
-from relmap.core.errors import RelmapError
 
 if TYPE_CHECKING:
-    from relmap.comparison.compare import Compared
-    from relmap.comparison.methods.base import MethodInfo
     from relmap.evaluation.sources import Source
 
 World = Literal["figure-eight", "building"]
@@ -143,6 +138,7 @@ def compare_command(
     seed: args.Seed = 0,
 ) -> None:
     """Compare; the help text explains the arguments."""
+    from relmap.cli.compared import compare_into
     from relmap.evaluation.sources import FileSource
 
     neither = (source is None) == (simulate is None)
@@ -163,7 +159,7 @@ def compare_command(
         given = _world(simulate, density, iterations, noise, sigma, dynamic, seed)
         sigma = sigma or SIGMA_M
     chosen = None if methods is None else [name.strip() for name in methods.split(",")]
-    rows = _compare_into(out, given, chosen, association, sigma)
+    rows = compare_into(out, given, chosen, association, sigma)
     ran = sum(row.run is not None for row in rows)
     each = f"{ran} trajector{'ies' if ran > 1 else 'y'} and map{'s' if ran > 1 else ''}"
     typer.echo(f"wrote comparison.csv, {each} and {ran + 1} pictures to {out}")
@@ -187,69 +183,3 @@ def _world(
         return BuildingSource(iterations, noise, sigma, seed)
     loop = LOOP if iterations is None else iterations
     return EightSource(density, loop, noise, sigma, dynamic, seed)
-
-
-def _compare_into(
-    out: Path,
-    source: Source,
-    names: Sequence[str] | None,
-    association: args.Association | None,
-    sigma_m: float | None,
-) -> list[Compared]:
-    """Compare methods, print the table and write the files."""
-    from relmap.cli.compared import draw, write_compared
-    from relmap.comparison.compare import chosen_methods
-    from relmap.io.files import staged_folder
-
-    with busy("reading or simulating"):
-        data = source.load()
-    if association is None:
-        association = "nearest" if data.ids is None else "known"
-    methods = chosen_methods(names, data, association)
-    with staged_folder(out) as staging:
-        rows = list(_compared(source, methods, association, sigma_m))
-        if not any(row.run for row in rows):
-            raise RelmapError(f"none of the methods could run: {rows[0].method} {rows[0].note}")
-        write_compared(staging, rows, association)
-        with busy("drawing"):
-            draw(staging, rows, data, source.about)
-    print_rows(f"{source.about}; association {association}", rows)
-    return rows
-
-
-def _compared(
-    source: Source,
-    methods: Sequence[MethodInfo],
-    association: args.Association,
-    sigma_m: float | None,
-) -> Iterator[Compared]:
-    """Run the methods, and report on stderr those that failed."""
-    from relmap.comparison.compare import compare
-
-    running = compare(source, methods, association, sigma_m)
-    for number, method in enumerate(methods, 1):
-        with busy(f"{method.name}, method {number} of {len(methods)}"):
-            row = next(running)
-        if row.note and not method.missing:
-            typer.echo(f"relmap: {method.name} {row.note}", err=True)
-        yield row
-
-
-def print_rows(title: str, rows: Iterable[Compared]) -> None:
-    """Print the table, followed by the methods that did not run."""
-    rows = list(rows)
-    ran = [(row.method, row.run.figures) for row in rows if row.run is not None]
-    columns = dict(COLUMNS)
-    if any(figures["corner_rmse_m"] is not None for _, figures in ran):
-        columns |= OF_CORNERS
-        del columns["RMSE10"]
-    if all(figures["relation_m"] is None for _, figures in ran):
-        columns = {heading: of for heading, of in columns.items() if heading not in RELATIONS}
-    cells = [
-        [name, *(figure(figures[key], kind) for key, kind in columns.values())]
-        for name, figures in ran
-    ]
-    print_table(title, ["method", *columns], cells)
-    for row in rows:
-        if row.run is None:
-            typer.echo(f"{row.method}: {row.note}")

@@ -1,31 +1,94 @@
-"""Files of ``relmap compare`` for each method: path, map and pictures."""
+"""The work of ``relmap compare``: running the methods, the table, and the files of each method."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import typer
 from numpy.typing import NDArray
 
 from relmap.cli.arguments import Association
-from relmap.cli.console import figure
-from relmap.comparison.compare import CSV_COLUMNS, Compared
+from relmap.cli.compare import COLUMNS, OF_CORNERS, RELATIONS
+from relmap.cli.console import busy, figure, print_table
+from relmap.comparison.compare import CSV_COLUMNS, Compared, chosen_methods, compare
+from relmap.comparison.methods.base import MethodInfo
 from relmap.comparison.methods.running import MethodRun
+from relmap.core.errors import RelmapError
 from relmap.datasets.base import ObservationLog
 from relmap.evaluation.evaluate import match_walls
 from relmap.evaluation.feeding import Log
 from relmap.evaluation.landmarks import Overlay, overlay
-from relmap.evaluation.sources import Data
-from relmap.io.files import atomic_write, write_tum
+from relmap.evaluation.sources import Data, Source
+from relmap.io.files import atomic_write, staged_folder, write_tum
 from relmap.io.results import Result
 from relmap.io.tables import columns_text, csv_text
 from relmap.planes.walls.files import PlaneResult
 from relmap.planes3d.files import Plane3dResult
 
 
-def write_compared(folder: Path, rows: Sequence[Compared], association: Association) -> None:
+def compare_into(
+    out: Path,
+    source: Source,
+    names: Sequence[str] | None,
+    association: Association | None,
+    sigma_m: float | None,
+) -> list[Compared]:
+    """Compare methods, print the table and write the files."""
+    with busy("reading or simulating"):
+        data = source.load()
+    if association is None:
+        association = "nearest" if data.ids is None else "known"
+    methods = chosen_methods(names, data, association)
+    with staged_folder(out) as staging:
+        rows = list(_compared(source, methods, association, sigma_m))
+        if not any(row.run for row in rows):
+            raise RelmapError(f"none of the methods could run: {rows[0].method} {rows[0].note}")
+        _write(staging, rows, association)
+        with busy("drawing"):
+            draw(staging, rows, data, source.about)
+    _print_rows(f"{source.about}; association {association}", rows)
+    return rows
+
+
+def _compared(
+    source: Source,
+    methods: Sequence[MethodInfo],
+    association: Association,
+    sigma_m: float | None,
+) -> Iterator[Compared]:
+    """Run the methods, and report on stderr those that failed."""
+    running = compare(source, methods, association, sigma_m)
+    for number, method in enumerate(methods, 1):
+        with busy(f"{method.name}, method {number} of {len(methods)}"):
+            row = next(running)
+        if row.note and not method.missing:
+            typer.echo(f"relmap: {method.name} {row.note}", err=True)
+        yield row
+
+
+def _print_rows(title: str, rows: Sequence[Compared]) -> None:
+    """Print the table, followed by the methods that did not run."""
+    ran = [(row.method, row.run.figures) for row in rows if row.run is not None]
+    columns = dict(COLUMNS)
+    if any(figures["corner_rmse_m"] is not None for _, figures in ran):
+        columns |= OF_CORNERS
+        del columns["RMSE10"]
+    if all(figures["relation_m"] is None for _, figures in ran):
+        columns = {heading: of for heading, of in columns.items() if heading not in RELATIONS}
+    cells = [
+        [name, *(figure(figures[key], kind) for key, kind in columns.values())]
+        for name, figures in ran
+    ]
+    print_table(title, ["method", *columns], cells)
+    for row in rows:
+        if row.run is None:
+            typer.echo(f"{row.method}: {row.note}")
+
+
+def _write(folder: Path, rows: Sequence[Compared], association: Association) -> None:
     """Write the table, and the path and map of every method that ran."""
     lines = (row.row(association) for row in rows)
     atomic_write(folder / "comparison.csv", csv_text(CSV_COLUMNS, lines))

@@ -56,7 +56,7 @@ def _figure_eight(out: Path, seed: int) -> str:
     """Map the figure eight with and without ids; return its section of the page."""
     from relmap.cli.evaluate import evaluate_folder, rows_of
     from relmap.cli.mapping import map_input
-    from relmap.cli.simulate import write_figure_eight
+    from relmap.cli.simulated import write_figure_eight
     from relmap.evaluation.sources import EightSource
 
     typer.echo(f"simulated {write_figure_eight(out, EightSource(seed=seed))}")

@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from relmap.cli import simulate_building, simulate_storey, simulate_world, wheels
 from relmap.cli.arguments import Density, Dynamic, Noise, Out, Seed
-from relmap.cli.console import busy
-
-if TYPE_CHECKING:
-    from relmap.evaluation.sources import EightSource
-    from relmap.simulation.odometry import Wheels
 
 app = typer.Typer(
     help="""Simulate a robot in a world with known truth.
@@ -57,6 +51,7 @@ def figure_eight_command(
     seed: Seed = 0,
 ) -> None:
     """Write a simulated figure eight; the help text explains the arguments."""
+    from relmap.cli.simulated import write_figure_eight
     from relmap.evaluation.sources import EightSource
 
     source = EightSource(density, iterations, noise, sigma, dynamic, seed)
@@ -64,25 +59,6 @@ def figure_eight_command(
     n_files = 3 if errors is None else 4
     counts = write_figure_eight(out, source, errors, odometry_fault)
     typer.echo(f"wrote {n_files} files to {out}: {counts}")
-
-
-def write_figure_eight(
-    out: Path,
-    source: EightSource,
-    errors: Wheels | None = None,
-    fault: wheels.Fault | None = None,
-) -> str:
-    """Simulate the figure eight into a folder and return a line with counts.
-
-    Raises `RelmapError` if a parameter is out of range or the folder cannot be written.
-    """
-    from relmap.io.files import staged_folder
-
-    with staged_folder(out) as staging, busy("simulating"):
-        data = source.load()
-        assert data.truth is not None
-        wheels.write_odometry(staging, errors, fault, data.truth.poses, source.seed)
-        return simulate_world.write_points(staging, data.log, data.truth)
 
 
 app.command("world", help=simulate_world.HELP)(simulate_world.world_command)

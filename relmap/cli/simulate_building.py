@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
 
 from relmap.cli import wheels
 from relmap.cli.arguments import Noise, Out, Seed, refuse
 from relmap.cli.console import busy
-
-if TYPE_CHECKING:
-    from relmap.simulation import Building
 
 HELP = """Simulate a drive past the walls of a building.
 
@@ -100,6 +96,7 @@ def building_command(
     seed: Seed = 0,
 ) -> None:
     """Write a simulated building; the help text explains the arguments."""
+    from relmap.cli.simulated import write_building, write_odometry
     from relmap.io.files import staged_folder
     from relmap.simulation import simulate_building
     from relmap.simulation.sensor import sensor_of
@@ -128,36 +125,11 @@ def building_command(
             people=people,
             clutter=clutter,
         )
-        _write(staging, building)
+        write_building(staging, building)
         way, stamps_s = building.trajectory, building.stamps_s
-        n_files = 4 + wheels.write_odometry(staging, errors, odometry_fault, way, seed, stamps_s)
+        n_files = 4 + write_odometry(staging, errors, odometry_fault, way, seed, stamps_s)
     count = sum(len(scan.points) for scan in building.scans)
     typer.echo(
         f"wrote {n_files} files to {out}: {len(building.walls)} sides of walls, "
         f"{len(building.scans)} scans, {count} points"
     )
-
-
-def _write(folder: Path, building: Building) -> None:
-    """Write a run into an existing folder."""
-    import numpy as np
-
-    from relmap.datasets import write_scans_npz
-    from relmap.evaluation.sources import log_of
-    from relmap.io.files import atomic_write, write_tum
-    from relmap.io.tables import columns_text
-    from relmap.plots.planes import write_building_png
-
-    truth = folder / "truth"
-    truth.mkdir()
-    log = log_of(building)
-    scans = [scan.points_robot for scan in log.scans()]
-    write_scans_npz(folder / "scans.npz", scans, log.stamps_s, log.sensor)
-    ends, extent = ("plane", "x0", "y0", "x1", "y1", "z0", "z1"), ("seen0", "seen1")
-    names = (*ends, "scans", "corner0", "corner1", "status", *extent)
-    number, status = np.arange(len(building.walls)), np.where(building.moving, "dynamic", "static")
-    columns = (number, *building.walls.T, *building.times_seen().T, status)
-    table = dict(zip(names, (*columns, *building.seen_extents().T), strict=True))
-    atomic_write(truth / "planes.csv", columns_text(table))
-    write_tum(truth / "trajectory.tum", building.stamps_s, building.trajectory)
-    write_building_png(folder / "building.png", building)

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
 
 from relmap.cli.arguments import Out, Seed
 from relmap.cli.console import busy
-
-if TYPE_CHECKING:
-    from relmap.simulation.storey import Storey
 
 HELP = """Simulate a lidar or depth camera carried through rooms.
 
@@ -43,29 +39,12 @@ def storey_command(
     ] = 0,
 ) -> None:
     """Write a simulated storey; the help text explains the arguments."""
+    from relmap.cli.simulated import write_storey
     from relmap.io.files import staged_folder
     from relmap.simulation.storey import simulate_storey
 
     with staged_folder(out) as staging, busy("simulating"):
         storey = simulate_storey(sensor, sigma, iterations, seed, storeys, moving)
-        _write(staging, storey)
+        write_storey(staging, storey)
     count = sum(map(len, storey.scans))
     typer.echo(f"wrote 3 files to {out}: {iterations} scans, {count} points")
-
-
-def _write(folder: Path, storey: Storey) -> None:
-    import numpy as np
-
-    from relmap.datasets import write_scans_npz
-    from relmap.io.files import atomic_write, write_tum
-    from relmap.io.tables import columns_text
-
-    truth = folder / "truth"
-    truth.mkdir()
-    write_scans_npz(folder / "scans.npz", storey.scans, storey.stamps_s)
-    places = (f"{axis}{corner}" for corner in range(4) for axis in "xyz")
-    face, corners = np.arange(len(storey.corners)), storey.corners.reshape(-1, 12)
-    columns = (face, storey.plane_of, *corners.T, storey.seen_m2)
-    table = dict(zip(("face", "plane", *places, "seen_m2"), columns, strict=True))
-    atomic_write(truth / "faces.csv", columns_text(table))
-    write_tum(truth / "trajectory.tum", storey.stamps_s, storey.trajectory)

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
 
 from relmap.cli import wheels
 from relmap.cli.arguments import Out, Seed
 from relmap.cli.console import busy
-
-if TYPE_CHECKING:
-    from relmap.datasets.base import ObservationLog
-    from relmap.evaluation.truth import Truth
 
 HELP = """Simulate landmarks that are hard to associate.
 
@@ -73,6 +68,7 @@ def world_command(
     seed: Seed = 0,
 ) -> None:
     """Write a simulated world; the help text explains the arguments."""
+    from relmap.cli.simulated import write_odometry, write_points
     from relmap.evaluation.sources import truth_of
     from relmap.io.files import atomic_write, staged_folder
     from relmap.io.tables import csv_text
@@ -96,22 +92,8 @@ def world_command(
     errors = wheels.wheels_of(odometry, odometry_bias, odometry_fault)
     with staged_folder(out) as staging, busy("simulating"):
         world = simulate_world(spec)
-        n_files = 4 + wheels.write_odometry(staging, errors, odometry_fault, world.trajectory, seed)
+        n_files = 4 + write_odometry(staging, errors, odometry_fault, world.trajectory, seed)
         counts = write_points(staging, world.log, truth_of(world))
         ids = csv_text(("row", "landmark"), enumerate(world.true_ids.tolist()))
         atomic_write(staging / "truth" / "ids.csv", ids)
     typer.echo(f"wrote {n_files} files to {out}: {counts}")
-
-
-def write_points(folder: Path, log: ObservationLog, truth: Truth) -> str:
-    """Write a run past landmarks into an existing folder and return a line with counts."""
-    from relmap.datasets.observation_csv import write_observation_csv
-    from relmap.evaluation.truth import write_truth
-
-    write_observation_csv(folder / "observations.csv", log)
-    (folder / "truth").mkdir()
-    write_truth(folder / "truth", truth)
-    return (
-        f"{len(truth.landmark_ids)} landmarks, {len(log)} iterations, "
-        f"{len(log.points_robot)} observations"
-    )

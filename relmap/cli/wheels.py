@@ -1,9 +1,8 @@
-"""The odometry options of ``relmap simulate``, and the file of simulated odometry."""
+"""The odometry options of ``relmap simulate``."""
 
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
 
 import typer
@@ -12,15 +11,9 @@ from relmap.cli.arguments import refuse
 from relmap.core.errors import RelmapError
 
 if TYPE_CHECKING:
-    from relmap.core.arrays import Floats
     from relmap.simulation.odometry import Wheels
 
 Fault = Literal["slip", "reversed", "stale"]
-
-SLIPS = 0.1
-"""Fraction of steps that slipping wheels count twice."""
-LATE_S, LATE_ITERATIONS = 0.5, 3.0
-"""Delay of stale odometry, with and without a clock."""
 
 
 class Pair(NamedTuple):
@@ -82,34 +75,3 @@ def wheels_of(noise: Pair | None, bias: Pair | None, fault: Fault | None) -> Whe
     wheels = Wheels(way=noise.way, turn_deg=noise.turn, **biases)
     wheels.check()
     return wheels
-
-
-def write_odometry(
-    folder: Path,
-    wheels: Wheels | None,
-    fault: Fault | None,
-    poses: Floats,
-    seed: int,
-    stamps_s: Floats | None = None,
-) -> int:
-    """Write the odometry of a simulated path, if any, into a folder; return the number of files."""
-    import numpy as np
-
-    from relmap.datasets.odometry import write_odometry_csv
-    from relmap.simulation import odometry
-
-    if wheels is None:
-        return 0
-    # A separate generator: the observations are the same with and without odometry.
-    rng = np.random.default_rng([seed, len(poses)])
-    motion = odometry.wheel_odometry(poses, wheels, rng)
-    if fault == "slip":
-        motion = odometry.slipping(motion, SLIPS, rng)
-    elif fault == "reversed":
-        motion = odometry.backward(motion)
-    elif fault == "stale" and stamps_s is None:
-        motion = odometry.stale(motion, np.arange(float(len(poses))), LATE_ITERATIONS)
-    elif fault == "stale" and stamps_s is not None:
-        motion = odometry.stale(motion, stamps_s, LATE_S)
-    write_odometry_csv(folder / "odometry.csv", motion)
-    return 1
