@@ -56,17 +56,10 @@ def figures_command(
     ] = None,
 ) -> None:
     """Draw; the help text explains the arguments."""
-    made = _figures_into(out, numbers or [], quick, data)
-    drawn = sum(each.outcome is not None for each in made)
-    typer.echo(f"wrote index.html and {drawn} figure{'s' if drawn != 1 else ''} to {out}")
-
-
-def _figures_into(out: Path, names: Sequence[str], quick: bool, data: Path | None) -> list[Made]:
-    """Run figures, report their verdicts, and write each with the page when it is done."""
     from relmap.figures.making import check_data, chosen_figures, make_figure, write_page
     from relmap.io.files import staged_folder
 
-    figures = chosen_figures(names)
+    figures = chosen_figures(numbers or [])
     check_data(figures, data)
     made: list[Made] = []
     for number, figure in enumerate(figures, 1):
@@ -76,9 +69,10 @@ def _figures_into(out: Path, names: Sequence[str], quick: bool, data: Path | Non
             if any(each.outcome for each in made):
                 write_page(staging, made, quick)
         _say(made[-1])
-    if not any(each.outcome for each in made):
+    drawn = sum(each.outcome is not None for each in made)
+    if not drawn:
         raise RelmapError("no figure could be made")
-    return made
+    typer.echo(f"wrote index.html and {drawn} figure{'s' if drawn != 1 else ''} to {out}")
 
 
 def _counting(show: Callable[[str], None], what: str) -> Watch:

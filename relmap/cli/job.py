@@ -90,24 +90,20 @@ class Job:
     @property
     def command(self) -> str:
         """The part needed to map the log again, without folders and settings."""
+        sigmas = ("--range-sigma", "--bearing-sigma", "--elevation-sigma")
+        options = {
+            "--variant": None if self.variant == "points" else self.variant,
+            "--segmenter": self.segmenter,
+            "--voxel": self.voxel_m,
+            "--association": None if self.association == "nearest" else self.association,
+            "--scans": self.interval and "{}:{}".format(*self.interval),
+            "--format": self.log_format,
+            **dict(zip(sigmas, self.sigmas or (), strict=False)),
+            "--onto": self.onto and self.onto.name,
+        }
         words = ["relmap", "map", self.source.name, "-o", "RESULT"]
-        if self.variant != "points":
-            words += ["--variant", self.variant]
-        if self.segmenter is not None:
-            words += ["--segmenter", self.segmenter]
-        if self.voxel_m is not None:
-            words += ["--voxel", repr(self.voxel_m)]
-        if self.association == "known":
-            words += ["--association", "known"]
-        if self.interval is not None:
-            words += ["--scans", "{}:{}".format(*self.interval)]
-        if self.log_format is not None:
-            words += ["--format", self.log_format]
-        names = ("--range-sigma", "--bearing-sigma", "--elevation-sigma")
-        for name, sigma in zip(names, self.sigmas or (), strict=False):
-            words += [name, repr(sigma)]
-        if self.onto is not None:
-            words += ["--onto", self.onto.name]
+        for name, value in options.items():
+            words += [] if value is None else [name, str(value)]
         return shlex.join(words if self.refine else [*words, "--no-refine"])
 
     @classmethod

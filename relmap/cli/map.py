@@ -47,7 +47,10 @@ def map_command(
     others = (known, registration, config, onto, animate, columns, sigmas)
     _check_space(variant, voxel, any(others))
     args.refuse(columns and (planes or log_format), "--columns applies only to tables of landmarks")
-    _check_onto(onto, journal, config or registration)
+    message = "--journal records a run from its beginning, so it cannot be used with --onto"
+    args.refuse(onto and journal, message)
+    message = "--onto uses the settings of the earlier run: give no others"
+    args.refuse(onto and (config or registration), message)
     args.refuse(animate and not planes, "--animate draws walls: give --variant planes with it")
     from relmap.cli.job import Job
     from relmap.cli.outcome import report
@@ -90,15 +93,6 @@ def _check_space(variant: str, voxel: float | None, others: bool) -> None:
     args.refuse(in_space and others, message)
     low = voxel is not None and not 0 < voxel < float("inf")
     args.refuse(low, f"--voxel is {voxel}; it must be above 0")
-
-
-def _check_onto(onto: Path | None, journal: Path | None, settings: object) -> None:
-    if onto is None:
-        return
-    message = "--journal records a run from its beginning, so it cannot be used with --onto"
-    args.refuse(journal, message)
-    message = "--onto uses the settings of the earlier run: give no others"
-    args.refuse(settings, message)
 
 
 def _sigmas(

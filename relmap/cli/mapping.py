@@ -88,7 +88,6 @@ def _mapped_into(folder: Path, job: Job, log: Log) -> Run:
             counter.close()
             afterwards.enter_context(busy("refining and writing"))
 
-        segmenter = bench.segmenter if bench else None
         run = run_mapper(
             mapper,
             log,
@@ -97,7 +96,7 @@ def _mapped_into(folder: Path, job: Job, log: Log) -> Run:
             watched,
             job.refine,
             seen,
-            segmenter,
+            bench.segmenter if bench else None,
             job.odometry == "auto",
             counter,
         )
@@ -192,10 +191,9 @@ def _draw_bench(folder: Path, bench: BenchRecorder, animate: bool) -> None:
         return
     write_bench_png(folder / BENCH_PNG, last)
     if animate:
-        frames = [*bench.frames, last]
-        write_bench_gif(
-            folder / BENCH_GIF, frames, lambda frames: tracked(frames, len(frames), "drawing")
-        )
+        n = len(bench.frames) + 1
+        show = partial(tracked, total=n, what="drawing")
+        write_bench_gif(folder / BENCH_GIF, [*bench.frames, last], show)
 
 
 def _truth_beside(source: Path) -> Truth | None:
