@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -76,6 +76,4 @@ def read_content(folder: Path) -> MapContent:
 
 
 def _rows(table: T, kept: Bools) -> T:
-    return replace(
-        table, **{field.name: getattr(table, field.name)[kept] for field in fields(table)}
-    )
+    return replace(table, **{name: column[kept] for name, column in vars(table).items()})

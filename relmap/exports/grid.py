@@ -62,19 +62,15 @@ def grid_of(content: MapContent, lines: Lines | None, resolution_m: float) -> Gr
     origin, shape = _frame(content, ends, resolution_m)
     passed, ended, solid = np.zeros((3, *shape), dtype=np.int64)
     cast((begins - origin) / resolution_m, (ends - origin) / resolution_m, passed, ended)
-    there = _obstacles(content)
+    if content.walls is not None:
+        there = content.walls.ends
+    else:  # lines of length 0
+        there = np.repeat(content.landmarks.position[:, None, :2], 2, axis=1)
     cast((there[:, 0] - origin) / resolution_m, (there[:, 1] - origin) / resolution_m, solid, solid)
     reached = passed + ended
     pixels = np.where(reached > 0, FREE, UNKNOWN)
     pixels[(solid > 0) | ((ended > 0) & (ended >= STOPPED * reached))] = OCCUPIED
     return Grid(pixels.astype(np.uint8), origin, resolution_m)
-
-
-def _obstacles(content: MapContent) -> Floats:
-    """Return the mapped walls or landmarks as lines (n, 2, 2); a landmark has length 0."""
-    if content.walls is not None:
-        return content.walls.ends
-    return np.repeat(content.landmarks.position[:, None, :2], 2, axis=1)
 
 
 def _frame(

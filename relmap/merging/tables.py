@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -58,7 +58,7 @@ def joined_walls(one: PlaneTable, other: PlaneTable) -> tuple[PlaneTable, Ints]:
     length_m = [np.hypot(*(t.ends[k, 1] - t.ends[k, 0]).T) for t, k in ((one, own), (other, new))]
     due = lying_m >= MOST * np.minimum(length_m[1][:, None], length_m[0][None])
     partners = _one_to_one(np.where(due, lying_m, 0.0))
-    columns = {field.name: getattr(one, field.name).copy() for field in fields(PlaneTable)}
+    columns = {name: column.copy() for name, column in vars(one).items()}
     corners = list[tuple[int, int]]()
     for theirs, mine in partners.tolist():
         corners += _join(columns, int(own[mine]), other, int(new[theirs]))
@@ -121,11 +121,10 @@ def joined(one: LandmarkTable, other: LandmarkTable, pairs: Ints) -> LandmarkTab
     """
     theirs, mine = pairs.T
     share = _share(one, other, mine, theirs)
-    position, sd = one.position.copy(), one.sd.copy()
-    position[mine] += share[:, None] * (other.position[theirs] - position[mine])
-    sd[mine] = np.hypot((1 - share) * one.sd[mine], share * other.sd[theirs])
-    columns = {field.name: getattr(one, field.name).copy() for field in fields(LandmarkTable)}
-    columns |= {"position": position, "sd": sd}
+    columns = {name: column.copy() for name, column in vars(one).items()}
+    away = other.position[theirs] - one.position[mine]
+    columns["position"][mine] += share[:, None] * away
+    columns["sd"][mine] = np.hypot((1 - share) * one.sd[mine], share * other.sd[theirs])
     for name, of in COMBINED.items():
         columns[name][mine] = of(columns[name][mine], getattr(other, name)[theirs])
     rest = np.setdiff1d(np.arange(len(other.landmark)), theirs)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sqlite3
-from contextlib import suppress
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
 
@@ -33,8 +33,7 @@ def create_file(path: Path, layout: Layout, meta: dict[str, Any]) -> End:
     remove(path, BESIDE)
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        connection = connected(part, new=True)
-        try:
+        with closing(connected(part, new=True)) as connection:
             connection.execute("BEGIN")
             for statement in layout.tables.values():
                 connection.execute(statement)
@@ -45,8 +44,6 @@ def create_file(path: Path, layout: Layout, meta: dict[str, Any]) -> End:
             connection.execute(f"PRAGMA application_id = {APPLICATION}")
             connection.execute(f"PRAGMA user_version = {SCHEMA}")
             connection.execute("COMMIT")
-        finally:
-            connection.close()
         _name(part, path)
     except FileExistsError as error:
         raise RelmapError(THERE.format(path)) from error

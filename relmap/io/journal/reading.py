@@ -111,10 +111,8 @@ class JournalReader:
                 f"SELECT {self.layout.names} FROM observations ORDER BY rowid"
             )
             covariances = self._covariances()
-            motions, stamps_s = (
-                self._by_scan("odometry", "motion"),
-                self._by_scan("stamps", "stamp"),
-            )
+            motions = self._by_scan("odometry", "motion")
+            stamps_s = self._by_scan("stamps", "stamp")
             for k, (iteration, n, known, check, *blob) in enumerate(scans):
                 if iteration != k:
                     raise ValueError("a scan is missing")
@@ -122,9 +120,8 @@ class JournalReader:
                 if covariances is not None and n:
                     scan = replace(scan, covariances=_matrices(covariances, k, *scan.values.shape))
                 if k in motions:
-                    motion = np.frombuffer(motions.pop(k), dtype="<f8").reshape(4, 4)
-                    scan = replace(scan, odometry=motion)
-                scan = replace(scan, stamp_s=stamps_s.pop(k, None))
+                    motions[k] = np.frombuffer(motions[k], dtype="<f8").reshape(4, 4)
+                scan = replace(scan, odometry=motions.pop(k, None), stamp_s=stamps_s.pop(k, None))
                 if check != checksum(k, scan, self._called(k)):
                     raise ValueError("its checksum does not match")
                 self.read = End(k + 1, check)
