@@ -81,8 +81,6 @@ FORMATS = tuple(dataset.name for dataset in DATASETS)
 SCAN_FORMATS = tuple(dataset.name for dataset in SCAN_DATASETS)
 """Kinds of logs."""
 
-_LANDMARK_LOG, _SCAN_LOG = "landmark log", "log of point scans"
-
 Log = TypeVar("Log", ObservationLog, ScanLog)
 
 
@@ -119,7 +117,7 @@ def open_log(
     datasets = DATASETS
     if columns is not None:
         datasets, format = (OwnTable(columns),), OwnTable.name
-    return _opened(Path(path), format, datasets, _LANDMARK_LOG, topics)
+    return _opened(Path(path), format, datasets, topics)
 
 
 def open_scans(path: Path | str, format: str | None = None, topics: Sequence[str] = ()) -> ScanLog:
@@ -144,18 +142,14 @@ def open_scans(path: Path | str, format: str | None = None, topics: Sequence[str
     RelmapError
         If there is no log of a known format, or it is damaged: file, line, field.
     """
-    return _opened(Path(path), format, SCAN_DATASETS, _SCAN_LOG, topics)
+    return _opened(Path(path), format, SCAN_DATASETS, topics)
 
 
 def _opened(
-    path: Path,
-    format: str | None,
-    datasets: tuple[Dataset[Log], ...],
-    what: str,
-    topics: Sequence[str],
+    path: Path, format: str | None, datasets: tuple[Dataset[Log], ...], topics: Sequence[str]
 ) -> Log:
     """Read a log with the odometry beside it."""
-    dataset = _choose(path, format, datasets, what)
+    dataset = _chosen(path, format, datasets)
     if topics:
         if not isinstance(dataset, BagScans | BagDetections):
             raise invalid(path, f"is not a bag ({dataset.name}), so it has no topics")
@@ -163,9 +157,7 @@ def _opened(
     return with_odometry_beside(dataset.load(path), path)
 
 
-def _choose(
-    path: Path, format: str | None, datasets: tuple[Dataset[Log], ...], what: str
-) -> Dataset[Log]:
+def _chosen(path: Path, format: str | None, datasets: tuple[Dataset[Log], ...]) -> Dataset[Log]:
     """Return the named format, or the one that recognises the path."""
     names = [dataset.name for dataset in datasets]
     if format is not None and format not in names:
@@ -180,20 +172,21 @@ def _choose(
         candidates = " and ".join(dataset.name for dataset in found)
         raise invalid(path, f"may be {candidates}, expected one: name it with --format")
     known = "; ".join(f"{dataset.name}: {dataset.description}" for dataset in datasets)
-    raise invalid(path, f"{_found_instead(path, what, names)}, expected {known}")
+    found_instead = _found_instead(path, of_landmarks=datasets is not SCAN_DATASETS)
+    raise invalid(path, f"{found_instead}, expected {known}")
 
 
-def _found_instead(path: Path, what: str, formats: Sequence[str]) -> str:
+def _found_instead(path: Path, of_landmarks: bool) -> str:
     """Describe the content of a path that no format of the wanted kind recognises."""
+    what, other, variant = "log of point scans", "landmark log", "points"
     others: tuple[Dataset[Any], ...] = DATASETS
-    other, variant = _LANDMARK_LOG, "points"
-    if what == _LANDMARK_LOG:
-        others, other, variant = SCAN_DATASETS, _SCAN_LOG, "planes"
+    if of_landmarks:
+        what, other, variant, others = other, what, "planes", SCAN_DATASETS
     for dataset in others:
         if dataset.recognises(path):
             found = f"is a {other} ({dataset.name}), expected a {what}"
             raise invalid(path, f"{found}; 'relmap map --variant {variant}' maps these")
-    if path.is_dir() and what == _SCAN_LOG and (logs := carmen_logs(path)):
+    if path.is_dir() and not of_landmarks and (logs := carmen_logs(path)):
         found = f"holds {len(logs)} log{'s' * (len(logs) > 1)} of CARMEN"
         names = ", ".join(shown(file.name) for file in logs)
         raise invalid(path, f"{found}, expected the name of one of them: {names}")
@@ -205,7 +198,7 @@ def _found_instead(path: Path, what: str, formats: Sequence[str]) -> str:
     with open_text(path) as stream:
         head = read_head(path, stream)
     found = f"line {head.line}: {quoted(','.join(head.columns))} does not start a {what}"
-    if what == _LANDMARK_LOG and len(head.columns) > 1:
+    if of_landmarks and len(head.columns) > 1:
         expected = f"expected iteration,x,y[,z][,id] or, {OTHER_NAMES}"
-        raise invalid(path, f"{found}, {expected}; formats: {', '.join(formats)}")
+        raise invalid(path, f"{found}, {expected}; formats: {', '.join(FORMATS)}")
     return found

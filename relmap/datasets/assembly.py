@@ -78,19 +78,15 @@ def with_stamps(table: Table, log: ObservationLog) -> ObservationLog:
     order, ascending = in_time_order(table.path, begins_s)
     later = np.argsort(order)
     following_s = np.append(begins_s[order], np.inf)[later + 1]
-    _check_apart(table, log.rows[stamps_s > following_s[which]])
-    rows = np.argsort(later[which], kind="stable")
-    every = np.arange(log.first_iteration, log.end_iteration)
-    iteration, stamps_s = numbers[later[which]][rows], np.interp(every, numbers, ascending)
-    return replace(log.only(rows), iteration=iteration, stamps_s=stamps_s)
-
-
-def _check_apart(table: Table, late: Ints) -> None:
-    """Check that no rows (n,) of an iteration are later than the start of the following one."""
+    late = log.rows[stamps_s > following_s[which]]
     if len(late):
         row = int(late.min())
         found = f"{table.columns['stamp'][row]:.10g} is later than the first of another iteration"
         table.fail(row, "stamp", f"{found}, expected the rows of an iteration to have one time")
+    rows = np.argsort(later[which], kind="stable")
+    every = np.arange(log.first_iteration, log.end_iteration)
+    iteration, stamps_s = numbers[later[which]][rows], np.interp(every, numbers, ascending)
+    return replace(log.only(rows), iteration=iteration, stamps_s=stamps_s)
 
 
 def _check_span(table: Table, name: str, ascending: Ints, order: Ints) -> None:

@@ -110,33 +110,27 @@ def _types(definitions: dict[str, str]) -> dict[str, Any]:
 
 def _of_ros1(file: Path, definitions: dict[str, str]) -> Iterator[Found]:
     connections: dict[int, tuple[str, str]] = {}
-    for header, data in _records(file.read_bytes().removeprefix(_MAGIC)):
+    for header, data in _ros1_records(file.read_bytes().removeprefix(_MAGIC)):
+        op = header["op"][0]
+        if op == _CONNECTION:
+            fields = dict(_fields(data))
+            package, _, name = fields["type"].decode().partition("/")
+            type_ = f"{package}/msg/{name}"
+            definitions[type_] = fields["message_definition"].decode()
+            connections[_SIZE.unpack(header["conn"])[0]] = header["topic"].decode(), type_
+        elif op == _MESSAGE:
+            seconds, nanoseconds = struct.unpack("<II", header["time"])
+            topic, type_ = connections[_SIZE.unpack(header["conn"])[0]]
+            yield Found(topic, type_, seconds * 10**9 + nanoseconds, data)
+
+
+def _ros1_records(data: bytes) -> Iterator[tuple[dict[str, bytes], bytes]]:
+    """Yield header and data of each record, also of those in chunks."""
+    for header, content in _records(data):
         if header["op"][0] == _CHUNK:
-            inner = _unpacked(header["compression"].decode(), data)
-            for each in _records(inner):
-                yield from _ros1_message(*each, connections, definitions)
+            yield from _records(_unpacked(header["compression"].decode(), content))
         else:
-            yield from _ros1_message(header, data, connections, definitions)
-
-
-def _ros1_message(
-    header: dict[str, bytes],
-    data: bytes,
-    connections: dict[int, tuple[str, str]],
-    definitions: dict[str, str],
-) -> Iterator[Found]:
-    """Register a connection, or yield a message."""
-    op = header["op"][0]
-    if op == _CONNECTION:
-        fields = dict(_fields(data))
-        package, _, name = fields["type"].decode().partition("/")
-        type_ = f"{package}/msg/{name}"
-        definitions[type_] = fields["message_definition"].decode()
-        connections[_SIZE.unpack(header["conn"])[0]] = header["topic"].decode(), type_
-    elif op == _MESSAGE:
-        seconds, nanoseconds = struct.unpack("<II", header["time"])
-        topic, type_ = connections[_SIZE.unpack(header["conn"])[0]]
-        yield Found(topic, type_, seconds * 10**9 + nanoseconds, data)
+            yield header, content
 
 
 def _records(data: bytes) -> Iterator[tuple[dict[str, bytes], bytes]]:

@@ -119,16 +119,12 @@ def _log(path: Path, scans: list[_Scan], vertices: Floats, hints: Hints) -> Scan
     hints = hints.moving([speed for scan in scans for speed in scan.speeds])
     # The frame of FLASER lines is that of the laser; they have no speeds.
     odometry, reason = odometry_of(poses, counted, hints, of_laser=not scans[0].speeds)
-    log = laser_scans(path, scans, _limit(scans), stamps_s, poses)
-    return replace(log, odometry=odometry, no_odometry=reason)
-
-
-def _limit(scans: list[_Scan]) -> float:
-    """Return the range that means no return."""
     largest = max(float(scan.ranges_m.max()) for scan in scans)
     tops = [scale - ERROR_STEPS_M for scale in FULL_SCALES_M]
     full = [top for top in tops if top <= largest <= top + ERROR_STEPS_M]
-    return min(full + [scan.limit_m for scan in scans])
+    limit_m = min(full + [scan.limit_m for scan in scans])
+    log = laser_scans(path, scans, limit_m, stamps_s, poses)
+    return replace(log, odometry=odometry, no_odometry=reason)
 
 
 def _lines(path: Path) -> Iterator[_Line]:

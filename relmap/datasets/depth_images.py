@@ -19,7 +19,7 @@ from relmap.core.arrays import Floats
 from relmap.datasets.headers import members_of
 from relmap.datasets.kitti_bin import numbers_in
 from relmap.datasets.scans import ScanLog, require_rotations
-from relmap.datasets.textfile import invalid, require_path, unreadable
+from relmap.datasets.textfile import invalid, unreadable
 
 INTRINSICS, DEPTH, POSE = "camera-intrinsics.txt", ".depth.png", ".pose.txt"
 UNIT_M, NO_READING = 1e-3, (0, 65535)
@@ -49,7 +49,6 @@ class DepthImages:
 
     def load(self, path: Path) -> ScanLog:
         """Read the log; images are read lazily."""
-        require_path(path)
         files = members_of(path, (DEPTH,)) if os.path.isdir(path) else []
         if not files:
             raise invalid(path, f"holds no *{DEPTH}, expected {self.description}")

@@ -53,8 +53,8 @@ def numbers_in_name(file: Path, ending: re.Pattern[str]) -> list[int]:
 
 def numbered_files(folder: Path, ending: re.Pattern[str]) -> list[Path]:
     """Return the files with an extension in a folder, sorted by the numbers in their names."""
-    found = [file for file in members_of(folder, ("",)) if ending.search(file.name)]
-    found = [file for file in found if file.is_file()]
+    members = members_of(folder, ("",))
+    found = [file for file in members if ending.search(file.name) and file.is_file()]
     return sorted(found, key=lambda file: numbers_in_name(file, ending))
 
 
@@ -115,7 +115,5 @@ def tables_with(path: Path, columns: frozenset[str]) -> list[Path]:
 
     In a folder only files ``*.csv`` and ``*.csv.gz`` are examined.
     """
-    if not os.path.isdir(path):
-        return [path] if columns <= columns_of(path) else []
-    members = members_of(path, (".csv", ".csv.gz"))
+    members = members_of(path, (".csv", ".csv.gz")) if os.path.isdir(path) else [path]
     return [member for member in members if columns <= columns_of(member)]

@@ -23,7 +23,7 @@ from relmap.datasets.foreign import is_kitti
 from relmap.datasets.headers import numbered_files
 from relmap.datasets.number_rows import MAX_LISTED, finite_numbers, too_many
 from relmap.datasets.scans import ScanLog, poses_of, require_rotations
-from relmap.datasets.textfile import invalid, numbered_lines, require_path, unreadable
+from relmap.datasets.textfile import invalid, numbered_lines, unreadable
 
 POSES, POSES_FOLDER = "poses.txt", "poses"
 FOLDERS = ("", "lidar", "velodyne", "velodyne_points/data")
@@ -45,7 +45,6 @@ class KittiBin:
 
     def load(self, path: Path) -> ScanLog:
         """Read the log; clouds are read lazily."""
-        require_path(path)
         files = _files(path)
         if not files:
             raise invalid(path, f"holds no .bin file, expected {self.description}")

@@ -44,10 +44,8 @@ APART_S = 100_000.0
 
 _LOG = logging.getLogger(__name__)
 MOST_ROBOTS = 99
-_SEEN = "t bar-code range bearing"
 _NAME = re.compile(r"Robot([1-9]\d?)_(Measurement|Odometry|Groundtruth)\.dat(\.gz)?$")
 _TIME, _ANGLE, _SPEED = 1e12, 1e6, 1e3
-_MEASUREMENT = (_TIME, MAX_EXACT_INTEGER, MAX_COORDINATE_M, _ANGLE)
 
 
 class Mrclam:
@@ -86,7 +84,7 @@ class Mrclam:
 
 def _drive(robot: int, file: Path, subjects: dict[int, int]) -> tuple[ObservationLog, int]:
     """Return the log of one robot, with unknown motion without a file, and its number of rows."""
-    measured = read_rows(file, _MEASUREMENT, "#", "measurement", f"4 numbers: {_SEEN}").values
+    measured = _measured(file)
     measured[:, 1] = [subjects.get(int(code), -1) for code in measured[:, 1]]
     warn_unsorted(file, measured[:, 0], "measurements")
     if unknown := int((measured[:, 1] < 0).sum()):
@@ -120,15 +118,13 @@ def read_ground_truth(path: Path | str) -> tuple[Ints, Floats, Floats, Floats]:
     """
     path = Path(path)
     folder = path if os.path.isdir(path) else path.parent
-    landmarks = read_rows(
-        folder / LANDMARKS, [MAX_COORDINATE_M] * 5, "#", "landmark", "5 numbers: subject x y sd sd"
-    ).values
+    limits, expected = [MAX_COORDINATE_M] * 5, "5 numbers: subject x y sd sd"
+    landmarks = read_rows(folder / LANDMARKS, limits, "landmark", expected).values
     found = [(np.empty(0), np.empty((0, 4, 4)))]
     for robot, measured in _robots(folder).items():
         file = _file(folder, robot, "Groundtruth")
         if file is not None:
-            rows = read_rows(measured, _MEASUREMENT, "#", "measurement", f"4 numbers: {_SEEN}")
-            images = np.unique(rows.values[:, 0])
+            images = np.unique(_measured(measured)[:, 0])
             poses = _vicon(file, images)
             there = np.isfinite(poses[:, 0, 0])
             found.append((_shifted(images[there], robot), poses[there]))
@@ -137,10 +133,16 @@ def read_ground_truth(path: Path | str) -> tuple[Ints, Floats, Floats, Floats]:
     return landmarks[:, 0].astype(np.int64), positions, stamps_s, poses
 
 
+def _measured(file: Path) -> Floats:
+    expected = "4 numbers: t bar-code range bearing"
+    limits = (_TIME, MAX_EXACT_INTEGER, MAX_COORDINATE_M, _ANGLE)
+    return read_rows(file, limits, "measurement", expected).values
+
+
 def _vicon(file: Path, at_s: Floats) -> Floats:
     """Return the poses of a robot (k, 4, 4) at given times; NaN if Vicon did not see it."""
     limits = (_TIME, MAX_COORDINATE_M, MAX_COORDINATE_M, _ANGLE)
-    rows = read_rows(file, limits, "#", "pose", "4 numbers: t x y heading").values
+    rows = read_rows(file, limits, "pose", "4 numbers: t x y heading").values
     t, first = np.unique(rows[:, 0], return_index=True)
     return poses_at(t, planar_poses(*rows[first, 1:].T), at_s)
 
@@ -150,7 +152,7 @@ def _odometry(file: Path | None, at_s: Floats) -> Floats:
     if file is None:
         return np.full((len(at_s), 4, 4), np.nan)
     limits = (_TIME, _SPEED, _SPEED)
-    rows = read_rows(file, limits, "#", "velocity", "3 numbers: t forward angular").values
+    rows = read_rows(file, limits, "velocity", "3 numbers: t forward angular").values
     warn_unsorted(file, rows[:, 0], "velocities")
     stamps_s, speed, turn = rows[np.argsort(rows[:, 0], kind="stable")].T
     return driven(file, stamps_s, speed, turn, at_s)
@@ -161,7 +163,7 @@ def _shifted(stamps_s: Floats, robot: int) -> Floats:
 
 
 def _subjects(file: Path) -> dict[int, int]:
-    rows = read_rows(file, [MAX_EXACT_INTEGER] * 2, "#", "bar code", "2 numbers: subject bar code")
+    rows = read_rows(file, [MAX_EXACT_INTEGER] * 2, "bar code", "2 numbers: subject bar code")
     codes, counts = np.unique(rows.values[:, 1], return_counts=True)
     if (counts > 1).any():
         raise invalid(file, f"bar code {codes[counts > 1][0]:.0f} is duplicated")

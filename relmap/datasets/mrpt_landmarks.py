@@ -123,17 +123,13 @@ def _points_sensor(table: Table) -> Floats:
 
 def _sensor_pose(table: Table) -> tuple[Floats, Floats]:
     """Return rotation (3, 3) and translation (3,) of the sensor on the robot, metres."""
-    for comment in table.comments:
-        if match := _SENSOR.search(comment):
-            t = np.array(finite_numbers(match[1].split()))
-            R = np.array(finite_numbers(match[2].split()))
-            if len(t) != 3 or len(R) != 9:
-                break
-            R = R.reshape(3, 3)
-            rigid = np.abs(R @ R.T - np.eye(3)).max() < _ROTATION_TOLERANCE
-            if rigid and np.linalg.det(R) > 0:
-                return R, t
-            break
+    match = next(filter(None, map(_SENSOR.search, table.comments)), None)
+    t, entries = (finite_numbers(part.split()) for part in (match.groups() if match else ("", "")))
+    if len(t) == 3 and len(entries) == 9:
+        R = np.reshape(entries, (3, 3))
+        rigid = np.abs(R @ R.T - np.eye(3)).max() < _ROTATION_TOLERANCE
+        if rigid and np.linalg.det(R) > 0:
+            return R, np.array(t)
     expected = "'# sensor on robot: t = 0 0 0 ; R (row major) = 1 0 0 0 1 0 0 0 1' (t in metres)"
     problem = f"comments above the header: no usable sensor pose, expected {expected}"
     raise invalid(table.path, problem)
@@ -141,11 +137,9 @@ def _sensor_pose(table: Table) -> tuple[Floats, Floats]:
 
 def _sigmas(table: Table) -> Floats:
     """Return the noise (3,) of range, yaw and pitch from the comments; NaN if missing."""
-    for comment in table.comments:
-        if match := _SIGMAS.search(comment):
-            sigmas = finite_numbers(match.groups())
-            return np.array(sigmas) if len(sigmas) == 3 else np.full(3, math.nan)
-    return np.full(3, math.nan)
+    match = next(filter(None, map(_SIGMAS.search, table.comments)), None)
+    sigmas = finite_numbers(match.groups()) if match else []
+    return np.array(sigmas or [math.nan] * 3)
 
 
 def is_ground_truth(path: Path) -> bool:
@@ -183,7 +177,7 @@ def read_ground_truth(path: Path | str) -> tuple[Ints, Floats, Floats]:
 def _rows(path: Path, columns: str) -> NumberRows:
     """Read rows of numbers; ``%`` starts a comment."""
     n = len(columns.split())
-    return read_rows(path, [MAX_COORDINATE_M] * n, "%", "row", f"{n} finite numbers: {columns}")
+    return read_rows(path, [MAX_COORDINATE_M] * n, "row", f"{n} finite numbers: {columns}", "%")
 
 
 def _landmark_files(folder: Path) -> list[Path]:

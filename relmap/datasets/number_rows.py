@@ -57,16 +57,16 @@ def _is_plain(text: str) -> bool:
 def read_rows(
     path: Path,
     limits: Sequence[float],
-    comment: str,
     what: str,
     expected: str,
+    comment: str = "#",
     separator: str | None = None,
 ) -> NumberRows:
     """Read a file of rows of numbers.
 
-    `limits`: the largest allowed magnitude of each number, finite. `comment`: start of a comment.
-    `what`, `expected`: description of a row and its content, for messages. `separator`: separator
-    of the numbers, also allowed after the last; white space by default. Raises `RelmapError` if the
+    `limits`: the largest allowed magnitude of each number, finite. `what`, `expected`: description
+    of a row and its content, for messages. `comment`: start of a comment. `separator`: separator of
+    the numbers, also allowed after the last; white space by default. Raises `RelmapError` if the
     file cannot be read, has no row, or a line is not a row.
     """
     rows = NumberRows(path, len(limits))

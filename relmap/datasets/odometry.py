@@ -195,7 +195,7 @@ def _with_quaternions(file: Path, numbers: Floats, lines: Ints) -> Floats:
 
 def read_tum(file: Path) -> tuple[Floats, Floats, Ints]:
     """Return times (k,), poses (k, 4, 4) and lines (k,) of a TUM file; see `read_rows`."""
-    rows = read_rows(file, _TUM_LIMITS, "#", "pose", "8 numbers: t x y z qx qy qz qw")
+    rows = read_rows(file, _TUM_LIMITS, "pose", "8 numbers: t x y z qx qy qz qw")
     poses = _with_quaternions(file, rows.values[:, 1:], rows.lines)
     return rows.values[:, 0], poses, rows.lines
 

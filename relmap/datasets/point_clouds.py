@@ -19,7 +19,7 @@ from relmap.datasets.cloud_file import is_cloud, read_cloud
 from relmap.datasets.headers import numbered_files, numbers_in_name
 from relmap.datasets.number_rows import read_rows
 from relmap.datasets.scans import ScanLog, in_time_order, require_rotations
-from relmap.datasets.textfile import invalid, require_path, shown
+from relmap.datasets.textfile import invalid, shown
 
 POSES_FILE = "alidarPose.csv"
 _ROW = "4 numbers: a row of a 4 x 4 matrix"
@@ -45,7 +45,6 @@ class PointClouds:
 
         Points whose coordinates are NaN are beams without a return and left out.
         """
-        require_path(path)
         files = numbered_files(path, _NAME) if os.path.isdir(path) else [path]
         if not files:
             raise invalid(path, f"holds no cloud, expected {self.description}")
@@ -60,7 +59,7 @@ class PointClouds:
 
 def _read_poses(file: Path, clouds: list[Path]) -> tuple[Floats, Floats]:
     """Return the stamps (k,) and poses (k, 4, 4) of the clouds."""
-    rows = read_rows(file, [sys.float_info.max] * 4, "#", "row", _ROW, ",").values
+    rows = read_rows(file, [sys.float_info.max] * 4, "row", _ROW, separator=",").values
     numbers = [numbers_in_name(cloud, _NAME) for cloud in clouds]
     for cloud, name in zip(clouds, numbers, strict=True):
         if len(name) != 1 or 4 * name[0] + 4 > len(rows):

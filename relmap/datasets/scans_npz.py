@@ -176,20 +176,17 @@ def _check_view(file: Path, points: Floats, view_rad: float = 0.0, range_m: floa
 
 def _check_shapes(file: Path, arrays: dict[str, NDArray[Any]]) -> None:
     points, iteration, stamps_s = (arrays[name] for name in _KINDS)
-    fits = {
-        "points": points.ndim == 2 and points.shape[1] in (2, 3) and len(points) > 0,
-        "iteration": iteration.shape == (len(np.atleast_1d(points)),),
-        "stamps_s": stamps_s.ndim == 1 and len(stamps_s) > 0,
-    }
-    expected = {
-        "points": "floating-point numbers (n, 3) or (n, 2), with at least one point",
-        "iteration": f"whole numbers ({len(np.atleast_1d(points))},), one for each point",
-        "stamps_s": "one number for each scan, seconds",
-    }
-    for name, kinds in _KINDS.items():
-        if not fits[name] or arrays[name].dtype.kind not in kinds:
+    n = len(np.atleast_1d(points))
+    is_table = points.ndim == 2 and points.shape[1] in (2, 3) and n > 0
+    is_time = stamps_s.ndim == 1 and len(stamps_s) > 0
+    for name, fits, expected in (
+        ("points", is_table, "floating-point numbers (n, 3) or (n, 2), with at least one point"),
+        ("iteration", iteration.shape == (n,), f"whole numbers ({n},), one for each point"),
+        ("stamps_s", is_time, "one number for each scan, seconds"),
+    ):
+        if not fits or arrays[name].dtype.kind not in _KINDS[name]:
             problem = f"array {name}: {arrays[name].dtype} {arrays[name].shape}"
-            raise invalid(file, f"{problem}, expected {expected[name]}")
+            raise invalid(file, f"{problem}, expected {expected}")
 
 
 def _check_values(file: Path, arrays: dict[str, NDArray[Any]]) -> None:

@@ -58,7 +58,7 @@ def read_trajectory(path: Path) -> tuple[Floats, Floats]:
         stamps_s, poses, _ = read_tum(path)
         return stamps_s, poses
     limits = [MAX_COORDINATE_M if k % 4 == 3 else 1 + _RIGID for k in range(_KITTI)]
-    rows = read_rows(path, limits, "#", "pose", "12 numbers: a 3 x 4 matrix of a pose, by rows")
+    rows = read_rows(path, limits, "pose", "12 numbers: a 3 x 4 matrix of a pose, by rows")
     poses = np.tile(np.eye(4), (len(rows.lines), 1, 1))
     poses[:, :3] = rows.values.reshape(-1, 3, 4)
     R = poses[:, :3, :3]
@@ -74,7 +74,7 @@ def _times_of(path: Path, n_poses: int) -> Floats:
     times = path.with_name(TIMES)
     if not os.path.isfile(times):
         return np.arange(n_poses, dtype=np.float64)
-    stamps_s = read_rows(times, [1e12], "#", "time", "one number: seconds").values[:, 0]
+    stamps_s = read_rows(times, [1e12], "time", "one number: seconds").values[:, 0]
     if len(stamps_s) != n_poses:
         raise invalid(times, f"{len(stamps_s)} times, expected {n_poses} as in {shown(path.name)}")
     return stamps_s
@@ -98,6 +98,6 @@ def read_relations(path: Path) -> Relations:
 
     Raises `RelmapError` if it cannot be read, has no relation, or a line is not a relation.
     """
-    table = read_rows(path, _RELATION_LIMITS, "#", "relation", f"8 numbers: {_RELATION}").values
+    table = read_rows(path, _RELATION_LIMITS, "relation", f"8 numbers: {_RELATION}").values
     T = poses_of(Rotation.from_euler("xyz", table[:, 5:]), table[:, 2:5])
     return Relations(table[:, 0], table[:, 1], T)
