@@ -185,8 +185,6 @@ def _summary(a: Result, table: LandmarkTable, record: Record) -> Record:
     counts = {"landmarks": len(table.landmark), "mapped": mapped}
     counts |= {kind: int((table.status == kind).sum()) for kind in STATUS}
     about = {name: a.summary.get(name) for name in ("variant", "association", "dimensions")}
-    scans = [
-        int(table.first_iteration.min(initial=0)),
-        int(table.last_iteration.max(initial=-1)) + 1,
-    ]
+    first, last = table.first_iteration.min(initial=0), table.last_iteration.max(initial=-1)
+    scans = [int(first), int(last) + 1]
     return about | {"merged": record, "scans": scans, "versions": versions(), "counts": counts}

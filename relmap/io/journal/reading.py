@@ -34,6 +34,8 @@ from relmap.io.journal.layout import (
 
 MOST_ROWS = 10_000_000
 """Number of observations in one scan above which the file is damaged."""
+ENTRIES = f"iteration, row, {', '.join(PAIRS)}"
+"""The names of the columns of covariances, as SQL lists them."""
 NOWHERE = End(-1, 0)
 """End of a journal that does not state it."""
 _WRONG = (sqlite3.Error, TypeError, ValueError, OverflowError, UnicodeError, RecursionError)
@@ -104,13 +106,11 @@ class JournalReader:
         """
         self.read = self._before
         try:
-            scans = self._connection.execute(
-                f"SELECT {self.layout.scans} FROM scans ORDER BY iteration"
+            scans = self._rows(self.layout.scans, "scans", "iteration")
+            rows = self._rows(self.layout.names, "observations")
+            covariances = (
+                self._rows(ENTRIES, "covariances") if "covariances" in self._more else None
             )
-            rows = self._connection.execute(
-                f"SELECT {self.layout.names} FROM observations ORDER BY rowid"
-            )
-            covariances = self._covariances()
             motions = self._by_scan("odometry", "motion")
             stamps_s = self._by_scan("stamps", "stamp")
             for k, (iteration, n, known, check, *blob) in enumerate(scans):
@@ -147,19 +147,12 @@ class JournalReader:
             check = call_checksum(call, check)
         return check
 
-    def _covariances(self) -> sqlite3.Cursor | None:
-        """Return a cursor at the first covariance; None if there are none."""
-        if "covariances" not in self._more:
-            return None
-        names = ", ".join(("iteration", "row", *PAIRS))
-        return self._connection.execute(f"SELECT {names} FROM covariances ORDER BY rowid")
+    def _rows(self, columns: str, table: str, order: str = "rowid") -> sqlite3.Cursor:
+        return self._connection.execute(f"SELECT {columns} FROM {table} ORDER BY {order}")
 
     def _by_scan(self, table: str, column: str) -> dict[int, Any]:
         """Return the value in a table, if there is such a one, of each scan that has it."""
-        if table not in self._more:
-            return {}
-        query = f"SELECT iteration, {column} FROM {table}"
-        return dict(self._connection.execute(query).fetchall())
+        return dict(self._rows(f"iteration, {column}", table)) if table in self._more else {}
 
     def _scan(
         self, cursor: sqlite3.Cursor, k: int, n: int, known: int, blob: list[bytes]
@@ -217,9 +210,7 @@ class JournalReader:
     def _read_calls(self) -> dict[int, list[str]]:
         """Return the calls of the mapper before each iteration."""
         calls: dict[int, list[str]] = {}
-        for iteration, call in self._connection.execute(
-            "SELECT iteration, call FROM calls ORDER BY rowid"
-        ):
+        for iteration, call in self._rows("iteration, call", "calls"):
             if call not in ("finish", "refine") or type(iteration) is not int:
                 raise ValueError(f"its table calls holds {brief(call)} at {brief(iteration)}")
             calls.setdefault(iteration, []).append(call)

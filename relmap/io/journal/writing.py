@@ -145,9 +145,8 @@ class Journal:
         Raises `RelmapError` if it cannot be written; it is then not recorded.
         """
         k, check = self.n_scans, call_checksum(name, self._end.checksum)
-        self._waiting.append(
-            Entry([("INSERT INTO calls VALUES (?, ?)", [(k, name)])], End(k, check))
-        )
+        statement = ("INSERT INTO calls VALUES (?, ?)", [(k, name)])
+        self._waiting.append(Entry([statement], End(k, check)))
         try:
             self.flush()
         except RelmapError:
