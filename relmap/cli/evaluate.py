@@ -77,8 +77,6 @@ FIGURES = {
     "relation_m": "relations [m]",
     "relation_rad": "relations [rad]",
 }
-BESIDE = ("observations.csv", "observations.csv.gz")
-"""Logs searched for beside the truth."""
 
 
 def evaluate_command(
@@ -165,6 +163,7 @@ def find_log(result: Result, truth: Path, log: Path | None) -> ObservationLog | 
     Raises `RelmapError` if the log given cannot be read.
     """
     from relmap.datasets import open_log
+    from relmap.datasets.observation_csv import FILE_NAMES
     from relmap.evaluation.landmarks import mapped_part
     from relmap.evaluation.sources import read_again
 
@@ -176,7 +175,7 @@ def find_log(result: Result, truth: Path, log: Path | None) -> ObservationLog | 
         return read_mapped(log)
     beside = truth if truth.is_dir() else truth.parent
     beside = beside.parent if beside.name == "truth" else beside
-    candidates: list[tuple[Path, Any]] = [(beside / name, open_log) for name in BESIDE]
+    candidates: list[tuple[Path, Any]] = [(beside / name, open_log) for name in FILE_NAMES]
     if isinstance(source, str):
         candidates.insert(0, (Path(source), read_mapped))
     for path, read in candidates:

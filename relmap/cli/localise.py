@@ -8,16 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from relmap.cli.arguments import (
-    Columns,
-    Format,
-    Out,
-    Scans,
-    Topics,
-    refuse,
-    refuse_to_write_into,
-)
-from relmap.cli.arguments import Log as LogPath
+from relmap.cli import arguments as args
 from relmap.cli.console import tracked
 
 if TYPE_CHECKING:
@@ -48,15 +39,15 @@ ALIKE = (
 
 
 def localise_command(
-    source: LogPath,
+    source: args.Log,
     result: Annotated[
         Path, typer.Option("--map", metavar="RESULT", help="The result folder with the map.")
     ],
-    out: Out,
-    scans: Scans = None,
-    log_format: Format = None,
-    columns: Columns = None,
-    topic: Topics = None,
+    out: args.Out,
+    scans: args.Scans = None,
+    log_format: args.Format = None,
+    columns: args.Columns = None,
+    topic: args.Topics = None,
 ) -> None:
     """Localise scans; the help text explains the arguments."""
     from relmap.evaluation.sources import read_log
@@ -66,12 +57,12 @@ def localise_command(
     from relmap.planes import PlaneMapper
     from relmap.points import PointMapper
 
-    refuse_to_write_into(out, result)
+    args.refuse_to_write_into(out, result)
     mapper = Mapper.load(result / MAPPER)
     assert isinstance(mapper, PointMapper | PlaneMapper)
     variant: Literal["points", "planes"] = "planes" if isinstance(mapper, PlaneMapper) else "points"
     of_table = columns and (variant == "planes" or log_format)
-    refuse(of_table, "--columns applies only to tables of landmarks")
+    args.refuse(of_table, "--columns applies only to tables of landmarks")
     log = read_log(source, variant, log_format, scans, columns, tuple(topic or ()))
     with staged_folder(out) as staging:
         places = _places(mapper, log)

@@ -15,6 +15,7 @@ from relmap.cli.arguments import Association, read_config
 from relmap.cli.console import Counter, busy, tracked
 from relmap.cli.job import Job, journaled_labels
 from relmap.cli.job_log import log_of
+from relmap.cli.merge import SECOND
 from relmap.core.errors import RelmapError
 from relmap.datasets.scans import ScanLog
 from relmap.evaluation.feeding import AnyMapper, Log, preparation, segmenter_for
@@ -154,8 +155,7 @@ def stale_files(out: Path) -> list[str]:
     """Return the files of an earlier result, also of walls, that become obsolete."""
     from relmap.plots.report import REPORT
 
-    merged = "trajectory-2.tum"
-    own = [results.EVALUATION, results.NAMES, PLANES, REPORT, BENCH_PNG, BENCH_GIF, merged]
+    own = [results.EVALUATION, results.NAMES, PLANES, REPORT, BENCH_PNG, BENCH_GIF, SECOND]
     return own + list(submap_files(out))
 
 

@@ -44,10 +44,8 @@ def write_points(folder: Path, log: ObservationLog, truth: Truth) -> str:
     write_observation_csv(folder / "observations.csv", log)
     (folder / "truth").mkdir()
     write_truth(folder / "truth", truth)
-    return (
-        f"{len(truth.landmark_ids)} landmarks, {len(log)} iterations, "
-        f"{len(log.points_robot)} observations"
-    )
+    landmarks, seen = len(truth.landmark_ids), len(log.points_robot)
+    return f"{landmarks} landmarks, {len(log)} iterations, {seen} observations"
 
 
 def write_building(folder: Path, building: Building) -> None:

@@ -63,7 +63,8 @@ class BagScans:
 
 
 def _lasers(bag: Bag, topic: str, mounting: Mounting) -> tuple[ScanLog, str]:
-    stamps, scans, frames, limit_m, n_beams = [], [], set(), np.inf, 0
+    stamps: list[float] = []
+    scans, frames, limit_m, n_beams = [], set(), np.inf, 0
     for t, message in bag.messages(topic):
         frame, T_robot_laser = mounting.of(message.header.frame_id)
         scans.append(_beams(bag, message, T_robot_laser))

@@ -41,11 +41,8 @@ class DepthImages:
 
     def recognises(self, path: Path) -> bool:
         """Return whether it is a folder of depth images."""
-        return (
-            os.path.isdir(path)
-            and (path / INTRINSICS).is_file()
-            and bool(members_of(path, (DEPTH,)))
-        )
+        of_camera = os.path.isdir(path) and (path / INTRINSICS).is_file()
+        return of_camera and bool(members_of(path, (DEPTH,)))
 
     def load(self, path: Path) -> ScanLog:
         """Read the log; images are read lazily."""
