@@ -10,7 +10,7 @@ import pytest
 from scipy.io import savemat
 
 from relmap import PointMapper, RelmapError
-from relmap.comparison.baselines.known import least_squares_map
+from relmap.comparison.baselines.batch import least_squares_map
 from relmap.datasets import ObservationLog, open_log
 from relmap.evaluation.evaluate import evaluate
 from relmap.evaluation.landmarks import overlay

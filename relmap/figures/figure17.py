@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from relmap.comparison.baselines.known import least_squares_map
+from relmap.comparison.baselines.batch import least_squares_map
 from relmap.core.arrays import Bools, Floats
 from relmap.core.errors import RelmapError
 from relmap.datasets import open_log

@@ -1,4 +1,4 @@
-"""Batch least squares over all observations: a lower bound of the map error.
+"""Batch least squares over all observations with known ids: a lower bound of the map error.
 
 Poses and landmarks are solved for together by sparse Gauss-Newton, with the poses eliminated (Schur
 complement), from a start given by another map.  Under Gaussian noise its error is the Cramer-Rao
@@ -14,10 +14,13 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import spsolve
 
-from relmap.comparison.baselines.base import fitted
+from relmap.comparison.baselines.base import SolvedAtTheEnd, fitted
+from relmap.comparison.baselines.frame_to_map import frame_to_map
 from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.core.geometry.motions import derivatives, rotations
+from relmap.core.landmarks import LandmarkMap, in_space
+from relmap.datasets.base import ObservationLog
 
 CONVERGED_M = 1e-9
 
@@ -121,3 +124,43 @@ def _block_columns(blocks: Floats, column: Ints, n_columns: int) -> sparse.csr_a
     columns = np.repeat((column[:, None] * q + np.arange(q))[:, None], d, axis=1)
     rows = np.arange(0, n * d * q + 1, q)
     return sparse.csr_array((blocks.ravel(), columns.ravel(), rows), shape=(n * d, n_columns * q))
+
+
+def least_squares_map(log: ObservationLog) -> LandmarkMap:
+    """Map the identified landmarks of a log by batch least squares.
+
+    Iterations with fewer identified landmarks than determine a pose (two in the plane, three in
+    space) are left out, as are landmarks that frame-to-map averaging, used for initialisation,
+    cannot place.
+
+    `log`: with ids. The map is in the frame of the first iteration that is used. Raises
+    `RelmapError` if the log has no ids, or they do not connect into one map.
+    """
+    if log.ids is None:
+        raise RelmapError("least squares with known ids: the log has no ids")
+    start = frame_to_map(log).map
+    log = _of_landmarks(log, start.landmark_ids)
+    if log.ids is None or not len(log.ids):
+        raise RelmapError("least squares with known ids: too few landmarks are identified")
+    _, pose = np.unique(log.iteration, return_inverse=True)
+    labels, landmark = np.unique(log.ids, return_inverse=True)
+    dimension = log.points_robot.shape[1]
+    places = start.positions[np.isin(start.landmark_ids, labels), :dimension]
+    observations = Batch(log.points_robot, pose, landmark)
+    return LandmarkMap(labels, in_space(batch_least_squares(observations, places)))
+
+
+def _of_landmarks(log: ObservationLog, labels: Ints) -> ObservationLog:
+    """Return the observations of some landmarks, in iterations that see enough of them."""
+    assert log.ids is not None
+    used = np.isin(log.ids, labels)
+    seen = np.bincount(log.iteration[used] - log.first_iteration, minlength=len(log))
+    used &= (seen >= log.points_robot.shape[1])[log.iteration - log.first_iteration]
+    return log.only(used)
+
+
+class BatchLeastSquares(SolvedAtTheEnd):
+    """Solves for all poses and landmarks at once: a lower bound of the map error."""
+
+    def _solved(self, log: ObservationLog) -> LandmarkMap:
+        return least_squares_map(log)

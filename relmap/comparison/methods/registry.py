@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
+from relmap.comparison.baselines.batch import BatchLeastSquares
 from relmap.comparison.baselines.ekf import as_mrpt_ships_it, linearised_at_best_fit
 from relmap.comparison.baselines.frame_to_frame import FrameToFrame
 from relmap.comparison.baselines.frame_to_map import FrameToMap
 from relmap.comparison.baselines.gtsam_methods import GtsamBatch, Isam2
 from relmap.comparison.baselines.icp import KissIcp, SmallGicp
-from relmap.comparison.baselines.known import BatchLeastSquares
 from relmap.comparison.methods.base import MethodInfo
 from relmap.comparison.methods.paper import PAPER, PaperPlaneMapper, PaperPointMapper
 from relmap.core.errors import RelmapError, known_name
