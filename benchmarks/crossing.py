@@ -14,8 +14,7 @@ from itertools import product
 import numpy as np
 from shared.tables import header, row
 
-from relmap.evaluation.surface_points import wall_points
-from relmap.evaluation.variants import METHODS, VariantRun, map_of
+from relmap.evaluation.surface_points import METHODS, VariantRun, map_of, wall_points
 
 SPACINGS_M = (0.2, 0.3, 0.4)
 NOISES = (0.02, 0.05, 0.1, 0.2, 0.3, 0.5)

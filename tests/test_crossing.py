@@ -11,8 +11,7 @@ import pytest
 
 from relmap.core.arrays import Ints
 from relmap.core.errors import RelmapError
-from relmap.evaluation.surface_points import scan_surface_points
-from relmap.evaluation.variants import METHODS, Method, VariantRun
+from relmap.evaluation.surface_points import METHODS, Method, VariantRun, scan_surface_points
 from relmap.figures import figure07, figure_crossing
 from relmap.figures.figure07 import run_noisy_maps
 from relmap.figures.figure_crossing import Crossing, run_crossing

@@ -12,8 +12,7 @@ from relmap.core.association.likelihood import CLEAR
 from relmap.core.association.placement import Placement
 from relmap.core.association.scale import spacing_of
 from relmap.core.association.soft import SoftMatching, likely_links
-from relmap.evaluation.surface_points import wall_points
-from relmap.evaluation.variants import map_of
+from relmap.evaluation.surface_points import map_of, wall_points
 from relmap.simulation import WorldSpec, simulate_world
 from tests.worlds import purity_of, turn
 

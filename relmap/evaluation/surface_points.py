@@ -1,4 +1,4 @@
-"""Fixed surface points of walls, which can be mapped both as planes and as points.
+"""Fixed surface points of walls, mapped both as planes and as points.
 
 A simulated scanner samples new points in each scan, and no point is seen twice. Here the points are
 fixed on the walls: each is a landmark, seen whenever its stretch of the wall is, with new noise
@@ -8,6 +8,7 @@ each time.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -15,9 +16,21 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.scans import ScanLog
+from relmap.evaluation.evaluate import evaluate
+from relmap.evaluation.feeding import Association
+from relmap.evaluation.run import run_mapper
 from relmap.evaluation.sources import truth_of
 from relmap.evaluation.truth import Truth
+from relmap.io.results import Result
+from relmap.planes import PlaneMapper
+from relmap.points import PointMapper
+from relmap.segmentation import PlaneSegmenter
 from relmap.simulation import Building, BuildingScan, simulate_building
+
+Method = Literal["planes", "points", "points, ids given"]
+METHODS: tuple[Method, ...] = get_args(Method)
+HALF = 0.5
+"""Minimum coverage of a successful map."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,3 +134,42 @@ def _in_view(
         for b, e, (low, high) in zip(begin, end, reach, strict=True)
     ]
     return np.sort(np.concatenate([*rows, np.empty(0, dtype=np.int64)]))
+
+
+@dataclass(frozen=True)
+class VariantRun:
+    """One run.
+
+    `spacing_m`, `noise`, `sigma`: noise is sigma in units of the spacing. `map_rmse_m`: error of
+    corners or points after rigid alignment; None if nothing could be compared. `coverage`: fraction
+    of the corners or points seen ten times that are in the map. `ate_m`: absolute trajectory error,
+    over the available poses. `poses`: fraction of the scans with a pose in the map's largest
+    submap.
+    """
+
+    method: Method
+    spacing_m: float
+    noise: float
+    sigma: float
+    seed: int
+    map_rmse_m: float | None
+    coverage: float
+    ate_m: float | None
+    poses: float
+
+
+def map_of(method: Method, seen: SurfacePoints) -> tuple[Result, VariantRun]:
+    """Segment the scans and map the walls, or map the points themselves; and evaluate the map."""
+    if method == "planes":
+        run = run_mapper(PlaneMapper(), seen.scans, refine=True, segmenter=PlaneSegmenter())
+        found = evaluate(run.result, seen.walls_truth)
+        rmse_m = found.corner_rmse_m
+    else:
+        association: Association = "nearest" if method == "points" else "known"
+        run = run_mapper(PointMapper(), seen.points, association, refine=True)
+        found = evaluate(run.result, seen.points_truth, seen.points)
+        rmse_m = found.landmark_rmse_m
+    about = (method, seen.spacing_m, seen.noise, seen.sigma, seen.seed)
+    matched = found.counts["matched_poses"] / len(seen.scans)
+    row = VariantRun(*about, rmse_m, found.coverage or 0.0, found.ate_m, matched)
+    return run.result, row

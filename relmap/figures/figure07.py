@@ -6,8 +6,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from relmap.evaluation.surface_points import wall_points
-from relmap.evaluation.variants import HALF
+from relmap.evaluation.surface_points import HALF, wall_points
 from relmap.figures.base import Outcome, PaperFigure, Table, Watch, judged
 from relmap.plots.bench_recorder import COLUMNS, rows_of
 from relmap.plots.variants import BothMaps, both_maps, plot_both

@@ -17,8 +17,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from relmap.core.arrays import Bools, Floats
-from relmap.evaluation.surface_points import wall_points
-from relmap.evaluation.variants import HALF, METHODS, Method, VariantRun, map_of
+from relmap.evaluation.surface_points import HALF, METHODS, Method, VariantRun, map_of, wall_points
 from relmap.figures.base import Outcome, PaperFigure, Table, Watch, judged, sentence
 from relmap.figures.figure06 import longest
 from relmap.plots.sheet import BLUE, GREY, ORANGE, RED, blank, finish, legend_below

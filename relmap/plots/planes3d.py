@@ -15,15 +15,7 @@ from relmap.core.arrays import Floats, Ints
 from relmap.planes3d.files import COLOURS
 from relmap.planes3d.table import Plane3dTable
 from relmap.plots.path import broken_at_gaps
-from relmap.plots.sheet import (
-    BLUE,
-    RED,
-    blank,
-    draw_limits,
-    finish,
-    legend_below,
-    limits_of,
-)
+from relmap.plots.sheet import BLUE, RED, blank, draw_limits, finish, legend_below, limits_of
 
 LIGHT = np.array([0.3, 0.5, 0.81])
 """Direction of a light: planes facing it are brighter."""

@@ -10,9 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from relmap.core.arrays import Floats
-from relmap.evaluation.surface_points import SurfacePoints
+from relmap.evaluation.surface_points import METHODS, SurfacePoints, VariantRun, map_of
 from relmap.evaluation.truth import Truth
-from relmap.evaluation.variants import METHODS, VariantRun, map_of
 from relmap.io.results import Result
 from relmap.planes.walls.files import PlaneResult
 from relmap.plots.path import broken_at_gaps, fit_to_truth
