@@ -123,7 +123,20 @@ def simulate_building(
     """
     sensor = sensor or sensor_of(sampling)
     scanner = Scanner(points, sigma, noise, sampling, sensor, sample_ends)
-    _check(scanner, seed, iterations, world, loops, moving, step_m, people, clutter)
+    some, worlds = iterations is None or 1 <= iterations <= 10**6, get_args(World)
+    fits = sampling == "laser" or not (people or clutter or world == "glass")
+    _check(
+        scanner,
+        seed,
+        (some, f"iterations is {iterations}; it must lie in [1, 1000000]"),
+        (world in worlds, f"world is {world!r}; it must be one of {', '.join(worlds)}"),
+        (1 <= loops <= 1000, f"loops is {loops}; it must lie in [1, 1000]"),
+        (0 <= moving <= 1000, f"moving is {moving}; it must lie in [0, 1000]"),
+        (0 < step_m <= 10, f"step is {step_m}; it must lie in (0, 10] metres"),
+        (0 <= people <= 1000, f"people is {people}; it must lie in [0, 1000]"),
+        (0 <= clutter <= 0.5, f"clutter is {clutter}; it must lie in [0, 0.5]"),
+        (fits, "people, clutter and glass are only for lasers; sampling must be laser"),
+    )
     rng = np.random.default_rng(seed)
     plan = make_floor_plan(world, rng)
     trajectory = drive_round(plan.loop, loops, iterations, step_m, rng)
@@ -188,42 +201,18 @@ def building_scene(
     return _scan(plan.walls, _random_pose(plan, rng), scanner, rng)
 
 
-def _check(
-    scanner: Scanner,
-    seed: int,
-    iterations: int | None = None,
-    world: str = "building",
-    loops: int = 1,
-    moving: int = 0,
-    step_m: float = STEP_M,
-    people: int = 0,
-    clutter: float = 0.0,
-) -> None:
-    """Raise an error for arguments out of range."""
+def _check(scanner: Scanner, seed: int, *limits: tuple[bool, str]) -> None:
+    """Raise an error for a scanner out of range, and as `check_arguments` does."""
     points, sampling, sensor = scanner.points, scanner.sampling, scanner.sensor
-    range_m, views_rad = sensor.range_m, (sensor.view_rad, sensor.vertical_view_rad)
-    seen = 0 < views_rad[0] < 2 * np.pi and 0 < views_rad[1] < np.pi
-    some = iterations is None or 1 <= iterations <= 10**6
-    sampled, worlds = sampling in get_args(Sampling), get_args(World)
-    fits = sampling == "laser" or not (people or clutter or world == "glass")
-    limits = (
+    reach, sampled = sensor.range_m, sampling in get_args(Sampling)
+    seen = 0 < sensor.view_rad < 2 * np.pi and 0 < sensor.vertical_view_rad < np.pi
+    of_scanner = (
         (1 <= points <= 10**7, f"points is {points}; it must lie in [1, 10000000]"),
         (sampled, f"sampling is {sampling!r}; it must be surface, rays or laser"),
-        (
-            0 < range_m < np.inf,
-            f"the range of the sensor is {range_m}; it must be positive, metres",
-        ),
+        (0 < reach < np.inf, f"the range of the sensor is {reach}; it must be positive, metres"),
         (seen, "the field of view must lie in (0, 2 pi) radians, the vertical one in (0, pi)"),
-        (some, f"iterations is {iterations}; it must lie in [1, 1000000]"),
-        (world in worlds, f"world is {world!r}; it must be one of {', '.join(worlds)}"),
-        (1 <= loops <= 1000, f"loops is {loops}; it must lie in [1, 1000]"),
-        (0 <= moving <= 1000, f"moving is {moving}; it must lie in [0, 1000]"),
-        (0 < step_m <= 10, f"step is {step_m}; it must lie in (0, 10] metres"),
-        (0 <= people <= 1000, f"people is {people}; it must lie in [0, 1000]"),
-        (0 <= clutter <= 0.5, f"clutter is {clutter}; it must lie in [0, 0.5]"),
-        (fits, "people, clutter and glass are only for lasers; sampling must be laser"),
     )
-    check_arguments(scanner.noise, scanner.sigma, seed, *limits)
+    check_arguments(scanner.noise, scanner.sigma, seed, *of_scanner, *limits)
 
 
 def _random_pose(plan: FloorPlan, rng: np.random.Generator) -> Floats:
