@@ -28,9 +28,8 @@ PILLAR_M, PILLARS = (0.3, 0.25), 5
 """Width and depth of the pilasters on the outer wall, and how many there are in a half circle."""
 
 
-def twin_rooms(rng: np.random.Generator) -> FloorPlan:
+def twin_rooms() -> FloorPlan:
     """Draw a corridor between identical rooms; the robot drives round in each."""
-    del rng
     hall = np.array([0.0, -CORRIDOR_M / 2, TWINS * WIDTH_M, CORRIDOR_M / 2])
     walls, doors = _rooms_below(hall, TWINS)
     way = np.vstack([_way_round(x, hall[1]) for x in doors[:, :, 0].mean(axis=1)])
@@ -44,15 +43,13 @@ def twin_rooms(rng: np.random.Generator) -> FloorPlan:
     return FloorPlan(np.vstack([both.reshape(-1, 4), *fronts]), NO_FLOORS, loop, all_doors)
 
 
-def corridor(rng: np.random.Generator) -> FloorPlan:
+def corridor() -> FloorPlan:
     """Draw a square corridor with four identical sides and identical closed doors."""
-    del rng
     return _square(ALIKE_M, _with_doors)
 
 
-def bare_corridor(rng: np.random.Generator) -> FloorPlan:
+def bare_corridor() -> FloorPlan:
     """Draw a square corridor without doors: half way along a side no end is in range."""
-    del rng
     return _square(BARE_M, lambda side: side.reshape(1, 4))
 
 

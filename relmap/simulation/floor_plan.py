@@ -50,9 +50,9 @@ def make_floor_plan(world: World, rng: np.random.Generator) -> FloorPlan:
         "oblique": rooms.oblique,
         "glass": lambda rng: rooms.building(rng, glass=True),
         "furniture": rooms.furnished,
-        "twin-rooms": corridors.twin_rooms,
-        "corridor": corridors.corridor,
-        "bare-corridor": corridors.bare_corridor,
+        "twin-rooms": lambda _: corridors.twin_rooms(),
+        "corridor": lambda _: corridors.corridor(),
+        "bare-corridor": lambda _: corridors.bare_corridor(),
         "curved": corridors.curved,
     }[world](rng)
     height = np.tile([0.0, rng.uniform(*HEIGHT_M)], (len(plan.walls), 1))

@@ -75,7 +75,8 @@ def field(length_m: float, spacing_m: float, rng: np.random.Generator) -> Place:
     size = length_m / 9
     strips = [[x * size / 3, y * size, 0.0] for x in range(4) for y in ((0, 1), (1, 0))[x % 2]]
     across = [[x * size, y * size / 3, 0.0] for y in range(4) for x in ((1, 0), (0, 1))[y % 2]]
-    return Place(np.array(strips + across), _scattered(size, spacing_m, rng), True)
+    low, high = np.full(2, -BEYOND_M), np.full(2, size + BEYOND_M)
+    return Place(np.array(strips + across), _scattered(low, high, spacing_m, rng), True)
 
 
 def clumps(length_m: float, spacing_m: float, rng: np.random.Generator) -> Place:
@@ -161,16 +162,14 @@ def driven(way: Floats, iterations: int) -> tuple[Floats, Floats]:
 def _along(way: Floats, spacing_m: float, rng: np.random.Generator) -> Place:
     """Return a planar path with landmarks scattered uniformly on both sides of it."""
     low, high = way.min(axis=0) - ASIDE_M, way.max(axis=0) + ASIDE_M
-    area = np.prod((high - low)[:2])
-    landmarks = np.zeros((max(round(area / spacing_m**2), 1), 3))
-    landmarks[:, :2] = rng.uniform(low[:2], high[:2], (len(landmarks), 2))
+    landmarks = _scattered(low[:2], high[:2], spacing_m, rng)
     middle = sampled(way, 1.0)[:, :2]
     apart = [np.hypot(*(middle - landmark[:2]).T).min() for landmark in landmarks]
     return Place(way, landmarks[np.array(apart) <= ASIDE_M], True)
 
 
-def _scattered(size_m: float, spacing_m: float, rng: np.random.Generator) -> Floats:
-    low, high = -BEYOND_M, size_m + BEYOND_M
-    landmarks = np.zeros((max(round((high - low) ** 2 / spacing_m**2), 1), 3))
+def _scattered(low: Floats, high: Floats, spacing_m: float, rng: np.random.Generator) -> Floats:
+    """Return landmarks (m, 3) in the rectangle from `low` to `high`, (2,) each, at z = 0."""
+    landmarks = np.zeros((max(round(np.prod(high - low) / spacing_m**2), 1), 3))
     landmarks[:, :2] = rng.uniform(low, high, (len(landmarks), 2))
     return landmarks
