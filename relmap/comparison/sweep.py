@@ -16,7 +16,6 @@ from relmap.comparison.methods.registry import find_method
 from relmap.comparison.methods.running import ACCURACY, COST, try_method
 from relmap.comparison.sweep_spec import KEYS, Cell
 from relmap.core.errors import RelmapError
-from relmap.evaluation.feeding import Association
 from relmap.io.files import atomic_write
 from relmap.io.tables import csv_text
 
@@ -47,8 +46,7 @@ def run_cell(cell: Cell) -> Finished:
     missing = find_method(cell.method).missing
     if missing:
         return Finished(none, f"not run: {missing}", again=True)
-    association: Association = "known" if cell.association == "known" else "nearest"
-    run, note = try_method(cell.method, cell.source(), association, cell.sigma or None)
+    run, note = try_method(cell.method, cell.source(), cell.association, cell.sigma or None)
     return Finished({name: run.figures[name] for name in none} if run else none, note)
 
 

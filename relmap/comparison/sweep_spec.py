@@ -9,12 +9,14 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from relmap.comparison.methods.registry import check_method, find_method
 from relmap.core.errors import RelmapError, brief, known_name
-from relmap.evaluation.sources import BuildingSource, EightSource, LogKind, Source
+from relmap.evaluation.feeding import Association
+from relmap.evaluation.sources import BuildingSource, EightSource, Source
 from relmap.io.files import read_toml
+from relmap.simulation.noise import Noise
 
 MOST_CELLS = 1_000_000
 _LIMITS: dict[str, tuple[float, float, str]] = {
@@ -28,7 +30,7 @@ _LIMITS: dict[str, tuple[float, float, str]] = {
 _CHOICES = {
     "world": ("figure-eight", "building"),
     "association": ("known", "nearest"),
-    "noise": ("gaussian", "uniform"),
+    "noise": get_args(Noise),
 }
 _KINDS = {int: "a whole number", float: "a number", str: "a text"}
 
@@ -44,8 +46,8 @@ class Cell:
     """
 
     world: str = "figure-eight"
-    association: str = "known"
-    noise: str = "gaussian"
+    association: Association = "known"
+    noise: Noise = "gaussian"
     sigma: float = 0.05
     density: float = 25.0
     dynamic: float = 0.0
@@ -135,12 +137,11 @@ def _span(key: str, text: str) -> list[int]:
     return list(range(begin, min(end, begin + MOST_CELLS + 1)))
 
 
-def _check(world: str, association: str, method: str) -> None:
-    walls, known = world == "building", association == "known"
-    if walls and known:
+def _check(world: str, association: Association, method: str) -> None:
+    walls = world == "building"
+    if walls and association == "known":
         raise RelmapError("walls have no ids: a building needs association = 'nearest'")
-    log: LogKind = "scans" if walls else "landmarks"
-    check_method(find_method(method), log, "known" if known else "nearest")
+    check_method(find_method(method), "scans" if walls else "landmarks", association)
 
 
 def varying(cells: list[Cell]) -> list[str]:

@@ -8,7 +8,7 @@ from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Generic, Literal, Protocol, TypeVar, cast
+from typing import Any, Generic, Literal, Protocol, TypeVar
 
 from relmap.core.arrays import Ints
 from relmap.core.errors import RelmapError
@@ -67,16 +67,15 @@ class EightSource:
 
     density: float = 25.0
     iterations: int = 900
-    noise: str = "gaussian"
+    noise: Noise = "gaussian"
     sigma: float = 0.05
     dynamic: float = 0.0
     seed: int = 0
 
     def load(self) -> Data[ObservationLog]:
         """Simulate it."""
-        noise = cast(Noise, self.noise)
         world = simulate_figure_eight(
-            self.density, self.iterations, noise, self.sigma, self.dynamic, self.seed
+            self.density, self.iterations, self.noise, self.sigma, self.dynamic, self.seed
         )
         return Data(world.log, truth_of(world))
 
@@ -95,15 +94,14 @@ class BuildingSource:
     """A building; see `relmap.simulation.simulate_building`."""
 
     iterations: int | None = None
-    noise: str = "gaussian"
+    noise: Noise = "gaussian"
     sigma: float = 0.05
     seed: int = 0
 
     def load(self) -> Data[ScanLog]:
         """Simulate it."""
-        noise = cast(Noise, self.noise)
         building = simulate_building(
-            sigma=self.sigma, noise=noise, iterations=self.iterations, seed=self.seed
+            sigma=self.sigma, noise=self.noise, iterations=self.iterations, seed=self.seed
         )
         return Data(log_of(building), truth_of(building))
 

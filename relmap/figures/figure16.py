@@ -24,6 +24,7 @@ from relmap.evaluation.sources import EightSource
 from relmap.figures.base import Outcome, PaperFigure, Table, Watch, judged
 from relmap.plots.sheet import BLUE, GREY, ORANGE, RED, blank, finish, write_in_full
 from relmap.points.mapper import PointMapper
+from relmap.simulation.noise import Noise
 
 SIGMA_M = 0.05
 SEEDS, QUICK_SEEDS = 10, 1
@@ -34,7 +35,7 @@ EVERY_REFINED = 100
 SIMILAR = 1.25
 WIDE = 2.0
 GAUSSIAN, FLAT = "Gaussian", "flat"
-NOISES = {GAUSSIAN: "gaussian", FLAT: "uniform"}
+NOISES: dict[str, Noise] = {GAUSSIAN: "gaussian", FLAT: "uniform"}
 MRPT, FITTED = "EKF as in MRPT", "EKF linearised at the best fit"
 PAPER, LIVE = "relmap with the paper's settings", "relmap by default, during the run"
 SHAPED = "relmap refined by the shape of the noise"
