@@ -15,9 +15,10 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.landmarks import Submap
 from relmap.io.results import Result
 from relmap.planes.walls.files import DrawnSubmap, PlaneResult
+from relmap.planes.walls.table import PlaneTable
 from relmap.planes3d.files import LEAST_SCANS, Plane3dResult
 from relmap.planes3d.roughness import is_rough
-from relmap.planes3d.table import FEWEST
+from relmap.planes3d.table import FEWEST, Plane3dTable
 from relmap.plots.path import jumps
 from relmap.plots.planes3d import upward
 from relmap.plots.run import weak_places
@@ -50,20 +51,14 @@ def _view_of_walls(number: int, submap: DrawnSubmap, every: int) -> View:
     planes = submap.planes
     mapped = planes.status == "static"
     ends = planes.ends[mapped]
-    is_corner = planes.corner[mapped] >= 0
-    corners = ends[is_corner]
+    wall, end = np.nonzero(planes.corner[mapped] >= 0)
     first = np.searchsorted(submap.iterations, planes.first_iteration[mapped])
+    caption = f"{len(submap.poses)} scans, {len(ends)} walls, {len(wall)} corners"
     return {
-        "name": _name(number),
-        "caption": f"{len(submap.poses)} scans, {len(ends)} walls, {len(corners)} corners",
-        "axes": 2,
-        "limits": _limits(ends.reshape(-1, 2), submap.poses[:, :2, 3]),
-        "lines": _packed(ends, "<f4"),
-        "lineNames": _packed(planes.plane[mapped], "<i4"),
-        "lineSeen": _packed(planes.observations[mapped], "<i4"),
-        "lineFirst": _packed(first, "<i4"),
-        "dots": _packed(corners, "<f4"),
-        "dotFirst": _packed(np.repeat(first[:, None], 2, axis=1)[is_corner], "<i4"),
+        **_framed(number, caption, ends.reshape(-1, 2), submap.poses[:, :2, 3]),
+        **_lines(ends, planes, np.flatnonzero(mapped), submap.iterations),
+        "dots": _packed(ends[wall, end], "<f4"),
+        "dotFirst": _packed(first[wall], "<i4"),
         **_path(submap.iterations, submap.stamps_s, submap.poses, 2),
         "weak": submap.weak.tolist(),
         **_points(submap.points[::every], submap.point_scan[::every]),
@@ -83,17 +78,11 @@ def _view_of_planes(result: Plane3dResult, rank: int) -> View:
     edges = [np.stack([ring, np.roll(ring, -1, axis=0)], axis=1) for ring in rings]
     ends = np.concatenate([np.empty((0, 2, 3)), *edges])
     of = np.repeat(np.array(rows, dtype=np.int64), [len(ring) for ring in rings])
-    first = np.searchsorted(iterations, planes.first_iteration[of])
     weak = np.flatnonzero(np.isin(iterations, result.summary["weak_links"]))
+    caption = f"{len(poses)} scans, {len(rows)} planes"
     return {
-        "name": _name(rank),
-        "caption": f"{len(poses)} scans, {len(rows)} planes",
-        "axes": 3,
-        "limits": _limits(ends.reshape(-1, 3), (level @ poses)[:, :3, 3]),
-        "lines": _packed(ends, "<f4"),
-        "lineNames": _packed(planes.plane[of], "<i4"),
-        "lineSeen": _packed(planes.observations[of], "<i4"),
-        "lineFirst": _packed(first, "<i4"),
+        **_framed(rank, caption, ends.reshape(-1, 3), (level @ poses)[:, :3, 3]),
+        **_lines(ends, planes, of, iterations),
         **_path(iterations, stamps_s, level @ poses, 3),
         "weak": weak[weak > 0].tolist(),
     }
@@ -103,11 +92,9 @@ def _view_of_points(result: Result) -> View:
     table, kept, axes = result.landmarks, result.mapped, 2 if result.planar else 3
     at, iterations = table.position[kept][:, :axes], result.iterations
     assert iterations is not None
+    caption = f"{len(result.poses)} poses, {len(at)} landmarks"
     return {
-        "name": _name(0),
-        "caption": f"{len(result.poses)} poses, {len(at)} landmarks",
-        "axes": axes,
-        "limits": _limits(at, result.poses[:, :axes, 3]),
+        **_framed(0, caption, at, result.poses[:, :axes, 3]),
         "dots": _packed(at, "<f4"),
         "dotNames": _packed(table.landmark[kept], "<i8"),
         "dotSeen": _packed(table.observations[kept], "<i4"),
@@ -122,25 +109,33 @@ def _view_of_points(result: Result) -> View:
 
 
 def _view_of_submap(number: int, submap: Submap, planar: bool) -> View:
-    axes = 2 if planar else 3
-    at = submap.positions[:, :axes]
+    at = submap.positions[:, : 2 if planar else 3]
     return {
-        "name": _name(number),
-        "caption": f"{len(at)} landmarks",
-        "axes": axes,
-        "limits": _limits(at, np.empty((0, axes))),
+        **_framed(number, f"{len(at)} landmarks", at, at[:0]),
         "dots": _packed(at, "<f4"),
         "dotNames": _packed(submap.landmark_ids, "<i8"),
     }
 
 
-def _name(number: int) -> str:
-    return f"submap {number}" if number else "map"
+def _framed(number: int, caption: str, places: Floats, way: Floats) -> View:
+    """Return what every view has: its name, caption, axes, and the limits of what it shows first.
+
+    `places` (n, d), `way` (k, d): mapped places and the path, for the limits.
+    """
+    name = f"submap {number}" if number else "map"
+    limits = [limit.tolist() for limit in limits_of(places, way)]
+    return {"name": name, "caption": caption, "axes": places.shape[1], "limits": limits}
 
 
-def _limits(places: Floats, way: Floats) -> list[list[float]]:
-    """Return the minimum and maximum coordinates of the initial view."""
-    return [limit.tolist() for limit in limits_of(places, way)]
+def _lines(ends: Floats, table: PlaneTable | Plane3dTable, rows: Ints, iterations: Ints) -> View:
+    """Return lines (n, 2, d), each of a plane in a row (n,) of the table."""
+    first = np.searchsorted(iterations, table.first_iteration[rows])
+    return {
+        "lines": _packed(ends, "<f4"),
+        "lineNames": _packed(table.plane[rows], "<i4"),
+        "lineSeen": _packed(table.observations[rows], "<i4"),
+        "lineFirst": _packed(first, "<i4"),
+    }
 
 
 def _path(iterations: Ints, stamps_s: Floats, poses: NDArray[Any], axes: int) -> View:
