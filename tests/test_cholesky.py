@@ -112,10 +112,12 @@ def test_bodies_along_a_path_solve_and_invert_as_dense_matrices_do(
     row, column = np.nonzero(tied & (unknowns[:, None] > unknowns))
     pairs = np.column_stack([unknowns[column], unknowns[row]])
     values = np.zeros(pattern.size)
-    for unknown, entry in zip(unknowns, np.diag(dense), strict=True):
-        pattern.add(values, np.array([unknown]), np.array([[entry]]))
-    for pair, entry in zip(pairs, dense[row, column], strict=True):
-        pattern.add(values, pair, np.array([[0.0, entry], [entry, 0.0]]))
+    left = dense.copy()
+    for together in near.T:
+        own = np.flatnonzero(np.repeat(together, q))
+        own = own[np.argsort(unknowns[own])]
+        pattern.add(values, unknowns[own], left[np.ix_(own, own)])
+        left[np.ix_(own, own)] = 0.0
     order = np.argsort(unknowns)
     right = rng.normal(size=n * q)
     pattern.factorise(values)

@@ -6,27 +6,15 @@ import numpy as np
 import pytest
 
 from relmap import PlaneMapper, RelmapError
-from relmap.core.arrays import Floats
 from relmap.evaluation.corners import match_corners
 from relmap.evaluation.truth import Truth
 from relmap.simulation import Building, simulate_building
 from relmap.simulation.floor_plan import World, make_floor_plan
 from relmap.simulation.moving_walls import make_moving
+from tests.segments import crossings
 
 SEEN = 10
 """Minimum number of scans that saw a wall, for it to be checked."""
-
-
-def crossings(a: Floats, b: Floats) -> int:
-    """Count the proper crossings of segments (n, 4) and (m, 4)."""
-    p, q, r, s = a[:, None, :2], a[:, None, 2:4], b[None, :, :2], b[None, :, 2:4]
-
-    def side(x: Floats, y: Floats, z: Floats) -> object:
-        u, v = y - x, z - x
-        return u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]
-
-    over = (side(p, q, r) * side(p, q, s) < 0) & (side(r, s, p) * side(r, s, q) < 0)  # type: ignore[operator]
-    return int(over.sum())
 
 
 @pytest.mark.parametrize("world", ["building", "panels"])
