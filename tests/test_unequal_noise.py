@@ -174,7 +174,7 @@ def rmse(positions: Array, truth: Array) -> float:
     return float(np.sqrt(np.mean(np.sum((positions @ R.T + t - truth) ** 2, axis=1))))
 
 
-STEREO = WorldSpec(noise="stereo", sigma=0.03, space=True, iterations=200, length_m=300.0, seed=11)
+STEREO = WorldSpec(noise="stereo", sigma=0.03, space=True, iterations=140, length_m=210.0, seed=11)
 
 
 @pytest.mark.parametrize("with_covariances", [True, False])
@@ -183,11 +183,12 @@ def test_a_stereo_camera_gives_one_map_better_than_unweighted_least_squares(
 ) -> None:
     mapper, (own, limit) = mapped(simulate_world(STEREO), with_covariances)
     assert len(mapper.submaps) == 1
-    assert own < limit
+    assert own < 0.5 * limit
 
 
 def test_another_world_of_a_stereo_camera_is_better_than_unweighted_least_squares() -> None:
-    mapper, (own, limit) = mapped(simulate_world(replace(STEREO, seed=12)), False)
+    spec = replace(STEREO, iterations=200, length_m=300.0, seed=12)
+    mapper, (own, limit) = mapped(simulate_world(spec), False)
     assert sum(len(submap.landmark_ids) >= 10 for submap in mapper.submaps) == 1
     assert own < limit
 
@@ -221,8 +222,8 @@ def test_an_observation_of_unknown_place_does_not_take_the_matches_of_others() -
 def test_a_run_that_estimates_its_noise_goes_on_after_loading(tmp_path: Path) -> None:
     spec = WorldSpec(noise="bearing", iterations=120, length_m=180.0, seed=12)
     plain, saved = PointMapper(), PointMapper()
-    for k, scan in enumerate(simulate_world(spec).log.scans()):
-        if k in (5, 30, 31, 90):
+    for k, scan in enumerate(simulate_world(spec).log.between(0, 75).scans()):
+        if k in (5, 30, 31, 65):  # the estimate is used from iteration 58 on
             saved.save(tmp_path / "mapper.npz")
             saved = PointMapper.load(tmp_path / "mapper.npz")
         labels = plain.update(scan.points_robot)
@@ -230,6 +231,7 @@ def test_a_run_that_estimates_its_noise_goes_on_after_loading(tmp_path: Path) ->
     for mapper in (plain, saved):
         mapper.finish()
         mapper.refine()
+    assert plain.engine.association.current.estimates_covariances
     assert plain.map.positions.tobytes() == saved.map.positions.tobytes()
 
 
