@@ -209,7 +209,7 @@ def degenerate(kind: str, n: int, d: int, rng: np.random.Generator) -> Points:
     return places
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(
     st.integers(0, 2**32 - 1),
     st.sampled_from([2, 3]),
