@@ -10,11 +10,13 @@ from relmap.core.arrays import Floats
 from relmap.simulation import Building, simulate_building
 from tests.worlds import finished
 
+ITERATIONS = 100
+
 
 def mapped(seed: int) -> tuple[Building, PlaneMapper]:
     """Map a building from clouds, or if there is a seed from laser scans."""
     sampling = {"points": 361, "sampling": "laser"} if seed else {"points": 400}
-    building = simulate_building(sigma=0.05, seed=seed, iterations=150, **sampling)
+    building = simulate_building(sigma=0.05, seed=seed, iterations=ITERATIONS, **sampling)
     mapper = finished(
         PlaneMapper(segmenter=PlaneSegmenter()),
         (scan.points[:, :2] if seed else scan.points for scan in building.scans),
@@ -73,7 +75,7 @@ def test_residuals_are_what_the_noise_explains(runs: list[tuple[Building, PlaneM
         np.testing.assert_array_equal(refined.landmarks, mapper.map.landmark_ids)
         np.testing.assert_array_equal(refined.covariances, mapper.map.covariances[:, :2, :2])
         segments = refined.segments
-        assert segments.first_iteration.tolist() == list(range(0, 150, 8))
+        assert segments.first_iteration.tolist() == list(range(0, ITERATIONS, 8))
         assert 0.7 < np.median(segments.residual) < 1.4
         assert np.isfinite(segments.middle).all()
         assert np.isin(refined.merges.landmark, refined.landmarks).all()
