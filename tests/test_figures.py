@@ -69,6 +69,7 @@ def test_bench_shows_the_true_walls_and_an_animation(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(figure05, "QUICK_ITERATIONS", 12)
+    monkeypatch.setattr("relmap.plots.bench.HOLD", 1)
     found = figure05.FIGURE.judge(figure05.FIGURE.run(True, None, iter))
     walls = simulate_building(iterations=12).walls[:, :4]
     told = [row[2:] for row in found.table.rows if row[0] == "true wall"]

@@ -183,7 +183,10 @@ def test_bench_calls_itself_a_figure_of_the_paper_only_there(bench: BenchRecorde
     assert in_paper == "Figure 5: the test bench, iteration 39"
 
 
-def test_animation_holds_every_frame(bench: BenchRecorder, tmp_path: Path) -> None:
+def test_animation_holds_every_frame(
+    bench: BenchRecorder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("relmap.plots.bench.HOLD", 1)
     seen = []
 
     def counted(frames: list[BenchFrame]) -> list[BenchFrame]:
