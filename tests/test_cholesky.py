@@ -114,10 +114,10 @@ def test_bodies_along_a_path_solve_and_invert_as_dense_matrices_do(
     values = np.zeros(pattern.size)
     left = dense.copy()
     for together in near.T:
-        own = np.flatnonzero(np.repeat(together, q))
-        own = own[np.argsort(unknowns[own])]
-        pattern.add(values, unknowns[own], left[np.ix_(own, own)])
-        left[np.ix_(own, own)] = 0.0
+        at = np.flatnonzero(np.repeat(together, q))
+        at = at[np.argsort(unknowns[at])]
+        pattern.add(values, unknowns[at], left[np.ix_(at, at)])
+        left[np.ix_(at, at)] = 0.0
     order = np.argsort(unknowns)
     right = rng.normal(size=n * q)
     pattern.factorise(values)

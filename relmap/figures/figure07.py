@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from matplotlib.figure import Figure
 
 from relmap.evaluation.surface_points import HALF, wall_points
-from relmap.figures.base import Outcome, PaperFigure, Table, Watch, judged
+from relmap.figures.base import Outcome, PaperFigure, Table, judged
 from relmap.plots.bench_recorder import COLUMNS, rows_of
 from relmap.plots.variants import BothMaps, both_maps, plot_both
 
@@ -55,10 +53,6 @@ def _plot(maps: BothMaps) -> Figure:
     )
 
 
-def _run(quick: bool, data: Path | None, watch: Watch) -> BothMaps:
-    return run_noisy_maps(iterations=QUICK_ITERATIONS if quick else None)
-
-
 FIGURE = PaperFigure(
     name="7",
     title="planes under noise too large for points",
@@ -71,7 +65,7 @@ FIGURE = PaperFigure(
         f"{HALF:.0%} of them are, or they are {MUCH:g} times as far off; partly where one holds"
     ),
     unit="RMSE of the corners in m",
-    run=_run,
+    run=lambda quick, data, watch: run_noisy_maps(iterations=QUICK_ITERATIONS if quick else None),
     judge=_judge,
     draw=_plot,
 )

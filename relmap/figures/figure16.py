@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from copy import deepcopy
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,8 +26,8 @@ from relmap.points.mapper import PointMapper
 from relmap.simulation.noise import Noise
 
 SIGMA_M = 0.05
-SEEDS, QUICK_SEEDS = 10, 1
-ITERATIONS, QUICK_ITERATIONS = 900, 300
+FULL, QUICK = (10, 900), (1, 300)
+"""Seeds, and iterations of each."""
 EVERY = 10
 EVERY_REFINED = 100
 """Interval, in iterations, between points of the curve of a method that refines for each."""
@@ -87,11 +86,6 @@ METHODS: dict[str, tuple[Callable[[Setup], Method], int]] = {
     LIVE: (find_method("relmap-points-live").make, EVERY),
     SHAPED: (lambda setup: RefinedByShape(), EVERY_REFINED),
 }
-
-
-def _run(quick: bool, data: Path | None, watch: Watch) -> ErrorCurves:
-    iterations = QUICK_ITERATIONS if quick else ITERATIONS
-    return error_curves(QUICK_SEEDS if quick else SEEDS, iterations, watch)
 
 
 def error_curves(seeds: int, iterations: int, watch: Watch = iter) -> ErrorCurves:
@@ -187,7 +181,7 @@ FIGURE = PaperFigure(
         "where one of the two holds"
     ),
     unit="error of the EKF over that of relmap with the paper's settings under flat noise",
-    run=_run,
+    run=lambda quick, data, watch: error_curves(*(QUICK if quick else FULL), watch),
     judge=_judge,
     draw=_plot,
 )
