@@ -25,7 +25,7 @@ from relmap.plots.bench_recorder import BenchFrame, BenchRecorder, frame_step
 from relmap.plots.path import fit_poses
 from relmap.segmentation import PlaneSegmenter
 from relmap.simulation import simulate_building
-from tests.commands import Check
+from tests.commands import Check, unrendered
 
 WALLS = np.array([[[4.0, -2.0], [4.0, 2.0]], [[4.0, 2.0], [-1.0, 2.0]]])
 
@@ -201,7 +201,11 @@ def test_animation_holds_every_frame(
         write_bench_gif(tmp_path / "b.gif", [])
 
 
-def test_map_draws_the_bench_and_animates_it_when_asked(tmp_path: Path) -> None:
+@unrendered()
+def test_map_draws_the_bench_and_animates_it_when_asked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("relmap.plots.bench.HOLD", 1)
     options = ["--points", "300", "--iterations", "5"]
     assert main(["simulate", "building", "-o", str(tmp_path / "w"), *options]) == 0
     mapping = ["map", str(tmp_path / "w"), "-o", str(tmp_path / "r"), "--variant", "planes"]
