@@ -92,6 +92,6 @@ def test_of_equal_motions_on_stairs_the_one_closest_to_the_prediction_is_first(r
     normal = np.eye(3)[np.minimum(of, 2)]
     off = np.array([0.0, 0.0, *[RISE_M * k for k in shifts] * 2])
     gate, weight, held = np.full(len(of), 0.01), np.full(4, 0.25), np.array([0, 0, RISE_M * rise])
-    ways, support = best_ways(normal, off, of, gate, weight, held, (0.15, 0.34), 0.02, 4)
+    ways, support = best_ways(normal, off, of, gate, weight, held, 0.02)
     assert support.min() == 1.0
     np.testing.assert_allclose(ways[0], held, atol=1e-12)

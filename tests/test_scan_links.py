@@ -112,7 +112,7 @@ def test_a_bias_of_the_ranges_does_not_make_a_robot_stand_still(
 ) -> None:
     moved = np.array([0.0, -0.5, 0.0])
     earlier, later = in_corridor(0.0, ledge_m), in_corridor(0.5, ledge_m)
-    lead, sd = leads(earlier, later, moved[None], STILL, NEAR_M)
+    lead, sd = leads(earlier, later, moved[None], STILL)
     if is_told:
         assert log_odds(lead, sd**2)[0] > 3.0
     else:

@@ -13,7 +13,7 @@ from relmap.core.arrays import Floats, Ints
 from relmap.planes import mapper as planes_mapper
 from relmap.planes.places import submap_ties
 from relmap.planes.places.submap_ties import MapPart, tied_parts
-from relmap.planes.places.wall_tie import LIMITS, WallPoints
+from relmap.planes.places.wall_tie import WallPoints
 from relmap.planes.places.wall_tie_kernels import fit
 from relmap.planes.scans.beams import PlacedBeams
 from relmap.planes.submaps.submap import WallSubmap, torn_in
@@ -100,7 +100,7 @@ def test_along_a_bare_corridor_a_fit_does_not_slide() -> None:
     bent = ends + np.array([[[0.0, 0.0], [0.0, 0.05]], [[0.0, -0.05], [0.0, 0.0]]])
     points, among = WallPoints.of(ends), WallPoints.of(bent)
     motion = np.array([1.0, 0.0, 0.0, 0.0])
-    n, across, _ = fit(points.at, points.normal, among.near, motion, np.full(9, 0.3), LIMITS)
+    n, across, _ = fit(points.at, points.normal, among.near, motion, np.full(9, 0.3))
     assert n == len(points.at)
     assert across < 0.01
     assert np.abs(motion[2:]).max() < 0.2

@@ -87,9 +87,8 @@ def fitted(
     from relmap.planes3d.fitting_kernels import fit_placement
 
     scan = seen.axes, seen.centre, seen.spread, seen.information
-    there, errors = (planes.axes, planes.centre, planes.spread), (SYSTEMATIC, BENT_RAD, DOUBTFUL)
-    settled = ROUNDING if last else SETTLED
-    R, t, H = fit_placement(R, t, scan, there, match, errors, ROUNDS, settled)
+    there = planes.axes, planes.centre, planes.spread
+    R, t, H = fit_placement(R, t, scan, there, match, ROUNDING if last else SETTLED)
     n = planes.normal[match[match >= 0]]
     free, sd_m = _weakest(H, n)
     weak_m, open_m = (share * seen.reach_m for share in (WEAK, OPEN)) if last else (np.inf,) * 2

@@ -9,6 +9,7 @@ from relmap.core.geometry.rotation_kernels import turned_by
 from relmap.core.linalg.compiling import helper, unrolled
 from relmap.core.linalg.order_kernels import medians
 from relmap.core.linalg.small_kernels import factorise, product, solve
+from relmap.planes3d.fitting import BENT_RAD, DOUBTFUL, ROUNDS, SYSTEMATIC
 
 
 @helper
@@ -47,7 +48,6 @@ def _equations(
     rows: Ints,
     planes: Floats,
     root: Floats,
-    doubtful: float,
 ) -> tuple[Floats, Floats]:
     """Return the normal equations of a rotation and a translation, (6, 6) and (6,)."""
     n_rows = len(rows)
@@ -59,7 +59,7 @@ def _equations(
             _add_row(R, t, arm, planes[r], root[r, k], k == 2, off[r, k : k + 1], J[r, k])
             size[r] += off[r, k] ** 2
         size[r] = np.sqrt(size[r])
-    limit = max(doubtful, 2 * medians(np.zeros(n_rows, dtype=np.int64), size)[0])
+    limit = max(DOUBTFUL, 2 * medians(np.zeros(n_rows, dtype=np.int64), size)[0])
     H, g = np.zeros((6, 6)), np.zeros(6)
     for r in range(n_rows):
         weight = 1 / (1 + (size[r] / limit) ** 2)
@@ -85,24 +85,18 @@ def _damp(H: Floats) -> None:
 
 @helper
 def _root_information(
-    spread: Floats,
-    information: Floats,
-    centre: Floats,
-    map_noise_m: float,
-    systematic: float,
-    bent: float,
-    root: Floats,
+    spread: Floats, information: Floats, centre: Floats, map_noise_m: float, root: Floats
 ) -> None:
     """Set the square roots of the information (3,) of a match.
 
     Points of a plane have some of their errors in common, and the map may be bent.
     """
-    square = systematic**2 * (spread[2] ** 2 + map_noise_m**2)
+    square = SYSTEMATIC**2 * (spread[2] ** 2 + map_noise_m**2)
     for k in range(3):
         if k < 2:
-            shared = square / max(spread[k], 1e-9) ** 2 + bent**2
+            shared = square / max(spread[k], 1e-9) ** 2 + BENT_RAD**2
         else:
-            shared = square + bent**2 * (centre[0] ** 2 + centre[1] ** 2 + centre[2] ** 2)
+            shared = square + BENT_RAD**2 * (centre[0] ** 2 + centre[1] ** 2 + centre[2] ** 2)
         root[k] = 1 / np.sqrt(1 / max(information[k], 1e-12) + shared)
 
 
@@ -135,31 +129,16 @@ def fit_placement(
     scan: tuple[Floats, Floats, Floats, Floats],
     there: tuple[Floats, Floats, Floats],
     match: Ints,
-    errors: tuple[float, float, float],
-    rounds: int,
     settled: float,
 ) -> tuple[Floats, Floats, Floats]:
     """Fit a pose to matches; return its rotation, its translation and the normal matrix (6, 6).
 
-    Parameters
-    ----------
-    R : (3, 3) float64, t : (3,) float64
-        First estimate.
-    scan : tuple
-        Axes, centres, spreads and information of the m patches of the scan, robot frame.
-    there : tuple
-        Axes, centres and spreads of those of the map, map frame.
-    match : (m,) int64
-        Patch of the map that each of the scan matches; -1 for none.
-    errors : tuple of float
-        Error that the points of a plane have in common, as a fraction of their noise; bend of the
-        map, radians; and the residual, in standard deviations, at which the weight is halved
-        (Cauchy), or twice the median residual if that is larger.
-    rounds : int, settled : float
-        Maximum number of steps, and the step that ends the fit: metres, radians.
+    `R` (3, 3), `t` (3,): first estimate. `scan`: axes, centres, spreads and information of the m
+    patches of the scan, robot frame. `there`: axes, centres and spreads of those of the map, map
+    frame. `match` (m,): patch of the map that each of the scan matches; -1 for none. `settled`: the
+    step that ends the fit: metres, radians.
     """
     axes, centre, spread, information = scan
-    systematic, bent, doubtful = errors
     count, n = len(match), 0
     rows, planes, root = np.empty(count, dtype=np.int64), np.empty((count, 4)), np.empty((count, 3))
     for i in range(count):
@@ -167,11 +146,11 @@ def fit_placement(
             continue
         rows[n], noise_m = i, there[2][match[i], 2]
         _set_plane(there[0][match[i]], there[1][match[i]], planes[n])
-        _root_information(spread[i], information[i], centre[i], noise_m, systematic, bent, root[n])
+        _root_information(spread[i], information[i], centre[i], noise_m, root[n])
         n += 1
     rows, t, H = rows[:n], t.copy(), np.empty((6, 6))
-    for _ in range(rounds):
-        H, step = _equations(R, t, axes, centre, rows, planes, root, doubtful)
+    for _ in range(ROUNDS):
+        H, step = _equations(R, t, axes, centre, rows, planes, root)
         _damp(H)
         R, largest = _stepped(R, t, H, step)
         if largest < settled:

@@ -20,6 +20,7 @@ SKEW = np.sin(np.deg2rad(20.0))
 """Two normals closer to parallel than this (sine) do not determine a rotation."""
 ALIKE_RAD = np.deg2rad(3.0)
 """Tolerance of angles between normals, and of matched normals after the rotation."""
+PARALLEL = np.cos(ALIKE_RAD)
 SAME_TURN = np.cos(np.deg2rad(6.0))
 """Rotations that differ by less are the same (cosine)."""
 LEADERS, PAIRS, TURNS, PER_TURN = 10, 18, 36, 4
@@ -69,9 +70,8 @@ def motions(seen: Patches, there: Patches, held: Held) -> Motions:
     mine = mine[np.argsort(-size[mine], kind="stable")]
     a, b, weight = seen.normal[mine], there.normal[others], size[mine]
     off, gate = (seen.offset[mine], there.offset[others]), tolerance(seen, mine)
-    parallel = np.cos(ALIKE_RAD)
-    turns = distinct_turns(_turns(a, b), a, b, weight, parallel, SAME_TURN, SKEW, TURNS)
-    found = [_ways((a @ R.T) @ b.T > parallel, b, off, gate, weight, held.place) for R in turns]
+    turns = distinct_turns(_turns(a, b), a, b, weight)
+    found = [_ways((a @ R.T) @ b.T > PARALLEL, b, off, gate, weight, held.place) for R in turns]
     count = [len(support) for _, support in found]
     if not sum(count):
         return Motions(np.empty((0, 3, 3)), np.empty((0, 3)))
@@ -97,8 +97,7 @@ def _ways(
 
     i, j = (each[:PAIRS] for each in np.nonzero(match))
     apart_m = 2 * float(np.median(gate[i])) if len(i) else 0.0
-    off, limits = offsets[1][j] - offsets[0][i], ((FLAT_CORNER, SKEW), apart_m, PER_TURN)
-    return best_ways(normal[j], off, i, gate[i], weight, held, *limits)
+    return best_ways(normal[j], offsets[1][j] - offsets[0][i], i, gate[i], weight, held, apart_m)
 
 
 def importance(seen: Patches) -> Floats:

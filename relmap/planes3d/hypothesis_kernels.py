@@ -9,6 +9,14 @@ from relmap.core.geometry.rotation_kernels import best_rotation
 from relmap.core.linalg.compiling import helper, unrolled
 from relmap.core.linalg.order_kernels import ordered
 from relmap.core.linalg.small_kernels import diagonalise
+from relmap.planes3d.hypotheses import (
+    FLAT_CORNER,
+    PARALLEL,
+    PER_TURN,
+    SAME_TURN,
+    SKEW,
+    TURNS,
+)
 
 ROUNDED = 1e9
 """Supports that differ by less than the inverse are the same: the first hypothesis is preferred."""
@@ -28,15 +36,13 @@ def _cosine(a: Floats, b: Floats, i: int, j: int) -> float:
 
 
 @helper
-def _fitted(
-    R: Floats, a: Floats, b: Floats, weight: Floats, alike: float, skew: float, turned: Floats
-) -> Floats:
+def _fitted(R: Floats, a: Floats, b: Floats, weight: Floats, turned: Floats) -> Floats:
     """Return the rotation that fits best the normals that are parallel already."""
     moment, scatter = np.zeros((3, 3)), np.zeros((3, 3))
     _turned(R, a, turned)
     for i in range(len(a)):
         for j in range(len(b)):
-            if _cosine(turned, b, i, j) <= alike:
+            if _cosine(turned, b, i, j) <= PARALLEL:
                 continue
             for p in range(3):
                 for q in range(3):
@@ -45,29 +51,18 @@ def _fitted(
     diagonalise(scatter)
     large = 0
     for d in range(3):
-        large += scatter[d, d] > skew * skew
+        large += scatter[d, d] > SKEW * SKEW
     # Normals of one direction do not determine a rotation: the one from two planes is kept.
     return R if large < 2 else best_rotation(moment, R)
 
 
 @unrolled
-def distinct_turns(
-    turns: Floats,
-    a: Floats,
-    b: Floats,
-    weight: Floats,
-    alike: float,
-    same: float,
-    skew: float,
-    most: int,
-) -> Floats:
+def distinct_turns(turns: Floats, a: Floats, b: Floats, weight: Floats) -> Floats:
     """Return distinct rotations (k, 3, 3), each fitted to the normals it makes parallel.
 
     Those that make more normals parallel come first.
 
-    `turns` (h, 3, 3); `a` (m, 3), `b` (n, 3): normals of the scan, and of the map; `weight` (m,);
-    `alike`, `same`: least cosine of parallel normals, and of rotations that are the same; `skew`:
-    least sine of normals that are not parallel; `most`: maximum number of rotations.
+    `turns` (h, 3, 3); `a` (m, 3), `b` (n, 3): normals of the scan, and of the map; `weight` (m,).
     """
     count, turned = len(turns), np.empty((len(a), 3))
     support, open_ = np.zeros(count), np.ones(count, dtype=np.bool_)
@@ -75,22 +70,22 @@ def distinct_turns(
         _turned(turns[h], a, turned)
         for i in range(len(a)):
             for j in range(len(b)):
-                if _cosine(turned, b, i, j) > alike:
+                if _cosine(turned, b, i, j) > PARALLEL:
                     support[h] -= weight[i]
                     break
         support[h] = np.floor(support[h] * ROUNDED + 0.5)
-    chosen, found = np.empty((most, 3, 3)), 0
+    chosen, found = np.empty((TURNS, 3, 3)), 0
     for h in ordered(support):
-        if not open_[h] or found == most:
+        if not open_[h] or found == TURNS:
             continue
-        R = _fitted(turns[h], a, b, weight, alike, skew, turned)
+        R = _fitted(turns[h], a, b, weight, turned)
         for other in range(count):
             trace = 0.0
             for p in range(3):
                 for q in range(3):
                     trace += turns[other, p, q] * turns[h, p, q]
                     chosen[found, p, q] = R[p, q]
-            open_[other] &= (trace - 1) / 2 < same
+            open_[other] &= (trace - 1) / 2 < SAME_TURN
         found += 1
     return chosen[:found]
 
@@ -111,9 +106,7 @@ def _way_of_two(
 
 
 @helper
-def _crossings(
-    normal: Floats, off: Floats, of: Ints, held: Floats, least_three: float, least_two: float
-) -> Floats:
+def _crossings(normal: Floats, off: Floats, of: Ints, held: Floats) -> Floats:
     """Return the translations (w, 3) that satisfy three matches, and those that satisfy two."""
     count, found = len(of), 0
     ways = np.empty((count * (count - 1) // 2 + count * (count - 1) * (count - 2) // 6, 3))
@@ -125,7 +118,7 @@ def _crossings(
             cx, cy = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2]
             cz = a[0] * b[1] - a[1] * b[0]
             area = cx * cx + cy * cy + cz * cz
-            if area > least_two**2:
+            if area > SKEW**2:
                 _way_of_two(a, b, off[i], off[j], held, area, ways[found])
                 found += 1
             for k in range(j + 1, count):
@@ -133,7 +126,7 @@ def _crossings(
                     continue
                 c = normal[k]
                 volume = cx * c[0] + cy * c[1] + cz * c[2]
-                if abs(volume) <= least_three:
+                if abs(volume) <= FLAT_CORNER:
                     continue
                 for d in range(3):
                     e, f = (d + 1) % 3, (d + 2) % 3
@@ -187,25 +180,22 @@ def best_ways(
     gate: Floats,
     weight: Floats,
     held: Floats,
-    spans: tuple[float, float],
     apart_m: float,
-    most: int,
 ) -> tuple[Floats, Floats]:
     """Return translations (k, 3) from candidate matches, and their supports, best first.
 
     `normal` (p, 3), `off` (p,): a match requires ``normal @ translation == off``. `of` (p,), equal
     ones together: plane of the scan of each match; two matches of one plane are not combined.
     `gate` (p,): tolerance of a match, metres. `weight` (m,): of the planes of the scan. `held`
-    (3,): predicted translation, used in the direction that two matches leave open. `spans`: least
-    volume and area that the normals of three and of two matches span. `apart_m`: translations
-    closer than this are the same. `most`: maximum number of translations.
+    (3,): predicted translation, used in the direction that two matches leave open. `apart_m`:
+    translations closer than this are the same.
     """
-    ways = _crossings(normal, off, of, held, spans[0], spans[1])
-    support, kept = np.empty(len(ways)), np.empty((most, 3))
+    ways = _crossings(normal, off, of, held)
+    support, kept = np.empty(len(ways)), np.empty((PER_TURN, 3))
     for w in range(len(ways)):
         support[w] = _support(ways[w], normal, off, of, gate, weight)
-    supports, found = np.empty(most), 0
-    while found < most:
+    supports, found = np.empty(PER_TURN), 0
+    while found < PER_TURN:
         best = _strongest(ways, support, held)
         if best < 0:
             break

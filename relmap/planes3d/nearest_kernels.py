@@ -7,6 +7,7 @@ import numpy as np
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.geometry.spatialindex_kernels import bucket_of, cell_at, key_of
 from relmap.core.linalg.compiling import compiled, helper
+from relmap.planes3d.surfaces import SIDE
 
 Grid = tuple[Ints, Ints, Ints, Ints, Floats, float]
 """The first cube of each bucket, the next cube in the bucket of each cube, and its key, see
@@ -131,16 +132,15 @@ def shares(
     normal: Floats,
     weight: Floats,
     reach_m: float,
-    side: float,
     hopeless: float,
     most: int,
 ) -> Floats:
     """Return the weight (h,) of the cells of a scan that a motion brings near cells of the map.
 
     `facing` (c, 3): normals of the cells of the map; `R` (h, 3, 3), `t` (h, 3); `cells`, `normal`
-    (s, 3), `weight` (s,): of the scan; `reach_m`, `side`: largest distance, and least cosine
-    between the normals; `hopeless`, `most`: motions with less than this fraction of the largest
-    weight, or not among so many of the largest ones, are not followed to the end.
+    (s, 3), `weight` (s,): of the scan; `reach_m`: largest distance; `hopeless`, `most`: motions
+    with less than this fraction of the largest weight, or not among so many of the largest ones,
+    are not followed to the end.
     """
     total, best = np.zeros(len(R)), np.zeros(most)
     x, n = np.empty(3), np.empty(3)
@@ -158,7 +158,7 @@ def shares(
             k = chosen[0]
             if k < len(facing):
                 cosine = n[0] * facing[k, 0] + n[1] * facing[k, 1] + n[2] * facing[k, 2]
-                total[h] += weight[i] if cosine > side else 0.0
+                total[h] += weight[i] if cosine > SIDE else 0.0
             if total[h] + rest < max(hopeless * best[0], best[most - 1]):
                 break
         place = most - 1

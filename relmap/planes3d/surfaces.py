@@ -79,7 +79,7 @@ class Surfaces:
         facing = self.planes.normal[self._plane[:-1]]
         reach_m = NEAR * max(self.planes.cell_m, seen.cell_m)
         scan = motions.R, motions.t, cells, seen.normal[of], weight
-        return shares(self._grid, facing, *scan, reach_m, SIDE, hopeless, most)
+        return shares(self._grid, facing, *scan, reach_m, hopeless, most)
 
     def near(self, points: Floats, reach_m: float) -> Ints:
         """Return the plane (n,) of the cell nearest to each point (n, 3); -1 out of reach."""

@@ -83,7 +83,7 @@ class Break:
                 self._between(i, j, both),
                 (self.scans.beams_of(i), self.scans.beams_of(j)),
             )
-            own = leads(*beams, each[1:], each[0], NEAR_M, self.scans.firm)
+            own = leads(*beams, each[1:], each[0], self.scans.firm)
             lead, variance = lead + own[0], variance + own[1] ** 2
             n += len(beams[0]) + len(beams[1])
         return np.where(np.abs(lead) < LEAST_SHARE * n, 0.0, log_odds(lead, variance))

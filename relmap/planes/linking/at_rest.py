@@ -14,9 +14,6 @@ LINKS = 200
 APART_M, MOST_APART = 1.0, 10
 """Distance travelled between two compared scans, during which people walk on, and maximum number of
 scans."""
-NEAR_M, BEHIND_M = 0.2, 0.4
-"""An object is still there if a point was seen nearer than this, and gone if a beam ended farther
-behind it."""
 UNKNOWN = 20
 """Points added to those that are gone: few points do not prove rest."""
 OFTEN = 0.5
@@ -50,5 +47,4 @@ def _seen_again(beams: BeamStore, earlier: int, later: int, motion: Floats) -> t
     if not loose.any() or not len(given.points):
         return 0, 0
     found, bearings, _ = given.by_bearing
-    seen = found, bearings, given.origin
-    return seen_again(points[loose], seen, motion, NEAR_M, BEHIND_M)
+    return seen_again(points[loose], (found, bearings, given.origin), motion)

@@ -13,9 +13,14 @@ from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import ordered
 from relmap.planes.linking.matching_kernels import Seen, Tracks, half_turn
+from relmap.planes.linking.scan_comparison import REACH_M
 
+REACH_RAD = np.deg2rad(120.0)
+"""Largest rotation between two scans that are linked."""
+TURNS, EACH = 8, 25
+"""Number of rotations, and of motions for each."""
 USUAL_RAD = np.deg2rad(60.0)
-"""Typical difference between consecutive rotations."""
+"""Typical rotation."""
 ALIKE_RAD = np.deg2rad(3.0)
 """Rotations that differ by less are one hypothesis."""
 PARALLEL_RAD = np.deg2rad(6.0)
@@ -33,7 +38,7 @@ AGREE_M = 0.15
 
 
 @helper
-def _turned(tracks: Tracks, seen: Seen, reach_m: float, reach_rad: float) -> tuple[Floats, Floats]:
+def _turned(tracks: Tracks, seen: Seen) -> tuple[Floats, Floats]:
     """Return the rotation from each track to each wall, and its supporting length; (n, m)."""
     angle, offset, ends, _, _ = tracks
     wall_ends, _, normal, size, _, _ = seen
@@ -45,7 +50,7 @@ def _turned(tracks: Tracks, seen: Seen, reach_m: float, reach_rad: float) -> tup
             turn[i, j] = half_turn(math.atan2(normal[j, 1], normal[j, 0]) - angle[i])
             x, y = wall_ends[j, 0, 0], wall_ends[j, 0, 1]
             moved = normal[j, 0] * x + normal[j, 1] * y - offset[i]
-            if abs(turn[i, j]) < reach_rad and abs(moved) < reach_m:
+            if abs(turn[i, j]) < REACH_RAD and abs(moved) < REACH_M:
                 weight[i, j] = min(own, size[j])
     return turn, weight
 
@@ -72,24 +77,22 @@ def _support(turn: Floats, weight: Floats, chosen: float) -> tuple[float, float]
 
 
 @helper
-def turns(
-    tracks: Tracks, seen: Seen, before: float, reach_m: float, reach_rad: float, most: int
-) -> Floats:
+def turns(tracks: Tracks, seen: Seen) -> Floats:
     """Return the rotations that make most wall length parallel, best first; (k,).
 
-    Rotations close to the previous one are preferred.
+    Small rotations are preferred.
     """
-    turn, weight = _turned(tracks, seen, reach_m, reach_rad)
+    turn, weight = _turned(tracks, seen)
     every, mean, size = turn.ravel(), turn.ravel().copy(), weight.ravel()
     support = np.zeros(len(every))
     for k in range(len(every)):
         if size[k] > 0:
             total, off = _support(turn, weight, every[k])
             mean[k] += off
-            unusual = half_turn(every[k] - before) / USUAL_RAD
+            unusual = half_turn(every[k]) / USUAL_RAD
             support[k] = total * math.exp(-0.5 * unusual**2)
-    found, count = np.empty(most), 0
-    while count < most:
+    found, count = np.empty(TURNS), 0
+    while count < TURNS:
         k = -1
         for q in range(len(every)):
             if support[q] > 0 and (k < 0 or support[q] > support[k]):
@@ -104,7 +107,7 @@ def turns(
 
 
 @helper
-def _lines(tracks: Tracks, seen: Seen, yaw: float, reach_m: float) -> Floats:
+def _lines(tracks: Tracks, seen: Seen, yaw: float) -> Floats:
     """Return the constraints (k, 4) of parallel pairs of walls: normal, distance, size."""
     angle, _, ends, _, _ = tracks
     wall_ends, _, normal, size, _, _ = seen
@@ -123,7 +126,7 @@ def _lines(tracks: Tracks, seen: Seen, yaw: float, reach_m: float) -> Floats:
             nx, ny = normal[j, 0], normal[j, 1]
             at = nx * wall_ends[j, 0, 0] + ny * wall_ends[j, 0, 1]
             way = at - nx * x - ny * y
-            if abs(way) < reach_m:
+            if abs(way) < REACH_M:
                 weight[count] = -min(own, size[j])
                 lines[count, 0], lines[count, 1], lines[count, 2] = nx, ny, way
                 lines[count, 3] = -weight[count]
@@ -142,11 +145,11 @@ def _rows(of: Floats, which: Ints, most: int) -> Floats:
 
 
 @helper
-def _noted(found: Floats, count: int, x: float, y: float, reach_m: float, taken: Bools) -> int:
+def _noted(found: Floats, count: int, x: float, y: float, taken: Bools) -> int:
     """Add a translation if it is in range and new; return the number of translations."""
-    if not math.hypot(x, y) < reach_m or count == len(found):
+    if not math.hypot(x, y) < REACH_M or count == len(found):
         return count
-    i, j = int((x + reach_m) / CELL_M), int((y + reach_m) / CELL_M)
+    i, j = int((x + REACH_M) / CELL_M), int((y + REACH_M) / CELL_M)
     if taken[i, j]:
         return count
     taken[i, j] = True
@@ -155,9 +158,7 @@ def _noted(found: Floats, count: int, x: float, y: float, reach_m: float, taken:
 
 
 @helper
-def _corners(
-    tracks: Tracks, seen: Seen, yaw: float, reach_m: float, found: Floats, taken: Bools
-) -> int:
+def _corners(tracks: Tracks, seen: Seen, yaw: float, found: Floats, taken: Bools) -> int:
     """Add translations that match two corners for one rotation; return the number."""
     angle, _, _, _, corner_at = tracks
     wall_ends, _, normal, _, _, static = seen
@@ -171,31 +172,31 @@ def _corners(
                 a, b = corner_at[i, e, 0], corner_at[i, e, 1]
                 x, y = wall_ends[j, e, 0] - c * a + s * b, wall_ends[j, e, 1] - s * a - c * b
                 if static[j, e]:  # x and y are NaN for a track without that corner
-                    count = _noted(found, count, x, y, reach_m, taken)
+                    count = _noted(found, count, x, y, taken)
     return count
 
 
 @helper
-def _places(tracks: Tracks, seen: Seen, yaw: float, reach_m: float) -> Floats:
+def _places(tracks: Tracks, seen: Seen, yaw: float) -> Floats:
     """Return the translations (k, 2) implied by corners and crossing walls for one rotation.
 
     Translations perpendicular to each wall are included. They are sorted by the length of agreeing
     walls.
     """
-    cells = np.int64(2 * math.ceil(reach_m / CELL_M) + 1)
+    cells = np.int64(2 * math.ceil(REACH_M / CELL_M) + 1)
     taken = np.zeros((cells, cells), dtype=np.bool_)
-    lines, found = _lines(tracks, seen, yaw, reach_m), np.empty((MOST, 2))
+    lines, found = _lines(tracks, seen, yaw), np.empty((MOST, 2))
     across, way, size = lines[:, :2], lines[:, 2], lines[:, 3]
-    count = _corners(tracks, seen, yaw, reach_m, found, taken)
+    count = _corners(tracks, seen, yaw, found, taken)
     for p in range(len(way)):
         x, y = way[p] * across[p, 0], way[p] * across[p, 1]
-        count = _noted(found, count, x, y, reach_m, taken)
+        count = _noted(found, count, x, y, taken)
         for q in range(p):
             det = across[p, 0] * across[q, 1] - across[p, 1] * across[q, 0]
             if abs(det) > CROSSING:
                 x = (way[p] * across[q, 1] - way[q] * across[p, 1]) / det
                 y = (way[q] * across[p, 0] - way[p] * across[q, 0]) / det
-                count = _noted(found, count, x, y, reach_m, taken)
+                count = _noted(found, count, x, y, taken)
     against = np.zeros(count)
     for k in range(count):
         for p in range(len(way)):
@@ -205,20 +206,12 @@ def _places(tracks: Tracks, seen: Seen, yaw: float, reach_m: float) -> Floats:
 
 
 @compiled
-def implied(
-    tracks: Tracks,
-    seen: Seen,
-    before: float,
-    reach_m: float,
-    reach_rad: float,
-    n_turns: int,
-    each: int,
-) -> Floats:
-    """Return the motions (k, 3) implied by walls and corners, at most `each` per rotation."""
-    motions, count = np.empty((n_turns * each, 3)), 0
-    for yaw in turns(tracks, seen, before, reach_m, reach_rad, n_turns):
-        ways = _places(tracks, seen, yaw, reach_m)
-        for k in range(min(len(ways), each)):
+def implied(tracks: Tracks, seen: Seen) -> Floats:
+    """Return the motions (k, 3) implied by walls and corners, at most `EACH` per rotation."""
+    motions, count = np.empty((TURNS * EACH, 3)), 0
+    for yaw in turns(tracks, seen):
+        ways = _places(tracks, seen, yaw)
+        for k in range(min(len(ways), EACH)):
             motions[count, 0] = yaw
             motions[count, 1], motions[count, 2] = ways[k, 0], ways[k, 1]
             count += 1

@@ -35,6 +35,16 @@ NEAR_M = 0.5
 """A corner farther off than this, along its wall, does not constrain a motion."""
 CORNER = 0.3
 """Weight of a corner, relative to an end of a wall."""
+ROUGHLY = 3.0
+"""Tolerances of an initial guess, relative to those of the final match."""
+REACH_M, REACH_RAD = 3.0, np.deg2rad(45.0)
+"""Range of the wider search between two scans."""
+GUESSES = 3
+"""Number of motions of the wider search that are evaluated in full."""
+HELD = 1e-2
+"""Weight of constant motion where the observations do not determine it: a wall has 1."""
+LEAST_M = 0.02
+"""Lower limit of the noise of a corner when computing its weight."""
 
 
 @compiled
@@ -144,12 +154,11 @@ def _pull(
 
 
 @helper
-def correction(tracks: Tracks, seen: Seen, track_of: Ints, held: float, least_m: float) -> Floats:
+def correction(tracks: Tracks, seen: Seen, track_of: Ints) -> Floats:
     """Return the small motion that aligns tracks to the walls that they match (least squares).
 
     Both ends of a wall seen lie on the line of its track, and a corner seen again at its place
-    along the wall; `held` is the weight of a zero motion, `least_m` the noise of a corner. The line
-    of a short track becomes less certain with the distance from the track.
+    along the wall. The line of a short track becomes less certain with the distance from the track.
     """
     angle, offset, ends, sd, corner_at = tracks
     wall_ends, along, _, _, _, static = seen
@@ -164,7 +173,7 @@ def correction(tracks: Tracks, seen: Seen, track_of: Ints, held: float, least_m:
         for e in range(2):
             x, y = wall_ends[j, e, 0], wall_ends[j, e, 1]
             beyond = max(abs(ny * (x - mid_x) - nx * (y - mid_y)) / own - 0.5, 0.0)
-            w = 1 / (1 + (1 + 12 * beyond**2) * (sd[i] / least_m) ** 2)
+            w = 1 / (1 + (1 + 12 * beyond**2) * (sd[i] / LEAST_M) ** 2)
             _pull(A, b, nx, ny, x, y, nx * x + ny * y - offset[i], w)
             if static[j, e]:
                 ux, uy = along[j, 0], along[j, 1]
@@ -172,8 +181,8 @@ def correction(tracks: Tracks, seen: Seen, track_of: Ints, held: float, least_m:
                 off = ux * (x - cx) + uy * (y - cy)
                 if abs(off) < NEAR_M:
                     _pull(A, b, ux, uy, cx, cy, off, CORNER)
-    A[1, 1] += held
-    A[2, 2] += held
+    A[1, 1] += HELD
+    A[2, 2] += HELD
     for i in range(3):
         A[i, i] += 1e-9
     factorise(A)
@@ -183,13 +192,7 @@ def correction(tracks: Tracks, seen: Seen, track_of: Ints, held: float, least_m:
 
 @compiled
 def settled(
-    tracks: Tracks,
-    seen: Seen,
-    guesses: Floats,
-    roughly: float,
-    rounds: int,
-    held: float,
-    least_m: float,
+    tracks: Tracks, seen: Seen, guesses: Floats, rounds: int
 ) -> tuple[Floats, Ints, Floats]:
     """Fit motions (k, 3) to the walls that match, alternating with matching.
 
@@ -198,9 +201,7 @@ def settled(
     found, scores = np.empty((len(guesses), 3)), np.empty(len(guesses))
     every = np.empty((len(guesses), len(seen[1])), dtype=np.int64)
     for k in range(len(guesses)):
-        motion, track_of, scores[k] = _settled(
-            tracks, seen, guesses[k], roughly, rounds, held, least_m
-        )
+        motion, track_of, scores[k] = _settled(tracks, seen, guesses[k], rounds)
         for i in range(3):
             found[k, i] = motion[i]
         for j in range(len(track_of)):
@@ -209,16 +210,8 @@ def settled(
 
 
 @helper
-def _settled(
-    tracks: Tracks,
-    seen: Seen,
-    guess: Floats,
-    roughly: float,
-    rounds: int,
-    held: float,
-    least_m: float,
-) -> tuple[Floats, Ints, float]:
-    motion, widened = guess, roughly
+def _settled(tracks: Tracks, seen: Seen, guess: Floats, rounds: int) -> tuple[Floats, Ints, float]:
+    motion, widened = guess, ROUGHLY
     for _ in range(rounds):
         there = carried(tracks, motion)
         track_of = assigned(agreement(there, seen, widened))
@@ -227,7 +220,7 @@ def _settled(
             matched += track_of[j] >= 0
         if matched == 0:
             return motion, track_of, 0.0
-        motion = _then(motion, correction(there, seen, track_of, held, least_m))
+        motion = _then(motion, correction(there, seen, track_of))
         widened = max(1.0, widened / 2)
     worth = agreement(carried(tracks, motion), seen, 1.0)
     track_of, score = assigned(worth), 0.0
@@ -262,30 +255,28 @@ def _entered(motion: Floats, score: float, found: Floats, best: Floats) -> None:
 
 
 @compiled
-def guesses(
-    tracks: Tracks, seen: Seen, roughly: float, reach_m: float, reach_rad: float, most: int
-) -> tuple[Floats, Floats]:
-    """Return the motions (most, 3) with the highest scores that match two corners.
+def guesses(tracks: Tracks, seen: Seen) -> tuple[Floats, Floats]:
+    """Return the motions (g, 3) with the highest scores that match two corners.
 
     Also returns upper bounds of their scores, best first; unused rows are 0.
     """
     angle, _, _, _, corner_at = tracks
     wall_ends, _, normal, _, _, static = seen
-    best, found = np.zeros(most), np.zeros((most, 3))
+    best, found = np.zeros(GUESSES), np.zeros((GUESSES, 3))
     for i in range(len(angle)):
         for j in range(len(static)):
             yaw = half_turn(math.atan2(normal[j, 1], normal[j, 0]) - angle[i])
-            if abs(yaw) >= reach_rad:
+            if abs(yaw) >= REACH_RAD:
                 continue
             c, s = math.cos(yaw), math.sin(yaw)
             for e in range(2):
                 a, b = corner_at[i, e, 0], corner_at[i, e, 1]
                 x, y = wall_ends[j, e, 0] - c * a + s * b, wall_ends[j, e, 1] - s * a - c * b
                 # NaN for a track without that corner.
-                if not (static[j, e] and math.hypot(x, y) < reach_m):
+                if not (static[j, e] and math.hypot(x, y) < REACH_M):
                     continue
                 motion = np.empty(3)
                 motion[0], motion[1], motion[2] = yaw, x, y
-                score = _at_most(agreement(carried(tracks, motion), seen, roughly))
+                score = _at_most(agreement(carried(tracks, motion), seen, ROUGHLY))
                 _entered(motion, score, found, best)
     return found, best

@@ -16,19 +16,10 @@ from relmap.core.arrays import Bools, Floats, Ints
 from relmap.planes.linking.tracks import PlaneTracks
 from relmap.planes.scans.observation import PlaneObservation
 
-ROUGHLY = 3.0
-"""Tolerances of an initial guess, relative to those of the final match."""
-REACH_M = 3.0
-TURN_RAD = np.deg2rad(45.0)
-"""Range of the wider search between two scans."""
-HELD = 1e-2
-"""Weight of constant motion where the observations do not determine it: a wall has 1."""
 ROUNDS = 3
 HALTED = 0.05
 """Additional score required for standing still over constant motion: along a single wall both agree
 equally."""
-GUESSES = 3
-"""Number of motions of the wider search that are evaluated in full."""
 CONTENT = 0.8
 """Fraction of the maximum score above which the wider search is skipped."""
 DOUBT = 2.0
@@ -39,10 +30,6 @@ LEVER_M = 3.0
 """Distance at which a rotation counts as the equivalent translation."""
 MANY = 7
 """Walls that must agree on a motion longer than usual."""
-LEAST_M = 0.02
-"""Lower limit of the noise of a corner when computing its weight."""
-
-
 STILL = np.zeros(3)
 """No motion. A motion (3,) is yaw, x, y from one robot frame into another: ``R(yaw) @ p + t``."""
 
@@ -81,7 +68,7 @@ def place(
     recent = tracks.missed == tracks.missed.min(initial=0)
     possible = min(worth(tracks, seen, recent))
     if best[1].score < CONTENT * possible:
-        motions, scores = guesses(tracks.arrays, seen.arrays, ROUGHLY, REACH_M, TURN_RAD, GUESSES)
+        motions, scores = guesses(tracks.arrays, seen.arrays)
         likely = motions[scores > best[1].score]
         for found in zip(*settled_each(tracks, seen, likely, ROUNDS), strict=True):
             doubt = _doubt(found[0], before)
@@ -126,9 +113,8 @@ def settled_each(
     from relmap.planes.linking import matching_kernels
 
     starts = np.array(guesses).reshape(-1, 3)
-    motions, track_of, scores = matching_kernels.settled(
-        tracks.arrays, seen.arrays, starts, ROUGHLY, rounds, HELD, LEAST_M
-    )
+    found = matching_kernels.settled(tracks.arrays, seen.arrays, starts, rounds)
+    motions, track_of, scores = found
     matches = list[Match]()
     for own, score in zip(track_of, scores.tolist(), strict=True):
         walls = np.flatnonzero(own >= 0)

@@ -197,7 +197,7 @@ class ScanComparison:
         lead, variance = np.zeros(len(motions)), np.zeros(len(motions))
         for view in views:
             both = after(view.motion, np.vstack([motion[None], motions]))
-            own = leads(view.beams, self._beams, both[1:], both[0], NEAR_M, self._firm)
+            own = leads(view.beams, self._beams, both[1:], both[0], self._firm)
             lead, variance = lead + own[0], variance + own[1] ** 2
         return log_odds(lead, variance)
 

@@ -25,14 +25,10 @@ from relmap.planes.linking.judging import (
 )
 from relmap.planes.linking.links import CROSSING
 from relmap.planes.linking.placement import STILL
-from relmap.planes.linking.scan_comparison import CONTRADICTING, REACH_M, ScanComparison
+from relmap.planes.linking.scan_comparison import CONTRADICTING, ScanComparison
 from relmap.planes.motions import distinct, others
 from relmap.planes.odometry.prediction import OTHERWISE, Expected
 
-REACH_RAD = np.deg2rad(120.0)
-"""Largest rotation between two scans that are linked."""
-TURNS, EACH = 8, 25
-"""Number of rotations, and motions for each, evaluated coarsely."""
 ROUGH_M, ROUGH_STEP = 0.3, 12
 """Tolerance of the coarse evaluation, and subsampling of beams."""
 CLOSELY = 8
@@ -184,8 +180,7 @@ class Search(ScanComparison):
 
         tracks = self._tracks
         recent = tracks.kept(tracks.missed == tracks.missed.min(initial=0))
-        walls = recent.arrays, self._seen.arrays
-        motions = implied(*walls, 0.0, REACH_M, REACH_RAD, TURNS, EACH)
+        motions = implied(recent.arrays, self._seen.arrays)
         sums = self._counted(motions, ROUGH_M, ROUGH_STEP)
         order = np.argsort(sums[:, 1] - sums[:, 0], kind="stable")
         best = distinct(motions, order, CLOSELY, ALIKE_M, ALIKE_RAD)

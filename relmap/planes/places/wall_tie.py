@@ -28,9 +28,8 @@ TURNS, SHIFTS = 8, 6
 """Number of candidate rotations, and of translations for each."""
 BIN_RAD, APART_RAD = np.deg2rad(1.0), np.deg2rad(4.0)
 """Bins of the histogram of rotations, and least distance between two peaks."""
-NEAR_M, LIMITS = 0.1, np.array([SAMPLE_M, np.cos(np.deg2rad(5.0))])
-"""Largest distance of a point from the wall that it lies on, distance along it to the nearest point
-of the wall, and rotation (cosine)."""
+NEAR_M, PARALLEL = 0.1, np.cos(np.deg2rad(5.0))
+"""Largest distance of a point from the wall that it lies on, and rotation (cosine)."""
 EXACTLY, LEAST_NEAR_M = 3.0, 0.005
 """Rivals are compared within this multiple of the best deviation, and at least this distance."""
 ROUNDS, FIRST = 8, 4.0
@@ -211,7 +210,7 @@ def _fitted(points: WallPoints, among: WallPoints, guess: WallTie) -> WallTie:
 
     motion = guess.motion
     near_m = NEAR_M * np.maximum(FIRST / 2.0 ** np.arange(ROUNDS), 1.0)
-    n, across, rms_m = fit(points.at, points.normal, among.near, motion, near_m, LIMITS)
+    n, across, rms_m = fit(points.at, points.normal, among.near, motion, near_m)
     c, s, *t = motion.tolist()
     return WallTie(np.array([[c, -s], [s, c]]), np.array(t), SAMPLE_M * n, across, rms_m)
 
@@ -226,8 +225,7 @@ def lying(
     """
     from relmap.planes.places import wall_tie_kernels
 
-    own = points.at, points.normal
-    return wall_tie_kernels.lying(*own, among.near, tie.motion, near_m, LIMITS)
+    return wall_tie_kernels.lying(points.at, points.normal, among.near, tie.motion, near_m)
 
 
 def coinciding(ends: Floats, others: Floats, tie: WallTie) -> Ints:

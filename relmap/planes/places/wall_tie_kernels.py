@@ -13,6 +13,7 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.spatialindex_kernels import bucket_of, cell_at, key_of
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.small_kernels import factorise, solve
+from relmap.planes.places.wall_tie import PARALLEL, SAMPLE_M
 
 Among = tuple[Floats, Floats, Ints, Ints, Ints, float]
 """Points that others may lie on, and their normals; the first point of each bucket, the next point
@@ -50,7 +51,6 @@ def _lie(
     among: Among,
     motion: Floats,
     near_m: float,
-    limits: Floats,
     other: Ints,
     off: Floats,
 ) -> int:
@@ -58,30 +58,29 @@ def _lie(
     n, (c, s, tx, ty) = 0, motion
     for i in range(len(at)):
         x, y = c * at[i, 0] - s * at[i, 1] + tx, s * at[i, 0] + c * at[i, 1] + ty
-        one = _nearest(among, x, y, near_m + limits[0])
+        one = _nearest(among, x, y, near_m + SAMPLE_M)
         other[i], off[i] = -1, np.nan
         if one < 0:
             continue
         ox, oy = among[1][one, 0], among[1][one, 1]
         before = (among[0][one, 0] - x) * ox + (among[0][one, 1] - y) * oy
         nx, ny = c * normal[i, 0] - s * normal[i, 1], s * normal[i, 0] + c * normal[i, 1]
-        if abs(before) <= near_m and ox * nx + oy * ny >= limits[1]:
+        if abs(before) <= near_m and ox * nx + oy * ny >= PARALLEL:
             other[i], off[i], n = one, before, n + 1
     return n
 
 
 @compiled
 def lying(
-    at: Floats, normal: Floats, among: Among, motion: Floats, near_m: float, limits: Floats
+    at: Floats, normal: Floats, among: Among, motion: Floats, near_m: float
 ) -> tuple[Ints, Floats]:
     """Return the point that each point lies on after a motion, -1 for none, and how far before it.
 
     `motion` (4,): cosine and sine of the rotation, and the translation; `near_m`: largest distance
-    from a wall; `limits` (2,): largest distance along it to the nearest point, and least cosine
-    between the normals.
+    from a wall.
     """
     other, off = np.empty(len(at), dtype=np.int64), np.empty(len(at))
-    _lie(at, normal, among, motion, near_m, limits, other, off)
+    _lie(at, normal, among, motion, near_m, other, off)
     return other, off
 
 
@@ -129,18 +128,18 @@ def _step(motion: Floats, H: Floats, right: Floats, about: Floats) -> None:
 
 @compiled
 def fit(
-    at: Floats, normal: Floats, among: Among, motion: Floats, near_m: Floats, limits: Floats
+    at: Floats, normal: Floats, among: Among, motion: Floats, near_m: Floats
 ) -> tuple[int, float, float]:
     """Fit a motion (4,), in place, to walls that coincide, alternating with matching.
 
-    `near_m` (k,): largest distance from a wall, in each round; `limits` (2,): see `lying`. Returns
-    `n`: number of points on walls before the last step; 0 if they do not determine a motion.
-    `across`, `rms_m`: see `relmap.planes.places.wall_tie.WallTie`.
+    `near_m` (k,): largest distance from a wall, in each round. Returns `n`: number of points on
+    walls before the last step; 0 if they do not determine a motion. `across`, `rms_m`: see
+    `relmap.planes.places.wall_tie.WallTie`.
     """
     other, off, n = np.empty(len(at), dtype=np.int64), np.empty(len(at)), 0
     across, squares = 0.0, 0.0
     for k in range(len(near_m)):
-        n = _lie(at, normal, among, motion, near_m[k], limits, other, off)
+        n = _lie(at, normal, among, motion, near_m[k], other, off)
         if n < FEWEST:
             return 0, 0.0, np.inf
         H, right, about = _equations(at, among, motion, other, off, n)

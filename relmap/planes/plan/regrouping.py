@@ -14,13 +14,7 @@ from relmap.core.arrays import Bools, Ints
 from relmap.planes.submaps.submap import WallSubmap, among_all
 from relmap.planes.walls.assembly import Assembled, WallNumbers, assemble, directions, laid_out
 from relmap.planes.walls.history import PlaneHistory
-from relmap.planes.walls.joining import (
-    OVERLAP,
-    joined_corners,
-    placed_ends,
-    seen_together,
-    wall_extents,
-)
+from relmap.planes.walls.joining import joined_corners, placed_ends, seen_together, wall_extents
 
 SCATTER_M, SCATTER, MOSTLY = 0.08, 6.0, 0.75
 """A track moved if more than a quarter of its observations are farther from its line than this, in
@@ -122,8 +116,7 @@ def _gathered(assembled: Assembled, wall_of: Ints, across_m: float) -> Ints:
     order = np.argsort(-np.bincount(given.wall) * (half + GAP_M), kind="stable")
     lines = middle, normal, along, np.column_stack([-half, half]), has_corner
     seen = seen_together(assembled)
-    limits = TURN, across_m, GAP_M, OVERLAP
-    part = gathered(lines, (seen.indptr, seen.indices), order, limits)
+    part = gathered(lines, (seen.indptr, seen.indices), order, across_m)
     renamed = np.arange(len(wall_of))
     renamed[assembled.walls] = assembled.walls[part]
     _, first, of = np.unique(renamed[wall_of], return_index=True, return_inverse=True)

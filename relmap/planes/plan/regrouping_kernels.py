@@ -7,6 +7,8 @@ from numpy.typing import NDArray
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.linalg.compiling import compiled, helper
+from relmap.planes.plan.regrouping import GAP_M, TURN
+from relmap.planes.walls.joining import OVERLAP
 
 Lines = tuple[Floats, Floats, Floats, Floats, Bools]
 
@@ -29,7 +31,7 @@ def gathered(
     lines: Lines,
     together: tuple[NDArray[np.int32], NDArray[np.int32]],
     order: Ints,
-    limits: tuple[float, float, float, float],
+    across_m: float,
 ) -> Ints:
     """Return the wall that each (n,) is part of: itself, or the nearest of the earlier ones.
 
@@ -37,13 +39,10 @@ def gathered(
 
     `lines`: middle, normal and along (n, 2), reach (n, 2), and which ends are corners (n, 2).
     `together`: for each wall those seen in one scan with it: begin (n + 1,), and walls. `order`:
-    the walls (n,), the largest first. `limits`: least cosine between the normals; largest distance
-    of both ends across; largest distance beyond the other's end, or inside it if there is a corner;
-    fraction that must overlap for two walls never seen in one scan, which may lie twice as far
-    across.
+    the walls (n,), the largest first. `across_m`: largest distance of both ends across, twice as
+    large for two walls that overlap and were never seen in one scan.
     """
     (_, normal, _, reach, has_corner), (begin, beside) = lines, together
-    turn, across_m, gap_m, overlap = limits
     n = len(order)
     part, stands, met = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64), np.full(n, -1)
     standing = 0
@@ -52,17 +51,17 @@ def gathered(
             met[beside[at]] = k
         size, best, wall, low, high = reach[k, 1] - reach[k, 0], np.inf, k, 0.0, 0.0
         for s in stands[:standing]:
-            if normal[s, 0] * normal[k, 0] + normal[s, 1] * normal[k, 1] <= turn:
+            if normal[s, 0] * normal[k, 0] + normal[s, 1] * normal[k, 1] <= TURN:
                 continue
             off, right, left = _ends_from(lines, s, k)
             if off > 2 * across_m or off >= best:
                 continue
             inside = min(left, reach[s, 1]) - max(right, reach[s, 0])
-            right_m = -gap_m if has_corner[k, 0] or has_corner[s, 1] else gap_m
-            left_m = -gap_m if has_corner[k, 1] or has_corner[s, 0] else gap_m
+            right_m = -GAP_M if has_corner[k, 0] or has_corner[s, 1] else GAP_M
+            left_m = -GAP_M if has_corner[k, 1] or has_corner[s, 0] else GAP_M
             fits = off <= across_m
             fits &= right - reach[s, 1] <= right_m and reach[s, 0] - left <= left_m
-            if fits or (met[s] != k and inside > overlap * size):
+            if fits or (met[s] != k and inside > OVERLAP * size):
                 best, wall, low, high = off, s, right, left
         part[k] = wall
         if wall == k:

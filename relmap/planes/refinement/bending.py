@@ -9,7 +9,7 @@ import numpy as np
 from relmap.core.arrays import Floats, Ints
 from relmap.planes.linking.adjoining import LEAST_SHARE, RIVAL, SIDE
 from relmap.planes.motions import from_matrices, matrices
-from relmap.planes.scans.beams import NEAR_M, BeamStore, leads, log_odds
+from relmap.planes.scans.beams import BeamStore, leads, log_odds
 from relmap.planes.submaps.submap import WallSubmap
 from relmap.planes.submaps.tearing import deviations
 from relmap.planes.submaps.undetermined import beams_of
@@ -55,6 +55,6 @@ def _is_better(
     motions = from_matrices(np.linalg.inv(poses[i])[:, None] @ both)
     lead, variance, n = np.zeros(1), np.zeros(1), 0
     for (earlier, later), (kept, moved) in zip(pairs, motions, strict=True):
-        own, sd = leads(seen[later], seen[earlier], moved[None], kept, NEAR_M)
+        own, sd = leads(seen[later], seen[earlier], moved[None], kept)
         lead, variance, n = lead + own, variance + sd**2, n + len(seen[earlier]) + len(seen[later])
     return bool(log_odds(lead, variance)[0] > RIVAL and lead[0] > LEAST_SHARE * n)

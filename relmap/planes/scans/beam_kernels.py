@@ -13,6 +13,7 @@ import numpy as np
 
 from relmap.core.arrays import Bools, Floats
 from relmap.core.linalg.compiling import compiled, helper, unrolled
+from relmap.planes.scans.beams import NEAR_M
 
 Fan = tuple[Floats, Floats, Bools, Bools, Floats, Floats]
 
@@ -23,6 +24,9 @@ GAP_M, GAP = 0.3, 0.1
 GAP_RAD, MISSING = 0.1, 1.5
 """Bearings farther apart than this are outside the field of view; if they are so many times farther
 apart than others, a beam is missing, and a gap there may be anything."""
+SAME = 0.005
+"""Difference of the agreement of a point below which it favours no motion: measured ranges of a
+wall are off by some millimetres, depending on the angle, which standing still repeats."""
 STRAIGHT, FARTHER = 0.05, 4.0
 """Points lie on a line up to this fraction of their distance, and this ratio of distances."""
 
@@ -184,13 +188,11 @@ def compared(
 
 
 @unrolled
-def differences(
-    earlier: Fan, later: Fan, motions: Floats, near_m: float, firm: bool, least: float
-) -> Floats:
+def differences(earlier: Fan, later: Fan, motions: Floats, firm: bool) -> Floats:
     """Return by how much each point of both scans agrees better with motions than with the first.
 
     Of 1 + k motions, and n and m points: (k, n + m). A point contributes 0.5 to 1 if it agrees, -1
-    if it contradicts, 0 if undecided. Differences below `least`, and of points that are out of view
+    if it contradicts, 0 if undecided. Differences below `SAME`, and of points that are out of view
     by one of both motions or loose, are 0.
     """
     n, sums = len(earlier[0]), np.zeros(4)
@@ -201,11 +203,11 @@ def differences(
         for i in range(size):
             own[i] = np.nan
         motion, back = motions[k], _inverse(motions[k])
-        _compare(later, earlier, motion, near_m, 1, firm, sums, own[:n])
-        _compare(earlier, later, back, near_m, 1, firm, sums, own[n:])
+        _compare(later, earlier, motion, NEAR_M, 1, firm, sums, own[:n])
+        _compare(earlier, later, back, NEAR_M, 1, firm, sums, own[n:])
         if k > 0:
             for i in range(size):
                 difference = values[i] - first[i]
-                if abs(difference) >= least:  # not if NaN
+                if abs(difference) >= SAME:  # not if NaN
                     off[k - 1, i] = difference
     return off

@@ -20,13 +20,6 @@ from relmap.core.state.growing import GrowingArray
 
 NEAR_M = 0.12
 """A point nearer to a surface agrees with it; one twice as far in front of it contradicts it."""
-SAME = 0.005
-"""Difference of the agreement of a point below which it favours no motion: measured ranges of a
-wall are off by some millimetres, depending on the angle, which standing still repeats."""
-LOOSE_M = 0.7
-APART_M, APART = 0.2, 0.05
-"""Largest size of what may be a person, and distance of neighbouring points on different objects:
-constant, and as a fraction of the range."""
 RECENT = 16
 """Number of scans whose beams are kept in order: neighbouring scans are compared repeatedly."""
 PER_SCAN = 2000
@@ -124,7 +117,7 @@ class GivenBeams:
         bearings = np.arctan2(points[:, 1] - self.origin[1], points[:, 0] - self.origin[0])
         order = np.argsort(bearings, kind="stable")
         points, bearings = points[order], bearings[order]
-        loose = free_standing(points, bearings, self.origin, LOOSE_M, APART_M, APART)
+        loose = free_standing(points, bearings, self.origin)
         return points, bearings, loose
 
     def to_bytes(self) -> bytes:
@@ -246,7 +239,7 @@ def compared(
 
 
 def leads(
-    earlier: Beams, later: Beams, motions: Floats, motion: Floats, near_m: float, firm: bool = True
+    earlier: Beams, later: Beams, motions: Floats, motion: Floats, firm: bool = True
 ) -> tuple[Floats, Floats]:
     """Return by how much beams agree better with motions (k, 3) than with another one (3,).
 
@@ -259,7 +252,7 @@ def leads(
     from relmap.planes.scans import beam_kernels
 
     both = np.vstack([motion[None], motions])
-    off = beam_kernels.differences(earlier.arrays, later.arrays, both, near_m, firm, SAME)
+    off = beam_kernels.differences(earlier.arrays, later.arrays, both, firm)
     return off.sum(axis=1), np.sqrt((off**2).sum(axis=1))
 
 
@@ -275,4 +268,4 @@ def on_loose_things(ends: Floats, given: GivenBeams) -> Bools:
     from relmap.planes.scans.loose_kernels import loose_walls
 
     points, _, loose = given.by_bearing
-    return np.asarray(loose_walls(points, loose, ends, NEAR_M, LOOSE_M))
+    return loose_walls(points, loose, ends)

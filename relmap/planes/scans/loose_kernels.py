@@ -11,9 +11,18 @@ import numpy as np
 
 from relmap.core.arrays import Bools, Floats
 from relmap.core.linalg.compiling import compiled, helper, unrolled
+from relmap.planes.scans.beams import NEAR_M
 
 UNSEEN_RAD = 0.1
 """Bearings farther apart than this are outside the field of view."""
+LOOSE_M = 0.7
+"""Largest size of what may be a person."""
+APART_M, APART = 0.2, 0.05
+"""Distance of neighbouring points on different objects: constant, and as a fraction of the range of
+the nearer one."""
+STAYS_M, BEHIND_M = 0.2, 0.4
+"""An object is still there if a point was seen nearer than this, and gone if a beam ended farther
+behind it."""
 
 
 @compiled
@@ -54,41 +63,34 @@ def _is_behind(seen: tuple[Floats, Floats, Floats], k: int, other: int) -> bool:
 
 
 @compiled
-def free_standing(
-    points: Floats, bearings: Floats, origin: Floats, size_m: float, gap_m: float, gap: float
-) -> Bools:
+def free_standing(points: Floats, bearings: Floats, origin: Floats) -> Bools:
     """Return which points (n,) are on small objects with something behind them on both sides.
 
-    Neighbours belong to different objects if they are farther apart than `gap_m` and a fraction
-    `gap` of the range of the nearer one.  On one side, another such object may be in front instead.
+    On one side, another such object may be in front instead.
     """
     found = np.zeros(len(points), dtype=np.bool_)
-    seen, starts = (points, bearings, origin), _starts(points, origin, gap_m, gap)
-    _mark_free(seen, starts, size_m, found.copy(), found)
-    _mark_free(seen, starts, size_m, found.copy(), found)
+    seen, starts = (points, bearings, origin), _starts(points, origin)
+    _mark_free(seen, starts, found.copy(), found)
+    _mark_free(seen, starts, found.copy(), found)
     return found
 
 
 @helper
-def _starts(points: Floats, origin: Floats, gap_m: float, gap: float) -> Bools:
+def _starts(points: Floats, origin: Floats) -> Bools:
     """Return which points (n,) are on another object than the one before."""
     starts, before_m = np.zeros(len(points), dtype=np.bool_), 0.0
     for k in range(len(points)):
         range_m = math.hypot(points[k, 0] - origin[0], points[k, 1] - origin[1])
         if k > 0:
             apart = math.hypot(points[k, 0] - points[k - 1, 0], points[k, 1] - points[k - 1, 1])
-            starts[k] = not apart <= gap_m + gap * min(before_m, range_m)
+            starts[k] = not apart <= APART_M + APART * min(before_m, range_m)
         before_m = range_m
     return starts
 
 
 @helper
 def _mark_free(
-    seen: tuple[Floats, Floats, Floats],
-    starts: Bools,
-    size_m: float,
-    known: Bools,
-    found: Bools,
+    seen: tuple[Floats, Floats, Floats], starts: Bools, known: Bools, found: Bools
 ) -> None:
     """Mark the points on small objects with something behind them, or a known one on one side."""
     points = seen[0]
@@ -102,44 +104,36 @@ def _mark_free(
             or (right and k < n and known[k])
             or (left and first > 0 and known[first - 1])
         )
-        if free and _extent(points, first, k - 1) <= size_m:
+        if free and _extent(points, first, k - 1) <= LOOSE_M:
             found[first:k] = True
         first = k
 
 
 @compiled
-def loose_walls(points: Floats, loose: Bools, ends: Floats, near_m: float, size_m: float) -> Bools:
+def loose_walls(points: Floats, loose: Bools, ends: Floats) -> Bools:
     """Return which walls, given their ends (m, 2, 2), lie on free-standing objects."""
     found = np.zeros(len(ends), dtype=np.bool_)
     for j in range(len(ends)):
-        ax, ay = ends[j, 0, 0], ends[j, 0, 1]
-        ux, uy = ends[j, 1, 0] - ax, ends[j, 1, 1] - ay
-        size, on, of_those = math.hypot(ux, uy), 0, 0
-        if size > size_m:
+        x, y = ends[j, 1, 0] - ends[j, 0, 0], ends[j, 1, 1] - ends[j, 0, 1]
+        if math.hypot(x, y) > LOOSE_M:
             continue
-        for k in range(len(points)):
-            x, y = points[k, 0] - ax, points[k, 1] - ay
-            along = (x * ux + y * uy) / size
-            if abs(x * uy - y * ux) / size < near_m and -near_m < along < size + near_m:
-                on += 1
-                of_those += loose[k]
+        on, of_those = 0, 0
+        for k, is_on in enumerate(on_walls(points, ends[j : j + 1], NEAR_M)):
+            on += is_on
+            of_those += is_on and loose[k]
         found[j] = 2 * of_those > on
     return found
 
 
 @unrolled
 def seen_again(
-    points: Floats,
-    later: tuple[Floats, Floats, Floats],
-    motion: Floats,
-    near_m: float,
-    behind_m: float,
+    points: Floats, later: tuple[Floats, Floats, Floats], motion: Floats
 ) -> tuple[int, int]:
     """Return how many points (n, 2), moved into the frame of a later scan, are there, and gone.
 
     A scan is its points (m, 2), their bearings (m,), ascending, and the place of the sensor (2,).
-    A point is there if one was seen nearer than `near_m`, and otherwise gone if both beams beside
-    it end farther behind it than `behind_m`.
+    A point is there if one was seen near it, and otherwise gone if both beams beside it end far
+    behind it.
     """
     found, bearings, origin = later
     c, s, there, gone = math.cos(motion[0]), math.sin(motion[0]), 0, 0
@@ -149,7 +143,7 @@ def seen_again(
         nearest = np.inf
         for j in range(len(found)):
             nearest = min(nearest, (x - found[j, 0]) ** 2 + (y - found[j, 1]) ** 2)
-        if nearest < near_m * near_m:
+        if nearest < STAYS_M * STAYS_M:
             there += 1
             continue
         bearing, i = math.atan2(y - origin[1], x - origin[0]), 0
@@ -158,5 +152,5 @@ def seen_again(
         i, range_m = min(max(i, 1), len(bearings) - 1), np.inf
         for j in (i - 1, i):
             range_m = min(range_m, math.hypot(found[j, 0] - origin[0], found[j, 1] - origin[1]))
-        gone += range_m > math.hypot(x - origin[0], y - origin[1]) + behind_m
+        gone += range_m > math.hypot(x - origin[0], y - origin[1]) + BEHIND_M
     return there, gone

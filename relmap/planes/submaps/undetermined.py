@@ -10,7 +10,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.planes.linking.link_record import LinkRecord
 from relmap.planes.motions import from_matrices, inverse
-from relmap.planes.scans.beams import NEAR_M, Beams, BeamStore, leads, log_odds
+from relmap.planes.scans.beams import Beams, BeamStore, leads, log_odds
 from relmap.planes.submaps.submap import WallSubmap
 from relmap.planes.walls.history import PlaneHistory
 
@@ -154,7 +154,7 @@ def _excluded(step: Floats, changes: Floats, earlier: Beams, later: Beams) -> fl
 
     `step`: pose of the later scan in the frame of the earlier one: yaw, x, y.
     """
-    lead, sd = leads(later, earlier, step + changes, step, NEAR_M)
+    lead, sd = leads(later, earlier, step + changes, step)
     excluded = -float(log_odds(lead, sd**2).max())
     clear = lead.max() < -LEAST_SHARE * (len(earlier) + len(later))
     return excluded if clear else min(excluded, 0.0)

@@ -10,6 +10,7 @@ from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import median
 from relmap.segmentation.em.wall_kernels import weighted_line
+from relmap.segmentation.scanline.lines import MEDIAN
 from relmap.segmentation.wall import BEGIN, END, PX, PY, SHARE, UX, UY, WALL
 
 STEEP = math.radians(4.0)
@@ -24,6 +25,11 @@ OPEN = 0.9
 """Number of beams that must cross it."""
 OFF = 5.0
 """Standard deviations of a point above which a line does not fit."""
+INLIER, ROUNDS = 5 / MEDIAN, 10
+"""Five standard deviations, in medians: larger deviations are not noise; and the maximum number of
+times that these are excluded."""
+CHANCE = 1e-3
+"""Largest probability that the points of a wall form a line by chance."""
 LIMIT = 4.0
 """Mean square of two neighbours, relative to the noise, above which a line does not fit."""
 
@@ -56,11 +62,10 @@ def turns(xy: Floats) -> Floats:
 
 
 @compiled
-def off_chords(xy: Floats, inlier: float, rounds: int) -> float:
+def off_chords(xy: Floats) -> float:
     """Return the median distance of points (n,) from the chords of their neighbours.
 
-    Points more than `inlier` such medians off are excluded, repeatedly, up to a maximum number of
-    times.
+    Points farther off than noise explains are excluded, repeatedly.
     """
     off, inliers = np.empty(len(xy) - 2), np.empty(len(xy) - 2)
     for i in range(len(off)):
@@ -68,8 +73,8 @@ def off_chords(xy: Floats, inlier: float, rounds: int) -> float:
         across = dx * (xy[i + 1, 1] - xy[i, 1]) - dy * (xy[i + 1, 0] - xy[i, 0])
         off[i] = abs(across) / max(math.hypot(dx, dy), 1e-12)
     middle = median(off.copy())
-    for _ in range(rounds):
-        before, limit, n = middle, inlier * middle, 0
+    for _ in range(ROUNDS):
+        before, limit, n = middle, INLIER * middle, 0
         for i in range(len(off)):
             if off[i] <= limit:
                 inliers[n] = off[i]
@@ -231,11 +236,11 @@ def _by_chance(xy: Floats, first: int, last: int, sigma: float) -> float:
 
 
 @compiled
-def line_pieces(xy: Floats, beam: Ints, sigma: float, chance: float) -> Ints:
+def line_pieces(xy: Floats, beam: Ints, sigma: float) -> Ints:
     """Return the straight pieces (m, 2) of a scan: first point, and one after the last.
 
-    Pieces whose probability by chance is at least `chance` are left out.  `beam` are the
-    numbers (n,) of the points before specks were left out.
+    Pieces that are probable by chance are left out. `beam` are the numbers (n,) of the points
+    before specks were left out.
     """
     if len(xy) < 3:
         return np.empty((0, 2), dtype=np.int64)
@@ -253,7 +258,7 @@ def line_pieces(xy: Floats, beam: Ints, sigma: float, chance: float) -> Ints:
     _join(xy, free, pieces, sigma)
     kept, n = np.empty((len(pieces), 2), dtype=np.int64), 0
     for a, b in pieces:
-        if _by_chance(xy, a, b, sigma) < chance:
+        if _by_chance(xy, a, b, sigma) < CHANCE:
             kept[n, 0], kept[n, 1] = a, b
             n += 1
     return kept[:n]

@@ -18,13 +18,8 @@ from relmap.segmentation.em.mixture import WallMixture, scan_area
 from relmap.segmentation.noise import FLOOR_M
 from relmap.segmentation.wall import BEGIN, END, PX, PY, UX, UY
 
-CHANCE = 1e-3
-"""Largest probability that the points of a wall form a line by chance."""
 MEDIAN = 0.6745
 """Median of the magnitude of normal noise, in standard deviations."""
-INLIER = 5 / MEDIAN
-"""Five standard deviations, in such medians: larger deviations are not noise."""
-ROUNDS = 10
 MANY = 1 / 12
 """Fraction of beams on small isolated objects above which the scan shows clutter."""
 BOWED, EXPLAINED = 2.0, 0.4
@@ -48,12 +43,17 @@ class LaserScan:
     @cached_property
     def bearing(self) -> Floats:
         """The bearings (n,) of the points, radians, without jumps."""
-        return _bearings(self.xy)
+        bearing = np.arctan2(self.xy[:, 1], self.xy[:, 0])
+        jumps = np.rint((bearing[1:] - bearing[:-1]) / (2 * np.pi))
+        if jumps.any():
+            bearing[1:] -= 2 * np.pi * np.cumsum(jumps)
+        return np.asarray(bearing)
 
     @cached_property
     def step_rad(self) -> float:
         """The angle from one beam to the next, positive to the left."""
-        return _beam_step(self.bearing)
+        step = np.sort(self.bearing[1:] - self.bearing[:-1])
+        return float(step[(len(step) - 1) // 2] + step[len(step) // 2]) / 2 if len(step) else 0.0
 
     @cached_property
     def noise_m(self) -> float:
@@ -70,7 +70,7 @@ def beam_noise(xy: Floats) -> float:
 
     if len(xy) < 5:
         return FLOOR_M
-    middle = off_chords(np.ascontiguousarray(xy), INLIER, ROUNDS)
+    middle = off_chords(np.ascontiguousarray(xy))
     return max(middle / (MEDIAN * math.sqrt(1.5)), FLOOR_M)
 
 
@@ -87,7 +87,7 @@ def scan_walls(scan: LaserScan, noise: float | None) -> tuple[WallMixture, Ints]
     own = np.ascontiguousarray(xy[solid])
     if noise is None and len(own) < len(xy):
         sigma = beam_noise(own)
-    pieces = line_pieces(own, solid, max(sigma, NOISE_AT_LEAST_M), CHANCE)
+    pieces = line_pieces(own, solid, max(sigma, NOISE_AT_LEAST_M))
     walls = piece_walls(own, pieces)
     kept = walls[:, END] - walls[:, BEGIN] > NOISE_AT_LEAST_M
     walls, pieces = walls[kept], pieces[kept]
@@ -108,21 +108,6 @@ def _beyond_clutter(xy: Floats, sigma: float) -> Ints:
     speck = specks(np.ascontiguousarray(xy), sigma)
     alone = speck[1:-1] & ~speck[:-2] & ~speck[2:]
     return (~speck | (np.count_nonzero(alone) < MANY * len(xy))).nonzero()[0]
-
-
-def _bearings(xy: Floats) -> Floats:
-    """Return the bearings (n,) of points, radians, without jumps."""
-    bearing = np.arctan2(xy[:, 1], xy[:, 0])
-    jumps = np.rint((bearing[1:] - bearing[:-1]) / (2 * np.pi))
-    if jumps.any():
-        bearing[1:] -= 2 * np.pi * np.cumsum(jumps)
-    return np.asarray(bearing)
-
-
-def _beam_step(bearing: Floats) -> float:
-    """Return the angle (radians) from one beam to the next, positive to the left."""
-    step = np.sort(bearing[1:] - bearing[:-1])
-    return float(step[(len(step) - 1) // 2] + step[len(step) // 2]) / 2 if len(step) else 0.0
 
 
 def first_and_last(labels: Ints) -> tuple[Ints, Ints]:

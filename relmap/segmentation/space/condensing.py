@@ -13,7 +13,7 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.segmentation.space.growing import planes_of
-from relmap.segmentation.space.voxels import GRAZING, moments_of, principal
+from relmap.segmentation.space.voxels import moments_of, principal
 
 APART = 2.0
 """A ray distinguishes two planes if it meets them farther apart than this many standard deviations
@@ -36,11 +36,11 @@ def condensed(
     count = int(label.max(initial=-1)) + 1
     moments = moments_of(points, label, count, noise_m)
     planes, axes = planes_of(moments), principal(moments)[2]
-    mixed = undecided(points, label, noise_m, planes, axes, APART, GRAZING, cell_m)
+    mixed = undecided(points, label, noise_m, planes, axes, cell_m)
     most = MOST * np.bincount(label[label >= 0], minlength=count)
     enough = np.bincount(label[(label >= 0) & ~mixed], minlength=count) >= most
     label = np.where(mixed & np.append(enough, False)[label], -1, label)
-    at = slid(points, label, planes, range_errors(points, label, planes, GRAZING))
+    at = slid(points, label, planes, range_errors(points, label, planes))
     number = np.bincount(label[label >= 0], minlength=count)
     # About their own mean, so that rounding errors do not grow with the range.
     middle = moments_of(at, label, count)[:, 1:4] / number[:, None]

@@ -6,6 +6,8 @@ import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.linalg.compiling import compiled, helper
+from relmap.segmentation.space.condensing import APART
+from relmap.segmentation.space.voxels import GRAZING
 
 
 @helper
@@ -14,11 +16,11 @@ def _along(axis: Floats, point: Floats) -> float:
 
 
 @compiled
-def range_errors(points: Floats, label: Ints, planes: Floats, grazing: float) -> Floats:
+def range_errors(points: Floats, label: Ints, planes: Floats) -> Floats:
     """Return how far points (n, 3) are beyond their planes along their rays (n,); 0 without one.
 
     `label` (n,): the plane of each, -1 for none; `planes` (m, 4): normals and offsets. Rays are
-    taken to meet planes at an angle with at least this sine, `grazing`.
+    taken to meet planes at an angle with at least the sine `GRAZING`.
     """
     found = np.zeros(len(points))
     for i in range(len(points)):
@@ -26,7 +28,7 @@ def range_errors(points: Floats, label: Ints, planes: Floats, grazing: float) ->
             plane = planes[label[i]]
             ahead = _along(plane, points[i])
             steep = ahead / np.sqrt(_along(points[i], points[i]))
-            found[i] = (ahead - plane[3]) / np.copysign(max(abs(steep), grazing), steep)
+            found[i] = (ahead - plane[3]) / np.copysign(max(abs(steep), GRAZING), steep)
     return found
 
 
@@ -63,20 +65,12 @@ def _extents(points: Floats, label: Ints, axes: Floats, beyond_m: float) -> Floa
 
 @compiled
 def undecided(
-    points: Floats,
-    label: Ints,
-    sigma: Floats,
-    planes: Floats,
-    axes: Floats,
-    apart: float,
-    grazing: float,
-    beyond_m: float,
+    points: Floats, label: Ints, sigma: Floats, planes: Floats, axes: Floats, beyond_m: float
 ) -> Bools:
     """Return which points (n, 3) may be of another plane than theirs, by their rays.
 
-    `label` (n,), `planes` (m, 4), `grazing`: see `range_errors`; `sigma` (n,): noise across planes.
-    `axes` (m, 3, 3): normals and the axes along which planes extend `beyond_m` further than their
-    points. Rays distinguish planes that are `apart` standard deviations of each from each other.
+    `label` (n,), `planes` (m, 4): see `range_errors`; `sigma` (n,): noise across planes. `axes`
+    (m, 3, 3): normals and the axes along which planes extend `beyond_m` further than their points.
     """
     extents, found = _extents(points, label, axes, beyond_m), np.zeros(len(points), dtype=np.bool_)
     for i in range(len(points)):
@@ -84,14 +78,14 @@ def undecided(
             continue
         own, range_m = planes[label[i]], np.sqrt(_along(points[i], points[i]))
         steep = abs(_along(own, points[i])) / range_m
-        wide = max(steep, grazing)
-        near_m = apart * sigma[i] / wide
+        wide = max(steep, GRAZING)
+        near_m = APART * sigma[i] / wide
         for k in range(len(planes)):
             other = _along(planes[k], points[i]) / range_m
             # Where the ray meets its plane, times the angle: its distance from the other plane.
             off_m = abs(own[3] * other - planes[k, 3] * _along(own, points[i]) / range_m)
             other = abs(other)
-            if k == label[i] or off_m > near_m * (wide * other + max(other, grazing) * steep):
+            if k == label[i] or off_m > near_m * (wide * other + max(other, GRAZING) * steep):
                 continue
             u, v = _along(axes[k, 1], points[i]), _along(axes[k, 2], points[i])
             ends = extents[k]

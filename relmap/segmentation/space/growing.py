@@ -54,15 +54,15 @@ def grown(voxels: Voxels, flat: Bools, sigma: Floats) -> Ints:
     reach = REACH * sigma * np.sqrt(1 / points + 0.25)
     # The flattest first, relative to the noise.
     seeds = np.flatnonzero(may)[np.argsort((voxels.thickness / sigma)[may], kind="stable")]
-    rest = voxels.moments, TURN, reach, voxels.around, voxels.centre, normal
-    label, limits = np.full(len(may), -1), (REGROWN, FEWEST_VOXELS)
-    found, grown = grow_regions(seeds, planes[seeds], *rest, may.copy(), label, *limits)
+    rest = voxels.moments, reach, voxels.around, voxels.centre, normal
+    label = np.full(len(may), -1)
+    found, grown = grow_regions(seeds, planes[seeds], *rest, may.copy(), label)
     # Then the largest first: a bent part of a plane that grew before it is taken back.
     order = np.argsort(-np.bincount(label[label >= 0], minlength=len(found)), kind="stable")
     seeds = np.concatenate([found[order], seeds])
     planes = np.concatenate([grown[order], planes[seeds[len(found) :]]])
     label[:] = -1
-    grow_regions(seeds, planes, *rest, may, label, *limits)
+    grow_regions(seeds, planes, *rest, may, label)
     return label
 
 
@@ -75,7 +75,7 @@ def joined(sums: Floats, noise: Floats) -> Ints:
     from relmap.segmentation.space.growing_kernels import join_same
 
     own = np.arange(len(sums))
-    join_same(_alike(sums, noise), sums, noise, ALIKE, own)
+    join_same(_alike(sums, noise), sums, noise, own)
     return np.append(np.unique(own, return_inverse=True)[1], -1)
 
 

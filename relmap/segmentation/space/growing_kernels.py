@@ -7,6 +7,11 @@ import numpy as np
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.small_kernels import diagonalise
+from relmap.segmentation.space.growing import ALIKE, FEWEST_VOXELS, REGROWN, TURN
+from relmap.segmentation.space.voxels import GRAZING
+
+GATE = 3.0
+"""Largest distance of points from their plane, in standard deviations."""
 
 
 @compiled
@@ -75,7 +80,6 @@ def _grow(
     seed: int,
     region: int,
     plane: Floats,
-    turn: float,
     reach: Floats,
     around: Ints,
     centre: Floats,
@@ -102,7 +106,7 @@ def _grow(
             for a in range(3):
                 cosine += normal[w, a] * plane[a]
                 off += centre[w, a] * plane[a]
-            if cosine < turn or abs(off) > reach[w]:
+            if cosine < TURN or abs(off) > reach[w]:
                 continue
             label[w] = region
             queue[found] = w
@@ -130,22 +134,18 @@ def grow_regions(
     seeds: Ints,
     planes: Floats,
     moments: Floats,
-    turn: float,
     reach: Floats,
     around: Ints,
     centre: Floats,
     normal: Floats,
     open_: Bools,
     label: Ints,
-    most: int,
-    fewest: int,
 ) -> tuple[Ints, Floats]:
-    """Grow planes from seeds, refitted up to `most` times; return seeds (r,) and planes (r, 4).
+    """Grow planes from seeds, refitted as they grow; return seeds (r,) and planes (r, 4).
 
-    `seeds` (s,), `planes` (s, 4): in this order. `moments` (v, 10); `turn`: least cosine between
-    the normal of a voxel and that of its plane. `reach` (v,): largest distance of the centre of
-    each voxel from its plane. `around` (v, 26): neighbours of each voxel, -1 for none. `open_`
-    (v,): voxels that may be labelled; seeds of planes of fewer than `fewest` voxels are closed.
+    `seeds` (s,), `planes` (s, 4): in this order. `moments` (v, 10). `reach` (v,): largest distance
+    of the centre of each voxel from its plane. `around` (v, 26): neighbours of each voxel, -1 for
+    none. `open_` (v,): voxels that may be labelled; seeds of planes of too few voxels are closed.
     `label` (v,): region of each voxel, -1 for none, changed.
     """
     queue, sums, second = np.empty(len(label), dtype=np.int64), np.empty(10), np.empty((3, 3))
@@ -157,17 +157,15 @@ def grow_regions(
         for a in range(4):
             fitted[n, a] = planes[s, a]
         size = count = 0
-        for _ in range(most):
+        for _ in range(REGROWN):
             _unlabel(label, queue, count)
-            count = _grow(
-                seed, n, fitted[n], turn, reach, around, centre, normal, open_, label, queue
-            )
-            if count <= 1.1 * size or count < fewest:
+            count = _grow(seed, n, fitted[n], reach, around, centre, normal, open_, label, queue)
+            if count <= 1.1 * size or count < FEWEST_VOXELS:
                 break
             size = count
             _add_up(moments, queue, count, sums)
             _plane_of(sums, second, fitted[n])
-        if count < fewest:
+        if count < FEWEST_VOXELS:
             _unlabel(label, queue, count)
             open_[seed] = False
         else:
@@ -187,7 +185,7 @@ def _square_off(moments: Floats, plane: Floats) -> float:
 
 
 @compiled
-def join_same(pairs: Ints, sums: Floats, noise: Floats, alike: float, own: Ints) -> None:
+def join_same(pairs: Ints, sums: Floats, noise: Floats, own: Ints) -> None:
     """Join pairs (p, 2) of planes (m,) whose points lie on their common plane within the noise.
 
     `own` (m,) is the plane that each was joined to; it, the moments (m, 10) and the mean square of
@@ -203,8 +201,8 @@ def join_same(pairs: Ints, sums: Floats, noise: Floats, alike: float, own: Ints)
         _plane_of(both, second, plane)
         same = True
         for one in (a, b):
-            thin = max(noise[one], _plane_of(sums[one], second, none) / (alike * alike))
-            same &= _square_off(sums[one], plane) < alike * alike * thin
+            thin = max(noise[one], _plane_of(sums[one], second, none) / (ALIKE * ALIKE))
+            same &= _square_off(sums[one], plane) < ALIKE * ALIKE * thin
         if not same:
             continue
         a, b = min(a, b), max(a, b)
@@ -244,8 +242,6 @@ def label_points(
     points: Floats,
     of: Ints,
     sigma: Floats,
-    gate: float,
-    grazing: float,
     around: Ints,
     voxel_label: Ints,
     planes: Floats,
@@ -254,18 +250,18 @@ def label_points(
 ) -> None:
     """Label each point (n,) with the nearest plane in its voxel, or if none in those around.
 
-    The label is -1 if every plane (m, 4) is more than `gate` standard deviations away. `steepness`
+    The label is -1 if every plane (m, 4) is more than `GATE` standard deviations away. `steepness`
     (n,) is set to the fraction of an error along the ray that is across the plane; 1 for none.
     """
     choice, first = _planes_around(around, voxel_label)
     for i in range(len(points)):
-        v, best, nearest, steepness[i] = of[i], -1, gate * sigma[i], 1.0
+        v, best, nearest, steepness[i] = of[i], -1, GATE * sigma[i], 1.0
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         range_m = np.sqrt(x * x + y * y + z * z)
         for k in range(first[v], first[v + 1]):
             g = choice[k]
             ahead = planes[g, 0] * x + planes[g, 1] * y + planes[g, 2] * z
-            off, steep = ahead - planes[g, 3], max(abs(ahead) / range_m, grazing)
-            if abs(off) < min(nearest, gate * sigma[i] * steep):
+            off, steep = ahead - planes[g, 3], max(abs(ahead) / range_m, GRAZING)
+            if abs(off) < min(nearest, GATE * sigma[i] * steep):
                 best, nearest, steepness[i] = g, abs(off), steep
         label[i] = best

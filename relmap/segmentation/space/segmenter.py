@@ -19,19 +19,10 @@ from relmap.core.scan import checked_points
 from relmap.segmentation.space.condensing import condensed
 from relmap.segmentation.space.growing import grown, joined, moments_by, planes_of
 from relmap.segmentation.space.patches import Patches, no_patches, reach_of
-from relmap.segmentation.space.voxels import (
-    GRAZING,
-    Voxels,
-    cells_of,
-    moments_of,
-    principal,
-    voxels_of,
-)
+from relmap.segmentation.space.voxels import Voxels, cells_of, moments_of, principal, voxels_of
 
 VOXEL = 0.04
 """Size of a voxel, as a fraction of the median range."""
-GATE = 3.0
-"""Largest distance of points from their plane, in standard deviations."""
 REFITS = 2
 """Number of refits of the planes to their points."""
 SCALES = (1.0, 2.5, 5.0)
@@ -185,13 +176,13 @@ class PatchSegmenter:
         for _ in range(REFITS):
             if not len(planes):
                 break
-            around = voxels.of, noise_m, GATE, GRAZING, voxels.around
+            around = voxels.of, noise_m, voxels.around
             label_points(points, *around, label, planes, found, steepness)
             keep = np.bincount(found + 1, minlength=len(planes) + 1)[1:] >= self.min_points
             name = np.append(np.where(keep, np.cumsum(keep) - 1, -1), -1)
             label, found = name[label], name[found]
             planes = planes_of(moments_of(points, found, int(keep.sum()), noise_m))
-        error_m = range_errors(points, found, planes, GRAZING)
+        error_m = range_errors(points, found, planes)
         noise_m = np.interp(range_m - error_m, *noise)
         return found, noise_m * np.where(found >= 0, steepness, 1.0), label
 

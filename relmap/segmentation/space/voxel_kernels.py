@@ -7,12 +7,12 @@ import numpy as np
 from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.spatialindex_kernels import bucket_of
 from relmap.core.linalg.compiling import compiled
-from relmap.segmentation.space.voxels import BITS
+from relmap.segmentation.space.voxels import BITS, NEAR
 
 
 @compiled
 def numbered_cells(
-    points: Floats, range_m: Floats, size_m: float, middle_m: float, near: float
+    points: Floats, range_m: Floats, size_m: float, middle_m: float
 ) -> tuple[Ints, Ints]:
     """Return the keys (v,) of the voxels of points (n, 3), as they occur, and that of each (n,)."""
     slots = 16
@@ -22,7 +22,7 @@ def numbered_cells(
     keys, of = np.empty(len(points), dtype=np.int64), np.empty(len(points), dtype=np.int64)
     found, last, v = 0, -1, -1
     for i in range(len(points)):
-        scale = np.sqrt(middle_m / max(range_m[i], near * middle_m)) / size_m
+        scale = np.sqrt(middle_m / max(range_m[i], NEAR * middle_m)) / size_m
         key = 0
         for a in range(3):
             key = (key << BITS) | (int(np.floor(points[i, a] * scale)) + half)

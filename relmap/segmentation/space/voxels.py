@@ -91,7 +91,7 @@ def cells_of(points: Floats, range_m: Floats, size_m: float, middle_m: float) ->
     """
     from relmap.segmentation.space.voxel_kernels import numbered_cells
 
-    keys, of = numbered_cells(points, range_m, size_m, middle_m, NEAR)
+    keys, of = numbered_cells(points, range_m, size_m, middle_m)
     order = np.argsort(keys)
     number = np.empty(len(keys), dtype=np.int64)
     number[order] = np.arange(len(keys))
