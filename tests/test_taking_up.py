@@ -30,7 +30,8 @@ def placed(*parts: tuple[Floats, Ints]) -> Placements:
 def test_a_stretch_that_agrees_is_accepted() -> None:
     found = placed((THERE, np.arange(4, 24)), (ELSEWHERE, np.arange(8, 15))).accepted()
     assert found is not None
-    np.testing.assert_allclose(found.T_map_robot, THERE @ PATH[found.scan - 100])
+    scan, T_map_robot = found
+    np.testing.assert_allclose(T_map_robot, THERE @ PATH[scan - 100])
 
 
 def test_a_path_that_drifts_agrees_and_one_that_tears_does_not() -> None:

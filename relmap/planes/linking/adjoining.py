@@ -79,10 +79,8 @@ class Break:
         lead, variance, n = np.zeros(len(motions)), np.zeros(len(motions)), 0
         both = np.vstack([motion, motions])
         for i, j in product(self.earlier.tolist(), self.later.tolist()):
-            each, beams = (
-                self._between(i, j, both),
-                (self.scans.beams_of(i), self.scans.beams_of(j)),
-            )
+            each = self._between(i, j, both)
+            beams = self.scans.beams_of(i), self.scans.beams_of(j)
             own = leads(*beams, each[1:], each[0], self.scans.firm)
             lead, variance = lead + own[0], variance + own[1] ** 2
             n += len(beams[0]) + len(beams[1])

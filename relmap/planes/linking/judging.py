@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -26,10 +26,6 @@ PAIR = np.array([6.7, 2.8, 2.5, -1.8, -13.6])
 logarithm of the contradicting ones, constant."""
 MEASURED = 2.4
 """Added if the motion is determined in all directions."""
-TIE_AGREES, TIE_CONTRADICTS, TIE_TURN = 0.36, 0.01, 1.2
-"""Smallest fraction of points that must agree to tie two scans; and, if only parallel walls match,
-which look the same farther along and from the other end, the largest fraction that may contradict
-and the largest rotation, radians."""
 
 NO_MATCH = Match(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), 0.0)
 
@@ -51,34 +47,22 @@ class Judged:
     """
 
     motions: Floats
-    matches: list[Match]
     agree: Floats
     contradict: Floats
     match: Floats
     surprise: Floats
+    matches: list[Match]
 
     def only(self, k: int) -> Judged:
         """Return one of these motions."""
-        row = slice(k, k + 1)
-        return Judged(
-            self.motions[row],
-            self.matches[row],
-            self.agree[row],
-            self.contradict[row],
-            self.match[row],
-            self.surprise[row],
-        )
+        return Judged(*(getattr(self, column.name)[k : k + 1] for column in fields(self)))
 
     def and_those(self, more: Judged) -> Judged:
         """Return these motions and others."""
-        return Judged(
-            np.concatenate([self.motions, more.motions]),
-            self.matches + more.matches,
-            np.concatenate([self.agree, more.agree]),
-            np.concatenate([self.contradict, more.contradict]),
-            np.concatenate([self.match, more.match]),
-            np.concatenate([self.surprise, more.surprise]),
-        )
+        columns: dict[str, Any] = {"matches": self.matches + more.matches}
+        for name in ("motions", "agree", "contradict", "match", "surprise"):
+            columns[name] = np.concatenate([getattr(self, name), getattr(more, name)])
+        return Judged(**columns)
 
     @cached_property
     def evidence(self) -> Floats:

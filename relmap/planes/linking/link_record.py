@@ -18,13 +18,7 @@ from relmap.planes.linking.adjoining import RIVAL, tied_across
 from relmap.planes.linking.at_rest import OFTEN, share_at_rest
 from relmap.planes.linking.judging import Found
 from relmap.planes.linking.tying import Link, Scans, judged_links
-from relmap.planes.motions import (
-    after,
-    from_matrices,
-    inverse,
-    matrices,
-    motion_over,
-)
+from relmap.planes.motions import after, from_matrices, inverse, matrices, motion_over
 from relmap.planes.odometry.prediction import OTHERWISE, Wheels
 from relmap.planes.scans.beams import BeamStore
 from relmap.planes.scans.observation import PlaneObservation
@@ -231,9 +225,13 @@ class LinkRecord:
         first = np.flatnonzero((np.diff(submaps, prepend=-1) != 0) & (submaps >= 0))
         submaps[:] = np.where(submaps >= 0, name[submaps], -1)
         for scan in first.tolist():
-            before = np.flatnonzero(submaps[:scan] == submaps[scan])
-            if len(before):
-                self._set_motion(scan, int(before[-1]), every)
+            earlier = np.flatnonzero(submaps[:scan] == submaps[scan])
+            if len(earlier):
+                before = int(earlier[-1])
+                motion = from_matrices((np.linalg.inv(every[scan]) @ every[before])[None])
+                between = motion_over(self.motions[before + 1 : scan])
+                self.motions[scan] = after(inverse(between), motion)[0]
+                self._evidence.values[scan], self.measured[scan] = np.inf, True
         self.same_walls = np.concatenate([self.same_walls, walls])
         self.submap = int(name[self.submap])
         return name
@@ -241,13 +239,6 @@ class LinkRecord:
     def before_join(self) -> dict[str, Any]:
         """Return a copy of what `join` changes."""
         return {name: deepcopy(getattr(self, name)) for name in self.JOINED.split()}
-
-    def _set_motion(self, scan: int, before: int, poses: Floats) -> None:
-        """Set the motion into a scan from its pose and that of one before."""
-        motion = from_matrices((np.linalg.inv(poses[scan]) @ poses[before])[None])
-        between = motion_over(self.motions[before + 1 : scan])
-        self.motions[scan] = after(inverse(between), motion)[0]
-        self._evidence.values[scan], self.measured[scan] = np.inf, True
 
     @property
     def _scans(self) -> Scans:

@@ -36,10 +36,7 @@ VARYING_M = 0.15
 
 
 def is_supported(
-    tracks: PlaneTracks,
-    seen: PlaneObservation,
-    found: tuple[Floats, Match],
-    usual: Floats,
+    tracks: PlaneTracks, seen: PlaneObservation, found: tuple[Floats, Match], usual: Floats
 ) -> bool:
     """Return whether enough of the expected and of the observed walls agree on a motion.
 
@@ -64,18 +61,12 @@ def usual_motion(motions: Floats, measured: Bools | None = None) -> Floats:
     """
     last = _middle(motions)
     if measured is not None:
-        known = _last_measured(motions, measured)
-        last[1:] = _middle(known)[1:] if len(known) == STEADY else last[1:]
+        begin = max(len(measured) - VARYING, 0)
+        rows = begin + np.flatnonzero(measured[begin:])
+        rows = rows if len(rows) >= STEADY else np.flatnonzero(measured)
+        if len(rows) >= STEADY:
+            last[1:] = _middle(motions[rows[-STEADY:]])[1:]
     return last
-
-
-def _last_measured(motions: Floats, measured: Bools) -> Floats:
-    """Return the last `STEADY` measured motions (k, 3), fewer if there are not as many."""
-    begin = max(len(measured) - VARYING, 0)
-    rows = begin + np.flatnonzero(measured[begin:])
-    if len(rows) < STEADY:
-        rows = np.flatnonzero(measured)
-    return np.asarray(motions[rows[-STEADY:]])
 
 
 def _middle(motions: Floats) -> Floats:

@@ -61,7 +61,7 @@ def place(
     """
     from relmap.planes.linking.matching_kernels import guesses
 
-    motions, matches = settled_each(tracks, seen, [before, STILL], ROUNDS)
+    motions, matches = settled(tracks, seen, [before, STILL])
     best, still = zip(motions, matches, strict=True)
     if still[1].score > best[1].score + HALTED:
         best = still
@@ -70,7 +70,7 @@ def place(
     if best[1].score < CONTENT * possible:
         motions, scores = guesses(tracks.arrays, seen.arrays)
         likely = motions[scores > best[1].score]
-        for found in zip(*settled_each(tracks, seen, likely, ROUNDS), strict=True):
+        for found in zip(*settled(tracks, seen, likely), strict=True):
             doubt = _doubt(found[0], before)
             if not _jumps(*found, farthest_m) and found[1].score > best[1].score + doubt:
                 best = found
@@ -99,15 +99,10 @@ def worth(tracks: PlaneTracks, seen: PlaneObservation, recent: Bools) -> tuple[f
 
 
 def settled(
-    tracks: PlaneTracks, seen: PlaneObservation, guess: Floats, rounds: int = ROUNDS
-) -> tuple[Floats, Match]:
-    """Fit a motion (3,) to the walls that match, and match again."""
-    motions, matches = settled_each(tracks, seen, [guess], rounds)
-    return motions[0], matches[0]
-
-
-def settled_each(
-    tracks: PlaneTracks, seen: PlaneObservation, guesses: Sequence[Floats] | Floats, rounds: int
+    tracks: PlaneTracks,
+    seen: PlaneObservation,
+    guesses: Sequence[Floats] | Floats,
+    rounds: int = ROUNDS,
 ) -> tuple[Floats, list[Match]]:
     """Fit each of some motions (3,) to the walls that match, and match again; (k, 3)."""
     from relmap.planes.linking import matching_kernels

@@ -18,7 +18,7 @@ import numpy as np
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association import Registration
 from relmap.core.state.growing import GrowingArray
-from relmap.planes.linking.judging import Found
+from relmap.planes.linking.judging import NO_MATCH
 from relmap.planes.linking.scan_links import ScanLinks
 from relmap.planes.linking.tracks import MEMORY, NO_CORNER, PlaneTracks
 from relmap.planes.scans.corners import CORNER, INTERVAL, LOOSE, UNKNOWN, compared_ends
@@ -95,11 +95,12 @@ class PlaneRegistration(Registration):
             found = self.links.into(tracks, seen)
             goes_on = goes_on and found is not None
         motion = found.motion if found else self.links.usual  # constant motion
-        if tracks is not None and len(seen):
-            tracks = _followed(tracks, seen, found, walls) if found else None
+        if tracks is not None and len(seen) and not found:
+            tracks = None
         elif tracks is not None:
-            tracks = tracks.carried(motion)
-            tracks.missed += 1
+            tracks, match = tracks.carried(motion), found.match if found else NO_MATCH
+            tracks.see(match.tracks, seen, match.walls)
+            walls[match.walls] = tracks.plane[match.tracks]
         if tracks is None and len(seen) and not goes_on:
             self.links.begin_submap()
         new, n_new = walls < 0, int(np.count_nonzero(walls < 0))
@@ -162,7 +163,8 @@ class PlaneRegistration(Registration):
         strayed = untyped[wall, end] & fresh & (corners >= 0)
         if strayed.any():  # the static corners are out of view: a new interval begins
             tracks.corner[row[strayed], end[strayed]] = NO_CORNER
-            self._ask_again(walls[wall[strayed]], end[strayed])
+            self._type.values[walls[wall[strayed]], end[strayed]] = UNTYPED
+            self._since.values[walls[wall[strayed]]] = len(self.links)
             columns = (wall, end, row, at, before, fresh, corners)
             wall, end, row, at, before, fresh, corners = (v[~strayed] for v in columns)
         new = fresh.nonzero()[0]
@@ -197,12 +199,10 @@ class PlaneRegistration(Registration):
         now = len(self.links)
         if now < INTERVAL or now % TESTED:
             return
-        rows, iteration = self.links.store.between(now - INTERVAL, now)
-        wall, kind = (
-            self.links.store.column("wall")[rows],
-            self.links.store.column("kind")[rows] % LOOSE,
-        )
-        ends, sd = self.links.store.column("location")[rows], self.links.store.column("sd")[rows]
+        store = self.links.store
+        rows, iteration = store.between(now - INTERVAL, now)
+        wall, kind = store.column("wall")[rows], store.column("kind")[rows] % LOOSE
+        ends, sd = store.column("location")[rows], store.column("sd")[rows]
         same, unknown = self._since.values[wall] <= now - INTERVAL, kind == UNKNOWN
         if not (same & unknown.any(axis=1)).any():
             return
@@ -218,11 +218,6 @@ class PlaneRegistration(Registration):
         for k, end in np.argwhere(moving).tolist():
             self._name(found.walls[k], end, NO_CORNER)
 
-    def _ask_again(self, walls: Ints, ends: Ints) -> None:
-        """Begin a new interval for walls (k,), and forget the known types of their ends."""
-        self._type.values[walls, ends] = UNTYPED
-        self._since.values[walls] = len(self.links)
-
     def _name(self, wall: int, end: int, corner: int) -> None:
         """Record the corner that an end of a wall was throughout the last interval."""
         now = len(self.links)
@@ -232,17 +227,6 @@ class PlaneRegistration(Registration):
         self.links.store.column("corner")[rows][own, end] = corner
         if corner == NO_CORNER:
             self.links.store.column("landmark")[rows][own, end] = corner
-
-
-def _followed(
-    tracks: PlaneTracks, seen: PlaneObservation, found: Found, walls: Ints
-) -> PlaneTracks:
-    """Return the tracks updated by a scan, and the walls (m,) that they are."""
-    motion, match = found.motion, found.match
-    tracks = tracks.carried(motion)
-    tracks.see(match.tracks, seen, match.walls)
-    walls[match.walls] = tracks.plane[match.tracks]
-    return tracks
 
 
 def _best(size: Floats, times: Ints) -> Ints:

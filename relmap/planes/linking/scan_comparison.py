@@ -13,7 +13,7 @@ import numpy as np
 from relmap.core.arrays import Floats
 from relmap.planes.linking.judging import Judged, View
 from relmap.planes.linking.links import spread
-from relmap.planes.linking.placement import ROUNDS, Match, settled_each, worth
+from relmap.planes.linking.placement import ROUNDS, Match, settled, worth
 from relmap.planes.linking.tracks import PlaneTracks
 from relmap.planes.motions import after, wrapped
 from relmap.planes.odometry.prediction import Expected
@@ -104,18 +104,14 @@ class ScanComparison:
     def _judged(self, guesses: Sequence[Floats] | Floats, rounds: int = ROUNDS) -> Judged:
         """Fit motions to the walls that match in some rounds, and compare the beams."""
         tracks, seen = self._tracks, self._seen
-        motions, matches = settled_each(tracks, seen, guesses, rounds)
+        motions, matches = settled(tracks, seen, guesses, rounds)
         step = 1 + len(self._beams) // JUDGES
         sums = np.array([self._counts(view, motions, NEAR_M, step) for view in self._views])
         total = sums.sum(axis=2)
-        return Judged(
-            motions,
-            matches,
-            (sums[..., 0] / np.maximum(total, 1.0)).max(axis=0),
-            sums[..., 1].sum(axis=0) / np.maximum(total.sum(axis=0), 1.0),
-            np.array([match.score / self._possible for match in matches]),
-            self._surprise(motions),
-        )
+        agree = (sums[..., 0] / np.maximum(total, 1.0)).max(axis=0)
+        contradict = sums[..., 1].sum(axis=0) / np.maximum(total.sum(axis=0), 1.0)
+        score = np.array([match.score / self._possible for match in matches])
+        return Judged(motions, agree, contradict, score, self._surprise(motions), matches)
 
     @cached_property
     def _possible(self) -> float:
@@ -161,7 +157,9 @@ class ScanComparison:
             return judged.only(k)
         usual_m = float((self._before[1:] - motion[1:]) @ self._along_longest(match))
         way_m = np.append(COARSE_M, usual_m) if far else COARSE_M
-        views = self._deciding(crossing)
+        views = list(self._views[:1])
+        if crossing < PARALLEL and self._expected is None:
+            views += self._nearby
         odds = self._odds(views[:1], self._moved(motion, match, way_m), motion)
         if len(views) > 1 and odds.max() - np.median(odds) < CERTAIN:
             odds = self._odds(views, self._moved(motion, match, way_m), motion)
@@ -181,12 +179,6 @@ class ScanComparison:
         usual = np.log1p((usual_m / scale_m) ** 2) - np.log1p(((way_m - usual_m) / scale_m) ** 2)
         at = int(np.argmax(odds + usual))
         return float(way_m[at]), float((odds + usual)[at])
-
-    def _deciding(self, crossing: float) -> Sequence[View]:
-        """Return the earlier scans that decide, given the spread of the matching walls."""
-        if crossing >= PARALLEL or self._expected is not None:
-            return self._views[:1]
-        return [*self._views[:1], *self._nearby]
 
     def _odds(self, views: Sequence[View], motions: Floats, motion: Floats) -> Floats:
         """Return the log odds of motions (k, 3) relative to one (3,), by the beams.
@@ -211,7 +203,9 @@ class ScanComparison:
     def _along(self, judged: Judged, k: int, way_m: Floats) -> tuple[Floats, Floats]:
         """Return a motion slid along the longest wall that matches, and the agreement of beams."""
         motions = self._moved(judged.motions[k], judged.matches[k], way_m)
-        return motions, self._value(motions, SLIDE_STEP)
+        sums = self._counted(motions, SLIDE_NEAR_M, SLIDE_STEP)
+        in_view = np.maximum(sums[:, :3].sum(axis=1), 1.0)
+        return motions, (sums[:, 0] - CONTRADICTING * sums[:, 1]) / in_view
 
     def _moved(self, motion: Floats, match: Match, way_m: Floats) -> Floats:
         """Return a motion (3,) moved along the longest wall that matches by distances (k,)."""
@@ -230,12 +224,6 @@ class ScanComparison:
     def _crossing(self, match: Match) -> float:
         """Return the spread of the directions of the walls that match; 0 if they are parallel."""
         return float(spread(self._seen.along[match.walls], np.zeros_like(match.walls), 1)[0])
-
-    def _value(self, motions: Floats, step: int) -> Floats:
-        """Return the agreement of beams along walls for motions (k, 3)."""
-        sums = self._counted(motions, SLIDE_NEAR_M, step)
-        in_view = np.maximum(sums[:, :3].sum(axis=1), 1.0)
-        return np.asarray((sums[:, 0] - CONTRADICTING * sums[:, 1]) / in_view)
 
     def _surprise(self, motions: Floats) -> Floats:
         """Return the prior improbability of motions (k, 3), given the usual motion."""

@@ -127,7 +127,7 @@ class ScanLinks(LinkRecord):
         if views:
             beams = self.beams.of_next(seen.beams, seen.ends)
             return Search(tracks, seen, beams, views, self.usual, expected).bridged(expected)
-        motion, match = settled(tracks, seen, expected.motion)
+        (motion,), (match,) = settled(tracks, seen, [expected.motion])
         near = expected.off(motion[None])[0] < OTHERWISE
         recent = tracks.missed == tracks.missed.min(initial=0)
         if not near and min(worth(tracks, seen, recent)) > FEW:

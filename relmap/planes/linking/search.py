@@ -16,9 +16,6 @@ from relmap.planes.linking.judging import (
     MEASURED,
     NO_CANDIDATES,
     NO_MATCH,
-    TIE_AGREES,
-    TIE_CONTRADICTS,
-    TIE_TURN,
     Candidates,
     Found,
     Judged,
@@ -48,6 +45,10 @@ EXPLAINS = 0.05
 """Fraction of points by which another motion must exceed the agreement of odometry."""
 CONTRADICTS = 0.1
 """Fraction of contradicting points above which odometry is rejected."""
+TIE_AGREES, TIE_CONTRADICTS, TIE_TURN = 0.36, 0.01, 1.2
+"""Smallest fraction of points that must agree to tie two scans; and, if only parallel walls match,
+which look the same farther along and from the other end, the largest fraction that may contradict
+and the largest rotation, radians."""
 SLID = 2
 """Number of motions slid along a wall."""
 FREE_REACH_M = 1.0

@@ -22,30 +22,14 @@ NO_CORNER = -1
 class PlaneTracks(Tracks):
     """Tracked walls in the robot frame of one iteration, predicted if missed; n walls.
 
-    Attributes
-    ----------
-    plane : (n,) int64
-        Number of the wall.
-    angle : (n,) float64, radians
-        Direction of the normal: the average of the last observations.
-    offset : (n,) float64, metres
-        ``normal @ p`` of every point p, likewise.
-    ends : (n, 2, 2) float64, metres
-        As last observed.
-    sd : (n,) float64, metres
-        Standard deviation of the offset, as last observed.
-    corner : (n, 2) int64
-        Number of the corner on either side, or `NO_CORNER`.
-    corner_at : (n, 2, 2) float64, metres
-        Its position: the average of the last observations; NaN if there is none.
-    corner_seen : (n, 2) int64
-        How often it was seen.
-    missed : (n,) int64
-        Iterations since the wall was last observed.
-    seen : (n,) int64
-        How often it was seen.
-    loose : (n,) bool
-        Whether it was on a small free-standing object when it was first seen.
+    `plane` (n,): number of the wall; `angle` (n,), radians, and `offset` (n,), metres: direction of
+    the normal, and ``normal @ p`` of every point p, averages of the last observations; `ends`
+    (n, 2, 2), metres, and `sd` (n,), metres: ends, and standard deviation of the offset, as last
+    observed; `corner` (n, 2): number of the corner on either side, or `NO_CORNER`; `corner_at`
+    (n, 2, 2), metres: its position, the average of the last observations, NaN if there is none;
+    `corner_seen` (n, 2): how often it was seen; `missed` (n,): iterations since the wall was last
+    observed; `seen` (n,): how often it was seen; `loose` (n,): whether it was on a small
+    free-standing object when it was first seen.
     """
 
     plane: Ints
@@ -63,20 +47,18 @@ class PlaneTracks(Tracks):
     @classmethod
     def begun(cls, plane: Ints, seen: PlaneObservation) -> PlaneTracks:
         """Return tracks of walls seen for the first time, without their corners yet."""
-        n = len(seen)
-        return cls(
-            plane,
-            np.arctan2(seen.normal[:, 1], seen.normal[:, 0]),
-            seen.offset.copy(),
-            seen.ends.copy(),
-            seen.sd.copy(),
-            np.full((n, 2), NO_CORNER),
-            np.full((n, 2, 2), np.nan),
-            np.zeros((n, 2), dtype=np.int64),
-            np.zeros(n, dtype=np.int64),
-            np.ones(n, dtype=np.int64),
-            seen.loose,
-        )
+        n, angle = len(seen), np.arctan2(seen.normal[:, 1], seen.normal[:, 0])
+        line = angle, seen.offset.copy(), seen.ends.copy(), seen.sd.copy()
+        corner, corner_at = np.full((n, 2), NO_CORNER), np.full((n, 2, 2), np.nan)
+        corner_seen, missed = np.zeros((n, 2), dtype=np.int64), np.zeros(n, dtype=np.int64)
+        return cls(plane, *line, corner, corner_at, corner_seen, missed, missed + 1, seen.loose)
+
+    @classmethod
+    def of_scan(cls, plane: Ints, seen: PlaneObservation) -> PlaneTracks:
+        """Return the walls of one scan, with the places of their corners, as tracks."""
+        tracks = cls.begun(plane, seen)
+        tracks.corner_at = np.where(seen.static[..., None], seen.ends, np.nan)
+        return tracks
 
     @property
     def normal(self) -> Floats:
@@ -96,19 +78,9 @@ class PlaneTracks(Tracks):
         from relmap.planes.linking.matching_kernels import carried
 
         angle, offset, ends, sd, corner_at = carried(self.arrays, motion)
-        return PlaneTracks(
-            self.plane,
-            angle,
-            offset,
-            ends,
-            sd,
-            self.corner.copy(),
-            corner_at,
-            self.corner_seen.copy(),
-            self.missed.copy(),
-            self.seen.copy(),
-            self.loose,
-        )
+        corner, corner_seen = self.corner.copy(), self.corner_seen.copy()
+        moved = angle, offset, ends, sd, corner, corner_at, corner_seen
+        return PlaneTracks(self.plane, *moved, self.missed.copy(), self.seen.copy(), self.loose)
 
     def see(self, rows: Ints, seen: PlaneObservation, at: Ints) -> None:
         """Record that walls `at` (k,) of a scan continue tracks `rows`; others were missed."""

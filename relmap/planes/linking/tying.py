@@ -96,13 +96,9 @@ class Scans:
     @cached_property
     def tracks_of(self) -> Callable[[int], PlaneTracks]:
         """Returns the walls of one scan as tracks that a later scan may continue."""
-        return lru_cache(RECENT)(self._tracks_of)
-
-    def _tracks_of(self, scan: int) -> PlaneTracks:
-        seen = self.seen(scan)
-        tracks = PlaneTracks.begun(self.plane(scan), seen)
-        tracks.corner_at = np.where(seen.static[..., None], seen.ends, np.nan)
-        return tracks
+        return lru_cache(RECENT)(
+            lambda scan: PlaneTracks.of_scan(self.plane(scan), self.seen(scan))
+        )
 
     def search(self, earlier: int, later: int, before: Floats) -> Search | None:
         """Return the search for the motion of one scan into another; None if one is empty."""

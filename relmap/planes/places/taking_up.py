@@ -16,8 +16,9 @@ from relmap.core.arrays import Bools, Floats, Ints
 from relmap.planes.linking.placement import STILL, settled
 from relmap.planes.linking.scan_links import ScanLinks
 from relmap.planes.linking.tracks import PlaneTracks
-from relmap.planes.motions import matrices, wrapped
+from relmap.planes.motions import from_matrices, matrices, wrapped
 from relmap.planes.places.finding import WallFinder
+from relmap.planes.scans.corners import CORNER, CUT
 from relmap.planes.scans.observation import SHORTEST_M, PlaneObservation, seen_before
 from relmap.planes.submaps.submap import WallSubmap
 from relmap.planes.walls.table import PlaneTable
@@ -36,16 +37,6 @@ STRETCH_M, AGREE = 7.0, 0.5
 the same surfaces all the time."""
 RIVAL = 0.5
 """Maximum number of scans that agree on another placement, as a fraction of the best."""
-
-
-class Taken(NamedTuple):
-    """The place of one scan of a run.
-
-    `T_map_robot` (4, 4).
-    """
-
-    scan: int
-    T_map_robot: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,16 +80,11 @@ class MapOfBefore:
         near = np.linalg.norm(ends[:, 0] + nearest_m[:, None] * along, axis=1) <= AROUND * reach_m
         front = way[:, 1] * ends[:, 0, 0] - way[:, 0] * ends[:, 0, 1] > 0
         chosen = front & near & (size > SHORTEST_M)
-        return self._tracks(rows[chosen], ends[chosen])
-
-    def _tracks(self, rows: Ints, ends: Floats) -> PlaneTracks:
-        """Return walls, with ends (k, 2, 2) in the robot frame, as tracks."""
-        n, corner = len(rows), self.table.corner[rows]
+        rows, ends = rows[chosen], ends[chosen]
+        kind = np.where(self.table.corner[rows] >= 0, CORNER, CUT).astype(np.int8)
         z_extent = self.table.z_extent[rows]
-        walls = PlaneObservation.of(ends, np.zeros((n, 2), np.int8), np.zeros(n), z_extent)
-        tracks = PlaneTracks.begun(self.table.plane[rows], walls)
-        tracks.corner_at = np.where((corner >= 0)[..., None], ends, np.nan)
-        return tracks
+        walls = PlaneObservation.of(ends, kind, np.zeros(len(rows)), z_extent)
+        return PlaneTracks.of_scan(self.table.plane[rows], walls)
 
 
 class Tie(NamedTuple):
@@ -127,8 +113,8 @@ class Placements:
     of: Ints
     T_map_robot: Floats
 
-    def accepted(self) -> Taken | None:
-        """Return the place of one of the scans, if all agree; see the module."""
+    def accepted(self) -> tuple[int, Floats] | None:
+        """Return one of the scans and its pose (4, 4), if all agree; see the module."""
         if not len(self.of):
             return None
         agreeing = [self._agreeing(k) for k in range(len(self.of))]
@@ -137,7 +123,7 @@ class Placements:
         rival = counts[~agreeing[best]].max(initial=0)
         if rival > RIVAL * counts[best] or not self._is_long(self._scans(agreeing[best])):
             return None
-        return Taken(int(self.scan[self.of[best]]), self.T_map_robot[best])
+        return int(self.scan[self.of[best]]), self.T_map_robot[best]
 
     def _is_long(self, agree: Bools) -> bool:
         """Return whether scans (n,) agree along a whole stretch of the path."""
@@ -153,8 +139,8 @@ class Placements:
         begun = self.T_map_robot[k] @ np.linalg.inv(self.T_run_robot[self.of[k]])
         expected = begun @ self.T_run_robot[self.of]
         way_m = np.abs(self._way_m[self.of] - self._way_m[self.of[k]])
-        off_m = np.hypot(*(expected - self.T_map_robot)[:, :2, 3].T)
-        turned = np.abs(wrapped(_yaw(expected) - _yaw(self.T_map_robot)))
+        turn, x, y = (from_matrices(expected) - from_matrices(self.T_map_robot)).T
+        off_m, turned = np.hypot(x, y), np.abs(wrapped(turn))
         near = (off_m <= NEAR_M + DRIFT * way_m) & (turned <= NEAR_RAD + DRIFT_RAD * way_m)
         return np.asarray(near)
 
@@ -169,10 +155,6 @@ class Placements:
         found = np.zeros(len(self.scan), dtype=np.bool_)
         found[self.of[placements]] = True
         return found
-
-
-def _yaw(T: Floats) -> Floats:
-    return np.asarray(np.arctan2(T[:, 1, 0], T[:, 0, 0]))
 
 
 class RunOnto:
@@ -207,24 +189,24 @@ class RunOnto:
             places = [self._places[k] for k in rows.tolist()]
             of = np.repeat(np.arange(len(rows)), [len(each) for each in places])
             poses = np.array([self._poses[k] for k in rows.tolist()])
-            taken = Placements(scan[rows], poses, of, np.concatenate(places)).accepted()
-            if taken is not None:
-                found.append(self._tie(taken, links))
+            place = Placements(scan[rows], poses, of, np.concatenate(places)).accepted()
+            if place is not None:
+                found.append(self._tie(*place, links))
         return found
 
-    def _tie(self, taken: Taken, links: ScanLinks) -> Tie:
-        first = int(np.flatnonzero(links.submaps == links.submaps[taken.scan])[0])
-        T_map_first = taken.T_map_robot
-        for step in matrices(links.motions[first + 1 : taken.scan + 1])[::-1]:
+    def _tie(self, scan: int, T_map_robot: Floats, links: ScanLinks) -> Tie:
+        first = int(np.flatnonzero(links.submaps == links.submaps[scan])[0])
+        T_map_first = T_map_robot
+        for step in matrices(links.motions[first + 1 : scan + 1])[::-1]:
             T_map_first = T_map_first @ step
-        return Tie(taken.scan, first, T_map_first, self._same(taken, links))
+        return Tie(scan, first, T_map_first, self._same(scan, T_map_robot, links))
 
-    def _same(self, taken: Taken, links: ScanLinks) -> Ints:
-        """Return the numbers (k, 2) of walls of the map, and of those that the scan shows there."""
-        seen = seen_before(links.store, taken.scan)
-        walls = links.store.column("wall")[links.store.rows(taken.scan)]
-        beams = links.beams.of(taken.scan, seen.ends).points
+    def _same(self, scan: int, T_map_robot: Floats, links: ScanLinks) -> Ints:
+        """Return the numbers (k, 2) of walls of the map, and of those that a scan shows there."""
+        seen = seen_before(links.store, scan)
+        walls = links.store.column("wall")[links.store.rows(scan)]
+        beams = links.beams.of(scan, seen.ends).points
         reach_m = float(np.linalg.norm(beams, axis=1).max())
-        tracks = self.before.expected(taken.T_map_robot, reach_m)
-        match = settled(tracks, seen, STILL)[1]
+        tracks = self.before.expected(T_map_robot, reach_m)
+        match = settled(tracks, seen, [STILL])[1][0]
         return np.column_stack([tracks.plane[match.tracks], walls[match.walls]])

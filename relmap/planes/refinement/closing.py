@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.arrays import Floats, Ints
 from relmap.planes.linking.placement import place, worth
 from relmap.planes.linking.tracks import PlaneTracks
 from relmap.planes.motions import wrapped
@@ -53,20 +53,16 @@ matching walls."""
 def walls_seen_again(assembled: Assembled, history: PlaneHistory) -> Ints:
     """Return pairs (k, 2) of compact wall numbers that are one wall, seen on two visits."""
     found: list[Loop] = []
-    seen, way_m = _observation(assembled, history), gone_m(assembled)
-    pairs = _earlier(assembled)
-    for (i, j), known in zip(pairs.tolist(), _known(assembled, pairs).tolist(), strict=True):
+    rows, way_m, pairs = assembled.rows, gone_m(assembled), _earlier(assembled)
+    kind = (history.corner[rows] >= 0).astype(np.int8)
+    seen = PlaneObservation.of(history.ends[rows], kind, history.sd[rows], history.z_extent[rows])
+    walls = seen_in(assembled)
+    shared = walls[:, pairs[:, 0]].multiply(walls[:, pairs[:, 1]]).sum(axis=0)
+    for (i, j), known in zip(pairs.tolist(), (shared >= ENOUGH).tolist(), strict=True):
         matched = CLOSED if known else _matched(assembled, seen, j, i)
         if matched is not None:
             found.append((float(way_m[i]), float(way_m[j]), *matched))
     return voted(found)
-
-
-def _known(assembled: Assembled, pairs: Ints) -> Bools:
-    """Return which pairs of scans (k, 2) already share enough walls; (k,)."""
-    seen = seen_in(assembled)
-    both = seen[:, pairs[:, 0]].multiply(seen[:, pairs[:, 1]]).sum(axis=0)
-    return np.asarray(both >= ENOUGH)
 
 
 def voted(found: list[Loop]) -> Ints:
@@ -138,9 +134,12 @@ def _matched(
     (earlier, earlier_wall), (later, later_wall) = (
         (seen.only(rows), assembled.given.wall[rows]) for rows in map(slice, begin, end)
     )
-    expected = _motion(assembled, j, i)
-    tracks = PlaneTracks.begun(np.arange(len(earlier)), earlier)
-    tracks.corner_at = np.where(earlier.static[..., None], earlier.ends, np.nan)
+    state = assembled.state
+    c, s = np.cos(state.yaw[i]), np.sin(state.yaw[i])
+    x, y = state.t[j] - state.t[i]
+    turn = wrapped(state.yaw[[j]] - state.yaw[[i]])[0]
+    expected = np.array([turn, c * x + s * y, -s * x + c * y])
+    tracks = PlaneTracks.of_scan(np.arange(len(earlier)), earlier)
     found = place(tracks, later, expected)
     if found is None:
         return None
@@ -148,23 +147,6 @@ def _matched(
     possible = min(worth(tracks, later, np.ones(len(earlier), dtype=np.bool_)))
     if len(match.tracks) < ENOUGH or match.score < SHARE * possible:
         return None
-    c, s = np.cos(assembled.state.yaw[i]), np.sin(assembled.state.yaw[i])
     turn, x, y = motion - expected
     drift = np.array([turn, c * x - s * y, s * x + c * y])
     return drift, np.column_stack([earlier_wall[match.tracks], later_wall[match.walls]])
-
-
-def _observation(assembled: Assembled, history: PlaneHistory) -> PlaneObservation:
-    """Return all observations, scan after scan."""
-    rows = assembled.rows
-    kind = (history.corner[rows] >= 0).astype(np.int8)
-    return PlaneObservation.of(history.ends[rows], kind, history.sd[rows], history.z_extent[rows])
-
-
-def _motion(assembled: Assembled, j: int, i: int) -> Floats:
-    """Return the motion (3,) from the frame of one iteration to another's, according to the map."""
-    state = assembled.state
-    c, s = np.cos(state.yaw[i]), np.sin(state.yaw[i])
-    x, y = state.t[j] - state.t[i]
-    turn = wrapped(state.yaw[[j]] - state.yaw[[i]])[0]
-    return np.array([turn, c * x + s * y, -s * x + c * y])
