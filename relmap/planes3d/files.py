@@ -33,20 +33,8 @@ COLUMNS: dict[str, Kind] = {
 }
 UNIT = 1e-3
 """Largest deviation of the length of a normal from 1."""
-COLOURS = np.array(
-    [
-        [78, 121, 167],
-        [242, 142, 43],
-        [225, 87, 89],
-        [118, 183, 178],
-        [89, 161, 79],
-        [237, 201, 72],
-        [176, 122, 161],
-        [255, 157, 167],
-        [156, 117, 95],
-        [186, 176, 172],
-    ]
-)
+CODES = "4e79a7 f28e2b e15759 76b7b2 59a14f edc948 b07aa1 ff9da7 9c755f bab0ac"
+COLOURS = np.array([list(bytes.fromhex(code)) for code in CODES.split()])
 """Colours of planes, by number modulo their count."""
 
 
@@ -91,24 +79,11 @@ def write_planes3d(folder: Path, table: Plane3dTable) -> None:
     Outlines are written as ``x y z;x y z;...``, the planes that meet them as ``k;k;...``. Raises
     `RelmapError` if the file cannot be written.
     """
-    columns = [
-        table.plane.tolist(),
-        *table.normal.T.tolist(),
-        table.offset.tolist(),
-        *table.centre.T.tolist(),
-        table.sd.tolist(),
-        table.sd_normal.tolist(),
-        table.sd_centre.tolist(),
-        table.area_m2.tolist(),
-        table.observations.tolist(),
-        table.first_iteration.tolist(),
-        table.last_iteration.tolist(),
-        table.status.tolist(),
-        table.submap.tolist(),
-        [_text(outline) for outline in table.outline],
-        [";".join(map(str, meets.tolist())) for meets in table.meets],
-    ]
-    atomic_write(folder / PLANES, csv_text(list(COLUMNS), zip(*columns, strict=True)))
+    columns = {name: values.tolist() for name, values in table.columns().items()}
+    columns["outline"] = [_text(outline) for outline in table.outline]
+    columns["meets"] = [";".join(map(str, meets.tolist())) for meets in table.meets]
+    rows = zip(*(columns[name] for name in COLUMNS), strict=True)
+    atomic_write(folder / PLANES, csv_text(list(COLUMNS), rows))
 
 
 def read_result3d(folder: Path) -> Plane3dResult:

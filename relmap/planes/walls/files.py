@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
+from relmap.core.columns import NORMAL
 from relmap.core.errors import RelmapError
 from relmap.io.files import atomic_write, write_tum
 from relmap.io.results import Result, read_result
@@ -17,26 +18,15 @@ from relmap.planes.walls.table import PlaneTable
 
 PLANES = "planes.csv"
 CORNER, OPEN = "corner", "open"
+ENDS = "x0", "y0", "x1", "y1"
 
 COLUMNS: dict[str, Kind] = {
     "plane": "int",
-    "x0": "float or empty",
-    "y0": "float or empty",
-    "x1": "float or empty",
-    "y1": "float or empty",
-    "z0": "float or empty",
-    "z1": "float or empty",
-    "nx": "float or empty",
-    "ny": "float or empty",
-    "nz": "float or empty",
-    "end0": "text",
-    "end1": "text",
-    "observations": "int",
-    "first_iteration": "int",
-    "last_iteration": "int",
+    **dict.fromkeys((*ENDS, "z0", "z1", *NORMAL), "float or empty"),
+    **dict.fromkeys(("end0", "end1"), "text"),
+    **dict.fromkeys(("observations", "first_iteration", "last_iteration"), "int"),
     "status": "text",
-    "corner0": "int",
-    "corner1": "int",
+    **dict.fromkeys(("corner0", "corner1"), "int"),
 }
 
 
@@ -88,22 +78,11 @@ def write_planes(folder: Path, table: PlaneTable) -> None:
 
     Raises `RelmapError` if the file cannot be written.
     """
-    n = len(table.plane)
-    kind = np.where(table.corner >= 0, CORNER, OPEN)
-    columns = [
-        table.plane.tolist(),
-        *table.ends.reshape(n, 4).T.tolist(),
-        *table.z_extent.T.tolist(),
-        *np.column_stack([table.normal, np.zeros(n)]).T.tolist(),
-        *kind.T.tolist(),
-        table.observations.tolist(),
-        table.first_iteration.tolist(),
-        table.last_iteration.tolist(),
-        table.status.tolist(),
-        *table.corner.T.tolist(),
-    ]
-    text = csv_text(list(COLUMNS), zip(*columns, strict=True))
-    atomic_write(folder / PLANES, text)
+    columns = {name: values.tolist() for name, values in table.columns().items()}
+    columns["nz"] = [0.0] * len(table)
+    columns["end0"], columns["end1"] = np.where(table.corner >= 0, CORNER, OPEN).T.tolist()
+    rows = zip(*(columns[name] for name in COLUMNS), strict=True)
+    atomic_write(folder / PLANES, csv_text(list(COLUMNS), rows))
 
 
 def write_submaps(folder: Path, submaps: Sequence[tuple[Floats, Floats]]) -> None:
@@ -133,12 +112,12 @@ def read_planes(folder: Path) -> PlaneTable:
     Raises `RelmapError` if it is missing or was not written by `write_planes`.
     """
     table = read_table(folder / PLANES, COLUMNS)
-    for name in ("x0", "y0", "x1", "y1", "nx", "ny"):
+    for name in (*ENDS, "nx", "ny"):
         empty = np.flatnonzero((table["status"] == "static") & np.isnan(table[name]))
         if len(empty):
             which = f"wall {table['plane'][empty[0]]} is static, but its field {name} is empty"
             raise RelmapError(f"{folder / PLANES}: {which}")
-    ends = np.column_stack([table[name] for name in ("x0", "y0", "x1", "y1")])
+    ends = np.column_stack([table[name] for name in ENDS])
     return PlaneTable(
         plane=table["plane"],
         ends=ends.reshape(-1, 2, 2),
