@@ -261,10 +261,10 @@ def test_beams_that_cannot_be_are_refused(points: np.ndarray) -> None:
 def test_evidence_of_a_beam_for_a_wall(
     end: list[float], hits: list[int], against: list[int]
 ) -> None:
-    """One metre of wall at x = 2 in two bins, seen from its front."""
-    grid = np.array([-1.0, -1.0]), 1.0, np.array([8, 8]), np.arange(65), np.zeros(64, np.int64)
-    lines = np.array([[2.0, 0.0]]), np.array([[-1.0, 0.0]]), np.array([0.0]), np.array([1.0])
+    """One metre of wall at x = 2, seen from its front; counts of its two halves."""
+    grid = np.array([-1.0, -1.0]), np.array([32, 32]), np.arange(1025), np.zeros(1024, np.int64)
+    lines = np.array([[2.0, 0.0]]), np.array([[-1.0, 0.0]]), np.array([0.0]), np.array([0, 20])
     beam = np.zeros((1, 2)), np.array([end])
-    found = beams_on_walls(beam, lines, (np.array([0, 2]), 0.5), grid, (0.08, 0.28, 0.14))
-    assert found[0].tolist() == hits
-    assert found[1].tolist() == against
+    found = beams_on_walls(beam, lines, grid, 0.08, 0.28)
+    assert found[0].reshape(2, 10).sum(axis=1).tolist() == hits
+    assert found[1].reshape(2, 10).sum(axis=1).tolist() == against

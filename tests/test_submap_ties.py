@@ -100,7 +100,7 @@ def test_along_a_bare_corridor_a_fit_does_not_slide() -> None:
     bent = ends + np.array([[[0.0, 0.0], [0.0, 0.05]], [[0.0, -0.05], [0.0, 0.0]]])
     points, among = WallPoints.of(ends), WallPoints.of(bent)
     motion = np.array([1.0, 0.0, 0.0, 0.0])
-    n, across, _ = fit(points.at, points.normal, among.near, motion, np.full(9, 0.3))
+    n, across, _ = fit((points.at, points.normal), among.near, motion, np.full(9, 0.3))
     assert n == len(points.at)
     assert across < 0.01
     assert np.abs(motion[2:]).max() < 0.2

@@ -252,8 +252,9 @@ class PlaneMapper(LocatingMapper):
 
     def _plan(self, refined: RefinedWalls) -> None:
         """Make refined submaps with their floor plans the current map."""
-        found = planned_submaps(refined, self._moving, self._planes.links.beams)
-        self._refined_walls, self._moved = (found.submaps, found.numbers), found.moved
+        beams = self._planes.links.beams
+        submaps, numbers, self._moved = planned_submaps(refined, self._moving, beams)
+        self._refined_walls = submaps, numbers
 
     def _current(self, labels: ArrayLike) -> Ints:
         labels = checked_labels(labels, np.arange(self._planes.n_planes))
@@ -273,16 +274,6 @@ class PlaneMapper(LocatingMapper):
         time_s = None if scan.stamp_s is None else self._stamps.checked(scan.stamp_s)
         with self._guard.change():
             return self._take_in(seen, scan.odometry, time_s)
-
-    def _segmented(self, points: Any) -> Any:
-        if self._segmenter is None:
-            from relmap.segmentation import PlaneSegmenter
-
-            self._segmenter = PlaneSegmenter()
-        # The segmenter stores its result: two threads would mix theirs.
-        with self._guard.change(spoils=False):
-            self._segmenter.fit(points)
-            return self._segmenter.planes_
 
 
 def _in_one_frame(part: MapPart, submaps: list[WallSubmap], history: PlaneHistory) -> Floats:

@@ -45,25 +45,18 @@ class WallFinder:
         """
         nowhere = np.full((4, 4), np.nan)
         ties, worth, fits = self._judged(seen)
-        if not fits.any():
+        best = int(np.argmax(worth)) if len(ties) else -1
+        if best < 0 or not fits[best]:
             return Place(nowhere, 0)
-        best = int(np.argmax(worth))
-        if not fits[best]:
-            return Place(nowhere, 0)
-        tie = ties[best]
-        slides = tie.across < ACROSS
+        slides = ties[best].across < ACROSS
         if slides or np.delete(worth, best).max(initial=0.0) > RIVAL * worth[best]:
             return Place(nowhere, 2)
-        return Place(_matrix(tie), 1)
+        return Place(ties[best].matrix, 1)
 
     def places(self, seen: PlaneObservation) -> Floats:
         """Return all poses ``T_map_robot`` (k, 4, 4) that explain a scan and do not slide."""
         ties, _, fits = self._judged(seen)
-        held = [
-            _matrix(tie)
-            for tie, fit in zip(ties, fits, strict=True)
-            if fit and tie.across >= ACROSS
-        ]
+        held = [ties[k].matrix for k in np.flatnonzero(fits) if ties[k].across >= ACROSS]
         return np.array(held).reshape(-1, 4, 4)
 
     def _judged(self, seen: PlaneObservation) -> tuple[list[WallTie], Floats, Bools]:
@@ -96,10 +89,3 @@ class WallFinder:
         at_m = along_wall / crossing * size
         met = (along_beam > 0) & (along_beam * length[:, None] < length[:, None] - BEYOND_M)
         return np.asarray((met & (at_m > RIM_M) & (at_m < size - RIM_M)).any(axis=1))
-
-
-def _matrix(tie: WallTie) -> Floats:
-    """Return a motion as ``T_map_robot`` (4, 4)."""
-    T = np.eye(4)
-    T[:2, :2], T[:2, 3] = tie.R, tie.t
-    return T

@@ -22,6 +22,7 @@ from relmap.planes.scans.observation import PlaneObservation, checked_planes
 class LocatingMapper(MappedWalls):
     """The part of `PlaneMapper` that localises scans."""
 
+    _segmenter: Any
     _finder: tuple[object, WallFinder] | None = None
     _onto: RunOnto | None = None
     _tied_at: int | None = None
@@ -127,8 +128,14 @@ class LocatingMapper(MappedWalls):
         self._onto = None
 
     def _segmented(self, points: Any) -> Any:
-        """Return the planes of a scan."""
-        raise NotImplementedError
+        if self._segmenter is None:
+            from relmap.segmentation import PlaneSegmenter
+
+            self._segmenter = PlaneSegmenter()
+        # The segmenter stores its result: two threads would mix theirs.
+        with self._guard.change(spoils=False):
+            self._segmenter.fit(points)
+            return self._segmenter.planes_
 
     def _checked(self, points: Any, beams: Any) -> PlaneObservation:
         """Return the walls of a scan given by walls or points."""

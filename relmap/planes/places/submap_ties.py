@@ -18,7 +18,7 @@ import numpy as np
 from relmap.core.arrays import Floats, Ints
 from relmap.planes.linking.links import JUMP, JUMP_M
 from relmap.planes.places.wall_tie import LEAST_M, WallTie, coinciding, coinciding_ends, wall_ties
-from relmap.planes.plan.evidence import BIN_M, LEAST_SINE, Stretches, grid_over
+from relmap.planes.plan.evidence import BIN_M, Stretches, grid_over
 from relmap.planes.scans.beams import PlacedBeams
 
 NEAR_M, BEFORE_M = 0.25, 0.2
@@ -82,15 +82,13 @@ class MapPart:
 
     def with_that(self, other: MapPart, tie: WallTie) -> MapPart:
         """Return this and another part, moved to this frame."""
-        T = np.eye(4)
-        T[:2, :2], T[:2, 3] = tie.R, tie.t
         ends, begins, stops = (
             each @ tie.R.T + tie.t for each in (other.ends, other.begins, other.stops)
         )
         rows = coinciding(other.ends, self.ends, tie)
         same = np.column_stack([other.walls[rows[:, 0]], self.walls[rows[:, 1]]])
         return MapPart(
-            self.members + tuple((number, T @ motion) for number, motion in other.members),
+            self.members + tuple((number, tie.matrix @ motion) for number, motion in other.members),
             np.concatenate([self.ends, ends]),
             np.concatenate([self.begins, begins]),
             np.concatenate([self.stops, stops]),
@@ -135,7 +133,7 @@ class MapPart:
         return Stretches(self.ends[:, 0], normal, along, low, first, none, none, none)
 
     @cached_property
-    def grid(self) -> tuple[Floats, float, Ints, Ints, Ints]:
+    def grid(self) -> tuple[Floats, Ints, Ints, Ints]:
         """A grid over the walls."""
         return grid_over(self.stretches)
 
@@ -144,10 +142,8 @@ class MapPart:
         from relmap.planes.plan.evidence_kernels import beams_on_walls
 
         walls = self.stretches
-        high = BIN_M * np.diff(walls.first)
-        lines, bins = (walls.base, walls.normal, walls.low, high), (walls.first, BIN_M)
-        limits = NEAR_M, BEFORE_M, LEAST_SINE
-        hits, against, _ = beams_on_walls((begins, stops), lines, bins, self.grid, limits)
+        lines = walls.base, walls.normal, walls.low, walls.first
+        hits, against, _ = beams_on_walls((begins, stops), lines, self.grid, NEAR_M, BEFORE_M)
         support = (hits > against) & (hits >= OFTEN)
         contradict = (against > hits) & (against >= OFTEN)
         return BIN_M * float(support.sum()), BIN_M * float(contradict.sum())

@@ -112,6 +112,13 @@ class WallTie:
         """Cosine and sine of the rotation, and the translation; (4,)."""
         return np.array([self.R[0, 0], self.R[1, 0], *self.t])
 
+    @property
+    def matrix(self) -> Floats:
+        """The motion as a matrix (4, 4)."""
+        T = np.eye(4)
+        T[:2, :2], T[:2, 3] = self.R, self.t
+        return T
+
 
 def wall_ties(ends: Floats, others: Floats) -> list[WallTie]:
     """Return candidate alignments of walls (w, 2, 2) to others (v, 2, 2), by overlap."""
@@ -210,7 +217,7 @@ def _fitted(points: WallPoints, among: WallPoints, guess: WallTie) -> WallTie:
 
     motion = guess.motion
     near_m = NEAR_M * np.maximum(FIRST / 2.0 ** np.arange(ROUNDS), 1.0)
-    n, across, rms_m = fit(points.at, points.normal, among.near, motion, near_m)
+    n, across, rms_m = fit((points.at, points.normal), among.near, motion, near_m)
     c, s, *t = motion.tolist()
     return WallTie(np.array([[c, -s], [s, c]]), np.array(t), SAMPLE_M * n, across, rms_m)
 
@@ -225,7 +232,7 @@ def lying(
     """
     from relmap.planes.places import wall_tie_kernels
 
-    return wall_tie_kernels.lying(points.at, points.normal, among.near, tie.motion, near_m)
+    return wall_tie_kernels.lying((points.at, points.normal), among.near, tie.motion, near_m)
 
 
 def coinciding(ends: Floats, others: Floats, tie: WallTie) -> Ints:

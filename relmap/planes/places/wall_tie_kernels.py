@@ -1,6 +1,7 @@
 """Walls that coincide after a motion, and the fit of the motion to them, compiled.
 
-Points along walls are `at`, `normal` (n, 2), see `relmap.planes.places.wall_tie.WallPoints`.
+Points along walls are `Points`: places and normals (n, 2), see
+`relmap.planes.places.wall_tie.WallPoints`.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.small_kernels import factorise, solve
 from relmap.planes.places.wall_tie import PARALLEL, SAMPLE_M
 
+Points = tuple[Floats, Floats]
 Among = tuple[Floats, Floats, Ints, Ints, Ints, float]
 """Points that others may lie on, and their normals; the first point of each bucket, the next point
 in the bucket of each point, and the key of its cell, see
@@ -45,17 +47,9 @@ def _nearest(among: Among, x: float, y: float, reach_m: float) -> int:
 
 
 @helper
-def _lie(
-    at: Floats,
-    normal: Floats,
-    among: Among,
-    motion: Floats,
-    near_m: float,
-    other: Ints,
-    off: Floats,
-) -> int:
+def _lie(own: Points, among: Among, motion: Floats, near_m: float, other: Ints, off: Floats) -> int:
     """Set the point that each point lies on after a motion, and how far before it; see `lying`."""
-    n, (c, s, tx, ty) = 0, motion
+    n, (at, normal), (c, s, tx, ty) = 0, own, motion
     for i in range(len(at)):
         x, y = c * at[i, 0] - s * at[i, 1] + tx, s * at[i, 0] + c * at[i, 1] + ty
         one = _nearest(among, x, y, near_m + SAMPLE_M)
@@ -71,16 +65,14 @@ def _lie(
 
 
 @compiled
-def lying(
-    at: Floats, normal: Floats, among: Among, motion: Floats, near_m: float
-) -> tuple[Ints, Floats]:
+def lying(own: Points, among: Among, motion: Floats, near_m: float) -> tuple[Ints, Floats]:
     """Return the point that each point lies on after a motion, -1 for none, and how far before it.
 
     `motion` (4,): cosine and sine of the rotation, and the translation; `near_m`: largest distance
     from a wall.
     """
-    other, off = np.empty(len(at), dtype=np.int64), np.empty(len(at))
-    _lie(at, normal, among, motion, near_m, other, off)
+    other, off = np.empty(len(own[0]), dtype=np.int64), np.empty(len(own[0]))
+    _lie(own, among, motion, near_m, other, off)
     return other, off
 
 
@@ -127,22 +119,20 @@ def _step(motion: Floats, H: Floats, right: Floats, about: Floats) -> None:
 
 
 @compiled
-def fit(
-    at: Floats, normal: Floats, among: Among, motion: Floats, near_m: Floats
-) -> tuple[int, float, float]:
+def fit(own: Points, among: Among, motion: Floats, near_m: Floats) -> tuple[int, float, float]:
     """Fit a motion (4,), in place, to walls that coincide, alternating with matching.
 
     `near_m` (k,): largest distance from a wall, in each round. Returns `n`: number of points on
     walls before the last step; 0 if they do not determine a motion. `across`, `rms_m`: see
     `relmap.planes.places.wall_tie.WallTie`.
     """
-    other, off, n = np.empty(len(at), dtype=np.int64), np.empty(len(at)), 0
+    other, off, n = np.empty(len(own[0]), dtype=np.int64), np.empty(len(own[0])), 0
     across, squares = 0.0, 0.0
     for k in range(len(near_m)):
-        n = _lie(at, normal, among, motion, near_m[k], other, off)
+        n = _lie(own, among, motion, near_m[k], other, off)
         if n < FEWEST:
             return 0, 0.0, np.inf
-        H, right, about = _equations(at, among, motion, other, off, n)
+        H, right, about = _equations(own[0], among, motion, other, off, n)
         half, beside = (H[0, 0] - H[1, 1]) / 2, H[0, 1]
         across = ((H[0, 0] + H[1, 1]) / 2 - math.sqrt(half * half + beside * beside)) / n
         for a in range(3):

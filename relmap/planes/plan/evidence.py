@@ -93,18 +93,17 @@ def _crossed(walls: Stretches, beams: tuple[Floats, Floats]) -> tuple[Ints, Ints
     """Return the number of beams that end in each stretch, and that contradict it."""
     from relmap.planes.plan.evidence_kernels import beams_on_walls
 
-    high = walls.low + BIN_M * np.diff(walls.first)
-    given = (walls.base, walls.normal, walls.low, high), (walls.first, BIN_M), grid_over(walls)
+    given = (walls.base, walls.normal, walls.low, walls.first), grid_over(walls)
     some = beams[0][::SAMPLED].copy(), beams[1][::SAMPLED].copy()
-    *_, off = beams_on_walls(some, *given, (FAR_M, FAR_M, LEAST_SINE))
+    *_, off = beams_on_walls(some, *given, FAR_M, FAR_M)
     off = off[off < FAR_M]
     noise_m = MEDIAN * float(np.median(off)) if len(off) else 0.0
     near_m = max(NEAR_M, NEAR * noise_m)
-    hits, against, _ = beams_on_walls(beams, *given, (near_m, near_m + BEFORE_M, LEAST_SINE))
+    hits, against, _ = beams_on_walls(beams, *given, near_m, near_m + BEFORE_M)
     return hits, against
 
 
-def grid_over(walls: Stretches) -> tuple[Floats, float, Ints, Ints, Ints]:
+def grid_over(walls: Stretches) -> tuple[Floats, Ints, Ints, Ints]:
     """Return a grid over the walls, listing those in or next to each cell; see `beams_on_walls`."""
     wall, n = walls.wall, len(walls.low)
     points = walls.base[wall] + walls.place[:, None] * walls.along[wall]
@@ -115,4 +114,4 @@ def grid_over(walls: Stretches) -> tuple[Floats, float, Ints, Ints, Ints]:
     at = [(cell[:, 0] + x) * shape[1] + cell[:, 1] + y for x in beside for y in beside]
     key = np.unique(np.concatenate([each * n + wall for each in at]))
     starts = np.searchsorted(key // n, np.arange(shape[0] * shape[1] + 1))
-    return corner, CELL_M, shape, starts, key % n
+    return corner, shape, starts, key % n

@@ -38,7 +38,6 @@ class Pieces:
     corner: Ints
 
     def __len__(self) -> int:
-        """Return the number of pieces."""
         return len(self.wall)
 
     @property

@@ -127,14 +127,12 @@ def _as_noisy(again: Assembled, before: Assembled) -> Assembled:
     """Return walls with the noise of each observation learnt earlier."""
     old, given = before.given, again.given
     sd, corner_sd = given.sd.copy(), given.corner_sd.copy()
-    there = np.flatnonzero(np.isin(again.rows, before.rows))
-    sd[there] = old.sd[np.searchsorted(before.rows, again.rows[there])]
+    _, there, at = np.intersect1d(again.rows, before.rows, return_indices=True)
+    sd[there] = old.sd[at]
     keys, old_keys = (
         2 * each.rows[each.given.corner_row] + each.given.corner_end for each in (again, before)
     )
-    order = np.argsort(old_keys, kind="stable")
-    there = np.flatnonzero(np.isin(keys, old_keys))
-    at = order[np.searchsorted(old_keys[order], keys[there])]
+    _, there, at = np.intersect1d(keys, old_keys, return_indices=True)
     corner_sd[there] = old.corner_sd[at]
     return replace(again, given=replace(given, sd=sd, corner_sd=corner_sd))
 

@@ -33,14 +33,6 @@ class RefinedWalls(NamedTuple):
     history: PlaneHistory
 
 
-class PlannedWalls(NamedTuple):
-    """Submaps, their association, and the plane tracks (k,) that do not fit them."""
-
-    submaps: list[WallSubmap]
-    numbers: WallNumbers
-    moved: Ints
-
-
 def refined_submaps(grouped: GroupedMap, moving: Bools, links: ScanLinks) -> RefinedWalls:
     """Refine each submap by itself, from the poses given by the groups.
 
@@ -64,18 +56,20 @@ def refined_submaps(grouped: GroupedMap, moving: Bools, links: ScanLinks) -> Ref
     return RefinedWalls(submaps, found.numbers, found.history)
 
 
-def planned_submaps(refined: RefinedWalls, moving: Bools, beams: BeamStore) -> PlannedWalls:
-    """Return refined submaps with the walls of their floor plans.
+def planned_submaps(
+    refined: RefinedWalls, moving: Bools, beams: BeamStore
+) -> tuple[list[WallSubmap], WallNumbers, Ints]:
+    """Return refined submaps with the walls of their floor plans, and their association.
 
     `moving` (p,): plane tracks ignored because they move; `beams`: remove walls that are seen
-    through.
+    through. Returns also the plane tracks (k,) that do not fit the submaps.
     """
     submaps, numbers, moved = list[WallSubmap](), refined.numbers, [np.empty(0, dtype=np.int64)]
     for submap in refined.submaps:
         plan, numbers, gone = floor_plan(submap, numbers, refined.history, beams, moving)
         submaps.append(replace(plan, torn=submap.torn))
         moved.append(gone)
-    return PlannedWalls(submaps, numbers, np.concatenate(moved))
+    return submaps, numbers, np.concatenate(moved)
 
 
 def _refined(
