@@ -18,7 +18,7 @@ from relmap.core.arrays import Floats
 from relmap.io.files import read_tum
 from relmap.planes.refinement.system import WallSystem
 from relmap.planes.submaps.stitching import stitched
-from relmap.planes.submaps.tearing import disagreement
+from relmap.planes.submaps.submap import disagreement
 from relmap.planes.walls.equations import Walls
 from relmap.planes.walls.files import read_planes
 from relmap.simulation.visibility import seen_walls

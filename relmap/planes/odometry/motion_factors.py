@@ -29,16 +29,13 @@ class MotionFactors:
     sd: Floats = field(default_factory=lambda: np.empty((0, 2)))
 
     def __len__(self) -> int:
-        """Return the number of factors."""
         return len(self.both)
 
     def and_those(self, more: MotionFactors) -> MotionFactors:
         """Return these factors and others."""
-        return MotionFactors(
-            np.concatenate([self.both, more.both]),
-            np.concatenate([self.motion, more.motion]),
-            np.concatenate([self.sd, more.sd]),
-        )
+        motion = np.concatenate([self.motion, more.motion])
+        sd = np.concatenate([self.sd, more.sd])
+        return MotionFactors(np.concatenate([self.both, more.both]), motion, sd)
 
     @property
     def iteration(self) -> Ints:

@@ -160,10 +160,8 @@ class Wheels:
 
 def _otherwise(noise: MotionNoise, steps: Floats, motions: Floats) -> Bools:
     """Return which steps (k, 4, 4) contradict the measured motions (k, 3)."""
-    off, (sd_m, sd_rad) = (
-        corrected(noise, steps) - from_matrices(_poses(motions)),
-        noise.sigmas(steps),
-    )
+    off = corrected(noise, steps) - from_matrices(_poses(motions))
+    sd_m, sd_rad = noise.sigmas(steps)
     way = np.hypot(off[:, 1], off[:, 2]) / np.hypot(sd_m, ROUGH_M)
     turn = wrapped(off[:, 0]) / np.hypot(sd_rad, ROUGH_RAD)
     return np.asarray(np.hypot(way, turn) > OTHERWISE)

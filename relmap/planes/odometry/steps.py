@@ -81,8 +81,9 @@ def steps_of(
     iterations of other submaps. `hanging` (i,): which motions depend on odometry.
     """
     steps, (sd_m, sd_rad) = corrected(noise, given), noise.sigmas(given)
-    way, typical_m = np.hypot(steps[:, 1], steps[:, 2]), _typical(steps)
+    way = np.hypot(steps[:, 1], steps[:, 2])
     known = np.isfinite(way)
+    typical_m = max(float(np.median(way[known])), STILL_M) if known.any() else STILL_M
     variance = np.column_stack([sd_rad**2, sd_m**2])
     over, true = _compared(steps, submaps, known & ~hanging)
     found, n, length = motion_noise(over, true), max(n_measured, 1), typical_m
@@ -93,8 +94,10 @@ def steps_of(
         sd = np.array([found.sigma_rad, found.sigma_way * length])
         variance = np.maximum(way, STILL_M)[:, None] / length * sd**2
         steps = _again(found, steps)
-    # The errors of the systematic part are common to all steps, and so add up.
-    variance += (way * _together(way, hanging))[:, None] * (sd / length) ** 2 / n
+    # Systematic errors, unlike noise, grow linearly with the length of the run of steps that hang.
+    run = np.cumsum(np.diff(hanging, prepend=False))
+    together = np.bincount(run, np.nan_to_num(way) * hanging)[run]
+    variance += (way * together)[:, None] * (sd / length) ** 2 / n
     beside = np.convolve(hanging, np.ones(2 * BESIDE + 1))[BESIDE : BESIDE + len(hanging)] > 0
     return Steps(steps, variance, beside & known, hanging)
 
@@ -108,9 +111,7 @@ def _compared(
     for rows, poses in submaps:
         a, b = _windows(poses, way[rows], known[rows])
         given = path[rows]
-        pairs.append(
-            (np.linalg.inv(given[a]) @ given[b], np.linalg.inv(poses[a]) @ poses[b]),
-        )
+        pairs.append((np.linalg.inv(given[a]) @ given[b], np.linalg.inv(poses[a]) @ poses[b]))
     over, true = (np.concatenate(each) for each in zip(*pairs, strict=True))
     return over, true
 
@@ -141,22 +142,6 @@ def _again(noise: MotionNoise, steps: Floats) -> Floats:
     way = np.hypot(steps[:, 1], steps[:, 2])
     yaw = steps[:, 0] + way * noise.turn_per_m[2]
     return np.column_stack([yaw, noise.scale * steps[:, 1:]])
-
-
-def _typical(steps: Floats) -> float:
-    """Return the typical length of the known steps (i, 3); metres."""
-    way = np.hypot(steps[:, 1], steps[:, 2])
-    known = way[np.isfinite(way)]
-    return max(float(np.median(known)), STILL_M) if len(known) else STILL_M
-
-
-def _together(way: Floats, needed: Bools) -> Floats:
-    """Return the length (i,) of the run of consecutive needed steps that contains each, metres.
-
-    Residual systematic errors, unlike noise, grow linearly with it.
-    """
-    run = np.cumsum(np.diff(needed, prepend=False))
-    return np.asarray(np.bincount(run, np.nan_to_num(way) * needed)[run])
 
 
 def path_of(steps: Floats) -> Floats:

@@ -10,8 +10,7 @@ from relmap.core.arrays import Floats, Ints
 from relmap.planes.linking.adjoining import LEAST_SHARE, RIVAL, SIDE
 from relmap.planes.motions import from_matrices, matrices
 from relmap.planes.scans.beams import BeamStore, leads, log_odds
-from relmap.planes.submaps.submap import WallSubmap
-from relmap.planes.submaps.tearing import deviations
+from relmap.planes.submaps.submap import WallSubmap, deviations
 from relmap.planes.submaps.undetermined import beams_of
 from relmap.planes.walls.history import PlaneHistory
 

@@ -16,8 +16,7 @@ from relmap.core.arrays import Bools, Floats, Ints
 from relmap.planes.refinement.closing import NEAR_M, walls_seen_again
 from relmap.planes.refinement.solving import LAST, refined, refined_to_the_noise
 from relmap.planes.submaps.stitching import stitched, with_strays_put_back
-from relmap.planes.submaps.submap import WallSubmap, among_all, torn_in
-from relmap.planes.submaps.tearing import disagreement
+from relmap.planes.submaps.submap import WallSubmap, among_all, disagreement, torn_in
 from relmap.planes.walls.assembly import Assembled, WallNumbers, assemble
 from relmap.planes.walls.history import PlaneHistory
 from relmap.planes.walls.joining import join_pairs, join_walls
@@ -54,10 +53,7 @@ below which a round is the last."""
 
 
 def refined_map(
-    history: PlaneHistory,
-    numbers: WallNumbers,
-    chained: WallSubmap,
-    moving: Bools,
+    history: PlaneHistory, numbers: WallNumbers, chained: WallSubmap, moving: Bools
 ) -> tuple[WallSubmap, WallNumbers]:
     """Move walls, corners and poses of a submap to the joint optimum of all observations.
 
@@ -119,11 +115,7 @@ def _refined(best: Assembled, span: tuple[int, int], history: PlaneHistory) -> W
 
 
 def _solved(
-    history: PlaneHistory,
-    numbers: WallNumbers,
-    chained: WallSubmap,
-    moving: Bools,
-    held: float,
+    history: PlaneHistory, numbers: WallNumbers, chained: WallSubmap, moving: Bools, held: float
 ) -> tuple[WallSubmap, WallNumbers]:
     """Return the refined submap and its association."""
     assert chained.assembled is not None

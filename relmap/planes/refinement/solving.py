@@ -10,7 +10,6 @@ import numpy as np
 from relmap.core.arrays import Floats, Ints
 from relmap.planes.refinement.system import WallSystem
 from relmap.planes.walls.assembly import FLAT_M, Assembled
-from relmap.planes.walls.equations import WallEquations
 
 EXACT_M = 1e-7
 """Minimum standard deviation of walls for noise-free data."""
@@ -65,17 +64,13 @@ def _solved(
     for most, doubtful in rounds:
         own = system.reweighted(given)
         state = own.refine(state, most, doubtful, by_scan)
-        given, settled = _reweighted(assembled.given, *own.off(state)), own.settled
+        across, along = own.off(state)
+        given, settled = assembled.given, own.settled
+        wall = _learnt(given.wall, across.mean(axis=1) / given.sd)
+        corner = _learnt(given.corner, along / given.corner_sd)
+        sd, corner_sd = given.sd * wall[given.wall], given.corner_sd * corner[given.corner]
+        given = replace(given, sd=sd, corner_sd=corner_sd)
     return replace(assembled, given=given, state=state, settled=settled)
-
-
-def _reweighted(given: WallEquations, across: Floats, along: Floats) -> WallEquations:
-    """Return the equations with the noise of each wall and corner estimated from the residuals."""
-    wall = _learnt(given.wall, across.mean(axis=1) / given.sd)
-    corner = _learnt(given.corner, along / given.corner_sd)
-    return replace(
-        given, sd=given.sd * wall[given.wall], corner_sd=given.corner_sd * corner[given.corner]
-    )
 
 
 def _learnt(of: Ints, residual: Floats) -> Floats:

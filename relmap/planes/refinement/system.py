@@ -10,6 +10,7 @@ corner along the line. Where needed, odometry constrains pairs of poses
 from __future__ import annotations
 
 from copy import copy
+from functools import partial
 
 import numpy as np
 
@@ -83,19 +84,10 @@ class WallSystem:
         wall should have no influence; `by_scan`: whether a scan with large residuals overall is
         treated as not yet converged instead of wrong.
         """
-
-        def weigh(residual: Floats) -> Floats:
-            return self._weights(residual, doubtful, by_scan)
-
+        weigh = partial(self._weights, doubtful=doubtful, by_scan=by_scan)
+        unsure, monotone = UNSURE * self._n_unknowns, self._held > 0
         found = gauss_newton(
-            self,
-            state,
-            weigh,
-            rounds,
-            unsure=UNSURE * self._n_unknowns,
-            same=np.inf,
-            monotone=self._held > 0,
-            reuse=False,
+            self, state, weigh, rounds, unsure=unsure, same=np.inf, monotone=monotone, reuse=False
         )
         self.settled = False
         if found.last is not None:

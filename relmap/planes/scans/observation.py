@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from types import SimpleNamespace
 from typing import Any
@@ -32,26 +32,13 @@ points."""
 class PlaneObservation:
     """The walls of one scan: robot frame, metres; m walls.
 
-    Attributes
-    ----------
-    ends : (m, 2, 2) float64
-        x, y of the right and the left end, as seen from the robot.
-    kind : (m, 2) int8
-        Whether an end is an end of the wall itself, of its visible part, or unknown; see
-        `relmap.planes.scans.corners`.
-    along : (m, 2) float64
-        Unit vector from the right end to the left one.
-    normal : (m, 2) float64
-        Unit vector towards the robot.
-    offset : (m,) float64
-        ``normal @ p`` of every point p of the wall: negative.
-    size : (m,) float64
-    sd : (m,) float64
-        Standard deviation of the distance of a wall at its midpoint; 0 if unknown.
-    z_extent : (m, 2) float64
-        Lowest and highest z; 0 if unknown.
-    beams : GivenBeams
-        None if not given.
+    `ends` (m, 2, 2): x, y of the right and the left end, as seen from the robot; `kind` (m, 2):
+    whether an end is an end of the wall itself, of its visible part, or unknown, see
+    `relmap.planes.scans.corners`; `along`, `normal` (m, 2): unit vectors from the right end to the
+    left one, and towards the robot; `offset` (m,): ``normal @ p`` of every point p of the wall:
+    negative; `size` (m,); `sd` (m,): standard deviation of the distance of a wall at its midpoint,
+    0 if unknown; `z_extent` (m, 2): lowest and highest z, 0 if unknown; `beams`: empty if not
+    given.
     """
 
     ends: Floats
@@ -79,7 +66,6 @@ class PlaneObservation:
         return cls(ends, kind, along, normal, offset, size, sd, z_extent)
 
     def __len__(self) -> int:
-        """Return the number of walls."""
         return len(self.ends)
 
     @cached_property
@@ -99,16 +85,8 @@ class PlaneObservation:
 
     def only(self, rows: Bools | slice) -> PlaneObservation:
         """Return some of the walls, without beams."""
-        return PlaneObservation(
-            self.ends[rows],
-            self.kind[rows],
-            self.along[rows],
-            self.normal[rows],
-            self.offset[rows],
-            self.size[rows],
-            self.sd[rows],
-            self.z_extent[rows],
-        )
+        names = [column.name for column in fields(self) if column.name != "beams"]
+        return PlaneObservation(**{name: getattr(self, name)[rows] for name in names})
 
 
 def seen_before(store: ObservationStore, scan: int) -> PlaneObservation:
@@ -140,7 +118,8 @@ def checked_planes(planes: Any, beams: Any = None) -> PlaneObservation:
     kept, kind = np.hypot(*(ends[:, 1] - ends[:, 0]).T) > SHORTEST_M, kind.reshape(m, 2)
     if not kept.all():
         ends, kind, sd, z_extent = ends[kept], kind[kept], sd[kept], z_extent[kept]
-    kind = _coded(kind)
+    codes = [CODES.get(name, CUT) for name in kind.ravel().tolist()]  # others are not of the wall
+    kind = np.array(codes, dtype=np.int8).reshape(kind.shape)
     kind[on_loose_things(ends, given)] += LOOSE
     seen = PlaneObservation.of(ends, kind, sd, z_extent)
     behind = seen.offset > 0
@@ -150,12 +129,6 @@ def checked_planes(planes: Any, beams: Any = None) -> PlaneObservation:
             f"wall {wall} is seen from behind; its ends must go from right to left as seen"
         )
     return replace(seen, beams=given)
-
-
-def _coded(end_type: NDArray[np.str_]) -> NDArray[np.int8]:
-    """Return the kinds of ends given by name; any other is an end of the visible part."""
-    codes = [CODES.get(name, CUT) for name in end_type.ravel().tolist()]
-    return np.array(codes, dtype=np.int8).reshape(end_type.shape)
 
 
 def checked_ends(ends: Any) -> Floats:

@@ -37,7 +37,8 @@ class GroupedMap:
         wall_end = self.walls.wall_end
         corner_of, merged = np.arange(len(wall_end)), self.engine.table.landmark_of[::2] // 2
         corner_of[: len(merged)] = merged
-        return WallNumbers.of(self.walls.n_planes, wall_end, corner_of)
+        same = np.column_stack([wall_end, wall_end[corner_of]]) // 2
+        return WallNumbers(first_of(self.walls.n_planes, same), corner_of)
 
     @property
     def unmerged(self) -> WallNumbers:

@@ -8,6 +8,7 @@ from scipy.spatial import cKDTree
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.planes.motions import from_matrices
 from relmap.planes.scans.beams import NEAR_M, BeamStore, compared
+from relmap.planes.submaps.undetermined import beams_of
 from relmap.planes.walls.history import PlaneHistory
 
 APART_M, LATER_M = 0.5, 3.0
@@ -72,12 +73,7 @@ def _contradicting(
     pairs: Ints, poses: Floats, first: int, history: PlaneHistory, beams: BeamStore
 ) -> Floats:
     """Return the fraction of contradicting points of each pair; NaN if few are in view of both."""
-    scans = np.unique(pairs)
-    begin, end = np.searchsorted(history.iteration, [first + scans, first + scans + 1])
-    of = {
-        row: beams.of(first + row, history.ends[a:b])
-        for row, a, b in zip(scans.tolist(), begin.tolist(), end.tolist(), strict=True)
-    }
+    of = {row: beams_of(first + row, history, beams) for row in np.unique(pairs).tolist()}
     motions = from_matrices(np.linalg.inv(poses[pairs[:, 1]]) @ poses[pairs[:, 0]])
     counts = np.zeros((len(pairs), 4))
     for k, (earlier, later) in enumerate(pairs.tolist()):

@@ -140,13 +140,9 @@ def _changes(step: Floats, free: Floats, to_usual: Floats) -> Floats:
     make it the usual step before or after it.
     """
     far = np.hypot(*to_usual.T) > FREE_M
-    return np.vstack([BOTH_M * _turned(free, step[0]), np.pad(to_usual, [(0, 0), (1, 0)])[far]])
-
-
-def _turned(free: Floats, yaw: float) -> Floats:
-    """Return a motion in the frame of the later scan as a change of the step (3,)."""
-    c, s = np.cos(yaw), np.sin(yaw)
-    return np.array([free[0], c * free[1] - s * free[2], s * free[1] + c * free[2]])
+    (turn, x, y), c, s = free, np.cos(step[0]), np.sin(step[0])
+    way = np.array([turn, c * x - s * y, s * x + c * y])  # in the frame of the earlier scan
+    return np.vstack([BOTH_M * way, np.pad(to_usual, [(0, 0), (1, 0)])[far]])
 
 
 def _excluded(step: Floats, changes: Floats, earlier: Beams, later: Beams) -> float:

@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
+from relmap.planes.motions import matrices
 from relmap.planes.walls.equations import WallEquations, Walls
-from relmap.planes.walls.history import PlaneHistory, first_of
+from relmap.planes.walls.history import PlaneHistory
 
 FLAT_M = 0.003
 SHARP_M = 0.01
@@ -38,13 +39,6 @@ class WallNumbers:
         """Return whether two assignments are equal."""
         return np.array_equal(self.wall_of, other.wall_of) and np.array_equal(
             self.corner_of, other.corner_of
-        )
-
-    @classmethod
-    def of(cls, n_planes: int, wall_end: Ints, corner_of: Ints) -> WallNumbers:
-        """Join tracks whose corners turned out to be the same."""
-        return cls(
-            first_of(n_planes, np.column_stack([wall_end, wall_end[corner_of]]) // 2), corner_of
         )
 
 
@@ -99,27 +93,13 @@ class Assembled:
         walls, wall = np.unique(given.wall[kept], return_inverse=True)
         corners, corner = np.unique(given.corner[seen], return_inverse=True)
         row = np.cumsum(kept) - 1
-        own = WallEquations(
-            given.iteration[kept],
-            wall,
-            given.ends[kept],
-            given.sd[kept],
-            row[given.corner_row[seen]],
-            given.corner_end[seen],
-            corner,
-            given.corner_sd[seen],
-            given.odometry,
-        )
+        observed = given.iteration[kept], wall, given.ends[kept], given.sd[kept]
+        ends = row[given.corner_row[seen]], given.corner_end[seen], corner, given.corner_sd[seen]
+        lines = state.centre[walls], state.angle[walls], state.across[walls]
         return replace(
             self,
-            given=own,
-            state=replace(
-                state,
-                centre=state.centre[walls],
-                angle=state.angle[walls],
-                across=state.across[walls],
-                along=state.along[corners],
-            ),
+            given=WallEquations(*observed, *ends, given.odometry),
+            state=Walls(state.yaw, state.t, *lines, state.along[corners]),
             walls=self.walls[walls],
             corners=self.corners[corners],
             rows=self.rows[kept],
@@ -129,11 +109,7 @@ class Assembled:
     def poses(self, n: int) -> Floats:
         """Return ``T_map_robot`` of all iterations (n, 4, 4); NaN where unknown."""
         poses = np.full((n, 4, 4), np.nan)
-        poses[self.iterations] = np.eye(4)
-        c, s = np.cos(self.state.yaw), np.sin(self.state.yaw)
-        poses[self.iterations, 0, 0] = poses[self.iterations, 1, 1] = c
-        poses[self.iterations, 1, 0], poses[self.iterations, 0, 1] = s, -s
-        poses[self.iterations, :2, 3] = self.state.t
+        poses[self.iterations] = matrices(np.column_stack([self.state.yaw, self.state.t]))
         return poses
 
 

@@ -31,33 +31,17 @@ that bends it."""
 class PlaneHistory:
     """Columns of the observation store (Fig. 3), and registration results of each scan.
 
-    Attributes
-    ----------
-    iteration : (n,) int64, ascending
-    plane : (n,) int64
-        Number of the wall at the time of observation.
-    ends : (n, 2, 2) float64, robot frame, metres
-        Its right and left end.
-    sd : (n,) float64, metres
-        Standard deviation of the distance of its midpoint.
-    z_extent : (n, 2) float64, metres
-        Lowest and highest z.
-    corner : (n, 2) int64
-        Corner at either end; -1 if the end is not static.
-    motion : (i, 3) float64
-        From the previous robot frame to that of each iteration: yaw, x, y; approximate.
-    submap : (i,) int64
-        Submap of each iteration; -1 for none.
-    odometry : Steps, optional
-        Odometry, if available and accepted.
-    measured : (i,) bool, optional
-        Which motions are determined in all directions.
-    spacing_rad : float
-        Angle between the beams of the laser; 0 if unknown.
-    same : (k, 2) int64
-        Numbers that are the same wall, according to links found later.
-    bent : (b,) int64
-        Iterations at which a refined map was bent, ascending: their motions are kept as equations.
+    `iteration` (n,), ascending; `plane` (n,): number of the wall at the time of observation; `ends`
+    (n, 2, 2), robot frame, metres: its right and left end; `sd` (n,), metres: standard deviation of
+    the distance of its midpoint; `z_extent` (n, 2), metres: lowest and highest z; `corner` (n, 2):
+    corner at either end, -1 if the end is not static.
+
+    `motion` (i, 3): from the previous robot frame to that of each iteration: yaw, x, y;
+    approximate; `submap` (i,): submap of each iteration, -1 for none; `odometry`: if available and
+    accepted; `measured` (i,): which motions are determined in all directions; `spacing_rad`: angle
+    between the beams of the laser, 0 if unknown; `same` (k, 2): numbers that are the same wall,
+    according to links found later; `bent` (b,): iterations at which a refined map was bent,
+    ascending: their motions are kept as equations.
     """
 
     iteration: Ints

@@ -60,9 +60,8 @@ def wall_extents(assembled: Assembled) -> tuple[Floats, Floats]:
 
     given, state = assembled.given, assembled.state
     along = directions(state.angle)[1][given.wall]
-    reach = np.einsum(
-        "nei,ni->ne", placed_ends(assembled) - state.centre[given.wall][:, None], along
-    )
+    off = placed_ends(assembled) - state.centre[given.wall][:, None]
+    reach = np.einsum("nei,ni->ne", off, along)
     return (
         quantiles(given.wall, reach[:, 0].copy(), OUTLYING),
         -quantiles(given.wall, -reach[:, 1], OUTLYING),
