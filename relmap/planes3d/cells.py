@@ -24,9 +24,8 @@ class KnownCells:
         """Return which points of each scan lie in cells of their landmark that had none yet."""
         from relmap.planes3d.nearest_kernels import keys_of
 
-        keys = np.concatenate(
-            [MIXED * keys_of(points, cell_m) + of for points, of, cell_m in scans]
-        )
+        each = [MIXED * keys_of(points, cell_m) + of for points, of, cell_m in scans]
+        keys = np.concatenate(each)
         rows = np.sort(np.unique(keys, return_index=True)[1])
         # To fill a set takes longer than the rest, and refinement adds no more scans.
         self._known.update(self._latest.tolist())

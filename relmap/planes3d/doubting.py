@@ -8,8 +8,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Bools, Floats
-from relmap.planes3d.placing import LEAP, Placed
-from relmap.planes3d.submap import Pose, Submap
+from relmap.planes3d.placing import LEAP, Placed, moved_m
+from relmap.planes3d.submap import Submap
 from relmap.segmentation.space import Patches
 
 FEWEST = 40
@@ -55,7 +55,7 @@ def is_doubtful(placed: Placed, seen: Patches, sight: Sight, part: Submap, gap: 
 
     `seen`: planes of the scan, robot frame; `sight`: of the map, see `sight_of`.
     """
-    way_m = moved_m(part.poses[-1], (placed.R, placed.t), seen.reach_m)
+    way_m = moved_m(part.poses[-1], placed.pose, seen.reach_m)
     leap = len(part.poses) >= SEVERAL and way_m > LEAP * seen.reach_m
     if leap and way_m > FASTER * gap * fastest_m(part):
         return True
@@ -79,13 +79,6 @@ def is_tied_doubtfully(placed: Placed, part: Submap, other: Submap) -> bool:
     if jumps and placed.n_planes < MANY_SHARED:
         return True
     return gap > SOON and placed.share < SURFACES and placed.n_planes < PLANES * len(part)
-
-
-def moved_m(a: Pose, b: Pose, reach_m: float) -> float:
-    """Return the length of a step; a rotation counts by how far it moves points at the range."""
-    cosine = (np.trace(a[0] @ b[0].T) - 1) / 2
-    turn = np.arccos(np.clip(cosine, -1.0, 1.0))
-    return float(turn * reach_m + np.linalg.norm(b[1] - a[1]))
 
 
 def fastest_m(part: Submap, turns: float = 1.0) -> float:

@@ -6,6 +6,7 @@ import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.planes3d.hypotheses import SKEW, Held
+from relmap.planes3d.submap import Pose
 from relmap.planes3d.surfaces import SIDE
 from relmap.segmentation.space import Patches
 
@@ -68,27 +69,21 @@ def fixes_turn(normal: Floats) -> bool:
 
 
 def fitted(
-    R: Floats,
-    t: Floats,
-    seen: Patches,
-    planes: Patches,
-    match: Ints,
-    held: Held,
-    last: bool = False,
+    pose: Pose, seen: Patches, planes: Patches, match: Ints, held: Held, last: bool = False
 ) -> tuple[Floats, Floats, Floats | None, bool]:
     """Fit a pose to matches by robust least squares.
 
     Only the last fit looks for weak directions that planes determine at all.
 
-    `R` (3, 3), `t` (3,): first estimate. `seen`, `planes`: of the scan, robot frame, and of the
-    map, map frame. `match` (m,): plane of the map that each plane of the scan matches; -1 for none.
-    Returns `R` (3, 3), `t` (3,) and `free` (3,), `is_held`: see `Placed`.
+    `pose`, R (3, 3) and t (3,): first estimate. `seen`, `planes`: of the scan, robot frame, and of
+    the map, map frame. `match` (m,): plane of the map that each plane of the scan matches; -1 for
+    none. Returns `R` (3, 3), `t` (3,) and `free` (3,), `is_held`: see `Placed`.
     """
     from relmap.planes3d.fitting_kernels import fit_placement
 
     scan = seen.axes, seen.centre, seen.spread, seen.information
     there = planes.axes, planes.centre, planes.spread
-    R, t, H = fit_placement(R, t, scan, there, match, ROUNDING if last else SETTLED)
+    R, t, H = fit_placement(*pose, scan, there, match, ROUNDING if last else SETTLED)
     n = planes.normal[match[match >= 0]]
     free, sd_m = _weakest(H, n)
     weak_m, open_m = (share * seen.reach_m for share in (WEAK, OPEN)) if last else (np.inf,) * 2

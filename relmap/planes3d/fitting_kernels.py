@@ -41,13 +41,7 @@ def _add_row(
 
 @helper
 def _equations(
-    R: Floats,
-    t: Floats,
-    axes: Floats,
-    centre: Floats,
-    rows: Ints,
-    planes: Floats,
-    root: Floats,
+    R: Floats, t: Floats, axes: Floats, centre: Floats, rows: Ints, planes: Floats, root: Floats
 ) -> tuple[Floats, Floats]:
     """Return the normal equations of a rotation and a translation, (6, 6) and (6,)."""
     n_rows = len(rows)

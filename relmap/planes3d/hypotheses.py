@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.arrays import Floats, Ints
 from relmap.segmentation.space import Patches
 
 SKEW = np.sin(np.deg2rad(20.0))
@@ -44,60 +44,34 @@ class Held:
     off_m: float
 
 
-@dataclass(frozen=True, eq=False)
-class Motions:
-    """Hypotheses: h rigid motions from the frame of the scan to that of the map.
-
-    `R` (h, 3, 3); `t` (h, 3), metres.
-    """
-
-    R: Floats
-    t: Floats
-
-
-def motions(seen: Patches, there: Patches, held: Held) -> Motions:
-    """Return hypotheses of the pose of a scan, largest support first.
+def motions(seen: Patches, there: Patches, held: Held) -> tuple[Floats, Floats]:
+    """Return hypotheses of the pose of a scan, largest support first: (h, 3, 3) and (h, 3).
 
     The support is the fraction of the scan's planes that match, weighted by the square root of
     their size.
 
     `seen`, `there`: planes of the scan, robot frame, and of the map, map frame.
     """
-    from relmap.planes3d.hypothesis_kernels import distinct_turns
+    from relmap.planes3d.hypothesis_kernels import best_ways, distinct_turns
 
     size, mine, others = importance(seen), leaders(seen), leaders(there, 2 * LEADERS)
     # The largest first: if there are too many matches theirs are used.
     mine = mine[np.argsort(-size[mine], kind="stable")]
     a, b, weight = seen.normal[mine], there.normal[others], size[mine]
-    off, gate = (seen.offset[mine], there.offset[others]), tolerance(seen, mine)
-    turns = distinct_turns(_turns(a, b), a, b, weight)
-    found = [_ways((a @ R.T) @ b.T > PARALLEL, b, off, gate, weight, held.place) for R in turns]
+    gate = OFF_M * seen.spread[mine, 2] + OFF_SHARE * np.linalg.norm(seen.centre[mine], axis=1)
+    turns, found = distinct_turns(_turns(a, b), a, b, weight), list[tuple[Floats, Floats]]()
+    for R in turns:
+        i, j = (each[:PAIRS] for each in np.nonzero((a @ R.T) @ b.T > PARALLEL))
+        apart_m = 2 * float(np.median(gate[i])) if len(i) else 0.0
+        off = there.offset[others[j]] - seen.offset[mine[i]]
+        # Three matches determine a translation; two do together with the predicted position.
+        found.append(best_ways(b[j], off, i, gate[i], weight, held.place, apart_m))
     count = [len(support) for _, support in found]
     if not sum(count):
-        return Motions(np.empty((0, 3, 3)), np.empty((0, 3)))
+        return np.empty((0, 3, 3)), np.empty((0, 3))
     R, t = np.repeat(turns, count, axis=0), np.concatenate([ways for ways, _ in found])
     order = np.argsort(-np.concatenate([support for _, support in found]), kind="stable")
-    return Motions(R[order], t[order])
-
-
-def _ways(
-    match: Bools,
-    normal: Floats,
-    offsets: tuple[Floats, Floats],
-    gate: Floats,
-    weight: Floats,
-    held: Floats,
-) -> tuple[Floats, Floats]:
-    """Return the best translations (k, 3), given matches (m, n) of planes, and their supports (k,).
-
-    Three matches of parallel planes determine a translation; two do together with the predicted
-    position.
-    """
-    from relmap.planes3d.hypothesis_kernels import best_ways
-
-    i, j = (each[:PAIRS] for each in np.nonzero(match))
-    apart_m = 2 * float(np.median(gate[i])) if len(i) else 0.0
-    return best_ways(normal[j], offsets[1][j] - offsets[0][i], i, gate[i], weight, held, apart_m)
+    return R[order], t[order]
 
 
 def importance(seen: Patches) -> Floats:
@@ -113,12 +87,6 @@ def leaders(patches: Patches, most: int = LEADERS) -> Ints:
     """Return the largest patches (k,), ascending."""
     size = np.bincount(patches.cell_patch, minlength=len(patches))
     return np.sort(np.argsort(-size, kind="stable")[:most])
-
-
-def tolerance(patches: Patches, rows: Ints) -> Floats:
-    """Return the tolerance of the offsets of patches (k,), metres."""
-    away = np.linalg.norm(patches.centre[rows], axis=1)
-    return np.asarray(OFF_M * patches.spread[rows, 2] + OFF_SHARE * away)
 
 
 def _turns(a: Floats, b: Floats) -> Floats:

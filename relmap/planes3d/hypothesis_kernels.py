@@ -9,14 +9,7 @@ from relmap.core.geometry.rotation_kernels import best_rotation
 from relmap.core.linalg.compiling import helper, unrolled
 from relmap.core.linalg.order_kernels import ordered
 from relmap.core.linalg.small_kernels import diagonalise
-from relmap.planes3d.hypotheses import (
-    FLAT_CORNER,
-    PARALLEL,
-    PER_TURN,
-    SAME_TURN,
-    SKEW,
-    TURNS,
-)
+from relmap.planes3d.hypotheses import FLAT_CORNER, PARALLEL, PER_TURN, SAME_TURN, SKEW, TURNS
 
 ROUNDED = 1e9
 """Supports that differ by less than the inverse are the same: the first hypothesis is preferred."""

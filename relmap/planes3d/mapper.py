@@ -19,8 +19,7 @@ from relmap.planes3d.journaled import checked_patches, journaled, of_journal
 from relmap.planes3d.mapped import Mapped3d
 from relmap.planes3d.placing import Placed, place
 from relmap.planes3d.refining import refined, unsure_steps
-from relmap.planes3d.rims import with_rim
-from relmap.planes3d.sights import sights_of, with_ends
+from relmap.planes3d.sights import sights_of, with_ends, with_rim
 from relmap.planes3d.submap import Submap
 from relmap.planes3d.surfaces import Surfaces
 from relmap.segmentation.space import Patches, PatchSegmenter
@@ -141,7 +140,7 @@ class Plane3dMapper(Mapped3d):
         if placed is None:
             self._submaps.append(Submap())
         else:
-            pose, number = (placed.R, placed.t), placed.match
+            pose, number = placed.pose, placed.match
             if placed.free is not None:
                 self._submaps[-1].weak[iteration] = placed.R.T @ placed.free
             if placed.is_held:
@@ -221,7 +220,7 @@ class Plane3dMapper(Mapped3d):
         placed = place(seen, Surfaces(planes), part.poses[-1], _going_on(part))
         if placed is None:
             return None
-        sight = sight_of(placed.R, placed.t, seen, planes)
+        sight = sight_of(*placed.pose, seen, planes)
         if is_doubtful(placed, seen, sight, part, gap):
             return None
         return placed.named(part.number[chosen])
@@ -246,7 +245,7 @@ class Plane3dMapper(Mapped3d):
             return False
         match = placed.named(other.number).match.tolist()
         name = {a: b for a, b in zip(part.number.tolist(), match, strict=True) if b >= 0}
-        both, self._refined_at = other.joined(part, (placed.R, placed.t), name), 0
+        both, self._refined_at = other.joined(part, placed.pose, name), 0
         parts = [each for each in self._submaps if each not in (part, other)]
         # The next scan is added to the last submap: the one that holds the latest scan.
         self._submaps = sorted([*parts, both], key=lambda each: each.iteration[-1])

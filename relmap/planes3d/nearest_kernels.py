@@ -7,6 +7,7 @@ import numpy as np
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.geometry.spatialindex_kernels import bucket_of, cell_at, key_of
 from relmap.core.linalg.compiling import compiled, helper
+from relmap.planes3d.placing import HOPELESS, JUDGED
 from relmap.planes3d.surfaces import SIDE
 
 Grid = tuple[Ints, Ints, Ints, Ints, Floats, float]
@@ -36,23 +37,16 @@ def _enter(one: int, away: float, chosen: Ints, square: Floats) -> None:
 
 
 @helper
-def _cube_at(first: Ints, following: Ints, key: Ints, wanted: int) -> int:
-    """Return the cube with a key; -1 if it holds no cells."""
-    cube = int(first[bucket_of(wanted, len(first))])
-    while cube >= 0 and key[cube] != wanted:
-        cube = int(following[cube])
-    return cube
-
-
-@helper
 def _look_in(
     wanted: int, grid: Grid, x: float, y: float, z: float, chosen: Ints, square: Floats
 ) -> None:
     """Look for the nearest cells in the cube with a key."""
-    cube = _cube_at(grid[0], grid[1], grid[2], wanted)
+    first, following, key, begin, cells, _ = grid
+    cube = first[bucket_of(wanted, len(first))]
+    while cube >= 0 and key[cube] != wanted:
+        cube = following[cube]
     if cube < 0:
         return
-    begin, cells = grid[3], grid[4]
     for one in range(begin[cube], begin[cube + 1]):
         ax, ay, az = cells[one, 0] - x, cells[one, 1] - y, cells[one, 2] - z
         away = ax * ax + ay * ay + az * az
@@ -132,17 +126,14 @@ def shares(
     normal: Floats,
     weight: Floats,
     reach_m: float,
-    hopeless: float,
-    most: int,
 ) -> Floats:
     """Return the weight (h,) of the cells of a scan that a motion brings near cells of the map.
 
     `facing` (c, 3): normals of the cells of the map; `R` (h, 3, 3), `t` (h, 3); `cells`, `normal`
-    (s, 3), `weight` (s,): of the scan; `reach_m`: largest distance; `hopeless`, `most`: motions
-    with less than this fraction of the largest weight, or not among so many of the largest ones,
-    are not followed to the end.
+    (s, 3), `weight` (s,): of the scan; `reach_m`: largest distance. Motions with less than a
+    fraction of the largest weight, or not among the largest ones, are not followed to the end.
     """
-    total, best = np.zeros(len(R)), np.zeros(most)
+    total, best = np.zeros(len(R)), np.zeros(JUDGED)
     x, n = np.empty(3), np.empty(3)
     chosen, square = np.empty(1, dtype=np.int64), np.empty(1)
     for h in range(len(R)):
@@ -159,9 +150,9 @@ def shares(
             if k < len(facing):
                 cosine = n[0] * facing[k, 0] + n[1] * facing[k, 1] + n[2] * facing[k, 2]
                 total[h] += weight[i] if cosine > SIDE else 0.0
-            if total[h] + rest < max(hopeless * best[0], best[most - 1]):
+            if total[h] + rest < max(HOPELESS * best[0], best[JUDGED - 1]):
                 break
-        place = most - 1
+        place = JUDGED - 1
         while place > 0 and best[place - 1] < total[h]:
             best[place], place = best[place - 1], place - 1
         best[place] = max(best[place], total[h])

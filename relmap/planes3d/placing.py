@@ -7,12 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
-from relmap.planes3d.fitting import (
-    fitted,
-    fixes_turn,
-    matched,
-)
-from relmap.planes3d.hypotheses import Held, Motions, importance, motions
+from relmap.planes3d.fitting import fitted, fixes_turn, matched
+from relmap.planes3d.hypotheses import Held, importance, motions
+from relmap.planes3d.submap import Pose
 from relmap.planes3d.surfaces import Surfaces
 from relmap.segmentation.space import Patches
 
@@ -70,14 +67,17 @@ class Placed:
         return replace(self, match=np.where(self.match >= 0, number[self.match], -1))
 
     @property
+    def pose(self) -> Pose:
+        """Rotation and translation."""
+        return self.R, self.t
+
+    @property
     def n_planes(self) -> int:
         """Number of planes of the map that the scan shows."""
         return len(np.unique(self.match[self.match >= 0]))
 
 
-def place(
-    seen: Patches, there: Surfaces, last: tuple[Floats, Floats] | None, held: Held
-) -> Placed | None:
+def place(seen: Patches, there: Surfaces, last: Pose | None, held: Held) -> Placed | None:
     """Return the placement of a scan; None if none is accepted.
 
     `seen`: planes of the scan, robot frame. `there`: planes of the map. `last`, R (3, 3) and t
@@ -86,7 +86,7 @@ def place(
     it, a placement with a rival is not accepted.
     """
     best: list[Placed] = []
-    tried = _promising(motions(seen, there.planes, held), seen, there)
+    tried = _promising(seen, there, held)
     # At the previous pose planes are matched to the nearest, as in the paper.
     for R, t in tried if last is None else [*tried, last]:
         if any(other.share > SETTLES and _same(R, t, other, seen, CLOSE) for other in best):
@@ -97,27 +97,28 @@ def place(
     best.sort(key=lambda each: -each.share)
     if not best or best[0].share < LEAST:
         return None
-    first, leap = best[0], LEAP * seen.reach_m
-    if last is not None and _step(first, last, seen) > leap:
+    first, reach_m, leap = best[0], seen.reach_m, LEAP * seen.reach_m
+    if last is not None and moved_m(first.pose, last, reach_m) > leap:
         # In a room that looks the same from two sides a leap may explain a scan better by chance.
-        near = [other for other in best if _step(other, last, seen) <= leap]
+        near = [other for other in best if moved_m(other.pose, last, reach_m) <= leap]
         first = next((other for other in near if _rivals(other, first, True)), first)
         if first is best[0] and first.share < SETTLES and first.n_planes <= BOX:
             return None
     rivals = _distinct([other for other in best if _rivals(other, first)], seen)
     if last is None:
         return first if len(rivals) == 1 else None
-    rivals.sort(key=lambda each: _step(each, last, seen))
+    rivals.sort(key=lambda each: moved_m(each.pose, last, reach_m))
     sure = [each for each in rivals if not each.is_held]
     chosen, *others = sure or rivals
-    step = _step(chosen, last, seen)
+    step = moved_m(chosen.pose, last, reach_m)
     # Constant motion is accepted if everything else is a leap.
-    if step > leap and CLEARLY * step > _step(rivals[0], last, seen):
+    if step > leap and CLEARLY * step > moved_m(rivals[0].pose, last, reach_m):
         return rivals[0]
     # Normals of two directions often match by chance.
     if chosen.is_held and step > leap:
         return None
-    return None if others and step > CLEARLY * _step(others[0], last, seen) else chosen
+    is_near = bool(others) and step > CLEARLY * moved_m(others[0].pose, last, reach_m)
+    return None if is_near else chosen
 
 
 def _rivals(other: Placed, best: Placed, is_leap: bool = False) -> bool:
@@ -144,13 +145,14 @@ def _sample(seen: Patches, most: int) -> tuple[Floats, Ints, Floats]:
     return seen.cells[rows], of, weight / weight.sum()
 
 
-def _promising(tried: Motions, seen: Patches, there: Surfaces) -> list[tuple[Floats, Floats]]:
+def _promising(seen: Patches, there: Surfaces, held: Held) -> list[Pose]:
     """Return the hypotheses with most surfaces of a scan near surfaces that face the same way."""
+    R, t = motions(seen, there.planes, held)
     cells, of, weight = _sample(seen, ROUGHLY)
-    share = np.round(there.shares(tried, seen, cells, of, weight, HOPELESS, JUDGED), 9)
+    share = np.round(there.shares(R, t, seen, cells, of, weight), 9)
     order = np.argsort(-share, kind="stable")[:JUDGED]
     order = order[share[order] >= HOPELESS * share.max(initial=0.0)]
-    return [(tried.R[k], tried.t[k]) for k in order]
+    return [(R[k], t[k]) for k in order]
 
 
 def _settled(
@@ -165,7 +167,7 @@ def _settled(
     for loose in (2.0, 1.0):
         if not fixes_turn(planes.normal[match[match >= 0]]):
             return None
-        R, t, *_ = fitted(R, t, seen, planes, match, held)
+        R, t, *_ = fitted((R, t), seen, planes, match, held)
         if any(_same(R, t, other, seen, ARRIVED) for other in known):
             return None
         # After the first fit the pose hardly changes.
@@ -173,11 +175,11 @@ def _settled(
         match, off = matched(R, t, seen, planes, near, loose)
     if not fixes_turn(planes.normal[match[match >= 0]]):
         return None
-    R, t, free, is_held = fitted(R, t, seen, planes, match, held, last=True)
+    R, t, free, is_held = fitted((R, t), seen, planes, match, held, last=True)
     fit = np.where(match >= 0, 1 - off**2, 0.0)
     cells, of, weight = _sample(seen, SAMPLE)
     reach = OVERLAP * max(planes.cell_m, seen.cell_m)
-    overlap = there.near(cells @ R.T + t, reach) >= 0
+    overlap = there.nearest(cells @ R.T + t, reach, 1)[:, 0] >= 0
     return Placed(R, t, match, float((fit[of] * overlap) @ weight), free, is_held)
 
 
@@ -187,10 +189,10 @@ def _same(R: Floats, t: Floats, other: Placed, seen: Patches, share: float) -> b
     return turn < share * APART_RAD and way < share * APART * seen.reach_m
 
 
-def _step(placed: Placed, last: tuple[Floats, Floats], seen: Patches) -> float:
-    """Return the length of the step from the last pose: rotation times range, plus translation."""
-    turn, way = _apart(placed.R, placed.t, *last)
-    return turn * seen.reach_m + way
+def moved_m(a: Pose, b: Pose, reach_m: float) -> float:
+    """Return the length of a step; a rotation counts by how far it moves points at the range."""
+    turn, way = _apart(*a, *b)
+    return turn * reach_m + way
 
 
 def _apart(R: Floats, t: Floats, S: Floats, s: Floats) -> tuple[float, float]:

@@ -57,9 +57,8 @@ def raster(planes: Patches, k: int) -> Raster:
     at = np.floor((cells - origin) / size_m).astype(np.int64)
     filled = np.zeros(at.max(axis=0) + 3, dtype=bool)
     filled[tuple(at.T)] = True
-    return Raster(
-        binary_closing(filled, np.ones((3, 3), dtype=np.bool_)), origin, size_m, base, u, v
-    )
+    closed = binary_closing(filled, np.ones((3, 3), dtype=np.bool_))
+    return Raster(closed, origin, size_m, base, u, v)
 
 
 def _side(cells: Floats, cell_m: float, width_m: float) -> float:

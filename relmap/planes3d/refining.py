@@ -8,12 +8,7 @@ from scipy.spatial import cKDTree
 from relmap.core.arrays import Bools, Floats
 from relmap.planes3d.adjustment import GAIN, PlaneAdjustment, Scene, Sightings
 from relmap.planes3d.covariances import plane_covariances, step_covariances
-from relmap.planes3d.fitting import (
-    SYSTEMATIC,
-    WEAK,
-    directed,
-    distances,
-)
+from relmap.planes3d.fitting import SYSTEMATIC, WEAK, directed, distances
 from relmap.planes3d.gathering import gathered
 from relmap.planes3d.reliance import unreliable_steps
 from relmap.planes3d.sights import sights_of

@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.geometry.alignment import sums_each
 from relmap.planes3d.adjustment import PlaneAdjustment, Scene, Sightings
 
 LOOSE = 1e-12
@@ -42,10 +43,10 @@ def fragile(
     by_pose[:, :, :3] /= reach_m[seen.scan, None, None]
     pair, of = np.unique(np.column_stack([seen.scan, seen.plane]), axis=0, return_inverse=True)
     scan, count = pair[:, 0], len(reach_m)
-    matrix = _sums(of.ravel(), np.einsum("nki,nkj->nij", by_pose, by_pose), len(pair))
-    pull = _sums(of.ravel(), np.einsum("nki,nk->ni", by_pose, off), len(pair))
-    whole = _sums(scan, matrix, count)[scan]
-    matrix, pull = whole - matrix, _sums(scan, pull, count)[scan] - pull
+    matrix = sums_each(np.einsum("nki,nkj->nij", by_pose, by_pose), of.ravel(), len(pair))
+    pull = sums_each(np.einsum("nki,nk->ni", by_pose, off), of.ravel(), len(pair))
+    whole = sums_each(matrix, scan, count)[scan]
+    matrix, pull = whole - matrix, sums_each(pull, scan, count)[scan] - pull
     # By the whole: what rounding leaves of a direction without a landmark is not information.
     scale = 1 / np.sqrt(np.maximum(np.einsum("nii->ni", whole), 1e-12))
     matrix = matrix * scale[:, None] * scale[:, :, None] + LOOSE * np.eye(6)
@@ -91,11 +92,4 @@ def unreliable_steps(
         row = step[inside]
         change_m = np.abs(np.einsum("ni,ni->n", change[row], along[inside]))
         found[row[change_m > np.maximum(least_m[row], UNUSUAL * usual_m)]] = True
-    return found
-
-
-def _sums(of: Ints, terms: Floats, count: int) -> Floats:
-    """Return the sums (count, ...) of terms (n, ...) by group (n,)."""
-    found = np.zeros((count, *terms.shape[1:]))
-    np.add.at(found, of, terms)
     return found

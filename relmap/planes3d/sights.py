@@ -1,4 +1,7 @@
-"""How often scans saw a plane where it is, and how often they saw through it: what moved away."""
+"""How often scans saw a plane where it is, and how often they saw through it: what moved away.
+
+Also where surfaces end: points just beyond them that a scan saw through.
+"""
 
 from __future__ import annotations
 
@@ -8,18 +11,34 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Floats, Ints
+from relmap.planes3d.doubting import sight_of
 from relmap.planes3d.submap import Pose, Submap
+from relmap.planes3d.surfaces import some_cells
 from relmap.segmentation.space import Patches
 from relmap.segmentation.space.voxels import NEAR, cells_of
 
-LOOKED_AT, AROUND = 16, 4
-"""Number of cells of each plane that are looked for in every scan, and of the rays of the scan
-next to each: a scan sees through a cell if all of these end beyond it, the nearest behind it."""
+AROUND = 4
+"""Number of the rays of a scan next to each cell that is looked for: a scan sees through a cell if
+all of these end beyond it, the nearest behind it."""
 FACING = 0.3
 """Minimum cosine at which a surface is seen."""
 BESIDE, FURTHER = 1.0, 2.5
 """Largest distance, in cells at the range, of the nearest ray from a cell, and by how much the
 others may be further away."""
+BEYOND, EVERY = 2.0, 4
+"""Distance of the points beyond a surface from its cells, in cells; one of so many cells is tried
+in a scan, others in the next ones."""
+
+
+def with_rim(seen: Patches, iteration: int) -> Patches:
+    """Return the planes of a scan, robot frame, with their rim; see `Patches`."""
+    cells, of = (each[iteration % EVERY :: EVERY] for each in (seen.cells, seen.cell_patch))
+    u, v = seen.axes[of, 0], seen.axes[of, 1]
+    way = np.stack([u, -u, v, -v], axis=1)
+    beyond = (cells[:, None] + BEYOND * seen.cell_m * way).reshape(-1, 3)
+    tried = replace(seen, cells=beyond, cell_patch=np.repeat(of, 4))
+    through = sight_of(np.eye(3), np.zeros(3), seen, tried).through
+    return replace(seen, rim=beyond[through], rim_patch=tried.cell_patch[through])
 
 
 def with_ends(seen: Patches) -> Patches:
@@ -34,9 +53,7 @@ def with_ends(seen: Patches) -> Patches:
 def sights_of(part: Submap) -> dict[int, Ints]:
     """Return for the numbers of landmarks how often scans saw a cell where it is, or through it."""
     planes, count = part.planes(np.arange(len(part))), len(part)
-    number = np.bincount(planes.cell_patch, minlength=count)
-    rank = np.arange(len(planes.cells)) - (np.cumsum(number) - number)[planes.cell_patch]
-    rows = np.flatnonzero(rank * LOOKED_AT % number[planes.cell_patch] < LOOKED_AT)
+    rows = some_cells(planes)
     cells, of = planes.cells[rows], planes.cell_patch[rows]
     counts = np.zeros((count, 2), dtype=np.int64)
     for seen, pose in zip(part.seen, part.poses, strict=True):

@@ -5,15 +5,21 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.planes3d.hypotheses import Motions
 from relmap.segmentation.space import Patches
 
 LOOKED_AT = 16
-"""Number of cells of each plane of a scan from which overlapping planes are found."""
+"""Number of cells of each plane by which it is looked for elsewhere."""
 NEAR = 3.0
 """Largest distance, in cells, of cells of overlapping surfaces."""
 SIDE = np.cos(np.deg2rad(12.0))
 """Tolerance of the normals of one plane (cosine)."""
+
+
+def some_cells(planes: Patches) -> Ints:
+    """Return some cells (k,) of each plane, evenly chosen."""
+    of, count = planes.cell_patch, np.bincount(planes.cell_patch, minlength=len(planes))
+    rank = np.arange(len(of)) - (np.cumsum(count) - count)[of]
+    return np.flatnonzero(rank * LOOKED_AT % count[of] < LOOKED_AT)
 
 
 class Surfaces:
@@ -51,36 +57,22 @@ class Surfaces:
         from relmap.planes3d.nearest_kernels import mark_near
 
         near = np.zeros((len(seen), len(self.planes)), dtype=bool)
-        of, count = seen.cell_patch, np.bincount(seen.cell_patch, minlength=len(seen))
-        rank = np.arange(len(of)) - (np.cumsum(count) - count)[of]
-        rows = np.flatnonzero(rank * LOOKED_AT % count[of] < LOOKED_AT)
-        reach_m = 2 * NEAR * max(self.planes.cell_m, seen.cell_m)
-        mark_near(self._grid, self._plane, R, t, seen.cells[rows], of[rows], reach_m, near)
+        rows, reach_m = some_cells(seen), 2 * NEAR * max(self.planes.cell_m, seen.cell_m)
+        scan = seen.cells[rows], seen.cell_patch[rows]
+        mark_near(self._grid, self._plane, R, t, *scan, reach_m, near)
         return near
 
     def shares(
-        self,
-        motions: Motions,
-        seen: Patches,
-        cells: Floats,
-        of: Ints,
-        weight: Floats,
-        hopeless: float,
-        most: int,
+        self, R: Floats, t: Floats, seen: Patches, cells: Floats, of: Ints, weight: Floats
     ) -> Floats:
         """Return the weight (h,) of cells of a scan near surfaces that face the same way.
 
-        `seen`: planes of the scan, robot frame; `cells` (s, 3), `of` (s,), `weight` (s,): cells of
-        the scan, and their planes; `hopeless`, `most`: motions below this fraction of the largest
-        weight, or not among so many of the largest, may be given less.
+        `R` (h, 3, 3), `t` (h, 3): poses; those that are hopeless may be given less. `seen`: planes
+        of the scan, robot frame; `cells` (s, 3), `of` (s,), `weight` (s,): cells of the scan, and
+        their planes.
         """
         from relmap.planes3d.nearest_kernels import shares
 
         facing = self.planes.normal[self._plane[:-1]]
         reach_m = NEAR * max(self.planes.cell_m, seen.cell_m)
-        scan = motions.R, motions.t, cells, seen.normal[of], weight
-        return shares(self._grid, facing, *scan, reach_m, hopeless, most)
-
-    def near(self, points: Floats, reach_m: float) -> Ints:
-        """Return the plane (n,) of the cell nearest to each point (n, 3); -1 out of reach."""
-        return self.nearest(points, reach_m, 1)[:, 0]
+        return shares(self._grid, facing, R, t, cells, seen.normal[of], weight, reach_m)

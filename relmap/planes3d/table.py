@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -90,12 +91,11 @@ def plane_table(submaps: list[Submap], is_refined: bool) -> Plane3dTable:
         flat, status = np.empty(0), np.empty(0, dtype=np.str_)
         given = none, flat, none, flat, flat, flat, flat
         return Plane3dTable(number, *given, [], [], number, number, number, status, number)
-    columns = {name: [part[name] for part in parts] for name in parts[0]}
-    whole: dict[str, Any] = {
-        name: [each for part in columns.pop(name) for each in part] for name in RAGGED
-    }
-    whole |= {name: np.concatenate(values) for name, values in columns.items()}
-    return Plane3dTable(**whole)
+    columns: dict[str, Any] = {}
+    for name in parts[0]:
+        values = [part[name] for part in parts]
+        columns[name] = [*chain(*values)] if name in RAGGED else np.concatenate(values)
+    return Plane3dTable(**columns)
 
 
 def _rows(part: Submap, rank: int, is_refined: bool) -> dict[str, Any]:
