@@ -78,9 +78,8 @@ def beam_angle(xy: Floats) -> float:
 
 def _column_noise(xy: Floats) -> float:
     """Return the noise (metres) of ranges: a column of beams meets one wall at one distance."""
-    _, column = np.unique(
-        np.round(np.arctan2(xy[:, 1], xy[:, 0]) / COLUMN_RAD), return_inverse=True
-    )
+    bearing = np.arctan2(xy[:, 1], xy[:, 0])
+    _, column = np.unique(np.round(bearing / COLUMN_RAD), return_inverse=True)
     radius, count = np.hypot(xy[:, 0], xy[:, 1]), np.bincount(column)
     mean = np.bincount(column, weights=radius) / count
     squares = np.bincount(column, weights=(radius - mean[column]) ** 2)

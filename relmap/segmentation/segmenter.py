@@ -13,14 +13,13 @@ from relmap.segmentation.em.mixture import WallMixture, scan_area
 from relmap.segmentation.ends.corners import Sharpened, meet, sharpen
 from relmap.segmentation.ends.end_types import sensor_limits, type_ends
 from relmap.segmentation.planes import Planes, make_planes
-from relmap.segmentation.scanline.order import is_ordered
+from relmap.segmentation.scanline.lines import is_ordered
 from relmap.segmentation.upright import require_upright
 from relmap.segmentation.wall import BEGIN, END, EXACT_M, SHARE, UX, UY, WALL
 
 METHODS = ("em", "ransac", "mixture", "ransac3d", "patches", "scanlines")
 SPATIAL = ("ransac3d", "patches")
 """Methods that distinguish floors and ceilings from walls."""
-LEAST = 8
 FARTHEST_M = 1e9
 """Larger than the range of any sensor; squares of much larger numbers overflow."""
 DEFAULTS = {"method": None, "noise": None, "random_state": 0, "view_rad": None, "range_m": None}
@@ -167,7 +166,8 @@ class PlaneSegmenter:
             if self._unordered == CHECKED:
                 raise RelmapError(UNORDERED)
         if len(xy) < 2 or not (xy[1:] != xy[0]).any():
-            sharp = meet(_no_walls(self.noise), max(len(xy), 1))
+            none = WallMixture(np.zeros((0, WALL)), self.noise or 0.0, 1.0, 1.0)
+            sharp = meet(none, max(len(xy), 1))
             labels = np.full(len(xy), -1)
         else:
             sharp, labels = self._segment(method, xyz, xy)
@@ -181,17 +181,12 @@ class PlaneSegmenter:
             raise RelmapError(f"method is {self.method!r}; it must be one of {', '.join(METHODS)}")
         if d == 2 and method in SPATIAL:
             raise RelmapError(f"method {method} needs points (n, 3); these are (n, 2)")
-        for name, value in (
-            ("noise", self.noise),
-            ("view_rad", self.view_rad),
-            ("range_m", self.range_m),
-        ):
-            lowest_is_good = name == "noise"
-            if value is not None and not (
-                np.isfinite(value) and (value > 0 or (lowest_is_good and value == 0))
-            ):
-                least = "0 or more" if lowest_is_good else "positive"
-                raise RelmapError(f"{name} is {value!r}; it must be a finite number, {least}")
+        for name in ("noise", "view_rad", "range_m"):
+            value, may_be_zero = getattr(self, name), name == "noise"
+            if value is None or (np.isfinite(value) and value > 0) or (may_be_zero and value == 0):
+                continue
+            least = "0 or more" if may_be_zero else "positive"
+            raise RelmapError(f"{name} is {value!r}; it must be a finite number, {least}")
         return method
 
     def _segment(self, method: str, xyz: Floats, xy: Floats) -> tuple[Sharpened, Ints]:
@@ -236,8 +231,8 @@ class PlaneSegmenter:
             return patch_labels(xyz), self.noise or 0.0
         sigma = window_noise(xy, rng) if self.noise is None else max(self.noise, 1e-9)
         if method == "ransac3d":
-            return sequential_labels(xyz, sigma, LEAST, self.random_state), sigma
-        _, labels = find_lines(xy, sigma, LEAST, rng, beam_angle(xy))
+            return sequential_labels(xyz, sigma, self.random_state), sigma
+        _, labels = find_lines(xy, sigma, rng, beam_angle(xy))
         if method == "mixture":
             from relmap.segmentation.alternatives.gaussian import gaussian_labels
 
@@ -289,10 +284,6 @@ def walls_of_labels(xy: Floats, labels: Ints, sigma: float) -> WallMixture:
         walls[k, BEGIN], walls[k, END] = low, max(high, low + EXACT_M)
         walls[k, SHARE] = len(own) / len(xy)
     return WallMixture(walls, sigma, 0.0, scan_area(xy, sigma))
-
-
-def _no_walls(noise: float | None) -> WallMixture:
-    return WallMixture(np.zeros((0, WALL)), noise or 0.0, 1.0, 1.0)
 
 
 def _as_points(points: ArrayLike) -> Floats:

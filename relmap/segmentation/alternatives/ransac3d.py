@@ -9,6 +9,7 @@ import numpy as np
 from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.segmentation.em.moves import widest_gap
+from relmap.segmentation.wall import LEAST
 
 UPRIGHT = np.cos(np.deg2rad(75.0))
 """The normal of a vertical plane points up or down by no more than this."""
@@ -37,7 +38,7 @@ def _cloud(points: Floats) -> Any:
     return open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))
 
 
-def sequential_labels(points: Floats, sigma: float, least: int, seed: int) -> Ints:
+def sequential_labels(points: Floats, sigma: float, seed: int) -> Ints:
     """Return the plane (n,) of each point (n, 3): the largest first, split at gaps along it.
 
     Points of planes that are not vertical are removed; those planes are not returned.
@@ -46,17 +47,17 @@ def sequential_labels(points: Floats, sigma: float, least: int, seed: int) -> In
     labels, free, count = np.full(len(points), -1), np.arange(len(points)), 0
     band = BAND * max(sigma, 1e-6)
     for _ in range(MOST_PLANES):
-        if len(free) < max(least, 3):
+        if len(free) < LEAST:
             break
         plane, inliers = _cloud(points[free]).segment_plane(band, 3, DRAWS)
         own = free[inliers]
-        if len(own) < least:
+        if len(own) < LEAST:
             break
         normal = np.asarray(plane[:3])
         if abs(normal[2]) <= UPRIGHT:
             t = points[own, :2] @ (-normal[1], normal[0])
             for part in _parts(own, t, sigma):
-                if len(part) >= least:
+                if len(part) >= LEAST:
                     labels[part], count = count, count + 1
         free = np.setdiff1d(free, own, assume_unique=True)
     return labels

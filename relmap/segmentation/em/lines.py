@@ -11,7 +11,7 @@ import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.segmentation.noise import neighbour_distance, points_per_beam
-from relmap.segmentation.wall import SHARE, WALL
+from relmap.segmentation.wall import LEAST, SHARE, WALL
 
 TRIES = 100
 BEAMS = 0.5
@@ -21,25 +21,25 @@ UNCLAIMED = 0.6
 
 
 def find_lines(
-    xy: Floats, sigma: float, least: int, rng: np.random.Generator, beam: float
+    xy: Floats, sigma: float, rng: np.random.Generator, beam: float
 ) -> tuple[Floats, Ints]:
     """Return lines and the line of each point.
 
-    `xy` (n, 2), robot frame, metres. `sigma`: noise, metres. `least`: minimum number of points of a
-    line. `beam`: angle between beams, radians; 0 without beams. Returns `walls` (k, WALL): see
-    `relmap.segmentation.wall`; best first. `labels` (n,): row of `walls`, -1 for none.
+    `xy` (n, 2), robot frame, metres. `sigma`: noise, metres. `beam`: angle between beams, radians;
+    0 without beams. Returns `walls` (k, WALL): see `relmap.segmentation.wall`; best first. `labels`
+    (n,): row of `walls`, -1 for none.
     """
     from relmap.segmentation.em.window_kernels import grow_lines
 
     labels, found = np.full(len(xy), -1), [np.zeros((0, WALL))]
-    if len(xy) < max(least, 3):
+    if len(xy) < LEAST:
         return found[0], labels
     window, repeat = max(6 * sigma, 2 * neighbour_distance(xy)), points_per_beam(xy)
     narrow, count = BEAMS * beam, 0
-    while (labels < 0).sum() >= least:
+    while (labels < 0).sum() >= LEAST:
         free = np.flatnonzero(labels < 0)
         grown = grow_lines(xy[free], rng.random((TRIES, 2)), sigma, window, repeat, narrow)
-        chosen, claims = _best_first(*grown[1:], least)
+        chosen, claims = _best_first(*grown[1:])
         if not chosen:
             break
         for k, claim in zip(chosen, claims, strict=True):
@@ -50,7 +50,7 @@ def find_lines(
     return np.concatenate(found), labels
 
 
-def _best_first(members: Bools, scores: Floats, least: int) -> tuple[list[int], list[Bools]]:
+def _best_first(members: Bools, scores: Floats) -> tuple[list[int], list[Bools]]:
     """Return which lines claim points, best first, and the points (n,) each claims."""
     size = members.sum(axis=1)
     quality = scores / np.maximum(size, 1)
@@ -60,7 +60,7 @@ def _best_first(members: Bools, scores: Floats, least: int) -> tuple[list[int], 
     while True:
         score = np.where(left >= UNCLAIMED * size, left * quality, 0)
         best = int(score.argmax())
-        if left[best] < least or score[best] <= 0:
+        if left[best] < LEAST or score[best] <= 0:
             return chosen, claims
         claim = members[best].copy()
         chosen.append(best)

@@ -56,6 +56,12 @@ class WallMixture:
 
         return expect(xy, self.walls, self.sigma, self.beside(len(xy)), self.beam)
 
+    def sightings(self, xy: Floats, wall: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return where points (n, 2) are along a wall, and how far from it; see the kernel."""
+        from relmap.segmentation.em.wall_kernels import sightings
+
+        return sightings(xy, wall, self.beam)
+
     def beside(self, n: int) -> Floats:
         """Return the density of everything except the walls at n points."""
         return np.full(n, self.stray / self.area) if self.rest is None else self.rest
@@ -79,8 +85,7 @@ class WallMixture:
 
     def only(self, rows: Bools | list[int]) -> WallMixture:
         """Return the mixture of some of the walls."""
-        chosen = np.asarray(rows, dtype=np.int64) if isinstance(rows, list) else rows
-        return replace(self, walls=self.walls[chosen])
+        return replace(self, walls=self.walls[rows])
 
     def with_walls(self, walls: Floats) -> WallMixture:
         """Return the mixture with other walls (k, WALL)."""

@@ -13,14 +13,9 @@ import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.segmentation.em.mixture import PARAMETERS, WallMixture, maximise, wall_cost
-from relmap.segmentation.ends.pairs import (
-    flush,
-    one_hides_other,
-    side_by_side,
-    within_reach,
-)
+from relmap.segmentation.ends.pairs import flush, one_hides_other, side_by_side, within_reach
 from relmap.segmentation.ends.shadows import parted
-from relmap.segmentation.wall import BEGIN, END, EXACT_M, SHARE, corners
+from relmap.segmentation.wall import BEGIN, END, EXACT_M, LEAST, SHARE, corners, cut
 
 BENT = 10.0
 """Loss of log likelihood above which two walls are not collinear."""
@@ -45,13 +40,13 @@ ROUGH = 0.05
 """Gain of log likelihood per wall and step below which a trial has converged."""
 
 
-def prune(mixture: WallMixture, xy: Floats, least: int) -> WallMixture:
+def prune(mixture: WallMixture, xy: Floats) -> WallMixture:
     """Remove walls whose points the rest explains about as well, weakest first."""
     penalty = wall_cost(len(xy))
     while len(mixture.walls):
         density, total = mixture.density(xy)
         gain = -np.log1p(-np.minimum(density / total, 1 - 1e-12)).sum(axis=1)
-        weak = np.minimum(gain - penalty, mixture.walls[:, SHARE] * len(xy) - least)
+        weak = np.minimum(gain - penalty, mixture.walls[:, SHARE] * len(xy) - LEAST)
         worst = int(weak.argmin())
         if weak[worst] >= 0:
             break
@@ -65,15 +60,13 @@ def merge(mixture: WallMixture, xy: Floats) -> WallMixture:
     names, parted = list(range(len(mixture.walls))), set[tuple[int, int]]()
     while True:
         labels = mixture.labels(xy)
-        joined = None
         for i, j in combinations(range(len(names)), 2):
-            if (names[i], names[j]) in parted:
-                continue
-            joined = _join(mixture, xy, labels, i, j)
-            if joined is not None:
-                break
-            parted.add((names[i], names[j]))
-        if joined is None:
+            if (names[i], names[j]) not in parted:
+                joined = _join(mixture, xy, labels, i, j)
+                if joined is not None:
+                    break
+                parted.add((names[i], names[j]))
+        else:
             return mixture
         walls = np.delete(mixture.walls, j, axis=0)
         walls[i] = joined
@@ -84,8 +77,6 @@ def merge(mixture: WallMixture, xy: Floats) -> WallMixture:
 
 def _join(mixture: WallMixture, xy: Floats, labels: Ints, i: int, j: int) -> Floats | None:
     """Return two walls as one, given the wall of each point; None if they are two."""
-    from relmap.segmentation.em.wall_kernels import sightings
-
     w, v = mixture.walls[i], mixture.walls[j]
     if not within_reach(w, v, mixture.sigma):
         return None
@@ -95,11 +86,11 @@ def _join(mixture: WallMixture, xy: Floats, labels: Ints, i: int, j: int) -> Flo
     whole = wall_through(own, w, mixture.beam)
     whole[SHARE] = w[SHARE] + v[SHARE]
     if _connected(mixture, w, v, len(own) / whole[SHARE]):
-        across = sightings(own, whole, mixture.beam)[2]
+        across = mixture.sightings(own, whole)[2]
         density, total = mixture.only([i, j]).density(own)
         apart = 0.0
         for k, wall in enumerate((w, v)):
-            d = np.minimum(np.abs(sightings(own, wall, mixture.beam)[2]), FAR_M)
+            d = np.minimum(np.abs(mixture.sightings(own, wall)[2]), FAR_M)
             apart += float(density[k] / total @ d**2)
         if 0.5 * (across @ across - apart) < BENT * mixture.sigma**2:
             return whole
@@ -130,9 +121,7 @@ def bend(mixture: WallMixture, xy: Floats, suspects_only: bool = True) -> WallMi
 
 def _suspect(mixture: WallMixture, own: Floats, wall: Floats) -> bool:
     """Return whether points (m, 2) look bent, or thicker than the noise, about their wall."""
-    from relmap.segmentation.em.wall_kernels import sightings
-
-    _, t, d = sightings(own, wall, mixture.beam)
+    _, t, d = mixture.sightings(own, wall)
     z = (t - t.mean()) / max(t.std(), 1e-12)
     curve = z * z - z * (z**3).mean() - 1
     spread = max(float(d.std()), 1e-12)
@@ -142,11 +131,9 @@ def _suspect(mixture: WallMixture, own: Floats, wall: Floats) -> bool:
 
 def _bent(mixture: WallMixture, xy: Floats, own: Floats, k: int) -> Floats | None:
     """Return two walls that better explain a wall's points, if there are any."""
-    from relmap.segmentation.em.wall_kernels import sightings
-
     one, near = mixture.around([k], xy)
     wall, trials = one.walls[0], []
-    _, t, d = sightings(own, wall, mixture.beam)
+    _, t, d = mixture.sightings(own, wall)
     for upper in _halves(t, d, mixture.sigma):
         if min(upper.sum(), (~upper).sum()) < PARAMETERS:
             continue
@@ -209,20 +196,11 @@ def _connected(mixture: WallMixture, w: Floats, v: Floats, n: float) -> bool:
 
 def split(mixture: WallMixture, xy: Floats) -> WallMixture:
     """Split walls at doors: stretches too empty to belong to a uniformly filled wall."""
-    from relmap.segmentation.em.wall_kernels import sightings
-
-    labels, walls = mixture.labels(xy), []
+    labels, walls = mixture.labels(xy), list[Floats]()
     for k, wall in enumerate(mixture.walls):
-        u, t, _ = sightings(xy[labels == k], wall, mixture.beam)
+        u, t, _ = mixture.sightings(xy[labels == k], wall)
         hole = _hole(np.sort(u), wall, mixture)
-        if hole is None:
-            walls.append(wall)
-            continue
-        part = float(np.mean(t < 0.5 * sum(hole)))
-        for begin, end, amount in ((wall[BEGIN], hole[0], part), (hole[1], wall[END], 1 - part)):
-            piece = wall.copy()
-            piece[BEGIN], piece[END], piece[SHARE] = begin, end, wall[SHARE] * amount
-            walls.append(piece)
+        walls += [wall] if hole is None else cut(wall, hole, float(np.mean(t < 0.5 * sum(hole))))
     return mixture.with_walls(np.array(walls).reshape(-1, mixture.walls.shape[1]))
 
 

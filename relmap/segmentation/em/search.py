@@ -20,8 +20,6 @@ MORE = 6000
 """Maximum number of points for the search of the number of walls; beyond it, a random sample."""
 POLISHED = 20000
 """Maximum number of points for the refinement of lines and ends."""
-LEAST = 8
-"""Minimum number of points of a wall."""
 SHORTEST = 1.5
 """Minimum length of the longest wall of a scan, relative to the noise."""
 STRAYS = 0.1
@@ -91,11 +89,9 @@ def seen_broad(mixture: WallMixture, xy: Floats, labels: Ints) -> Bools:
 
     Some of the points may belong to a neighbour.
     """
-    from relmap.segmentation.em.wall_kernels import sightings
-
     broad = np.zeros(len(mixture.walls), dtype=np.bool_)
     for k in np.unique(labels[labels >= 0]):
-        u = sightings(xy[labels == k], mixture.walls[k], mixture.beam)[0]
+        u = mixture.sightings(xy[labels == k], mixture.walls[k])[0]
         broad[k] = np.ptp(np.quantile(u, [STRAYS, 1 - STRAYS])) > 0.5 * mixture.beam
     return broad
 
@@ -103,15 +99,9 @@ def seen_broad(mixture: WallMixture, xy: Floats, labels: Ints) -> Bools:
 def search_walls(xy: Floats, noise: float | None, rng: np.random.Generator) -> WallMixture:
     """Return the walls of points (n, 2): the best of several starts by evidence."""
     sigma = window_noise(xy, rng) if noise is None else max(noise, FLOOR_M)
-    nothing = WallMixture(
-        np.zeros((0, WALL)),
-        sigma,
-        STRAY_AT_FIRST,
-        scan_area(xy, sigma),
-        beam=beam_angle(xy),
-        repeat=points_per_beam(xy),
-        fixed_noise=noise is not None,
-    )
+    beams = beam_angle(xy), points_per_beam(xy)
+    none, area = np.zeros((0, WALL)), scan_area(xy, sigma)
+    nothing = WallMixture(none, sigma, STRAY_AT_FIRST, area, *beams, fixed_noise=noise is not None)
     found = [search_from(nothing, xy, start * sigma, rng) for start in STARTS]
     return max(found, key=lambda one: one.evidence(xy))
 
@@ -125,7 +115,7 @@ def search_from(
     nothing: WallMixture, xy: Floats, sigma: float, rng: np.random.Generator
 ) -> WallMixture:
     """Return the walls from lines for a given noise, by EM and moves."""
-    walls, _ = find_lines(xy, sigma, LEAST, rng, nothing.beam)
+    walls, _ = find_lines(xy, sigma, rng, nothing.beam)
     start = replace(nothing, walls=walls)
     if not nothing.fixed_noise:
         start = replace(start, sigma=sigma)
@@ -138,7 +128,7 @@ def improve(
     """Return the mixture after moves between numbers of walls, until none is accepted."""
     for _ in range(ROUNDS):
         sizes = [len(mixture.walls)]
-        mixture = prune(mixture, xy, LEAST)
+        mixture = prune(mixture, xy)
         sizes.append(len(mixture.walls))
         mixture = merge(mixture, xy)
         sizes.append(len(mixture.walls))
@@ -153,7 +143,7 @@ def improve(
         sizes.append(len(mixture.walls))
         if min(sizes) == max(sizes):
             return mixture
-    return merge(prune(mixture, xy, LEAST), xy)
+    return merge(prune(mixture, xy), xy)
 
 
 def _with_strays(mixture: WallMixture, xy: Floats, rng: np.random.Generator) -> WallMixture:
@@ -161,7 +151,7 @@ def _with_strays(mixture: WallMixture, xy: Floats, rng: np.random.Generator) -> 
     _, total = mixture.density(xy)
     loose = mixture.stray / mixture.area > 0.5 * total
     strays = np.ascontiguousarray(xy[loose])
-    walls, _ = find_lines(strays, mixture.sigma, LEAST, rng, mixture.beam)
+    walls, _ = find_lines(strays, mixture.sigma, rng, mixture.beam)
     if len(walls) == 0:
         return mixture
     walls[:, SHARE] *= loose.mean()

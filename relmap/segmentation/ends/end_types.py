@@ -87,11 +87,7 @@ def type_ends(
     if hidden is not None:
         cut_by["occluded"] |= hidden & ~joined
     kind = np.zeros(far.shape, dtype=np.int64)
-    for reason in (
-        "occluded",
-        "range",
-        "view",
-    ):  # written in reverse, so that the first type in order wins
+    for reason in ("occluded", "range", "view"):  # in reverse: the first type in order wins
         kind[cut_by[reason]] = END_TYPES.index(reason)
     return NAMES[kind]
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from relmap.core.arrays import Floats
 from relmap.segmentation.em.mixture import WallMixture
-from relmap.segmentation.wall import BEGIN, END, PX, SHARE, UX
+from relmap.segmentation.wall import BEGIN, END, PX, SHARE, UX, corners, cut
 
 BEFORE = 2.0
 """Standard deviations by which an occluding wall must be nearer."""
@@ -47,22 +47,16 @@ def shadows(walls: Floats, k: int, sigma: float, n: int) -> Floats:
 
 def part_at_shadows(mixture: WallMixture, xy: Floats) -> WallMixture:
     """Split walls occluded by nearer ones, unless more points lie there than noise explains."""
-    from relmap.segmentation.em.wall_kernels import sightings
-
     labels, walls, room = mixture.labels(xy), [], BESIDE * mixture.along
     for k, wall in enumerate(mixture.walls):
         pieces = [wall]
-        t = np.sort(sightings(xy[labels == k], wall, mixture.beam)[1])
+        t = np.sort(mixture.sightings(xy[labels == k], wall)[1])
         for low, high in shadows(mixture.walls, k, mixture.sigma, len(xy)):
             last = pieces[-1]
             inside = (low > last[BEGIN] + room) and (high < last[END] - room)
             if not inside or not _empty(t, low, high, wall, mixture.along):
                 continue
-            share = float(np.mean(t < 0.5 * (low + high)))
-            left, right = last.copy(), last.copy()
-            left[END], right[BEGIN] = low, high
-            left[SHARE], right[SHARE] = last[SHARE] * share, last[SHARE] * (1 - share)
-            pieces[-1:] = [left, right]
+            pieces[-1:] = cut(last, (low, high), float(np.mean(t < 0.5 * (low + high))))
         walls += pieces
     return mixture.with_walls(np.array(walls).reshape(-1, mixture.walls.shape[1]))
 
@@ -84,8 +78,7 @@ def parted(walls: Floats, i: int, j: int, sigma: float, n: int) -> bool:
     if walls[i, END] - walls[i, BEGIN] < walls[j, END] - walls[j, BEGIN]:
         i, j = j, i
     w, v = walls[i], walls[j]
-    ends = v[:2] + v[4:6, None] * v[2:4]
-    low, high = np.sort((ends - w[:2]) @ w[2:4])
+    low, high = np.sort((corners(v) - w[:2]) @ w[2:4])
     if min(w[END], high) - max(w[BEGIN], low) > PLAIN * sigma:
         return False
     gap = (w[END], low) if low + high > w[BEGIN] + w[END] else (high, w[BEGIN])

@@ -54,15 +54,15 @@ def grown(voxels: Voxels, flat: Bools, sigma: Floats) -> Ints:
     reach = REACH * sigma * np.sqrt(1 / points + 0.25)
     # The flattest first, relative to the noise.
     seeds = np.flatnonzero(may)[np.argsort((voxels.thickness / sigma)[may], kind="stable")]
-    rest = voxels.moments, reach, voxels.around, voxels.centre, normal
+    connected = voxels.moments, reach, voxels.around, voxels.centre, normal
     label = np.full(len(may), -1)
-    found, grown = grow_regions(seeds, planes[seeds], *rest, may.copy(), label)
+    found, grown = grow_regions(seeds, planes[seeds], connected, may.copy(), label)
     # Then the largest first: a bent part of a plane that grew before it is taken back.
     order = np.argsort(-np.bincount(label[label >= 0], minlength=len(found)), kind="stable")
     seeds = np.concatenate([found[order], seeds])
     planes = np.concatenate([grown[order], planes[seeds[len(found) :]]])
     label[:] = -1
-    grow_regions(seeds, planes, *rest, may, label)
+    grow_regions(seeds, planes, connected, may, label)
     return label
 
 

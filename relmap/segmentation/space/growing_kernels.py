@@ -13,6 +13,10 @@ from relmap.segmentation.space.voxels import GRAZING
 GATE = 3.0
 """Largest distance of points from their plane, in standard deviations."""
 
+Connected = tuple[Floats, Floats, Ints, Floats, Floats]
+"""Of each voxel (v): moments (v, 10); largest distance of its centre from its plane (v,);
+neighbours (v, 26), -1 for none; centre and normal (v, 3)."""
+
 
 @compiled
 def add_moments(
@@ -77,22 +81,13 @@ def _plane_of(moments: Floats, second: Floats, plane: Floats) -> float:
 
 @helper
 def _grow(
-    seed: int,
-    region: int,
-    plane: Floats,
-    reach: Floats,
-    around: Ints,
-    centre: Floats,
-    normal: Floats,
-    open_: Bools,
-    label: Ints,
-    queue: Ints,
+    seed: int, region: int, plane: Floats, voxels: Connected, open_: Bools, label: Ints, queue: Ints
 ) -> int:
     """Label the voxels connected to a seed that lie on a plane, and queue them; return how many.
 
     None is `region` before the call.
     """
-    found, head = 1, 0
+    (_, reach, around, centre, normal), found, head = voxels, 1, 0
     label[seed] = region
     queue[0] = seed
     while head < found:
@@ -131,22 +126,13 @@ def _add_up(moments: Floats, queue: Ints, count: int, sums: Floats) -> None:
 
 @compiled
 def grow_regions(
-    seeds: Ints,
-    planes: Floats,
-    moments: Floats,
-    reach: Floats,
-    around: Ints,
-    centre: Floats,
-    normal: Floats,
-    open_: Bools,
-    label: Ints,
+    seeds: Ints, planes: Floats, voxels: Connected, open_: Bools, label: Ints
 ) -> tuple[Ints, Floats]:
     """Grow planes from seeds, refitted as they grow; return seeds (r,) and planes (r, 4).
 
-    `seeds` (s,), `planes` (s, 4): in this order. `moments` (v, 10). `reach` (v,): largest distance
-    of the centre of each voxel from its plane. `around` (v, 26): neighbours of each voxel, -1 for
-    none. `open_` (v,): voxels that may be labelled; seeds of planes of too few voxels are closed.
-    `label` (v,): region of each voxel, -1 for none, changed.
+    `seeds` (s,), `planes` (s, 4): in this order. `open_` (v,): voxels that may be labelled; seeds
+    of planes of too few voxels are closed. `label` (v,): region of each voxel, -1 for none,
+    changed.
     """
     queue, sums, second = np.empty(len(label), dtype=np.int64), np.empty(10), np.empty((3, 3))
     found, fitted, n = np.empty(len(seeds), dtype=np.int64), np.empty((len(seeds), 4)), 0
@@ -159,11 +145,11 @@ def grow_regions(
         size = count = 0
         for _ in range(REGROWN):
             _unlabel(label, queue, count)
-            count = _grow(seed, n, fitted[n], reach, around, centre, normal, open_, label, queue)
+            count = _grow(seed, n, fitted[n], voxels, open_, label, queue)
             if count <= 1.1 * size or count < FEWEST_VOXELS:
                 break
             size = count
-            _add_up(moments, queue, count, sums)
+            _add_up(voxels[0], queue, count, sums)
             _plane_of(sums, second, fitted[n])
         if count < FEWEST_VOXELS:
             _unlabel(label, queue, count)

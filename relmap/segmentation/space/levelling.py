@@ -37,7 +37,8 @@ def vertical(patches: Patches) -> Floats | None:
     candidates = _candidates(patches.normal)
     if not len(candidates):
         return None
-    fits = _level_or_upright(patches.normal, candidates) @ size
+    along = np.abs(candidates @ patches.normal.T)
+    fits = ((along < ALIKE) | (along > np.sqrt(1 - ALIKE**2))).astype(np.float64) @ size
     up, best = candidates[int(fits.argmax())], float(fits.max())
     if best < LEAST * size.sum():
         return None
@@ -84,12 +85,6 @@ def _candidates(normal: Floats) -> Floats:
     candidates = np.concatenate([normal, axis])
     candidates = candidates * np.where(candidates[:, 2:] < 0, -1.0, 1.0)
     return np.asarray(candidates[candidates[:, 2] > TILT])
-
-
-def _level_or_upright(normal: Floats, up: Floats) -> Floats:
-    """Return which planes (m,) are level or upright for verticals (c, 3); (c, m)."""
-    along = np.abs(up @ normal.T)
-    return np.asarray((along < ALIKE) | (along > np.sqrt(1 - ALIKE**2)), dtype=np.float64)
 
 
 def _beams(points: Floats, wall: Ints) -> Floats:

@@ -64,7 +64,6 @@ class Patches:
     ends: Singles = field(default_factory=lambda: np.empty((0, 3), dtype=np.float32))
 
     def __len__(self) -> int:
-        """Return the number of patches."""
         return len(self.n_points)
 
     @property

@@ -125,11 +125,7 @@ def uniform_voxels(points: Floats, size_m: float) -> Voxels:
 
 
 def moments_of(
-    points: Floats,
-    of: Ints,
-    count: int,
-    sigma: Floats | None = None,
-    middle: Floats | None = None,
+    points: Floats, of: Ints, count: int, sigma: Floats | None = None, middle: Floats | None = None
 ) -> Floats:
     """Return the moments (count, 10) of points (n, 3) by group; see `Voxels`.
 
