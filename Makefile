@@ -8,7 +8,7 @@ DEMO_VENV := .venv-demo
 TEST_VENV := .venv-test
 LOWEST_VENV := .venv-lowest
 LOWEST_EXTRAS := bags cluster live pandas parquet
-SOURCES := $(wildcard relmap/*.py relmap/*/*.py relmap/*/*/*.py)
+SOURCES := $(wildcard relmap/*.py relmap/*/*.py relmap/*/*/*.py relmap/*/*/*/*.py)
 LINTED := $(wildcard relmap tests examples benchmarks)
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1

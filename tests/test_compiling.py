@@ -124,6 +124,40 @@ def test_where_the_package_cannot_be_written_code_is_kept_elsewhere_if_anywhere(
     assert bool(list(user.glob(".cache/**/*.nbi"))) == (home == "a folder")
 
 
+def test_code_is_compiled_again_if_what_it_uses_changed_and_only_then(tmp_path: Path) -> None:
+    """numba by itself looks only at the time stamp of the file of the function."""
+    parts = """
+from relmap.core.linalg.compiling import helper
+
+OFFSET = 1.0
+
+@helper
+def scaled(x: float) -> float:
+    return 2 * x
+"""
+    kernel = KERNEL.replace("return 2 * x", "return scaled(x) + OFFSET")
+    (tmp_path / "parts.py").write_text(parts)
+    (tmp_path / "kernel.py").write_text("from parts import OFFSET, scaled" + kernel)
+    paths = os.pathsep.join([str(tmp_path), str(PACKAGE.parent)])
+    environment = os.environ | {"PYTHONPATH": paths, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+
+    def result() -> tuple[float, float]:
+        """Return the result, and when the code was written."""
+        run = [sys.executable, "-c", "import kernel; print(kernel.doubled(3.0))"]
+        done = subprocess.run(run, env=environment, capture_output=True, text=True, check=True)
+        return float(done.stdout), max(at.stat().st_mtime_ns for at in tmp_path.rglob("*.nbc"))
+
+    first, at = result()
+    assert first == 7
+    (tmp_path / "kernel.py").touch()
+    (tmp_path / "parts.py").write_text(parts + "\n# a comment\n")
+    assert result() == (7, at)
+    for old, new, expected in (("1.0", "5.0", 11), ("2 * x", "3 * x", 14)):
+        parts = parts.replace(old, new)
+        (tmp_path / "parts.py").write_text(parts)
+        assert result()[0] == expected
+
+
 def indexed(rows: np.ndarray, flags: np.ndarray, at: int) -> tuple[float, int, bool, np.ndarray]:
     """Use what the code of loops is shortened for, in all its forms."""
     total, count, marked = 0.0, 0, False

@@ -20,7 +20,8 @@ from typing import Any, TypeVar, cast
 import numba
 from numba.core import event
 
-from relmap.core.linalg.compiler import KernelCompiler, PartCompiler, UnrolledCompiler
+from relmap.core.linalg.caching import keep_by_content
+from relmap.core.linalg.compiler import IS_KNOWN, KernelCompiler, PartCompiler, UnrolledCompiler
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
@@ -44,10 +45,13 @@ def unrolled(function: Function) -> Function:
 
 def _kept(function: Function, **options: Any) -> Function:
     try:
-        return cast("Function", _njit(cache=True, **_OPTIONS, **options)(function))
+        kept = _njit(cache=True, **_OPTIONS, **options)(function)
     except RuntimeError:  # neither beside the package nor in the user's cache folder
         _WATCH.keeps = False
         return cast("Function", _njit(**_OPTIONS, **options)(function))
+    if IS_KNOWN:
+        keep_by_content(kept)
+    return cast("Function", kept)
 
 
 def helper(function: Function) -> Function:

@@ -1,0 +1,68 @@
+# mypy: disable-error-code="no-untyped-call"
+"""The cache of a compiled function, which is stale once anything that the function uses changed.
+
+By default numba compares the time stamp of the file of the function only. A function compiled into
+its callers, or a constant of another module, would be used as it was when the caller was compiled.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+from functools import cache, cached_property
+from pathlib import Path
+from types import CodeType, FunctionType
+from typing import Any
+
+import numpy as np
+from numba.core.caching import IndexDataCacheFile
+
+_COMPILER = "caching.py", "compiler.py", "compiling.py", "lowering.py"
+
+
+def keep_by_content(dispatcher: Any) -> None:
+    """Let the cache of a compiled function depend on its content instead of its time stamp."""
+    kept = dispatcher._cache
+    path, base = kept.cache_path, kept._impl.filename_base
+    kept._cache_file = _FileByContent(dispatcher.py_func, path, base)
+
+
+class _FileByContent(IndexDataCacheFile):
+    def __init__(self, function: FunctionType, path: str, base: str) -> None:
+        super().__init__(path, base, source_stamp=None)
+        self._function = function
+        del self._source_stamp  # computed when it is needed: now, some of what is used is missing
+
+    @cached_property
+    def _source_stamp(self) -> str:
+        stamp = hashlib.sha256(_compiler())
+        for part in _parts(self._function.__code__, self._function.__globals__, set()):
+            stamp.update(part)
+        return stamp.hexdigest()
+
+
+@cache
+def _compiler() -> bytes:
+    """Return what determines how functions are compiled."""
+    return b"".join(Path(__file__).with_name(name).read_bytes() for name in _COMPILER)
+
+
+def _parts(code: CodeType, names: dict[str, Any], had: set[CodeType]) -> Iterator[bytes]:
+    """Yield the code of a function, the constants that it uses, and those of what it calls."""
+    had.add(code)
+    yield code.co_code
+    plain = [one for one in code.co_consts if not isinstance(one, CodeType)]
+    yield repr((code.co_names, plain)).encode()
+    for one in code.co_consts:
+        if isinstance(one, CodeType):
+            yield from _parts(one, names, had)
+    for name in code.co_names:
+        value = names.get(name)
+        called = getattr(value, "py_func", None)
+        if called is not None:
+            if called.__code__ not in had:
+                yield from _parts(called.__code__, called.__globals__, had)
+        elif isinstance(value, np.ndarray):
+            yield value.tobytes()
+        elif isinstance(value, (bool, int, float, str, tuple)):
+            yield repr(value).encode()
