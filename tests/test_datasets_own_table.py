@@ -83,6 +83,14 @@ def test_parquet_is_read(tmp_path: Path) -> None:
     assert log.rows.tolist() == [1, 0]
 
 
+def test_lists_are_no_ids(tmp_path: Path) -> None:
+    pyarrow = pytest.importorskip("pyarrow")
+    table = pyarrow.table({"iteration": [0, 1], "x": [1, 2], "y": [3, 4], "id": [[1, 2], [3]]})
+    pytest.importorskip("pyarrow.parquet").write_table(table, tmp_path / "a.parquet")
+    expected = "row 1, field id: a list, expected a name or number"
+    assert failure(tmp_path / "a.parquet").endswith(expected)
+
+
 def test_without_pyarrow_it_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     path = put(tmp_path, b"PAR1" + bytes(20) + b"PAR1", "a.parquet")

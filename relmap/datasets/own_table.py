@@ -170,8 +170,10 @@ def _log_of_columns(
         if column.name != "id":
             columns.append(_as_floats(path, column, cells, first))
             continue
-        for row, cell in enumerate(cells.tolist()):
-            ids.add(_as_text(cell), f"{shown(path)}: row {first + row}, field id")
+        for row, cell in enumerate(cells.tolist(), first):
+            if np.ndim(cell):
+                raise invalid(path, f"row {row}, field id: a list, expected a name or number")
+            ids.add(_as_text(cell), f"{shown(path)}: row {row}, field id")
         columns.append(np.full(n, -1.0))
     return log_of(path, used, np.column_stack(columns), np.arange(first, first + n), "row", ids)
 
