@@ -83,7 +83,7 @@ def test_parquet_is_read(tmp_path: Path) -> None:
     assert log.rows.tolist() == [1, 0]
 
 
-def test_lists_are_no_ids(tmp_path: Path) -> None:
+def test_ids_in_lists_are_refused(tmp_path: Path) -> None:
     pyarrow = pytest.importorskip("pyarrow")
     table = pyarrow.table({"iteration": [0, 1], "x": [1, 2], "y": [3, 4], "id": [[1, 2], [3]]})
     pytest.importorskip("pyarrow.parquet").write_table(table, tmp_path / "a.parquet")

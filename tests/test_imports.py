@@ -83,7 +83,9 @@ LIGHT = (
 """Parts whose modules load no heavy library, but for their kernels."""
 KERNELS = "kernels"
 """How the names of modules end whose loops are compiled; they are imported where they are used."""
-COMPILING = {f"relmap.core.linalg.{name}" for name in ("compiler", "compiling", "lowering")}
+COMPILING = {
+    f"relmap.core.linalg.{name}" for name in ("caching", "compiler", "compiling", "lowering")
+}
 
 
 def run_python(code: str, env: dict[str, str], folder: Path) -> str:

@@ -32,7 +32,8 @@ def seen_twice(shift_m: float) -> tuple[LandmarkState, int]:
     everyone = np.arange(n + 40)
     global_map = GlobalMap(table)
     positions = np.vstack([road, again])
-    global_map.place(global_map.new_submap(), everyone, positions, np.full(n + 40, 10.0))
+    # Positions as noisy as one observation.
+    global_map.place(global_map.new_submap(), everyone, positions, np.ones(n + 40))
     table.first[:] = table.since[:] = 2 * everyone
     table.last[:] = 2 * everyone + 30
     return table, n

@@ -8,27 +8,37 @@ its callers, or a constant of another module, would be used as it was when the c
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import cache, cached_property
 from pathlib import Path
-from types import CodeType, FunctionType
+from types import CodeType
 from typing import Any
 
 import numpy as np
-from numba.core.caching import IndexDataCacheFile
+from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.core.registry import CPUDispatcher
 
 _COMPILER = "caching.py", "compiler.py", "compiling.py", "lowering.py"
 
 
 def keep_by_content(dispatcher: Any) -> None:
     """Let the cache of a compiled function depend on its content instead of its time stamp."""
-    kept = dispatcher._cache
-    path, base = kept.cache_path, kept._impl.filename_base
-    kept._cache_file = _FileByContent(dispatcher.py_func, path, base)
+    _Kept.enable_caching(dispatcher)
+
+
+class _Kept(CPUDispatcher):
+    def enable_caching(self) -> None:
+        self._cache = _Cache(self.py_func)
+
+
+class _Cache(FunctionCache):
+    def __init__(self, function: Callable[..., Any]) -> None:
+        super().__init__(function)
+        self._cache_file = _FileByContent(function, self.cache_path, self._impl.filename_base)
 
 
 class _FileByContent(IndexDataCacheFile):
-    def __init__(self, function: FunctionType, path: str, base: str) -> None:
+    def __init__(self, function: Callable[..., Any], path: str, base: str) -> None:
         super().__init__(path, base, source_stamp=None)
         self._function = function
         del self._source_stamp  # computed when it is needed: now, some of what is used is missing
