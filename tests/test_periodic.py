@@ -140,6 +140,26 @@ def test_posts_that_fit_after_a_turn_are_not_followed_when_the_robot_may_have_tu
     assert not np.isin(registration.match(posts - [1.5, 0], None), first).any()
 
 
+@pytest.mark.parametrize("seed", [1, 4, 5, 9])
+def test_no_more_noise_is_assumed_because_a_car_park_repeats(seed: int) -> None:
+    """Whatever does not fit at first does with more, but then it fits a period away as well."""
+    rng = np.random.default_rng(seed)
+    x, y = np.meshgrid(np.arange(0, 60, 2.5), [0.0, 5.0, 15.0, 20.0])
+    posts = np.column_stack([x.ravel(), y.ravel()]) + rng.normal(0, 0.15, (x.size, 2))
+    posts = np.vstack([posts, rng.uniform(0, 60, (10, 2)) * [1, 1 / 3]])
+    registration, labels, true = Constellation(5), [], []
+    for at in np.arange(-4, 60, 0.8):
+        points = posts - [at, 10.0]
+        seen = (np.linalg.norm(points, axis=1) < 12) & (points[:, 0] > 0)
+        order = rng.permutation(np.flatnonzero(seen & (rng.random(len(posts)) > 0.25)))
+        points = points[order] + rng.normal(0, 0.1, (len(order), 2))
+        labels.append(registration.match(points, None))
+        true.append(order)
+    assert purity_of(np.concatenate(labels), np.concatenate(true)) > 0.98
+    assert registration.tied_share is not None
+    assert registration.tied_share > 0.5
+
+
 @pytest.mark.parametrize("seed", [0, 3, 6])
 def test_scans_found_late_are_not_taken_for_another_part_of_an_avenue(seed: int) -> None:
     """Submaps of a few posts show some of it only: a scan of another part may fit by chance."""

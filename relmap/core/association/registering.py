@@ -46,6 +46,8 @@ SAMPLE = 32
 """Maximum number of tracks used to fit a placement; more would not improve it."""
 BLURRED = (0.1, 0.2, 0.35)
 """Noise, in spacings, that is tried where none explains the matches."""
+GROWN = 2.5
+"""Largest noise tried, relative to that learnt from the scans before."""
 LEAST_MISFIT = 0.25
 """Minimum variance of matches relative to that assumed: with too much noise assumed, a rival nearby
 would not differ."""
@@ -86,6 +88,8 @@ class TrackPlacing(LikelyPlacing):
         if self.scale.is_blurred:
             found = self.likely(tracks, points, found)
         if found is None:
+            # In a pattern that repeats, more noise would hide that it fits a period away as well.
+            is_ambiguous |= learnt is not None and np.isfinite(self._period_m(tracks, points))
             found = self._found_of_unknown_noise(tracks, points, is_ambiguous)
         if found is None or not self._is_elsewhere(found, learnt, tracks, points):
             return found
@@ -237,9 +241,10 @@ class TrackPlacing(LikelyPlacing):
         scale.wider = 1.0
         scale.noise_m = learnt
         may_be_blurred = learnt is None or scale.is_blurred
+        least_m, most_m = learnt or 0.0, GROWN * learnt if learnt else np.inf
         for share in BLURRED if possible >= PLENTY and may_be_blurred else ():
             scale.noise_m = share * scale.spacing_m
-            is_new = scale.noise_m >= (learnt or 0) and SIGMAS * scale.noise_m < widest_m
+            is_new = least_m <= scale.noise_m <= most_m and SIGMAS * scale.noise_m < widest_m
             if scale.is_blurred and is_new:
                 matching, placement = self.soft(tracks, points), self.likely(tracks, points, None)
                 if placement is not None and matching.misfit(placement) >= LEAST_MISFIT:
