@@ -21,9 +21,9 @@ from relmap.planes.places.wall_tie import LEAST_M, WallTie, coinciding, coincidi
 from relmap.planes.plan.evidence import BIN_M, Stretches, grid_over
 from relmap.planes.scans.beams import PlacedBeams
 
-NEAR_M, BEFORE_M = 0.25, 0.2
-"""Largest distance of a beam's end from the wall it hits, and distance in front of that at which it
-counts against the wall: submaps are bent a little."""
+NEAR_M = 0.25
+"""Largest distance of a beam's end from the wall it hits: submaps are bent a little. One that ends
+farther in front of a wall does not count: something else may stand there."""
 MOST_BEAMS = 10_000
 """Number of beams of either map that score an alignment."""
 ALIGNMENTS = 12
@@ -143,7 +143,7 @@ class MapPart:
 
         walls = self.stretches
         lines = walls.base, walls.normal, walls.low, walls.first
-        hits, against, _ = beams_on_walls((begins, stops), lines, self.grid, NEAR_M, BEFORE_M)
+        hits, against, _ = beams_on_walls((begins, stops), lines, self.grid, NEAR_M, 0.0)
         support = (hits > against) & (hits >= OFTEN)
         contradict = (against > hits) & (against >= OFTEN)
         return BIN_M * float(support.sum()), BIN_M * float(contradict.sum())
