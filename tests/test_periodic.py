@@ -13,6 +13,7 @@ from tests.worlds import purity_of
 
 REACH_M, WIDTH_M = 20.0, 8.0
 SIGMA_M = 0.03
+WINDOW = [(0.0, 0.0), (1.2, 0.0), (1.2, 1.5), (0.0, 1.5)]
 
 
 def avenue(
@@ -158,6 +159,27 @@ def test_no_more_noise_is_assumed_because_a_car_park_repeats(seed: int) -> None:
     assert purity_of(np.concatenate(labels), np.concatenate(true)) > 0.98
     assert registration.tied_share is not None
     assert registration.tied_share > 0.5
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_short_steps_past_the_windows_of_houses_are_matched(seed: int) -> None:
+    """With a noise of a twentieth of their distance, windows beside match nearly as well."""
+    rng = np.random.default_rng(seed)
+    x, y, z = np.arange(0, 30, 4.0), (-6.0, 6.0), (1.0, 4.0, 7.0)
+    corner = np.array([[a + da, b, c + dc] for a in x for b in y for c in z for da, dc in WINDOW])
+    corner += rng.normal(0, 0.06, corner.shape)
+    registration, labels, true = Constellation(5), [], []
+    for at in np.arange(0, 10, 0.2):
+        points = corner - [at, 0.0, 1.5]
+        order = rng.permutation(np.flatnonzero(np.linalg.norm(points, axis=1) < 12))
+        points = points[order] + rng.normal(0, 0.06, (len(order), 3))
+        yaw = rng.normal(0, 0.02)
+        points[:, :2] @= np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+        labels.append(registration.match(points, None))
+        true.append(order)
+    assert purity_of(np.concatenate(labels), np.concatenate(true)) > 0.99
+    assert registration.tied_share is not None
+    assert registration.tied_share > 0.9
 
 
 @pytest.mark.parametrize("seed", [0, 3, 6])

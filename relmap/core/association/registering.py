@@ -12,15 +12,15 @@ from typing import NamedTuple
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.association.base import middle
 from relmap.core.association.chance import (
     ENOUGH,
     LOG_CHANCE,
     PLENTY,
     moved_m,
 )
-from relmap.core.association.likelihood import CLEAR, SHARE, LikelyPlacing
+from relmap.core.association.likelihood import CLEAR, SHARE
 from relmap.core.association.metric import rows_of
+from relmap.core.association.pattern import PatternPlacing
 from relmap.core.association.placement import DISTINCT, Placement, trimmed_fit
 from relmap.core.association.scale import (
     CHI2_MEDIAN,
@@ -32,7 +32,7 @@ from relmap.core.association.scale import (
     SLOWNESS,
     WIDER,
 )
-from relmap.core.association.search import fits_mirrored, period_of, search, settled
+from relmap.core.association.search import fits_mirrored, search, settled
 from relmap.core.association.tracks import LiveTracks
 
 NEAR_SHARE = 0.8
@@ -55,8 +55,6 @@ FAMILIAR = 5
 """Observations of a landmark required if only two landmarks determine a planar scan."""
 NEARBY = 0.2
 """Largest motion of these two, in spacings."""
-SHORT = 0.25
-"""Motion, in spacings, that is less than half of the period of any pattern."""
 BLIND = 8
 """Nearly empty scans after which any place may follow, also one that looks alike."""
 
@@ -75,21 +73,23 @@ class _Searched(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class TrackPlacing(LikelyPlacing):
+class TrackPlacing(PatternPlacing):
     """Finds the placement of the tracks' frame in that of a scan, of any noise."""
 
     def placement(self, tracks: LiveTracks, points: Floats) -> Placement | None:
         """Return the placement that brings tracks onto points (n, d); None if none is certain."""
         learnt, is_ambiguous, found = self.scale.noise_m, False, None
-        if learnt is None and np.isfinite(self._period_m(tracks, points)):
+        if learnt is None and np.isfinite(self.period_m(tracks, points)):
             found = self._explaining(tracks, points, FINER, np.inf)
         if found is None:
             found, is_ambiguous = self._found(tracks, points)
         if self.scale.is_blurred:
             found = self.likely(tracks, points, found)
         if found is None:
+            found = self.next_step(tracks, points)
+        if found is None:
             # In a pattern that repeats, more noise would hide that it fits a period away as well.
-            is_ambiguous |= learnt is not None and np.isfinite(self._period_m(tracks, points))
+            is_ambiguous |= learnt is not None and np.isfinite(self.period_m(tracks, points))
             found = self._found_of_unknown_noise(tracks, points, is_ambiguous)
         if found is None or not self._is_elsewhere(found, learnt, tracks, points):
             return found
@@ -104,7 +104,7 @@ class TrackPlacing(LikelyPlacing):
         In a pattern that repeats, a few matches may be anywhere, also the other way round.
         After many nearly empty scans, only if it shows nearly all tracks in place it does not.
         """
-        if found.n_agreeing < PLENTY and not self._is_safe(found, tracks, points):
+        if found.n_agreeing < PLENTY and not self.is_safe(found, tracks, points):
             return True
         if self.chance.idle > BLIND:
             share = NEAR_SHARE * min(len(tracks), len(points))
@@ -161,7 +161,7 @@ class TrackPlacing(LikelyPlacing):
             is_usual = (
                 is_sharp and not missed and self._is_usual(near, here, there, tolerance_m, own)
             )
-            is_safe = self._is_safe(near, tracks, points)
+            is_safe = self.is_safe(near, tracks, points)
             if is_safe and is_usual and near.n_agreeing >= max(PLENTY, share):
                 return near, False
             alone = near.n_agreeing == len(rows) == d == 2
@@ -199,23 +199,6 @@ class TrackPlacing(LikelyPlacing):
         usual_m = max(self.scale.noise_m, EXACT / SIGMAS * self.scale.spacing_m)
         return bool(variance <= MISFIT * usual_m**2)
 
-    def _is_safe(self, placement: Placement, tracks: LiveTracks, points: Floats) -> bool:
-        """Return whether a placement is not a period of a pattern off.
-
-        From one scan to the next, a step of less than half of the period is assumed.
-        """
-        is_next = not (tracks.missed.min() or self.chance.idle)
-        moved = placement.apply(tracks.expected) - tracks.expected
-        far_m = middle(np.linalg.norm(moved, axis=1))
-        if is_next and far_m <= SHORT * self.scale.spacing_m:
-            return True
-        period_m = self._period_m(tracks, points)
-        return np.isinf(period_m) or (is_next and far_m <= period_m / 2)
-
-    def _period_m(self, tracks: LiveTracks, points: Floats) -> float:
-        tolerance_m = self.scale.tolerance_m
-        return min(period_of(tracks.expected, tolerance_m), period_of(points, tolerance_m))
-
     def _is_familiar_pair(self, tracks: LiveTracks, rows: Ints, distance: Floats) -> bool:
         """Return whether two matches in the plane suffice: well known, just seen, hardly moved."""
         known = (tracks.seen[rows] >= FAMILIAR).all() and (tracks.missed[rows] == 0).all()
@@ -236,7 +219,7 @@ class TrackPlacing(LikelyPlacing):
             unit_m, known_m = COARSE * scale.spacing_m, SIGMAS * learnt
             factors = tuple(one for one in (*FINER, 1.0, *WIDER) if one * unit_m > known_m)
         placement = self._explaining(tracks, points, factors, widest_m)
-        if placement is not None and (learnt is None or self._is_safe(placement, tracks, points)):
+        if placement is not None and (learnt is None or self.is_safe(placement, tracks, points)):
             return placement
         scale.wider = 1.0
         scale.noise_m = learnt
