@@ -156,6 +156,10 @@ def scaled(x: float) -> float:
         parts = parts.replace(old, new)
         (tmp_path / "parts.py").write_text(parts)
         assert result()[0] == expected
+    at = result()[1]
+    kernel = kernel.replace("compiled", "unrolled")
+    (tmp_path / "kernel.py").write_text("from parts import OFFSET, scaled" + kernel)
+    assert result()[1] > at
 
 
 def indexed(rows: np.ndarray, flags: np.ndarray, at: int) -> tuple[float, int, bool, np.ndarray]:

@@ -21,31 +21,35 @@ from numba.core.registry import CPUDispatcher
 _COMPILER = "caching.py", "compiler.py", "compiling.py", "lowering.py"
 
 
-def keep_by_content(dispatcher: Any) -> None:
-    """Let the cache of a compiled function depend on its content instead of its time stamp."""
-    _Kept.enable_caching(dispatcher)
+def keep_by_content(dispatcher: Any, options: str) -> None:
+    """Let the cache of a compiled function depend on its content instead of its time stamp.
+
+    `options`: what else determines the code.
+    """
+    _Kept.keep(dispatcher, options)
 
 
 class _Kept(CPUDispatcher):
-    def enable_caching(self) -> None:
-        self._cache = _Cache(self.py_func)
+    def keep(self, options: str) -> None:
+        self._cache = _Cache(self.py_func, options)
 
 
 class _Cache(FunctionCache):
-    def __init__(self, function: Callable[..., Any]) -> None:
+    def __init__(self, function: Callable[..., Any], options: str) -> None:
         super().__init__(function)
-        self._cache_file = _FileByContent(function, self.cache_path, self._impl.filename_base)
+        given = self.cache_path, self._impl.filename_base
+        self._cache_file = _FileByContent(function, options, *given)
 
 
 class _FileByContent(IndexDataCacheFile):
-    def __init__(self, function: Callable[..., Any], path: str, base: str) -> None:
+    def __init__(self, function: Callable[..., Any], options: str, path: str, base: str) -> None:
         super().__init__(path, base, source_stamp=None)
-        self._function = function
+        self._function, self._options = function, options
         del self._source_stamp  # computed when it is needed: now, some of what is used is missing
 
     @cached_property
     def _source_stamp(self) -> str:
-        stamp = hashlib.sha256(_compiler())
+        stamp = hashlib.sha256(_compiler() + self._options.encode())
         for part in _parts(self._function.__code__, self._function.__globals__, set()):
             stamp.update(part)
         return stamp.hexdigest()

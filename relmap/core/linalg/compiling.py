@@ -50,7 +50,7 @@ def _kept(function: Function, **options: Any) -> Function:
         _WATCH.keeps = False
         return cast("Function", _njit(**_OPTIONS, **options)(function))
     if IS_KNOWN:
-        keep_by_content(kept)
+        keep_by_content(kept, repr(options))
     return cast("Function", kept)
 
 
