@@ -41,6 +41,17 @@ def test_the_noise_is_not_larger_if_walls_have_few_points(length: int) -> None:
     assert np.mean(found) == pytest.approx(0.01, rel=0.1)
 
 
+@pytest.mark.parametrize("count", [361, 721, 1081, 2000])
+def test_points_closer_than_the_noise_do_not_cut_walls(count: int) -> None:
+    """The chord from one neighbour to the next is then nearly along the beam."""
+    building = simulate_building(points=count, sampling="laser", seed=55, iterations=60)
+    segmenter = PlaneSegmenter()
+    found = [len(segmenter.fit(scan.points[:, :2]).planes_) for scan in building.scans[::10]]
+    assert 5 <= np.median(found) <= 8
+    noise = [beam_noise(scan.points[:, :2]) for scan in building.scans]
+    assert np.median(noise) == pytest.approx(0.05, rel=0.5)
+
+
 def test_most_walls_are_found_with_one_beam_a_degree() -> None:
     found = []
     for seed in range(15):

@@ -27,6 +27,9 @@ BOWED, EXPLAINED = 2.0, 0.4
 bow."""
 NEXT = 2
 """Largest difference of point numbers between the end of a piece and the start of the next."""
+CLOSE, CHORD = 1.5, 3.0
+"""Length of the chords from which the noise is estimated, in standard deviations, below which they
+are made longer, and up to which."""
 NOISE_AT_LEAST_M = 0.005
 """Minimum deviation of real walls from flatness."""
 APART = 0.5
@@ -84,14 +87,30 @@ def is_ordered(xy: Floats) -> bool:
 def beam_noise(xy: Floats) -> float:
     """Return the noise (metres) from the distance of each point from the chord of its neighbours.
 
-    Corners and ends of walls are excluded; with fewer beams they are more frequent.
+    Corners and ends of walls are excluded; with fewer beams they are more frequent. Where
+    neighbours are closer than the noise their chords do not lie along the wall: every second point
+    is used then, every fourth, and so on.
     """
     from relmap.segmentation.scanline.beam_kernels import off_chords
 
     if len(xy) < 5:
         return FLOOR_M
-    middle = off_chords(np.ascontiguousarray(xy))
-    return max(middle / (MEDIAN * math.sqrt(1.5)), FLOOR_M)
+    turn = np.abs(np.diff(np.arctan2(xy[:, 1], xy[:, 0])))
+    apart_m, every = float(np.median(np.hypot(*xy.T)) * np.median(turn)), 1
+    sigma, chord = _noise_of(off_chords(np.ascontiguousarray(xy))), CLOSE
+    while len(xy) >= 2 * every * LEAST and 2 * every * apart_m < chord * sigma:
+        every, chord = 2 * every, CHORD
+        parts = [np.ascontiguousarray(xy[first::every]) for first in range(every)]
+        found = _noise_of(float(np.median([off_chords(part) for part in parts])))
+        if found <= sigma:  # many corners and edges, not noise
+            break
+        sigma = found
+    return sigma
+
+
+def _noise_of(off_m: float) -> float:
+    """Return the noise from the median distance of points from the chords of their neighbours."""
+    return max(off_m / (MEDIAN * math.sqrt(1.5)), FLOOR_M)
 
 
 def scan_walls(scan: LaserScan, noise: float | None) -> tuple[WallMixture, Ints]:
