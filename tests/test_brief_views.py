@@ -50,7 +50,7 @@ def test_a_submap_from_a_segment_averages_merged_tracks() -> None:
     points[6] = points[5] + [0.03, 0.0]
     table, everyone = LandmarkState(), np.arange(7)
     table.resize(7, 0, 2)
-    table.merge(6, 5)
+    table.merge(np.array([6]), np.array([5]))
     visible = np.array([0xFF] * 5 + [0x01, 0x06], dtype=np.uint8)  # seen once, and twice
     none, pose = np.zeros(1, dtype=np.int64), np.eye(2)[None]
     zero = np.zeros(7, dtype=np.int64)

@@ -105,7 +105,7 @@ def test_one_that_turns_out_to_be_another_keeps_what_is_settled_of_both() -> Non
         average_in(global_map, submap, only, np.array([[x, 0.0]]), np.array([weight]))
         global_map.table.settle(only)
     global_map.place(submap, np.array([1]), np.array([[8.0, 0.0]]), np.array([2.0]))
-    global_map.table.merge(1, 0)
+    global_map.table.merge(np.array([1]), np.array([0]))
     assert global_map.table.submap.tolist() == [submap, NONE]
     np.testing.assert_allclose(global_map.table.position[0], [(6 * 1 + 2 * 4 + 2 * 8) / 10, 0.0])
     global_map.place(submap, np.array([0]), np.array([[3.0, 0.0]]), np.array([8.0]))

@@ -100,7 +100,7 @@ def test_one_merged_into_another_goes_on_with_its_group() -> None:
     offered(levels, 0, [(0, 3, 30)])
     levels.close(np.array([0]))
     offered(levels, 1, [(1, 1, 10)])
-    table.merge(1, 0)
+    table.merge(np.array([1]), np.array([0]))
     assert (table.level[0], table.highest_level[0]) == (1, 3)
     assert not offered(levels, 2, [(0, 1, 9)])[0]
     assert offered(levels, 3, [(0, 2, 20)])[0]

@@ -105,9 +105,9 @@ def test_identity_follows_chains_of_merges() -> None:
     table.resize(6, 0, 2)
     global_map = GlobalMap(table)
     global_map.place(global_map.new_submap(), np.arange(6), np.zeros((6, 2)), np.ones(6))
-    table.merge(4, 2)
-    table.merge(5, 2)
-    table.merge(2, 0)
+    table.merge(np.array([4]), np.array([2]))
+    table.merge(np.array([5]), np.array([2]))
+    table.merge(np.array([2]), np.array([0]))
     assert table.landmark_of.tolist() == [0, 1, 0, 3, 0, 0]
     assert table.is_own.tolist() == [True, True, False, True, False, False]
 

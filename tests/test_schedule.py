@@ -134,8 +134,8 @@ def test_one_merged_into_another_goes_on_in_its_place() -> None:
     schedule, table = begun()
     for k in range(12):
         see(schedule, table, [1] if k >= 8 else [0], k)
-    table.merge(1, 0)
-    schedule.merge(1, 0)
+    table.merge(np.array([1]), np.array([0]))
+    schedule.merge(np.array([1]), np.array([0]))
     assert schedule.in_view.tolist() == [0]
     assert schedule.gone.tolist() == []
     assert (table.begin[0], table.in_interval[0]) == (8, 4)
@@ -146,8 +146,8 @@ def test_one_in_view_is_there_once_after_a_merge() -> None:
     schedule, table = begun()
     see(schedule, table, [0], 0)
     see(schedule, table, [1], 1)
-    table.merge(1, 0)
-    schedule.merge(1, 0)
+    table.merge(np.array([1]), np.array([0]))
+    schedule.merge(np.array([1]), np.array([0]))
     assert schedule.in_view.tolist() == [0]
 
 
@@ -155,7 +155,7 @@ def test_one_merged_before_it_leaves_has_left_once() -> None:
     schedule, table = begun()
     for k, seen in enumerate([[0], [], [], [], [1], [], []]):
         see(schedule, table, seen, k)
-    table.merge(1, 0)
-    schedule.merge(1, 0)
+    table.merge(np.array([1]), np.array([0]))
+    schedule.merge(np.array([1]), np.array([0]))
     assert see(schedule, table, [], 7) == [0]
     assert schedule.gone.tolist() == [0]

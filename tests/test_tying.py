@@ -214,7 +214,7 @@ def test_later_landmarks_were_never_seen_meanwhile(seed: int) -> None:
         stretches_touch = apart and not table.is_later(new, old)
         if table.is_later(new, old):
             assert apart
-            table.merge(new, old)
+            table.merge(np.array([new]), np.array([old]))
             seen[old] |= seen[new]
         elif stretches_touch:
             raise AssertionError((seen[new], seen[old]))

@@ -38,8 +38,8 @@ def test_a_track_that_is_parted_is_as_if_it_had_never_been_merged() -> None:
         GroupingSchedule(table, MapperConfig()).see(np.array([label]), iteration)
     columns = ["landmark_of", "first", "last", "since", "observations"]
     before = {name: getattr(table, name).copy() for name in columns}
-    table.merge(1, 0)
-    table.merge(2, 0)
+    table.merge(np.array([1]), np.array([0]))
+    table.merge(np.array([2]), np.array([0]))
     assert (table.first[0], table.since[0], table.last[0], table.observations[0]) == (0, 5, 6, 7)
     table.part(1)
     assert table.landmark_of.tolist() == [0, 1, 0]

@@ -152,7 +152,8 @@ class RelativeMapper:
 
     def merge_pairs(self, pairs: Ints) -> int:
         """Merge each pair (k, 2) of a landmark and the older one that it is; return how many."""
-        for new, old in pairs.tolist():
+        are_distinct = 0 < len(np.unique(pairs)) == pairs.size
+        for new, old in [pairs.T] if are_distinct else pairs[:, :, None]:
             for part in (self.table, self.schedule, self.merger):
                 part.merge(new, old)
         return len(pairs)

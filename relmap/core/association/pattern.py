@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from relmap.core.arrays import Floats
-from relmap.core.association.base import middle
 from relmap.core.association.chance import ENOUGH, PLENTY
 from relmap.core.association.likelihood import LikelyPlacing
 from relmap.core.association.metric import rows_of
@@ -36,20 +35,18 @@ class PatternPlacing(LikelyPlacing):
 
         From one scan to the next, a step of less than half of the period is assumed.
         """
-        if self._is_short(placement, tracks):
+        step_m = self._step_m(placement, tracks)
+        if step_m <= SHORT * self.scale.spacing_m:
             return True
-        period_m = self.period_m(tracks, points)
-        return np.isinf(period_m) or self._is_short(placement, tracks, period_m / 2)
+        return step_m <= self.period_m(tracks, points) / 2
 
-    def _is_short(
-        self, placement: Placement, tracks: LiveTracks, most_m: float | None = None
-    ) -> bool:
-        """Return whether a placement moves the tracks of the last scan no farther than a step."""
+    def _step_m(self, placement: Placement, tracks: LiveTracks) -> float:
+        """Return how far a placement moves half of the tracks; infinite if not of the last scan."""
+        from relmap.core.association.tracking_kernels import middle_step
+
         if tracks.missed.min() or self.chance.idle:
-            return False
-        moved = placement.apply(tracks.expected) - tracks.expected
-        far_m = middle(np.linalg.norm(moved, axis=1))
-        return far_m <= (SHORT * self.scale.spacing_m if most_m is None else most_m)
+            return np.inf
+        return float(middle_step(tracks.expected, placement.R, placement.t))
 
     def next_step(self, tracks: LiveTracks, points: Floats) -> Placement | None:
         """Return the step from one scan to the next along a pattern, by nearest neighbours.
@@ -78,7 +75,7 @@ class PatternPlacing(LikelyPlacing):
             near = near and settled(here, there, near, reach_m, own)
         if near is None or near.n_agreeing < STEP * tracks.possible(points):
             return None
-        if not self._is_short(near, tracks, period_m / 2):
+        if self._step_m(near, tracks) > period_m / 2:
             return None
         best = search(here, there, tolerance_m, ENOUGH, own)
         is_best = best is None or near.n_agreeing >= best[0].n_agreeing - FEWER

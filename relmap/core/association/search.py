@@ -29,8 +29,8 @@ APART = 10.0
 PATCH, CENTRES, NEIGHBOURS = 24, 2, 4
 """Points whose pattern may repeat, those amid them, and the neighbours of each of these whose
 distance may be the period."""
-REPEATED, FEWEST = 0.4, 2
-"""Fraction of the points that such a shift brings onto others, and minimum number of them."""
+REPEATED = 0.4
+"""Fraction of the points, and at least two, that such a shift brings onto others."""
 
 
 def log_chance(n: int, n_agreeing: int, share: float, log_placements: float) -> float:
@@ -192,10 +192,4 @@ def period_of(points: Floats, tolerance_m: float) -> float:
     """
     from relmap.core.association.search_kernels import shortest_period
 
-    if len(points) <= FEWEST:
-        return np.inf
-    apart = np.sum((points - points.mean(axis=0)) ** 2, axis=1)
-    near = np.argpartition(apart, PATCH)[:PATCH] if len(points) > PATCH else np.arange(len(points))
-    patch = points[near[np.argsort(apart[near], kind="stable")]]
-    fewest = max(FEWEST, REPEATED * (len(patch) - 1))
-    return float(shortest_period(patch, tolerance_m, fewest, CENTRES, NEIGHBOURS))
+    return float(shortest_period(points, tolerance_m, REPEATED, PATCH, CENTRES, NEIGHBOURS))

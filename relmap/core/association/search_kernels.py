@@ -7,6 +7,7 @@ import numpy as np
 from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.fitting_kernels import fit_rows, set_placement
 from relmap.core.linalg.compiling import compiled, helper
+from relmap.core.linalg.order_kernels import ordered, smallest
 from relmap.core.linalg.small_kernels import identity, square_between, square_of, unset
 
 
@@ -147,16 +148,37 @@ def _enter(points: Floats, i: int, j: int, k: int, corners: Floats) -> None:
         corners[0, a], corners[1, a], corners[2, a] = points[i, a], points[j, a], points[k, a]
 
 
+@helper
+def _patch(points: Floats, most: int) -> Floats:
+    """Return the points (k, d) nearest to the centre of points (n, d), nearest first."""
+    n, d = points.shape
+    apart, k = np.zeros(n), min(n, most)
+    for a in range(d):
+        centre = points[:, a].mean()
+        for i in range(n):
+            apart[i] += (points[i, a] - centre) ** 2
+    last, near, count = smallest(apart.copy(), k - 1), np.empty(k, dtype=np.int64), 0
+    for is_last in (False, True):
+        for i in range(n):
+            if count < k and (apart[i] == last if is_last else apart[i] < last):
+                near[count], count = i, count + 1
+    return points[near[ordered(apart[near])]]
+
+
 @compiled
 def shortest_period(
-    patch: Floats, tolerance_m: float, fewest: float, centres: int, neighbours: int
+    points: Floats, tolerance_m: float, share: float, most: int, centres: int, neighbours: int
 ) -> float:
-    """Return the shortest shift that brings `fewest` points of a patch (n, d) onto others, metres.
+    """Return the shortest shift that brings a share of a patch of points (n, d) onto others, m.
 
-    Shifts are those from each of the first points, the `centres`, to its nearest neighbours.
-    Infinite if there is none; shorter ones than twice the tolerance bring points near themselves.
+    `most`: points of the patch, amid all. Shifts are those from each of its first points, the
+    `centres`, to its nearest neighbours. Infinite if there is none; shorter ones than twice the
+    tolerance bring points near themselves.
     """
-    shortest = np.inf
+    if len(points) <= 2:
+        return np.inf
+    patch, shortest = _patch(points, most), np.inf
+    fewest = max(2.0, share * (len(patch) - 1))
     for c in range(min(centres, len(patch))):
         last = 4 * tolerance_m * tolerance_m
         for _ in range(neighbours):

@@ -35,6 +35,16 @@ def carried(tracks: Columns, R: Floats, t: Floats) -> Columns:
     return landmarks, _placed(expected, R, t), _placed(latest, R, t), missed, seen, restless
 
 
+@compiled
+def middle_step(points: Floats, R: Floats, t: Floats) -> float:
+    """Return the upper median of the distances by which R and t move points (n, d)."""
+    moved, square = _placed(points, R, t), np.zeros(len(points))
+    for i in range(len(points)):
+        for a in range(points.shape[1]):
+            square[i] += (moved[i, a] - points[i, a]) ** 2
+    return float(np.sqrt(smallest(square, len(square) // 2)))
+
+
 @helper
 def continued(
     points: Floats,

@@ -78,7 +78,7 @@ COLUMNS = {
 
 MERGED: dict[str, Callable[[Any, Any], Any]] = {
     "new": lambda new, old: new,
-    "least": lambda new, old: min(new, old),
-    "most": lambda new, old: max(new, old),
-    "sum": lambda new, old: new + old,
+    "least": np.minimum,
+    "most": np.maximum,
+    "sum": np.add,
 }

@@ -129,11 +129,14 @@ class GroupingSchedule:
         reached = np.where(whole, level, min(level, 2))
         return np.where(2 * n_averaged >= np.minimum(counts, LONGEST_INTERVAL), reached, 1)
 
-    def merge(self, new: int, old: int) -> None:
-        """Let an older landmark wait in place of the new one that was merged into it."""
-        self._in_view = self._in_view[self._in_view != old]
+    def merge(self, new: Ints, old: Ints) -> None:
+        """Let older landmarks (k,) wait in place of the new ones (k,) merged into them."""
+        self._in_view = self._in_view[~np.isin(self._in_view, old)]
+        order = np.argsort(new)
+        new, old = new[order], old[order]
         for waiting in (self._in_view, self._due, self._gone):
-            waiting[waiting == new] = old
+            at = np.minimum(np.searchsorted(new, waiting), len(new) - 1)
+            waiting[:] = np.where(new[at] == waiting, old[at], waiting)
 
     def begin_anew(self, landmarks: Ints, iteration: int) -> None:
         """End the interval of landmarks; those in view begin a new one."""

@@ -195,21 +195,22 @@ class LandmarkState:
         self.weight[landmarks] = self.settled_weight[landmarks] = 0.0
         self.submap[landmarks] = NONE
 
-    def merge(self, new: int, old: int) -> None:
-        """Merge a new landmark into the older one that it is.
+    def merge(self, new: Ints, old: Ints) -> None:
+        """Merge new landmarks (k,) into the older ones (k,) that they are, all of them distinct.
 
         The position is the average of both; the part from the current interval is still replaced by
         better groups.
         """
-        rows = [new, *self._merged_into.pop(new, [])]
-        self.landmark_of[rows] = old
-        self._merged_into.setdefault(old, []).extend(rows)
-        self.settle(np.array([old]))
+        for one, other in zip(new.tolist(), old.tolist(), strict=True):
+            rows = [one, *self._merged_into.pop(one, [])]
+            self.landmark_of[rows] = other
+            self._merged_into.setdefault(other, []).extend(rows)
+        self.settle(old)
         _average(self.position, self.weight, new, old)
         _average(self.settled_position, self.settled_weight, new, old)
-        self.take_off_map(np.array([new]))
-        if self.last[new] > self.last[old]:
-            self.since[old] = self.since[new]
+        self.take_off_map(new)
+        later = self.last[new] > self.last[old]
+        self.since[old[later]] = self.since[new[later]]
         for name, column in COLUMNS.items():
             if column.merged != "old":
                 values = getattr(self, name)
@@ -276,10 +277,9 @@ class LandmarkState:
             setattr(self, name, room[:n])
 
 
-def _average(positions: Floats, weights: Floats, new: int, old: int) -> None:
-    """Average one landmark's position, if any, into another's."""
-    if weights[new] == 0:
-        return
-    both = weights[[new, old]]
-    positions[old] = both @ positions[[new, old]] / both.sum()
-    weights[old] = both.sum()
+def _average(positions: Floats, weights: Floats, new: Ints, old: Ints) -> None:
+    """Average the positions of mapped landmarks (k,) into those of others (k,)."""
+    new, old = new[weights[new] > 0], old[weights[new] > 0]
+    theirs, own = weights[new, None], weights[old, None]
+    positions[old] = (theirs * positions[new] + own * positions[old]) / (theirs + own)
+    weights[old] += weights[new]

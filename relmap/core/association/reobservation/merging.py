@@ -170,12 +170,14 @@ class Merger:
             had[there[: max(1, len(there) // OVERLAP)]] = True
             yield there
 
-    def merge(self, new: int, old: int) -> None:
-        """Record that a landmark in view is an older one."""
-        self._old_near.pop(new, None)
+    def merge(self, new: Ints, old: Ints) -> None:
+        """Record that landmarks (k,) in view are older ones (k,)."""
+        for landmark in new.tolist():
+            self._old_near.pop(landmark, None)
+        known = set(old.tolist())
         for others in self._old_near.values():
-            if old in others:
-                others.remove(old)
+            if not known.isdisjoint(others):
+                others[:] = [other for other in others if other not in known]
 
     def keep_apart(self, track: int, others: list[int]) -> None:
         """Record that a track was wrongly merged: this may happen only once more."""
