@@ -49,6 +49,16 @@ def test_a_leap_far_beyond_the_fastest_step_is_not_accepted(yaw: float, doubtful
 
 
 @pytest.mark.parametrize(
+    ("planes", "way_m", "doubtful"), [(4, 1.5, True), (4, 0.5, False), (5, 1.5, False)]
+)
+def test_a_scan_that_jumps_needs_several_planes(planes: int, way_m: float, doubtful: bool) -> None:
+    part = carried(7)
+    there = replace(placed(0.6), t=np.array([way_m, 0.0, 0.0]), match=np.arange(planes))
+    sight = sight_of(STILL, ORIGIN, part.seen[0], part.all_planes())
+    assert is_doubtful(there, part.seen[0], sight, part, 1) is doubtful
+
+
+@pytest.mark.parametrize(
     ("first", "yaw", "share", "doubtful"),
     [(4, 0.0, 0.6, False), (4, np.pi, 1.0, True), (9, 0.0, 0.6, True), (9, 0.0, 0.9, False)],
 )

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Bools, Floats
-from relmap.planes3d.placing import LEAP, Placed, moved_m
-from relmap.planes3d.submap import Submap
+from relmap.planes3d.placing import LEAP, Placed, apart, moved_m
+from relmap.planes3d.submap import Pose, Submap
 from relmap.segmentation.space import Patches
 
 FEWEST = 40
@@ -21,13 +22,15 @@ THROUGH = 0.1
 """Largest fraction of the surfaces in view that a scan may see through: things move."""
 FASTER = 2.0
 """A leap, or the step between submaps that are tied, is at most as many times the fastest step."""
-SEVERAL = 6
-"""Minimum number of scans of a submap that show how fast the sensor moves."""
+SEVERAL, RECENT = 6, 100
+"""Minimum and maximum number of scans of a submap that show how fast the sensor moves."""
 LEAST_SHARED, MANY_SHARED = 5, 12
-"""Minimum number of shared planes of two submaps: three at right angles match any others. The
-second value holds if a jump is implied, as between the equal bays of a hall."""
-JUMP = 3.0
-"""A jump is a translation of at least this many times the longest one of both submaps."""
+"""Minimum number of shared planes of two submaps, and of a scan that jumps and the map: three at
+right angles match any others. The second value holds for submaps if a jump is implied, as between
+the equal bays of a hall."""
+JUMP, FAR, TURN_RAD = 3.0, 0.2, np.deg2rad(45.0)
+"""A jump is a translation of at least this many times the longest one of the submaps and this
+fraction of the range, or a rotation of more than this angle and `FASTER` times the largest one."""
 SOON, PLANES, SURFACES = 2, 0.7, 0.8
 """Submaps more scans apart than the first value are tied only if one shows at least this fraction
 of the planes or of the surfaces of the other: halls look much the same from both ends."""
@@ -56,9 +59,12 @@ def is_doubtful(placed: Placed, seen: Patches, sight: Sight, part: Submap, gap: 
     `seen`: planes of the scan, robot frame; `sight`: of the map, see `sight_of`.
     """
     way_m = moved_m(part.poses[-1], placed.pose, seen.reach_m)
-    leap = len(part.poses) >= SEVERAL and way_m > LEAP * seen.reach_m
-    if leap and way_m > FASTER * gap * fastest_m(part):
-        return True
+    if len(part.poses) >= SEVERAL:
+        if way_m > max(LEAP * seen.reach_m, FASTER * gap * fastest_m(part)):
+            return True
+        jumps = _jumps(part.poses[-1], placed.pose, gap, seen.reach_m, part)
+        if jumps and placed.n_planes < LEAST_SHARED:
+            return True
     return sight.seen_through > THROUGH
 
 
@@ -74,21 +80,32 @@ def is_tied_doubtfully(placed: Placed, part: Submap, other: Submap) -> bool:
     gap = int(apart[k, m])
     if way_m > FASTER * gap * max(fastest_m(part), fastest_m(other)):
         return True
-    way_m = moved_m(other.poses[m], there, 0.0)
-    jumps = way_m > JUMP * gap * max(fastest_m(part, 0.0), fastest_m(other, 0.0))
+    jumps = _jumps(other.poses[m], there, gap, part.seen[k].reach_m, part, other)
     if jumps and placed.n_planes < MANY_SHARED:
         return True
     return gap > SOON and placed.share < SURFACES and placed.n_planes < PLANES * len(part)
 
 
-def fastest_m(part: Submap, turns: float = 1.0) -> float:
-    """Return the longest step of a submap from scan to scan; infinite if it has none.
-
-    Rotations count as in `moved_m`, times `turns`.
-    """
-    steps = zip(part.poses, part.poses[1:], part.seen[1:], np.diff(part.iteration), strict=False)
-    lengths = (moved_m(a, b, turns * seen.reach_m) / gap for a, b, seen, gap in steps)
+def fastest_m(part: Submap) -> float:
+    """Return the longest step of a submap from scan to scan; infinite if it has none."""
+    lengths = (moved_m(a, b, seen.reach_m) / gap for a, b, seen, gap in _steps(part))
     return max(lengths, default=np.inf)
+
+
+def _steps(part: Submap) -> Iterator[tuple[Pose, Pose, Patches, int]]:
+    """Return the two poses of each of the latest steps, the second scan, and the scans between."""
+    poses, seen, number = part.poses[-RECENT:], part.seen[-RECENT:], part.iteration[-RECENT:]
+    return zip(poses, poses[1:], seen[1:], np.diff(number), strict=False)
+
+
+def _jumps(last: Pose, pose: Pose, gap: int, reach_m: float, *parts: Submap) -> bool:
+    """Return whether a step over `gap` scans is much longer than those of some submaps."""
+    steps = [np.divide(apart(*a, *b), n) for part in parts for a, b, _, n in _steps(part)]
+    if not steps:
+        return False
+    turns, ways_m = gap * np.max(steps, axis=0)
+    turn, way_m = apart(*last, *pose)
+    return bool(turn > max(FASTER * turns, TURN_RAD) or way_m > max(JUMP * ways_m, FAR * reach_m))
 
 
 def sight_of(R: Floats, t: Floats, seen: Patches, planes: Patches) -> Sight:

@@ -185,16 +185,17 @@ def _settled(
 
 def _same(R: Floats, t: Floats, other: Placed, seen: Patches, share: float) -> bool:
     """Return whether two placements differ by less than a multiple of the tolerance."""
-    turn, way = _apart(R, t, other.R, other.t)
+    turn, way = apart(R, t, other.R, other.t)
     return turn < share * APART_RAD and way < share * APART * seen.reach_m
 
 
 def moved_m(a: Pose, b: Pose, reach_m: float) -> float:
     """Return the length of a step; a rotation counts by how far it moves points at the range."""
-    turn, way = _apart(*a, *b)
+    turn, way = apart(*a, *b)
     return turn * reach_m + way
 
 
-def _apart(R: Floats, t: Floats, S: Floats, s: Floats) -> tuple[float, float]:
+def apart(R: Floats, t: Floats, S: Floats, s: Floats) -> tuple[float, float]:
+    """Return the rotation, radians, and the translation, metres, between two poses."""
     cosine = (np.trace(R @ S.T) - 1) / 2
     return float(np.arccos(np.clip(cosine, -1.0, 1.0))), float(np.linalg.norm(t - s))
