@@ -6,6 +6,7 @@ import logging
 import math
 from array import array
 from collections.abc import Iterable, Sequence
+from operator import le
 from pathlib import Path
 
 import numpy as np
@@ -73,7 +74,7 @@ def read_rows(
     for number, line in numbered_lines(path):
         cells = line.partition(comment)[0].strip().rstrip(separator).split(separator)
         row = finite_numbers(cells)
-        if len(row) == len(limits) and (np.abs(row) <= limits).all():
+        if len(row) == len(limits) and all(map(le, map(abs, row), limits)):
             rows.add(row, number)
         elif any(cells):
             raise invalid(path, f"line {number}: {quoted(line)}, expected {expected}")
