@@ -35,7 +35,7 @@ def share_mapped(mapper: PointMapper, log: ObservationLog) -> float:
 @pytest.mark.parametrize("density", [25, 100])
 def test_chained_groups_are_no_worse_than_frame_to_map(density: float) -> None:
     ours, theirs = [], []
-    for seed in range(5):
+    for seed in range(3):
         world = simulate_figure_eight(density=density, seed=seed)
         mapper = driven(world.log)
         assert share_mapped(mapper, world.log) >= 0.97
@@ -64,7 +64,7 @@ def test_mrpt_logs_are_mapped_to_a_centimetre(shared_data: Path, name: str) -> N
 
 
 @pytest.mark.parametrize(
-    ("density", "iterations", "least"), [(25, 900, 0.9995), (200, 900, 0.9995), (1000, 300, 0.999)]
+    ("density", "iterations", "least"), [(25, 900, 0.9995), (200, 450, 0.9995), (1000, 150, 0.999)]
 )
 def test_tracks_are_pure_without_ids(density: float, iterations: int, least: float) -> None:
     log = simulate_figure_eight(density=density, iterations=iterations, seed=0).log
@@ -136,8 +136,8 @@ def rmse_against(reference: tuple[Ints, Floats], ids: Ints, positions: Floats) -
     return aligned_rmse(positions[known][:, :2], there[:, :2])
 
 
-def test_a_quarter_of_victoria_park_reports_its_submaps(shared_data: Path) -> None:
-    log = open_log(shared_data / "victoria-park").between(3649, 5449)
+def test_a_stretch_of_victoria_park_reports_its_submaps(shared_data: Path) -> None:
+    log = open_log(shared_data / "victoria-park").between(4549, 5049)
     mapper, landmarks = map_without_ids(log)
     assert purity_of(landmarks, log.ids) >= 0.999
     table, submaps = mapper.landmarks, mapper.submaps

@@ -225,13 +225,13 @@ def test_any_input_gives_finite_positions(
     rng = np.random.default_rng(seed)
     places, sigma = degenerate(kind, n, d, rng), rng.choice([0.0, SIGMA])
     mapper = PointMapper(MapperConfig(group_after=after, max_missed=missed))
-    for k in range(120):
+    for k in range(70):
         t = np.zeros(d)
-        t[0] = 0.4 * k
+        t[0] = 0.6 * k
         ids = np.flatnonzero((np.abs(places[:, 0] - t[0]) < 12) & (rng.random(n) > 0.15))
         points = places[ids] - t + sigma * rng.standard_normal((len(ids), d))
         mapper.update(points, ids if known else None)
-        if k == 70:
+        if k == 40:
             mapper.finish()
     mapper.finish()
     mapper.finish()
