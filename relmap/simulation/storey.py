@@ -142,8 +142,7 @@ class Squares:
             scans, length_m = self._scans[k], self._length_m[k]
             share = (points[face == k] - self._origin[k]) @ self._sides[k].T / length_m**2
             at = np.clip((share * scans.shape).astype(np.int64), 0, np.array(scans.shape) - 1)
-            at = np.unique(at, axis=0)
-            scans[at[:, 0], at[:, 1]] += 1
+            scans[at[:, 0], at[:, 1]] += 1  # once, however many points are there
 
     @property
     def seen_m2(self) -> Floats:
@@ -159,10 +158,11 @@ def cast_rays(start: Floats, rays: Floats, origin: Floats, sides: Floats) -> tup
         normal = np.cross(a, b)
         with np.errstate(divide="ignore", invalid="ignore"):
             t = ((corner - start) @ normal) / (rays @ normal)
-            at = start + t[:, None] * rays - corner
-            gram = np.linalg.inv(np.array([[a @ a, a @ b], [a @ b, b @ b]]))
-            share = (at @ np.stack([a, b]).T) @ gram
-            hit = (t > 1e-6) & (t < range_m) & ((share >= 0) & (share <= 1)).all(axis=1)
+        nearer = np.flatnonzero((t > 1e-6) & (t < range_m))
+        at = start + t[nearer, None] * rays[nearer] - corner
+        gram = np.linalg.inv(np.array([[a @ a, a @ b], [a @ b, b @ b]]))
+        share = (at @ np.stack([a, b]).T) @ gram
+        hit = nearer[((share >= 0) & (share <= 1)).all(axis=1)]
         range_m[hit], face[hit] = t[hit], k
     return range_m, face
 
