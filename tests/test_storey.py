@@ -13,6 +13,11 @@ from relmap.simulation.storey import Storey, simulate_storey
 from tests.worlds import ate_m, refined
 
 
+@pytest.fixture(scope="module")
+def house() -> Storey:
+    return simulate_storey("lidar", 0.01, 60, 2, storeys=2)
+
+
 def off_faces(world: Storey, points: Floats, face: Ints) -> Floats:
     """Return how far points in the map frame are off the rectangles of their faces."""
     corner, *others = world.corners[face].transpose(1, 0, 2)
@@ -35,12 +40,11 @@ def test_points_lie_on_the_faces_of_the_house(sensor: Any) -> None:
         assert off_faces(world, in_map(world, k), world.faces[k]).max() < 1e-9
 
 
-def test_the_sensor_is_carried_up_the_stairs_and_touches_nothing() -> None:
-    world = simulate_storey("lidar", 0.0, 60, storeys=2)
-    height = world.trajectory[:, 2, 3]
+def test_the_sensor_is_carried_up_the_stairs_and_touches_nothing(house: Storey) -> None:
+    height = house.trajectory[:, 2, 3]
     assert height[-1] - height[0] == pytest.approx(3.1, abs=0.1)
-    assert min(np.linalg.norm(scan, axis=1).min() for scan in world.scans) > 0.2
-    assert np.linalg.norm(np.diff(world.trajectory[:, :3, 3], axis=0), axis=1).max() < 0.55
+    assert min(np.linalg.norm(scan, axis=1).min() for scan in house.scans) > 0.2
+    assert np.linalg.norm(np.diff(house.trajectory[:, :3, 3], axis=0), axis=1).max() < 0.55
 
 
 def test_boxes_move_and_belong_to_no_face() -> None:
@@ -63,11 +67,10 @@ def test_settings_out_of_range_are_refused() -> None:
             simulate_storey("lidar", iterations=1, **settings)
 
 
-def test_a_house_is_mapped_over_the_stairs() -> None:
-    world = simulate_storey("lidar", 0.01, 60, 2, storeys=2)
-    mapper = refined(Plane3dMapper(), world.scans)
+def test_a_house_is_mapped_over_the_stairs(house: Storey) -> None:
+    mapper = refined(Plane3dMapper(), house.scans)
     assert len(mapper.submaps[0].iteration) == 60
-    assert ate_m(mapper.trajectory, world.trajectory, planar=False) < 0.005
+    assert ate_m(mapper.trajectory, house.trajectory, planar=False) < 0.005
 
 
 def test_planes_of_a_box_that_moves_are_dynamic() -> None:
