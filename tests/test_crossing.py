@@ -168,7 +168,7 @@ def test_every_method_is_run_on_every_cell() -> None:
 
 @pytest.fixture(scope="module")
 def maps() -> BothMaps:
-    return run_noisy_maps(0.25, iterations=25, seed=0)
+    return run_noisy_maps(0.25, iterations=12, seed=0)
 
 
 def test_planes_hold_where_points_do_not(maps: BothMaps) -> None:

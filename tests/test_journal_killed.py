@@ -85,17 +85,17 @@ def test_relmap_resume_with_ids_and_an_interval(eight: Path, tmp_path: Path) -> 
 
 def test_relmap_resume_of_walls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    scans = simulate_building(seed=0, points=200).scans[:40]
-    points, stamps_s = [scan.points for scan in scans], np.arange(40.0)
+    scans = simulate_building(seed=0, points=200).scans[:20]
+    points, stamps_s = [scan.points for scan in scans], np.arange(20.0)
     write_scans_npz(tmp_path / "scans.npz", points, stamps_s)
     asked = ["map", "scans.npz", "--variant", "planes", "-o"]
     assert main([*asked, "whole"]) == 0
     assert main([*asked, "out", "--journal", "run.journal"]) == 0
-    end_after(Path("run.journal"), 25)
+    end_after(Path("run.journal"), 12)
     assert main(["resume", "run.journal", "-o", "again"]) == 0
     for name in ("planes.csv", "bench.png", "map.png", *SAME):
         assert Path("again", name).read_bytes() == Path("whole", name).read_bytes()
-    write_scans_npz(tmp_path / "scans.npz", points[:20], stamps_s[:20])
+    write_scans_npz(tmp_path / "scans.npz", points[:10], stamps_s[:10])
     assert main(["resume", "run.journal"]) == 2
 
 

@@ -181,7 +181,7 @@ def test_a_resumed_run_with_odometry_is_the_same(tmp_path: Path, known: bool) ->
 
 
 def test_two_runs_in_one_log_are_one_map_where_ids_say_what_is_the_same() -> None:
-    run = world(SPARSE, 400)
+    run = world(SPARSE, 250)
     motions = odometry_of(run, 0)
     mapper = PointMapper()
     for turn in range(2):
@@ -189,7 +189,7 @@ def test_two_runs_in_one_log_are_one_map_where_ids_say_what_is_the_same() -> Non
             first = k == 0
             motion = np.full((4, 4), np.nan) if first else motions[k]
             mapper.update(scan.points_robot, ids=scan.ids, odometry=motion)
-        assert mapper.n_iterations == 400 * (turn + 1)
+        assert mapper.n_iterations == 250 * (turn + 1)
     mapper.finish()
     mapper.refine()
     assert len(mapper.submaps) == 1

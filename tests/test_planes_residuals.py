@@ -10,7 +10,7 @@ from relmap.core.arrays import Floats
 from relmap.simulation import Building, simulate_building
 from tests.worlds import finished
 
-ITERATIONS = 100
+ITERATIONS = 64
 
 
 def mapped(seed: int) -> tuple[Building, PlaneMapper]:
@@ -26,7 +26,7 @@ def mapped(seed: int) -> tuple[Building, PlaneMapper]:
 
 @pytest.fixture(scope="module")
 def runs() -> list[tuple[Building, PlaneMapper]]:
-    found = [mapped(seed) for seed in range(4)]
+    found = [mapped(seed) for seed in range(3)]
     for _, mapper in found[1:]:
         mapper.refine()
     return found

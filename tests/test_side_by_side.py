@@ -16,7 +16,7 @@ from tests.worlds import refined, seen
 
 
 def a_map(seed: int) -> str:
-    log = simulate_figure_eight(seed=seed, iterations=100).log
+    log = simulate_figure_eight(seed=seed, iterations=60).log
     mapper = refined(PointMapper(), seen(log, known=False))
     return (mapper.map.positions.tobytes() + mapper.trajectory.tobytes()).hex()
 
@@ -34,10 +34,11 @@ def test_two_threads_give_the_maps_of_one(alone: list[str]) -> None:
 def test_ten_processes_give_the_maps_of_one(
     alone: list[str], child_env: dict[str, str], repo_root: Path
 ) -> None:
-    # They are forked by a process that has imported everything: ten imports would take long.
+    # They are forked by a process that has imported and loaded everything: ten would take long.
     code = (
         "import json, multiprocessing\n"
         "from tests.test_side_by_side import a_map\n"
+        "a_map(3)\n"
         "with multiprocessing.get_context('fork').Pool(10) as pool:\n"
         "    print(json.dumps(pool.map(a_map, [1, 2] * 5, chunksize=1)))\n"
     )

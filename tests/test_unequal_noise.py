@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from relmap import PointMapper
 from relmap.comparison.baselines.batch import Batch, batch_least_squares
-from relmap.core.arrays import Floats
+from relmap.core.arrays import Floats, Ints
 from relmap.core.association import matching_kernels
 from relmap.core.association.estimated import LONGEST, EstimatedCovariances
 from relmap.core.association.metric import RayNoise, stretch_of
@@ -145,6 +146,21 @@ def test_weighted_fit_is_that_of_scipy_without_the_outliers(d: int) -> None:
     assert own <= 2 * solved.cost * (1 + 1e-6)
 
 
+@cache
+def stereo(iterations: int, length_m: float, seed: int) -> World:
+    spec = WorldSpec(noise="stereo", sigma=0.03, space=True, seed=seed)
+    return simulate_world(replace(spec, iterations=iterations, length_m=length_m))
+
+
+@cache
+def by_least_squares(world: World) -> tuple[Ints, Array]:
+    """Return the landmarks of a world that were seen, and their positions by unweighted fit."""
+    seen, of = np.unique(world.true_ids, return_inverse=True)
+    batch = Batch(world.log.points_robot, world.log.iteration, of)
+    start = world.landmarks_map[seen, : world.log.points_robot.shape[1]]
+    return seen, batch_least_squares(batch, start, iterations=1000)
+
+
 def mapped(world: World, with_covariances: bool) -> tuple[PointMapper, list[float]]:
     """Map a world by own association; return the RMSE of the map and that of the batch."""
     mapper, end, labels = PointMapper(), 0, []
@@ -159,9 +175,7 @@ def mapped(world: World, with_covariances: bool) -> tuple[PointMapper, list[floa
     true_of = dict(zip(*majority_ids(now, world.true_ids)[:2], strict=True))
     ids = np.array([true_of[label] for label in mapper.map.landmark_ids.tolist()])
     d = world.log.points_robot.shape[1]
-    seen, of = np.unique(world.true_ids, return_inverse=True)
-    batch = Batch(world.log.points_robot, world.log.iteration, of)
-    limit = batch_least_squares(batch, world.landmarks_map[seen, :d], iterations=1000)
+    seen, limit = by_least_squares(world)
     limit = limit[np.searchsorted(seen, ids)]
     there = world.landmarks_map[ids, :d]
     return mapper, [rmse(mapper.map.positions[:, :d], there), rmse(limit, there)]
@@ -174,21 +188,17 @@ def rmse(positions: Array, truth: Array) -> float:
     return float(np.sqrt(np.mean(np.sum((positions @ R.T + t - truth) ** 2, axis=1))))
 
 
-STEREO = WorldSpec(noise="stereo", sigma=0.03, space=True, iterations=140, length_m=210.0, seed=11)
-
-
 @pytest.mark.parametrize("with_covariances", [True, False])
 def test_a_stereo_camera_gives_one_map_better_than_unweighted_least_squares(
     with_covariances: bool,
 ) -> None:
-    mapper, (own, limit) = mapped(simulate_world(STEREO), with_covariances)
+    mapper, (own, limit) = mapped(stereo(140, 210.0, 11), with_covariances)
     assert len(mapper.submaps) == 1
     assert own < 0.5 * limit
 
 
 def test_another_world_of_a_stereo_camera_is_better_than_unweighted_least_squares() -> None:
-    spec = replace(STEREO, iterations=200, length_m=300.0, seed=12)
-    mapper, (own, limit) = mapped(simulate_world(spec), False)
+    mapper, (own, limit) = mapped(stereo(200, 300.0, 12), False)
     assert sum(len(submap.landmark_ids) >= 10 for submap in mapper.submaps) == 1
     assert own < limit
 
