@@ -60,6 +60,37 @@ def matched_at(
     Each target is matched at most once, to the nearest in its metric (m, d, d); returns the number
     of matches. `stretch` (m,) is the largest length of a unit of the metric, metres.
     """
+    order, reach_m = _along_first_axis(target, tolerance_m, stretch)
+    return _matched(source, target, order, reach_m, R, t, tolerance_m, match, metric, stretch)
+
+
+@helper
+def _along_first_axis(
+    target: Floats, tolerance_m: float, stretch: Floats | None
+) -> tuple[Ints, float]:
+    """Return the order of targets (m, d) along the first axis, and how far matches are along it."""
+    longest = 1.0
+    if stretch is not None:
+        longest = 0.0
+        for k in range(len(stretch)):
+            longest = max(longest, stretch[k])
+    return ordered(target[:, 0].copy()), (1 + 1e-9) * tolerance_m * longest
+
+
+@helper
+def _matched(
+    source: Floats,
+    target: Floats,
+    order: Ints,
+    reach_m: float,
+    R: Floats,
+    t: Floats,
+    tolerance_m: float,
+    match: Ints,
+    metric: Floats | None,
+    stretch: Floats | None,
+) -> int:
+    """Match as `matched_at` does, with the targets in order along the first axis."""
     (n, d), m = source.shape, len(target)
     owner, nearest = unset(m), np.empty(m)
     placed, apart = np.empty(d), np.empty(d)
@@ -72,14 +103,8 @@ def matched_at(
             placed[a] = t[a]
             for b in range(d):
                 placed[a] += R[a, b] * source[i, b]
-        best, at = tolerance_m * tolerance_m, -1
-        for k in range(m):
-            limit = best if stretch is None else best * stretch[k] ** 2
-            square = (placed[0] - target[k, 0]) ** 2
-            if square < limit:
-                square = square_between(placed, target[k], metric, k, apart)
-                if square < best:
-                    best, at = square, k
+        best = tolerance_m * tolerance_m
+        best, at = _nearest(placed, target, order, reach_m, best, metric, stretch, apart)
         if at >= 0 and best < nearest[at]:
             if owner[at] >= 0:
                 match[owner[at]] = -1
@@ -87,6 +112,36 @@ def matched_at(
                 count += 1
             owner[at], nearest[at], match[i] = i, best, at
     return count
+
+
+@helper
+def _nearest(
+    placed: Floats,
+    target: Floats,
+    order: Ints,
+    reach_m: float,
+    best: float,
+    metric: Floats | None,
+    stretch: Floats | None,
+    apart: Floats,
+) -> tuple[float, int]:
+    """Return the least squared distance below a limit, and the first target at it, or -1."""
+    at, begin, end = -1, 0, len(target)
+    while begin < end:
+        middle = (begin + end) // 2
+        if target[order[middle], 0] < placed[0] - reach_m:
+            begin = middle + 1
+        else:
+            end = middle
+    while begin < len(target) and target[order[begin], 0] <= placed[0] + reach_m:
+        k, begin = order[begin], begin + 1
+        limit = best if stretch is None else best * stretch[k] ** 2
+        square = (placed[0] - target[k, 0]) ** 2
+        if square <= limit:
+            square = square_between(placed, target[k], metric, k, apart)
+            if square < best or (square == best and k < at):
+                best, at = square, k
+    return best, at
 
 
 @compiled
@@ -111,6 +166,7 @@ def placements_by_triangles(
     """
     (n, d), m = source.shape, len(target)
     here, there = distances(source), distances(target)
+    order, reach_m = _along_first_axis(target, tolerance_m, stretch)
     allowed = _allowances(target, tolerance_m, metric)
     R, t, matches = np.empty((most, d, d)), np.empty((most, d)), np.empty((most, n), dtype=np.int64)
     corners, found, every = np.empty((3, d)), np.empty((3, d)), np.ones(3, dtype=np.bool_)
@@ -130,8 +186,17 @@ def placements_by_triangles(
                     turn, shift, fixed, _, _ = fit_rows(corners, found, every, turn)
                     if fixed and tried < most:
                         tried += 1
-                        n_agreeing = matched_at(
-                            source, target, turn, shift, tolerance_m, matches[h], metric, stretch
+                        n_agreeing = _matched(
+                            source,
+                            target,
+                            order,
+                            reach_m,
+                            turn,
+                            shift,
+                            tolerance_m,
+                            matches[h],
+                            metric,
+                            stretch,
                         )
                         if n_agreeing >= fewest:
                             set_placement(R, t, h, turn, shift)

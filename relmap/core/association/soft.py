@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -185,12 +186,18 @@ class SoftMatching:
         The mean square distance in variances, from the moments of the points.
         """
         turn, shift = R - other.R, t - other.t
+        total, first, second = self._moments
+        square = np.einsum("...ij,jk,...ik->...", turn, second, turn)
+        square += 2 * np.einsum("...i,...ij,j->...", shift, turn, first)
+        square += total * np.sum(shift**2, axis=-1)
+        return np.asarray(square > MOVED**2)
+
+    @cached_property
+    def _moments(self) -> tuple[float, Floats, Floats]:
+        """Moments of the source points, each weighted by its share of them over its variance."""
         weight = 1 / (len(self.source) * self.variance)
         second = np.einsum("n,ni,nj->ij", weight, self.source, self.source)
-        square = np.einsum("...ij,jk,...ik->...", turn, second, turn)
-        square += 2 * np.einsum("...i,...ij,j->...", shift, turn, weight @ self.source)
-        square += weight.sum() * np.sum(shift**2, axis=-1)
-        return np.asarray(square > MOVED**2)
+        return weight.sum(), weight @ self.source, second
 
 
 def likely_links(
