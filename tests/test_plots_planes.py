@@ -20,7 +20,7 @@ from relmap.figures.figure06 import PartialWall, longest, run_partial_wall
 from relmap.planes import PlaneMapper
 from relmap.planes.scans.observation import checked_planes
 from relmap.planes.walls.history import PlaneHistory
-from relmap.plots.bench import plot_bench, write_bench_gif
+from relmap.plots.bench import FPS, HOLD, plot_bench, write_bench_gif
 from relmap.plots.bench_recorder import BenchFrame, BenchRecorder, frame_step
 from relmap.plots.path import fit_poses
 from relmap.segmentation import PlaneSegmenter
@@ -183,10 +183,9 @@ def test_bench_calls_itself_a_figure_of_the_paper_only_there(bench: BenchRecorde
     assert in_paper == "Figure 5: the test bench, iteration 39"
 
 
-def test_animation_holds_every_frame(
-    bench: BenchRecorder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_animation_holds_every_frame_and_the_last_for_long(
+    bench: BenchRecorder, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr("relmap.plots.bench.HOLD", 1)
     seen = []
 
     def counted(frames: list[BenchFrame]) -> list[BenchFrame]:
@@ -197,6 +196,8 @@ def test_animation_holds_every_frame(
     assert len(seen) == 2
     with Image.open(tmp_path / "a.gif") as image:
         assert getattr(image, "n_frames", 1) >= 2
+        image.seek(image.n_frames - 1)  # type: ignore[attr-defined]
+        assert image.info["duration"] >= 1000 * HOLD / FPS
     with pytest.raises(RelmapError, match="at least one scan"):
         write_bench_gif(tmp_path / "b.gif", [])
 

@@ -50,14 +50,22 @@ def write_bench_gif(
     with mpl.rc_context():
         mpl.rcdefaults()
         figure = blank(WIDTH_IN, HEIGHT_IN, GIF_DPI, layout=None)
-        writer = PillowWriter(fps=FPS)
+        writer = _HoldingWriter(fps=FPS)
         with writer.saving(figure, str(path), GIF_DPI):
             for frame in progress(frames) if progress else frames:
                 figure.clear()
                 _draw(figure, frame, limits, title)
                 writer.grab_frame()
-            for _ in range(HOLD):
-                writer.grab_frame()
+            writer.hold(HOLD)
+
+
+class _HoldingWriter(PillowWriter):
+    """A writer that can repeat a frame without drawing it again."""
+
+    def hold(self, times: int) -> None:
+        """Repeat the last frame."""
+        self._frames: list[Any]
+        self._frames += times * self._frames[-1:]
 
 
 def plot_bench(frame: BenchFrame, title: str = TITLE) -> Figure:
