@@ -273,7 +273,7 @@ def test_simulate_then_map_then_evaluate(tmp_path: Path, options: list[str]) -> 
     world, result = tmp_path / "world", tmp_path / "result"
     building = options[0] == "building"
     more = ["--points", "300", "--sigma", "0.01"] if building else []
-    assert main(["simulate", *options, *more, "--iterations", "12", "-o", str(world)]) == 0
+    assert main(["simulate", *options, *more, "--iterations", "6", "-o", str(world)]) == 0
     variant = ["--variant", "planes"] if building else []
     assert main(["map", str(world), "-o", str(result), *variant]) == 0
     assert main(["evaluate", str(result), "--truth", str(world)]) == 0
