@@ -28,7 +28,7 @@ WIDTH_IN, HEIGHT_IN, DPI = 11.0, 9.0, 110
 GIF_DPI = 72
 FPS = 8
 HOLD = 16
-"""Number of frames for which the last one is repeated."""
+"""Number of frames for which the last one is shown beyond its own."""
 MARGIN_M = 0.8
 LEGEND_IN = 0.45
 """Distance of the legend below its panel."""
@@ -56,16 +56,20 @@ def write_bench_gif(
                 figure.clear()
                 _draw(figure, frame, limits, title)
                 writer.grab_frame()
-            writer.hold(HOLD)
 
 
 class _HoldingWriter(PillowWriter):
-    """A writer that can repeat a frame without drawing it again."""
+    """A writer that shows the last frame for longer, which is as if it were repeated."""
 
-    def hold(self, times: int) -> None:
-        """Repeat the last frame."""
-        self._frames: list[Any]
-        self._frames += times * self._frames[-1:]
+    _frames: list[Any]
+
+    def finish(self) -> None:
+        """Write the file."""
+        first, *others = self._frames
+        shown_ms = np.full(len(self._frames), 1000 // FPS)
+        shown_ms[-1] *= 1 + HOLD
+        how = {"save_all": True, "append_images": others, "duration": shown_ms.tolist(), "loop": 0}
+        first.save(self.outfile, **how)
 
 
 def plot_bench(frame: BenchFrame, title: str = TITLE) -> Figure:
