@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import matplotlib as mpl
 import numpy as np
-from matplotlib.animation import PillowWriter
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.transforms import ScaledTranslation
+from PIL import Image
 
 from relmap.core.errors import RelmapError
 from relmap.plots.bench_recorder import BenchFrame
@@ -50,26 +50,21 @@ def write_bench_gif(
     with mpl.rc_context():
         mpl.rcdefaults()
         figure = blank(WIDTH_IN, HEIGHT_IN, GIF_DPI, layout=None)
-        writer = _HoldingWriter(fps=FPS)
-        with writer.saving(figure, str(path), GIF_DPI):
-            for frame in progress(frames) if progress else frames:
-                figure.clear()
-                _draw(figure, frame, limits, title)
-                writer.grab_frame()
+        images = []
+        for frame in progress(frames) if progress else frames:
+            figure.clear()
+            _draw(figure, frame, limits, title)
+            images.append(_image_of(figure))
+    shown_ms = [1000 // FPS] * len(images)
+    shown_ms[-1] *= 1 + HOLD
+    images[0].save(path, "GIF", save_all=True, append_images=images[1:], duration=shown_ms, loop=0)
 
 
-class _HoldingWriter(PillowWriter):
-    """A writer that shows the last frame for longer, which is as if it were repeated."""
-
-    _frames: list[Any]
-
-    def finish(self) -> None:
-        """Write the file."""
-        first, *others = self._frames
-        shown_ms = np.full(len(self._frames), 1000 // FPS)
-        shown_ms[-1] *= 1 + HOLD
-        how = {"save_all": True, "append_images": others, "duration": shown_ms.tolist(), "loop": 0}
-        first.save(self.outfile, **how)
+def _image_of(figure: Figure) -> Image.Image:
+    """Draw a figure into an image."""
+    canvas = cast("Any", figure.canvas)
+    canvas.draw()
+    return Image.fromarray(np.array(canvas.buffer_rgba())[:, :, :3])
 
 
 def plot_bench(frame: BenchFrame, title: str = TITLE) -> Figure:
