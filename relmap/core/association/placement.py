@@ -14,13 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.association.base import middle
-from relmap.core.association.metric import scaled
 
 DISTINCT = 0.8
 """Fraction of the matches of the best placement that a rival may have."""
-TRIMMING_ROUNDS = 5
-"""Maximum rounds of a weighted fit."""
 MOST_STEPS = 2000
 """Maximum steps of the search for a largest set of matches: 0.1 s at 900 candidates."""
 
@@ -53,35 +49,15 @@ def trimmed_fit(
     are in its units. Returns None if fewer than d matches are left.
     """
     from relmap.core.geometry.fitting_kernels import trimmed_fit_rows
+    from relmap.core.geometry.weighted_kernels import weighted_fit_rows
 
-    if metric is not None:
-        return weighted_trimmed_fit(source, target, tolerance_m, metric)
-    R, t, n_agreeing = trimmed_fit_rows(source, target, tolerance_m)
-    return Placement(R, t, n_agreeing) if n_agreeing >= 0 else None
-
-
-def weighted_trimmed_fit(
-    source: Floats, target: Floats, tolerance_m: float, metric: Floats
-) -> Placement | None:
-    """Fit matches as `trimmed_fit` does, by least squares in the metric (n, d, d) of each."""
-    from relmap.core.geometry.alignment import fit_rigid
-    from relmap.core.geometry.weighted_kernels import weighted_step
-
-    d = source.shape[1]
-    if len(source) < d:
+    if len(source) < source.shape[1]:
         return None
-    R, t = map(np.ascontiguousarray, fit_rigid(source, target))
-    kept = np.ones(len(source), dtype=bool)
-    for _ in range(TRIMMING_ROUNDS):
-        step_m = weighted_step(source, target, metric, kept, R, t)
-        misfit = np.linalg.norm(scaled(metric, target - source @ R.T - t), axis=1)
-        before, kept = kept, misfit <= max(tolerance_m, 1.5 * middle(misfit[kept]))
-        if kept.sum() < d:
-            return None
-        if np.array_equal(before, kept) and step_m < 0.1 * tolerance_m:
-            break
-    n_agreeing = int(np.sum(misfit <= tolerance_m))
-    return Placement(R, t, n_agreeing) if n_agreeing >= d else None
+    if metric is None:
+        R, t, n_agreeing = trimmed_fit_rows(source, target, tolerance_m)
+    else:
+        R, t, n_agreeing = weighted_fit_rows(source, target, tolerance_m, metric)
+    return Placement(R, t, n_agreeing) if n_agreeing >= 0 else None
 
 
 def consistent_set(source: Floats, target: Floats, pairs: Ints, tolerance_m: float) -> Ints:

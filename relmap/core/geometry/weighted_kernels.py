@@ -5,12 +5,18 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats
+from relmap.core.geometry.fitting_kernels import fit_rows
 from relmap.core.geometry.rotation_kernels import turned_by
 from relmap.core.linalg.compiling import compiled, helper
-from relmap.core.linalg.small_kernels import factorise, product, solve
+from relmap.core.linalg.order_kernels import smallest
+from relmap.core.linalg.small_kernels import factorise, identity, product, solve, square_of
 
 HELD = 1e-9
 """Relative increase of the diagonal, for matches that leave a direction undetermined."""
+TRIMMING_ROUNDS = 5
+"""Maximum rounds of a fit."""
+SETTLED = 0.1
+"""Step, as a fraction of the tolerance, below which a fit has converged."""
 
 
 @compiled
@@ -47,6 +53,48 @@ def weighted_step(
         length += (off[a] - t[a]) ** 2
         t[a] = off[a]
     return float(np.sqrt(length))
+
+
+@compiled
+def weighted_fit_rows(
+    source: Floats, target: Floats, tolerance_m: float, metric: Floats
+) -> tuple[Floats, Floats, int]:
+    """Fit matches (n, d) in the metric (n, d, d) of each, leaving out inconsistent ones.
+
+    As `trimmed_fit_rows` does; see `trimmed_fit`.
+    """
+    n, d = source.shape
+    kept, misfit, listed, off = np.ones(n, dtype=np.bool_), np.empty(n), np.empty(n), np.empty(d)
+    R, t, _, _, _ = fit_rows(source, target, kept, identity(d))
+    for _ in range(TRIMMING_ROUNDS):
+        step_m, k, n_kept, same = weighted_step(source, target, metric, kept, R, t), 0, 0, True
+        for i in range(n):
+            _misfit(off, R, t, source[i], target[i])
+            misfit[i] = np.sqrt(square_of(metric[i], off))
+            if kept[i]:
+                listed[k], k = misfit[i], k + 1
+        limit = max(tolerance_m, 1.5 * smallest(listed[:k], k // 2))
+        for i in range(n):
+            same &= kept[i] == (misfit[i] <= limit)
+            kept[i] = misfit[i] <= limit
+            n_kept += kept[i]
+        if n_kept < d:
+            return R, t, -1
+        if same and step_m < SETTLED * tolerance_m:
+            break
+    n_agreeing = 0
+    for i in range(n):
+        n_agreeing += misfit[i] <= tolerance_m
+    return R, t, n_agreeing if n_agreeing >= d else -1
+
+
+@helper
+def _misfit(off: Floats, R: Floats, t: Floats, source: Floats, target: Floats) -> None:
+    """Write the distance of a placed point from its target."""
+    for a in range(len(off)):
+        off[a] = target[a] - t[a]
+        for c in range(len(off)):
+            off[a] -= R[a, c] * source[c]
 
 
 @helper
