@@ -60,10 +60,10 @@ def is_doubtful(placed: Placed, seen: Patches, sight: Sight, part: Submap, gap: 
     """
     way_m = moved_m(part.poses[-1], placed.pose, seen.reach_m)
     if len(part.poses) >= SEVERAL:
-        if way_m > max(LEAP * seen.reach_m, FASTER * gap * fastest_m(part)):
+        if way_m > LEAP * seen.reach_m and way_m > FASTER * gap * fastest_m(part):
             return True
-        jumps = _jumps(part.poses[-1], placed.pose, gap, seen.reach_m, part)
-        if jumps and placed.n_planes < LEAST_SHARED:
+        few = placed.n_planes < LEAST_SHARED
+        if few and _jumps(part.poses[-1], placed.pose, gap, seen.reach_m, part):
             return True
     return sight.seen_through > THROUGH
 
