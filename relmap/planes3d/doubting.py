@@ -22,8 +22,8 @@ THROUGH = 0.1
 """Largest fraction of the surfaces in view that a scan may see through: things move."""
 FASTER = 2.0
 """A leap, or the step between submaps that are tied, is at most as many times the fastest step."""
-SEVERAL, RECENT = 6, 100
-"""Minimum and maximum number of scans of a submap that show how fast the sensor moves."""
+SEVERAL = 6
+"""Minimum number of scans of a submap that show how fast the sensor moves."""
 LEAST_SHARED, MANY_SHARED = 5, 12
 """Minimum number of shared planes of two submaps, and of a scan that jumps and the map: three at
 right angles match any others. The second value holds for submaps if a jump is implied, as between
@@ -72,12 +72,12 @@ def is_tied_doubtfully(placed: Placed, part: Submap, other: Submap) -> bool:
     """Return whether a submap, placed in another, is not there for certain."""
     if placed.free is not None or placed.n_planes < LEAST_SHARED:
         return True
-    apart = np.abs(np.subtract.outer(part.iteration, other.iteration))
-    k, m = np.unravel_index(apart.argmin(), apart.shape)
+    gaps = np.abs(np.subtract.outer(part.iteration, other.iteration))
+    k, m = np.unravel_index(gaps.argmin(), gaps.shape)
     R, t = part.poses[k]
     there = placed.R @ R, placed.R @ t + placed.t
     way_m = moved_m(other.poses[m], there, part.seen[k].reach_m)
-    gap = int(apart[k, m])
+    gap = int(gaps[k, m])
     if way_m > FASTER * gap * max(fastest_m(part), fastest_m(other)):
         return True
     jumps = _jumps(other.poses[m], there, gap, part.seen[k].reach_m, part, other)
@@ -93,18 +93,20 @@ def fastest_m(part: Submap) -> float:
 
 
 def _steps(part: Submap) -> Iterator[tuple[Pose, Pose, Patches, int]]:
-    """Return the two poses of each of the latest steps, the second scan, and the scans between."""
-    poses, seen, number = part.poses[-RECENT:], part.seen[-RECENT:], part.iteration[-RECENT:]
+    """Return the two poses of each step, the second scan, and the scans between."""
+    poses, seen, number = part.poses, part.seen, part.iteration
     return zip(poses, poses[1:], seen[1:], np.diff(number), strict=False)
 
 
 def _jumps(last: Pose, pose: Pose, gap: int, reach_m: float, *parts: Submap) -> bool:
     """Return whether a step over `gap` scans is much longer than those of some submaps."""
+    turn, way_m = apart(*last, *pose)
+    if turn <= TURN_RAD and way_m <= FAR * reach_m:
+        return False
     steps = [np.divide(apart(*a, *b), n) for part in parts for a, b, _, n in _steps(part)]
     if not steps:
         return False
     turns, ways_m = gap * np.max(steps, axis=0)
-    turn, way_m = apart(*last, *pose)
     return bool(turn > max(FASTER * turns, TURN_RAD) or way_m > max(JUMP * ways_m, FAR * reach_m))
 
 

@@ -159,6 +159,30 @@ def _misfits(source: Floats, target: Floats, R: Floats, t: Floats, misfit: Float
         misfit[i] = np.sqrt(square)
 
 
+@helper
+def keep_within(misfit: Floats, limit: float, kept: Bools) -> tuple[int, bool]:
+    """Keep the rows (n,) with misfits up to a limit; return how many, and whether as before."""
+    count, same = 0, True
+    for i in range(len(misfit)):
+        same &= kept[i] == (misfit[i] <= limit)
+        kept[i] = misfit[i] <= limit
+        count += kept[i]
+    return count, same
+
+
+@helper
+def trimming_limit(misfit: Floats, kept: Bools, listed: Floats, tolerance_m: float) -> float:
+    """Return the largest misfit (n,) of rows to keep: 1.5 medians of those kept so far.
+
+    `listed` (n,): work space.
+    """
+    count = 0
+    for i in range(len(misfit)):
+        if kept[i]:
+            listed[count], count = misfit[i], count + 1
+    return max(tolerance_m, 1.5 * smallest(listed[:count], count // 2))
+
+
 @compiled
 def trimmed_fit_rows(
     source: Floats, target: Floats, tolerance_m: float
@@ -171,23 +195,15 @@ def trimmed_fit_rows(
     kept, misfit, listed = np.zeros(n, dtype=np.bool_), np.zeros(n), np.empty(n)
     R, t, limit, n_agreeing = identity(d), np.zeros(d), np.inf, 0
     for _ in range(TRIMMING_ROUNDS):
-        n_kept, same, last = 0, True, limit == tolerance_m
-        for i in range(n):
-            same &= kept[i] == (misfit[i] <= limit)
-            kept[i] = misfit[i] <= limit
-            n_kept += kept[i]
+        last = limit == tolerance_m
+        n_kept, same = keep_within(misfit, limit, kept)
         if n_kept < d:
             return R, t, -1
         if last and same:
             break
         R, t, _, _, _ = fit_rows(source, target, kept, R)
         _misfits(source, target, R, t, misfit)
-        n_kept = 0
-        for i in range(n):
-            if kept[i]:
-                listed[n_kept] = misfit[i]
-                n_kept += 1
-        limit = max(tolerance_m, 1.5 * smallest(listed[:n_kept], n_kept // 2))
+        limit = trimming_limit(misfit, kept, listed, tolerance_m)
     for i in range(n):
         n_agreeing += misfit[i] <= tolerance_m
     return R, t, n_agreeing

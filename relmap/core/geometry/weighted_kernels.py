@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats
-from relmap.core.geometry.fitting_kernels import fit_rows
+from relmap.core.geometry.fitting_kernels import fit_rows, keep_within, trimming_limit
 from relmap.core.geometry.rotation_kernels import turned_by
 from relmap.core.linalg.compiling import compiled, helper
-from relmap.core.linalg.order_kernels import smallest
 from relmap.core.linalg.small_kernels import factorise, identity, product, solve, square_of
 
 HELD = 1e-9
@@ -67,17 +66,12 @@ def weighted_fit_rows(
     kept, misfit, listed, off = np.ones(n, dtype=np.bool_), np.empty(n), np.empty(n), np.empty(d)
     R, t, _, _, _ = fit_rows(source, target, kept, identity(d))
     for _ in range(TRIMMING_ROUNDS):
-        step_m, k, n_kept, same = weighted_step(source, target, metric, kept, R, t), 0, 0, True
+        step_m = weighted_step(source, target, metric, kept, R, t)
         for i in range(n):
             _misfit(off, R, t, source[i], target[i])
             misfit[i] = np.sqrt(square_of(metric[i], off))
-            if kept[i]:
-                listed[k], k = misfit[i], k + 1
-        limit = max(tolerance_m, 1.5 * smallest(listed[:k], k // 2))
-        for i in range(n):
-            same &= kept[i] == (misfit[i] <= limit)
-            kept[i] = misfit[i] <= limit
-            n_kept += kept[i]
+        limit = trimming_limit(misfit, kept, listed, tolerance_m)
+        n_kept, same = keep_within(misfit, limit, kept)
         if n_kept < d:
             return R, t, -1
         if same and step_m < SETTLED * tolerance_m:
