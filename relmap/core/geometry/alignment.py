@@ -72,31 +72,34 @@ def fit_rigid_each(
     each pair, 0 to n - 1; `n`: number of sets. Returns `R` (n, d, d); `t` (n, d); `fixed` (n,):
     whether the points of a set determine its rotation; otherwise R and t are undefined.
     """
-    weights = np.minimum(weights, HEAVIEST)
-    total = np.bincount(at, weights=weights, minlength=n)
-    total[total <= 0] = 1.0
-    source_mean = sums_each(weights[:, None] * source, at, n) / total[:, None]
-    target_mean = sums_each(weights[:, None] * target, at, n) / total[:, None]
-    away, to = source - source_mean[at], target - target_mean[at]
-    weighted = ((weights / total[at])[:, None] * away)[:, :, None]
-    R = rotation_of_moment(sums_each(weighted * to[:, None], at, n))
-    fixed = scatter_fixes_rotation(sums_each(weighted * away[:, None], at, n))
+    from relmap.core.geometry.each_kernels import moments_each
+
+    (source_mean, target_mean), moment, scatter = moments_each(
+        np.ascontiguousarray(source),
+        np.ascontiguousarray(target),
+        np.minimum(weights, HEAVIEST),
+        np.ascontiguousarray(at),
+        n,
+    )
+    R, fixed = rotation_of_moment(moment), scatter_fixes_rotation(scatter)
     return R, target_mean - np.einsum("nij,nj->ni", R, source_mean), fixed
 
 
 def place_each(R: Floats, t: Floats, at: Ints, points: Floats) -> Floats:
     """Return points (k, d), each transformed by R and t of its placement `at` (k,)."""
-    placed, turn = t[at], R[at]
-    for b in range(points.shape[1]):
-        placed += turn[:, :, b] * points[:, b, None]
-    return np.asarray(placed)
+    from relmap.core.geometry import each_kernels
+
+    R, t, at, points = (np.ascontiguousarray(each) for each in (R, t, at, points))
+    return each_kernels.place_each(R, t, at, points)
 
 
 def sums_each(values: Floats, at: Ints, n: int) -> Floats:
     """Sum values (k, ...) by set `at` (k,), 0 to n - 1; (n, ...)."""
-    columns = values.reshape(len(values), math.prod(values.shape[1:])).T
-    sums = [np.bincount(at, weights=column, minlength=n).astype(np.float64) for column in columns]
-    return np.stack(sums, axis=-1).reshape(n, *values.shape[1:])
+    from relmap.core.geometry import each_kernels
+
+    columns = np.ascontiguousarray(values).reshape(len(values), math.prod(values.shape[1:]))
+    sums = each_kernels.sums_each(columns, np.ascontiguousarray(at), n)
+    return sums.reshape(n, *values.shape[1:])
 
 
 def fixes_rotation(points: Floats) -> bool:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy import sparse
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import place_each, sums_each
@@ -21,47 +20,25 @@ def brought_together(points: Floats, weight: Floats, landmark: Ints, body: Ints)
     `points` (n, d), map frame, metres; `weight` (n,); `landmark` (n,): 0 to m - 1; `body` (n,),
     ascending: 0 to b - 1.
     """
+    from relmap.core.refinement.bodies_kernels import moments_between, pulls
+
     b, d, q = int(body[-1]) + 1, points.shape[1], 3 * points.shape[1] - 3
     begin = np.searchsorted(body, np.arange(b))
     centre = np.add.reduceat(points, begin) / np.bincount(body)[:, None]
     away = points - centre[body]
     total = np.bincount(landmark, weights=weight).astype(np.float64)
-    pull = _pull(points, weight, total, landmark)
-    columns = np.vstack([away.T, np.ones(len(away))])  # of the Jacobians, linear combinations
+    pull, cost = pulls(points, weight, total, landmark)
+    columns = np.column_stack([away, np.ones(len(away))])  # the Jacobians are linear in them
     constant = derivatives(np.zeros((1, d)))
     by_step = np.concatenate([derivatives(np.eye(d)) - constant, constant])
-    force = np.add.reduceat(columns[:, None] * (weight * pull), begin, axis=2)
-    right = np.einsum("pan,pau->nu", force, by_step).ravel()
+    force = sums_each(columns[:, :, None] * pull[:, None], body, b)
+    right = np.einsum("npa,pau->nu", force, by_step).ravel()
+    moments = moments_between(columns, weight, total, landmark, body, b)
     products = np.einsum("pau,qav->pquv", by_step, by_step).reshape((d + 1) ** 2, q * q)
-    moments = _moments(columns, weight, total, landmark, body, begin).reshape((d + 1) ** 2, b * b)
-    matrix = (moments.T @ products).reshape(b, b, q, q).swapaxes(1, 2).reshape(b * q, b * q)
+    matrix = (moments.reshape(b * b, -1) @ products).reshape(b, b, q, q)
+    matrix = matrix.swapaxes(1, 2).reshape(b * q, b * q)
     least = HOLD[1] + HOLD[0] * matrix.diagonal().max()
     free = matrix[q:, q:] + least * np.eye(b * q - q)
     steps = np.append(np.zeros(q), np.linalg.solve(free, right[q:])).reshape(b, q)
     after = place_each(rotations(steps[:, :-d]), steps[:, -d:], body, away) + centre[body]
-    costs = [(weight * _pull(each, weight, total, landmark) ** 2).sum() for each in (points, after)]
-    return after if costs[1] <= costs[0] else points
-
-
-def _pull(points: Floats, weight: Floats, total: Floats, landmark: Ints) -> Floats:
-    """Return the vectors (d, n) from points to the means of their landmarks."""
-    means = sums_each(weight[:, None] * points, landmark, len(total)) / total[:, None]
-    return np.ascontiguousarray((means[landmark] - points).T)
-
-
-def _moments(
-    columns: Floats, weight: Floats, total: Floats, landmark: Ints, body: Ints, begin: Ints
-) -> Floats:
-    """Return second moments (q, q, b, b) of columns (q, n), by body, the landmarks eliminated."""
-    q, b = len(columns), len(begin)
-    rows = (np.arange(q)[:, None] * b + body).ravel(), np.tile(landmark, q)
-    own = weight * columns
-    left, right = (
-        sparse.csr_array((each.ravel(), rows), shape=(q * b, len(total)))
-        for each in (own / total[landmark], own)
-    )
-    between = (left @ right.T).toarray().reshape(q, b, q, b)
-    moments: Floats = -between.swapaxes(1, 2)
-    each = np.arange(b)
-    moments[:, :, each, each] += np.add.reduceat(own[:, None] * columns, begin, axis=2)
-    return moments
+    return after if pulls(after, weight, total, landmark)[1] <= cost else points

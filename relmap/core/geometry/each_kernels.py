@@ -1,0 +1,64 @@
+"""Sums, fits and placements of many sets at once, compiled; see `alignment`."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from relmap.core.arrays import Floats, Ints
+from relmap.core.linalg.compiling import compiled
+
+
+@compiled
+def place_each(R: Floats, t: Floats, at: Ints, points: Floats) -> Floats:
+    """Return points (k, d), each transformed by R and t of its placement `at` (k,)."""
+    n, d = points.shape
+    placed = np.empty((n, d))
+    for i in range(n):
+        k = at[i]
+        for a in range(d):
+            place = t[k, a]
+            for b in range(d):
+                place += R[k, a, b] * points[i, b]
+            placed[i, a] = place
+    return placed
+
+
+@compiled
+def sums_each(values: Floats, at: Ints, n: int) -> Floats:
+    """Return the sums (n, c) of values (k, c) by set `at` (k,), 0 to n - 1."""
+    sums = np.zeros((n, values.shape[1]))
+    for i in range(len(values)):
+        for c in range(values.shape[1]):
+            sums[at[i], c] += values[i, c]
+    return sums
+
+
+@compiled
+def moments_each(
+    source: Floats, target: Floats, weights: Floats, at: Ints, n: int
+) -> tuple[Floats, Floats, Floats]:
+    """Return what fits of matched points (k, d) by set `at` (k,), 0 to n - 1, rest on.
+
+    The weighted means (2, n, d) of source and target, and about them the mean cross moments and
+    scatters of the source (n, d, d).
+    """
+    k, d = source.shape
+    total, means = np.zeros(n), np.zeros((2, n, d))
+    moment, scatter = np.zeros((n, d, d)), np.zeros((n, d, d))
+    for i in range(k):
+        total[at[i]] += weights[i]
+        for a in range(d):
+            means[0, at[i], a] += weights[i] * source[i, a]
+            means[1, at[i], a] += weights[i] * target[i, a]
+    for m in range(n):
+        total[m] = total[m] if total[m] > 0 else 1.0
+        for a in range(d):
+            means[0, m, a], means[1, m, a] = means[0, m, a] / total[m], means[1, m, a] / total[m]
+    for i in range(k):
+        m = at[i]
+        for a in range(d):
+            away = weights[i] / total[m] * (source[i, a] - means[0, m, a])
+            for b in range(d):
+                moment[m, a, b] += away * (target[i, b] - means[1, m, b])
+                scatter[m, a, b] += away * (source[i, b] - means[0, m, b])
+    return means, moment, scatter
