@@ -11,7 +11,9 @@ from relmap.core.geometry.alignment import sums_each
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.refinement import live
 from relmap.core.refinement.bodies import brought_together
+from relmap.core.refinement.bodies_kernels import moments_between
 from relmap.core.refinement.condensing import CondensedSegments
+from relmap.core.refinement.rows import rows_of_each
 from relmap.core.state.table import LandmarkState
 from relmap.simulation import FigureEight, simulate_figure_eight
 from tests.worlds import aligned_rmse, fed, limit_of, mapped, random_rotation, seen, walk
@@ -122,6 +124,21 @@ def test_bodies_that_share_nothing_are_each_brought_together() -> None:
     found = stepped(world[landmark] + shift[body], landmark, body)
     assert aligned_rmse(found[:20], world[:20]) < 1e-6
     assert aligned_rmse(found[20:], world[20:]) < 1e-6
+
+
+def test_moments_of_bodies_are_those_of_a_dense_elimination() -> None:
+    rng, n, b, m = np.random.default_rng(1), 300, 5, 50
+    body, columns, weight = np.sort(rng.integers(0, b, n)), rng.normal(size=(n, 4)), rng.random(n)
+    landmark = np.append(np.arange(m), rng.integers(0, m, n - m))  # some twice in a body
+    total = np.bincount(landmark, weights=weight)
+    found = moments_between(columns, weight, body, *rows_of_each(landmark, m), b)
+    of = np.zeros((n, m))
+    of[np.arange(n), landmark] = weight
+    reduced = np.diag(weight) - of / total @ of.T
+    for k, k_rows in enumerate(body == k for k in range(b)):
+        for j, j_rows in enumerate(body == j for j in range(b)):
+            dense = columns[k_rows].T @ reduced[np.ix_(k_rows, j_rows)] @ columns[j_rows]
+            np.testing.assert_allclose(found[k, j], dense, atol=1e-12)
 
 
 def test_stretches_that_share_enough_are_aligned() -> None:

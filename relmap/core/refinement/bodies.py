@@ -8,6 +8,7 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import place_each, sums_each
 from relmap.core.geometry.motions import derivatives, rotations
 from relmap.core.refinement.equations import HOLD
+from relmap.core.refinement.rows import rows_of_each
 
 
 def brought_together(points: Floats, weight: Floats, landmark: Ints, body: Ints) -> Floats:
@@ -23,8 +24,7 @@ def brought_together(points: Floats, weight: Floats, landmark: Ints, body: Ints)
     from relmap.core.refinement.bodies_kernels import moments_between, pulls
 
     b, d, q = int(body[-1]) + 1, points.shape[1], 3 * points.shape[1] - 3
-    begin = np.searchsorted(body, np.arange(b))
-    centre = np.add.reduceat(points, begin) / np.bincount(body)[:, None]
+    centre = sums_each(points, body, b) / np.bincount(body)[:, None]
     away = points - centre[body]
     total = np.bincount(landmark, weights=weight).astype(np.float64)
     pull, cost = pulls(points, weight, total, landmark)
@@ -33,7 +33,7 @@ def brought_together(points: Floats, weight: Floats, landmark: Ints, body: Ints)
     by_step = np.concatenate([derivatives(np.eye(d)) - constant, constant])
     force = sums_each(columns[:, :, None] * pull[:, None], body, b)
     right = np.einsum("npa,pau->nu", force, by_step).ravel()
-    moments = moments_between(columns, weight, total, landmark, body, b)
+    moments = moments_between(columns, weight, body, *rows_of_each(landmark, len(total)), b)
     products = np.einsum("pau,qav->pquv", by_step, by_step).reshape((d + 1) ** 2, q * q)
     matrix = (moments.reshape(b * b, -1) @ products).reshape(b, b, q, q)
     matrix = matrix.swapaxes(1, 2).reshape(b * q, b * q)

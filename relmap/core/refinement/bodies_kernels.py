@@ -5,46 +5,43 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.linalg.compiling import compiled
+from relmap.core.linalg.compiling import compiled, helper
+
+
+@helper
+def _add_product(share: float, x: Floats, y: Floats, moment: Floats) -> None:
+    """Add the weighted outer product of x and y (q,) to a moment (q, q)."""
+    for a in range(len(x)):
+        for c in range(len(y)):
+            moment[a, c] += share * x[a] * y[c]
 
 
 @compiled
 def moments_between(
-    columns: Floats, weight: Floats, total: Floats, landmark: Ints, body: Ints, n_bodies: int
+    columns: Floats, weight: Floats, body: Ints, begin: Ints, order: Ints, n_bodies: int
 ) -> Floats:
     """Return second moments (b, b, q, q) of rows (n, q) between bodies, the landmarks eliminated.
 
-    `weight`, `landmark`, `body` (n,): of each row, the bodies ascending; `total` (m,): sum of the
-    weights of a landmark.
+    `weight`, `body` (n,): of each row, the bodies ascending; `begin` (m + 1,), `order` (n,): the
+    rows of each landmark, ascending, see `rows.rows_of_each`.
     """
-    (n, q), n_landmarks = columns.shape, len(total)
-    begin, order = np.zeros(n_landmarks + 1, dtype=np.int64), np.empty(n, dtype=np.int64)
-    for i in range(n):
-        begin[landmark[i] + 1] += 1
-    for k in range(n_landmarks):
-        begin[k + 1] += begin[k]
-    at = begin.copy()
-    for i in range(n):
-        order[at[landmark[i]]], at[landmark[i]] = i, at[landmark[i]] + 1
+    q = columns.shape[1]
     moments = np.zeros((n_bodies, n_bodies, q, q))
-    for k in range(n_landmarks):
-        for r in range(begin[k], begin[k + 1]):
-            i = order[r]
-            for s in range(begin[k], r + 1):
-                j = order[s]
-                share = (weight[i] if i == j else 0.0) - weight[i] * weight[j] / total[k]
-                is_twice = body[i] == body[j] and i != j
-                for a in range(q):
-                    factor = share * columns[i, a]
-                    for c in range(q):
-                        moments[body[i], body[j], a, c] += factor * columns[j, c]
-                        if is_twice:
-                            moments[body[i], body[j], c, a] += factor * columns[j, c]
+    for k in range(len(begin) - 1):
+        own, total = order[begin[k] : begin[k + 1]], 0.0
+        for i in own:
+            total += weight[i]
+        for r in range(len(own)):
+            i = own[r]
+            _add_product(weight[i], columns[i], columns[i], moments[body[i], body[i]])
+            for j in own[: r + 1]:
+                share = -weight[i] * weight[j] / total
+                _add_product(share, columns[i], columns[j], moments[body[i], body[j]])
+                if body[i] == body[j] and i != j:
+                    _add_product(share, columns[j], columns[i], moments[body[i], body[j]])
     for k in range(n_bodies):
         for m in range(k):
-            for a in range(q):
-                for c in range(q):
-                    moments[m, k, c, a] = moments[k, m, a, c]
+            moments[m, k] = moments[k, m].T
     return moments
 
 
