@@ -89,8 +89,8 @@ def place_each(R: Floats, t: Floats, at: Ints, points: Floats) -> Floats:
     """Return points (k, d), each transformed by R and t of its placement `at` (k,)."""
     from relmap.core.geometry import each_kernels
 
-    R, t, at, points = (np.ascontiguousarray(each) for each in (R, t, at, points))
-    return each_kernels.place_each(R, t, at, points)
+    R, t, points = (np.ascontiguousarray(each) for each in (R, t, points))
+    return each_kernels.place_each(R, t, np.ascontiguousarray(at), points)
 
 
 def sums_each(values: Floats, at: Ints, n: int) -> Floats:
