@@ -100,28 +100,13 @@ class SoftMatching:
 
     def fitted(self, R: Floats, t: Floats) -> tuple[Placement, float]:
         """Return the most likely placement near one, and its log likelihood ratio."""
-        from relmap.core.association.soft_kernels import soft_matches
-        from relmap.core.geometry.weighted_kernels import weighted_step
+        from relmap.core.association.soft_kernels import climb
 
-        d, R, t = self.source.shape[1], R.copy(), t.copy()
-        share, metric, peak = self._blank()
-        metrics = np.broadcast_to(np.eye(d), (len(self.target), d, d)) if metric is None else metric
-        score = last = -np.inf
-        unexplained = UNEXPLAINED
-        for k in range(ROUNDS + 1):
-            score = soft_matches(*self._terms(1.0, unexplained), R, t, share, metric, peak)
-            unexplained = float(np.clip(1 - share.sum() / share.shape[1], *BOUNDS))
-            if k == ROUNDS or score - last < SETTLED:
-                break
-            last = score
-            i, j = np.nonzero(share > LEAST)
-            if len(i) < d:
-                break
-            weight = np.sqrt(share[i, j] / self.variance[i])[:, None, None]
-            weighed = np.ascontiguousarray(metrics[j] * weight)
-            used = np.ones(len(i), dtype=bool)
-            weighted_step(self.source[i], self.target[j], weighed, used, R, t)
-        return Placement(R, t, round(float(share.sum()))), score
+        R, t = R.copy(), t.copy()
+        _, metric, peak = self._blank()
+        of = self.source, self.variance, self.target, self.density, FURTHEST
+        score, n_agreeing = climb(*of, R, t, metric, peak)
+        return Placement(R, t, round(n_agreeing)), score
 
     def misfit(self, placement: Placement) -> float:
         """Return the variance of matches after placement, relative to that assumed."""

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from relmap.core.arrays import Floats
+from relmap.core.arrays import Bools, Floats
+from relmap.core.association.soft import BOUNDS, LEAST, ROUNDS, SETTLED, UNEXPLAINED
+from relmap.core.geometry.weighted_kernels import weighted_step
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.small_kernels import square_between
 
@@ -111,3 +113,64 @@ def scores(
             peak,
         )
     return found
+
+
+@helper
+def _step(
+    source: Floats,
+    variance: Floats,
+    target: Floats,
+    share: Floats,
+    likely: Bools,
+    R: Floats,
+    t: Floats,
+    metric: Floats | None,
+) -> None:
+    """Improve a placement by the likely matches (n, m), weighted by their probabilities."""
+    (n, m), d, k = share.shape, len(t), 0
+    n_likely = likely.sum()
+    here, there = np.empty((n_likely, d)), np.empty((n_likely, d))
+    weighed, rows = np.zeros((n_likely, d, d)), np.ones(n_likely, dtype=np.bool_)
+    for i in range(n):
+        for j in range(m):
+            if not likely[i, j]:
+                continue
+            weight = np.sqrt(share[i, j] / variance[i])
+            for a in range(d):
+                here[k, a], there[k, a] = source[i, a], target[j, a]
+                for c in range(d):
+                    unit = (1.0 if a == c else 0.0) if metric is None else metric[j, a, c]
+                    weighed[k, a, c] = weight * unit
+            k += 1
+    weighted_step(here, there, weighed, rows, R, t)
+
+
+@compiled
+def climb(
+    source: Floats,
+    variance: Floats,
+    target: Floats,
+    density: float,
+    furthest: float,
+    R: Floats,
+    t: Floats,
+    metric: Floats | None = None,
+    peak: Floats | None = None,
+) -> tuple[float, float]:
+    """Move a placement R (d, d), t (d,), in place, to the most likely one nearby.
+
+    By expectation maximisation.  The other arguments are those of `soft_matches`.  Returns the log
+    likelihood ratio and the expected number of matches.
+    """
+    share, unexplained, score = np.empty((len(source), len(target))), UNEXPLAINED, -np.inf
+    for k in range(ROUNDS + 1):
+        last = score
+        score = soft_matches(
+            source, variance, target, density, unexplained, furthest, R, t, share, metric, peak
+        )
+        unexplained = min(max(1 - share.sum() / len(target), BOUNDS[0]), BOUNDS[1])
+        likely = share > LEAST
+        if k == ROUNDS or score - last < SETTLED or likely.sum() < len(t):
+            break
+        _step(source, variance, target, share, likely, R, t, metric)
+    return score, share.sum()

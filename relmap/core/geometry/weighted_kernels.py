@@ -18,7 +18,7 @@ SETTLED = 0.1
 """Step, as a fraction of the tolerance, below which a fit has converged."""
 
 
-@compiled
+@helper
 def weighted_step(
     source: Floats, target: Floats, metric: Floats, rows: Bools, R: Floats, t: Floats
 ) -> float:
