@@ -102,10 +102,8 @@ class SoftMatching:
         """Return the most likely placement near one, and its log likelihood ratio."""
         from relmap.core.association.soft_kernels import climb
 
-        R, t = R.copy(), t.copy()
-        _, metric, peak = self._blank()
-        of = self.source, self.variance, self.target, self.density, FURTHEST
-        score, n_agreeing = climb(*of, R, t, metric, peak)
+        R, t, (_, metric, peak) = R.copy(), t.copy(), self._blank()
+        score, n_agreeing = climb(*self._terms(1.0), R, t, metric, peak)
         return Placement(R, t, round(n_agreeing)), score
 
     def misfit(self, placement: Placement) -> float:
@@ -120,11 +118,9 @@ class SoftMatching:
         freedoms: float = max(d * float(weight.sum()) - d * (d + 1) / 2, 1.0)
         return float(np.sum(weight * np.sum(off**2, axis=1) / self.variance[i])) / freedoms
 
-    def _terms(
-        self, factor: float, unexplained: float = UNEXPLAINED
-    ) -> tuple[Floats, Floats, Floats, float, float, float]:
+    def _terms(self, factor: float) -> tuple[Floats, Floats, Floats, float, float, float]:
         spread = factor * self.variance
-        return self.source, spread, self.target, self.density, unexplained, FURTHEST
+        return self.source, spread, self.target, self.density, UNEXPLAINED, FURTHEST
 
     def _blank(self) -> tuple[Floats, Floats | None, Floats | None]:
         peak = None if self.metric is None else np.linalg.det(self.metric)

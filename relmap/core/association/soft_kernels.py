@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats
-from relmap.core.association.soft import BOUNDS, LEAST, ROUNDS, SETTLED, UNEXPLAINED
+from relmap.core.association.soft import BOUNDS, LEAST, ROUNDS, SETTLED
 from relmap.core.geometry.weighted_kernels import weighted_step
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.small_kernels import square_between
@@ -151,6 +151,7 @@ def climb(
     variance: Floats,
     target: Floats,
     density: float,
+    unexplained: float,
     furthest: float,
     R: Floats,
     t: Floats,
@@ -159,10 +160,10 @@ def climb(
 ) -> tuple[float, float]:
     """Move a placement R (d, d), t (d,), in place, to the most likely one nearby.
 
-    By expectation maximisation.  The other arguments are those of `soft_matches`.  Returns the log
-    likelihood ratio and the expected number of matches.
+    By expectation maximisation, from the given unexplained fraction.  The other arguments are those
+    of `soft_matches`.  Returns the log likelihood ratio and the expected number of matches.
     """
-    share, unexplained, score = np.empty((len(source), len(target))), UNEXPLAINED, -np.inf
+    share, score = np.empty((len(source), len(target))), -np.inf
     for k in range(ROUNDS + 1):
         last = score
         score = soft_matches(
