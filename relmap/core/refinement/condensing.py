@@ -152,12 +152,7 @@ class CondensedSegments:
         own = block if steady.all() else block[steady]
         free = np.isfinite(own[:, :, :1]).sum(axis=(0, 2)) >= 2
         while free.any():
-            joined, R, t, points, seen, deviation = laid_together(own, free)
-            visible, squares = _visibility(seen), float(np.sum(deviation**2))
-            # Wrong matches can leave a landmark or an iteration without support.
-            reach = FAR * np.nanmax(np.abs(own))
-            visible = np.where(np.abs(points).max(axis=1) <= reach, visible, 0).astype(np.uint8)
-            t[np.abs(t).max(axis=1) > reach] = np.nan
+            joined, R, t, points, visible, squares = laid_together(own, free, FAR)
             free &= ~joined
             fitted = 3 * d - 3
             n_seen, n_points = SEEN[visible].sum(), (visible > 0).sum()
@@ -195,14 +190,9 @@ class CondensedSegments:
         self._t.resize(self.end, np.nan)
 
 
-def _visibility(seen: Bools) -> NDArray[np.uint8]:
-    """Return visibility (n, k) as bits (n,)."""
-    return np.packbits(seen, axis=1, bitorder="little")[:, 0]
-
-
 def _means(block: Floats, joined: Bools, R: Floats, t: Floats) -> tuple[Floats, NDArray[np.uint8]]:
     """Return mean positions (n, d) and visibility (n,) of landmarks not used in the fit."""
     seen = np.isfinite(block[:, :, 0]) & joined
     placed = np.where(seen[:, :, None], np.einsum("kab,nkb->nka", R, block) + t, 0.0)
     means = placed.sum(axis=1) / np.maximum(seen.sum(axis=1), 1)[:, None]
-    return means, _visibility(seen)
+    return means, np.packbits(seen, axis=1, bitorder="little")[:, 0]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.geometry.fitting_kernels import centre_of, fit_rows, set_placement
@@ -215,14 +216,46 @@ def _trim(deviation: Floats, mean: Floats, counts: Floats, seen: Bools) -> bool:
     return found
 
 
+@helper
+def _condensed(
+    block: Floats, places: Floats, deviation: Floats, seen: Bools, t: Floats, far: float
+) -> tuple[NDArray[np.uint8], float]:
+    """Return in which iterations each landmark is seen, as bits (n,), and the sum of squares.
+
+    Wrong matches can leave a landmark or an iteration without support: what is placed beyond the
+    largest coordinate of the block (n, k, d) times `far` is not seen, and t is NaN.
+    """
+    n, k, d = block.shape
+    visible, squares, largest = np.zeros(n, dtype=np.uint8), 0.0, 0.0
+    for i in range(n):
+        for m in range(k):
+            for a in range(d):
+                squares += deviation[i, m, a] ** 2
+                # NaN is never larger
+                largest = abs(block[i, m, a]) if abs(block[i, m, a]) > largest else largest
+    for i in range(n):
+        within = True
+        for a in range(d):
+            within &= abs(places[i, a]) <= far * largest
+        for m in range(k):
+            visible[i] |= (seen[i, m] and within) << m
+    for m in range(k):
+        within = True
+        for a in range(d):
+            within &= abs(t[m, a]) <= far * largest
+        for a in range(d):
+            t[m, a] = t[m, a] if within else np.nan
+    return visible, squares
+
+
 @compiled
 def laid_together(
-    block: Floats, free: Bools
-) -> tuple[Bools, Floats, Floats, Floats, Bools, Floats]:
+    block: Floats, free: Bools, far: float
+) -> tuple[Bools, Floats, Floats, Floats, NDArray[np.uint8], float]:
     """Align the largest consistent set of the free iterations (k,) of a block (n, k, d).
 
     Returns these iterations, their poses R (k, d, d) and t (k, d), the positions (n, d) of the
-    landmarks, which observations they rest on (n, k), and the deviations (n, k, d) of these.
+    landmarks, and what `_condensed` does.
     """
     n, k, _ = block.shape
     seen = np.zeros((n, k), dtype=np.bool_)
@@ -238,5 +271,7 @@ def laid_together(
         _settle(block, seen, joined, R, t)
         places, counts, deviation = _mean_of(block, seen, R, t)
         if rounds == TRIMS or not _trim(deviation, places, counts, seen):
-            return joined, R, t, places, seen, deviation
+            break
         rounds += 1
+    visible, squares = _condensed(block, places, deviation, seen, t, far)
+    return joined, R, t, places, visible, squares
