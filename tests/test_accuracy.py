@@ -32,17 +32,13 @@ def share_mapped(mapper: PointMapper, log: ObservationLog) -> float:
     return float(np.isin(ids[counts >= 10], mapper.map.landmark_ids).mean())
 
 
-@pytest.mark.parametrize("density", [25, 100])
-def test_chained_groups_are_no_worse_than_frame_to_map(density: float) -> None:
-    ours, theirs = [], []
-    for seed in range(3):
-        world = simulate_figure_eight(density=density, seed=seed)
-        mapper = driven(world.log)
-        assert share_mapped(mapper, world.log) >= 0.97
-        truth = (world.landmark_ids, world.landmarks_map)
-        ours.append(rmse(mapper.map, *truth))
-        theirs.append(rmse(frame_to_map(world.log).map, *truth))
-    assert (np.array(ours) <= theirs).all()
+@pytest.mark.parametrize(("density", "iterations"), [(25, 450), (100, 900)])
+def test_chained_groups_are_no_worse_than_frame_to_map(density: float, iterations: int) -> None:
+    world = simulate_figure_eight(density=density, iterations=iterations, seed=0)
+    mapper = driven(world.log)
+    assert share_mapped(mapper, world.log) >= 0.97
+    truth = (world.landmark_ids, world.landmarks_map)
+    assert rmse(mapper.map, *truth) <= rmse(frame_to_map(world.log).map, *truth)
 
 
 @pytest.mark.parametrize("noise", ["gaussian", "uniform"])
@@ -64,7 +60,7 @@ def test_mrpt_logs_are_mapped_to_a_centimetre(shared_data: Path, name: str) -> N
 
 
 @pytest.mark.parametrize(
-    ("density", "iterations", "least"), [(25, 900, 0.9995), (200, 450, 0.9995), (1000, 150, 0.999)]
+    ("density", "iterations", "least"), [(25, 900, 0.9995), (200, 200, 0.9995), (1000, 80, 0.999)]
 )
 def test_tracks_are_pure_without_ids(density: float, iterations: int, least: float) -> None:
     log = simulate_figure_eight(density=density, iterations=iterations, seed=0).log
@@ -78,7 +74,7 @@ def test_tracks_are_pure_without_ids(density: float, iterations: int, least: flo
 
 
 def test_static_tracks_are_pure_among_moving_landmarks() -> None:
-    world = simulate_figure_eight(dynamic=0.4, seed=0)
+    world = simulate_figure_eight(dynamic=0.4, iterations=450, seed=0)
     log = world.log
     assert log.ids is not None
     _, landmarks = map_without_ids(log)
@@ -88,7 +84,7 @@ def test_static_tracks_are_pure_among_moving_landmarks() -> None:
 
 @pytest.mark.parametrize("dynamic", [0.4, 0.65])
 def test_moving_landmarks_are_detected(dynamic: float) -> None:
-    world = simulate_figure_eight(density=100, dynamic=dynamic, seed=0)
+    world = simulate_figure_eight(density=100, iterations=450, dynamic=dynamic, seed=0)
     mapper = driven(world.log)
     table = mapper.landmarks
     often = table.observations >= 30
@@ -137,7 +133,7 @@ def rmse_against(reference: tuple[Ints, Floats], ids: Ints, positions: Floats) -
 
 
 def test_a_stretch_of_victoria_park_reports_its_submaps(shared_data: Path) -> None:
-    log = open_log(shared_data / "victoria-park").between(4549, 5049)
+    log = open_log(shared_data / "victoria-park").between(4549, 4849)
     mapper, landmarks = map_without_ids(log)
     assert purity_of(landmarks, log.ids) >= 0.999
     table, submaps = mapper.landmarks, mapper.submaps

@@ -8,19 +8,18 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from relmap.cli import main
 from relmap.cli.compare import HELP
-from relmap.comparison.compare import CSV_COLUMNS, Compared, compare
+from relmap.comparison.compare import CSV_COLUMNS, compare
 from relmap.comparison.methods.base import MethodInfo
 from relmap.comparison.methods.registry import METHODS, find_method
 from relmap.comparison.methods.running import run_method
 from relmap.evaluation.feeding import Association
-from relmap.evaluation.sources import Data, EightSource, Source
+from relmap.evaluation.sources import Data, EightSource
 from tests.commands import GOOD, PATIENCE_S, RELMAP, Check, names, run_process, table
 
 pytestmark = pytest.mark.usefixtures("unrendered")
@@ -68,6 +67,7 @@ def test_the_map_of_each_method_is_written(compared: Path) -> None:
     assert len(rows) == int(float(of["relmap-points"]["matched"]))
 
 
+@pytest.mark.usefixtures("in_process")
 @pytest.mark.parametrize(
     "truth",
     [
@@ -79,10 +79,7 @@ def test_the_map_of_each_method_is_written(compared: Path) -> None:
     ],
     ids=["others", "one", "far off", "in one place", "moving"],
 )
-def test_a_map_too_wrong_to_match_has_figures_and_no_traceback(
-    place: Path, truth: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("relmap.comparison.compare.in_own_process", in_this_process)
+def test_a_map_too_wrong_to_match_has_figures_and_no_traceback(place: Path, truth: str) -> None:
     lines = GOOD.splitlines()
     rows = [f"{line},{k % 4}" for k, line in enumerate(lines[1:])]
     (place / "log.csv").write_text("\n".join([f"{lines[0]},id", *rows]))
@@ -91,10 +88,6 @@ def test_a_map_too_wrong_to_match_has_figures_and_no_traceback(
     for row in table(place / "c" / "comparison.csv"):
         assert float(row["total_s"]) > 0
         assert row["note"] == ""
-
-
-def in_this_process(name: str, source: Source, *how: Any) -> Compared:
-    return Compared(name, run_method(find_method(name), source.load(), *how))
 
 
 def test_csv_holds_every_figure_in_full(compared: Path) -> None:
@@ -126,6 +119,7 @@ def test_printed_table_agrees_with_the_csv(compared: Path) -> None:
     assert lines[-1] == "wrote comparison.csv, 2 trajectories and maps and 3 pictures to out"
 
 
+@pytest.mark.usefixtures("in_process")
 def test_a_log_with_its_truth_beside_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     eight = str(tmp_path / "eight")
     assert main(["simulate", "figure-eight", "--iterations", "50", "-o", eight]) == 0
@@ -138,6 +132,7 @@ def test_a_log_with_its_truth_beside_it(tmp_path: Path, capsys: pytest.CaptureFi
     assert float(row["purity"]) == 1.0
 
 
+@pytest.mark.usefixtures("in_process")
 def test_a_log_without_truth(place: Path) -> None:
     (place / "truth" / "landmarks.csv").unlink()
     (place / "truth").rmdir()
@@ -171,6 +166,7 @@ def test_refused_in_one_line(refused: Check, arguments: list[str], said: str) ->
     assert said in refused("compare", *arguments, "-o", "c")
 
 
+@pytest.mark.usefixtures("in_process")
 def test_missing_methods_are_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -202,6 +202,7 @@ def test_the_document_of_the_command_line_names_no_other_option() -> None:
     assert named <= known
 
 
+@pytest.mark.usefixtures("in_process")
 def test_the_comparison_with_a_real_log_runs(shared_data: Path, tmp_path: Path) -> None:
     """The command that the help of compare shows for a log with its truth."""
     for end in (".observations.csv.gz", "_ground_truth.txt", "_ground_truth_robot_path.txt"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from relmap.cli import main
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association.rigidity import CARRIED, PLENTY, Rigidity
 from relmap.core.errors import RelmapError
+from relmap.core.landmarks import LandmarkMap
 from relmap.datasets import ObservationLog, write_observation_csv
 from relmap.evaluation.summary import MANY, ends_of
 from relmap.io.results import read_result
@@ -118,6 +120,11 @@ def mapped(log: ObservationLog, known: bool) -> PointMapper:
     return finished(PointMapper(), seen(log, known))
 
 
+@cache
+def mapped_without_faults(known: bool) -> LandmarkMap:
+    return mapped(LOG, known).map
+
+
 @pytest.mark.parametrize("known", [True, False])
 def test_a_mirrored_scan_is_rejected_and_changes_nothing(known: bool) -> None:
     mirrored = mapped(faults.mirrored_scan(LOG, AT), known)
@@ -157,11 +164,11 @@ def test_the_first_scan_may_be_the_wrong_one(known: bool) -> None:
 def test_gaps_are_bridged(make: Callable[..., ObservationLog], known: bool) -> None:
     mapper = mapped(make(LOG, AT, 10), known)
     assert len(mapper.submaps) == 1
-    assert len(mapper.map.landmark_ids) > 0.9 * len(mapped(LOG, known).map.landmark_ids)
+    assert len(mapper.map.landmark_ids) > 0.9 * len(mapped_without_faults(known).landmark_ids)
 
 
 def test_gross_outliers_under_right_ids() -> None:
-    sound = mapped(LOG, known=True).map
+    sound = mapped_without_faults(True)
     mapper = mapped(faults.gross_outliers(LOG, 0.05, np.random.default_rng(0)), known=True)
     found = mapper.map
     both = np.intersect1d(sound.landmark_ids, found.landmark_ids)

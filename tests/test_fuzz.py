@@ -27,7 +27,7 @@ from tests.logs import failure, put
 from tests.scanlogs import CLOUD, CORRECTED, pcd
 
 READERS = readers()
-SOME = 60
+SOME = 30
 """Damaged files for each reader; `python -m tests.fuzz` takes 200 000."""
 
 

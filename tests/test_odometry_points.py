@@ -65,7 +65,7 @@ def rmse_m(run: FigureEight, positions: Array, ids: Ints) -> float:
 
 
 def test_sparse_landmarks_with_ids_are_one_map_with_odometry_and_several_without() -> None:
-    run = world(SPARSE, 400)
+    run = world(SPARSE, 250)
     mapper, _ = mapped(run, odometry_of(run, 0), known=True)
     often = np.bincount(run.log.ids) >= 2  # type: ignore[arg-type]
     assert len(mapper.submaps) == 1
@@ -81,7 +81,7 @@ def test_sparse_landmarks_with_ids_are_one_map_with_odometry_and_several_without
 
 
 def test_sparse_landmarks_without_ids_are_distinguished_with_odometry() -> None:
-    run = world(SPARSE, 400)
+    run = world(SPARSE, 250)
     mapper, labels = mapped(run, odometry_of(run, 0), known=False)
     now, true = mapper.landmarks_of(labels), run.log.ids
     assert true is not None
@@ -163,7 +163,7 @@ def test_a_gap_without_odometry_leaves_two_submaps() -> None:
 
 @pytest.mark.parametrize("known", [True, False])
 def test_a_resumed_run_with_odometry_is_the_same(tmp_path: Path, known: bool) -> None:
-    run = world(SPARSE, 250)
+    run = world(SPARSE, 120)
     journal = tmp_path / "journal.sqlite"
     mapper, _ = mapped(run, odometry_of(run, 0), known, journal)
     mapper.close()
@@ -181,7 +181,7 @@ def test_a_resumed_run_with_odometry_is_the_same(tmp_path: Path, known: bool) ->
 
 
 def test_two_runs_in_one_log_are_one_map_where_ids_say_what_is_the_same() -> None:
-    run = world(SPARSE, 250)
+    run = world(SPARSE, 150)
     motions = odometry_of(run, 0)
     mapper = PointMapper()
     for turn in range(2):
@@ -189,7 +189,7 @@ def test_two_runs_in_one_log_are_one_map_where_ids_say_what_is_the_same() -> Non
             first = k == 0
             motion = np.full((4, 4), np.nan) if first else motions[k]
             mapper.update(scan.points_robot, ids=scan.ids, odometry=motion)
-        assert mapper.n_iterations == 250 * (turn + 1)
+        assert mapper.n_iterations == 150 * (turn + 1)
     mapper.finish()
     mapper.refine()
     assert len(mapper.submaps) == 1
@@ -198,7 +198,7 @@ def test_two_runs_in_one_log_are_one_map_where_ids_say_what_is_the_same() -> Non
 
 
 def test_covariances_weigh_the_observations_that_they_came_with() -> None:
-    run, rng = world(SPARSE, 250), np.random.default_rng(0)
+    run, rng = world(SPARSE, 150), np.random.default_rng(0)
     motions, mapper = odometry_of(run, 0), PointMapper()
     for k, scan in enumerate(run.log.scans()):
         n = len(scan.points_robot)
@@ -218,10 +218,10 @@ def test_covariances_weigh_the_observations_that_they_came_with() -> None:
 
 @pytest.mark.parametrize("known", [True, False])
 def test_with_odometry_movers_are_dynamic_and_what_only_scatters_is_mapped(known: bool) -> None:
-    run = world(SPARSE, 250)
+    run = world(SPARSE, 150)
     mapper = PointMapper()
-    rng, steps = np.random.default_rng(3), np.arange(110, 140)
-    middle = run.trajectory[125]
+    rng, steps = np.random.default_rng(3), np.arange(60, 90)
+    middle = run.trajectory[75]
     start = middle[:3, 3] + middle[:3, :3] @ [4.0, 0.0, 0.0]
     noisy = middle[:3, 3] + middle[:3, :3] @ [4.0, 3.0, 0.0]
     motions, labels = odometry_of(run, 0), []
@@ -229,7 +229,7 @@ def test_with_odometry_movers_are_dynamic_and_what_only_scatters_is_mapped(known
         points, ids = scan.points_robot, scan.ids
         assert ids is not None
         if k in steps:
-            moved = start + np.array([0.5 * (k - 125), 0.0, 0.0])
+            moved = start + np.array([0.5 * (k - 75), 0.0, 0.0])
             scattered = noisy + rng.normal(0, 0.13, 3)
             back = np.linalg.inv(run.trajectory[k])
             more = np.array([moved, scattered]) @ back[:3, :3].T + back[:3, 3]

@@ -57,7 +57,7 @@ def seen_from(
     return seen_walls((walls - [x, y]) @ turn(yaw), range_m, half_view)
 
 
-@pytest.mark.parametrize(("world", "seed"), [("building", 0), ("building", 1), ("panels", 1)])
+@pytest.mark.parametrize(("world", "seed"), [("building", 0), ("panels", 1)])
 def test_without_noise_the_map_is_exact(world: Any, seed: int) -> None:
     building = simulate_building(points=10, sigma=0.0, seed=seed, world=world)
     mapper = mapped(building)

@@ -180,6 +180,7 @@ def test_planes_in_space_are_neither_exported_nor_merged(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.usefixtures("in_process")
 def test_compared_with_other_paths(storey: Path, tmp_path: Path) -> None:
     log, out = str(storey / "world"), tmp_path / "compared"
     run_relmap("compare", log, "-o", out, "--methods", "relmap-planes3d")

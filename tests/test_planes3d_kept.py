@@ -58,7 +58,7 @@ def test_a_resumed_run_is_the_same_to_the_last_bit(
     scans: list[Floats], whole: tuple[bytes, ...], tmp_path: Path
 ) -> None:
     path = tmp_path / "run.journal"
-    for begin in (0, 9, 14):
+    for begin in (0, 9):
         path.unlink(missing_ok=True)
         run(Plane3dMapper(journal=path), scans[:begin]).close()
         resumed = Plane3dMapper.resume(path)

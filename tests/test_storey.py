@@ -74,7 +74,7 @@ def test_a_house_is_mapped_over_the_stairs(house: Storey) -> None:
 
 
 def test_planes_of_a_box_that_moves_are_dynamic() -> None:
-    world = simulate_storey("lidar", 0.01, 60, 4, moving=1)
+    world = simulate_storey("lidar", 0.01, 40, 4, moving=1)
     mapper = refined(Plane3dMapper(), world.scans)
     planes, pose = mapper.planes, world.trajectory[0]
     centre = planes.centre @ pose[:3, :3].T + pose[:3, 3]

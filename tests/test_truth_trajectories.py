@@ -85,6 +85,7 @@ def test_evaluate_takes_a_trajectory(
     assert said in capsys.readouterr().out
 
 
+@pytest.mark.usefixtures("in_process")
 def test_compare_takes_a_trajectory_for_walls(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -90,6 +90,8 @@ def mapped(
     for path in inputs.iterdir():
         (tmp_path / path.name).symlink_to(path)
     monkeypatch.chdir(tmp_path)
+    # No frame of an animation is drawn: it takes seconds.
+    monkeypatch.setattr("relmap.plots.bench.write_bench_gif", lambda *_: None)
     return lambda run, options: main(["map", *RUNS[run], "-o", "out", *options.split()])
 
 

@@ -15,12 +15,7 @@ import pytest
 
 from relmap.cli import main
 from relmap.cli.simulate_building import Sampling, World
-from relmap.comparison.compare import Compared
-from relmap.comparison.methods.registry import find_method
-from relmap.comparison.methods.running import run_method
 from relmap.datasets import FORMATS, SCAN_FORMATS, open_scans, write_observation_csv
-from relmap.evaluation.feeding import Association
-from relmap.evaluation.sources import Source
 from relmap.io.files import read_tum, write_tum
 from relmap.io.results import read_result, write_result
 from relmap.planes import PlaneMapper
@@ -61,16 +56,6 @@ MORE_OF_WALLS = ["bench.png", "planes.csv"]
 
 
 WITH_ODOMETRY = "laser/a.scans.csv.gz"
-
-
-@pytest.fixture
-def in_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let `relmap compare` run its methods in this process: it is faster."""
-
-    def run(name: str, source: Source, association: Association, sigma_m: float | None) -> Compared:
-        return Compared(name, run_method(find_method(name), source.load(), association, sigma_m))
-
-    monkeypatch.setattr("relmap.comparison.compare.in_own_process", run)
 
 
 def test_every_format_is_in_the_table() -> None:
@@ -272,7 +257,7 @@ def test_what_drifted_beyond_all_sensors_is_read_and_evaluated(
 def test_simulate_then_map_then_evaluate(tmp_path: Path, options: list[str]) -> None:
     world, result = tmp_path / "world", tmp_path / "result"
     building = options[0] == "building"
-    more = ["--points", "300", "--sigma", "0.01"] if building else []
+    more = ["--points", "150", "--sigma", "0.01"] if building else []
     assert main(["simulate", *options, *more, "--iterations", "6", "-o", str(world)]) == 0
     variant = ["--variant", "planes"] if building else []
     assert main(["map", str(world), "-o", str(result), *variant]) == 0
