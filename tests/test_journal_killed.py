@@ -26,17 +26,17 @@ def test_runs_killed_at_random_moments_end_as_if_nothing_had_happened(
     tmp_path: Path, child_env: dict[str, str], repo_root: Path
 ) -> None:
     done = run_process(
-        [sys.executable, "-m", "tests.killing", str(tmp_path), "25"],
+        [sys.executable, "-m", "tests.killing", str(tmp_path), "12"],
         env=child_env | {"OMP_NUM_THREADS": "1"},
         cwd=repo_root,
     )
     assert done.returncode == 0, done.stderr
     told = json.loads(done.stdout)
-    assert len(told) == 25
+    assert len(told) == 12
     assert all(run["same"] for run in told)
     assert all(run["held"] >= run["flushed"] for run in told)
     # The moments were spread over the runs.
-    assert sum(run["killed"] for run in told) >= 10
+    assert sum(run["killed"] for run in told) >= 5
     assert len({run["held"] for run in told}) >= 4
 
 
@@ -85,17 +85,17 @@ def test_relmap_resume_with_ids_and_an_interval(eight: Path, tmp_path: Path) -> 
 
 def test_relmap_resume_of_walls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    scans = simulate_building(seed=0, points=200).scans[:20]
-    points, stamps_s = [scan.points for scan in scans], np.arange(20.0)
+    scans = simulate_building(seed=0, points=100).scans[:12]
+    points, stamps_s = [scan.points for scan in scans], np.arange(12.0)
     write_scans_npz(tmp_path / "scans.npz", points, stamps_s)
     asked = ["map", "scans.npz", "--variant", "planes", "-o"]
     assert main([*asked, "whole"]) == 0
     assert main([*asked, "out", "--journal", "run.journal"]) == 0
-    end_after(Path("run.journal"), 12)
+    end_after(Path("run.journal"), 7)
     assert main(["resume", "run.journal", "-o", "again"]) == 0
     for name in ("planes.csv", "bench.png", "map.png", *SAME):
         assert Path("again", name).read_bytes() == Path("whole", name).read_bytes()
-    write_scans_npz(tmp_path / "scans.npz", points[:10], stamps_s[:10])
+    write_scans_npz(tmp_path / "scans.npz", points[:6], stamps_s[:6])
     assert main(["resume", "run.journal"]) == 2
 
 
@@ -182,7 +182,7 @@ resource.setrlimit(resource.RLIMIT_FSIZE, (100 * 1024, 100 * 1024))
 @pytest.mark.usefixtures("eight")  # which compiles what the child runs
 def test_ctrl_c_writes_what_was_mapped_so_far(tmp_path: Path, child_env: dict[str, str]) -> None:
     log = tmp_path / "observations.csv"
-    write_observation_csv(log, simulate_figure_eight(seed=1, iterations=400).log)
+    write_observation_csv(log, simulate_figure_eight(seed=1, iterations=200).log)
     out, journal = tmp_path / "out", tmp_path / "run.journal"
     early = """
 from relmap.points import PointMapper
@@ -201,7 +201,7 @@ PointMapper.update = stopped
     n = summary["counts"]["iterations"]
     assert summary["interrupted"]
     assert n == 131
-    assert said.startswith(f"stopped after {n} of 400: wrote ")
+    assert said.startswith(f"stopped after {n} of 200: wrote ")
     assert f"'relmap resume {journal}' continues it" in said
     assert len(table(out / "landmarks.csv")) > 0
     part, whole = tmp_path / "part", tmp_path / "whole"

@@ -213,11 +213,11 @@ def test_unknown_odometry_changes_nothing() -> None:
 
 
 def test_runs_with_odometry_are_the_same_again_and_from_saved_states(tmp_path: Path) -> None:
-    poses, scans = (of[:90] for of in in_the_corridor())
+    poses, scans = in_the_corridor()
     odometry = odometry_of(poses)
     mapper = PlaneMapper(journal=tmp_path / "journal.sqlite")
     others = [PlaneMapper()]
-    for k, (walls, beams) in enumerate(scans):
+    for k, (walls, beams) in enumerate(scans[:90]):
         if k == 45:
             mapper.save(tmp_path / "mapper.npz")
             others.append(PlaneMapper.load(tmp_path / "mapper.npz"))
