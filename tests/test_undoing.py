@@ -144,7 +144,7 @@ def test_a_merge_of_landmarks_seen_together_is_undone_without_a_trace() -> None:
 
 
 def test_landmarks_that_were_mapped_twice_are_one() -> None:
-    """Matches that fail begin tracks of what is mapped: without the repair eleven are double."""
+    """Matches that fail begin tracks of what is mapped: without the repair seven are double."""
     world = simulate_world(
         WorldSpec(missed=0.3, spurious=0.1, length_m=300.0, iterations=200, seed=7)
     )

@@ -174,8 +174,12 @@ def _is_brief(engine: RelativeMapper, rows: SegmentRows) -> bool:
 
 
 def _usually(rows: SegmentRows) -> float:
-    """Return the number of observations of the track of the median observation."""
+    """Return the number of observations of the track of the median observation.
+
+    Tracks seen once or twice do not count: many are false detections.
+    """
     seen = np.sort(np.bincount(rows.landmark, rows.n_seen))
+    seen = seen[seen >= CONFIRMED]
     return float(seen[np.searchsorted(np.cumsum(seen), seen.sum() / 2)]) if len(seen) else 0.0
 
 

@@ -103,7 +103,8 @@ def path(engine: RelativeMapper) -> Floats:
     if engine.odometry is not None and engine.odometry.is_used:
         return engine.odometry.poses
     positions = positions_in_largest_submap(engine.table)
-    return trajectory(engine.rows, positions, engine.table.landmark_of)
+    noise_m = float(np.nan_to_num(engine.averaging.noise.sigma_m))
+    return trajectory(engine.rows, positions, engine.table.landmark_of, noise_m)
 
 
 def _moving_bins(table: LandmarkState, status: NDArray[np.str_], called: Ints) -> Ints:

@@ -26,6 +26,8 @@ from relmap.points.model import PointModel
 if TYPE_CHECKING:
     from relmap.io.journal import RecordedScan
 
+TRIED = 1000
+"""Number of scans of a log that may be tried until one is found in the map."""
 AROUND = 1.2
 """Expected distance of landmarks from the robot, in units of the scan's extent."""
 
@@ -195,7 +197,7 @@ class PointMapper(Mapper):
         -------
         (4, 4) float64
             ``T_map_robot``; NaN if less than half of the scan or fewer than 7 landmarks (5 in the
-            plane) are in the map, or if the place is ambiguous.
+            plane) are in the map, if chance would explain as many, or if the place is ambiguous.
 
         Raises
         ------
@@ -222,7 +224,7 @@ class PointMapper(Mapper):
         RelmapError
             If the scan is invalid.
         """
-        placement, n_places = self._placed(checked_points(points, self.engine.store.dimension))
+        placement, n_places = self._placed(checked_points(points, self.engine.store.dimension), 1)
         T_map_robot = np.full((4, 4), np.nan)
         if placement is not None:
             d = len(placement.t)
@@ -253,7 +255,7 @@ class PointMapper(Mapper):
         if self._journal is not None:
             raise RelmapError("a run with a journal must start with an empty map")
         seen = checked_points(points, self.engine.store.dimension)
-        placement = self._placed(seen)[0]
+        placement = self._placed(seen, TRIED)[0]
         registration = self.engine.association.registration
         if placement is None or registration is None:
             return False
@@ -265,8 +267,11 @@ class PointMapper(Mapper):
             registration.expect(landmarks[near], around[near])
         return True
 
-    def _placed(self, points_robot: Floats) -> tuple[Placement | None, int]:
-        """Return the placement of a scan in the map, if unique, and the number of placements."""
+    def _placed(self, points_robot: Floats, searches: int) -> tuple[Placement | None, int]:
+        """Return the placement of a scan in the map, if certain, and the number of placements.
+
+        `searches`: number of scans tried of which none may be found by chance.
+        """
         known, latest = self._finder, self._guard.latest
         if known is None or known[0] is not latest:
             positions = positions_in_largest_submap(self.engine.table)
@@ -274,7 +279,7 @@ class PointMapper(Mapper):
             known = self._finder = latest, PlaceFinder(mapped, np.nan_to_num(self.noise_m))
         finder = known[1]
         places = finder.places(points_robot)
-        if places and finder.is_clear(points_robot, places):
+        if places and finder.is_certain(points_robot, places, searches):
             return places[0], 1
         return None, min(len(places), 2)
 

@@ -25,7 +25,6 @@ from relmap.core.association.placement import DISTINCT, Placement, trimmed_fit
 from relmap.core.association.scale import (
     CHI2_MEDIAN,
     COARSE,
-    EXACT,
     FINER,
     SHARP,
     SIGMAS,
@@ -196,8 +195,7 @@ class TrackPlacing(PatternPlacing):
             return False
         R, t = placement.R, placement.t
         variance = middle_square(here, there, R, t, tolerance_m, metric) / CHI2_MEDIAN[len(t)]
-        usual_m = max(self.scale.noise_m, EXACT / SIGMAS * self.scale.spacing_m)
-        return bool(variance <= MISFIT * usual_m**2)
+        return bool(variance <= MISFIT * self.scale.assumed_m**2)
 
     def _is_familiar_pair(self, tracks: LiveTracks, rows: Ints, distance: Floats) -> bool:
         """Return whether two matches in the plane suffice: well known, just seen, hardly moved."""

@@ -74,13 +74,18 @@ class Scale:
         """Whether the noise is known and many single matches are ambiguous."""
         return self.noise_m is not None and not self.is_sharp and np.isfinite(self.spacing_m)
 
+    @property
+    def assumed_m(self) -> float:
+        """The noise, or that for which the minimum tolerance is meant if it is less."""
+        return max(self.noise_m or 0.0, EXACT / SIGMAS * self.spacing_m)
+
     def variances(self, n_seen: Ints) -> Floats:
         """Return the variances (n,) of a coordinate's difference, square metres.
 
         Between tracks, given their numbers of observations (n,), and the next observation.
         """
         share = (1 + 1 / np.minimum(n_seen, MEMORY)) / (1 + 1 / MEMORY)
-        return np.asarray(share * (self.noise_m or 0.0) ** 2)
+        return np.asarray(share * self.assumed_m**2)
 
     @property
     def gate_m(self) -> float:

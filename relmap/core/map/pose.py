@@ -5,14 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
+from relmap.core.geometry.alignment import sums_each
 from relmap.core.geometry.robust import fit_robust_each
 from relmap.core.refinement.condensing import LENGTH, NOWHERE, SegmentRows
 
 ABSURD = 0.01
 """Weight of an observation ten times as far off as the least outlier: it has no part in a pose."""
+LOOSE_RAD = 0.1
+"""Largest standard deviation of a rotation about a line, as of a row of lamps, that is known."""
 
 
-def trajectory(rows: SegmentRows, positions_map: Floats, of: Ints) -> Floats:
+def trajectory(rows: SegmentRows, positions_map: Floats, of: Ints, noise_m: float = 0.0) -> Floats:
     """Return the pose in every iteration (sections I and III).
 
     Each is the least-squares fit of the observed landmarks to the map. The observations are
@@ -21,9 +24,10 @@ def trajectory(rows: SegmentRows, positions_map: Floats, of: Ints) -> Floats:
     matches.
 
     `rows`: rows of all iterations; `positions_map` (m, d), map frame, metres: NaN for unmapped
-    landmarks; `of` (m,): the landmark that each number stands for, after merging. Returns
+    landmarks; `of` (m,): the landmark that each number stands for, after merging; `noise_m`:
+    standard deviation of an observed coordinate. Returns
     (n_iterations, 4, 4): ``T_map_robot``; NaN if the mapped landmarks in view do not determine a
-    pose, or contradict each other.
+    pose, as those nearly on a line in space, or contradict each other.
     """
     n, d = len(rows.iteration_segment), rows.points.shape[1]
     poses = np.full((n, 4, 4), np.nan)
@@ -37,9 +41,26 @@ def trajectory(rows: SegmentRows, positions_map: Floats, of: Ints) -> Floats:
     at = rows.first_iteration[rows.segment[row]] + bit
     ones = np.ones(len(row))
     R, t, fixed, weight = fit_robust_each(rows.points[row], there[row], ones, at, n)
-    fixed &= np.bincount(at[weight > ABSURD], minlength=n) >= d
+    used = weight > ABSURD
+    fixed &= np.bincount(at[used], minlength=n) >= d
+    fixed &= _turn_sd(there[row[used]], at[used], n, noise_m) <= LOOSE_RAD
     fixed &= rows.iteration_segment != NOWHERE
     poses[fixed] = np.eye(4)
     poses[fixed, :d, :d] = R[fixed] @ rows.R[fixed]
     poses[fixed, :d, 3] = np.einsum("nij,nj->ni", R[fixed], rows.t[fixed]) + t[fixed]
     return poses
+
+
+def _turn_sd(points: Floats, at: Ints, n: int, noise_m: float) -> Floats:
+    """Return the standard deviation (n,), radians, of the turn about the line nearest to points.
+
+    `points` (k, d), map frame, metres; `at` (k,): the iteration that sees each; `noise_m`: standard
+    deviation of an observed coordinate. In the plane no turn leaves a line where it is.
+    """
+    if points.shape[1] == 2:
+        return np.zeros(n)
+    centre = sums_each(points, at, n) / np.maximum(np.bincount(at, minlength=n), 1)[:, None]
+    away = points - centre[at]
+    scatter = sums_each(away[:, :, None] * away[:, None], at, n)
+    across = np.trace(scatter, axis1=1, axis2=2) - np.linalg.eigvalsh(scatter)[:, -1]
+    return np.asarray(noise_m / np.sqrt(np.maximum(across, 1e-300)))

@@ -15,8 +15,8 @@ from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.association.likelihood import LOG_CLEAR
 from relmap.core.association.placement import Placement
 from relmap.core.association.reobservation.evidence import LOCAL_DRIFT
-from relmap.core.association.reobservation.recognition import ENOUGH, PlaceFinder
-from relmap.core.association.reobservation.tying import BY_CHANCE, CLEAR, NEIGHBOURHOOD, OVERLAP
+from relmap.core.association.reobservation.recognition import BY_CHANCE, ENOUGH, PlaceFinder
+from relmap.core.association.reobservation.tying import CLEAR, NEIGHBOURHOOD, OVERLAP
 from relmap.core.association.scale import spacing_of
 from relmap.core.association.soft import SoftMatching, likely_links
 from relmap.core.state.table import NONE, LandmarkState

@@ -42,6 +42,8 @@ COARSE = 0.2
 MISFIT = 2.5
 """Largest variance of found landmarks, relative to that expected: where a pattern repeats, another
 place agrees within the tolerance, but less closely."""
+BY_CHANCE = 1e-3
+"""Accepted expected number of false matches of random landmarks, over all searches."""
 REACH, SETTLING = 3.0, 3
 """Initial tolerance, in units of the final one, and number of fits to what is within it."""
 
@@ -71,11 +73,19 @@ class PlaceFinder:
         `points` (n, d), robot frame, metres.
         """
         places = self.places(points)
-        return places[0] if places and self.is_clear(points, places) else None
+        if not places or self.elsewhere(points, places) >= DISTINCT * places[0].n_agreeing:
+            return None
+        return places[0]
 
-    def is_clear(self, points: Floats, places: list[Placement]) -> bool:
-        """Return whether the first placement of points (n, d) fits far better than the others."""
-        return self.elsewhere(points, places) < DISTINCT * places[0].n_agreeing
+    def is_certain(self, points: Floats, places: list[Placement], searches: int) -> bool:
+        """Return whether the first placement of points (n, d) fits far better than all others.
+
+        Also than by chance, in as many `searches`.
+        """
+        rival, n_agreeing = self.elsewhere(points, places), places[0].n_agreeing
+        if rival >= DISTINCT * n_agreeing:
+            return False
+        return self.by_chance(len(points), n_agreeing, rival, searches) <= BY_CHANCE
 
     def places(self, points: Floats, among: Bools | None = None) -> list[Placement]:
         """Return candidate placements of points (n, d), best first, if enough points agree.

@@ -19,7 +19,8 @@ from scipy.special import bdtrc
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association.base import nearest
 from relmap.core.association.placement import Placement, consistent_placements
-from relmap.core.association.reobservation.tying import BY_CHANCE, CLEAR
+from relmap.core.association.reobservation.recognition import BY_CHANCE
+from relmap.core.association.reobservation.tying import CLEAR
 from relmap.core.association.search import settled
 from relmap.core.motion_noise import FLOOR_M
 from relmap.core.refinement.chain.drift import Drift

@@ -11,8 +11,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.core.association.reobservation.recognition import ENOUGH, MORE, PlaceFinder
-from relmap.core.association.reobservation.tying import BY_CHANCE, CLEAR
+from relmap.core.association.reobservation.recognition import BY_CHANCE, ENOUGH, MORE, PlaceFinder
+from relmap.core.association.reobservation.tying import CLEAR
 from relmap.core.refinement.condensing import SegmentRows
 from relmap.core.state.table import NONE, LandmarkState
 

@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association.base import nearest
 from relmap.core.association.placement import Placement
-from relmap.core.association.reobservation.recognition import ENOUGH, PlaceFinder
+from relmap.core.association.reobservation.recognition import BY_CHANCE, ENOUGH, PlaceFinder
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.state.table import NONE, LandmarkState
 
@@ -24,8 +24,6 @@ NEIGHBOURHOOD = 20
 """Number of landmarks in a neighbourhood."""
 OVERLAP = 3
 """One in this many landmarks starts a neighbourhood even if it lies within another."""
-BY_CHANCE = 1e-3
-"""Accepted expected number of false matches of random landmarks, over a whole map."""
 CLEAR = 0.6
 """Fraction of the landmarks of a place that may be found in another."""
 SAME = 0.1

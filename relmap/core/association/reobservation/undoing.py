@@ -16,6 +16,7 @@ from scipy.special import chdtri
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association.reobservation.sightings import RARELY, Sightings
 from relmap.core.geometry.alignment import sums_each
+from relmap.core.geometry.robust import EXACT
 from relmap.core.refinement.condensing import SegmentRows
 from relmap.core.refinement.joint import Refined, laid_on
 from relmap.core.state.table import NONE, LandmarkState
@@ -51,7 +52,7 @@ def contradicted(
     different sides: a wrong merge deviates by more than is usual.
     """
     segments, merges, d = refined.segments, refined.merges, refined.positions.shape[1]
-    if not len(segments.residual):
+    if not len(segments.residual) or _is_exact(refined):
         return np.empty(0, dtype=np.int64)
     most, usual = usual, min(float(np.median(segments.residual)), usual)
     limit = usual * np.sqrt(chdtri(d, BY_CHANCE / max(len(merges.track), 1)) / d)
@@ -64,6 +65,11 @@ def contradicted(
     tracks = np.union1d(merges.track[off], rows.landmark[within])
     tracks = tracks[np.isin(table.landmark_of[tracks], refined.landmarks)]
     return np.asarray(tracks[table.landmark_of[tracks] != tracks])
+
+
+def _is_exact(refined: Refined) -> bool:
+    """Return whether all residuals of a map are rounding, which contradicts nothing."""
+    return bool(refined.noise_m <= EXACT * np.ptp(refined.positions, axis=0).max())
 
 
 def places_of(table: LandmarkState, rows: SegmentRows, tracks: Ints) -> tuple[Floats, Floats]:
@@ -125,7 +131,7 @@ def nearer_another(
     seen together with one of the other: then these are returned.
     """
     tracks, of = np.unique(refined.merges.track), table.landmark_of
-    if len(refined.landmarks) <= CANDIDATES or not len(tracks):
+    if len(refined.landmarks) <= CANDIDATES or not len(tracks) or _is_exact(refined):
         return np.empty(0, dtype=np.int64)
     placed, enough = _Placed(refined, table, rows), FAR_BETTER * refined.noise_m**2
     tracks = tracks[(placed.misfit[tracks] > 0) & (of[tracks] != tracks)]
