@@ -9,6 +9,7 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import fit_rigid, fit_rigid_each, fixes_rotation
+from relmap.core.geometry.motions import transforms
 from relmap.core.landmarks import LandmarkMap, LandmarkTable, Submap, in_space
 from relmap.datasets.base import ObservationLog
 
@@ -93,11 +94,7 @@ class KnownBaseline(Baseline):
         labels = np.where(ids >= 0, ids, -1)
         known = labels >= 0
         pose = self._placed(points_robot[known], labels[known])
-        T_map_robot = np.full((4, 4), np.nan)
-        if pose is not None:
-            T_map_robot = np.eye(4)
-            T_map_robot[: self._d, : self._d], T_map_robot[: self._d, 3] = pose
-        return self._keep(labels, T_map_robot)
+        return self._keep(labels, np.full((4, 4), np.nan) if pose is None else transforms(*pose))
 
     @abstractmethod
     def _placed(self, points: Floats, labels: Ints) -> Pose | None:
