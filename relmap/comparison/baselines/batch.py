@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import spsolve
 
 from relmap.comparison.baselines.base import SolvedAtTheEnd, fitted
-from relmap.comparison.baselines.frame_to_map import frame_to_map
+from relmap.comparison.baselines.frames import frame_to_map
 from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.core.geometry.motions import derivatives, rotations

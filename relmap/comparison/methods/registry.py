@@ -6,8 +6,7 @@ from typing import Any
 
 from relmap.comparison.baselines.batch import BatchLeastSquares
 from relmap.comparison.baselines.ekf import as_mrpt_ships_it, linearised_at_best_fit
-from relmap.comparison.baselines.frame_to_frame import FrameToFrame
-from relmap.comparison.baselines.frame_to_map import FrameToMap
+from relmap.comparison.baselines.frames import FrameToFrame, FrameToMap
 from relmap.comparison.baselines.gtsam_methods import GtsamBatch, Isam2
 from relmap.comparison.baselines.icp import KissIcp, SmallGicp
 from relmap.comparison.methods.base import MethodInfo
