@@ -24,9 +24,8 @@ from relmap.planes.places.submap_ties import MapPart, tied_parts
 from relmap.planes.refinement.refining import RefinedWalls, planned_submaps, refined_submaps
 from relmap.planes.scans.beams import GivenBeams
 from relmap.planes.scans.observation import PlaneObservation, checked_planes, journaled, of_journal
-from relmap.planes.submaps.revisits import contradicted_revisits
+from relmap.planes.submaps.doubtful import contradicted_revisits, unsupported_links
 from relmap.planes.submaps.submap import WallSubmap, among_all, torn_in
-from relmap.planes.submaps.undetermined import unsupported_links
 from relmap.planes.walls.history import PlaneHistory
 
 if TYPE_CHECKING:

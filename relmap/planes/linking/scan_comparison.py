@@ -93,20 +93,22 @@ class ScanComparison:
         """Return a match with the numbers of all tracks and walls."""
         return Match(self._rows[match.tracks], self._walls[match.walls], match.score)
 
-    def _counted(self, motions: Floats, near_m: float = NEAR_M, step: int | None = None) -> Floats:
-        """Return the number of points of the scan and the last one that agree etc. (k, 4).
+    def _counted(
+        self, motions: Floats, near_m: float = NEAR_M, step: int = 0, view: View | None = None
+    ) -> Floats:
+        """Return the number of points of the scan and an earlier one that agree etc. (k, 4).
 
-        See `relmap.planes.scans.beams.compared`; by default with some `JUDGES` of the beams.
+        See `relmap.planes.scans.beams.compared`; by default of the last one, and some `JUDGES`.
         """
-        step = 1 + len(self._beams) // JUDGES if step is None else step
-        return self._counts(self._views[0], motions, near_m, step)
+        view, step = view or self._views[0], step or 1 + len(self._beams) // JUDGES
+        there = after(view.motion, motions)
+        return compared(view.beams, self._beams, there, near_m, step, self._firm)
 
     def _judged(self, guesses: Sequence[Floats] | Floats, rounds: int = ROUNDS) -> Judged:
         """Fit motions to the walls that match in some rounds, and compare the beams."""
         tracks, seen = self._tracks, self._seen
         motions, matches = settled(tracks, seen, guesses, rounds)
-        step = 1 + len(self._beams) // JUDGES
-        sums = np.array([self._counts(view, motions, NEAR_M, step) for view in self._views])
+        sums = np.array([self._counted(motions, view=view) for view in self._views])
         total = sums.sum(axis=2)
         agree = (sums[..., 0] / np.maximum(total, 1.0)).max(axis=0)
         contradict = sums[..., 1].sum(axis=0) / np.maximum(total.sum(axis=0), 1.0)
@@ -231,7 +233,3 @@ class ScanComparison:
         turn = wrapped(motions[:, 0] - self._before[0]) / USUAL_RAD
         support = self._expected.supports(motions) if self._expected else 0.0
         return np.asarray((way**2 + turn**2) / 2 - support)
-
-    def _counts(self, view: View, motions: Floats, near_m: float, step: int) -> Floats:
-        there = after(view.motion, motions)
-        return compared(view.beams, self._beams, there, near_m, step, self._firm)

@@ -104,20 +104,15 @@ class ScanLinks(LinkRecord):
         views = [*islice(every, VERIFYING)]
         if views:
             beams = self.beams.of_next(seen.beams, seen.ends)
-            firm = not self._rests()
+            if len(self) in FIRST or len(self) % AGAIN == 0:
+                self._at_rest = share_at_rest(self._scans, self._known()[0], LATELY) > OFTEN
+            firm = not self._at_rest
             judged = Search(tracks, seen, beams, views, usual, expected, firm, every).found()
             return judged if judged and self._confirmed(judged, seen, beams, views, firm) else None
         found = place(tracks, seen, usual, farthest_m(self._last_links))
         if found is None or not is_supported(tracks, seen, found, usual):
             return None
         return Found(*found, measured_along(tracks, seen, found[1]), np.inf)
-
-    def _rests(self) -> bool:
-        """Whether small free-standing objects stayed in place so far; evaluated at intervals."""
-        now = len(self)
-        if now in FIRST or now % AGAIN == 0:
-            self._at_rest = share_at_rest(self._scans, self._known()[0], LATELY) > OFTEN
-        return self._at_rest
 
     def _over(
         self, tracks: PlaneTracks, seen: PlaneObservation, expected: Expected
