@@ -11,9 +11,9 @@ from scipy.spatial.transform import Rotation
 from relmap import Plane3dMapper
 from relmap.core.arrays import Floats
 from relmap.evaluation.space_run import submap_row
-from relmap.planes3d.doubting import is_doubtful, is_tied_doubtfully, sight_of
 from relmap.planes3d.fitting import matched
 from relmap.planes3d.placing import Placed
+from relmap.planes3d.sights import is_doubtful, is_tied_doubtfully, sight_of
 from relmap.planes3d.submap import Submap
 from relmap.planes3d.table import plane_table
 from relmap.plots.planes3d import plot_planes3d

@@ -15,8 +15,7 @@ from relmap.segmentation.em.wall_kernels import expect
 from relmap.segmentation.ends.box_kernels import box_extent
 from relmap.segmentation.ends.corners import meet
 from relmap.segmentation.ends.end_types import Limits, type_ends
-from relmap.segmentation.ends.pairs import one_hides_other
-from relmap.segmentation.ends.shadows import part_at_shadows, shadows
+from relmap.segmentation.ends.pairs import one_hides_other, part_at_shadows, shadows
 from relmap.segmentation.noise import beam_angle, window_noise
 from relmap.segmentation.scanline.lines import LaserScan, first_and_last, hidden_ends, scan_walls
 from tests.kernels import callable_here

@@ -13,13 +13,19 @@ from relmap.core.arrays import Ints
 from relmap.core.errors import RelmapError
 from relmap.core.guard import reads_whole
 from relmap.core.linalg.threads import one_thread
-from relmap.planes3d.doubting import is_doubtful, is_tied_doubtfully, sight_of
 from relmap.planes3d.hypotheses import Held
 from relmap.planes3d.journaled import checked_patches, journaled, of_journal
 from relmap.planes3d.mapped import Mapped3d
 from relmap.planes3d.placing import Placed, place
 from relmap.planes3d.refining import refined, unsure_steps
-from relmap.planes3d.sights import sights_of, with_ends, with_rim
+from relmap.planes3d.sights import (
+    is_doubtful,
+    is_tied_doubtfully,
+    sight_of,
+    sights_of,
+    with_ends,
+    with_rim,
+)
 from relmap.planes3d.submap import Submap
 from relmap.planes3d.surfaces import Surfaces
 from relmap.segmentation.space import Patches, PatchSegmenter

@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 
 from relmap.core.arrays import Floats
 from relmap.core.landmarks import in_space
-from relmap.evaluation.corners import MatchedCorners
 from relmap.evaluation.truth import Truth
+from relmap.evaluation.walls import MatchedCorners
 from relmap.planes.walls.files import DrawnSubmap
 from relmap.planes.walls.table import PlaneTable
 from relmap.plots.path import broken_at_jumps
