@@ -15,7 +15,6 @@ from relmap.cli.console import busy, figure, print_table
 if TYPE_CHECKING:
     from relmap.evaluation.evaluate import Evaluation
     from relmap.evaluation.run import Run
-    from relmap.plots.variants import BothMaps
 
 HELP = """Map simulated scans and compare the maps with the truth.
 
@@ -101,20 +100,17 @@ def _both_variants(out: Path, name: str, noise: float, seed: int) -> str:
     sigma_m, picture = maps.planes.run.sigma, f"building-{name}-noise.png"
     title = f"the same scans of a building as planes and as points, noise {sigma_m:g} m"
     write_both_png(out / picture, maps, title)
-    header, rows = ("metric", "planes", "points"), _rows(maps)
-    print_table(title, header, rows)
-    text = f"Points on the walls are about {SPACING_M:g} m apart, and no ids are given."
-    return _part(title, text, header, rows, picture)
-
-
-def _rows(maps: BothMaps) -> Rows:
     runs = maps.planes.run, maps.points.run
-    return [
+    header = ("metric", "planes", "points")
+    rows = [
         ("RMSE of corners, of points [m]", *(figure(run.map_rmse_m) for run in runs)),
         ("coverage", *(figure(run.coverage) for run in runs)),
         ("ATE [m]", *(figure(run.ate_m) for run in runs)),
         ("fraction of scans with a pose", *(figure(run.poses) for run in runs)),
     ]
+    print_table(title, header, rows)
+    text = f"Points on the walls are about {SPACING_M:g} m apart, and no ids are given."
+    return _part(title, text, header, rows, picture)
 
 
 def _part(title: str, text: str, header: Sequence[str], rows: Rows, *pictures: str) -> str:

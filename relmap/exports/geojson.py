@@ -19,7 +19,11 @@ def geojson_text(content: MapContent) -> str:
     Walls are LineStrings from the right to the left end, corners and landmarks Points, the path is
     a MultiLineString.
     """
-    features = [*_walls(content), *_landmarks(content), _path(content)]
+    axes = 2 if content.result.planar else 3
+    pieces = [piece[:, :axes].tolist() for piece in content.path]
+    about = {"kind": "path", "poses": len(content.result.poses)}
+    path = _feature("MultiLineString", pieces, about)
+    features = [*_walls(content), *_landmarks(content), path]
     whole = {"type": "FeatureCollection", "frame": FRAME, "features": features}
     return json.dumps(whole, allow_nan=False, indent=1) + "\n"
 
@@ -55,9 +59,3 @@ def _landmarks(content: MapContent) -> Iterator[dict[str, Any]]:
     for row, position in enumerate(table.position[:, :axes].tolist()):
         properties = {name: getattr(table, name)[row].item() for name in names}
         yield _feature("Point", position, {"kind": kind} | properties)
-
-
-def _path(content: MapContent) -> dict[str, Any]:
-    axes = 2 if content.result.planar else 3
-    pieces = [piece[:, :axes].tolist() for piece in content.path]
-    return _feature("MultiLineString", pieces, {"kind": "path", "poses": len(content.result.poses)})

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.arrays import Floats, Ints
 from relmap.core.brief import Brief
 from relmap.simulation.noise import Noise, draw_noise
 from relmap.simulation.visibility import SeenWalls, ray_distances
@@ -129,7 +129,11 @@ class Scanner:
         stretch = np.searchsorted(reach, rng.uniform(0, reach[-1], self.points), side="right")
         t = rng.uniform(0, 1, self.points)
         if self.sample_ends:
-            _put_on_ends(stretch, t)
+            order = np.argsort(stretch, kind="stable")
+            rank = np.arange(len(order)) - np.searchsorted(stretch[order], stretch[order])
+            enough = np.bincount(stretch)[stretch[order]] >= 2
+            t[order[enough & (rank == 0)]] = 0.0
+            t[order[enough & (rank == 1)]] = 1.0
         flat = seen.ends[stretch, 0] + t[:, None] * across[stretch]
         # Exact at the left end, where rounding would matter.
         flat = np.where(t[:, None] == 1, seen.ends[stretch, 1], flat)
@@ -186,15 +190,6 @@ class Scanner:
         return bearing, np.where(met, at, -1), np.where(met, distance, 0.0)
 
 
-def _put_on_ends(stretch: Ints, t: Floats) -> None:
-    """Move the first point of each stretch to its right end, the second to its left."""
-    order = np.argsort(stretch, kind="stable")
-    rank = np.arange(len(order)) - np.searchsorted(stretch[order], stretch[order])
-    enough = np.bincount(stretch)[stretch[order]] >= 2
-    t[order[enough & (rank == 0)]] = 0.0
-    t[order[enough & (rank == 1)]] = 1.0
-
-
 def _points(flat: Floats, bearing: Floats, z: Floats) -> Floats:
     return np.column_stack([flat * np.cos(bearing), flat * np.sin(bearing), z])
 
@@ -208,19 +203,17 @@ def times_seen(walls: Floats, scans: Sequence[BuildingScan]) -> Ints:
         # No two stretches of a wall share a true end.
         counts[scan.seen.wall[corner[:, 0]], 1] += 1
         counts[scan.seen.wall[corner[:, 1]], 2] += 1
-    counts[:, 1:][_go_on(walls[:, :4].reshape(-1, 2, 2))] = 0
-    return counts
-
-
-def _go_on(ends: Floats) -> Bools:
-    """Return at which ends (w, 2) of walls (w, 2, 2) another wall continues, as in a curve."""
+    # An end is none where another wall continues, as in a curve.
+    ends = walls[:, :4].reshape(-1, 2, 2)
     along = ends[:, 1] - ends[:, 0]
     length_m = np.linalg.norm(along, axis=1)
     along /= length_m[:, None]
     follows = np.linalg.norm(ends[:, None, 1] - ends[None, :, 0], axis=2) < SAME_M
     follows &= np.minimum(length_m[:, None], length_m) < CHORD_M
     follows &= along @ along.T > STRAIGHT
-    return np.column_stack([follows.any(axis=0), follows.any(axis=1)])
+    counts[follows.any(axis=0), 1] = 0
+    counts[follows.any(axis=1), 2] = 0
+    return counts
 
 
 def seen_extents(walls: Floats, trajectory: Floats, scans: Sequence[BuildingScan]) -> Floats:

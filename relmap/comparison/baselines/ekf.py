@@ -74,19 +74,16 @@ class Ekf(KnownBaseline):
         rows = np.array([self._row.get(label, -1) for label in labels.tolist()], np.int64)
         old = rows >= 0
         if self._row:
-            self._predict(points[old], rows[old])
+            step, turn = self._config.step_sd_m, self._config.turn_sd_rad
+            if self._config.prediction == "fitted":
+                step, turn = UNKNOWN_M, UNKNOWN_RAD
+                fit = fitted(points[old], self._map[rows[old]])
+                self._R, self._t = fit or (self._R, self._t)
+            noise = np.repeat([step**2, turn**2], [self._d, self._turns])
+            self._P[np.arange(self._q), np.arange(self._q)] += noise
             self._correct(points[old], rows[old])
         self._add(labels[~old].tolist(), points[~old])
         return self._R, self._t
-
-    def _predict(self, points: Floats, rows: Ints) -> None:
-        """Predict the pose, with the process noise."""
-        step, turn = self._config.step_sd_m, self._config.turn_sd_rad
-        if self._config.prediction == "fitted":
-            step, turn = UNKNOWN_M, UNKNOWN_RAD
-            self._R, self._t = fitted(points, self._map[rows]) or (self._R, self._t)
-        noise = np.repeat([step**2, turn**2], [self._d, self._turns])
-        self._P[np.arange(self._q), np.arange(self._q)] += noise
 
     def _correct(self, points: Floats, rows: Ints) -> None:
         if not len(rows):

@@ -36,7 +36,11 @@ class FrameToMap(KnownBaseline):
         self._counts.resize(int(landmarks.max(initial=-1)) + 1, 0)
         pose = self._fitted(landmarks, points)
         if pose is not None:
-            self._average_in(landmarks, points @ pose[0].T + pose[1])
+            placed = points @ pose[0].T + pose[1]
+            counts, means = self._counts.values, self._means.values
+            counts[landmarks] += 1
+            before = np.where(counts[landmarks, None] > 1, means[landmarks], placed)
+            means[landmarks] = before + (placed - before) / counts[landmarks, None]
         return pose
 
     def _fitted(self, landmarks: Ints, points: Floats) -> Pose | None:
@@ -45,12 +49,6 @@ class FrameToMap(KnownBaseline):
             return np.eye(self._d), np.zeros(self._d)
         known = self._counts.values[landmarks] > 0
         return fitted(points[known], self._means.values[landmarks[known]])
-
-    def _average_in(self, landmarks: Ints, placed: Floats) -> None:
-        counts, means = self._counts.values, self._means.values
-        counts[landmarks] += 1
-        before = np.where(counts[landmarks, None] > 1, means[landmarks], placed)
-        means[landmarks] = before + (placed - before) / counts[landmarks, None]
 
     @property
     def map(self) -> LandmarkMap:

@@ -167,7 +167,13 @@ def _compared(
     way, path = np.hypot(steps[:, 1], steps[:, 2]), matrices(path_of(np.nan_to_num(steps)))
     pairs = [(np.empty((0, 4, 4)), np.empty((0, 4, 4)))]
     for rows, poses in submaps:
-        a, b = _windows(poses, way[rows], known[rows])
+        goes_on = known[rows] & np.isfinite(poses[:, 0, 0])
+        goes_on[1:] &= np.isfinite(poses[:-1, 0, 0])
+        gone = np.cumsum(np.nan_to_num(way[rows]))
+        ends = np.searchsorted(gone, gone + WAY_M)
+        broken = np.append(np.cumsum(~goes_on), len(gone) + 1)
+        whole = broken[ends] == broken[:-1]
+        a, b = np.flatnonzero(whole), ends[whole]
         given = path[rows]
         pairs.append((np.linalg.inv(given[a]) @ given[b], np.linalg.inv(poses[a]) @ poses[b]))
     over, true = (np.concatenate(each) for each in zip(*pairs, strict=True))
@@ -208,17 +214,3 @@ def path_of(steps: Floats) -> Floats:
     c, s = np.cos(yaw - steps[:, 0]), np.sin(yaw - steps[:, 0])
     x, y = steps[:, 1:].T
     return np.column_stack([yaw, np.cumsum(c * x - s * y), np.cumsum(s * x + c * y)])
-
-
-def _windows(poses: Floats, way: Floats, known: Bools) -> tuple[Ints, Ints]:
-    """Return first and last iteration of sections of `WAY_M` with known poses (i, 4, 4).
-
-    They overlap. `way` (i,) is the length of each step, and `known` (i,) whether it is known.
-    """
-    goes_on = known & np.isfinite(poses[:, 0, 0])
-    goes_on[1:] &= np.isfinite(poses[:-1, 0, 0])
-    gone = np.cumsum(np.nan_to_num(way))
-    ends = np.searchsorted(gone, gone + WAY_M)
-    broken = np.append(np.cumsum(~goes_on), len(way) + 1)
-    whole = broken[ends] == broken[:-1]
-    return np.flatnonzero(whole), ends[whole]

@@ -190,16 +190,15 @@ class RunOnto:
             of = np.repeat(np.arange(len(rows)), [len(each) for each in places])
             poses = np.array([self._poses[k] for k in rows.tolist()])
             place = Placements(scan[rows], poses, of, np.concatenate(places)).accepted()
-            if place is not None:
-                found.append(self._tie(*place, links))
+            if place is None:
+                continue
+            at, T_map_robot = place
+            first = int(np.flatnonzero(links.submaps == own)[0])
+            T_map_first = T_map_robot
+            for step in matrices(links.motions[first + 1 : at + 1])[::-1]:
+                T_map_first = T_map_first @ step
+            found.append(Tie(at, first, T_map_first, self._same(at, T_map_robot, links)))
         return found
-
-    def _tie(self, scan: int, T_map_robot: Floats, links: ScanLinks) -> Tie:
-        first = int(np.flatnonzero(links.submaps == links.submaps[scan])[0])
-        T_map_first = T_map_robot
-        for step in matrices(links.motions[first + 1 : scan + 1])[::-1]:
-            T_map_first = T_map_first @ step
-        return Tie(scan, first, T_map_first, self._same(scan, T_map_robot, links))
 
     def _same(self, scan: int, T_map_robot: Floats, links: ScanLinks) -> Ints:
         """Return the numbers (k, 2) of walls of the map, and of those that a scan shows there."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from relmap.core.arrays import Floats
 from relmap.core.refinement.joint import Refined
-from relmap.core.refinement.residuals import MergeResiduals, SegmentResiduals, merge_residuals
+from relmap.core.refinement.residuals import SegmentResiduals, merge_residuals
 from relmap.planes.refinement.solving import LAST
 from relmap.planes.refinement.system import WallSystem, wall_residuals
 from relmap.planes.walls.assembly import Assembled, directions
@@ -46,7 +46,15 @@ def corner_covariances(assembled: Assembled) -> Floats:
 def refined_walls(assembled: Assembled, history: PlaneHistory) -> Refined:
     """Return a refined map of walls in the form used for points; its landmarks are corners."""
     across, along = wall_residuals(assembled.given, assembled.state)
-    mapped = mapped_corners(assembled)
+    mapped, given = mapped_corners(assembled), assembled.given
+    merges = merge_residuals(
+        assembled.corners,
+        given.corner,
+        history.corner[assembled.rows[given.corner_row], given.corner_end],
+        along[:, None],
+        np.ones(len(along)),
+        given.corner_sd**2,
+    )
     spread: Any = lambda: corner_covariances(assembled)[mapped]  # noqa: E731
     return Refined(
         landmarks=assembled.corners[mapped],
@@ -54,7 +62,7 @@ def refined_walls(assembled: Assembled, history: PlaneHistory) -> Refined:
         anchor_iteration=int(assembled.iterations[0]),
         noise_m=assembled.typical_m,
         segments=_stretches(assembled, across, along),
-        merges=_joined(assembled, history, along),
+        merges=merges,
         spread=spread,
     )
 
@@ -76,18 +84,4 @@ def _stretches(assembled: Assembled, across: Floats, along: Floats) -> SegmentRe
         first_iteration=np.maximum(STRETCH * stretches, assembled.iterations[0]),
         middle=centre / np.bincount(of, minlength=s)[:, None],
         residual=np.sqrt(squares / np.maximum(n - 3 * poses, 1)),
-    )
-
-
-def _joined(assembled: Assembled, history: PlaneHistory, along: Floats) -> MergeResiduals:
-    """Compare the positions of corners seen under each number that was joined to another."""
-    given = assembled.given
-    rows = assembled.rows[given.corner_row]
-    return merge_residuals(
-        assembled.corners,
-        given.corner,
-        history.corner[rows, given.corner_end],
-        along[:, None],
-        np.ones(len(along)),
-        given.corner_sd**2,
     )

@@ -118,24 +118,17 @@ def search_walls(xy: Floats, noise: float | None, rng: np.random.Generator) -> W
     beams = beam_angle(xy), points_per_beam(xy)
     none, area = np.zeros((0, WALL)), scan_area(xy, sigma)
     nothing = WallMixture(none, sigma, STRAY_AT_FIRST, area, *beams, fixed_noise=noise is not None)
-    found = [search_from(nothing, xy, start * sigma, rng) for start in STARTS]
+    found = []
+    for start in STARTS:
+        lines = find_lines(xy, start * sigma, rng, nothing.beam)[0]
+        first = replace(nothing, walls=lines, sigma=start * sigma if noise is None else sigma)
+        found.append(improve(maximise(first, xy, FIRST, tolerance=ROUGH), xy, rng))
     return max(found, key=lambda one: one.evidence(xy))
 
 
 def part(xy: Floats, most: int, rng: np.random.Generator) -> Floats:
     """Return the points (n, 2), or a random sample if there are more than `most`."""
     return xy if len(xy) <= most else xy[rng.choice(len(xy), most, replace=False)]
-
-
-def search_from(
-    nothing: WallMixture, xy: Floats, sigma: float, rng: np.random.Generator
-) -> WallMixture:
-    """Return the walls from lines for a given noise, by EM and moves."""
-    walls, _ = find_lines(xy, sigma, rng, nothing.beam)
-    start = replace(nothing, walls=walls)
-    if not nothing.fixed_noise:
-        start = replace(start, sigma=sigma)
-    return improve(maximise(start, xy, FIRST, tolerance=ROUGH), xy, rng)
 
 
 def improve(

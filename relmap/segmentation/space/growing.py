@@ -87,17 +87,13 @@ def joined(sums: Floats, noise: Floats) -> Ints:
     from relmap.segmentation.space.growing_kernels import join_same
 
     own = np.arange(len(sums))
-    join_same(_alike(sums, noise), sums, noise, own)
-    return np.append(np.unique(own, return_inverse=True)[1], -1)
-
-
-def _alike(sums: Floats, noise: Floats) -> Ints:
-    """Return the pairs (p, 2) of planes that may be the same, those with most points first."""
     planes, centre = planes_of(sums), sums[:, 1:4] / sums[:, :1]
     off = np.abs(centre @ planes[:, :3].T - planes[:, 3])
     near = off < REACH * np.sqrt(noise[:, None] + noise)
     pairs = np.argwhere(np.triu((planes[:, :3] @ planes[:, :3].T > PARALLEL) & near & near.T, 1))
-    return pairs[np.argsort(-sums[pairs, 0].sum(axis=1), kind="stable")]
+    pairs = pairs[np.argsort(-sums[pairs, 0].sum(axis=1), kind="stable")]  # most points first
+    join_same(pairs, sums, noise, own)
+    return np.append(np.unique(own, return_inverse=True)[1], -1)
 
 
 def condensed(
