@@ -16,7 +16,7 @@ from relmap.planes3d.placing import Placed
 from relmap.planes3d.sights import is_doubtful, is_tied_doubtfully, sight_of
 from relmap.planes3d.submap import Submap
 from relmap.planes3d.table import plane_table
-from relmap.plots.planes3d import plot_planes3d
+from relmap.plots.planes import plot_planes3d
 from tests.test_planes3d_covariances import part_of, patches, wall
 from tests.worlds import fed
 

@@ -11,8 +11,14 @@ from matplotlib.quiver import Quiver
 from matplotlib.text import Text
 
 from relmap.evaluation.landmarks import Overlay
-from relmap.plots.comparison import SweepRow, plot_comparison, plot_sweep, write_sweep_png
-from relmap.plots.errors import plot_errors, shared_scale
+from relmap.plots.comparison import (
+    SweepRow,
+    plot_comparison,
+    plot_errors,
+    plot_sweep,
+    shared_scale,
+    write_sweep_png,
+)
 from relmap.plots.run import plot_run
 from tests.somerun import make_result
 

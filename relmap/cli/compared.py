@@ -112,8 +112,7 @@ def _map_of(result: Result) -> dict[str, NDArray[Any]]:
 
 def draw(folder: Path, rows: Iterable[Compared], data: Data[Log], title: str) -> None:
     """Draw the comparison, and the map or the errors of every method that ran."""
-    from relmap.plots.comparison import write_comparison_png
-    from relmap.plots.errors import shared_scale, write_errors_png
+    from relmap.plots.comparison import shared_scale, write_comparison_png, write_errors_png
     from relmap.plots.of_mapper import plot_result
     from relmap.plots.run import write_map_png
     from relmap.plots.sheet import write_png

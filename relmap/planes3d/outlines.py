@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.planes3d.raster import Raster, raster
+from relmap.planes3d.surfaces import Raster, raster
 from relmap.segmentation.space import Patches
 
 CROSS = np.sin(np.deg2rad(20.0))

@@ -9,7 +9,7 @@ import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.geometry.motions import transforms
-from relmap.planes3d.cells import MIXED, KnownCells, Points
+from relmap.planes3d.surfaces import MIXED, KnownCells, Points
 from relmap.segmentation.space import Patches
 from relmap.segmentation.space.patches import reach_of
 

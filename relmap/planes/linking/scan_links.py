@@ -12,7 +12,6 @@ from itertools import islice
 import numpy as np
 
 from relmap.core.arrays import Floats
-from relmap.planes.linking.at_rest import OFTEN, share_at_rest
 from relmap.planes.linking.judging import NO_MATCH, Found, View
 from relmap.planes.linking.link_record import LinkRecord
 from relmap.planes.linking.links import (
@@ -30,6 +29,7 @@ from relmap.planes.linking.placement import STILL, place, settled, worth
 from relmap.planes.linking.scan_comparison import VERIFYING
 from relmap.planes.linking.search import Search
 from relmap.planes.linking.tracks import PlaneTracks
+from relmap.planes.linking.tying import OFTEN, share_at_rest
 from relmap.planes.motions import others, then
 from relmap.planes.odometry.prediction import OTHERWISE, Expected
 from relmap.planes.scans.beams import Beams
