@@ -6,8 +6,18 @@ from typing import Annotated, Literal
 
 import typer
 
-from relmap.cli import simulate_building, wheels
-from relmap.cli.arguments import Density, Dynamic, Noise, Out, Seed
+from relmap.cli import simulate_building
+from relmap.cli.arguments import (
+    Density,
+    Dynamic,
+    Noise,
+    OdometryBias,
+    OdometryFault,
+    OdometryNoise,
+    Out,
+    Seed,
+    wheels_of,
+)
 from relmap.cli.console import busy
 
 app = typer.Typer(
@@ -122,9 +132,9 @@ def figure_eight_command(
         float, typer.Option(help="Standard deviation of each observed coordinate, metres.")
     ] = 0.05,
     dynamic: Dynamic = 0.0,
-    odometry: wheels.Noise = None,
-    odometry_bias: wheels.Bias = None,
-    odometry_fault: wheels.Broken = None,
+    odometry: OdometryNoise = None,
+    odometry_bias: OdometryBias = None,
+    odometry_fault: OdometryFault = None,
     seed: Seed = 0,
 ) -> None:
     """Write a simulated figure eight; the help text explains the arguments."""
@@ -132,7 +142,7 @@ def figure_eight_command(
     from relmap.evaluation.sources import EightSource
 
     source = EightSource(density, iterations, noise, sigma, dynamic, seed)
-    errors = wheels.wheels_of(odometry, odometry_bias, odometry_fault)
+    errors = wheels_of(odometry, odometry_bias, odometry_fault)
     n_files = 3 if errors is None else 4
     counts = write_figure_eight(out, source, errors, odometry_fault)
     typer.echo(f"wrote {n_files} files to {out}: {counts}")
@@ -153,9 +163,9 @@ def world_command(
     wrong_ids: _WrongIds = 0.0,
     turn: _Turn = 0.0,
     view: _View = 120.0,
-    odometry: wheels.Noise = None,
-    odometry_bias: wheels.Bias = None,
-    odometry_fault: wheels.Broken = None,
+    odometry: OdometryNoise = None,
+    odometry_bias: OdometryBias = None,
+    odometry_fault: OdometryFault = None,
     seed: Seed = 0,
 ) -> None:
     """Write a simulated world; the help text explains the arguments."""
@@ -180,7 +190,7 @@ def world_command(
         view_deg=view,
         seed=seed,
     )
-    errors = wheels.wheels_of(odometry, odometry_bias, odometry_fault)
+    errors = wheels_of(odometry, odometry_bias, odometry_fault)
     with staged_folder(out) as staging, busy("simulating"):
         world = simulate_world(spec)
         n_files = 4 + write_odometry(staging, errors, odometry_fault, world.trajectory, seed)
