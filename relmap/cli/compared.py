@@ -46,7 +46,13 @@ def compare_into(
         rows = list(_compared(source, methods, association, sigma_m))
         if not any(row.run for row in rows):
             raise RelmapError(f"none of the methods could run: {rows[0].method} {rows[0].note}")
-        _write(staging, rows, association)
+        lines = (row.row(association) for row in rows)
+        atomic_write(staging / "comparison.csv", csv_text(CSV_COLUMNS, lines))
+        for row in rows:
+            if row.run is not None:
+                found = row.run.result
+                write_tum(staging / f"trajectory-{row.method}.tum", found.stamps_s, found.poses)
+                atomic_write(staging / f"map-{row.method}.csv", columns_text(_map_of(found)))
         with busy("drawing"):
             draw(staging, rows, data, source.about)
     _print_rows(f"{source.about}; association {association}", rows)
@@ -86,17 +92,6 @@ def _print_rows(title: str, rows: Sequence[Compared]) -> None:
     for row in rows:
         if row.run is None:
             typer.echo(f"{row.method}: {row.note}")
-
-
-def _write(folder: Path, rows: Sequence[Compared], association: Association) -> None:
-    """Write the table, and the path and map of every method that ran."""
-    lines = (row.row(association) for row in rows)
-    atomic_write(folder / "comparison.csv", csv_text(CSV_COLUMNS, lines))
-    for row in rows:
-        if row.run is not None:
-            found = row.run.result
-            write_tum(folder / f"trajectory-{row.method}.tum", found.stamps_s, found.poses)
-            atomic_write(folder / f"map-{row.method}.csv", columns_text(_map_of(found)))
 
 
 def _map_of(result: Result) -> dict[str, NDArray[Any]]:

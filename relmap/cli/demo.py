@@ -45,9 +45,17 @@ Rows = Sequence[Sequence[str]]
 
 def demo_command(out: Out = Path("relmap-demo"), seed: Seed = 0) -> None:
     """Run the demonstration; the help text explains the arguments."""
+    from relmap.io.files import atomic_write
+
     parts = [_figure_eight(out, seed)]
     parts += [_both_variants(out, name, noise, seed) for name, noise in NOISES.items()]
-    _write_page(out / INDEX, parts)
+    style = (
+        "body { font: 16px/1.5 sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem } "
+        "td, th { padding: .2rem 1rem .2rem 0; text-align: left }"
+    )
+    head = f'<meta charset="utf-8"><title>relmap demo</title><style>{style}</style>'
+    begin = f'<!DOCTYPE html><html lang="en"><head>{head}</head><body><h1>relmap demo</h1>'
+    atomic_write(out / INDEX, "\n".join([begin, INTRODUCTION, *parts, "</body></html>\n"]))
     typer.echo(f"wrote {INDEX} and the files behind it to {out}")
 
 
@@ -125,15 +133,3 @@ def _part(title: str, text: str, header: Sequence[str], rows: Rows, *pictures: s
     return (
         f"<h2>{escape(title.capitalize())}</h2><p>{escape(text)}</p><table>{table}</table>{shown}"
     )
-
-
-def _write_page(path: Path, parts: Sequence[str]) -> None:
-    from relmap.io.files import atomic_write
-
-    style = (
-        "body { font: 16px/1.5 sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem } "
-        "td, th { padding: .2rem 1rem .2rem 0; text-align: left }"
-    )
-    head = f'<meta charset="utf-8"><title>relmap demo</title><style>{style}</style>'
-    begin = f'<!DOCTYPE html><html lang="en"><head>{head}</head><body><h1>relmap demo</h1>'
-    atomic_write(path, "\n".join([begin, INTRODUCTION, *parts, "</body></html>\n"]))

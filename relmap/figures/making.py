@@ -92,6 +92,8 @@ def page(entries: Sequence[Made], quick: bool) -> str:
     size = small if quick else "runs of full size"
     said = ", ".join(f"{name} {version}" for name, version in versions().items())
     title = "The paper's figures from runs of relmap"
+    names = ("figure", "shows", "our figure", "meaning", "the claim is")
+    head = f"<tr>{''.join(f'<th>{name}</th>' for name in names)}</tr>"
     body = [
         f"<h1>{title}</h1>",
         "<p>What &ldquo;A Relative Mapping Algorithm&rdquo; claims with each figure, the "
@@ -99,7 +101,7 @@ def page(entries: Sequence[Made], quick: bool) -> str:
         "figure, computed from the data.</p>",
         f'<p class="small">{escape(size)}. {escape(said)}. Times are processor time of one '
         "machine.</p>",
-        _summary(entries),
+        f"<table><thead>{head}</thead><tbody>{''.join(map(_row, entries))}</tbody></table>",
         *map(_section, entries),
     ]
     return document(title, body, STYLE)
@@ -108,12 +110,6 @@ def page(entries: Sequence[Made], quick: bool) -> str:
 def _badge(entry: Made) -> str:
     verdict = SKIPPED if entry.outcome is None else entry.outcome.verdict
     return f'<span class="badge {BADGES[verdict]}">{escape(verdict)}</span>'
-
-
-def _summary(entries: Sequence[Made]) -> str:
-    names = ("figure", "shows", "our figure", "meaning", "the claim is")
-    head = f"<tr>{''.join(f'<th>{name}</th>' for name in names)}</tr>"
-    return f"<table><thead>{head}</thead><tbody>{''.join(map(_row, entries))}</tbody></table>"
 
 
 def _row(entry: Made) -> str:

@@ -251,16 +251,9 @@ def is_rough(part: Submap) -> Bools:
     off_m = np.concatenate([seen.spread[:, 2] for seen in part.seen])
     weight = np.concatenate([seen.information[:, 2] for seen in part.seen])
     landmark = np.concatenate(part.match)
-    sums = [
-        np.bincount(landmark, weight * each**2, len(part))
-        for each in (off_m, np.maximum(_usual_noise(range_m, off_m), THIN * range_m))
-    ]
-    return np.asarray(sums[0] > ROUGH**2 * sums[1])
-
-
-def _usual_noise(range_m: Floats, off_m: Floats) -> Floats:
-    """Return the median scatter (n,) of patches at the range of each."""
     order = np.argsort(range_m, kind="stable")
     parts = np.array_split(order, min(BINS, len(order) // FEW + 1))
     usual = [(np.median(range_m[rows]), np.median(off_m[rows])) for rows in parts]
-    return np.asarray(np.interp(range_m, *np.array(usual).T))
+    usual_m = np.maximum(np.interp(range_m, *np.array(usual).T), THIN * range_m)
+    sums = [np.bincount(landmark, weight * each**2, len(part)) for each in (off_m, usual_m)]
+    return np.asarray(sums[0] > ROUGH**2 * sums[1])

@@ -71,7 +71,11 @@ def place(
         motions, scores = guesses(tracks.arrays, seen.arrays)
         likely = motions[scores > best[1].score]
         for found in zip(*settled(tracks, seen, likely), strict=True):
-            doubt = _doubt(found[0], before)
+            jumps = [
+                np.hypot(*(found[0] - usual)[1:]) + LEVER_M * abs(found[0][0] - usual[0])
+                for usual in (before, STILL)
+            ]
+            doubt = 0.5 + DOUBT * min(1.0, min(jumps) / SUDDEN_M)
             if not _jumps(*found, farthest_m) and found[1].score > best[1].score + doubt:
                 best = found
     return best if len(best[1].tracks) and not _jumps(*best, farthest_m) else None
@@ -79,15 +83,6 @@ def place(
 
 def _jumps(motion: Floats, match: Match, farthest_m: float) -> bool:
     return len(match.tracks) < MANY and float(np.hypot(*motion[1:])) > farthest_m
-
-
-def _doubt(motion: Floats, before: Floats) -> float:
-    """Return the additional walls and corners that must agree on a sudden motion."""
-    jumps = [
-        np.hypot(*(motion - usual)[1:]) + LEVER_M * abs(motion[0] - usual[0])
-        for usual in (before, STILL)
-    ]
-    return float(0.5 + DOUBT * min(1.0, min(jumps) / SUDDEN_M))
 
 
 def worth(tracks: PlaneTracks, seen: PlaneObservation, recent: Bools) -> tuple[float, float]:

@@ -113,7 +113,11 @@ class ScanComparison:
         agree = (sums[..., 0] / np.maximum(total, 1.0)).max(axis=0)
         contradict = sums[..., 1].sum(axis=0) / np.maximum(total.sum(axis=0), 1.0)
         score = np.array([match.score / self._possible for match in matches])
-        return Judged(motions, agree, contradict, score, self._surprise(motions), matches)
+        way = np.hypot(*(motions[:, 1:] - self._before[1:]).T) / USUAL_M
+        turn = wrapped(motions[:, 0] - self._before[0]) / USUAL_RAD
+        support = self._expected.supports(motions) if self._expected else 0.0
+        surprise = np.asarray((way**2 + turn**2) / 2 - support)
+        return Judged(motions, agree, contradict, score, surprise, matches)
 
     @cached_property
     def _possible(self) -> float:
@@ -226,10 +230,3 @@ class ScanComparison:
     def _crossing(self, match: Match) -> float:
         """Return the spread of the directions of the walls that match; 0 if they are parallel."""
         return float(spread(self._seen.along[match.walls], np.zeros_like(match.walls), 1)[0])
-
-    def _surprise(self, motions: Floats) -> Floats:
-        """Return the prior improbability of motions (k, 3), given the usual motion."""
-        way = np.hypot(*(motions[:, 1:] - self._before[1:]).T) / USUAL_M
-        turn = wrapped(motions[:, 0] - self._before[0]) / USUAL_RAD
-        support = self._expected.supports(motions) if self._expected else 0.0
-        return np.asarray((way**2 + turn**2) / 2 - support)
