@@ -13,8 +13,7 @@ import numpy as np
 from relmap.core.arrays import Floats
 from relmap.planes.linking.judging import Judged, View
 from relmap.planes.linking.links import spread
-from relmap.planes.linking.placement import ROUNDS, Match, settled, worth
-from relmap.planes.linking.tracks import PlaneTracks
+from relmap.planes.linking.placement import ROUNDS, Match, PlaneTracks, settled, worth
 from relmap.planes.motions import after, wrapped
 from relmap.planes.odometry.prediction import Expected
 from relmap.planes.scans.beams import NEAR_M, Beams, compared, leads, log_odds

@@ -25,10 +25,9 @@ from relmap.planes.linking.links import (
     unsure_m,
     usual_motion,
 )
-from relmap.planes.linking.placement import STILL, place, settled, worth
+from relmap.planes.linking.placement import STILL, PlaneTracks, place, settled, worth
 from relmap.planes.linking.scan_comparison import VERIFYING
 from relmap.planes.linking.search import Search
-from relmap.planes.linking.tracks import PlaneTracks
 from relmap.planes.linking.tying import OFTEN, share_at_rest
 from relmap.planes.motions import others, then
 from relmap.planes.odometry.prediction import OTHERWISE, Expected

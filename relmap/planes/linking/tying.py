@@ -20,9 +20,8 @@ from relmap.core.state.store import ObservationStore
 from relmap.planes.linking.hypotheses import LATER, Hypotheses, Verdict
 from relmap.planes.linking.judging import NO_CANDIDATES, Candidates, View
 from relmap.planes.linking.links import VARYING_M, unsure_m, usual_motion
-from relmap.planes.linking.placement import STILL
+from relmap.planes.linking.placement import STILL, PlaneTracks
 from relmap.planes.linking.search import Search
-from relmap.planes.linking.tracks import PlaneTracks
 from relmap.planes.motions import motion_over, others
 from relmap.planes.odometry.prediction import OTHERWISE, Expected
 from relmap.planes.scans.beams import RECENT, Beams, BeamStore

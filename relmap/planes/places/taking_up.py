@@ -17,9 +17,8 @@ import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.mapper import Place
-from relmap.planes.linking.placement import STILL, settled
+from relmap.planes.linking.placement import STILL, PlaneTracks, settled
 from relmap.planes.linking.scan_links import ScanLinks
-from relmap.planes.linking.tracks import PlaneTracks
 from relmap.planes.motions import from_matrices, matrices, wrapped
 from relmap.planes.places.wall_tie import ACROSS, WallTie, wall_ties
 from relmap.planes.scans.corners import CORNER, CUT
