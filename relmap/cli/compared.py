@@ -14,7 +14,7 @@ from relmap.cli.arguments import Association
 from relmap.cli.compare import COLUMNS, OF_CORNERS, RELATIONS
 from relmap.cli.console import busy, figure, print_table
 from relmap.comparison.compare import CSV_COLUMNS, Compared, chosen_methods, compare
-from relmap.comparison.methods.base import MethodInfo
+from relmap.comparison.methods.registry import MethodInfo
 from relmap.comparison.methods.running import MethodRun
 from relmap.core.errors import RelmapError
 from relmap.datasets.base import ObservationLog

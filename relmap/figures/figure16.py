@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from relmap.comparison.baselines.base import Setup
 from relmap.comparison.compare import landmark_error_curve
-from relmap.comparison.methods.base import Setup
 from relmap.comparison.methods.registry import find_method
 from relmap.comparison.methods.running import setup_for
 from relmap.core.arrays import Floats, Ints

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,6 +17,19 @@ from relmap.datasets.base import ObservationLog
 NO_MAP = LandmarkMap(np.empty(0, np.int64), np.empty((0, 3)))
 Pose = tuple[Floats, Floats]
 """``T_map_robot`` as R (d, d) and t (d,), metres; d is 2 or 3."""
+
+
+@dataclass(frozen=True)
+class Setup:
+    """Information given to a method before it starts.
+
+    `dimension`: 2 for a planar world, else 3; `sigma_m`: standard deviation of each observed
+    coordinate, metres; `range_m`: distance of the farthest observation of the log, metres.
+    """
+
+    dimension: int = 3
+    sigma_m: float = 0.05
+    range_m: float = 80.0
 
 
 class Baseline(ABC):

@@ -23,8 +23,7 @@ from typing import Literal
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from relmap.comparison.baselines.base import KnownBaseline, Pose, fitted, map_of
-from relmap.comparison.methods.base import Setup
+from relmap.comparison.baselines.base import KnownBaseline, Pose, Setup, fitted, map_of
 from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.motions import derivatives, rotations
 from relmap.core.landmarks import LandmarkMap

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import importlib.util
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from relmap.comparison.baselines.base import Setup
 from relmap.comparison.baselines.batch import BatchLeastSquares
 from relmap.comparison.baselines.ekf import as_mrpt_ships_it, linearised_at_best_fit
 from relmap.comparison.baselines.frames import FrameToFrame, FrameToMap
 from relmap.comparison.baselines.gtsam_methods import GtsamBatch, Isam2
 from relmap.comparison.baselines.icp import KissIcp, SmallGicp
-from relmap.comparison.methods.base import MethodInfo
 from relmap.core.association import NearestPrevious, Registration
 from relmap.core.config import MapperConfig
 from relmap.core.errors import RelmapError, known_name
@@ -68,6 +70,30 @@ class PaperPlaneMapper(PlaneMapper):
         R, t = fit_rigid(source, target)
         ends = np.where(both[:, None, None], placed @ R.T + t, np.nan)
         return replace(table, ends=ends, status=np.where(both, table.status, "unmapped"))
+
+
+@dataclass(frozen=True)
+class MethodInfo:
+    """A method and the information needed to choose it.
+
+    `make`: makes a new `Method` or `Plane3dMapper`; `logs`: accepted kinds of logs; `refine`:
+    whether the map is refined at the end of the log; `needs_ids`: whether it needs known ids;
+    `needs`: module of the optional extra that it requires.
+    """
+
+    name: str
+    make: Callable[[Setup], Any]
+    logs: tuple[LogKind, ...] = ("landmarks",)
+    refine: bool = False
+    needs_ids: bool = False
+    needs: str | None = None
+
+    @property
+    def missing(self) -> str | None:
+        """Reason why it cannot run; None if nothing is missing."""
+        if self.needs is None or importlib.util.find_spec(self.needs) is not None:
+            return None
+        return f"{self.needs} is not installed: pip install 'relmap[peers]'"
 
 
 METHODS: tuple[MethodInfo, ...] = (

@@ -10,8 +10,8 @@ from time import process_time
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from relmap.comparison.methods.base import MethodInfo, Setup
-from relmap.comparison.methods.registry import find_method
+from relmap.comparison.baselines.base import Setup
+from relmap.comparison.methods.registry import MethodInfo, find_method
 from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.datasets.base import ObservationLog
