@@ -39,12 +39,11 @@ from relmap import PlaneMapper
 from relmap.core.arrays import Floats
 from relmap.datasets import open_scans
 from relmap.datasets.scans import ScanLog, stored_scans
-from relmap.evaluation.corners import match_corners
 from relmap.evaluation.feeding import Fed, feed
 from relmap.evaluation.relations import AT_SCANS_S, relation_errors, relations_by_clocks
 from relmap.evaluation.sources import log_of, truth_of
 from relmap.evaluation.truth import Truth
-from relmap.evaluation.walls import judge_walls
+from relmap.evaluation.walls import judge_walls, match_corners
 from relmap.simulation import simulate_building
 from relmap.simulation.sensor import Sensor
 

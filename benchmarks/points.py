@@ -15,7 +15,7 @@ from shared.runs import limit, mapped, rmse, true_ids
 from shared.tables import header, row
 
 from relmap import PointMapper
-from relmap.comparison.baselines.frame_to_map import FrameToMap
+from relmap.comparison.baselines.frames import FrameToMap
 from relmap.datasets import ObservationLog, open_log
 from relmap.datasets.mrpt_landmarks import read_ground_truth
 from relmap.evaluation.metrics import positions_of, purity

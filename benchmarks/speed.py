@@ -32,7 +32,7 @@ from shared.runs import mapped
 from shared.tables import table
 
 from relmap import PointMapper
-from relmap.comparison.baselines.frame_to_map import FrameToMap
+from relmap.comparison.baselines.frames import FrameToMap
 from relmap.comparison.baselines.icp import KissIcp
 from relmap.core.arrays import Floats
 from relmap.datasets.base import ObservationLog, Scan

@@ -9,7 +9,7 @@ import pytest
 
 from relmap import PointMapper
 from relmap.comparison.baselines.batch import least_squares_map
-from relmap.comparison.baselines.frame_to_map import frame_to_map
+from relmap.comparison.baselines.frames import frame_to_map
 from relmap.core.arrays import Floats, Ints
 from relmap.core.landmarks import LandmarkMap
 from relmap.datasets import ObservationLog, open_log

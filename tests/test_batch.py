@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from relmap import RelmapError
 from relmap.comparison.baselines.batch import Batch, batch_least_squares
-from relmap.comparison.baselines.frame_to_map import FrameToMap
+from relmap.comparison.baselines.frames import FrameToMap
 from relmap.core.arrays import Floats, Ints
 from tests.worlds import aligned_rmse, random_rotation, walk
 

@@ -15,8 +15,7 @@ import pytest
 from relmap.cli import main
 from relmap.cli.compare import HELP
 from relmap.comparison.compare import CSV_COLUMNS, compare
-from relmap.comparison.methods.base import MethodInfo
-from relmap.comparison.methods.registry import METHODS, find_method
+from relmap.comparison.methods.registry import METHODS, MethodInfo, find_method
 from relmap.comparison.methods.running import run_method
 from relmap.evaluation.feeding import Association
 from relmap.evaluation.sources import Data, EightSource

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from relmap.comparison.baselines.bearing import inverse_model, predicted, spherical
-from relmap.comparison.baselines.ekf import Ekf, EkfConfig
+from relmap.comparison.baselines.ekf import Ekf, EkfConfig, inverse_model, predicted, spherical
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.mrpt_landmarks import read_ground_truth
 from relmap.evaluation.metrics import align, rms

@@ -11,8 +11,8 @@ import pytest
 from relmap import RelmapError
 from relmap.core.arrays import Floats
 from relmap.simulation import Building, BuildingScan, simulate_building
-from relmap.simulation.coverage import seen_extents
 from relmap.simulation.floor_plan import World, make_floor_plan
+from relmap.simulation.sensor import seen_extents
 from relmap.simulation.shapes import FloorPlan, wall_distances
 from relmap.simulation.things import glass_ranges, round_ranges, walking
 from relmap.simulation.visibility import SeenWalls

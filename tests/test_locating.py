@@ -16,7 +16,7 @@ from relmap.datasets.scans import ScanLog, SensorView
 from relmap.evaluation.feeding import feed, preparation
 from relmap.evaluation.sources import log_of
 from relmap.mapper import Mapper, Place
-from relmap.planes.places.finding import WallFinder
+from relmap.planes.places.taking_up import WallFinder
 from relmap.planes.scans.observation import checked_planes
 from relmap.points import PointMapper
 from relmap.simulation import Building, simulate_building

@@ -8,8 +8,7 @@ import pytest
 from relmap import PlaneMapper
 from relmap.core.arrays import Floats
 from relmap.core.state.store import ObservationStore
-from relmap.planes.linking.at_rest import share_at_rest
-from relmap.planes.linking.tying import Scans
+from relmap.planes.linking.tying import Scans, share_at_rest
 from relmap.planes.scans.beams import Beams, BeamStore, GivenBeams
 from relmap.planes.scans.observation import checked_planes, journaled, of_journal
 from relmap.segmentation import PlaneSegmenter

@@ -8,10 +8,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from relmap.comparison.baselines.frame_to_frame import FrameToFrame
+from relmap.comparison.baselines.frames import FrameToFrame
 from relmap.comparison.compare import landmark_error_curve
-from relmap.comparison.methods.base import MethodInfo
-from relmap.comparison.methods.registry import METHODS, check_method, find_method, fitting_methods
+from relmap.comparison.methods.registry import (
+    METHODS,
+    MethodInfo,
+    check_method,
+    find_method,
+    fitting_methods,
+)
 from relmap.comparison.methods.running import ACCURACY, COST, PATH, MethodRun, run_method, setup_for
 from relmap.core.errors import RelmapError
 from relmap.datasets.base import ObservationLog

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from relmap import PlaneMapper, RelmapError
-from relmap.evaluation.corners import match_corners
 from relmap.evaluation.truth import Truth
+from relmap.evaluation.walls import match_corners
 from relmap.simulation import Building, simulate_building
-from relmap.simulation.floor_plan import World, make_floor_plan
-from relmap.simulation.moving_walls import make_moving
+from relmap.simulation.floor_plan import World, make_floor_plan, make_moving
 from tests.segments import crossings
 
 SEEN = 10

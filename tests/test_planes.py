@@ -11,8 +11,8 @@ import pytest
 from relmap import PlaneMapper, RelmapError
 from relmap.core.arrays import Floats
 from relmap.core.geometry.alignment import fit_rigid
-from relmap.evaluation.corners import match_corners
 from relmap.evaluation.sources import truth_of
+from relmap.evaluation.walls import match_corners
 from relmap.simulation import Building, simulate_building
 from relmap.simulation.visibility import seen_walls
 from tests.worlds import ate_m, fed, finished, turn

@@ -12,7 +12,7 @@ from relmap import Plane3dMapper
 from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.planes3d.adjustment import PlaneAdjustment, Scene, across
-from relmap.planes3d.covariances import plane_covariances, step_covariances
+from relmap.planes3d.certainty import plane_covariances, step_covariances
 from relmap.planes3d.refining import refined, unsure_steps
 from relmap.planes3d.submap import Submap
 from relmap.segmentation.space import Patches, PatchSegmenter

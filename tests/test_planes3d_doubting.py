@@ -11,12 +11,12 @@ from scipy.spatial.transform import Rotation
 from relmap import Plane3dMapper
 from relmap.core.arrays import Floats
 from relmap.evaluation.space_run import submap_row
-from relmap.planes3d.doubting import is_doubtful, is_tied_doubtfully, sight_of
 from relmap.planes3d.fitting import matched
 from relmap.planes3d.placing import Placed
+from relmap.planes3d.sights import is_doubtful, is_tied_doubtfully, sight_of
 from relmap.planes3d.submap import Submap
 from relmap.planes3d.table import plane_table
-from relmap.plots.planes3d import plot_planes3d
+from relmap.plots.planes import plot_planes3d
 from tests.test_planes3d_covariances import part_of, patches, wall
 from tests.worlds import fed
 

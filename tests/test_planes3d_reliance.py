@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from relmap.core.arrays import Floats, Ints
+from relmap.planes3d.certainty import changes, fragile
 from relmap.planes3d.refining import refined, scene, sightings, unsure_steps
-from relmap.planes3d.reliance import changes, fragile
 from relmap.planes3d.submap import Submap
 from tests.test_planes3d_covariances import patches, wall
 

@@ -7,8 +7,8 @@ import pytest
 
 from relmap import Plane3dMapper
 from relmap.core.arrays import Floats
+from relmap.planes3d.gathering import is_rough
 from relmap.planes3d.hypothesis_kernels import best_ways
-from relmap.planes3d.roughness import is_rough
 from relmap.segmentation.space import PatchSegmenter
 from relmap.simulation.storey import cast_rays
 from tests.worlds import fed, refined

@@ -12,7 +12,7 @@ from relmap.core.arrays import Floats
 from relmap.planes import PlaneMapper
 from relmap.planes.linking.registration import PlaneRegistration
 from relmap.planes.refinement import refining
-from relmap.planes.refinement.bending import bent_steps
+from relmap.planes.refinement.refining import bent_steps
 from relmap.planes.submaps.submap import WallSubmap
 from relmap.planes.walls.history import PlaneHistory
 from tests.test_planes_undetermined import along

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from relmap import PlaneMapper
 from relmap.core.arrays import Floats
-from relmap.evaluation.corners import match_corners
 from relmap.evaluation.sources import truth_of
+from relmap.evaluation.walls import match_corners
 from relmap.planes.scans.corners import CORNER, CUT, UNKNOWN, compared_ends
 from relmap.simulation import simulate_building
 from tests.worlds import ate_m, fed, finished, turn

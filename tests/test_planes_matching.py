@@ -6,8 +6,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from relmap.planes.linking import assignment_kernels
-from relmap.planes.linking.placement import STILL, place
-from relmap.planes.linking.tracks import PlaneTracks
+from relmap.planes.linking.placement import STILL, PlaneTracks, place
 from relmap.planes.scans.observation import checked_planes
 from tests.kernels import callable_here
 from tests.worlds import turn

@@ -10,7 +10,7 @@ from relmap.core.arrays import Floats
 from relmap.core.linalg.order_kernels import medians, quantiles
 from relmap.planes.pairwise import pairwise_map, relate
 from relmap.planes.scans.observation import checked_planes
-from relmap.planes.submaps.stitching import stitched
+from relmap.planes.submaps.submap import stitched
 from relmap.planes.walls.history import PlaneHistory
 from tests.tables import poses_along
 from tests.worlds import turn

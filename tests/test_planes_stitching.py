@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from relmap.core.arrays import Floats
-from relmap.planes.submaps.stitching import ASTRAY_M, FEW, with_strays_put_back
+from relmap.planes.submaps.submap import ASTRAY_M, FEW, with_strays_put_back
 from tests.tables import poses_along
 
 

@@ -17,8 +17,7 @@ from relmap.cli.outcome import each
 from relmap.core.arrays import Floats
 from relmap.io.files import read_tum
 from relmap.planes.refinement.system import WallSystem
-from relmap.planes.submaps.stitching import stitched
-from relmap.planes.submaps.submap import disagreement
+from relmap.planes.submaps.submap import disagreement, stitched
 from relmap.planes.walls.equations import Walls
 from relmap.planes.walls.files import read_planes
 from relmap.simulation.visibility import seen_walls

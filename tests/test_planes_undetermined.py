@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from relmap.planes import PlaneMapper
 from relmap.planes.linking.registration import PlaneRegistration
-from relmap.planes.submaps.undetermined import undetermined_steps
+from relmap.planes.submaps.doubtful import undetermined_steps
 from tests.worlds import turn
 
 FAR = np.array([[6.0, -0.8], [6.8, 0.0], [7.0, 1.0]])

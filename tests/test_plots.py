@@ -15,9 +15,8 @@ from PIL import Image
 from relmap.core.landmarks import LandmarkMap
 from relmap.evaluation.landmarks import Overlay
 from relmap.io.results import Result
-from relmap.plots.localised import plot_localised
 from relmap.plots.path import broken_at_gaps, broken_at_jumps
-from relmap.plots.run import plot_run, write_map_png
+from relmap.plots.run import plot_localised, plot_run, write_map_png
 from relmap.plots.sheet import Sheet, limits_of
 from tests.somerun import make_result
 

@@ -11,10 +11,15 @@ from matplotlib.quiver import Quiver
 from matplotlib.text import Text
 
 from relmap.evaluation.landmarks import Overlay
-from relmap.plots.comparison import plot_comparison
-from relmap.plots.errors import plot_errors, shared_scale
+from relmap.plots.comparison import (
+    SweepRow,
+    plot_comparison,
+    plot_errors,
+    plot_sweep,
+    shared_scale,
+    write_sweep_png,
+)
 from relmap.plots.run import plot_run
-from relmap.plots.sweep import SweepRow, plot_sweep, write_sweep_png
 from tests.somerun import make_result
 
 

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from relmap.points import basis_kernels
-from relmap.points.basis import relative_map
+from relmap.points.model import PointModel
 from tests.kernels import callable_here
 from tests.worlds import aligned_rmse, random_rotation
 
@@ -50,7 +50,7 @@ def test_the_basis_keeps_shape_and_handedness(seed: int, d: int) -> None:
 @given(seeds, dimensions)
 def test_relative_map_is_exact_without_noise(seed: int, d: int) -> None:
     shape, block = moved_block(seed, d)
-    relative = relative_map(block)
+    relative = PointModel().average_in_basis(block)
     assert relative is not None
     assert aligned_rmse(relative, shape) < 1e-9
 
@@ -59,7 +59,7 @@ def test_relative_map_averages_the_noise_away() -> None:
     errors = []
     for seed in range(200):
         shape, block = moved_block(seed, 3, sigma=0.01)
-        relative = relative_map(block)
+        relative = PointModel().average_in_basis(block)
         assert relative is not None
         errors.append(aligned_rmse(relative, shape))
     # 7 points have 21 coordinates, of which an alignment takes 6 away; ten views are averaged.
@@ -78,10 +78,10 @@ def test_basis_points_are_spread_apart() -> None:
 def test_collinear_points_determine_no_basis_in_space() -> None:
     line = np.outer(np.arange(5.0), [1.0, 2.0, 3.0])
     assert len(choose_basis(line)) == 0
-    assert relative_map(np.stack([line, line + 1], axis=1)) is None
+    assert PointModel().average_in_basis(np.stack([line, line + 1], axis=1)) is None
 
 
 def test_a_basis_that_collapses_in_one_iteration_is_refused() -> None:
     shape = np.array([[0.0, 0, 0], [4, 0, 0], [0, 3, 0], [1, 1, 1]])
     block = np.stack([np.zeros_like(shape), shape, shape], axis=1)
-    assert relative_map(block) is None
+    assert PointModel().average_in_basis(block) is None

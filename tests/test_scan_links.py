@@ -15,9 +15,8 @@ from relmap.evaluation.feeding import segment_scan, segmenter_for
 from relmap.evaluation.sources import log_of
 from relmap.planes.linking import guess_kernels
 from relmap.planes.linking.judging import View
-from relmap.planes.linking.placement import STILL
+from relmap.planes.linking.placement import STILL, PlaneTracks
 from relmap.planes.linking.search import Search
-from relmap.planes.linking.tracks import PlaneTracks
 from relmap.planes.motions import inverse
 from relmap.planes.scans.beams import NEAR_M, Beams, GivenBeams, compared, leads, log_odds
 from relmap.planes.scans.observation import PlaneObservation, checked_planes

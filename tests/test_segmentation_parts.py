@@ -14,9 +14,8 @@ from relmap.segmentation.em.moves import bend, merge, split, widest_gap
 from relmap.segmentation.em.wall_kernels import expect
 from relmap.segmentation.ends.box_kernels import box_extent
 from relmap.segmentation.ends.corners import meet
-from relmap.segmentation.ends.end_types import Limits, type_ends
-from relmap.segmentation.ends.pairs import one_hides_other
-from relmap.segmentation.ends.shadows import part_at_shadows, shadows
+from relmap.segmentation.ends.end_types import type_ends
+from relmap.segmentation.ends.pairs import one_hides_other, part_at_shadows, shadows
 from relmap.segmentation.noise import beam_angle, window_noise
 from relmap.segmentation.scanline.lines import LaserScan, first_and_last, hidden_ends, scan_walls
 from tests.kernels import callable_here
@@ -194,12 +193,12 @@ def test_types_of_ends_in_their_order() -> None:
         ]
     )
     spread, joined = np.full((4, 2), 0.01), np.zeros((4, 2), dtype=bool)
-    kinds = type_ends(ends, spread, joined, Limits(float(half), reach))
+    kinds = type_ends(ends, spread, joined, (float(half), reach))
     assert kinds[0].tolist() == ["view", "corner"]
     assert kinds[1].tolist() == ["occluded", "corner"]
     assert kinds[3, 1] == "range"
     joined[1, 0] = True
-    assert type_ends(ends, spread, joined, Limits(float(half), reach))[1, 0] == "corner"
+    assert type_ends(ends, spread, joined, (float(half), reach))[1, 0] == "corner"
 
 
 def test_a_laser_scan_of_a_room_is_four_walls() -> None:

@@ -8,7 +8,7 @@ import pytest
 from relmap import RelmapError
 from relmap.core.arrays import Floats
 from relmap.segmentation.space import Patches, PatchSegmenter
-from relmap.segmentation.space.condensing import condensed
+from relmap.segmentation.space.growing import condensed
 from relmap.simulation.storey import Storey, simulate_storey
 
 LARGE_M2, MANY = 0.25, 150

@@ -6,8 +6,7 @@ import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 
 from relmap.core.refinement.schur import Linearised
-from relmap.planes.odometry.motion_factors import MotionFactors
-from relmap.planes.odometry.steps import Steps, constant_errors
+from relmap.planes.odometry.steps import MotionFactors, Steps, constant_errors
 from tests.tables import poses_along
 
 

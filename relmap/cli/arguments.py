@@ -1,7 +1,8 @@
-"""Arguments shared by several verbs: logs, intervals, output folders, settings."""
+"""Arguments shared by several verbs: logs, intervals, output folders, settings, odometry."""
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,11 +14,47 @@ from relmap.core.errors import RelmapError
 
 if TYPE_CHECKING:
     from relmap.core.config import MapperConfig
+    from relmap.simulation.odometry import Wheels
 
 Association = Literal["nearest", "known"]
 Odometry = Literal["auto", "none"]
 Level = Literal["auto", "none"]
 Variant = Literal["points", "planes", "planes3d"]
+Format = Annotated[
+    str | None,
+    typer.Option(
+        "--format",
+        metavar="NAME",
+        help="Format of INPUT, one that 'relmap map --help' lists; recognised if not given.",
+    ),
+]
+Topics = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--topic",
+        metavar="NAME",
+        help="The topic to read if a bag has several with scans, detections or odometry; may "
+        "be given once for each of these.",
+    ),
+]
+Noise = Annotated[
+    Literal["gaussian", "uniform"], typer.Option(help="Distribution of the simulated noise.")
+]
+Density = Annotated[float, typer.Option(help="Figure eight only: landmarks per 100 m of the path.")]
+Dynamic = Annotated[
+    float, typer.Option(help="Figure eight only: fraction of moving landmarks, 0 to 1.")
+]
+Seed = Annotated[
+    int, typer.Option(help="Seed of the random numbers: the same seed simulates the same world.")
+]
+Fault = Literal["slip", "reversed", "stale"]
+OdometryFault = Annotated[
+    Fault | None,
+    typer.Option(
+        help="slip: a tenth of the steps counts twice; reversed: wrong sign; stale: 0.5 s "
+        "late, or three iterations without a clock.",
+    ),
+]
 
 
 class Interval(NamedTuple):
@@ -79,14 +116,6 @@ Scans = Annotated[
         help="Only iterations A to B - 1, counted from 0.",
     ),
 ]
-Format = Annotated[
-    str | None,
-    typer.Option(
-        "--format",
-        metavar="NAME",
-        help="Format of INPUT, one that 'relmap map --help' lists; recognised if not given.",
-    ),
-]
 Columns = Annotated[
     dict[str, str] | None,
     typer.Option(
@@ -95,25 +124,6 @@ Columns = Annotated[
         help="Column names of a table (CSV, Parquet) for iteration, stamp "
         "(seconds), x, y, z and id; others are ignored.",
     ),
-]
-Topics = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--topic",
-        metavar="NAME",
-        help="The topic to read if a bag has several with scans, detections or odometry; may "
-        "be given once for each of these.",
-    ),
-]
-Noise = Annotated[
-    Literal["gaussian", "uniform"], typer.Option(help="Distribution of the simulated noise.")
-]
-Density = Annotated[float, typer.Option(help="Figure eight only: landmarks per 100 m of the path.")]
-Dynamic = Annotated[
-    float, typer.Option(help="Figure eight only: fraction of moving landmarks, 0 to 1.")
-]
-Seed = Annotated[
-    int, typer.Option(help="Seed of the random numbers: the same seed simulates the same world.")
 ]
 
 
@@ -157,3 +167,57 @@ def read_config(
         return config.MapperConfig.from_mapping(settings | given)
 
     return read_toml(path, parse)
+
+
+class Pair(NamedTuple):
+    """Two numbers, for translation and rotation."""
+
+    way: float
+    turn: float
+
+
+def pair(text: str) -> Pair:
+    """Return the two numbers in ``WAY:TURN``; RelmapError if it is not two finite numbers."""
+    try:
+        way, turn = map(float, text.split(":"))
+    except ValueError:
+        way = turn = math.nan
+    if not math.isfinite(way + turn):
+        raise RelmapError(f"{text!r} must be WAY:TURN, two numbers as in 0.01:0.1")
+    return Pair(way, turn)
+
+
+OdometryNoise = Annotated[
+    Pair | None,
+    typer.Option(
+        metavar="WAY:TURN",
+        parser=pair,
+        help="Write odometry.csv with errors of each step: WAY, a fraction of its length, and "
+        "TURN, degrees; standard deviations, as 0.01:0.1.",
+    ),
+]
+OdometryBias = Annotated[
+    Pair | None,
+    typer.Option(
+        metavar="WAY:TURN",
+        parser=pair,
+        help="Systematic odometry errors: a fraction of the distance, and degrees to the left "
+        "per metre.",
+    ),
+]
+
+
+def wheels_of(noise: Pair | None, bias: Pair | None, fault: Fault | None) -> Wheels | None:
+    """Return the errors of the odometry to simulate, as given; None without odometry.
+
+    Raises `RelmapError` if a number is out of range, or a bias or fault is given without odometry.
+    """
+    from relmap.simulation.odometry import Wheels
+
+    if noise is None:
+        refuse(bias or fault, "--odometry-bias and --odometry-fault require --odometry")
+        return None
+    biases = {} if bias is None else {"way_bias": bias.way, "turn_bias_deg_per_m": bias.turn}
+    wheels = Wheels(way=noise.way, turn_deg=noise.turn, **biases)
+    wheels.check()
+    return wheels

@@ -14,7 +14,7 @@ from relmap.cli.arguments import Association
 from relmap.cli.compare import COLUMNS, OF_CORNERS, RELATIONS
 from relmap.cli.console import busy, figure, print_table
 from relmap.comparison.compare import CSV_COLUMNS, Compared, chosen_methods, compare
-from relmap.comparison.methods.base import MethodInfo
+from relmap.comparison.methods.registry import MethodInfo
 from relmap.comparison.methods.running import MethodRun
 from relmap.core.errors import RelmapError
 from relmap.datasets.base import ObservationLog
@@ -46,7 +46,13 @@ def compare_into(
         rows = list(_compared(source, methods, association, sigma_m))
         if not any(row.run for row in rows):
             raise RelmapError(f"none of the methods could run: {rows[0].method} {rows[0].note}")
-        _write(staging, rows, association)
+        lines = (row.row(association) for row in rows)
+        atomic_write(staging / "comparison.csv", csv_text(CSV_COLUMNS, lines))
+        for row in rows:
+            if row.run is not None:
+                found = row.run.result
+                write_tum(staging / f"trajectory-{row.method}.tum", found.stamps_s, found.poses)
+                atomic_write(staging / f"map-{row.method}.csv", columns_text(_map_of(found)))
         with busy("drawing"):
             draw(staging, rows, data, source.about)
     _print_rows(f"{source.about}; association {association}", rows)
@@ -88,17 +94,6 @@ def _print_rows(title: str, rows: Sequence[Compared]) -> None:
             typer.echo(f"{row.method}: {row.note}")
 
 
-def _write(folder: Path, rows: Sequence[Compared], association: Association) -> None:
-    """Write the table, and the path and map of every method that ran."""
-    lines = (row.row(association) for row in rows)
-    atomic_write(folder / "comparison.csv", csv_text(CSV_COLUMNS, lines))
-    for row in rows:
-        if row.run is not None:
-            found = row.run.result
-            write_tum(folder / f"trajectory-{row.method}.tum", found.stamps_s, found.poses)
-            atomic_write(folder / f"map-{row.method}.csv", columns_text(_map_of(found)))
-
-
 def _map_of(result: Result) -> dict[str, NDArray[Any]]:
     """Return the columns of a map: landmarks, or the ends of walls."""
     if isinstance(result, PlaneResult):
@@ -112,8 +107,7 @@ def _map_of(result: Result) -> dict[str, NDArray[Any]]:
 
 def draw(folder: Path, rows: Iterable[Compared], data: Data[Log], title: str) -> None:
     """Draw the comparison, and the map or the errors of every method that ran."""
-    from relmap.plots.comparison import write_comparison_png
-    from relmap.plots.errors import shared_scale, write_errors_png
+    from relmap.plots.comparison import shared_scale, write_comparison_png, write_errors_png
     from relmap.plots.of_mapper import plot_result
     from relmap.plots.run import write_map_png
     from relmap.plots.sheet import write_png

@@ -15,7 +15,6 @@ from relmap.cli.console import busy, figure, print_table
 if TYPE_CHECKING:
     from relmap.evaluation.evaluate import Evaluation
     from relmap.evaluation.run import Run
-    from relmap.plots.variants import BothMaps
 
 HELP = """Map simulated scans and compare the maps with the truth.
 
@@ -46,9 +45,17 @@ Rows = Sequence[Sequence[str]]
 
 def demo_command(out: Out = Path("relmap-demo"), seed: Seed = 0) -> None:
     """Run the demonstration; the help text explains the arguments."""
+    from relmap.io.files import atomic_write
+
     parts = [_figure_eight(out, seed)]
     parts += [_both_variants(out, name, noise, seed) for name, noise in NOISES.items()]
-    _write_page(out / INDEX, parts)
+    style = (
+        "body { font: 16px/1.5 sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem } "
+        "td, th { padding: .2rem 1rem .2rem 0; text-align: left }"
+    )
+    head = f'<meta charset="utf-8"><title>relmap demo</title><style>{style}</style>'
+    begin = f'<!DOCTYPE html><html lang="en"><head>{head}</head><body><h1>relmap demo</h1>'
+    atomic_write(out / INDEX, "\n".join([begin, INTRODUCTION, *parts, "</body></html>\n"]))
     typer.echo(f"wrote {INDEX} and the files behind it to {out}")
 
 
@@ -101,20 +108,17 @@ def _both_variants(out: Path, name: str, noise: float, seed: int) -> str:
     sigma_m, picture = maps.planes.run.sigma, f"building-{name}-noise.png"
     title = f"the same scans of a building as planes and as points, noise {sigma_m:g} m"
     write_both_png(out / picture, maps, title)
-    header, rows = ("metric", "planes", "points"), _rows(maps)
-    print_table(title, header, rows)
-    text = f"Points on the walls are about {SPACING_M:g} m apart, and no ids are given."
-    return _part(title, text, header, rows, picture)
-
-
-def _rows(maps: BothMaps) -> Rows:
     runs = maps.planes.run, maps.points.run
-    return [
+    header = ("metric", "planes", "points")
+    rows = [
         ("RMSE of corners, of points [m]", *(figure(run.map_rmse_m) for run in runs)),
         ("coverage", *(figure(run.coverage) for run in runs)),
         ("ATE [m]", *(figure(run.ate_m) for run in runs)),
         ("fraction of scans with a pose", *(figure(run.poses) for run in runs)),
     ]
+    print_table(title, header, rows)
+    text = f"Points on the walls are about {SPACING_M:g} m apart, and no ids are given."
+    return _part(title, text, header, rows, picture)
 
 
 def _part(title: str, text: str, header: Sequence[str], rows: Rows, *pictures: str) -> str:
@@ -129,15 +133,3 @@ def _part(title: str, text: str, header: Sequence[str], rows: Rows, *pictures: s
     return (
         f"<h2>{escape(title.capitalize())}</h2><p>{escape(text)}</p><table>{table}</table>{shown}"
     )
-
-
-def _write_page(path: Path, parts: Sequence[str]) -> None:
-    from relmap.io.files import atomic_write
-
-    style = (
-        "body { font: 16px/1.5 sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem } "
-        "td, th { padding: .2rem 1rem .2rem 0; text-align: left }"
-    )
-    head = f'<meta charset="utf-8"><title>relmap demo</title><style>{style}</style>'
-    begin = f'<!DOCTYPE html><html lang="en"><head>{head}</head><body><h1>relmap demo</h1>'
-    atomic_write(path, "\n".join([begin, INTRODUCTION, *parts, "</body></html>\n"]))

@@ -14,7 +14,7 @@ from relmap.core.errors import RelmapError
 
 if TYPE_CHECKING:
     from relmap.figures.base import Watch
-    from relmap.figures.page import Made
+    from relmap.figures.making import Made
 
 T = TypeVar("T")
 

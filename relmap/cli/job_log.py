@@ -40,7 +40,12 @@ def log_of(job: Job) -> Log:
             typer.echo(f"relmap: {source}: planes3d does not use the odometry of the log", err=True)
         _doubt_unit(log)
     log = _level(job, log) if job.association == "known" else _each_once(job, _level(job, log))
-    return log if job.sigmas is None else _with_noise(log, job.sigmas)
+    if job.sigmas is None:
+        return log
+    assert isinstance(log, ObservationLog)
+    if len(job.sigmas) > log.points_robot.shape[1]:
+        raise RelmapError("--elevation-sigma is for logs in space, and this one is planar")
+    return replace(log, covariances=range_bearing_covariances(log.points_robot, *job.sigmas))
 
 
 def _doubt_unit(log: Log) -> None:
@@ -75,10 +80,3 @@ def _each_once(job: Job, log: Log) -> Log:
         message = f"{n_again} points left out that repeat another one of their scan exactly"
         typer.echo(f"relmap: {job.source}: {message}", err=True)
     return once
-
-
-def _with_noise(log: Log, sigmas: tuple[float, ...]) -> Log:
-    assert isinstance(log, ObservationLog)
-    if len(sigmas) > log.points_robot.shape[1]:
-        raise RelmapError("--elevation-sigma is for logs in space, and this one is planar")
-    return replace(log, covariances=range_bearing_covariances(log.points_robot, *sigmas))

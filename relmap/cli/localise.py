@@ -97,7 +97,7 @@ def _write(folder: Path, mapper: PointMapper | PlaneMapper, log: Log, places: li
     from relmap.io.files import write_tum
     from relmap.io.results import MAP_PNG, TRAJECTORY
     from relmap.planes import PlaneMapper
-    from relmap.plots.localised import write_localised_png
+    from relmap.plots.run import write_localised_png
 
     poses = np.array([place.T_map_robot for place in places]).reshape(-1, 4, 4)
     found = np.isfinite(poses[:, 0, 0])

@@ -6,8 +6,16 @@ from typing import Annotated, Literal
 
 import typer
 
-from relmap.cli import wheels
-from relmap.cli.arguments import Noise, Out, Seed, refuse
+from relmap.cli.arguments import (
+    Noise,
+    OdometryBias,
+    OdometryFault,
+    OdometryNoise,
+    Out,
+    Seed,
+    refuse,
+    wheels_of,
+)
 from relmap.cli.console import busy
 
 HELP = """Simulate a drive past the walls of a building.
@@ -90,9 +98,9 @@ def building_command(
     step: _Step = 0.22,
     people: _People = 0,
     clutter: _Clutter = 0.0,
-    odometry: wheels.Noise = None,
-    odometry_bias: wheels.Bias = None,
-    odometry_fault: wheels.Broken = None,
+    odometry: OdometryNoise = None,
+    odometry_bias: OdometryBias = None,
+    odometry_fault: OdometryFault = None,
     seed: Seed = 0,
 ) -> None:
     """Write a simulated building; the help text explains the arguments."""
@@ -103,7 +111,7 @@ def building_command(
 
     wrong = view is not None and not 0 < view < 360
     refuse(wrong, f"--view is {view}; it must be above 0 and below 360 degrees")
-    errors = wheels.wheels_of(odometry, odometry_bias, odometry_fault)
+    errors = wheels_of(odometry, odometry_bias, odometry_fault)
     if beams is not None:
         message = "--beams is short for --sampling laser --points: omit these"
         refuse(points is not None or sampling not in (None, "laser"), message)

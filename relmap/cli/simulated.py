@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
+from relmap.cli.arguments import Fault
 from relmap.cli.console import busy
-from relmap.cli.wheels import Fault
 from relmap.core.arrays import Floats
 from relmap.datasets import ObservationLog, write_observation_csv, write_scans_npz
 from relmap.datasets.odometry import write_odometry_csv

@@ -134,7 +134,7 @@ def _write(out: Path, cells: Sequence[Cell], rows: Sequence[Finished]) -> None:
 def _draw(out: Path, cells: Sequence[Cell], rows: Sequence[Finished]) -> None:
     """Draw the errors over the first varied number, a line for each of the others."""
     from relmap.comparison.sweep_spec import varying
-    from relmap.plots.sweep import SweepRow, write_sweep_png
+    from relmap.plots.comparison import SweepRow, write_sweep_png
 
     keys = [key for key in varying(list(cells)) if key != "method"]
     along = next((key for key in keys if not isinstance(getattr(cells[0], key), str)), None)

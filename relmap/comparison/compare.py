@@ -12,8 +12,12 @@ from multiprocessing.connection import Connection
 
 import numpy as np
 
-from relmap.comparison.methods.base import MethodInfo
-from relmap.comparison.methods.registry import check_method, find_method, fitting_methods
+from relmap.comparison.methods.registry import (
+    MethodInfo,
+    check_method,
+    find_method,
+    fitting_methods,
+)
 from relmap.comparison.methods.running import ACCURACY, COST, PATH, MethodRun, try_method
 from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError

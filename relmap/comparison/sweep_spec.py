@@ -96,7 +96,10 @@ def cells_of(spec: Mapping[str, Any]) -> list[Cell]:
                 raise RelmapError(f"key {key} applies only to the figure eight, not to a building")
     cells = [Cell(*values) for values in itertools.product(*choices)]
     for world, association, method in sorted({(c.world, c.association, c.method) for c in cells}):
-        _check(world, association, method)
+        walls = world == "building"
+        if walls and association == "known":
+            raise RelmapError("walls have no ids: a building needs association = 'nearest'")
+        check_method(find_method(method), "scans" if walls else "landmarks", association)
     return cells
 
 
@@ -104,7 +107,13 @@ def _choices(key: str, given: Any) -> list[Any]:
     """Return the values of a key; RelmapError if there is none, or one is duplicated or invalid."""
     kind = type(_DEFAULTS[key])
     if kind is int and isinstance(given, str):
-        given = _span(key, given)
+        numbers = re.fullmatch(r"(\d{1,18}):(\d{1,18})", given, re.ASCII)
+        if not numbers:
+            raise RelmapError(
+                f"{key} is {brief(given)}; it must be whole numbers or A:B, for A to B - 1"
+            )
+        begin, end = int(numbers[1]), int(numbers[2])
+        given = list(range(begin, min(end, begin + MOST_CELLS + 1)))
     values = [_value(key, kind, value) for value in (given if isinstance(given, list) else [given])]
     if not values or len(set(values)) < len(values):
         raise RelmapError(f"{key} is {brief(given)}; it must list distinct values, at least one")
@@ -125,23 +134,6 @@ def _value(key: str, kind: type, value: Any) -> Any:
     if said:
         raise RelmapError(f"{key} is {brief(value)}; it must be {said}")
     return value
-
-
-def _span(key: str, text: str) -> list[int]:
-    numbers = re.fullmatch(r"(\d{1,18}):(\d{1,18})", text, re.ASCII)
-    if not numbers:
-        raise RelmapError(
-            f"{key} is {brief(text)}; it must be whole numbers or A:B, for A to B - 1"
-        )
-    begin, end = int(numbers[1]), int(numbers[2])
-    return list(range(begin, min(end, begin + MOST_CELLS + 1)))
-
-
-def _check(world: str, association: Association, method: str) -> None:
-    walls = world == "building"
-    if walls and association == "known":
-        raise RelmapError("walls have no ids: a building needs association = 'nearest'")
-    check_method(find_method(method), "scans" if walls else "landmarks", association)
 
 
 def varying(cells: list[Cell]) -> list[str]:

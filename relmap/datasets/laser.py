@@ -189,14 +189,8 @@ def _own_m(ranges_m: Floats, direction: Ints, scan: Ints) -> Floats:
     share = np.bincount(seen, minlength=len(usual_m)) / len(np.unique(scan))
     if np.quantile(share[usual_m > 0], CHANGING) > SELDOM:
         return np.zeros(len(usual_m))
-    fixed = (share >= MOSTLY) & (_farthest_m(usual_m) <= REACH_M)
+    # A wall beside which the robot drives goes on beyond its own parts; these end abruptly.
+    ends = np.abs(np.diff(usual_m, prepend=np.inf)) > SAME_M
+    farthest_m = np.maximum.reduceat(usual_m, np.flatnonzero(ends))[np.cumsum(ends) - 1]
+    fixed = (share >= MOSTLY) & (farthest_m <= REACH_M)
     return np.where(fixed, usual_m + SAME_M, 0.0)
-
-
-def _farthest_m(usual_m: Floats) -> Floats:
-    """Return the largest range (d,) of the surface that each direction, in order, is part of.
-
-    A wall beside which the robot drives goes on beyond its own parts; these end abruptly.
-    """
-    begins = np.abs(np.diff(usual_m, prepend=np.inf)) > SAME_M
-    return np.asarray(np.maximum.reduceat(usual_m, np.flatnonzero(begins))[np.cumsum(begins) - 1])

@@ -125,7 +125,10 @@ def read_ground_truth(path: Path | str) -> tuple[Ints, Floats, Floats, Floats]:
         file = _file(folder, robot, "Groundtruth")
         if file is not None:
             images = np.unique(_measured(measured)[:, 0])
-            poses = _vicon(file, images)
+            limits = [_TIME, MAX_COORDINATE_M, MAX_COORDINATE_M, _ANGLE]
+            rows = read_rows(file, limits, "pose", "4 numbers: t x y heading").values
+            t, first = np.unique(rows[:, 0], return_index=True)
+            poses = poses_at(t, planar_poses(*rows[first, 1:].T), images)
             there = np.isfinite(poses[:, 0, 0])
             found.append((_shifted(images[there], robot), poses[there]))
     positions = np.column_stack([landmarks[:, 1:3], np.zeros(len(landmarks))])
@@ -137,14 +140,6 @@ def _measured(file: Path) -> Floats:
     expected = "4 numbers: t bar-code range bearing"
     limits = (_TIME, MAX_EXACT_INTEGER, MAX_COORDINATE_M, _ANGLE)
     return read_rows(file, limits, "measurement", expected).values
-
-
-def _vicon(file: Path, at_s: Floats) -> Floats:
-    """Return the poses of a robot (k, 4, 4) at given times; NaN if Vicon did not see it."""
-    limits = (_TIME, MAX_COORDINATE_M, MAX_COORDINATE_M, _ANGLE)
-    rows = read_rows(file, limits, "pose", "4 numbers: t x y heading").values
-    t, first = np.unique(rows[:, 0], return_index=True)
-    return poses_at(t, planar_poses(*rows[first, 1:].T), at_s)
 
 
 def _odometry(file: Path | None, at_s: Floats) -> Floats:

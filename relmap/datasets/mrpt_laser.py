@@ -26,6 +26,8 @@ from relmap.datasets.table import Column, Table, read_table
 from relmap.datasets.textfile import invalid, shown
 
 _HALLMARK = frozenset({"t_s", "gt_theta", "r0"})
+_TRUE = ("gt_x", "gt_y", "gt_theta")
+_STEP = ("odo_dx", "odo_dy", "odo_dtheta")
 _BEAM = re.compile(r"r(0|[1-9]\d{0,4})$")
 _SENSOR = re.compile(r"sensor on robot x=(\S+) y=(\S+) z=\S+ yaw=(\S+)")
 _MAXIMUM = re.compile(r"max range (\S+) m\b")
@@ -45,27 +47,23 @@ class MrptLaser:
         """Read the log: planar scans in the robot's frame; the reference poses are exact."""
         file = only_one(path, tables_with(path, _HALLMARK), "MRPT laser log", TABLES)
         beams = sum(bool(_BEAM.match(name)) for name in columns_of(file))
-        table = read_table(file, _columns(beams))
+        far = MAX_COORDINATE_M
+        columns = [
+            Column("t_s", 0.0, 1e12, "seconds"),
+            *(Column(name, -far, far, "metres or radians") for name in (*_TRUE, *_STEP)),
+            *(Column(f"r{k}", -far, far, "metres") for k in range(beams)),
+        ]
+        table = read_table(file, columns)
         require_memory(shown(file), len(table.lines), len(table.lines) * beams)
         order, stamps_s = in_time_order(file, table.columns["t_s"])
         sensor, limit_m = _sensor(table)
         ranges = np.column_stack([table.columns[f"r{k}"] for k in range(beams)])[order]
         bearing = np.linspace(-math.pi / 2, math.pi / 2, beams)
-        poses = planar_poses(*(table.columns[name] for name in ("gt_x", "gt_y", "gt_theta")))
+        poses = planar_poses(*(table.columns[name] for name in _TRUE))
         scans = [Beams(scan_m, bearing, sensor) for scan_m in ranges]
         log = laser_scans(file, scans, limit_m, stamps_s, poses[order])
-        steps = planar_poses(*(table.columns[name] for name in ("odo_dx", "odo_dy", "odo_dtheta")))
+        steps = planar_poses(*(table.columns[name] for name in _STEP))
         return replace(log, odometry=motions(path_of(np.roll(steps, 1, axis=0))[order]))
-
-
-def _columns(beams: int) -> list[Column]:
-    far = MAX_COORDINATE_M
-    names = ("gt_x", "gt_y", "gt_theta", "odo_dx", "odo_dy", "odo_dtheta")
-    return [
-        Column("t_s", 0.0, 1e12, "seconds"),
-        *(Column(name, -far, far, "metres or radians") for name in names),
-        *(Column(f"r{k}", -far, far, "metres") for k in range(beams)),
-    ]
 
 
 def _sensor(table: Table) -> tuple[list[float], float]:

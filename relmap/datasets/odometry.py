@@ -144,14 +144,11 @@ def with_odometry_beside(log: Log, path: Path) -> Log:
         raise invalid(path, f"{' and '.join(names)} exist beside it, expected one")
     file = file_beside(path, names[0])
     found = _read_trajectory(file, log) if names[0] == TRAJECTORY else _read_motions(file, log)
-    return replace(log, odometry=_in_plane(found) if log.dimension == 2 else found)
-
-
-def _in_plane(odometry: Floats) -> Floats:
-    yaw = np.arctan2(odometry[:, 1, 0], odometry[:, 0, 0])
-    flat = planar_poses(odometry[:, 0, 3], odometry[:, 1, 3], yaw)
-    flat[np.isnan(yaw)] = np.nan
-    return flat
+    if log.dimension == 2:
+        yaw = np.arctan2(found[:, 1, 0], found[:, 0, 0])
+        found = planar_poses(found[:, 0, 3], found[:, 1, 3], yaw)
+        found[np.isnan(yaw)] = np.nan
+    return replace(log, odometry=found)
 
 
 def _read_motions(file: Path, log: ObservationLog | ScanLog) -> Floats:

@@ -173,14 +173,10 @@ def _log_of_columns(
         for row, cell in enumerate(cells.tolist(), first):
             if np.ndim(cell):
                 raise invalid(path, f"row {row}, field id: a list, expected a name or number")
-            ids.add(_as_text(cell), f"{shown(path)}: row {row}, field id")
+            missing = cell is None or cell != cell or type(cell).__name__ == "NAType"
+            ids.add("" if missing else str(cell).strip(), f"{shown(path)}: row {row}, field id")
         columns.append(np.full(n, -1.0))
     return log_of(path, used, np.column_stack(columns), np.arange(first, first + n), "row", ids)
-
-
-def _as_text(cell: object) -> str:
-    missing = cell is None or cell != cell or type(cell).__name__ == "NAType"
-    return "" if missing else str(cell).strip()
 
 
 def _as_floats(path: Path, column: Column, cells: NDArray[Any], first: int) -> Floats:

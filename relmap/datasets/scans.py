@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.brief import Brief
+from relmap.core.geometry.motions import rotations, transforms
 from relmap.datasets.base import common_range
 from relmap.datasets.textfile import invalid, shown
 
@@ -154,9 +155,7 @@ def stored_scans(
 
 def poses_of(rotation: Rotation, t: Floats) -> Floats:
     """Return poses (k, 4, 4) of k rotations and translations (k, 3)."""
-    poses = np.tile(np.eye(4), (len(t), 1, 1))
-    poses[:, :3, :3], poses[:, :3, 3] = rotation.as_matrix(), t
-    return poses
+    return transforms(rotation.as_matrix(), t)
 
 
 def require_rotations(file: Path, poses: Floats) -> None:
@@ -171,12 +170,7 @@ def require_rotations(file: Path, poses: Floats) -> None:
 
 def planar_poses(x: Floats, y: Floats, yaw: Floats) -> Floats:
     """Return poses (k, 4, 4) in the plane z = 0."""
-    poses = np.tile(np.eye(4), (len(yaw), 1, 1))
-    poses[:, 0, 0] = poses[:, 1, 1] = np.cos(yaw)
-    poses[:, 1, 0] = np.sin(yaw)
-    poses[:, 0, 1] = -np.sin(yaw)
-    poses[:, :2, 3] = np.column_stack([x, y])
-    return poses
+    return transforms(rotations(yaw[:, None]), np.column_stack([x, y]))
 
 
 def in_time_order(path: Path, stamps_s: Floats) -> tuple[Ints, Floats]:

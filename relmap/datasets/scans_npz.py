@@ -9,9 +9,12 @@ the sensor's horizontal field of view and range.
 
 from __future__ import annotations
 
+import math
 import os
+import re
 import struct
 import zipfile
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +26,6 @@ from relmap.datasets.assembly import MAX_COORDINATE_M
 from relmap.datasets.foreign import ZIP, foreign_at
 from relmap.datasets.headers import file_in
 from relmap.datasets.laser import usable_beams
-from relmap.datasets.npz import DAMAGE, read_array
 from relmap.datasets.scans import ScanLog, SensorView, in_time_order, stored_scans
 from relmap.datasets.textfile import invalid, quoted, replacing, require_path, unreadable
 
@@ -42,6 +44,18 @@ _LIMITS = ("view_rad", "range_m")
 """Optional values about the sensor."""
 _BEYOND = 1.2
 """Multiple of the stated range above which a point is not noise: the stated range is wrong."""
+MAX_NUMBERS = 1 << 26
+"""Maximum number of values in an array: 22 million points."""
+DAMAGE = (
+    *(OSError, EOFError, RuntimeError, MemoryError, zipfile.BadZipFile, zlib.error, struct.error),
+    *(ValueError, TypeError, LookupError),
+)
+"""Exceptions raised for damaged files."""
+_HEADER_BYTES = 10_000
+_HEADER = re.compile(
+    rb"\{'descr': *'([<>|=]?[biufcSU][0-9]{1,5})', *'fortran_order': *(True|False), *"
+    rb"'shape': *\(((?:[0-9]{1,12}(?:, *|(?=\)))){0,8})\),? *\} *\n?"
+)
 
 
 class ScansNpz:
@@ -206,3 +220,32 @@ def _check_values(file: Path, arrays: dict[str, NDArray[Any]]) -> None:
     ):
         if not good.all():
             raise invalid(file, f"array {array}, row {np.argmin(good)}: {problem}")
+
+
+def read_array(
+    archive: zipfile.ZipFile, member: zipfile.ZipInfo, most: int = MAX_NUMBERS
+) -> NDArray[Any]:
+    """Return a member as a numeric array; raises one of `DAMAGE` if it is not one.
+
+    Headers are matched against numpy's format, never evaluated.
+    """
+    if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise ValueError(f"{member.filename} is packed in a way that numpy does not use")
+    with archive.open(member) as stream:
+        magic = stream.read(8)
+        width = 2 if magic[6:] == b"\x01\x00" else 4
+        length = int.from_bytes(stream.read(width), "little")
+        if magic[:6] != b"\x93NUMPY" or length > _HEADER_BYTES:
+            raise ValueError(f"{member.filename} is not an array")
+        header = _HEADER.fullmatch(stream.read(length))
+        if header is None:
+            raise ValueError(f"{member.filename} is not an array of numbers")
+        dtype = np.dtype(header[1].decode())
+        shape = [int(side) for side in header[3].split(b",") if side.strip()]
+        size = math.prod(shape) * dtype.itemsize
+        if math.prod(shape) > most or size > member.file_size:
+            raise ValueError(
+                f"{member.filename} does not hold the {shape} numbers that its header states"
+            )
+        array = np.frombuffer(stream.read(size), dtype)
+    return array.reshape(shape, order="F" if header[2] == b"True" else "C")

@@ -84,17 +84,13 @@ class SlsjfSimulation:
         sigmas = _sigmas(file.with_name(PARAMETERS_FILE))
         noise = range_bearing_covariances(points, *sigmas) if sigmas else None
         log = assemble_log(table, "step", points, table.integers("id"), noise)
-        odometry = file.with_name(ODOMETRY_FILE)
-        motion = _odometry(odometry, log) if odometry.is_file() else None
+        odometry, motion = file.with_name(ODOMETRY_FILE), None
+        if odometry.is_file():
+            poses = np.full((len(log), 4, 4), math.nan)  # NaN beyond the end of the file
+            there = _path(odometry)[log.first_iteration : log.end_iteration]
+            poses[: len(there)] = there
+            motion = motions(poses)
         return replace(log, rows=table.lines[log.rows] - 1, odometry=motion)
-
-
-def _odometry(file: Path, log: ObservationLog) -> Floats:
-    """Return the motions (k, 4, 4) of the steps of a log; NaN beyond the end of the file."""
-    poses = np.full((len(log), 4, 4), math.nan)
-    there = _path(file)[log.first_iteration : log.end_iteration]
-    poses[: len(there)] = there
-    return motions(poses)
 
 
 def _path(file: Path) -> Floats:

@@ -9,12 +9,11 @@ import numpy as np
 
 from relmap.datasets.base import ObservationLog
 from relmap.evaluation import metrics
-from relmap.evaluation.corners import MatchedCorners, judge_corners, match_corners
 from relmap.evaluation.landmarks import judge_landmarks
 from relmap.evaluation.relations import AT_SCANS_S, relation_errors
 from relmap.evaluation.space import judge_planes
 from relmap.evaluation.truth import Judged, Truth
-from relmap.evaluation.walls import judge_walls
+from relmap.evaluation.walls import MatchedCorners, judge_corners, judge_walls, match_corners
 from relmap.io.results import Result
 from relmap.planes.walls.files import PlaneResult
 from relmap.planes3d.files import Plane3dResult

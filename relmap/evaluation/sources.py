@@ -8,7 +8,7 @@ from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Generic, Literal, Protocol, TypeVar
+from typing import Any, Generic, Literal, TypeVar
 
 from relmap.core.arrays import Ints
 from relmap.core.errors import RelmapError
@@ -48,17 +48,6 @@ class Data(Generic[L]):
         """The landmark of each observation (n,), negative if unknown; None without ids."""
         ids = self.log.ids if isinstance(self.log, ObservationLog) else None
         return None if ids is None or not (ids >= 0).any() else ids
-
-
-class Source(Protocol):
-    """Data that can be sent to another process and loaded there."""
-
-    def load(self) -> Data[Log]:
-        """Return the data."""
-
-    @property
-    def about(self) -> str:
-        """A short description."""
 
 
 @dataclass(frozen=True)
@@ -163,6 +152,10 @@ class FileSource:
         """A short description."""
         part = f", iterations {self.scans[0]}:{self.scans[1]}" if self.scans else ""
         return f"{self.path.name or self.path}{part}"
+
+
+Source = EightSource | BuildingSource | FileSource
+"""Data that can be sent to another process and loaded there."""
 
 
 @contextmanager

@@ -138,22 +138,18 @@ def _true_plane(points: Floats, normal: Floats, faces: Faces) -> tuple[int, int]
     """Return the true plane on which most of the points (n, 3) lie, and a face of it; -1 if few."""
     hits = np.zeros(len(faces.plane))
     for k in np.flatnonzero(np.abs(_normals(faces.corners) @ normal) > TURN):
-        hits[k] = _on_face(points, faces.corners[k]).mean()
+        corners = faces.corners[k]
+        sides = np.stack([corners[1] - corners[0], corners[3] - corners[0]])
+        share = (points - corners[0]) @ np.linalg.pinv(sides)
+        beyond = NEAR_M / np.array([np.linalg.norm(side) for side in sides])
+        off = points - corners[0] - share @ sides
+        inside = ((share > -beyond) & (share < 1 + beyond)).all(axis=1)
+        hits[k] = (inside & (np.linalg.norm(off, axis=1) < NEAR_M)).mean()
     by_plane = np.bincount(faces.plane, hits)
     best = int(by_plane.argmax())
     if by_plane[best] < MOSTLY:
         return -1, -1
     return best, int(np.where(faces.plane == best, hits, -1.0).argmax())
-
-
-def _on_face(points: Floats, corners: Floats) -> Bools:
-    """Return which points (n, 3) lie on a face, or just beyond its edges."""
-    a, b = corners[1] - corners[0], corners[3] - corners[0]
-    share = (points - corners[0]) @ np.linalg.pinv(np.stack([a, b]))
-    beyond = NEAR_M / np.array([np.linalg.norm(a), np.linalg.norm(b)])
-    off = points - corners[0] - share @ np.stack([a, b])
-    inside = ((share > -beyond) & (share < 1 + beyond)).all(axis=1)
-    return np.asarray(inside & (np.linalg.norm(off, axis=1) < NEAR_M))
 
 
 def _between(poses: Floats, true_poses: Floats) -> tuple[Floats, Floats]:

@@ -1,8 +1,10 @@
-"""Maps for drawing programs: floor plans as DXF (R12) and SVG, walls and landmarks as PLY."""
+"""Maps for drawing programs: floor plans as DXF (R12), SVG, GeoJSON; walls, landmarks as PLY."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Iterator
+from typing import Any
 from xml.sax.saxutils import escape
 
 import numpy as np
@@ -10,6 +12,7 @@ import numpy as np
 from relmap.core.arrays import Floats
 from relmap.exports.content import MapContent
 from relmap.io.results import ply_text
+from relmap.planes.walls.files import CORNER, OPEN
 
 LAYERS = {"WALLS": 5, "CORNERS": 3, "LANDMARKS": 7, "PATH": 8}
 """Layers of a DXF file, and their colours by AutoCAD's index."""
@@ -22,6 +25,9 @@ SVG_STYLE = (
 )
 DOT = 0.002
 """Radius of a dot, relative to the longer side of the picture."""
+Tags = Iterator[tuple[int, object]]
+FRAME = "local: x and y in metres in the frame of the map, not longitude and latitude (WGS 84)"
+"""RFC 7946 only allows WGS 84, so the file states its frame."""
 
 
 def dxf_text(content: MapContent) -> str:
@@ -43,9 +49,6 @@ def dxf_text(content: MapContent) -> str:
     tags += [(0, "ENDTAB"), (0, "ENDSEC"), (0, "SECTION"), (2, "ENTITIES")]
     tags += [*_walls(content), *_dots(content), *_path(content), (0, "ENDSEC"), (0, "EOF")]
     return "".join(f"{code}\n{value}\n" for code, value in tags)
-
-
-Tags = Iterator[tuple[int, object]]
 
 
 def _at(code: int, place: Floats) -> Tags:
@@ -132,3 +135,51 @@ def map_ply(content: MapContent) -> str:
         # counter-clockwise.
         faces = np.column_stack([edges[high][:, ::-1], tops])
     return ply_text(vertices, edges, faces, "relmap: map frame, metres")
+
+
+def geojson_text(content: MapContent) -> str:
+    """Return a map as a FeatureCollection with a member `frame`.
+
+    Walls are LineStrings from the right to the left end, corners and landmarks Points, the path is
+    a MultiLineString.
+    """
+    axes = 2 if content.result.planar else 3
+    pieces = [piece[:, :axes].tolist() for piece in content.path]
+    about = {"kind": "path", "poses": len(content.result.poses)}
+    path = _feature("MultiLineString", pieces, about)
+    features = [*_wall_features(content), *_landmark_features(content), path]
+    whole = {"type": "FeatureCollection", "frame": FRAME, "features": features}
+    return json.dumps(whole, allow_nan=False, indent=1) + "\n"
+
+
+def _feature(kind: str, coordinates: Any, properties: dict[str, Any]) -> dict[str, Any]:
+    known = {name: None if value != value else value for name, value in properties.items()}
+    geometry = {"type": kind, "coordinates": coordinates}
+    return {"type": "Feature", "geometry": geometry, "properties": known}
+
+
+def _wall_features(content: MapContent) -> Iterator[dict[str, Any]]:
+    walls = content.walls
+    if walls is None:
+        return
+    for row, ends in enumerate(walls.ends.tolist()):
+        z0, z1 = walls.z_extent[row].tolist()
+        nx, ny = walls.normal[row].tolist()
+        about: dict[str, Any] = {"kind": "wall", "plane": int(walls.plane[row])}
+        about |= {"z0": z0, "z1": z1, "nx": nx, "ny": ny}
+        for end, corner in enumerate(walls.corner[row].tolist()):
+            about[f"end{end}"] = CORNER if corner >= 0 else OPEN
+            about[f"corner{end}"] = corner if corner >= 0 else None
+        for name in ("observations", "first_iteration", "last_iteration", "status"):
+            about[name] = getattr(walls, name)[row].item()
+        yield _feature("LineString", ends, about)
+
+
+def _landmark_features(content: MapContent) -> Iterator[dict[str, Any]]:
+    table = content.landmarks
+    kind = "landmark" if content.walls is None else "corner"
+    names = ("landmark", "sd", "observations", "first_iteration", "last_iteration", "status")
+    axes = 2 if content.result.planar else 3
+    for row, position in enumerate(table.position[:, :axes].tolist()):
+        properties = {name: getattr(table, name)[row].item() for name in names}
+        yield _feature("Point", position, {"kind": kind} | properties)

@@ -8,8 +8,7 @@ from pathlib import Path
 from relmap.core.errors import RelmapError
 from relmap.datasets.textfile import shown
 from relmap.exports.content import MapContent, read_content
-from relmap.exports.drawings import dxf_text, map_ply, svg_text
-from relmap.exports.geojson import geojson_text
+from relmap.exports.drawings import dxf_text, geojson_text, map_ply, svg_text
 from relmap.exports.grid import grid_of, pgm_bytes, yaml_text
 from relmap.exports.posegraph import g2o_text
 from relmap.exports.sight import sight_lines, sightings

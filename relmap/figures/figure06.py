@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.errors import RelmapError
+from relmap.core.geometry.motions import transforms
 from relmap.datasets.scans import ScanLog
 from relmap.evaluation import metrics
 from relmap.evaluation.feeding import Through
@@ -108,8 +109,7 @@ def run_partial_wall(
     planes = run_mapper(mapper, log, through=through, refine=True, segmenter=segmenter).planes
     weak = np.isin(np.arange(len(part)), mapper.weak_links)
     before = slice(0, longest(weak)[0])
-    T = np.eye(4)
-    T[:2, :2], T[:2, 3] = fit_poses(mapper.trajectory[before], true_poses[before])
+    T = transforms(*fit_poses(mapper.trajectory[before], true_poses[before]))
     mapped = planes.status == "static"
     ends = planes.ends[mapped] @ T[:2, :2].T + T[:2, 3]
     corners = ends[planes.corner[mapped] >= 0]

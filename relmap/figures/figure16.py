@@ -8,11 +8,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from relmap.comparison.baselines.base import Setup
 from relmap.comparison.compare import landmark_error_curve
-from relmap.comparison.methods.base import Setup
 from relmap.comparison.methods.registry import find_method
 from relmap.comparison.methods.running import setup_for
 from relmap.core.arrays import Floats, Ints
@@ -148,7 +147,11 @@ def _plot(data: ErrorCurves) -> Figure:
     style: dict[str, Any] = {"frameon": False, "fontsize": 9, "bbox_to_anchor": (0.5, -0.1)}
     for axes, (noise, methods) in zip(panels, data.items(), strict=True):
         for (name, curve), colour in zip(methods.items(), COLOURS, strict=False):
-            _draw(axes, name, curve, colour)
+            if len(curve.rmse_m) > 1:
+                axes.plot(curve.iteration, curve.rmse_m.T, color=colour, linewidth=0.6, alpha=0.25)
+            median = np.median(curve.rmse_m, axis=0)
+            label = f"{name}: {curve.end_m:.4f} m at the end"
+            axes.plot(curve.iteration, median, color=colour, linewidth=2.0, label=label)
         seeds = len(next(iter(methods.values())).rmse_m)
         what = f"median of {seeds} seeds, each seed thinly" if seeds > 1 else "one seed"
         finish(axes, f"{noise} noise ({what})", "iteration", "")
@@ -157,14 +160,6 @@ def _plot(data: ErrorCurves) -> Figure:
     write_in_full(panels[0].yaxis, (1, 2, 3, 5))
     figure.suptitle("Figure 16: landmark error over the run", fontsize=11)
     return figure
-
-
-def _draw(axes: Axes, name: str, curve: Curve, colour: str) -> None:
-    if len(curve.rmse_m) > 1:
-        axes.plot(curve.iteration, curve.rmse_m.T, color=colour, linewidth=0.6, alpha=0.25)
-    median = np.median(curve.rmse_m, axis=0)
-    label = f"{name}: {curve.end_m:.4f} m at the end"
-    axes.plot(curve.iteration, median, color=colour, linewidth=2.0, label=label)
 
 
 FIGURE = PaperFigure(

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from relmap.core.errors import RelmapError, reason
 from relmap.core.state.saved import OtherColumnsError, StateReader, StateWriter
-from relmap.datasets.npz import DAMAGE, read_array
+from relmap.datasets.scans_npz import DAMAGE, read_array
 from relmap.io.files import atomic_write
 
 FORMAT = 2

@@ -14,7 +14,6 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
 from relmap.datasets.textfile import invalid, numbered_lines, quoted, shown
@@ -127,7 +126,11 @@ def _value(kind: Kind, text: str) -> Any:
             raise ValueError
         return sys.intern(text)
     if kind == "corners":
-        return _corners(text)
+        corners = np.array([corner.split() for corner in text.split(";") if text], dtype=np.float64)
+        far = not (np.abs(corners) <= MAX_RESULT_M).all()
+        if corners.size and (corners.shape[1:] != (3,) or far):
+            raise ValueError
+        return corners.reshape(-1, 3)
     if kind == "int list":
         return np.array([int(k) for k in text.split(";") if text], np.int64)
     if kind == "int":
@@ -148,14 +151,6 @@ def _as_array(kind: Kind, values: Any) -> NDArray[Any]:
         return ragged
     types = {"int": np.int64, "text": np.str_}
     return np.array(values, dtype=types.get(kind, np.float64))
-
-
-def _corners(text: str) -> Floats:
-    """Return the corners (k, 3) of a cell; ValueError where it holds anything else."""
-    corners = np.array([corner.split() for corner in text.split(";") if text], dtype=np.float64)
-    if corners.size and (corners.shape[1:] != (3,) or not (np.abs(corners) <= MAX_RESULT_M).all()):
-        raise ValueError
-    return corners.reshape(-1, 3)
 
 
 def _at(path: Path, line: int) -> str:

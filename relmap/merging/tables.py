@@ -120,7 +120,10 @@ def joined(one: LandmarkTable, other: LandmarkTable, pairs: Ints) -> LandmarkTab
     number of observations.
     """
     theirs, mine = pairs.T
-    share = _share(one, other, mine, theirs)
+    a, b = one.sd[mine] ** 2, other.sd[theirs] ** 2
+    seen = one.observations[mine], other.observations[theirs]
+    known, by_count = (a > 0) & (b > 0), seen[1] / np.maximum(seen[0] + seen[1], 1)
+    share = np.where(known, a / np.where(known, a + b, 1.0), by_count)
     columns = {name: column.copy() for name, column in vars(one).items()}
     away = other.position[theirs] - one.position[mine]
     columns["position"][mine] += share[:, None] * away
@@ -131,12 +134,3 @@ def joined(one: LandmarkTable, other: LandmarkTable, pairs: Ints) -> LandmarkTab
     for name, column in columns.items():
         columns[name] = np.concatenate([column, getattr(other, name)[rest]])
     return LandmarkTable(**columns)
-
-
-def _share(one: LandmarkTable, other: LandmarkTable, mine: Ints, theirs: Ints) -> Floats:
-    """Return the weight of the second position of each pair in the average."""
-    a, b = one.sd[mine] ** 2, other.sd[theirs] ** 2
-    seen = one.observations[mine], other.observations[theirs]
-    by_count = seen[1] / np.maximum(seen[0] + seen[1], 1)
-    known = (a > 0) & (b > 0)
-    return np.where(known, a / np.where(known, a + b, 1.0), by_count)

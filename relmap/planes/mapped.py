@@ -12,11 +12,11 @@ from relmap.core.refinement.joint import Refined
 from relmap.mapper import Mapper
 from relmap.planes.linking.registration import PlaneRegistration
 from relmap.planes.refinement.refining import odometry_left_out, on_odometry
-from relmap.planes.refinement.residuals import corner_covariances, refined_walls
+from relmap.planes.refinement.solving import corner_covariances, refined_walls
 from relmap.planes.scans.beams import PlacedBeams
+from relmap.planes.submaps.doubtful import undetermined_steps
 from relmap.planes.submaps.grouped_map import GroupedMap
 from relmap.planes.submaps.submap import WallSubmap, among_all
-from relmap.planes.submaps.undetermined import undetermined_steps
 from relmap.planes.walls.assembly import Assembled, WallNumbers
 from relmap.planes.walls.history import PlaneHistory
 from relmap.planes.walls.table import (

@@ -24,10 +24,8 @@ from relmap.planes.places.submap_ties import MapPart, tied_parts
 from relmap.planes.refinement.refining import RefinedWalls, planned_submaps, refined_submaps
 from relmap.planes.scans.beams import GivenBeams
 from relmap.planes.scans.observation import PlaneObservation, checked_planes, journaled, of_journal
-from relmap.planes.submaps.revisits import contradicted_revisits
-from relmap.planes.submaps.submap import WallSubmap, among_all, torn_in
-from relmap.planes.submaps.undetermined import unsupported_links
-from relmap.planes.walls.history import PlaneHistory
+from relmap.planes.submaps.doubtful import contradicted_revisits, unsupported_links
+from relmap.planes.submaps.submap import among_all, torn_in
 
 if TYPE_CHECKING:
     from relmap.io.journal import RecordedScan
@@ -216,7 +214,11 @@ class PlaneMapper(LocatingMapper):
             path = submaps[k].path
             parts.append(MapPart.of(k, table.ends[static], table.plane[static], beams, path))
         tied = [part for part in tied_parts(parts) if len(part.members) > 1]
-        poses = [_in_one_frame(part, submaps, self.history) for part in tied]
+        poses = [np.full((self.history.n_iterations, 4, 4), np.nan) for _ in tied]
+        for path, part in zip(poses, tied, strict=True):
+            for number, motion in part.members:
+                own = among_all(submaps[number].poses, submaps[number].span, self.history)
+                path[:] = np.where(np.isfinite(own), motion @ own, path)
         if tied:
             self._planes.join(poses, np.concatenate([part.same for part in tied]))
         return poses
@@ -274,12 +276,3 @@ class PlaneMapper(LocatingMapper):
         time_s = None if scan.stamp_s is None else self._stamps.checked(scan.stamp_s)
         with self._guard.change():
             return self._take_in(seen, scan.odometry, time_s)
-
-
-def _in_one_frame(part: MapPart, submaps: list[WallSubmap], history: PlaneHistory) -> Floats:
-    """Return the poses (i, 4, 4) of the members of a part in its frame; NaN for other scans."""
-    poses = np.full((history.n_iterations, 4, 4), np.nan)
-    for number, motion in part.members:
-        own = among_all(submaps[number].poses, submaps[number].span, history)
-        poses = np.where(np.isfinite(own), motion @ own, poses)
-    return poses

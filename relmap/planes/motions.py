@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.geometry.motions import rotations, transforms
 
 APART_M, APART_RAD = 0.3, np.deg2rad(8.0)
 """Motions that differ by more are distinct."""
@@ -71,12 +72,7 @@ def inverse(motion: Floats) -> Floats:
 
 def matrices(motions: Floats) -> Floats:
     """Return motions (k, 3) as (k, 4, 4)."""
-    T = np.tile(np.eye(4), (len(motions), 1, 1))
-    c, s = np.cos(motions[:, 0]), np.sin(motions[:, 0])
-    T[:, 0, 0] = T[:, 1, 1] = c
-    T[:, 1, 0], T[:, 0, 1] = s, -s
-    T[:, :2, 3] = motions[:, 1:]
-    return T
+    return transforms(rotations(motions[:, :1]), motions[:, 1:])
 
 
 def from_matrices(T: Floats) -> Floats:

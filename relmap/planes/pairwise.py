@@ -48,19 +48,14 @@ def relate(first: Floats, second: Floats, sizes: tuple[float, float]) -> Relatio
     """
     from relmap.planes.scans.corner_kernels import deviations, midpoint_pairs
 
-    offset, turn = midpoint_pairs(first, second, *sizes), _turns(first, second)
+    offset = midpoint_pairs(first, second, *sizes)
     deviation = deviations(offset)
     i, j = np.unravel_index(np.argmin(deviation), deviation.shape)
+    (x, y), (other_x, other_y) = ((ends[:, 1] - ends[:, 0]).T for ends in (first, second))
+    turn = wrapped(np.arctan2(other_y, other_x) - np.arctan2(y, x))
     steady = float(turn[0] + wrapped(turn - turn[0]).mean())
     mean = offset.mean(axis=0)[i, j]
     return Relation(mean, steady, float(deviation[i, j]), (int(i), int(j)), len(first))
-
-
-def _turns(first: Floats, second: Floats) -> Floats:
-    """Return the rotation from the first wall (k, 2, 2) to the second; (k,) radians."""
-    along, other = (ends[:, 1] - ends[:, 0] for ends in (first, second))
-    turns = np.arctan2(other[:, 1], other[:, 0]) - np.arctan2(along[:, 1], along[:, 0])
-    return wrapped(turns)
 
 
 def pairwise_map(history: PlaneHistory, n_planes: int) -> Floats:

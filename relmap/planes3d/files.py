@@ -63,27 +63,19 @@ class Plane3dResult(Result):
 def write_parts(folder: Path, result: Plane3dResult) -> None:
     """Write the planes, the mesh and the paths of other submaps into an existing folder.
 
-    Raises `RelmapError` if a file cannot be written.
+    Outlines are written as ``x y z;x y z;...``, the planes that meet them as ``k;k;...``. Raises
+    `RelmapError` if a file cannot be written.
     """
     table = result.planes
-    write_planes3d(folder, table)
-    write_mesh(folder, next(iter(result.parts), None), table.plane[table.status == "static"])
-    for number, (stamps_s, poses) in enumerate(result.paths[1:], start=1):
-        if len(poses) >= LEAST_SCANS:
-            write_tum(folder / f"submap-{number}.tum", stamps_s, poses)
-
-
-def write_planes3d(folder: Path, table: Plane3dTable) -> None:
-    """Write ``planes.csv`` into an existing folder.
-
-    Outlines are written as ``x y z;x y z;...``, the planes that meet them as ``k;k;...``. Raises
-    `RelmapError` if the file cannot be written.
-    """
     columns = {name: values.tolist() for name, values in table.columns().items()}
     columns["outline"] = [_text(outline) for outline in table.outline]
     columns["meets"] = [";".join(map(str, meets.tolist())) for meets in table.meets]
     rows = zip(*(columns[name] for name in COLUMNS), strict=True)
     atomic_write(folder / PLANES, csv_text(list(COLUMNS), rows))
+    write_mesh(folder, next(iter(result.parts), None), table.plane[table.status == "static"])
+    for number, (stamps_s, poses) in enumerate(result.paths[1:], start=1):
+        if len(poses) >= LEAST_SCANS:
+            write_tum(folder / f"submap-{number}.tum", stamps_s, poses)
 
 
 def read_result3d(folder: Path) -> Plane3dResult:

@@ -16,7 +16,6 @@ from scipy.spatial import cKDTree
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.scan import TINY
 from relmap.planes3d.adjustment import NORMAL, across
-from relmap.planes3d.roughness import is_rough
 from relmap.planes3d.submap import Submap
 from relmap.planes3d.surfaces import Surfaces
 from relmap.segmentation.space import Patches
@@ -39,6 +38,11 @@ BESIDE_CELLS, AROUND = 1.5, 6
 and so many scans before and after."""
 FEWEST, FEWEST_SCANS = 24, 3
 """Minimum number of points of a plane, and of scans that see it."""
+ROUGH, THIN = 3.0, 1e-3
+"""The points of a plane have at most this many times the usual noise; noise below the second value,
+a fraction of the range, counts as that much."""
+BINS, FEW = 8, 20
+"""Number of ranges at which the usual noise is found, and least number of patches at each."""
 
 
 def gathered(part: Submap, number: int) -> Submap | None:
@@ -235,3 +239,21 @@ def _with_more(seen: Patches, more: Patches, rows: slice, cells: slice) -> Patch
         cells=np.concatenate([seen.cells, more.cells[cells]]),
         cell_patch=np.append(seen.cell_patch, patch),
     )
+
+
+def is_rough(part: Submap) -> Bools:
+    """Return which landmarks (l,) are not planes: rougher than the noise of the sensor.
+
+    A flight of stairs is grown as a slope where a scan has few points on each tread. Observations
+    count by their information: one that shows a plane outweighs many that are thick.
+    """
+    range_m = np.concatenate([np.linalg.norm(seen.centre, axis=1) for seen in part.seen])
+    off_m = np.concatenate([seen.spread[:, 2] for seen in part.seen])
+    weight = np.concatenate([seen.information[:, 2] for seen in part.seen])
+    landmark = np.concatenate(part.match)
+    order = np.argsort(range_m, kind="stable")
+    parts = np.array_split(order, min(BINS, len(order) // FEW + 1))
+    usual = [(np.median(range_m[rows]), np.median(off_m[rows])) for rows in parts]
+    usual_m = np.maximum(np.interp(range_m, *np.array(usual).T), THIN * range_m)
+    sums = [np.bincount(landmark, weight * each**2, len(part)) for each in (off_m, usual_m)]
+    return np.asarray(sums[0] > ROUGH**2 * sums[1])

@@ -13,13 +13,19 @@ from relmap.core.arrays import Ints
 from relmap.core.errors import RelmapError
 from relmap.core.guard import reads_whole
 from relmap.core.linalg.threads import one_thread
-from relmap.planes3d.doubting import is_doubtful, is_tied_doubtfully, sight_of
 from relmap.planes3d.hypotheses import Held
 from relmap.planes3d.journaled import checked_patches, journaled, of_journal
 from relmap.planes3d.mapped import Mapped3d
 from relmap.planes3d.placing import Placed, place
 from relmap.planes3d.refining import refined, unsure_steps
-from relmap.planes3d.sights import sights_of, with_ends, with_rim
+from relmap.planes3d.sights import (
+    is_doubtful,
+    is_tied_doubtfully,
+    sight_of,
+    sights_of,
+    with_ends,
+    with_rim,
+)
 from relmap.planes3d.submap import Submap
 from relmap.planes3d.surfaces import Surfaces
 from relmap.segmentation.space import Patches, PatchSegmenter
@@ -217,7 +223,14 @@ class Plane3dMapper(Mapped3d):
         if not len(chosen):
             return None
         planes, gap = part.planes(chosen), iteration - part.iteration[-1]
-        placed = place(seen, Surfaces(planes), part.poses[-1], _going_on(part))
+        # The next position if the mean of the last steps continues.
+        way = np.array([t for _, t in part.poses[-STEADY:]])
+        steps = np.diff(way, axis=0)
+        known = [k not in part.held for k in part.iteration[-STEADY:]][1:]
+        mean = steps.mean(axis=0) if len(steps) else np.zeros(3)
+        rms = np.sqrt((steps[known] ** 2).sum(axis=1).mean()) if any(known) else np.inf
+        held = Held(way[-1] + mean, float(rms))
+        placed = place(seen, Surfaces(planes), part.poses[-1], held)
         if placed is None:
             return None
         sight = sight_of(*placed.pose, seen, planes)
@@ -254,16 +267,6 @@ class Plane3dMapper(Mapped3d):
 
     def _rename(self, name: dict[int, int]) -> None:
         self._name = {old: name.get(new, new) for old, new in self._name.items()} | name
-
-
-def _going_on(part: Submap) -> Held:
-    """Return the position of the next scan if the mean of the last steps continues."""
-    way = np.array([t for _, t in part.poses[-STEADY:]])
-    steps = np.diff(way, axis=0)
-    known = [k not in part.held for k in part.iteration[-STEADY:]][1:]
-    mean = steps.mean(axis=0) if len(steps) else np.zeros(3)
-    rms = np.sqrt((steps[known] ** 2).sum(axis=1).mean()) if any(known) else np.inf
-    return Held(way[-1] + mean, float(rms))
 
 
 def _span(part: Submap) -> Span:

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.planes3d.raster import Raster, raster
+from relmap.planes3d.surfaces import Raster, raster
 from relmap.segmentation.space import Patches
 
 CROSS = np.sin(np.deg2rad(20.0))
@@ -93,12 +93,13 @@ class Surface:
         """
         from contourpy import contour_generator  # comes with matplotlib, as Pillow does
 
-        lines = contour_generator(z=self.field.T).lines(LEVEL)
-        areas = [_area(np.asarray(line)) for line in lines]
+        lines = [np.asarray(line) for line in contour_generator(z=self.field.T).lines(LEVEL)]
+        # Positive if anticlockwise.
+        areas = [(x[:-1] @ y[1:] - x[1:] @ y[:-1]) / 2 for x, y in (line.T for line in lines)]
         if not areas:
             return np.empty((0, 3)), np.empty(0, dtype=np.int64)
         largest = int(np.argmax(np.abs(areas)))
-        line = np.asarray(lines[largest])[:-1]
+        line = lines[largest][:-1]
         line, of = self._straight((line if areas[largest] > 0 else line[::-1]) + 0.5)
         planes = np.array([*(edge.plane for edge in self.edges), UNSEEN], dtype=np.int64)
         middle = (line + np.roll(line, -1, axis=0)) / 2
@@ -261,9 +262,3 @@ def _cut(field: Floats, x: int, y: int) -> Floats:
             share = low / (low - high)
             found.append((at[0] + share * (to[0] - at[0]), at[1] + share * (to[1] - at[1])))
     return np.array(found, dtype=np.float64)
-
-
-def _area(line: Floats) -> float:
-    """Return the area enclosed by a closed line (k, 2), positive if anticlockwise."""
-    x, y = line.T
-    return float(x[:-1] @ y[1:] - x[1:] @ y[:-1]) / 2

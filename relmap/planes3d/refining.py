@@ -7,10 +7,9 @@ from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Bools, Floats
 from relmap.planes3d.adjustment import GAIN, PlaneAdjustment, Scene, Sightings
-from relmap.planes3d.covariances import plane_covariances, step_covariances
+from relmap.planes3d.certainty import plane_covariances, step_covariances, unreliable_steps
 from relmap.planes3d.fitting import SYSTEMATIC, WEAK, directed, distances
 from relmap.planes3d.gathering import gathered
-from relmap.planes3d.reliance import unreliable_steps
 from relmap.planes3d.sights import sights_of
 from relmap.planes3d.submap import Submap
 from relmap.planes3d.surfaces import SIDE, Surfaces
@@ -73,7 +72,7 @@ def unsure_steps(part: Submap, is_broken: bool = False) -> dict[int, Floats]:
     displacement by the rotation at the range, exceeds 1.25 % of the range; or if three of them
     exceed 1.5 % and it is two and a half times the usual one. So is a step that is unsteady in
     a direction in which a single landmark determines it, or unsteady by far, see
-    `relmap.planes3d.reliance`. `is_broken`: whether there are other submaps; then so is the step
+    `relmap.planes3d.certainty`. `is_broken`: whether there are other submaps; then so is the step
     of a submap of two scans, as what broke the run before or after it may have misled it.
 
     Each has the direction (3,) in which the translation is least certain, sensor frame.

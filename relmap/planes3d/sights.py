@@ -1,33 +1,150 @@
-"""How often scans saw a plane where it is, and how often they saw through it: what moved away.
+"""What scans see of a map: where its surfaces are, and where they saw through them.
 
-Also where surfaces end: points just beyond them that a scan saw through.
+That shows what moved away, where surfaces end, and placements that fit and are wrong all the same:
+seen through, or too far for the time.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from relmap.core.arrays import Floats, Ints
-from relmap.planes3d.doubting import sight_of
+from relmap.core.arrays import Bools, Floats, Ints
+from relmap.planes3d.placing import LEAP, Placed, apart, moved_m
 from relmap.planes3d.submap import Pose, Submap
 from relmap.planes3d.surfaces import some_cells
 from relmap.segmentation.space import Patches
 from relmap.segmentation.space.voxels import NEAR, cells_of
 
+FEWEST = 40
+"""Number of cells of the map in view, below which more are assumed to be."""
+FACING, BESIDE = 0.3, 0.7
+"""Minimum cosine at which a surface is seen, and largest distance of a ray from the nearest cell of
+the scan, in cells."""
+THROUGH = 0.1
+"""Largest fraction of the surfaces in view that a scan may see through: things move."""
+FASTER = 2.0
+"""A leap, or the step between submaps that are tied, is at most as many times the fastest step."""
+SEVERAL = 6
+"""Minimum number of scans of a submap that show how fast the sensor moves."""
+LEAST_SHARED, MANY_SHARED = 5, 12
+"""Minimum number of shared planes of two submaps, and of a scan that jumps and the map: three at
+right angles match any others. The second value holds for submaps if a jump is implied, as between
+the equal bays of a hall."""
+JUMP, FAR, TURN_RAD = 3.0, 0.2, np.deg2rad(45.0)
+"""A jump is a translation of at least this many times the longest one of the submaps and this
+fraction of the range, or a rotation of more than this angle and `FASTER` times the largest one."""
+SOON, PLANES, SURFACES = 2, 0.7, 0.8
+"""Submaps more scans apart than the first value are tied only if one shows at least this fraction
+of the planes or of the surfaces of the other: halls look much the same from both ends."""
 AROUND = 4
 """Number of the rays of a scan next to each cell that is looked for: a scan sees through a cell if
 all of these end beyond it, the nearest behind it."""
-FACING = 0.3
-"""Minimum cosine at which a surface is seen."""
-BESIDE, FURTHER = 1.0, 2.5
+NEXT, FURTHER = 1.0, 2.5
 """Largest distance, in cells at the range, of the nearest ray from a cell, and by how much the
 others may be further away."""
 BEYOND, EVERY = 2.0, 4
 """Distance of the points beyond a surface from its cells, in cells; one of so many cells is tried
 in a scan, others in the next ones."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """What a scan sees of the cells (c,) of a map.
+
+    `in_view`: which of them the scan faces, where it has a surface nearby or beyond; `through`:
+    which of these it sees through.
+    """
+
+    in_view: Bools
+    through: Bools
+
+    @property
+    def seen_through(self) -> float:
+        """Fraction of the cells in view that the scan sees through."""
+        return float(self.through.sum() / max(self.in_view.sum(), FEWEST))
+
+
+def is_doubtful(placed: Placed, seen: Patches, sight: Sight, part: Submap, gap: int) -> bool:
+    """Return whether a scan, `gap` scans after the last one of a submap, cannot be there.
+
+    `seen`: planes of the scan, robot frame; `sight`: of the map, see `sight_of`.
+    """
+    way_m = moved_m(part.poses[-1], placed.pose, seen.reach_m)
+    if len(part.poses) >= SEVERAL:
+        if way_m > LEAP * seen.reach_m and way_m > FASTER * gap * fastest_m(part):
+            return True
+        few = placed.n_planes < LEAST_SHARED
+        if few and _jumps(part.poses[-1], placed.pose, gap, seen.reach_m, part):
+            return True
+    return sight.seen_through > THROUGH
+
+
+def is_tied_doubtfully(placed: Placed, part: Submap, other: Submap) -> bool:
+    """Return whether a submap, placed in another, is not there for certain."""
+    if placed.free is not None or placed.n_planes < LEAST_SHARED:
+        return True
+    gaps = np.abs(np.subtract.outer(part.iteration, other.iteration))
+    k, m = np.unravel_index(gaps.argmin(), gaps.shape)
+    R, t = part.poses[k]
+    there = placed.R @ R, placed.R @ t + placed.t
+    way_m = moved_m(other.poses[m], there, part.seen[k].reach_m)
+    gap = int(gaps[k, m])
+    if way_m > FASTER * gap * max(fastest_m(part), fastest_m(other)):
+        return True
+    jumps = _jumps(other.poses[m], there, gap, part.seen[k].reach_m, part, other)
+    if jumps and placed.n_planes < MANY_SHARED:
+        return True
+    return gap > SOON and placed.share < SURFACES and placed.n_planes < PLANES * len(part)
+
+
+def fastest_m(part: Submap) -> float:
+    """Return the longest step of a submap from scan to scan; infinite if it has none."""
+    lengths = (moved_m(a, b, seen.reach_m) / gap for a, b, seen, gap in _steps(part))
+    return max(lengths, default=np.inf)
+
+
+def _steps(part: Submap) -> Iterator[tuple[Pose, Pose, Patches, int]]:
+    """Return the two poses of each step, the second scan, and the scans between."""
+    poses, seen, number = part.poses, part.seen, part.iteration
+    return zip(poses, poses[1:], seen[1:], np.diff(number), strict=False)
+
+
+def _jumps(last: Pose, pose: Pose, gap: int, reach_m: float, *parts: Submap) -> bool:
+    """Return whether a step over `gap` scans is much longer than those of some submaps."""
+    turn, way_m = apart(*last, *pose)
+    if turn <= TURN_RAD and way_m <= FAR * reach_m:
+        return False
+    steps = [np.divide(apart(*a, *b), n) for part in parts for a, b, _, n in _steps(part)]
+    if not steps:
+        return False
+    turns, ways_m = gap * np.max(steps, axis=0)
+    return bool(turn > max(FASTER * turns, TURN_RAD) or way_m > max(JUMP * ways_m, FAR * reach_m))
+
+
+def sight_of(R: Floats, t: Floats, seen: Patches, planes: Patches) -> Sight:
+    """Return what a scan sees of the surfaces of a map.
+
+    `R` (3, 3), `t` (3,): pose of the scan; `seen`, `planes`: of the scan, robot frame, and of the
+    map, map frame.
+    """
+    cells, size_m = (planes.cells - t) @ R, max(seen.cell_m, planes.cell_m)
+    away = np.linalg.norm(cells, axis=1)
+    ray = cells / away[:, None]
+    facing = np.abs(np.einsum("ci,ci->c", ray, planes.normal[planes.cell_patch] @ R)) > FACING
+    range_m = np.linalg.norm(seen.cells, axis=1)
+    cell, beside = np.zeros(len(ray), dtype=np.int64), np.full(len(ray), np.inf)
+    tree = cKDTree(seen.cells / range_m[:, None])
+    beside[facing], cell[facing] = tree.query(ray[facing])
+    in_view = beside * range_m[cell] < BESIDE * seen.cell_m
+    plane = seen.cell_patch[cell]
+    # Normals face the sensor.
+    ahead = np.einsum("ci,ci->c", cells - seen.centre[plane], seen.normal[plane])
+    through = (ahead > size_m) & (away < range_m[cell] - seen.cell_m)
+    return Sight(in_view, in_view & through)
 
 
 def with_rim(seen: Patches, iteration: int) -> Patches:
@@ -80,7 +197,7 @@ def _looks(seen: Patches, pose: Pose, cells: Floats, normal: Floats) -> tuple[In
         return rows, rows
     off, ray = cKDTree(ends / range_m[:, None]).query(at[rows] / away[rows, None], k=AROUND)
     range_m, away = np.append(range_m, far_m)[ray], away[rows, None]
-    near = off < BESIDE * _cell_m(seen, range_m) / range_m * [1.0, *[FURTHER] * (AROUND - 1)]
+    near = off < NEXT * _cell_m(seen, range_m) / range_m * [1.0, *[FURTHER] * (AROUND - 1)]
     beyond_m, cell_m = range_m - away, _cell_m(seen, away)
     there = (near & (np.abs(beyond_m) < cell_m)).any(axis=1)
     # A ray beside the cell may graze the same surface farther away: one through it ends behind it.

@@ -8,7 +8,8 @@ from itertools import repeat
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.planes3d.cells import MIXED, KnownCells, Points
+from relmap.core.geometry.motions import transforms
+from relmap.planes3d.surfaces import MIXED, KnownCells, Points
 from relmap.segmentation.space import Patches
 from relmap.segmentation.space.patches import reach_of
 
@@ -190,10 +191,7 @@ class Submap:
     @property
     def trajectory(self) -> Floats:
         """``T_submap_robot`` of each of its scans, (p, 4, 4)."""
-        found = np.tile(np.eye(4), (len(self.poses), 1, 1))
-        for T, (R, t) in zip(found, self.poses, strict=True):
-            T[:3, :3], T[:3, 3] = R, t
-        return found
+        return np.array([transforms(*pose) for pose in self.poses]).reshape(-1, 4, 4)
 
     def planes(self, chosen: Ints) -> Patches:
         """Return landmarks (k,), ascending, as patches in the frame of the submap."""
@@ -291,6 +289,5 @@ def _only(seen: Patches, cells: Ints, rim: Ints) -> Patches:
 
 def moved(scatter: Floats, R: Floats, t: Floats) -> Floats:
     """Return scatters (m, 4, 4) of points after a rigid motion."""
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = R, t
+    T = transforms(R, t)
     return np.asarray(T @ scatter @ T.T)

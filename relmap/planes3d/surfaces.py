@@ -1,8 +1,11 @@
-"""Surfaces of the map: where planes were seen, and what lies near them."""
+"""Surfaces of the map: where planes were seen, what lies near them, and as grids of squares."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
+from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.segmentation.space import Patches
@@ -13,6 +16,14 @@ NEAR = 3.0
 """Largest distance, in cells, of cells of overlapping surfaces."""
 SIDE = np.cos(np.deg2rad(12.0))
 """Tolerance of the normals of one plane (cosine)."""
+MIXED = -7046029254386353131
+"""Multiplier that mixes the key of a cell with the number of a landmark (Fibonacci hashing)."""
+Points = tuple[Floats, Ints, float]
+"""Points (n, 3), submap frame, their landmarks (n,), or rims, and the size of cells, metres."""
+NARROW = 4
+"""Number of squares across a narrow plane, if its cells are close enough."""
+BESIDE, MOST = 4, 0.9
+"""Its squares are at least as large as the distance of most cells (the fraction) from so many."""
 
 
 def some_cells(planes: Patches) -> Ints:
@@ -76,3 +87,80 @@ class Surfaces:
         facing = self.planes.normal[self._plane[:-1]]
         reach_m = NEAR * max(self.planes.cell_m, seen.cell_m)
         return shares(self._grid, facing, R, t, cells, seen.normal[of], weight, reach_m)
+
+
+class KnownCells:
+    """The cells of each landmark that held a point so far."""
+
+    def __init__(self) -> None:
+        self._known: set[int] = set()
+        self._latest = np.empty(0, dtype=np.int64)
+
+    def fresh(self, scans: list[Points]) -> list[Ints]:
+        """Return which points of each scan lie in cells of their landmark that had none yet."""
+        from relmap.planes3d.nearest_kernels import keys_of
+
+        each = [MIXED * keys_of(points, cell_m) + of for points, of, cell_m in scans]
+        keys = np.concatenate(each)
+        rows = np.sort(np.unique(keys, return_index=True)[1])
+        # To fill a set takes longer than the rest, and refinement adds no more scans.
+        self._known.update(self._latest.tolist())
+        if self._known:
+            rows = rows[[key not in self._known for key in keys[rows].tolist()]]
+        self._latest = keys[rows]
+        begin = np.cumsum([0, *(len(points) for points, *_ in scans)])
+        parts = np.split(rows, np.searchsorted(rows, begin[1:-1]))
+        return [part - first for part, first in zip(parts, begin.tolist(), strict=False)]
+
+
+@dataclass(frozen=True, eq=False)
+class Raster:
+    """The surface of a plane as a grid of squares.
+
+    `filled` (a, b): squares in which the plane was seen; `origin` (2,), metres: corner of the first
+    square, along `u` and `v` from `base`; `size_m`: side of a square; `base`, `u`, `v` (3,): a
+    point on the plane, and unit vectors along it.
+    """
+
+    filled: Bools
+    origin: Floats
+    size_m: float
+    base: Floats
+    u: Floats
+    v: Floats
+
+    def in_space(self, points: Floats) -> Floats:
+        """Convert points (n, 2), in squares from the origin, to points in space (n, 3)."""
+        at = self.origin + self.size_m * points
+        return np.asarray(self.base + at[:, :1] * self.u + at[:, 1:] * self.v)
+
+    def in_squares(self, points: Floats) -> Floats:
+        """Convert points in space (n, 3) to points (n, 2), in squares from the origin."""
+        flat = (points - self.base) @ np.stack([self.u, self.v]).T
+        return np.asarray((flat - self.origin) / self.size_m)
+
+
+def raster(planes: Patches, k: int) -> Raster:
+    """Return the grid of a plane, with gaps of one square closed."""
+    from scipy.ndimage import binary_closing
+
+    u, v, _ = planes.axes[k]
+    base = planes.centre[k]
+    cells = (planes.cells[planes.cell_patch == k] - base) @ np.stack([u, v]).T
+    if not len(cells):
+        cells = np.zeros((1, 2))
+    size_m = _side(cells, planes.cell_m, np.sqrt(12) * planes.spread[k, 1])
+    origin = cells.min(axis=0) - 2.5 * size_m
+    at = np.floor((cells - origin) / size_m).astype(np.int64)
+    filled = np.zeros(at.max(axis=0) + 3, dtype=bool)
+    filled[tuple(at.T)] = True
+    closed = binary_closing(filled, np.ones((3, 3), dtype=np.bool_))
+    return Raster(closed, origin, size_m, base, u, v)
+
+
+def _side(cells: Floats, cell_m: float, width_m: float) -> float:
+    """Return the side of the squares of a plane of this width with cells (n, 2)."""
+    if width_m > NARROW * cell_m or len(cells) <= BESIDE:
+        return cell_m
+    away = np.asarray(cKDTree(cells).query(cells, BESIDE + 1)[0])
+    return float(min(cell_m, max(np.quantile(away[:, BESIDE], MOST), width_m / NARROW)))

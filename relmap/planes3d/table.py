@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.columns import Table
+from relmap.planes3d.gathering import is_rough
 from relmap.planes3d.outlines import surfaces_of
 from relmap.planes3d.refining import covariances_of, scene
-from relmap.planes3d.roughness import is_rough
 from relmap.planes3d.submap import Submap
 
 RAGGED = "outline", "meets"

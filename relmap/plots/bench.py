@@ -54,17 +54,12 @@ def write_bench_gif(
         for frame in progress(frames) if progress else frames:
             figure.clear()
             _draw(figure, frame, limits, title)
-            images.append(_image_of(figure))
+            canvas = cast("Any", figure.canvas)
+            canvas.draw()
+            images.append(Image.fromarray(np.array(canvas.buffer_rgba())[:, :, :3]))
     shown_ms = [1000 // FPS] * len(images)
     shown_ms[-1] *= 1 + HOLD
     images[0].save(path, "GIF", save_all=True, append_images=images[1:], duration=shown_ms, loop=0)
-
-
-def _image_of(figure: Figure) -> Image.Image:
-    """Draw a figure into an image."""
-    canvas = cast("Any", figure.canvas)
-    canvas.draw()
-    return Image.fromarray(np.array(canvas.buffer_rgba())[:, :, :3])
 
 
 def plot_bench(frame: BenchFrame, title: str = TITLE) -> Figure:

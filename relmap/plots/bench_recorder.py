@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.geometry.motions import transforms
 from relmap.datasets.scans import PointScan, ScanLog, SensorView
 from relmap.evaluation.feeding import segment_scan
 from relmap.evaluation.truth import Truth
@@ -128,8 +129,6 @@ class BenchRecorder:
         mapped = planes.status == "static"
         R, t = self._world(poses)
         walls = planes.ends[mapped] @ R.T + t
-        T = np.eye(4)
-        T[:2, :2], T[:2, 3] = R, t
         seen, view = self.segmenter.planes_, self._view
         c, s = np.cos(view.yaw_rad), np.sin(view.yaw_rad)
         ends_robot = seen.ends @ np.array([[c, s], [-s, c]]) + [view.x_m, view.y_m]
@@ -143,7 +142,7 @@ class BenchRecorder:
             walls[planes.corner[mapped] >= 0],
             _links(self.mapper.group_walls, planes.plane[mapped], walls.mean(axis=1)),
             poses[:, :2, 3] @ R.T + t,
-            T @ poses[-1],
+            transforms(R, t) @ poses[-1],
             np.empty((0, 2, 2)) if self._truth is None else self._truth.ends,
         )
 

@@ -1,14 +1,31 @@
-"""Methods side by side: errors and times."""
+"""Methods side by side: errors and times, the landmarks' errors as enlarged arrows; and sweeps."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from relmap.plots.sheet import BLUE, GREY, ORANGE, blank, finish, to_png, write_in_full
+from relmap.core.arrays import Floats
+from relmap.evaluation.landmarks import Overlay
+from relmap.io.results import Result
+from relmap.plots.path import broken_at_gaps, broken_at_jumps
+from relmap.plots.sheet import (
+    BLUE,
+    GREY,
+    ORANGE,
+    RED,
+    Sheet,
+    blank,
+    finish,
+    legend_below,
+    to_png,
+    write_in_full,
+)
 
 Figures = Mapping[str, float | None]
 OURS = "relmap"
@@ -16,6 +33,16 @@ OURS = "relmap"
 ROW_IN = 0.34
 MANY = 30.0
 """Ratio of the largest to the smallest figure above which only powers of ten are labelled."""
+PANELS = {
+    "corner_rmse_m": "RMSE of corners [m]",
+    "often_rmse_m": "RMSE of landmarks seen ten times [m]",
+    "ate_m": "error of the path (ATE) [m]",
+}
+PANEL_IN = 4.6
+MARKERS = "osD^vP*X<>"
+USUAL, LONGEST = 0.04, 0.12
+"""Length of a typical arrow and of the longest, as fractions of the extent of the picture."""
+STEPS = (1.0, 2.0, 5.0)
 
 
 def plot_comparison(rows: Sequence[tuple[str, Figures]], title: str) -> Figure:
@@ -36,14 +63,14 @@ def plot_comparison(rows: Sequence[tuple[str, Figures]], title: str) -> Figure:
     figure.suptitle(title, fontsize=10, parse_math=False)  # a log may be named with a $
     all_axes = figure.subplots(1, len(shown), sharey=True, squeeze=False)[0]
     for axes, (key, name) in zip(all_axes, shown, strict=True):
-        _draw(axes, rows, key)
+        _draw_errors(axes, rows, key)
         finish(axes, "", name, "")
     all_axes[0].set_yticks(range(len(rows)), [method for method, _ in rows])
     all_axes[0].set_ylim(len(rows) - 0.5, -0.5)
     return figure
 
 
-def _draw(axes: Axes, rows: Sequence[tuple[str, Figures]], key: str) -> None:
+def _draw_errors(axes: Axes, rows: Sequence[tuple[str, Figures]], key: str) -> None:
     """Draw one figure of every method as a dot, on a logarithmic scale."""
     axes.set_xscale("log")
     values = [f.get(key) for _, f in rows]
@@ -61,3 +88,113 @@ def _draw(axes: Axes, rows: Sequence[tuple[str, Figures]], key: str) -> None:
 
 
 write_comparison_png = to_png(plot_comparison)
+
+
+@dataclass(frozen=True, eq=False)
+class SweepRow:
+    """One experiment.
+
+    `name`: common name of the experiments of one line. `at`: value of the varied parameter; None if
+    none is numeric. `figures`: errors, None if not available.
+    """
+
+    name: str
+    at: float | None
+    figures: Figures
+
+
+def plot_sweep(rows: Sequence[SweepRow], along: str) -> Figure:
+    """Draw the errors of all experiments as dots, with a line of medians for each name.
+
+    `along`: label of the varied parameter.
+    """
+    names = list(dict.fromkeys(row.name for row in rows))
+    if any(row.at is None for row in rows):
+        medians = [(name, _medians([r for r in rows if r.name == name])) for name in names]
+        return plot_comparison(medians, "medians over the seeds")
+    shown = [key for key in PANELS if any(row.figures.get(key) for row in rows)] or ["ate_m"]
+    figure = blank(PANEL_IN * len(shown), PANEL_IN)
+    all_axes = figure.subplots(1, len(shown), squeeze=False)[0]
+    for axes, key in zip(all_axes, shown, strict=True):
+        for k, name in enumerate(names):
+            _draw_line(axes, [row for row in rows if row.name == name], key, name, k)
+        axes.set_yscale("log")
+        write_in_full(axes.yaxis)
+        finish(axes, "", along, PANELS[key])
+    legend_below(figure, 3 if max(map(len, names)) < 25 else 2, *all_axes)
+    return figure
+
+
+def _draw_line(axes: Axes, rows: Sequence[SweepRow], key: str, name: str, k: int) -> None:
+    at = np.array([row.at for row in rows if row.figures.get(key)])
+    value = np.array([row.figures[key] for row in rows if row.figures.get(key)])
+    colour, marker = f"C{k % 10}", MARKERS[k % len(MARKERS)]
+    axes.plot(at, value, marker, color=colour, markersize=3, alpha=0.35, markeredgewidth=0)
+    places = np.unique(at)
+    medians = [float(np.median(value[at == place])) for place in places]
+    style: dict[str, Any] = {"color": colour, "markerfacecolor": "none", "markersize": 4 + k % 4}
+    axes.plot(places, medians, f"{marker}-", linewidth=1, label=name, **style)
+
+
+def _medians(rows: Sequence[SweepRow]) -> Figures:
+    found: dict[str, float | None] = {}
+    for key in PANELS:
+        values = [value for row in rows if (value := row.figures.get(key)) is not None]
+        found[key] = float(np.median(values)) if values else None
+    return found
+
+
+write_sweep_png = to_png(plot_sweep)
+
+
+def shared_scale(overlays: Sequence[Overlay]) -> float:
+    """Return the common factor by which the errors of all methods are enlarged: 1, 2, 5, 10, ..."""
+    pairs = [each.errors_map for each in overlays if len(each.errors_map)]
+    usual = [float(np.median(np.linalg.norm(each[:, 0] - each[:, 1], axis=1))) for each in pairs]
+    extent = max((_extent(each.landmarks_map) for each in overlays), default=0.0)
+    middle = float(np.median(usual)) if usual else 0.0
+    wanted = USUAL * extent / middle if middle > 0 else 1.0
+    power = 10.0 ** np.floor(np.log10(max(wanted, 1.0)))
+    return float(max(step * power for step in STEPS if step * power <= max(wanted, 1.0)))
+
+
+def plot_errors(result: Result, truth: Overlay, scale: float, title: str) -> Figure:
+    """Draw the true landmarks, and an arrow to each mapped one.
+
+    `truth`: in the frame of the map. `scale`: factor by which the arrows are enlarged; see
+    `shared_scale`.
+    """
+    way = np.concatenate([result.poses[:, :3, 3], truth.path_map])
+    sheet = Sheet(truth.landmarks_map, way, result.planar)
+    true = truth.errors_map[:, 1]
+    arrow = scale * (truth.errors_map[:, 0] - true)
+    length, most = np.linalg.norm(arrow, axis=1), LONGEST * _extent(truth.landmarks_map)
+    beyond = length > most
+    arrow[beyond] *= (most / length[beyond])[:, None]
+    style: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "width": 0.003}
+    for axes, pair in sheet.views:
+        axes.plot(
+            *truth.landmarks_map[:, pair].T, ".", color=GREY, markersize=3, label="true landmark"
+        )
+        if len(truth.path_map):
+            path = broken_at_jumps(truth.path_map)[:, pair]
+            axes.plot(*path.T, "--", color=GREY, linewidth=0.8, label="true path")
+        if len(result.poses):
+            path = broken_at_gaps(result.stamps_s, result.poses[:, :3, 3])[:, pair]
+            axes.plot(*path.T, color=BLUE, linewidth=1.0, label="path of the robot")
+        for of, colour, name in (
+            (~beyond, ORANGE, f"error, x {scale:g}"),
+            (beyond, RED, f"more than {most / scale:.2g} m"),
+        ):
+            if of.any():
+                axes.quiver(*true[of][:, pair].T, *arrow[of][:, pair].T, color=colour, **style)
+                axes.plot([], [], color=colour, label=name)
+    sheet.finish(title)
+    return sheet.figure
+
+
+def _extent(places: Floats) -> float:
+    return float(np.ptp(places, axis=0).max()) if len(places) else 0.0
+
+
+write_errors_png = to_png(plot_errors)

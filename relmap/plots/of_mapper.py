@@ -15,8 +15,7 @@ from relmap.io.results import MAP_PNG, Result
 from relmap.planes.walls.files import PlaneResult
 from relmap.planes3d import Plane3dMapper
 from relmap.planes3d.files import Plane3dResult
-from relmap.plots.planes import plot_planes, plot_submaps
-from relmap.plots.planes3d import plot_planes3d
+from relmap.plots.planes import plot_planes, plot_planes3d, plot_submaps
 from relmap.plots.report import REPORT, report_page
 from relmap.plots.run import plot_run
 from relmap.plots.sheet import write_png

@@ -17,10 +17,10 @@ from relmap.io.results import Result
 from relmap.planes.walls.files import DrawnSubmap, PlaneResult
 from relmap.planes.walls.table import PlaneTable
 from relmap.planes3d.files import LEAST_SCANS, Plane3dResult
-from relmap.planes3d.roughness import is_rough
+from relmap.planes3d.gathering import is_rough
 from relmap.planes3d.table import FEWEST, Plane3dTable
 from relmap.plots.path import jumps
-from relmap.plots.planes3d import upward
+from relmap.plots.planes import upward
 from relmap.plots.run import weak_places
 from relmap.plots.sheet import limits_of
 

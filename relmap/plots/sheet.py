@@ -115,7 +115,10 @@ class Sheet:
     """
 
     def __init__(self, places: Floats, way: Floats, planar: bool, dpi: int = 150) -> None:
-        low, high = _padded(limits_of(places, way))
+        low, high = limits_of(places, way)
+        longest = max(float((high - low).max()), 1e-3)
+        half = np.maximum((high - low) / 2 + 0.04 * longest, NARROWEST * longest / 2)
+        low, high = (low + high) / 2 - half, (low + high) / 2 + half
         self._outside = int(((places < low) | (places > high)).any(axis=1).sum())
         pairs = [[0, 1]] if planar else [[0, 1], [0, 2]]
         tall_m = [float(high[up] - low[up]) for _, up in pairs]
@@ -179,12 +182,3 @@ def to_png(draw: Callable[P, Figure]) -> Callable[Concatenate[Path, P], None]:
         write_png(path, lambda: draw(*args, **kwargs))
 
     return write
-
-
-def _padded(limits: Limits) -> Limits:
-    """Return limits with a margin and a minimum width."""
-    low, high = limits
-    longest = max(float((high - low).max()), 1e-3)
-    half = np.maximum((high - low) / 2 + 0.04 * longest, NARROWEST * longest / 2)
-    middle = (low + high) / 2
-    return middle - half, middle + half

@@ -15,6 +15,7 @@ from relmap.core.association.reobservation.recognition import PlaceFinder
 from relmap.core.config import MapperConfig
 from relmap.core.errors import RelmapError
 from relmap.core.gaps import bridge_gaps
+from relmap.core.geometry.motions import transforms
 from relmap.core.guard import reads_whole
 from relmap.core.linalg.threads import one_thread
 from relmap.core.odometry import checked_odometry
@@ -225,12 +226,9 @@ class PointMapper(Mapper):
             If the scan is invalid.
         """
         placement, n_places = self._placed(checked_points(points, self.engine.store.dimension), 1)
-        T_map_robot = np.full((4, 4), np.nan)
-        if placement is not None:
-            d = len(placement.t)
-            T_map_robot[:] = np.eye(4)
-            T_map_robot[:d, :d], T_map_robot[:d, 3] = placement.R, placement.t
-        return Place(T_map_robot, n_places)
+        if placement is None:
+            return Place(np.full((4, 4), np.nan), n_places)
+        return Place(transforms(placement.R, placement.t), n_places)
 
     def take_up(self, points: ArrayLike) -> bool:
         """Localise a scan in the map so that the next update, of this scan, continues there.

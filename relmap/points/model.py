@@ -9,7 +9,6 @@ from relmap.core.association import Constellation, NearestPrevious, Registration
 from relmap.core.config import MapperConfig
 from relmap.core.state.store import POINTS, Rows, Shown, shown_points
 from relmap.core.state.table import LandmarkState
-from relmap.points.basis import relative_map
 
 
 class PointModel:
@@ -37,8 +36,19 @@ class PointModel:
         return shown_points(rows)
 
     def average_in_basis(self, block: Floats) -> Floats | None:
-        """Average a group's locations (g, i, d) in the basis of three of its points (Fig. 8)."""
-        return relative_map(block)
+        """Average a group's locations in its consistent basis (section III, Fig. 8).
+
+        B0 is the point farthest from the centre, B1 the farthest from B0, and in space B2 the
+        farthest from the line through both. B0 is the origin, B1 lies on the negative x axis, and
+        in space B2 in the xz plane, at positive z.
+
+        `block` (g, i, d), robot frame, metres: every member seen in every iteration. Returns
+        (g, d), group frame, metres, or None if the group determines no basis.
+        """
+        from relmap.points.basis_kernels import average_in_basis
+
+        mean, is_determined = average_in_basis(block)
+        return mean if is_determined else None
 
     def min_shared(self, dimension: int) -> int:
         """Return the minimum number of mapped points that determine the pose of a group."""

@@ -69,16 +69,12 @@ def make_planes(
     squares = np.bincount(at, weights=across**2, minlength=m)
     z_extent = np.zeros((m, 2))
     if points.shape[1] == 3:
-        z_extent = _heights(points[own, 2], at, m, sigma)
+        from relmap.segmentation.ends.box_kernels import box_extent
+
+        order = np.argsort(at, kind="stable")
+        parts = np.split(points[own, 2][order], np.cumsum(n_points)[:-1]) if m else []
+        # The ends of a blurred box, as along the wall.
+        z_extent = np.array([box_extent(part, sigma) for part in parts]).reshape(m, 2)
         middle = np.column_stack([middle, z_extent.mean(axis=1)])
     noise = np.sqrt(squares / np.maximum(n_points, 1))
     return Planes(middle, normal, ends, size, z_extent, noise, n_points, end_type)
-
-
-def _heights(z: Floats, at: Ints, m: int, sigma: float) -> Floats:
-    """Return the extent in z (m, 2): the ends of a blurred box, as along the wall."""
-    from relmap.segmentation.ends.box_kernels import box_extent
-
-    order = np.argsort(at, kind="stable")
-    parts = np.split(z[order], np.cumsum(np.bincount(at, minlength=m))[:-1]) if m else []
-    return np.array([box_extent(part, sigma) for part in parts]).reshape(m, 2)

@@ -223,8 +223,8 @@ class PlaneSegmenter:
         self, method: str, xyz: Floats, xy: Floats, rng: np.random.Generator
     ) -> tuple[Ints, float]:
         """Return the plane of each point by methods other than EM, and the noise."""
-        from relmap.segmentation.alternatives.ransac3d import patch_labels, sequential_labels
-        from relmap.segmentation.em.lines import find_lines
+        from relmap.segmentation.alternatives import patch_labels, sequential_labels
+        from relmap.segmentation.em.search import find_lines
         from relmap.segmentation.noise import beam_angle, window_noise
 
         if method == "patches":
@@ -234,7 +234,7 @@ class PlaneSegmenter:
             return sequential_labels(xyz, sigma, self.random_state), sigma
         _, labels = find_lines(xy, sigma, rng, beam_angle(xy))
         if method == "mixture":
-            from relmap.segmentation.alternatives.gaussian import gaussian_labels
+            from relmap.segmentation.alternatives import gaussian_labels
 
             labels = gaussian_labels(xy, labels, self.random_state)
         return labels, sigma

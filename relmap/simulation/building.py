@@ -14,12 +14,18 @@ import numpy as np
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.brief import Brief
 from relmap.datasets.scans import planar_poses
-from relmap.simulation.coverage import seen_extents, times_seen
 from relmap.simulation.drive import STEP_M, drive_round
-from relmap.simulation.floor_plan import World, make_floor_plan
-from relmap.simulation.moving_walls import make_moving
+from relmap.simulation.floor_plan import World, make_floor_plan, make_moving
 from relmap.simulation.noise import Noise, check_arguments
-from relmap.simulation.sensor import BuildingScan, Sampling, Scanner, Sensor, sensor_of
+from relmap.simulation.sensor import (
+    BuildingScan,
+    Sampling,
+    Scanner,
+    Sensor,
+    seen_extents,
+    sensor_of,
+    times_seen,
+)
 from relmap.simulation.shapes import CLEARANCE_M, FloorPlan, wall_distances
 from relmap.simulation.things import Things, walking
 from relmap.simulation.visibility import seen_walls

@@ -31,7 +31,14 @@ PILLAR_M, PILLARS = (0.3, 0.25), 5
 def twin_rooms() -> FloorPlan:
     """Draw a corridor between identical rooms; the robot drives round in each."""
     hall = np.array([0.0, -CORRIDOR_M / 2, TWINS * WIDTH_M, CORRIDOR_M / 2])
-    walls, doors = _rooms_below(hall, TWINS)
+    sides, places = [], []
+    for k in range(TWINS):
+        low = hall[0] + k * WIDTH_M
+        room = np.array([low, hall[1] - DEPTH_M, low + WIDTH_M, hall[1]])
+        door = low + WIDTH_M / 2 + np.array([DOOR_M / 2, -DOOR_M / 2])
+        places.append(np.column_stack([door, np.full(2, hall[1])]))
+        sides += [cut(edge, places[-1][None]) for edge in edges(room)]
+    walls, doors = np.vstack(sides), np.array(places)
     way = np.vstack([_way_round(x, hall[1]) for x in doors[:, :, 0].mean(axis=1)])
     middle = (hall[:2] + hall[2:]) / 2
     both, all_doors = (
@@ -71,18 +78,6 @@ def curved(rng: np.random.Generator) -> FloorPlan:
         for k in range(PILLARS)
     ]
     return FloorPlan(np.vstack([*around, *pillars]), NO_FLOORS, _stadium(RADIUS_M - CORRIDOR_M / 2))
-
-
-def _rooms_below(hall: Floats, count: int) -> tuple[Floats, Floats]:
-    """Return the walls (w, 4) and doors (count, 2, 2) of identical rooms."""
-    walls, doors = [], []
-    for k in range(count):
-        low = hall[0] + k * WIDTH_M
-        room = np.array([low, hall[1] - DEPTH_M, low + WIDTH_M, hall[1]])
-        middle = low + WIDTH_M / 2
-        doors.append(np.array([[middle + DOOR_M / 2, hall[1]], [middle - DOOR_M / 2, hall[1]]]))
-        walls += [cut(edge, doors[-1][None]) for edge in edges(room)]
-    return np.vstack(walls), np.array(doors)
 
 
 def _with_doors(edge: Floats) -> Floats:

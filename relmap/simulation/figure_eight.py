@@ -167,21 +167,15 @@ def _path(phase: Floats, half_size_m: float) -> Floats:
     return np.column_stack([x, y, z])
 
 
-def _phase_of_length() -> tuple[float, Floats, Floats]:
-    """Return the half size that gives the required length of the loop, and phase over length."""
-    phase = np.linspace(0, 2 * np.pi, 20_001)
-
-    low, high = 1.0, LOOP_LENGTH_M
-    for _ in range(60):
-        middle = (low + high) / 2
-        short = lengths_along(_path(phase, middle))[-1] < LOOP_LENGTH_M
-        low, high = (middle, high) if short else (low, middle)
-    return low, phase, lengths_along(_path(phase, low))
-
-
 def _frames(length_m: Floats) -> Floats:
     """Return the poses (k, 4, 4) at path lengths (k,): x ahead along the path, gently rolling."""
-    half_size_m, phase, lengths = _phase_of_length()
+    phase = np.linspace(0, 2 * np.pi, 20_001)
+    half_size_m, high = 1.0, LOOP_LENGTH_M
+    for _ in range(60):
+        middle = (half_size_m + high) / 2
+        short = lengths_along(_path(phase, middle))[-1] < LOOP_LENGTH_M
+        half_size_m, high = (middle, high) if short else (half_size_m, middle)
+    lengths = lengths_along(_path(phase, half_size_m))
     at = np.interp(length_m % LOOP_LENGTH_M, lengths, phase)
     step = 1e-5
     ahead = _path(at + step, half_size_m) - _path(at - step, half_size_m)

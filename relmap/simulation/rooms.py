@@ -33,7 +33,10 @@ def building(rng: np.random.Generator, glass: bool = False) -> FloorPlan:
     """Draw a corridor round a block, with rooms and, on request, a pane beside each door."""
     block = np.array([0.0, 0.0, rng.uniform(*BLOCK_M[0]), rng.uniform(*BLOCK_M[1])])
     hall = block + CORRIDOR_M * np.array([-1, -1, 1, 1])
-    placed = _rooms_inside(block, rng)
+    placed = [
+        (np.array([low, block[1], high, block[3]]), 2 * int(rng.integers(2)))
+        for low, high in pairwise(_split(block[0], block[2], rng))
+    ]
     placed += [room for side in range(4) for room in _rooms_along(hall, side, rng)]
     rooms = np.array([room for room, _ in placed])
     fronts = [edges(room)[side] for room, side in placed]
@@ -50,15 +53,6 @@ def building(rng: np.random.Generator, glass: bool = False) -> FloorPlan:
     rows = len(opaque) + np.arange(len(both))
     floors, loop = np.vstack([rooms, ring(hall, block)]), rounded((hall + block) / 2)
     return FloorPlan(np.vstack([opaque, both]), floors, loop, doors, rows)
-
-
-def _rooms_inside(block: Floats, rng: np.random.Generator) -> list[tuple[Floats, int]]:
-    """Return rooms side by side, each with the side of its door: below or above."""
-    splits = _split(block[0], block[2], rng)
-    return [
-        (np.array([low, block[1], high, block[3]]), 2 * int(rng.integers(2)))
-        for low, high in pairwise(splits)
-    ]
 
 
 def _rooms_along(hall: Floats, side: int, rng: np.random.Generator) -> list[tuple[Floats, int]]:

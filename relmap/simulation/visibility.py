@@ -73,7 +73,12 @@ def _joined(right: SeenWalls, left: SeenWalls) -> SeenWalls:
 def _seen_ahead(ends_robot: Floats, range_m: float, half_view_rad: float) -> SeenWalls:
     """Return the visible stretches within at most a half turn."""
     wall, ends, kind = _clipped(ends_robot, range_m, half_view_rad)
-    events, at = _merged(np.arctan2(ends[..., 1], ends[..., 0]))
+    bearings = np.arctan2(ends[..., 1], ends[..., 0])
+    order = np.argsort(bearings, axis=None)
+    ordered = bearings.ravel()[order]
+    new = np.diff(ordered, prepend=-np.inf) > _SAME_BEARING_RAD
+    events, at = ordered[new], np.empty(bearings.shape, dtype=np.int64)
+    at.ravel()[order] = np.cumsum(new) - 1
     nearest = _nearest(ends_robot[wall], at, (events[:-1] + events[1:]) / 2)
     changes = np.flatnonzero(np.diff(nearest, prepend=-2, append=-2))
     runs = np.column_stack([changes[:-1], changes[1:]])
@@ -126,16 +131,6 @@ def _clipped(ends: Floats, range_m: float, half_view_rad: float) -> tuple[Ints, 
     points = np.where((kind == 0)[..., None], ends[wall], points)
     inside = t[:, 0] < t[:, 1]
     return wall[inside], points[inside], kind[inside]
-
-
-def _merged(bearings: Floats) -> tuple[Floats, Ints]:
-    """Return the distinct bearings in order, and the index of each given one."""
-    order = np.argsort(bearings, axis=None)
-    ordered = bearings.ravel()[order]
-    new = np.diff(ordered, prepend=-np.inf) > _SAME_BEARING_RAD
-    at = np.empty(len(order), dtype=np.int64)
-    at[order] = np.cumsum(new) - 1
-    return ordered[new], at.reshape(bearings.shape)
 
 
 def _nearest(ends: Floats, at: Ints, bearing: Floats) -> Ints:

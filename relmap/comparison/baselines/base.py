@@ -4,17 +4,32 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import fit_rigid, fit_rigid_each, fixes_rotation
+from relmap.core.geometry.motions import transforms
 from relmap.core.landmarks import LandmarkMap, LandmarkTable, Submap, in_space
 from relmap.datasets.base import ObservationLog
 
 NO_MAP = LandmarkMap(np.empty(0, np.int64), np.empty((0, 3)))
 Pose = tuple[Floats, Floats]
 """``T_map_robot`` as R (d, d) and t (d,), metres; d is 2 or 3."""
+
+
+@dataclass(frozen=True)
+class Setup:
+    """Information given to a method before it starts.
+
+    `dimension`: 2 for a planar world, else 3; `sigma_m`: standard deviation of each observed
+    coordinate, metres; `range_m`: distance of the farthest observation of the log, metres.
+    """
+
+    dimension: int = 3
+    sigma_m: float = 0.05
+    range_m: float = 80.0
 
 
 class Baseline(ABC):
@@ -93,11 +108,7 @@ class KnownBaseline(Baseline):
         labels = np.where(ids >= 0, ids, -1)
         known = labels >= 0
         pose = self._placed(points_robot[known], labels[known])
-        T_map_robot = np.full((4, 4), np.nan)
-        if pose is not None:
-            T_map_robot = np.eye(4)
-            T_map_robot[: self._d, : self._d], T_map_robot[: self._d, 3] = pose
-        return self._keep(labels, T_map_robot)
+        return self._keep(labels, np.full((4, 4), np.nan) if pose is None else transforms(*pose))
 
     @abstractmethod
     def _placed(self, points: Floats, labels: Ints) -> Pose | None:

@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import spsolve
 
 from relmap.comparison.baselines.base import SolvedAtTheEnd, fitted
-from relmap.comparison.baselines.frame_to_map import frame_to_map
+from relmap.comparison.baselines.frames import frame_to_map
 from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.core.geometry.motions import derivatives, rotations
@@ -50,7 +50,10 @@ def batch_least_squares(observations: Batch, start_map: Floats, iterations: int 
     _require_one_map(observations, len(landmarks))
     R, t = _poses(observations, landmarks)
     if len(R) == 1:
-        return _mean_of_one_pose(observations, R[0], t[0], len(landmarks))
+        sums, counts = np.zeros_like(landmarks), np.zeros(len(landmarks))
+        np.add.at(sums, observations.landmark, observations.points_robot @ R[0].T + t[0])
+        np.add.at(counts, observations.landmark, 1)
+        return np.asarray(sums / counts[:, None])
     for _ in range(iterations):
         turn, shift, step = _gauss_newton(observations, R, t, landmarks)
         R, t = turn @ R, t + shift
@@ -69,14 +72,6 @@ def _require_one_map(observations: Batch, m: int) -> None:
     parts = connected_components(sparse.coo_array(ties, shape=(size, size)), directed=False)[1]
     if parts[:m].max() != parts[:m].min():
         raise RelmapError("batch least squares: the observations do not connect into one map")
-
-
-def _mean_of_one_pose(observations: Batch, R: Floats, t: Floats, m: int) -> Floats:
-    """Return the landmarks (m, d) as seen from the only pose."""
-    sums, counts = np.zeros((m, len(t))), np.zeros(m)
-    np.add.at(sums, observations.landmark, observations.points_robot @ R.T + t)
-    np.add.at(counts, observations.landmark, 1)
-    return np.asarray(sums / counts[:, None])
 
 
 def _poses(observations: Batch, landmarks: Floats) -> tuple[Floats, Floats]:
@@ -139,7 +134,10 @@ def least_squares_map(log: ObservationLog) -> LandmarkMap:
     if log.ids is None:
         raise RelmapError("least squares with known ids: the log has no ids")
     start = frame_to_map(log).map
-    log = _of_landmarks(log, start.landmark_ids)
+    used = np.isin(log.ids, start.landmark_ids)
+    seen = np.bincount(log.iteration[used] - log.first_iteration, minlength=len(log))
+    used &= (seen >= log.points_robot.shape[1])[log.iteration - log.first_iteration]
+    log = log.only(used)
     if log.ids is None or not len(log.ids):
         raise RelmapError("least squares with known ids: too few landmarks are identified")
     _, pose = np.unique(log.iteration, return_inverse=True)
@@ -148,15 +146,6 @@ def least_squares_map(log: ObservationLog) -> LandmarkMap:
     places = start.positions[np.isin(start.landmark_ids, labels), :dimension]
     observations = Batch(log.points_robot, pose, landmark)
     return LandmarkMap(labels, in_space(batch_least_squares(observations, places)))
-
-
-def _of_landmarks(log: ObservationLog, labels: Ints) -> ObservationLog:
-    """Return the observations of some landmarks, in iterations that see enough of them."""
-    assert log.ids is not None
-    used = np.isin(log.ids, labels)
-    seen = np.bincount(log.iteration[used] - log.first_iteration, minlength=len(log))
-    used &= (seen >= log.points_robot.shape[1])[log.iteration - log.first_iteration]
-    return log.only(used)
 
 
 class BatchLeastSquares(SolvedAtTheEnd):

@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 
 from relmap.comparison.baselines.base import KnownBaseline, Pose, SolvedAtTheEnd, fitted, map_of
-from relmap.comparison.baselines.frame_to_map import FrameToMap, frame_to_map
+from relmap.comparison.baselines.frames import FrameToMap, frame_to_map
 from relmap.core.arrays import Floats, Ints
+from relmap.core.geometry.motions import transforms
 from relmap.core.landmarks import LandmarkMap
 from relmap.datasets.base import ObservationLog
 
@@ -99,9 +100,8 @@ class Factors:
     def pose_matrix(self, values: Any, k: int) -> Floats:
         """Return ``T_map_robot`` (4, 4) of iteration `k` in gtsam's values."""
         at = values.atPose2 if self._d == 2 else values.atPose3
-        T, d, matrix = np.eye(4), self._d, at(self._pose_key(k)).matrix()
-        T[:d, :d], T[:d, 3] = matrix[:d, :d], matrix[:d, d]
-        return T
+        d, matrix = self._d, at(self._pose_key(k)).matrix()
+        return transforms(matrix[:d, :d], matrix[:d, d])
 
 
 class Isam2(KnownBaseline):

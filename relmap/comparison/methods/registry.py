@@ -2,28 +2,99 @@
 
 from __future__ import annotations
 
+import importlib.util
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
+from relmap.comparison.baselines.base import Setup
 from relmap.comparison.baselines.batch import BatchLeastSquares
 from relmap.comparison.baselines.ekf import as_mrpt_ships_it, linearised_at_best_fit
-from relmap.comparison.baselines.frame_to_frame import FrameToFrame
-from relmap.comparison.baselines.frame_to_map import FrameToMap
+from relmap.comparison.baselines.frames import FrameToFrame, FrameToMap
 from relmap.comparison.baselines.gtsam_methods import GtsamBatch, Isam2
 from relmap.comparison.baselines.icp import KissIcp, SmallGicp
-from relmap.comparison.methods.base import MethodInfo
-from relmap.comparison.methods.paper import PAPER, PaperPlaneMapper, PaperPointMapper
+from relmap.core.association import NearestPrevious, Registration
+from relmap.core.config import MapperConfig
 from relmap.core.errors import RelmapError, known_name
+from relmap.core.geometry.alignment import fit_rigid, fixes_rotation
 from relmap.evaluation.feeding import Association
 from relmap.evaluation.sources import LogKind
 from relmap.planes import PlaneMapper
+from relmap.planes.pairwise import pairwise_map
+from relmap.planes.walls.table import PlaneTable
 from relmap.planes3d import Plane3dMapper
 from relmap.points import PointMapper
+from relmap.points.model import PointModel
 
+PAPER = MapperConfig(max_missed=0, refine_live=False)
+"""Settings of sections II and III: no missed iterations, no live refinement."""
 _SCANS: tuple[LogKind, ...] = ("scans",)
 _CLOUDS: tuple[LogKind, ...] = ("clouds",)
 _ALL: tuple[LogKind, ...] = ("landmarks", "scans", "clouds")
 _HOLDS = {"landmarks": "landmarks", "scans": "point scans", "clouds": "clouds that show floors"}
 _GTSAM: dict[str, Any] = {"needs_ids": True, "needs": "gtsam"}
+
+
+class PaperPointModel(PointModel):
+    """Without ids, scans are matched to the previous iteration only."""
+
+    def association(self, config: MapperConfig) -> Registration:
+        """Return the paper's matching."""
+        return NearestPrevious(None)
+
+
+class PaperPointMapper(PointMapper):
+    """Maps points as in the paper."""
+
+    def _model(self) -> PointModel:
+        return PaperPointModel()
+
+
+class PaperPlaneMapper(PlaneMapper):
+    """Maps walls by the paper's recipe of pairs (Figs 1, 2 and 4).
+
+    Walls are associated as in `PlaneMapper`.
+    """
+
+    @property
+    def planes(self) -> PlaneTable:
+        """Every wall ever seen, placed by `pairwise_map` and moved into the mapper's map frame."""
+        table, history = super().planes, self.history
+        placed = pairwise_map(history, int(history.plane.max(initial=-1)) + 1)[table.plane]
+        both = np.asarray(np.isfinite(placed + table.ends).all(axis=(1, 2)))
+        source, target = placed[both].reshape(-1, 2), table.ends[both].reshape(-1, 2)
+        if not fixes_rotation(source):
+            return replace(table, status=np.full(len(both), "unmapped"))
+        R, t = fit_rigid(source, target)
+        ends = np.where(both[:, None, None], placed @ R.T + t, np.nan)
+        return replace(table, ends=ends, status=np.where(both, table.status, "unmapped"))
+
+
+@dataclass(frozen=True)
+class MethodInfo:
+    """A method and the information needed to choose it.
+
+    `make`: makes a new `Method` or `Plane3dMapper`; `logs`: accepted kinds of logs; `refine`:
+    whether the map is refined at the end of the log; `needs_ids`: whether it needs known ids;
+    `needs`: module of the optional extra that it requires.
+    """
+
+    name: str
+    make: Callable[[Setup], Any]
+    logs: tuple[LogKind, ...] = ("landmarks",)
+    refine: bool = False
+    needs_ids: bool = False
+    needs: str | None = None
+
+    @property
+    def missing(self) -> str | None:
+        """Reason why it cannot run; None if nothing is missing."""
+        if self.needs is None or importlib.util.find_spec(self.needs) is not None:
+            return None
+        return f"{self.needs} is not installed: pip install 'relmap[peers]'"
+
 
 METHODS: tuple[MethodInfo, ...] = (
     MethodInfo("relmap-points", lambda _: PointMapper(), refine=True),

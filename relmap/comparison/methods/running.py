@@ -10,14 +10,14 @@ from time import process_time
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from relmap.comparison.methods.base import MethodInfo, Setup
-from relmap.comparison.methods.registry import find_method
+from relmap.comparison.baselines.base import Setup
+from relmap.comparison.methods.registry import MethodInfo, find_method
 from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.scans import ScanLog
 from relmap.evaluation.evaluate import evaluate
-from relmap.evaluation.feeding import Association, Fed, Log, feed
+from relmap.evaluation.feeding import Association, Log, feed
 from relmap.evaluation.landmarks import identify, match_landmarks
 from relmap.evaluation.run import result_of
 from relmap.evaluation.sources import Data, Source, silent_readers
@@ -86,7 +86,16 @@ def run_method(
         result = result_of(method, log, fed.labels, association, first)
         path_coverage = len(result.poses) / len(log) if len(log) else None
         figures = {**_accuracy(result, data), "path_coverage": path_coverage}
-        return MethodRun(result, figures | _cost(fed) | {"memory_mb": memory_mb})
+        durations_s = fed.durations_s.sum(axis=1)
+        times = timing_of(durations_s)
+        figures |= {
+            "median_ms": times["median_ms"],
+            "mean_ms": 1e3 * float(durations_s.mean()) if len(durations_s) else None,
+            "last_100_median_ms": times["last_100_median_ms"],
+            "total_s": float(durations_s.sum()) + fed.finish_s + fed.refine_s,
+            "memory_mb": memory_mb,
+        }
+        return MethodRun(result, figures)
 
 
 def try_method(
@@ -141,18 +150,6 @@ def _accuracy(result: Result, data: Data[Log]) -> dict[str, float | None]:
     often = match_landmarks(result, data.truth, identify(result, log), often=True)
     figures["matched"] = found.counts.get("matched_landmarks")
     return figures | {"often_rmse_m": often.rmse_m if often else None}
-
-
-def _cost(fed: Fed) -> dict[str, float | None]:
-    """Return the times of a run: of an iteration, milliseconds, and of all, seconds."""
-    durations_s = fed.durations_s.sum(axis=1)
-    times = timing_of(durations_s)
-    return {
-        "median_ms": times["median_ms"],
-        "mean_ms": 1e3 * float(durations_s.mean()) if len(durations_s) else None,
-        "last_100_median_ms": times["last_100_median_ms"],
-        "total_s": float(durations_s.sum()) + fed.finish_s + fed.refine_s,
-    }
 
 
 class PeakMemory:

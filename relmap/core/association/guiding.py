@@ -12,6 +12,7 @@ import numpy as np
 
 from relmap.core.arrays import Bools, Floats
 from relmap.core.association.placement import Placement
+from relmap.core.geometry.motions import transforms
 from relmap.core.motion_noise import MotionNoise, motion_noise
 from relmap.core.state.growing import GrowingArray
 
@@ -82,9 +83,7 @@ class OdometryGuide:
         """Compare odometry with a placement that many landmarks support."""
         if self._steps != 1 or not math.isfinite(self._since[0, 0]):
             return
-        d = len(placement.t)
-        moved = np.eye(4)
-        moved[:d, :d], moved[:d, 3] = placement.R.T, -placement.R.T @ placement.t
+        moved = transforms(placement.R.T, -placement.R.T @ placement.t)
         for kept, motion in ((self._odometry, self._since), (self._measured, moved)):
             if len(kept) >= MEMORY:
                 kept.drop(len(kept) - MEMORY + 1)

@@ -27,3 +27,11 @@ def rotations(turns: Floats) -> Floats:
         return np.asarray(Rotation.from_rotvec(turns).as_matrix())
     cos, sin = np.cos(turns[:, 0]), np.sin(turns[:, 0])
     return np.stack([np.stack([cos, -sin], axis=1), np.stack([sin, cos], axis=1)], axis=1)
+
+
+def transforms(R: Floats, t: Floats) -> Floats:
+    """Return rotations (..., d, d) and translations (..., d) as matrices (..., 4, 4)."""
+    d, T = t.shape[-1], np.empty((*t.shape[:-1], 4, 4))
+    T[:] = np.eye(4)
+    T[..., :d, :d], T[..., :d, 3] = R, t
+    return T

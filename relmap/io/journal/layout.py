@@ -198,7 +198,16 @@ def observation_rows(
         slots.append("NULL" if ids is None else "?")
         columns += [] if ids is None else [ids.tolist()]
     rows = zip(repeat(k, n), range(n), *columns, labels.tolist(), strict=True)
-    return _blocks(f"({', '.join(slots)}, ?)", list(chain.from_iterable(rows)), n)
+    slot, numbers = f"({', '.join(slots)}, ?)", list(chain.from_iterable(rows))
+    statements: Statements = []
+    width, end = slot.count("?"), n - n % BLOCK
+    for begin, stop, count in ((0, end, BLOCK), (end, n, 1)):
+        size = count * width
+        each = [tuple(numbers[i : i + size]) for i in range(begin * width, stop * width, size)]
+        if each:
+            values_of = ", ".join([slot] * count)
+            statements.append((f"INSERT INTO observations VALUES {values_of}", each))
+    return statements
 
 
 def covariance_rows(k: int, covariances: Floats) -> Statements:
@@ -217,15 +226,3 @@ def rows_into(table: str, rows: list[tuple[Any, ...]]) -> Statements:
     made = table.replace("TABLE", "TABLE IF NOT EXISTS", 1)
     slots = ", ".join("?" * len(rows[0]))
     return [(made, [()]), (f"INSERT INTO {table.split()[2]} VALUES ({slots})", rows)]
-
-
-def _blocks(slots: str, numbers: list[float], n: int) -> Statements:
-    """Return the statements that write n rows of numbers, many per statement: twice as fast."""
-    statements: Statements = []
-    width, end = slots.count("?"), n - n % BLOCK
-    for begin, stop, k in ((0, end, BLOCK), (end, n, 1)):
-        size = k * width
-        rows = [tuple(numbers[i : i + size]) for i in range(begin * width, stop * width, size)]
-        if rows:
-            statements.append((f"INSERT INTO observations VALUES {', '.join([slots] * k)}", rows))
-    return statements

@@ -115,7 +115,10 @@ class Hypotheses:
         if expected:
             weight += expected.supports(found.motions)
         else:
-            weight += CHANGE * _change(last.motion, found.motions, usual)
+            known = np.isfinite(last.motion[:, :1])
+            step = np.where(known, last.motion[:, 1:], usual[1:])[:, None] - found.motions[:, 1:]
+            change = np.log1p((step**2).sum(axis=2) / CHANGE_M**2)
+            weight += CHANGE * np.where(known, change, np.minimum(change, MOST_CHANGE))
         best = max(weight.max(initial=-np.inf), last.weight.max())
         if judge:
             weight += _two_back(last, found, weight > best - MARGIN, judge)
@@ -133,14 +136,6 @@ class Hypotheses:
             row = layer.parent[row]
         share = np.exp(last.weight - last.weight.max())
         return Verdict(self._layers[scan].motion[row], share / share.sum())
-
-
-def _change(before: Floats, motions: Floats, usual: Floats) -> Floats:
-    """Return the change of the step from previous motions (h, 3) to motions (k, 3); (h, k)."""
-    known = np.isfinite(before[:, :1])
-    step = np.where(known, before[:, 1:], usual[1:])[:, None] - motions[:, 1:]
-    change = np.log1p((step**2).sum(axis=2) / CHANGE_M**2)
-    return np.asarray(np.where(known, change, np.minimum(change, MOST_CHANGE)))
 
 
 def _two_back(last: Layer, found: Candidates, looked_at: Bools, judge: Judge) -> Floats:

@@ -15,9 +15,8 @@ from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.state.growing import GrowingArray
 from relmap.core.state.store import ObservationStore
 from relmap.planes.linking.adjoining import RIVAL, tied_across
-from relmap.planes.linking.at_rest import OFTEN, share_at_rest
 from relmap.planes.linking.judging import Found
-from relmap.planes.linking.tying import Link, Scans, judged_links
+from relmap.planes.linking.tying import OFTEN, Link, Scans, judged_links, share_at_rest
 from relmap.planes.motions import after, from_matrices, inverse, matrices, motion_over
 from relmap.planes.odometry.prediction import OTHERWISE, Wheels
 from relmap.planes.scans.beams import BeamStore

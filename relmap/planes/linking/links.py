@@ -9,8 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.planes.linking.placement import Match, worth
-from relmap.planes.linking.tracks import PlaneTracks
+from relmap.planes.linking.placement import Match, PlaneTracks, worth
 from relmap.planes.scans.observation import PlaneObservation
 
 SUPPORTED = 0.375

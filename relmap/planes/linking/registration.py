@@ -19,8 +19,8 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.association import Registration
 from relmap.core.state.growing import GrowingArray
 from relmap.planes.linking.judging import NO_MATCH
+from relmap.planes.linking.placement import MEMORY, NO_CORNER, PlaneTracks
 from relmap.planes.linking.scan_links import ScanLinks
-from relmap.planes.linking.tracks import MEMORY, NO_CORNER, PlaneTracks
 from relmap.planes.scans.corners import CORNER, INTERVAL, LOOSE, UNKNOWN, compared_ends
 from relmap.planes.scans.observation import PlaneObservation
 

@@ -13,8 +13,7 @@ import numpy as np
 from relmap.core.arrays import Floats
 from relmap.planes.linking.judging import Judged, View
 from relmap.planes.linking.links import spread
-from relmap.planes.linking.placement import ROUNDS, Match, settled, worth
-from relmap.planes.linking.tracks import PlaneTracks
+from relmap.planes.linking.placement import ROUNDS, Match, PlaneTracks, settled, worth
 from relmap.planes.motions import after, wrapped
 from relmap.planes.odometry.prediction import Expected
 from relmap.planes.scans.beams import NEAR_M, Beams, compared, leads, log_odds
@@ -93,25 +92,31 @@ class ScanComparison:
         """Return a match with the numbers of all tracks and walls."""
         return Match(self._rows[match.tracks], self._walls[match.walls], match.score)
 
-    def _counted(self, motions: Floats, near_m: float = NEAR_M, step: int | None = None) -> Floats:
-        """Return the number of points of the scan and the last one that agree etc. (k, 4).
+    def _counted(
+        self, motions: Floats, near_m: float = NEAR_M, step: int = 0, view: View | None = None
+    ) -> Floats:
+        """Return the number of points of the scan and an earlier one that agree etc. (k, 4).
 
-        See `relmap.planes.scans.beams.compared`; by default with some `JUDGES` of the beams.
+        See `relmap.planes.scans.beams.compared`; by default of the last one, and some `JUDGES`.
         """
-        step = 1 + len(self._beams) // JUDGES if step is None else step
-        return self._counts(self._views[0], motions, near_m, step)
+        view, step = view or self._views[0], step or 1 + len(self._beams) // JUDGES
+        there = after(view.motion, motions)
+        return compared(view.beams, self._beams, there, near_m, step, self._firm)
 
     def _judged(self, guesses: Sequence[Floats] | Floats, rounds: int = ROUNDS) -> Judged:
         """Fit motions to the walls that match in some rounds, and compare the beams."""
         tracks, seen = self._tracks, self._seen
         motions, matches = settled(tracks, seen, guesses, rounds)
-        step = 1 + len(self._beams) // JUDGES
-        sums = np.array([self._counts(view, motions, NEAR_M, step) for view in self._views])
+        sums = np.array([self._counted(motions, view=view) for view in self._views])
         total = sums.sum(axis=2)
         agree = (sums[..., 0] / np.maximum(total, 1.0)).max(axis=0)
         contradict = sums[..., 1].sum(axis=0) / np.maximum(total.sum(axis=0), 1.0)
         score = np.array([match.score / self._possible for match in matches])
-        return Judged(motions, agree, contradict, score, self._surprise(motions), matches)
+        way = np.hypot(*(motions[:, 1:] - self._before[1:]).T) / USUAL_M
+        turn = wrapped(motions[:, 0] - self._before[0]) / USUAL_RAD
+        support = self._expected.supports(motions) if self._expected else 0.0
+        surprise = np.asarray((way**2 + turn**2) / 2 - support)
+        return Judged(motions, agree, contradict, score, surprise, matches)
 
     @cached_property
     def _possible(self) -> float:
@@ -224,14 +229,3 @@ class ScanComparison:
     def _crossing(self, match: Match) -> float:
         """Return the spread of the directions of the walls that match; 0 if they are parallel."""
         return float(spread(self._seen.along[match.walls], np.zeros_like(match.walls), 1)[0])
-
-    def _surprise(self, motions: Floats) -> Floats:
-        """Return the prior improbability of motions (k, 3), given the usual motion."""
-        way = np.hypot(*(motions[:, 1:] - self._before[1:]).T) / USUAL_M
-        turn = wrapped(motions[:, 0] - self._before[0]) / USUAL_RAD
-        support = self._expected.supports(motions) if self._expected else 0.0
-        return np.asarray((way**2 + turn**2) / 2 - support)
-
-    def _counts(self, view: View, motions: Floats, near_m: float, step: int) -> Floats:
-        there = after(view.motion, motions)
-        return compared(view.beams, self._beams, there, near_m, step, self._firm)

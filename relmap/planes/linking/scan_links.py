@@ -12,7 +12,6 @@ from itertools import islice
 import numpy as np
 
 from relmap.core.arrays import Floats
-from relmap.planes.linking.at_rest import OFTEN, share_at_rest
 from relmap.planes.linking.judging import NO_MATCH, Found, View
 from relmap.planes.linking.link_record import LinkRecord
 from relmap.planes.linking.links import (
@@ -26,10 +25,10 @@ from relmap.planes.linking.links import (
     unsure_m,
     usual_motion,
 )
-from relmap.planes.linking.placement import STILL, place, settled, worth
+from relmap.planes.linking.placement import STILL, PlaneTracks, place, settled, worth
 from relmap.planes.linking.scan_comparison import VERIFYING
 from relmap.planes.linking.search import Search
-from relmap.planes.linking.tracks import PlaneTracks
+from relmap.planes.linking.tying import OFTEN, share_at_rest
 from relmap.planes.motions import others, then
 from relmap.planes.odometry.prediction import OTHERWISE, Expected
 from relmap.planes.scans.beams import Beams
@@ -104,20 +103,15 @@ class ScanLinks(LinkRecord):
         views = [*islice(every, VERIFYING)]
         if views:
             beams = self.beams.of_next(seen.beams, seen.ends)
-            firm = not self._rests()
+            if len(self) in FIRST or len(self) % AGAIN == 0:
+                self._at_rest = share_at_rest(self._scans, self._known()[0], LATELY) > OFTEN
+            firm = not self._at_rest
             judged = Search(tracks, seen, beams, views, usual, expected, firm, every).found()
             return judged if judged and self._confirmed(judged, seen, beams, views, firm) else None
         found = place(tracks, seen, usual, farthest_m(self._last_links))
         if found is None or not is_supported(tracks, seen, found, usual):
             return None
         return Found(*found, measured_along(tracks, seen, found[1]), np.inf)
-
-    def _rests(self) -> bool:
-        """Whether small free-standing objects stayed in place so far; evaluated at intervals."""
-        now = len(self)
-        if now in FIRST or now % AGAIN == 0:
-            self._at_rest = share_at_rest(self._scans, self._known()[0], LATELY) > OFTEN
-        return self._at_rest
 
     def _over(
         self, tracks: PlaneTracks, seen: PlaneObservation, expected: Expected

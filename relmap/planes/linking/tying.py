@@ -1,7 +1,8 @@
 """Re-evaluation of breaks and doubtful links together with the surrounding scans.
 
 A motion that is ambiguous for a single pair of scans may be resolved by the surrounding scans: the
-motions around each break and doubtful link are evaluated jointly (`hypotheses`).
+motions around each break and doubtful link are evaluated jointly (`hypotheses`). Small
+free-standing objects are used only if they stay in place, and do not walk about as people do.
 """
 
 from __future__ import annotations
@@ -19,10 +20,9 @@ from relmap.core.state.store import ObservationStore
 from relmap.planes.linking.hypotheses import LATER, Hypotheses, Verdict
 from relmap.planes.linking.judging import NO_CANDIDATES, Candidates, View
 from relmap.planes.linking.links import VARYING_M, unsure_m, usual_motion
-from relmap.planes.linking.placement import STILL
+from relmap.planes.linking.placement import STILL, PlaneTracks
 from relmap.planes.linking.search import Search
-from relmap.planes.linking.tracks import PlaneTracks
-from relmap.planes.motions import others
+from relmap.planes.motions import motion_over, others
 from relmap.planes.odometry.prediction import OTHERWISE, Expected
 from relmap.planes.scans.beams import RECENT, Beams, BeamStore
 from relmap.planes.scans.observation import PlaneObservation, seen_before
@@ -38,6 +38,15 @@ BESIDE = 2
 """Number of links before and after a link along walls; one of these must be measured."""
 EARLIER = 2
 """Scans before a doubtful one that are evaluated with it."""
+LINKS = 200
+"""Approximate number of links by which small free-standing objects are examined."""
+APART_M, MOST_APART = 1.0, 10
+"""Distance travelled between two compared scans, during which people walk on, and maximum number of
+scans."""
+UNKNOWN = 20
+"""Points added to those that are gone: few points do not prove rest."""
+OFTEN = 0.5
+"""Fraction of their points that stay, above which such objects are used like all others."""
 
 
 @dataclass(eq=False)
@@ -253,3 +262,28 @@ def _judged(scans: Scans, run: Sequence[int], fixed: bool) -> list[_Judged]:
             link = _accepted(scans, run[scan - 1], run[scan], found[scan - 1], verdict)
             judged.append(_Judged(run[scan], verdict, link))
     return judged
+
+
+def share_at_rest(scans: Scans, is_tied: Bools, most: int = LINKS) -> float:
+    """Return the fraction of the points on small free-standing objects that are still there later.
+
+    `is_tied` (i,): whether the motion into each scan is accepted; `most`: approximate number of
+    links to examine. Returns 0 if there is none.
+    """
+    from relmap.planes.scans.loose_kernels import seen_again
+
+    there = gone = 0
+    step_m = float(np.median(np.hypot(*scans.motions[:, 1:].T)))
+    apart = int(np.clip(np.ceil(APART_M / max(step_m, 1e-3)), 1, MOST_APART))
+    for later in range(apart, len(is_tied), 1 + len(is_tied) // most):
+        between = slice(later - apart + 1, later + 1)
+        if not is_tied[between].all():
+            continue
+        points, _, loose = scans.beams.given(later - apart).by_bearing
+        given = scans.beams.given(later)
+        if loose.any() and len(given.points):
+            found, bearings, _ = given.by_bearing
+            motion, seen = motion_over(scans.motions[between]), (found, bearings, given.origin)
+            stays, goes = seen_again(points[loose], seen, motion)
+            there, gone = there + stays, gone + goes
+    return there / (there + gone + UNKNOWN)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.motion_noise import STILL_M, MotionNoise, motion_noise
-from relmap.planes.motions import from_matrices, matrices
-from relmap.planes.odometry.motion_factors import MotionFactors
+from relmap.core.refinement.schur import Linearised
+from relmap.planes.motions import from_matrices, matrices, wrapped
 
 BESIDE = 8
 """Scans next to those that depend on odometry that it also constrains: walls come into view
@@ -19,6 +19,64 @@ WAY_M = 3.0
 """Distance over which the noise of odometry is measured."""
 APART = 4
 """Minimum number of such distances in a path that determines constant errors."""
+
+
+@dataclass(frozen=True, eq=False)
+class MotionFactors:
+    """Odometry factors between pairs of iterations, where walls do not determine the motion.
+
+    Poses are eliminated one by one, but a factor involves two. So it is split into two factors with
+    half the variance each, which connect both poses to an auxiliary pose that is kept. l pairs:
+    `both` (l, 2): the earlier and the later one; `motion` (l, 3): pose of the later in the frame of
+    the earlier: yaw, x, y; `sd` (l, 2): standard deviations of the yaw, radians, and of x and y,
+    metres.
+    """
+
+    both: Ints = field(default_factory=lambda: np.empty((0, 2), dtype=np.int64))
+    motion: Floats = field(default_factory=lambda: np.empty((0, 3)))
+    sd: Floats = field(default_factory=lambda: np.empty((0, 2)))
+
+    def __len__(self) -> int:
+        return len(self.both)
+
+    def and_those(self, more: MotionFactors) -> MotionFactors:
+        """Return these factors and others."""
+        motion = np.concatenate([self.motion, more.motion])
+        sd = np.concatenate([self.sd, more.sd])
+        return MotionFactors(np.concatenate([self.both, more.both]), motion, sd)
+
+    @property
+    def iteration(self) -> Ints:
+        """Iteration of each residual, (6 l,): yaw, x, y of the earlier, then the later."""
+        return np.repeat(self.both.T, 3)
+
+    @property
+    def residual_sd(self) -> Floats:
+        """Standard deviation of each residual, (6 l,)."""
+        return np.tile(self.sd[:, [0, 1, 1]].ravel() / np.sqrt(2), 2)
+
+    def added_to(self, seen: Linearised, yaw: Floats, t: Floats) -> Linearised:
+        """Append residuals and Jacobians of the factors.
+
+        The Jacobians are by the pose and by the auxiliary pose, which is midway between the two.
+        `yaw` (i,) and `t` (i, 2) are of all poses.
+        """
+        earlier, later = self.both.T
+        c, s = np.cos(yaw[earlier]), np.sin(yaw[earlier])
+        x, y = self.motion[:, 1:].T
+        led = np.column_stack([c * x - s * y, s * x + c * y])
+        turn = wrapped(yaw[earlier] + self.motion[:, 0] - yaw[later])
+        off = np.column_stack([turn, t[earlier] + led - t[later]]).ravel() / 2
+        by_later = np.tile(np.eye(3), (len(self), 1, 1))
+        by_earlier = by_later.copy()
+        by_earlier[:, 1, 0], by_earlier[:, 2, 0] = -led[:, 1], led[:, 0]
+        by_pose = np.concatenate([by_earlier, by_later]).reshape(-1, 3)
+        by_kept = np.tile([-1.0, 0.0], (len(by_pose), 1))
+        return Linearised(
+            np.concatenate([seen.off, off, -off]),
+            np.concatenate([seen.by_eliminated, by_pose]),
+            np.concatenate([seen.by_kept, by_kept]),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +167,13 @@ def _compared(
     way, path = np.hypot(steps[:, 1], steps[:, 2]), matrices(path_of(np.nan_to_num(steps)))
     pairs = [(np.empty((0, 4, 4)), np.empty((0, 4, 4)))]
     for rows, poses in submaps:
-        a, b = _windows(poses, way[rows], known[rows])
+        goes_on = known[rows] & np.isfinite(poses[:, 0, 0])
+        goes_on[1:] &= np.isfinite(poses[:-1, 0, 0])
+        gone = np.cumsum(np.nan_to_num(way[rows]))
+        ends = np.searchsorted(gone, gone + WAY_M)
+        broken = np.append(np.cumsum(~goes_on), len(gone) + 1)
+        whole = broken[ends] == broken[:-1]
+        a, b = np.flatnonzero(whole), ends[whole]
         given = path[rows]
         pairs.append((np.linalg.inv(given[a]) @ given[b], np.linalg.inv(poses[a]) @ poses[b]))
     over, true = (np.concatenate(each) for each in zip(*pairs, strict=True))
@@ -150,17 +214,3 @@ def path_of(steps: Floats) -> Floats:
     c, s = np.cos(yaw - steps[:, 0]), np.sin(yaw - steps[:, 0])
     x, y = steps[:, 1:].T
     return np.column_stack([yaw, np.cumsum(c * x - s * y), np.cumsum(s * x + c * y)])
-
-
-def _windows(poses: Floats, way: Floats, known: Bools) -> tuple[Ints, Ints]:
-    """Return first and last iteration of sections of `WAY_M` with known poses (i, 4, 4).
-
-    They overlap. `way` (i,) is the length of each step, and `known` (i,) whether it is known.
-    """
-    goes_on = known & np.isfinite(poses[:, 0, 0])
-    goes_on[1:] &= np.isfinite(poses[:-1, 0, 0])
-    gone = np.cumsum(np.nan_to_num(way))
-    ends = np.searchsorted(gone, gone + WAY_M)
-    broken = np.append(np.cumsum(~goes_on), len(way) + 1)
-    whole = broken[ends] == broken[:-1]
-    return np.flatnonzero(whole), ends[whole]

@@ -13,8 +13,7 @@ from relmap.core.guard import reads_whole
 from relmap.mapper import Place
 from relmap.planes.mapped import MappedWalls
 from relmap.planes.motions import from_matrices
-from relmap.planes.places.finding import WallFinder
-from relmap.planes.places.taking_up import MapOfBefore, RunOnto
+from relmap.planes.places.taking_up import MapOfBefore, RunOnto, WallFinder
 from relmap.planes.scans.observation import PlaneObservation, checked_planes
 
 

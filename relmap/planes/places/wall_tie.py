@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.arrays import Floats, Ints
+from relmap.core.geometry.motions import transforms
 from relmap.core.state.table import NONE
 
 SAMPLE_M = 0.1
@@ -115,9 +116,7 @@ class WallTie:
     @property
     def matrix(self) -> Floats:
         """The motion as a matrix (4, 4)."""
-        T = np.eye(4)
-        T[:2, :2], T[:2, 3] = self.R, self.t
-        return T
+        return transforms(self.R, self.t)
 
 
 def wall_ties(ends: Floats, others: Floats) -> list[WallTie]:

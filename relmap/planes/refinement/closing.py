@@ -12,8 +12,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Floats, Ints
-from relmap.planes.linking.placement import place, worth
-from relmap.planes.linking.tracks import PlaneTracks
+from relmap.planes.linking.placement import PlaneTracks, place, worth
 from relmap.planes.motions import wrapped
 from relmap.planes.scans.observation import PlaneObservation
 from relmap.planes.walls.assembly import Assembled

@@ -15,8 +15,14 @@ import numpy as np
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.planes.refinement.closing import NEAR_M, walls_seen_again
 from relmap.planes.refinement.solving import LAST, refined, refined_to_the_noise
-from relmap.planes.submaps.stitching import stitched, with_strays_put_back
-from relmap.planes.submaps.submap import WallSubmap, among_all, disagreement, torn_in
+from relmap.planes.submaps.submap import (
+    WallSubmap,
+    among_all,
+    disagreement,
+    stitched,
+    torn_in,
+    with_strays_put_back,
+)
 from relmap.planes.walls.assembly import Assembled, WallNumbers, assemble
 from relmap.planes.walls.history import PlaneHistory
 from relmap.planes.walls.joining import join_pairs, join_walls

@@ -4,7 +4,7 @@ A partially seen wall constrains the rotation and the distance across, but not t
 itself. Points with isotropic weights cannot represent this, so walls have their own residuals: the
 distances of two points of each observation from the wall's line, and the position of each static
 corner along the line. Where needed, odometry constrains pairs of poses
-(`relmap.planes.odometry.motion_factors`).
+(`relmap.planes.odometry.steps`).
 """
 
 from __future__ import annotations

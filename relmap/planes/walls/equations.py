@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
-from relmap.planes.odometry.motion_factors import MotionFactors
+from relmap.planes.odometry.steps import MotionFactors
 
 PARALLEL = np.sin(np.deg2rad(3.0)) ** 2
 """Smallest spread of wall directions that determines the position along the walls."""

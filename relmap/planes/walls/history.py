@@ -10,8 +10,7 @@ import numpy as np
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.planes.linking.links import CROSSING, spread
 from relmap.planes.motions import inverse
-from relmap.planes.odometry.motion_factors import MotionFactors
-from relmap.planes.odometry.steps import Steps
+from relmap.planes.odometry.steps import MotionFactors, Steps
 
 CROSSINGS = 2.0
 """Spread of the directions of the walls that two consecutive scans share below which the motion

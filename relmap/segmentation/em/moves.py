@@ -13,8 +13,13 @@ import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.segmentation.em.mixture import PARAMETERS, WallMixture, maximise, wall_cost
-from relmap.segmentation.ends.pairs import flush, one_hides_other, side_by_side, within_reach
-from relmap.segmentation.ends.shadows import parted
+from relmap.segmentation.ends.pairs import (
+    flush,
+    one_hides_other,
+    parted,
+    side_by_side,
+    within_reach,
+)
 from relmap.segmentation.wall import BEGIN, END, EXACT_M, LEAST, SHARE, corners, cut
 
 BENT = 10.0

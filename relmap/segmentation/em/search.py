@@ -1,4 +1,10 @@
-"""From points to the wall mixture that best explains them."""
+"""From points to the wall mixture that best explains them.
+
+It starts from lines in the ground plane by RANSAC in local windows, with a density split along
+each. A window holds few walls, so two of its points lie on the same wall far more often than two of
+the scan's (local sampling: Torr and Davidson, "IMPSAC", PAMI 2003). From the window a line grows
+along its own band as long as points follow one another; the best lines claim their points first.
+"""
 
 from __future__ import annotations
 
@@ -7,12 +13,17 @@ from dataclasses import replace
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.segmentation.em.lines import find_lines
 from relmap.segmentation.em.mixture import STRAY_AT_FIRST, WallMixture, maximise, scan_area
 from relmap.segmentation.em.moves import ROUGH, bend, merge, prune, split
-from relmap.segmentation.ends.shadows import part_at_shadows
-from relmap.segmentation.noise import FLOOR_M, beam_angle, points_per_beam, window_noise
-from relmap.segmentation.wall import BEGIN, END, SHARE, WALL
+from relmap.segmentation.ends.pairs import part_at_shadows
+from relmap.segmentation.noise import (
+    FLOOR_M,
+    beam_angle,
+    neighbour_distance,
+    points_per_beam,
+    window_noise,
+)
+from relmap.segmentation.wall import BEGIN, END, LEAST, SHARE, WALL
 
 FEW = 1000
 MOST = 3000
@@ -32,6 +43,11 @@ LOOSER = 12.0
 """Spacings of points by which an end may have been missed."""
 FIRST, BETWEEN, LAST = 20, 10, 40
 """Steps of EM."""
+TRIES = 100
+BEAMS = 0.5
+"""Angle, in beams, below which points are the noise of one column, not a wall."""
+UNCLAIMED = 0.6
+"""Fraction of a line's points that must still be free for it to keep them; else it is regrown."""
 
 
 def fit_walls(xy: Floats, noise: float | None, rng: np.random.Generator) -> WallMixture:
@@ -102,24 +118,17 @@ def search_walls(xy: Floats, noise: float | None, rng: np.random.Generator) -> W
     beams = beam_angle(xy), points_per_beam(xy)
     none, area = np.zeros((0, WALL)), scan_area(xy, sigma)
     nothing = WallMixture(none, sigma, STRAY_AT_FIRST, area, *beams, fixed_noise=noise is not None)
-    found = [search_from(nothing, xy, start * sigma, rng) for start in STARTS]
+    found = []
+    for start in STARTS:
+        lines = find_lines(xy, start * sigma, rng, nothing.beam)[0]
+        first = replace(nothing, walls=lines, sigma=start * sigma if noise is None else sigma)
+        found.append(improve(maximise(first, xy, FIRST, tolerance=ROUGH), xy, rng))
     return max(found, key=lambda one: one.evidence(xy))
 
 
 def part(xy: Floats, most: int, rng: np.random.Generator) -> Floats:
     """Return the points (n, 2), or a random sample if there are more than `most`."""
     return xy if len(xy) <= most else xy[rng.choice(len(xy), most, replace=False)]
-
-
-def search_from(
-    nothing: WallMixture, xy: Floats, sigma: float, rng: np.random.Generator
-) -> WallMixture:
-    """Return the walls from lines for a given noise, by EM and moves."""
-    walls, _ = find_lines(xy, sigma, rng, nothing.beam)
-    start = replace(nothing, walls=walls)
-    if not nothing.fixed_noise:
-        start = replace(start, sigma=sigma)
-    return improve(maximise(start, xy, FIRST, tolerance=ROUGH), xy, rng)
 
 
 def improve(
@@ -156,3 +165,52 @@ def _with_strays(mixture: WallMixture, xy: Floats, rng: np.random.Generator) -> 
         return mixture
     walls[:, SHARE] *= loose.mean()
     return mixture.with_walls(np.concatenate([mixture.walls, walls]))
+
+
+def find_lines(
+    xy: Floats, sigma: float, rng: np.random.Generator, beam: float
+) -> tuple[Floats, Ints]:
+    """Return lines and the line of each point.
+
+    `xy` (n, 2), robot frame, metres. `sigma`: noise, metres. `beam`: angle between beams, radians;
+    0 without beams. Returns `walls` (k, WALL): see `relmap.segmentation.wall`; best first. `labels`
+    (n,): row of `walls`, -1 for none.
+    """
+    from relmap.segmentation.em.window_kernels import grow_lines
+
+    labels, found = np.full(len(xy), -1), [np.zeros((0, WALL))]
+    if len(xy) < LEAST:
+        return found[0], labels
+    window, repeat = max(6 * sigma, 2 * neighbour_distance(xy)), points_per_beam(xy)
+    narrow, count = BEAMS * beam, 0
+    while (labels < 0).sum() >= LEAST:
+        free = np.flatnonzero(labels < 0)
+        grown = grow_lines(xy[free], rng.random((TRIES, 2)), sigma, window, repeat, narrow)
+        chosen, claims = _best_first(*grown[1:])
+        if not chosen:
+            break
+        for k, claim in zip(chosen, claims, strict=True):
+            labels[free[claim]] = count
+            grown[0][k, SHARE] = claim.sum() / len(xy)
+            count += 1
+        found.append(grown[0][chosen])
+    return np.concatenate(found), labels
+
+
+def _best_first(members: Bools, scores: Floats) -> tuple[list[int], list[Bools]]:
+    """Return which lines claim points, best first, and the points (n,) each claims."""
+    size = members.sum(axis=1)
+    quality = scores / np.maximum(size, 1)
+    chosen: list[int] = []
+    claims: list[Bools] = []
+    left = size
+    while True:
+        score = np.where(left >= UNCLAIMED * size, left * quality, 0)
+        best = int(score.argmax())
+        if left[best] < LEAST or score[best] <= 0:
+            return chosen, claims
+        claim = members[best].copy()
+        chosen.append(best)
+        claims.append(claim)
+        members &= ~claim
+        left = members.sum(axis=1)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,14 +16,8 @@ SIDES, NAMES = np.array([-1.0, 1.0]), np.array(END_TYPES)
 """Signs of the bearings of right and left ends, and the types by number."""
 ALL_ROUND_RAD = np.deg2rad(170.0)
 """Bearing to a side above which the view has no edge."""
-
-
-@dataclass(frozen=True)
-class Limits:
-    """Limits of the sensor: half its field of view, centred ahead, and its range."""
-
-    half_view_rad: float
-    range_m: float
+Limits = tuple[float, float]
+"""Limits of the sensor: half its field of view, centred ahead, radians, and its range, metres."""
 
 
 def sensor_limits(
@@ -51,7 +43,7 @@ def sensor_limits(
         top = far.max(initial=0.0)
         cut = (far > top - SURE * spread - SLACK_M) & ~joined
         range_m = float(top) if cut.sum() > 1 and not (joined & (far >= top)).any() else np.inf
-    return Limits(half, range_m)
+    return half, range_m
 
 
 def bearings(points: Floats) -> Floats:
@@ -80,8 +72,8 @@ def type_ends(
     turn = SURE * spread * np.sqrt(tangent) / range_m + SLACK_RAD
     bearing = bearings(ends)
     cut_by = {
-        "view": SIDES * bearing > limits.half_view_rad - turn,
-        "range": far > limits.range_m - SURE * spread * np.maximum(radial, 0.1) - SLACK_M,
+        "view": SIDES * bearing > limits[0] - turn,
+        "range": far > limits[1] - SURE * spread * np.maximum(radial, 0.1) - SLACK_M,
         "occluded": _hidden(bearing, far, turn, spread) & ~joined,
     }
     if hidden is not None:

@@ -169,9 +169,13 @@ def extend_to_beams(
         return mixture
     walls, step = mixture.walls.copy(), 0.5 * scan.step_rad
     for end, rows, side in zip((BEGIN, END), bounds, (-1, 1), strict=True):
-        met = _where_met(walls, scan.bearing[rows] + side * step, walls[:, end])
+        bearing = scan.bearing[rows] + side * step
+        c, s = np.cos(bearing), np.sin(bearing)
+        across = walls[:, UX] * s - walls[:, UY] * c
+        steep = np.abs(across) >= np.sin(np.deg2rad(3.0))
+        met = (walls[:, PY] * c - walls[:, PX] * s) / np.where(steep, across, 1.0)
         inside = (rows > 0) & (rows < len(scan.xy) - 1)
-        walls[:, end] = np.where(inside, met, walls[:, end])
+        walls[:, end] = np.where(inside & steep, met, walls[:, end])
     return mixture.with_walls(walls)
 
 
@@ -231,12 +235,3 @@ def _swings(mixture: WallMixture, xy: Floats, labels: Ints) -> Floats:
     bow, sd = total(off * bend) / weight, max(mixture.sigma, NOISE_AT_LEAST_M) / np.sqrt(weight)
     sure = (np.abs(bow) > BOWED * sd) & (count > 3)
     return np.asarray(np.where(sure, bow * (walls[:, END] - walls[:, BEGIN]), 0.0))
-
-
-def _where_met(walls: Floats, bearing: Floats, otherwise: Floats) -> Floats:
-    """Return where beams (k,) meet walls (k,), along these, unless at a grazing angle."""
-    c, s = np.cos(bearing), np.sin(bearing)
-    across = walls[:, UX] * s - walls[:, UY] * c
-    steep = np.abs(across) >= np.sin(np.deg2rad(3.0))
-    met = (walls[:, PY] * c - walls[:, PX] * s) / np.where(steep, across, 1.0)
-    return np.where(steep, met, otherwise)

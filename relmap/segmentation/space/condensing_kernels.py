@@ -6,7 +6,7 @@ import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.linalg.compiling import compiled, helper
-from relmap.segmentation.space.condensing import APART
+from relmap.segmentation.space.growing import APART
 from relmap.segmentation.space.voxels import GRAZING
 
 

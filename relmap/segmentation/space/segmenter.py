@@ -16,8 +16,7 @@ from numpy.typing import ArrayLike
 from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.core.scan import checked_points
-from relmap.segmentation.space.condensing import condensed
-from relmap.segmentation.space.growing import grown, joined, moments_by, planes_of
+from relmap.segmentation.space.growing import condensed, grown, joined, moments_by, planes_of
 from relmap.segmentation.space.patches import Patches, no_patches, reach_of
 from relmap.segmentation.space.voxels import Voxels, cells_of, moments_of, principal, voxels_of
 

@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association.base import nearest
 from relmap.core.geometry.alignment import fit_rigid
+from relmap.core.geometry.motions import transforms
 
 SPACING = 0.25
 """Largest distance between two landmarks that are the same, in median distances of neighbours."""
@@ -38,9 +39,7 @@ class Motion:
     @property
     def matrix(self) -> Floats:
         """The motion as a (4, 4) matrix."""
-        T, d = np.eye(4), len(self.t)
-        T[:d, :d], T[:d, 3] = self.R, self.t
-        return T
+        return transforms(self.R, self.t)
 
 
 def paired(points: Floats, among: Floats, motion: Motion) -> tuple[Motion, Ints]:

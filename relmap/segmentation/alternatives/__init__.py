@@ -1,1 +1,0 @@
-"""Alternative methods of finding planes, for comparison."""
