@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from relmap.cli import main
 from relmap.core.arrays import Floats
 from relmap.exports.content import read_content
 from relmap.exports.drawings import dxf_text, svg_text
@@ -234,4 +235,43 @@ def test_a_log_that_was_not_mapped_is_refused(place: Path, refused: Any) -> None
     (place / "short.csv").write_text("\n".join(lines[:-20]) + "\n")
     said = refused("export", "out", "--to", "g2o", "-o", "a.g2o", "--log", "short.csv")
     assert "the log is not the one that was mapped: 5 poses" in said
-    assert re.search(r"the first at \d+ s$", said)
+    assert re.search(r"the first at \d+ s; give log\.csv$", said)
+
+
+@pytest.mark.parametrize(
+    ("source", "header", "change", "said"),
+    [
+        ("flat", "iteration,x,y", lambda rows: rows[:, :3] * [1, 1, -1], "its points, .* off"),
+        ("flat", "iteration,x,y,z", lambda rows: rows, "the map is planar, the log in space"),
+        ("flat", "iteration,x,y", lambda rows: rows[1:, :3], "its row .* is not of iteration"),
+        ("npz", "", lambda points: points * [1, -1], "its beams pass through .* of the walls"),
+    ],
+    ids=["mirrored", "in space", "fewer rows", "mirrored beams"],
+)
+def test_another_log_with_the_times_of_the_mapped_one_is_refused(
+    mapped: Mapped,
+    logs: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    source: str,
+    header: str,
+    change: Any,
+    said: str,
+) -> None:
+    log, result, other = (
+        logs / source,
+        mapped(source),
+        tmp_path / f"other.{'csv' if header else 'npz'}",
+    )
+    if header:
+        rows = change(np.loadtxt(log / "observations.csv", delimiter=",", skiprows=1))
+        np.savetxt(other, rows, "%.9g", ",", header=header, comments="")
+    else:
+        with np.load(log / "scans.npz") as scans:
+            np.savez(other, **{**scans, "points": change(scans["points"])})
+    capsys.readouterr()
+    grid = ["export", str(result), "--to", "grid", "-o", str(tmp_path / "a.yaml")]
+    assert main([*grid, "--log", str(other)]) == 2
+    printed = capsys.readouterr().err
+    assert re.search(f"the log is not the one that was mapped: {said}.*; give ", printed)
+    assert len(printed.splitlines()) == 1

@@ -64,6 +64,10 @@ def test_a_carried_lidar_gives_a_floor_plan(
     assert len(path) == len(true)
     lengths = (np.linalg.norm(np.diff(each, axis=0), axis=1) for each in (path, true))
     assert np.abs(np.subtract(*lengths)).max() < 0.02
+    assert main(["localise", source, "--map", str(out), "-o", str(tmp_path / "where")]) == 0
+    printed = capsys.readouterr()
+    assert "levelled" in printed.err
+    assert "of 12 scans in the map" in printed.out
 
 
 @pytest.mark.parametrize(

@@ -141,6 +141,23 @@ def test_a_log_is_added_to_a_map_of_walls(
 
 
 @unrendered()
+def test_a_log_that_refine_joins_keeps_the_frame_of_the_map(
+    part: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It is the larger submap, and no stretch of 7 m of it shows the map."""
+    few, more = str(part / "few"), str(part / "joined")
+    asked = ["map", str(part / "scans.npz"), "--variant", "planes", "-o"]
+    assert main([*asked, few, "--scans", "0:40"]) == 0
+    assert main([*asked, more, "--scans", "20:80", "--onto", few]) == 0
+    assert "could not be localised" not in capsys.readouterr().out
+    summary = load(Path(more) / "summary.json")
+    assert summary["tied_at"] == 20
+    assert [submap["scans"] for submap in summary["submaps"]] == [100]
+    first, both = (np.loadtxt(Path(folder) / "trajectory.tum") for folder in (few, more))
+    np.testing.assert_allclose(both[:20], first[20:], atol=0.03)
+
+
+@unrendered()
 def test_a_log_of_another_place_is_a_separate_submap(
     part: Path, capsys: pytest.CaptureFixture[str], logs: Path
 ) -> None:

@@ -207,6 +207,7 @@ def test_landmarks_on_one_line_stay_unmapped() -> None:
         ([[1, 2, 3]], [1, 2], "ids has shape"),
         ([[1, 2, 3], [4, 5, 6]], [7, 7], "ids holds 7 twice"),
         ([[1, 2, 3]], [1.5], "whole numbers"),
+        ([[1, 2, 3]], np.ma.MaskedArray([1], mask=[True]), "ids has masked values"),
         ([[1, 2, 3]], None, "ids came with earlier scans"),
     ],
 )

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from relmap import Plane3dMapper, PlaneMapper, PointMapper
+from relmap import Plane3dMapper, PlaneMapper, PointMapper, RelmapError
 from relmap.core.arrays import Floats
 from relmap.core.geometry.alignment import fit_rigid_each
 from relmap.core.geometry.spatialindex import SpatialIndex
@@ -68,6 +68,17 @@ def test_clouds_of_any_size(scale: float) -> None:
         ((ROOM - [1.0 + 0.1 * k, 1.0, 1.0]) * scale for k in range(3)),
     )
     assert is_clean(mapper.trajectory)
+
+
+@pytest.mark.parametrize("kind", [PointMapper, PlaneMapper, Plane3dMapper])
+def test_an_empty_list_is_an_empty_scan_and_a_mask_is_refused(kind: type[Any]) -> None:
+    mapper = kind()
+    mapper.update([])
+    points = np.ma.MaskedArray(ROOM, mask=ROOM > 2.9)
+    with pytest.raises(RelmapError, match="points has masked values; give only those that are"):
+        mapper.update(points)
+    mapper.update(np.ma.MaskedArray(ROOM[:0]))
+    assert mapper.n_iterations == 2
 
 
 def test_odometry_with_far_points_that_determine_no_motion() -> None:

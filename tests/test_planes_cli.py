@@ -62,16 +62,31 @@ def test_an_empty_map_says_what_is_needed(
     assert "could not be refined" not in printed
 
 
+def map_scaled(building: Path, folder: Path, scale: float) -> None:
+    """Map the first scans of the building at another scale."""
+    with np.load(building / "world" / "scans.npz") as log:
+        arrays = dict(log)
+    arrays |= {name: scale * arrays[name] for name in ("points", "range_m")}
+    np.savez(folder / "scans.npz", **arrays)
+    log = ["--variant", "planes", "--scans", "0:20"]
+    run_relmap("map", folder / "scans.npz", "-o", folder / "result", *log)
+
+
+def test_a_model_whose_walls_do_not_last_is_an_empty_map(
+    building: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    map_scaled(building, tmp_path, 0.05)
+    assert "nothing is mapped" in capsys.readouterr().out
+    refinement = load(tmp_path / "result" / "summary.json")["refinement"]
+    assert refinement["segments"] == 0
+    assert refinement["segment_residual_median"] is None
+
+
 @pytest.mark.parametrize("scale", [100, 1000])
 def test_a_log_in_other_units_is_reported(
     building: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], scale: int
 ) -> None:
-    with np.load(building / "world" / "scans.npz") as log:
-        arrays = dict(log)
-    arrays |= {name: scale * arrays[name] for name in ("points", "range_m")}
-    np.savez(tmp_path / "scans.npz", **arrays)
-    log = ["--variant", "planes", "--scans", "0:20"]
-    run_relmap("map", tmp_path / "scans.npz", "-o", tmp_path / "result", *log)
+    map_scaled(building, tmp_path, scale)
     printed = capsys.readouterr().out
     assert re.search(r"metres: here the farthest point is [78]\d\d+(\.\d+)? m away\n", printed)
     assert "shorter steps" not in printed

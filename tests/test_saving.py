@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -125,6 +126,24 @@ def tour(tmp_path_factory: pytest.TempPathFactory) -> Path:
     log = str(folder / "log.csv")
     assert main(["map", log, "-o", str(folder / "part"), "--scans", "0:450"]) == 0
     return folder
+
+
+def test_scans_that_are_joined_to_a_map_need_not_be_localised(
+    tour: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows, few = table(tour / "log.csv"), tour / "few.csv"
+    rows = [row for row in rows if 330 <= int(row["iteration"]) < 370]
+    names, seen = list(rows[0]), Counter[str]()
+    with few.open("w") as file:
+        file.write(",".join(names) + "\n")
+        for row in rows:
+            seen[row["iteration"]] += 1
+            if seen[row["iteration"]] <= 6:  # one fewer than it takes
+                file.write(",".join(row.values()) + "\n")
+    assert main(["map", str(few), "-o", str(tour / "few"), "--onto", str(tour / "part")]) == 0
+    assert "could not be localised" not in capsys.readouterr().out
+    first = np.loadtxt(tour / "few" / "trajectory.tum")[0, 0]
+    assert load(tour / "few" / "summary.json")["tied_at"] == first
 
 
 def test_a_log_is_added_to_a_map(tour: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -238,6 +238,7 @@ def test_walls_under_uniform_noise_are_not_doubled() -> None:
         ({"method": "patches"}, np.zeros((3, 2)), "(n, 3)"),
         ({"noise": -1.0}, np.zeros((3, 3)), "noise"),
         ({"view_rad": 0.0}, np.zeros((3, 3)), "view_rad"),
+        ({"view_rad": 180}, np.zeros((3, 2)), "it must be radians, 2 pi at most"),
         ({"range_m": np.nan}, np.zeros((3, 3)), "range_m"),
     ],
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import typer
@@ -62,12 +63,17 @@ def _doubt_unit(log: Log) -> None:
 
 def _level(job: Job, log: Log) -> Log:
     """Return a log levelled if requested and needed."""
-    if job.level == "none" or job.segmenter in SPATIAL or not isinstance(log, ScanLog):
+    if job.level == "none" or job.segmenter in SPATIAL:
         return log
-    if not shows_floors(log):
+    return level_if_needed(job.source, log)
+
+
+def level_if_needed(source: Path, log: Log) -> Log:
+    """Return a log, clouds that show floors levelled; this is reported on the standard error."""
+    if not isinstance(log, ScanLog) or not shows_floors(log):
         return log
     message = "clouds are levelled by their floor and walls, and reduced to 2-D scans of the walls"
-    typer.echo(f"relmap: {job.source}: {message}", err=True)
+    typer.echo(f"relmap: {source}: {message}", err=True)
     return levelled(log)
 
 

@@ -25,7 +25,7 @@ DIR/trajectory.tum, the pose of each localised scan in the frame of the map, and
 DIR/map.png. A scan must show at least 7 mapped landmarks (5 in the plane), and half of what it
 shows must be in the map. In a map of walls, half of the walls of a scan, and 3 m, must lie on
 mapped walls, and 70 % of its beams must end there. A scan that fits in more than one place is
-refused, and counted.
+refused, and counted. Clouds are levelled as by 'relmap map'.
 
 \b
 Example:
@@ -50,6 +50,7 @@ def localise_command(
     topic: args.Topics = None,
 ) -> None:
     """Localise scans; the help text explains the arguments."""
+    from relmap.cli.job_log import level_if_needed
     from relmap.evaluation.sources import read_log
     from relmap.io.files import staged_folder
     from relmap.io.results import MAPPER
@@ -64,6 +65,7 @@ def localise_command(
     of_table = columns and (variant == "planes" or log_format)
     args.refuse(of_table, "--columns applies only to tables of landmarks")
     log = read_log(source, variant, log_format, scans, columns, tuple(topic or ()))
+    log = level_if_needed(source, log)
     with staged_folder(out) as staging:
         places = _places(mapper, log)
         _write(staging, mapper, log, places)

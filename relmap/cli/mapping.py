@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
+import numpy as np
 import typer
 
 from relmap.cli.arguments import Association, read_config
@@ -103,7 +104,8 @@ def _mapped_into(folder: Path, job: Job, log: Log) -> Run:
         )
         if view is not None:
             view.show(mapper)
-        _note_tie(run, mapper, log)
+        if job.onto is not None:
+            _note_tie(run, mapper, log)
         _write(folder, run, job, getattr(log, "names", None))
         mapper.save(folder / results.MAPPER)
     if bench is not None:
@@ -127,10 +129,17 @@ def _taken_up(
 
 
 def _note_tie(run: Run, mapper: AnyMapper, log: Log) -> None:
-    """Record in the summary where `finish` tied a log of walls to an earlier map."""
-    if isinstance(mapper, PlaneMapper) and mapper.tied_at is not None:
-        before = run.result.summary["counts"]["iterations"] - mapper.n_iterations
-        run.result.summary["tied_at"] = log.first_iteration + mapper.tied_at + before
+    """Record in the summary where a log was joined to an earlier map, also if at the end only."""
+    summary = run.result.summary
+    begun, tied_at = mapper.n_iterations - summary["counts"]["iterations"], None
+    if isinstance(mapper, PlaneMapper):
+        tied_at = mapper.tied_at
+    elif summary["tied_at"] is None:
+        known = np.isfinite(mapper.trajectory[:, 0, 0])
+        new = begun + np.flatnonzero(known[begun:])
+        tied_at = int(new[0]) if known[:begun].any() and len(new) else None
+    if tied_at is not None:
+        summary["tied_at"] = log.first_iteration + tied_at - begun
 
 
 def _about(job: Job, log: Log) -> dict[str, Any]:

@@ -52,8 +52,9 @@ def numbers(values: ArrayLike, name: str, wanted: str, least: float = TINY) -> F
     """Return values as a new, contiguous float64 array; those below the least are zero.
 
     `values`: array of numbers; `name`, `wanted`: name of the argument and the expected value, for
-    error messages. Raises `RelmapError` if they are not an array of real numbers.
+    error messages. Raises `RelmapError` if they are not an array of real numbers, or masked.
     """
+    refuse_masked(values, name)
     try:
         array = np.asarray(values)
         if array.dtype.kind not in "biufO":
@@ -65,12 +66,21 @@ def numbers(values: ArrayLike, name: str, wanted: str, least: float = TINY) -> F
         raise RelmapError(f"{name} must be {wanted}: {error}") from error
 
 
+def refuse_masked(values: ArrayLike, name: str) -> None:
+    """Raise an error if values of an array are masked: a mask would be lost."""
+    if np.ma.is_masked(values):
+        raise RelmapError(
+            f"{name} has masked values; give only those that are valid, as an array without a mask"
+        )
+
+
 def checked_ids(ids: ArrayLike, n_points: int) -> Ints:
     """Return the ids of one scan as an array (n,) int64.
 
     Raises `RelmapError` if they are not one whole number per point, or a non-negative id is
     duplicated.
     """
+    refuse_masked(ids, "ids")
     try:
         array = np.asarray(ids)
     except (TypeError, ValueError, OverflowError) as error:

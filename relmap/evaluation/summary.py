@@ -197,7 +197,7 @@ def weakness(refined: Sequence[Refined], first_iteration: int) -> dict[str, Any]
         "power": submap.power,
         "anchor_iteration": first_iteration + submap.anchor_iteration,
         "segments": len(segments.residual),
-        "segment_residual_median": float(np.median(segments.residual)),
+        "segment_residual_median": _median(segments.residual),
         "weakest_segments": _weakest(segments, SEGMENT),
         "merges": len(merges.residual),
         "weakest_merges": _weakest(merges, MERGE),
@@ -251,4 +251,8 @@ def timing_of(durations_s: Floats) -> dict[str, float | None]:
 
 
 def _median_ms(seconds: Floats) -> float | None:
-    return 1e3 * float(np.median(seconds)) if len(seconds) else None
+    return _median(1e3 * seconds)
+
+
+def _median(values: Floats) -> float | None:
+    return float(np.median(values)) if len(values) else None

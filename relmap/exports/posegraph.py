@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from relmap.core.arrays import Floats
 from relmap.exports.content import MapContent
-from relmap.exports.sight import Sightings
+from relmap.exports.sight import Sightings, as_mapped
 
 PLANAR = ("SE2", "XY", "SE2_XY")
 SPATIAL = ("SE3:QUAT", "TRACKXYZ", "SE3_TRACKXYZ")
@@ -47,18 +47,16 @@ def g2o_text(content: MapContent, seen: Sightings | None) -> str:
 
 
 def _sights(content: MapContent, seen: Sightings, tag: str) -> Iterator[str]:
-    poses, d = content.result.poses, 2 if content.result.planar else 3
-    at, T = content.landmarks.position[seen.landmark], poses[seen.pose]
-    points = np.einsum("nji,nj->ni", T[:, :3, :3], at - T[:, :3, 3])[:, :d]
-    weight = 1.0
+    points, weight = as_mapped(content, seen), 1.0
     if seen.points_robot is not None:
         refinement = content.result.summary.get("refinement")
         noise_m = refinement.get("noise_m") if isinstance(refinement, dict) else None
         points = seen.points_robot
         weight = 1.0 / noise_m**2 if isinstance(noise_m, float) and noise_m > 0 else 1.0
-    about = _upper(weight * np.eye(d))
+    about = _upper(weight * np.eye(points.shape[1]))
     sensor = "" if content.result.planar else f" {SENSOR}"
-    vertices = zip(seen.pose.tolist(), (len(poses) + seen.landmark).tolist(), strict=True)
+    n_poses = len(content.result.poses)
+    vertices = zip(seen.pose.tolist(), (n_poses + seen.landmark).tolist(), strict=True)
     for (a, b), point in zip(vertices, points.tolist(), strict=True):
         yield f"{tag} {a} {b}{sensor} {_numbers(point)} {about}"
 

@@ -15,7 +15,7 @@ from relmap.planes.refinement.refining import odometry_left_out, on_odometry
 from relmap.planes.refinement.solving import corner_covariances, refined_walls
 from relmap.planes.scans.beams import PlacedBeams
 from relmap.planes.submaps.doubtful import undetermined_steps
-from relmap.planes.submaps.grouped_map import GroupedMap
+from relmap.planes.submaps.grouped_map import GroupedMap, KeptFrame
 from relmap.planes.submaps.submap import WallSubmap, among_all
 from relmap.planes.walls.assembly import Assembled, WallNumbers
 from relmap.planes.walls.history import PlaneHistory
@@ -38,6 +38,7 @@ class MappedWalls(Mapper):
     _weak: tuple[tuple[list[WallSubmap], WallNumbers], Ints] | None = None
     _chained: tuple[list[int], tuple[list[WallSubmap], WallNumbers]] | None = None
     _moved: Ints
+    _frame: KeptFrame | None = None
 
     @property
     def history(self) -> PlaneHistory:
@@ -214,7 +215,7 @@ class MappedWalls(Mapper):
 
     @property
     def _grouped(self) -> GroupedMap:
-        return GroupedMap(self.engine, self._planes, self.history)
+        return GroupedMap(self.engine, self._planes, self.history, frame=self._frame)
 
     @property
     def _moving(self) -> Bools:

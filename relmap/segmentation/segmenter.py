@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
+from relmap.core.scan import refuse_masked
 from relmap.segmentation.em.mixture import WallMixture, scan_area
 from relmap.segmentation.ends.corners import Sharpened, meet, sharpen
 from relmap.segmentation.ends.end_types import sensor_limits, type_ends
@@ -145,7 +146,7 @@ class PlaneSegmenter:
         Parameters
         ----------
         points : (n, 3) or (n, 2) array_like, robot frame, metres
-            The sensor is at the origin. A scan without points has no planes.
+            The sensor is at the origin. A scan without points, or ``[]``, has no planes.
         y : object
             Ignored; passed by scikit-learn's pipelines.
 
@@ -187,6 +188,8 @@ class PlaneSegmenter:
                 continue
             least = "0 or more" if may_be_zero else "positive"
             raise RelmapError(f"{name} is {value!r}; it must be a finite number, {least}")
+        if self.view_rad is not None and self.view_rad > 2 * np.pi + 1e-3:  # rounded
+            raise RelmapError(f"view_rad is {self.view_rad!r}; it must be radians, 2 pi at most")
         return method
 
     def _segment(self, method: str, xyz: Floats, xy: Floats) -> tuple[Sharpened, Ints]:
@@ -287,11 +290,14 @@ def walls_of_labels(xy: Floats, labels: Ints, sigma: float) -> WallMixture:
 
 
 def _as_points(points: ArrayLike) -> Floats:
-    """Return points as float64, (n, 2) or (n, 3)."""
+    """Return points as float64, (n, 2) or (n, 3); an empty list is an empty scan."""
+    refuse_masked(points, "points")
     try:
         xyz = np.asarray(points, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise RelmapError(f"points are not numbers: {error}") from error
+    if xyz.size == 0 and xyz.ndim == 1:
+        return np.empty((0, 3))
     if xyz.ndim != 2 or xyz.shape[1] not in (2, 3):
         raise RelmapError(f"points have shape {xyz.shape}; it must be (n, 2) or (n, 3)")
     if not np.abs(xyz).max(initial=0.0) <= FARTHEST_M:

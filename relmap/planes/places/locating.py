@@ -15,6 +15,7 @@ from relmap.planes.mapped import MappedWalls
 from relmap.planes.motions import from_matrices
 from relmap.planes.places.taking_up import MapOfBefore, RunOnto, WallFinder
 from relmap.planes.scans.observation import PlaneObservation, checked_planes
+from relmap.planes.submaps.grouped_map import KeptFrame
 
 
 @reads_whole("take_up")
@@ -24,15 +25,19 @@ class LocatingMapper(MappedWalls):
     _segmenter: Any
     _finder: tuple[object, WallFinder] | None = None
     _onto: RunOnto | None = None
-    _tied_at: int | None = None
+    _begun_at = 0
 
     @property
     def tied_at(self) -> int | None:
-        """The iteration at which the last log was tied to the map by `finish`; None if it was not.
+        """The first iteration of the last log that is in the submap of the map it was added to.
 
-        See `take_up`.
+        None if none is. `finish` and `refine` connect them, see `take_up`.
         """
-        return self._tied_at
+        if self._frame is None:
+            return None
+        submaps = self._planes.links.submaps
+        own = np.flatnonzero(submaps[self._begun_at :] == submaps[self._frame.scan])
+        return self._begun_at + int(own[0]) if len(own) else None
 
     def locate(self, points: Any, beams: ArrayLike | None = None) -> Place:
         """Localise a scan using only the map; the mapper does not change.
@@ -86,8 +91,8 @@ class LocatingMapper(MappedWalls):
 
         The log has separate submaps until `finish`. A submap then becomes part of the map if,
         along 7 m of its path, half of the scans, 0.5 m apart, fit in the map at the same placement
-        of the submap, and no other placement agrees with half as many scans; see `tied_at`. Further
-        calls change nothing until `finish`.
+        of the submap, and no other placement agrees with half as many scans; `refine` may join
+        others. The map keeps its frame; see `tied_at`. Further calls change nothing until `finish`.
 
         Parameters
         ----------
@@ -108,10 +113,11 @@ class LocatingMapper(MappedWalls):
             raise RelmapError("a run that keeps a journal begins with an empty map")
         seen = self._checked(points, beams)
         if self._onto is None:
-            before = MapOfBefore.of(self.planes, self.submaps)
+            submaps, begun_at = self.submaps, self.n_iterations
+            before, frame = MapOfBefore.of(self.planes, submaps), KeptFrame.of(submaps)
             with self._guard.change():
                 self._planes.begin_run()
-                self._onto, self._tied_at = RunOnto(before), None
+                self._onto, self._begun_at, self._frame = RunOnto(before), begun_at, frame
         return self._onto.before.finder.find(seen).n_places == 1
 
     def _attach(self) -> None:
@@ -123,7 +129,6 @@ class LocatingMapper(MappedWalls):
             before = run.before.carried_on(links.motions[: tie.first])
             into = from_matrices((np.linalg.inv(tie.T_map_first) @ before)[None])[0]
             self._planes.attach(tie.first, into, run.before.scan, tie.same)
-            self._tied_at = tie.scan if self._tied_at is None else self._tied_at
         self._onto = None
 
     def _segmented(self, points: Any) -> Any:

@@ -98,6 +98,7 @@ class GivenBeams:
         """
         points = numbers(points, "beams", "an (n, 2) or (n, 3) array of numbers")
         origin = numbers(origin, "origin", "x and y of the sensor")
+        points = points if points.shape != (0,) else np.empty((0, 2))
         if points.ndim != 2 or points.shape[1] not in (2, 3) or origin.shape != (2,):
             raise RelmapError(
                 f"beams has shape {points.shape} and origin {origin.shape}; they must be (n, 2) or "

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,18 +19,44 @@ from relmap.planes.walls.assembly import WallNumbers, assemble
 from relmap.planes.walls.history import PlaneHistory, first_of
 
 
+class KeptFrame(NamedTuple):
+    """The frame of the map to which another log is added.
+
+    `scan`: one of its scans; `pose` (4, 4): ``T_map_robot`` of that scan.
+    """
+
+    scan: int
+    pose: Floats
+
+    @classmethod
+    def of(cls, submaps: Sequence[WallSubmap]) -> KeptFrame | None:
+        """Return the frame of the first submap, by its first scan; None without submaps."""
+        if not submaps:
+            return None
+        row = int(np.flatnonzero(np.isfinite(submaps[0].poses[:, 0, 3]))[0])
+        return cls(submaps[0].first_iteration + row, submaps[0].poses[row])
+
+    def moved(self, poses: Floats, span: tuple[int, int]) -> Floats:
+        """Return the poses (k, 4, 4) of a span in this frame, if the scan is one of them."""
+        row = self.scan - span[0]
+        if not 0 <= row < len(poses) or not np.isfinite(poses[row, 0, 3]):
+            return poses
+        return np.asarray(self.pose @ np.linalg.inv(poses[row]) @ poses)
+
+
 @dataclass(frozen=True, eq=False)
 class GroupedMap:
     """Results of the engine for corners, converted to walls.
 
     `known`, sequence of (i, 4, 4): poses in joined submaps, in one frame each, that take
-    precedence; NaN for other scans.
+    precedence; NaN for other scans. `frame`: that of the submap with its scan, if any.
     """
 
     engine: RelativeMapper
     walls: PlaneRegistration
     history: PlaneHistory
     known: Sequence[Floats] = ()
+    frame: KeptFrame | None = None
 
     @property
     def numbers(self) -> WallNumbers:
@@ -90,6 +117,7 @@ class GroupedMap:
         """Return one of the submaps, by its span."""
         history, paths = self.history, self._paths
         poses, assembled = chained_poses(paths, span, history), None
+        poses = self.frame.moved(poses, span) if self.frame else poses
         if any(np.isfinite(path[slice(*span), 0, 0]).any() for path in paths):
             there = among_all(poses, span, history)
             assembled = assemble(history, numbers, there, moving)
