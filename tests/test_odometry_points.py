@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.testing import assert_array_equal
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
 from relmap import PointMapper
@@ -136,6 +136,31 @@ def test_reversed_odometry_is_noticed_and_left_out() -> None:
     assert mapper.odometry.noise.is_wrong
     assert_array_equal(labels, same)
     assert_array_equal(mapper.map.positions, without.map.positions)
+
+
+def test_odometry_stuck_at_zero_is_noticed_and_left_out() -> None:
+    run = world(SPARSE, 250)
+    mapper, _ = mapped(run, np.tile(np.eye(4), (250, 1, 1)), known=False)
+    without, _ = mapped(run, None, known=False)
+    assert mapper.odometry is not None
+    assert mapper.odometry.noise.is_wrong
+    assert not mapper.odometry.is_used
+    assert_allclose(mapper.map.positions, without.map.positions, atol=1e-6)
+
+
+@pytest.mark.parametrize("stuck", [slice(1, 83), slice(167, 250)])
+def test_a_stretch_of_odometry_stuck_at_zero_is_left_out(stuck: slice) -> None:
+    run = world(2 * SPARSE, 250)
+    motions = odometry_of(run, 0)
+    motions[stuck] = np.eye(4)
+    mapper, labels = mapped(run, motions, known=False)
+    now, true = mapper.landmarks_of(labels), run.log.ids
+    assert true is not None
+    of = [np.bincount(true[now == landmark]).argmax() for landmark in mapper.map.landmark_ids]
+    assert mapper.odometry is not None
+    assert mapper.odometry.is_used
+    assert len(set(mapper.odometry.left_out) & set(range(250)[stuck])) > 0.9 * 82
+    assert rmse_m(run, mapper.map.positions, np.array(of)) < 0.1
 
 
 def test_slips_are_named_where_landmarks_show_them() -> None:

@@ -37,9 +37,9 @@ def bridge_gaps(engine: RelativeMapper, to_the_last: bool = False, is_open: bool
         return False
     rows = engine.rows
     odometry = engine.motions.over(engine.store.n_iterations)
-    measured = measured_motions(odometry, rows)
-    noise, slipped = noise_of(odometry, measured, rows)
-    before, use = engine.odometry, OdometryUse.of(noise, slipped)
+    measured = measured_motions(rows)
+    noise, slipped, missed = noise_of(odometry, measured, rows)
+    before, use = engine.odometry, OdometryUse.of(noise, slipped | missed)
     if before is not None:
         use = replace(use, drift=before.drift)
     if noise.is_wrong or not len(engine.kept):
@@ -49,7 +49,8 @@ def bridge_gaps(engine: RelativeMapper, to_the_last: bool = False, is_open: bool
     start, sigmas = None, None
     if before is not None and before.is_used:
         start, sigmas = before.poses if engine.refined else None, Sigmas(*before.sigmas.tolist())
-    motions = np.where(slipped[:, None, None], measured.motion, corrected)
+    corrected[missed] = np.nan
+    motions = np.where((slipped | missed)[:, None, None], measured.motion, corrected)
     bridged = bridge(engine.table, rows, motions, start)
     hanging = bridged.hanging if before is None or sigmas is None else before.hanging
     if not len(hanging):

@@ -37,7 +37,8 @@ class MotionNoise:
     `scale`: distance travelled by the robot, relative to that of its odometry; `turn_per_m` (3,):
     turn (a rotation vector) that odometry misses per metre, radians; `sigma_way`: standard
     deviation of each coordinate, relative to the distance; `sigma_m`, `sigma_rad`: constant part of
-    it, and standard deviation of the angle about each axis, per step.
+    it, and standard deviation of the angle about each axis, per step. `misses`: whether it misses
+    most of the motion in most of the steps, as that of a stuck encoder does.
     """
 
     scale: float = 1.0
@@ -45,11 +46,12 @@ class MotionNoise:
     sigma_way: float = 0.05
     sigma_m: float = 0.002
     sigma_rad: float = 0.005
+    misses: bool = False
 
     @property
     def is_wrong(self) -> bool:
         """Whether it is rejected as a whole: of another robot, or another time."""
-        return abs(self.scale - 1) > WRONG_SCALE or self.sigma_way > WRONG_WAY
+        return abs(self.scale - 1) > WRONG_SCALE or self.sigma_way > WRONG_WAY or self.misses
 
     def corrected(self, odometry: Floats) -> Floats:
         """Return motions (k, 4, 4) without the constant errors."""
@@ -103,6 +105,34 @@ def motion_noise(
     off_m = NORMAL * np.median(off[goes] / way[goes, None]) if goes.any() else 0.0
     sigma_rad = NORMAL * float(np.median(rad)) / (1.0 if axes == 2 else np.sqrt(3))
     return MotionNoise(scale, per_m, float(off_m), max(still_m, FLOOR_M), max(sigma_rad, FLOOR_RAD))
+
+
+def missing_way(odometry: Floats, measured: Floats, sd_m: Floats) -> Bools:
+    """Return which motions (k,) odometry surely misses: it is off by more than half of the way.
+
+    And by much more than the errors of landmarks and the usual ones of odometry at rest.
+
+    `odometry`, `measured` (k, 4, 4); `sd_m` (k,): standard deviations of measured coordinates.
+    """
+    off_m, way = _apart(odometry, measured)[0], np.linalg.norm(measured[:, :3, 3], axis=1)
+    least_m = SLIPPED * np.hypot(sd_m, MotionNoise.sigma_m)
+    return np.asarray(off_m > np.maximum(WRONG_WAY * way, least_m))
+
+
+def missing_turn(odometry: Floats, measured: Floats, sd_rad: Floats) -> tuple[Bools, Bools]:
+    """Return which turns (k,) landmarks measure well, and which of these odometry surely misses.
+
+    It counts less than half of these.
+    """
+    counted, turn = (np.linalg.norm(_turns(motion), axis=1) for motion in (odometry, measured))
+    least_rad = SLIPPED * np.hypot(sd_rad, MotionNoise.sigma_rad)
+    judged = np.isfinite(counted) & (turn > least_rad)
+    return judged, judged & (counted < WRONG_WAY * turn)
+
+
+def misses_most(compared: Bools, missed: Bools) -> bool:
+    """Return whether odometry misses most of the compared steps (k,), if these are enough."""
+    return bool(compared.sum() >= FEWEST and missed.sum() > compared.sum() / 2)
 
 
 def _constant(odometry: Floats, measured: Floats, goes: Bools) -> MotionNoise:

@@ -151,7 +151,7 @@ class Constellation(Numbered):
                 is_unique = placing.is_unique(placement, tracks, points_robot)
                 self._n_unique += is_unique
                 if is_unique and tracks is self._tracks:
-                    self._guide.learn(placement)
+                    self._guide.learn(placement, tracks.expected, self._noise_m)
                 elif tracks is self._tracks and self._is_unlikely(placement, tracks):
                     placement = self._guided(tracks, points_robot)
             elif self._guide.knows and tracks is self._tracks:
@@ -182,16 +182,20 @@ class Constellation(Numbered):
 
     def _is_unlikely(self, placement: Placement, tracks: LiveTracks) -> bool:
         """Return whether odometry contradicts a placement that may be due to chance."""
-        noise_m = max(self._scale.noise_m or self._scale.gate_m, TINY_M)
-        return self._guide.knows and self._guide.contradicts(placement, tracks.expected, noise_m)
+        knows, guide = self._guide.knows, self._guide
+        return knows and guide.contradicts(placement, tracks.expected, self._noise_m)
+
+    @property
+    def _noise_m(self) -> float:
+        """Standard deviation of a coordinate's difference between two scans."""
+        return max(self._scale.noise_m or self._scale.gate_m, TINY_M)
 
     def _guided(self, tracks: LiveTracks, points_robot: Floats) -> Placement:
         """Return the tracks as predicted by odometry, corrected by the few that are in view."""
         if not len(points_robot):
             return self._guide.predicted(tracks.expected.shape[1])
-        noise_m = max(self._scale.noise_m or self._scale.gate_m, TINY_M)
         most_m = NEAR * self._scale.spacing_m
-        return self._guide.placement(tracks.expected, points_robot, noise_m, most_m)
+        return self._guide.placement(tracks.expected, points_robot, self._noise_m, most_m)
 
     def _begin_anew(self, begun: LiveTracks) -> None:
         """Defer a scan that could not be matched to the tracks: the next one may match either.

@@ -7,13 +7,14 @@ restricts the possible matches; with none, it predicts the tracks.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats
 from relmap.core.association.placement import Placement
 from relmap.core.geometry.motions import transforms
-from relmap.core.motion_noise import MotionNoise, motion_noise
+from relmap.core.motion_noise import MotionNoise, misses_most, missing_way, motion_noise
 from relmap.core.state.growing import GrowingArray
 
 MEMORY = 256
@@ -34,12 +35,13 @@ ALONE = 0.5
 class OdometryGuide:
     """Predicts the positions of tracks, and estimates the noise of the prediction."""
 
-    STATE = "noise _odometry _measured _since _steps _n_seen"
+    STATE = "noise _odometry _measured _sd_m _since _steps _n_seen"
 
     def __init__(self) -> None:
         self.noise = MotionNoise()
         self._odometry: GrowingArray[np.float64] = GrowingArray(np.float64, (4, 4))
         self._measured: GrowingArray[np.float64] = GrowingArray(np.float64, (4, 4))
+        self._sd_m: GrowingArray[np.float64] = GrowingArray(np.float64, ())
         self._since = UNKNOWN
         self._steps = 0
         self._n_seen = 0
@@ -79,20 +81,25 @@ class OdometryGuide:
         sigma = np.hypot(self.sigma_at(points), noise_m)
         return bool(np.median(off / sigma) > UNLIKELY)
 
-    def learn(self, placement: Placement) -> None:
-        """Compare odometry with a placement that many landmarks support."""
+    def learn(self, placement: Placement, expected: Floats, noise_m: float) -> None:
+        """Compare odometry with a placement that many landmarks (n, d) support, in their frame."""
         if self._steps != 1 or not math.isfinite(self._since[0, 0]):
             return
         moved = transforms(placement.R.T, -placement.R.T @ placement.t)
-        for kept, motion in ((self._odometry, self._since), (self._measured, moved)):
+        middle = expected.mean(axis=0)
+        lever = float(middle @ middle) / max(float(np.sum((expected - middle) ** 2)), 1e-12)
+        sd_m = np.array(noise_m * np.sqrt(1 / len(expected) + lever))
+        compared = ((self._odometry, self._since), (self._measured, moved), (self._sd_m, sd_m))
+        for kept, value in compared:
             if len(kept) >= MEMORY:
                 kept.drop(len(kept) - MEMORY + 1)
-            kept.extend(motion[None])
+            kept.extend(value[None])
         self._n_seen += 1
         n = self._n_seen
         if n % EVERY == 0 or (n >= FIRST and n & (n - 1) == 0):
-            found = motion_noise(self._odometry.values, self._measured.values)
-            self.noise = found or self.noise
+            found = motion_noise(self._odometry.values, self._measured.values) or self.noise
+            missed = missing_way(self._odometry.values, self._measured.values, self._sd_m.values)
+            self.noise = replace(found, misses=misses_most(np.ones_like(missed), missed))
 
     def placement(
         self, expected: Floats, points: Floats, noise_m: float, most_m: float

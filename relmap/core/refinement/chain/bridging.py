@@ -10,14 +10,23 @@ import numpy as np
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.geometry.alignment import sums_each
 from relmap.core.map.pose import trajectory
-from relmap.core.motion_noise import MotionNoise, motion_noise
+from relmap.core.motion_noise import (
+    MotionNoise,
+    misses_most,
+    missing_turn,
+    missing_way,
+    motion_noise,
+)
 from relmap.core.refinement.condensing import LENGTH, NOWHERE, SegmentRows
 from relmap.core.state.table import NONE, LandmarkState
 
 UNSURE, STILL_M = 0.5, 0.01
 """Largest standard deviation of a motion from landmarks that is compared with odometry, relative to
 the distance; and for a robot that stands still, metres."""
-
+BESIDE = 16
+"""Tied steps on each side that are compared: if it misses most, odometry is not used here."""
+TURNS = 0.25
+"""Smallest fraction of steps with turns that are measured well."""
 
 LARGEST = -2
 """Marks scans solved for before, instead of their current submap."""
@@ -40,8 +49,8 @@ class Bridged:
 class Measured(NamedTuple):
     """The motion to each iteration by landmarks alone; NaN where they do not determine it.
 
-    `motion` (k, 4, 4); `sd_m`, `sd_rad` (k,): standard deviations of a coordinate, metres, and of
-    the angle, radians.
+    Both iterations must be in one segment. `motion` (k, 4, 4); `sd_m`, `sd_rad` (k,): standard
+    deviations of a coordinate, metres, and of the angle, radians.
     """
 
     motion: Floats
@@ -49,22 +58,16 @@ class Measured(NamedTuple):
     sd_rad: Floats
 
 
-def measured_motions(odometry: Floats, rows: SegmentRows) -> Measured:
-    """Return the motions by landmarks alone.
-
-    Both iterations must be in one segment, and accurate enough to evaluate odometry.
-    """
+def measured_motions(rows: SegmentRows) -> Measured:
+    """Return the motions by landmarks alone."""
     k, placed = len(rows.iteration_segment), _placed(rows)
     found = Measured(np.full((k, 4, 4), np.nan), np.full(k, np.nan), np.full(k, np.nan))
     segment = rows.iteration_segment
     tied = 1 + np.flatnonzero((segment[1:] == segment[:-1]) & (segment[1:] != NOWHERE))
-    motions = np.linalg.inv(placed[tied - 1]) @ placed[tied]
+    found.motion[tied] = np.linalg.inv(placed[tied - 1]) @ placed[tied]
     each_m, each_rad = _variances(rows)
-    squares_m, squares_rad = each_m[tied - 1] + each_m[tied], each_rad[tied - 1] + each_rad[tied]
-    sure = _is_sure(odometry[tied], squares_m)
-    tied = tied[sure]
-    found.motion[tied] = motions[sure]
-    found.sd_m[tied], found.sd_rad[tied] = np.sqrt(squares_m[sure]), np.sqrt(squares_rad[sure])
+    found.sd_m[tied] = np.sqrt(each_m[tied - 1] + each_m[tied])
+    found.sd_rad[tied] = np.sqrt(each_rad[tied - 1] + each_rad[tied])
     return found
 
 
@@ -105,27 +108,85 @@ def _variances(rows: SegmentRows) -> tuple[Floats, Floats]:
     return np.asarray(noise / counts + lever * turn), np.asarray(turn)
 
 
-def noise_of(odometry: Floats, measured: Measured, rows: SegmentRows) -> tuple[MotionNoise, Bools]:
+def noise_of(
+    odometry: Floats, measured: Measured, rows: SegmentRows
+) -> tuple[MotionNoise, Bools, Bools]:
     """Return the noise of odometry, estimated from landmarks, and which steps (k,) are wrong.
 
-    Wrong steps are found one by one.  The noise is estimated over whole segments, where that of
-    the landmarks has less influence.
+    Those that contradict landmarks given its noise, and those that miss most of the motion. The
+    noise is estimated over whole segments, where that of the landmarks has less influence.
     """
-    single = motion_noise(odometry, measured.motion) or MotionNoise()
+    sure = _is_sure(odometry, measured.sd_m**2)
+    compared = np.where(sure[:, None, None], measured.motion, np.nan)
+    single = motion_noise(odometry, compared) or MotionNoise()
     slipped = single.slipped(odometry, measured.motion, measured.sd_m, measured.sd_rad)
+    misses, missed = _missed(single.corrected(odometry), measured, slipped, rows)
     without_slips = odometry.copy()
     without_slips[slipped] = np.nan
     composed, seen, steps = _stretches(without_slips, rows)
     wide = motion_noise(composed, seen)
     if wide is None:
-        return single, slipped
+        return replace(single, misses=misses), slipped, missed
     root = np.sqrt(steps)
-    return replace(
+    noise = replace(
         wide,
         sigma_way=wide.sigma_way * root,
         sigma_m=wide.sigma_m / root,
         sigma_rad=wide.sigma_rad / root,
-    ), slipped
+        misses=misses,
+    )
+    return noise, slipped, missed
+
+
+def _missed(
+    odometry: Floats, measured: Measured, slipped: Bools, rows: SegmentRows
+) -> tuple[bool, Bools]:
+    """Return whether odometry misses most of the motion, and in which stretches (k,) it does.
+
+    With gaps next to these. A single step may be an error of landmarks.
+    """
+    known = np.isfinite(odometry[:, 0, 0])
+    tied = known & np.isfinite(measured.sd_m)
+    turns_less = missing_turn(odometry, measured.motion, measured.sd_rad)[1]
+    without_slips = np.where(slipped[:, None, None], measured.motion, odometry)
+    over, turns, turns_less_over = _missing_over(without_slips, rows)
+    missed = over | missing_way(odometry, measured.motion, measured.sd_m)
+    misses = misses_most(tied, missed)
+    if turns.sum() > TURNS * tied.sum():  # Fewer may be errors of landmarks.
+        misses |= misses_most(turns, turns_less_over)
+    missed |= slipped & turns_less
+    return misses, known & (missed | ~tied) & _beside_missed(missed, tied)
+
+
+def _missing_over(odometry: Floats, rows: SegmentRows) -> tuple[Bools, Bools, Bools]:
+    """Return in which steps (k,) odometry misses most of the way over their whole segment.
+
+    And in which the segment turns measurably, and in which of these odometry misses the turn.
+    """
+    segment, k = rows.iteration_segment, len(rows.iteration_segment)
+    begins = np.append(True, segment[1:] != segment[:-1])[:k]
+    first = np.maximum.accumulate(np.where(begins, np.arange(k), 0))
+    composed = np.tile(np.eye(4), (k, 1, 1))
+    for step in range(1, LENGTH):
+        now = np.flatnonzero((np.arange(k) - first == step) & (segment != NOWHERE))
+        composed[now] = composed[now - 1] @ odometry[now]
+    last = np.flatnonzero(np.append(begins[1:], True)[:k])
+    of, first = np.cumsum(begins) - 1, first[last]
+    placed, (each_m, each_rad) = _placed(rows), _variances(rows)
+    seen = np.linalg.inv(placed[first]) @ placed[last]
+    inside = ~begins & (segment != NOWHERE)
+    way = missing_way(composed[last], seen, np.sqrt(each_m[first] + each_m[last]))
+    turn = missing_turn(composed[last], seen, np.sqrt(each_rad[first] + each_rad[last]))
+    return inside & way[of], inside & turn[0][of], inside & turn[1][of]
+
+
+def _beside_missed(missed: Bools, tied: Bools) -> Bools:
+    """Return for which steps (k,) most of the next tied ones, on one side, are missed."""
+    judges, beyond = np.flatnonzero(tied), np.zeros(BESIDE, dtype=bool)
+    sums = np.append(0, np.cumsum(np.concatenate([beyond, missed[judges], beyond])))
+    mostly = sums[BESIDE:] - sums[:-BESIDE] > BESIDE / 2
+    n = np.searchsorted(judges, np.arange(len(missed)))
+    return np.asarray(mostly[n] | mostly[n + BESIDE])
 
 
 def _stretches(odometry: Floats, rows: SegmentRows) -> tuple[Floats, Floats, float]:
