@@ -32,7 +32,9 @@ def test_a_scan_of_another_place_is_not_found_by_chance() -> None:
     assert np.mean(found) >= 0.95
     for n in (8, 10):
         others = rng.uniform(-7, 7, (40, n, 2))
-        assert np.isnan([mapper.localise(points) for points in others]).all()
+        places = [mapper.locate(points) for points in others]
+        assert np.isnan([place.T_map_robot for place in places]).all()
+        assert all(place.n_places != 1 for place in places)
         assert not any(mapper.take_up(points) for points in others)
 
 

@@ -155,6 +155,9 @@ def test_a_log_that_refine_joins_keeps_the_frame_of_the_map(
     assert [submap["scans"] for submap in summary["submaps"]] == [100]
     first, both = (np.loadtxt(Path(folder) / "trajectory.tum") for folder in (few, more))
     np.testing.assert_allclose(both[:20], first[20:], atol=0.03)
+    loaded = PlaneMapper.load(Path(more) / "mapper.npz")
+    assert loaded.tied_at == 40
+    np.testing.assert_allclose(loaded.trajectory[-len(both) :, :3, 3], both[:, 1:4], atol=1e-5)
 
 
 @unrendered()

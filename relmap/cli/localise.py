@@ -25,7 +25,7 @@ DIR/trajectory.tum, the pose of each localised scan in the frame of the map, and
 DIR/map.png. A scan must show at least 7 mapped landmarks (5 in the plane), and half of what it
 shows must be in the map. In a map of walls, half of the walls of a scan, and 3 m, must lie on
 mapped walls, and 70 % of its beams must end there. A scan that fits in more than one place is
-refused, and counted. Clouds are levelled as by 'relmap map'.
+refused, and counted. Clouds that show floors are levelled, as 'relmap map' does by default.
 
 \b
 Example:

@@ -110,13 +110,13 @@ def motion_noise(
 def missing_way(odometry: Floats, measured: Floats, sd_m: Floats) -> Bools:
     """Return which motions (k,) odometry surely misses: it is off by more than half of the way.
 
-    And by much more than the errors of landmarks and the usual ones of odometry at rest.
+    Both are much more than the errors of landmarks and the usual ones of odometry at rest.
 
     `odometry`, `measured` (k, 4, 4); `sd_m` (k,): standard deviations of measured coordinates.
     """
     off_m, way = _apart(odometry, measured)[0], np.linalg.norm(measured[:, :3, 3], axis=1)
     least_m = SLIPPED * np.hypot(sd_m, MotionNoise.sigma_m)
-    return np.asarray(off_m > np.maximum(WRONG_WAY * way, least_m))
+    return np.asarray((way > least_m) & (off_m > np.maximum(WRONG_WAY * way, least_m)))
 
 
 def missing_turn(odometry: Floats, measured: Floats, sd_rad: Floats) -> tuple[Bools, Bools]:

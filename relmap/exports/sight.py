@@ -27,6 +27,8 @@ MOST = 5_000_000
 """Maximum number of beams, by subsampling."""
 JUDGED = 60_000
 """Approximate number of beams by which a log is compared with the map."""
+LEAST_M = 3.0
+"""Length of wall passed through, up to which it may be a door or glass."""
 MISFIT = 0.5
 """Deviation of a log from the map above which it is another one: of points, as a fraction of their
 distance; of beams, the length of wall that they pass through, as a fraction of that on which they
@@ -205,7 +207,7 @@ def _check_beams(content: MapContent, lines: Lines) -> None:
     beams = PlacedBeams(begins, ends, np.zeros(len(begins), dtype=np.int64))
     part = MapPart.of(0, walls.ends, walls.plane, beams, np.empty((0, 3)))
     on_m, through_m = part.judged(begins, ends)
-    if through_m > MISFIT * on_m:
+    if through_m > max(MISFIT * on_m, LEAST_M):
         raise _another(
             content,
             f"its beams pass through {through_m:.3g} m of the walls, and end on {on_m:.3g} m",

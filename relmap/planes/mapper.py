@@ -80,7 +80,7 @@ class PlaneMapper(LocatingMapper):
     _unused = WITH_WALLS
     _variant = "planes"
 
-    STATE = "walls=_planes refined_walls=_refined_walls _moved"
+    STATE = "walls=_planes refined_walls=_refined_walls _moved _frame"
 
     def __init__(
         self,
@@ -95,7 +95,7 @@ class PlaneMapper(LocatingMapper):
         self._planes.links.wheels.given = self.engine.motions
         self._segmenter = segmenter
         self._refined_walls = None
-        self._moved = np.empty(0, dtype=np.int64)
+        self._moved, self._frame = np.empty(0, dtype=np.int64), None
 
     def update(
         self,

@@ -1,4 +1,4 @@
-"""The consistent basis, compiled; see `relmap.points.basis`."""
+"""The consistent basis, compiled; see `relmap.points.model`."""
 
 from __future__ import annotations
 

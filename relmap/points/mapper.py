@@ -279,7 +279,7 @@ class PointMapper(Mapper):
         places = finder.places(points_robot)
         if places and finder.is_certain(points_robot, places, searches):
             return places[0], 1
-        return None, min(len(places), 2)
+        return None, 2 if len(places) > 1 else 0
 
     def _model(self) -> PointModel:
         return PointModel()

@@ -25,7 +25,6 @@ class LocatingMapper(MappedWalls):
     _segmenter: Any
     _finder: tuple[object, WallFinder] | None = None
     _onto: RunOnto | None = None
-    _begun_at = 0
 
     @property
     def tied_at(self) -> int | None:
@@ -35,9 +34,9 @@ class LocatingMapper(MappedWalls):
         """
         if self._frame is None:
             return None
-        submaps = self._planes.links.submaps
-        own = np.flatnonzero(submaps[self._begun_at :] == submaps[self._frame.scan])
-        return self._begun_at + int(own[0]) if len(own) else None
+        submaps, begun_at = self._planes.links.submaps, self._frame.begun_at
+        own = np.flatnonzero(submaps[begun_at:] == submaps[self._frame.scan])
+        return begun_at + int(own[0]) if len(own) else None
 
     def locate(self, points: Any, beams: ArrayLike | None = None) -> Place:
         """Localise a scan using only the map; the mapper does not change.
@@ -113,11 +112,12 @@ class LocatingMapper(MappedWalls):
             raise RelmapError("a run that keeps a journal begins with an empty map")
         seen = self._checked(points, beams)
         if self._onto is None:
-            submaps, begun_at = self.submaps, self.n_iterations
-            before, frame = MapOfBefore.of(self.planes, submaps), KeptFrame.of(submaps)
+            submaps = self.submaps
+            before = MapOfBefore.of(self.planes, submaps)
+            frame = KeptFrame.of(submaps, self.n_iterations)
             with self._guard.change():
                 self._planes.begin_run()
-                self._onto, self._begun_at, self._frame = RunOnto(before), begun_at, frame
+                self._onto, self._frame = RunOnto(before), frame
         return self._onto.before.finder.find(seen).n_places == 1
 
     def _attach(self) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
@@ -19,22 +18,25 @@ from relmap.planes.walls.assembly import WallNumbers, assemble
 from relmap.planes.walls.history import PlaneHistory, first_of
 
 
-class KeptFrame(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class KeptFrame:
     """The frame of the map to which another log is added.
 
-    `scan`: one of its scans; `pose` (4, 4): ``T_map_robot`` of that scan.
+    `scan`: its first scan; `pose` (4, 4): ``T_map_robot`` of that scan; `begun_at`: first iteration
+    of the log.
     """
 
     scan: int
     pose: Floats
+    begun_at: int
 
     @classmethod
-    def of(cls, submaps: Sequence[WallSubmap]) -> KeptFrame | None:
-        """Return the frame of the first submap, by its first scan; None without submaps."""
+    def of(cls, submaps: Sequence[WallSubmap], begun_at: int) -> KeptFrame | None:
+        """Return the frame of the first submap; None without submaps."""
         if not submaps:
             return None
         row = int(np.flatnonzero(np.isfinite(submaps[0].poses[:, 0, 3]))[0])
-        return cls(submaps[0].first_iteration + row, submaps[0].poses[row])
+        return cls(submaps[0].first_iteration + row, submaps[0].poses[row], begun_at)
 
     def moved(self, poses: Floats, span: tuple[int, int]) -> Floats:
         """Return the poses (k, 4, 4) of a span in this frame, if the scan is one of them."""
