@@ -85,7 +85,7 @@ class SoftMatching:
         from relmap.core.association.soft_kernels import scores
 
         _, metric, peak = self._blank()
-        likely = scores(*self._terms(COARSE), R, t, metric, peak)
+        likely = scores(self._terms(COARSE), R, t, metric, peak)
         fitted: list[tuple[Placement, float]] = []
         while len(fitted) < STARTS and np.isfinite(likely).any():
             k = int(likely.argmax())
@@ -103,7 +103,7 @@ class SoftMatching:
         from relmap.core.association.soft_kernels import climb
 
         R, t, (_, metric, peak) = R.copy(), t.copy(), self._blank()
-        score, n_agreeing = climb(*self._terms(1.0), R, t, metric, peak)
+        score, n_agreeing = climb(self._terms(1.0), R, t, metric, peak)
         return Placement(R, t, round(n_agreeing)), score
 
     def misfit(self, placement: Placement) -> float:
@@ -111,16 +111,16 @@ class SoftMatching:
         from relmap.core.association.soft_kernels import soft_matches
 
         share, metric, peak = self._blank()
-        soft_matches(*self._terms(1.0), placement.R, placement.t, share, metric, peak)
+        soft_matches(self._terms(1.0), UNEXPLAINED, placement.R, placement.t, share, metric, peak)
         i, j = np.nonzero(share > LEAST)
         off = scaled(rows_of(metric, j), self.target[j] - placement.apply(self.source)[i])
         d, weight = self.source.shape[1], share[i, j]
         freedoms: float = max(d * float(weight.sum()) - d * (d + 1) / 2, 1.0)
         return float(np.sum(weight * np.sum(off**2, axis=1) / self.variance[i])) / freedoms
 
-    def _terms(self, factor: float) -> tuple[Floats, Floats, Floats, float, float, float]:
+    def _terms(self, factor: float) -> tuple[Floats, Floats, Floats, float, float]:
         spread = factor * self.variance
-        return self.source, spread, self.target, self.density, UNEXPLAINED, FURTHEST
+        return self.source, spread, self.target, self.density, FURTHEST
 
     def _blank(self) -> tuple[Floats, Floats | None, Floats | None]:
         peak = None if self.metric is None else np.linalg.det(self.metric)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats
-from relmap.core.association.soft import BOUNDS, LEAST, ROUNDS, SETTLED
+from relmap.core.association.soft import BOUNDS, LEAST, ROUNDS, SETTLED, UNEXPLAINED
 from relmap.core.geometry.weighted_kernels import weighted_step
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.small_kernels import square_between
@@ -24,14 +24,14 @@ def _placed(points: Floats, R: Floats, t: Floats) -> Floats:
     return placed
 
 
+Terms = tuple[Floats, Floats, Floats, float, float]
+"""Source, variance, target, density and furthest, see `soft_matches`."""
+
+
 @compiled
 def soft_matches(
-    source: Floats,
-    variance: Floats,
-    target: Floats,
-    density: float,
+    terms: Terms,
     unexplained: float,
-    furthest: float,
     R: Floats,
     t: Floats,
     share: Floats,
@@ -42,15 +42,13 @@ def soft_matches(
 
     Parameters
     ----------
-    source, target : (n, d), (m, d) float64, metres
-    variance : (n,) float64, square metres
-        Of the difference of a coordinate between a source point and the target of the same object.
-    density : float
-        Targets of other objects per unit of area or volume.
+    terms : tuple
+        ``source`` (n, d), metres; ``variance`` (n,), square metres, of the difference of a
+        coordinate between a source point and the target of the same object; ``target`` (m, d),
+        metres; ``density`` of targets of other objects per unit of area or volume; ``furthest``:
+        largest squared distance of a match, in variances.
     unexplained : float
         Fraction of the targets that belong to other objects.
-    furthest : float
-        Largest squared distance of a match, in variances.
     R, t : (d, d), (d,) float64
     share : (n, m) float64
         Overwritten with the probabilities.
@@ -64,6 +62,7 @@ def soft_matches(
     float
         Log likelihood ratio, relative to targets that all belong to other objects.
     """
+    source, variance, target, density, furthest = terms
     (n, d), m = source.shape, len(target)
     placed, apart, score = _placed(source, R, t), np.empty(d), 0.0
     for j in range(m):
@@ -85,48 +84,21 @@ def soft_matches(
 
 @compiled
 def scores(
-    source: Floats,
-    variance: Floats,
-    target: Floats,
-    density: float,
-    unexplained: float,
-    furthest: float,
-    R: Floats,
-    t: Floats,
-    metric: Floats | None = None,
-    peak: Floats | None = None,
+    terms: Terms, R: Floats, t: Floats, metric: Floats | None = None, peak: Floats | None = None
 ) -> Floats:
     """Return the log likelihood ratios (h,) of placements R (h, d, d) and t (h, d)."""
-    share, found = np.empty((len(source), len(target))), np.empty(len(R))
+    share, found = np.empty((len(terms[0]), len(terms[2]))), np.empty(len(R))
     for h in range(len(R)):
-        found[h] = soft_matches(
-            source,
-            variance,
-            target,
-            density,
-            unexplained,
-            furthest,
-            R[h],
-            t[h],
-            share,
-            metric,
-            peak,
-        )
+        found[h] = soft_matches(terms, UNEXPLAINED, R[h], t[h], share, metric, peak)
     return found
 
 
 @helper
 def _step(
-    source: Floats,
-    variance: Floats,
-    target: Floats,
-    share: Floats,
-    likely: Bools,
-    R: Floats,
-    t: Floats,
-    metric: Floats | None,
+    terms: Terms, share: Floats, likely: Bools, R: Floats, t: Floats, metric: Floats | None
 ) -> None:
     """Improve a placement by the likely matches (n, m), weighted by their probabilities."""
+    source, variance, target = terms[0], terms[1], terms[2]
     (n, m), d, k = share.shape, len(t), 0
     n_likely = likely.sum()
     here, there = np.empty((n_likely, d)), np.empty((n_likely, d))
@@ -147,31 +119,20 @@ def _step(
 
 @compiled
 def climb(
-    source: Floats,
-    variance: Floats,
-    target: Floats,
-    density: float,
-    unexplained: float,
-    furthest: float,
-    R: Floats,
-    t: Floats,
-    metric: Floats | None = None,
-    peak: Floats | None = None,
+    terms: Terms, R: Floats, t: Floats, metric: Floats | None = None, peak: Floats | None = None
 ) -> tuple[float, float]:
     """Move a placement R (d, d), t (d,), in place, to the most likely one nearby.
 
-    By expectation maximisation, from the given unexplained fraction.  The other arguments are those
-    of `soft_matches`.  Returns the log likelihood ratio and the expected number of matches.
+    By expectation maximisation; the arguments are those of `soft_matches`.  Returns the log
+    likelihood ratio and the expected number of matches.
     """
-    share, score = np.empty((len(source), len(target))), -np.inf
+    n_targets, unexplained, score = len(terms[2]), UNEXPLAINED, -np.inf
+    share = np.empty((len(terms[0]), n_targets))
     for k in range(ROUNDS + 1):
-        last = score
-        score = soft_matches(
-            source, variance, target, density, unexplained, furthest, R, t, share, metric, peak
-        )
-        unexplained = min(max(1 - share.sum() / len(target), BOUNDS[0]), BOUNDS[1])
+        last, score = score, soft_matches(terms, unexplained, R, t, share, metric, peak)
+        unexplained = min(max(1 - share.sum() / n_targets, BOUNDS[0]), BOUNDS[1])
         likely = share > LEAST
         if k == ROUNDS or score - last < SETTLED or likely.sum() < len(t):
             break
-        _step(source, variance, target, share, likely, R, t, metric)
+        _step(terms, share, likely, R, t, metric)
     return score, share.sum()
