@@ -104,25 +104,30 @@ def test_written_odometry_is_read_back(tmp_path: Path, flat: bool) -> None:
     assert_allclose(odometry_of(log), odometry, atol=1e-15)
 
 
-def test_a_trajectory_beside_a_log_is_taken_at_its_iterations(tmp_path: Path) -> None:
+def test_a_trajectory_beside_a_log_is_taken_at_its_iterations(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     rows = "".join(f"{k},1,2,3\n" for k in range(30))
     put(tmp_path, "iteration,x,y,z\n" + rows)
     poses = walk()
     put(tmp_path, tum(np.arange(30.0), poses), "odometry.tum")
     assert_allclose(odometry_of(tmp_path)[1:], motions(poses)[1:], atol=1e-12)
+    assert not caplog.messages
     # Every other pose: in between the robot moved evenly, so that two motions are one.
     put(tmp_path, tum(np.arange(0.0, 30, 2), poses[::2]), "odometry.tum")
     found = odometry_of(tmp_path)
     assert_allclose(found[1:28:2] @ found[2:29:2], motions(poses[::2])[1:], atol=1e-12)
     assert np.isnan(found[29]).all()
+    assert "15 poses for 29 scans: the motions between are interpolated" in caplog.text
 
 
-def test_motion_over_a_gap_is_unknown(tmp_path: Path) -> None:
+def test_motion_over_a_gap_is_unknown(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     put(tmp_path, "iteration,x,y\n0,1,1\n30,1,1\n")
     stamps = np.array([*range(6), *range(18, 31)], dtype=float)
     put(tmp_path, tum(stamps, walk(31)[stamps.astype(int)]), "odometry.tum")
     known = np.isfinite(odometry_of(tmp_path)).all(axis=(1, 2))
     assert np.flatnonzero(known).tolist() == [*range(1, 6), *range(19, 31)]
+    assert not caplog.messages
 
 
 def test_a_trajectory_in_space_beside_a_planar_log_is_in_the_plane(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.datasets.bags import Bag
-from relmap.datasets.odometry import motions, poses_at
+from relmap.datasets.odometry import motions_at
 from relmap.datasets.scans import poses_of
 from relmap.datasets.textfile import quoted, shown
 
@@ -131,4 +131,4 @@ class Driven:
                 quoted(frame),
                 quoted(self.base),
             )
-        return motions(poses_at(self._stamps_s, self._poses, stamps_s))
+        return motions_at(where, self._stamps_s, self._poses, stamps_s)

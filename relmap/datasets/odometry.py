@@ -38,6 +38,9 @@ TABLES, TRAJECTORY = ("odometry.csv", "odometry.csv.gz"), "odometry.tum"
 GAP = 10.0
 """Multiple of the usual time between two poses above which there is a gap."""
 
+RARE = 0.75
+"""Number of poses per scan below which interpolated motions are worth a warning."""
+
 LEAST_GAP_S = 2.0
 """Minimum time between two speeds that is a gap: they may be logged only when they change."""
 
@@ -208,7 +211,7 @@ def _read_trajectory(file: Path, log: ObservationLog | ScanLog) -> Floats:
     if at_s is None:
         at_s = log.first_iteration + np.arange(len(log), dtype=np.float64)
     _require_common(file, "times", stamps_s, at_s)
-    return motions(poses_at(stamps_s, poses, at_s))
+    return motions_at(file, stamps_s, poses, at_s)
 
 
 def _require_common(file: Path, what: str, own: Ints | Floats, of_log: Ints | Floats) -> None:
@@ -216,6 +219,24 @@ def _require_common(file: Path, what: str, own: Ints | Floats, of_log: Ints | Fl
     if len(own) and (own.max() < of_log.min() or own.min() > of_log.max()):
         found, there = (f"{of.min():.10g} to {of.max():.10g}" for of in (own, of_log))
         raise invalid(file, f"{what} {found}, expected some within those of the log, {there}")
+
+
+def motions_at(file: Path, stamps_s: Floats, poses: Floats, at_s: Floats) -> Floats:
+    """Return the motions (k, 4, 4) between times, by poses interpolated as in `poses_at`.
+
+    `file`: named in the warning of poses that are rarer than the times.
+    """
+    there = poses_at(stamps_s, poses, at_s)
+    n_poses = int(np.sum((stamps_s >= at_s.min()) & (stamps_s <= at_s.max())))
+    n_scans = int(np.isfinite(there[:, 0, 0]).sum())
+    if n_poses < RARE * n_scans:
+        _LOG.warning(
+            "%s: %d poses for %d scans: the motions between are interpolated, and less accurate",
+            shown(file),
+            n_poses,
+            n_scans,
+        )
+    return motions(there)
 
 
 def poses_at(stamps_s: Floats, poses: Floats, at_s: Floats) -> Floats:
