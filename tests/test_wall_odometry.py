@@ -259,10 +259,35 @@ def test_wrong_odometry_is_left_out_and_named(spoil: Any) -> None:
     assert len(use_of(other).left_out) > 2
 
 
-def test_a_single_slip_is_named() -> None:
+def dead(odometry: Array) -> Array:
+    return np.zeros_like(odometry)
+
+
+def in_millimetres(odometry: Array) -> Array:
+    return odometry * [1000, 1000, 1]
+
+
+@pytest.mark.parametrize("spoil", [dead, in_millimetres])
+def test_wrong_odometry_does_not_bridge_a_corridor(spoil: Any) -> None:
+    poses, scans = in_the_corridor()
+    plain, other = mapped(scans), mapped(scans, spoil(odometry_of(poses)))
+    assert use_of(other).is_wrong
+    assert not use_of(other).is_used
+    assert_allclose(other.trajectory, plain.trajectory, atol=1e-6)
+
+
+def test_turns_the_wrong_way_are_noticed() -> None:
+    poses = round_the_room(60)
+    use = use_of(mapped(scans_from(ROOM, poses), odometry_of(poses) * [1, 1, -1]))
+    assert use.is_wrong
+    assert not use.is_used
+
+
+@pytest.mark.parametrize("slip_m", [0.4, 60.0])
+def test_a_single_slip_is_named(slip_m: float) -> None:
     poses = round_the_room(60)
     odometry = odometry_of(poses)
-    odometry[25, 0] += 0.4
+    odometry[25, 0] += slip_m
     mapper = mapped(scans_from(ROOM, poses), odometry)
     assert use_of(mapper).left_out.tolist() == [25]
     assert len(mapper.submaps) == 1

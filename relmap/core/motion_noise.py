@@ -122,12 +122,11 @@ def missing_way(odometry: Floats, measured: Floats, sd_m: Floats) -> Bools:
 def missing_turn(odometry: Floats, measured: Floats, sd_rad: Floats) -> tuple[Bools, Bools]:
     """Return which turns (k,) landmarks measure well, and which of these odometry surely misses.
 
-    It counts less than half of these.
+    It is off by more than half of these.
     """
-    counted, turn = (np.linalg.norm(_turns(motion), axis=1) for motion in (odometry, measured))
-    least_rad = SLIPPED * np.hypot(sd_rad, MotionNoise.sigma_rad)
-    judged = np.isfinite(counted) & (turn > least_rad)
-    return judged, judged & (counted < WRONG_WAY * turn)
+    off_rad, turn = _apart(odometry, measured)[1], np.linalg.norm(_turns(measured), axis=1)
+    judged = np.isfinite(off_rad) & (turn > SLIPPED * np.hypot(sd_rad, MotionNoise.sigma_rad))
+    return judged, judged & (off_rad > WRONG_WAY * turn)
 
 
 def misses_most(compared: Bools, missed: Bools) -> bool:

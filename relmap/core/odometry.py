@@ -83,6 +83,8 @@ class OdometryUse:
         ``T_map_robot`` where it is used; NaN in other submaps.
     sigmas : (3,) float64
         Noise of observations and of the distances and turns of odometry, relative to `noise`.
+    is_wrong : bool
+        Whether it is rejected as a whole.
     drift : float
         Drift found at revisited places, relative to that expected from noise.  Covariances are
         scaled by it.
@@ -94,6 +96,7 @@ class OdometryUse:
     hanging: Ints
     poses: Floats
     sigmas: Floats
+    is_wrong: bool
     drift: float = 1.0
 
     @classmethod
@@ -103,7 +106,8 @@ class OdometryUse:
         `slipped` (k,): iterations in which landmarks contradict it.
         """
         none = np.empty(0, dtype=np.int64)
-        return cls(noise, False, np.flatnonzero(slipped), none, np.empty((0, 4, 4)), np.ones(3))
+        left_out, poses = np.flatnonzero(slipped), np.empty((0, 4, 4))
+        return cls(noise, False, left_out, none, poses, np.ones(3), noise.is_wrong)
 
 
 class Motions:

@@ -78,7 +78,7 @@ def _odometry(use: OdometryUse | None, result: Result, offset: int) -> dict[str,
     stretches = [[int(run[0]), int(run[-1])] for run in runs if len(run)]
     return {
         "used": bool(use.is_used),
-        "wrong_throughout": bool(use.noise.is_wrong),
+        "wrong_throughout": use.is_wrong,
         "scale": float(use.noise.scale),
         "sigma_share_of_way": float(use.noise.sigma_way),
         "sigma_rad": float(use.noise.sigma_rad),

@@ -54,7 +54,7 @@ class ScanComparison:
     """A scan compared with tracks and earlier scans.
 
     `beams`: beams of the same scan; `views`: the last scans, latest first, at most `VERIFYING`;
-    `before`: usual motion of the robot; `expected`: motion expected from odometry; `firm`: whether
+    `before`: recent motion of the robot; `expected`: motion expected from odometry; `firm`: whether
     to leave out walls and beams on small free-standing objects; `more`: the scans before `views`.
     """
 
@@ -70,7 +70,7 @@ class ScanComparison:
         more: Iterable[View] = (),
     ) -> None:
         self._beams, self._views, self._more = beams, views, more
-        self._before = expected.motion if expected else before
+        self._usual, self._before = before, expected.motion if expected else before
         self._expected, self._firm = expected, firm
         kept, own = ~(tracks.loose & firm), ~(seen.loose & firm)
         self._rows, self._walls = kept.nonzero()[0], own.nonzero()[0]
@@ -112,11 +112,18 @@ class ScanComparison:
         agree = (sums[..., 0] / np.maximum(total, 1.0)).max(axis=0)
         contradict = sums[..., 1].sum(axis=0) / np.maximum(total.sum(axis=0), 1.0)
         score = np.array([match.score / self._possible for match in matches])
-        way = np.hypot(*(motions[:, 1:] - self._before[1:]).T) / USUAL_M
-        turn = wrapped(motions[:, 0] - self._before[0]) / USUAL_RAD
-        support = self._expected.supports(motions) if self._expected else 0.0
-        surprise = np.asarray((way**2 + turn**2) / 2 - support)
-        return Judged(motions, agree, contradict, score, surprise, matches)
+        return Judged(motions, agree, contradict, score, self._surprise(motions), matches)
+
+    def _surprise(self, motions: Floats) -> Floats:
+        """Return the prior improbability of motions (k, 3): log odds.
+
+        By odometry, if there is any; but it may be wrong, and the robot go on as before.
+        """
+        surprise = _unusual(motions, self._before)
+        if self._expected is None:
+            return surprise
+        likelier = np.minimum(surprise, _unusual(motions, self._usual))
+        return likelier - self._expected.supports(motions)
 
     @cached_property
     def _possible(self) -> float:
@@ -229,3 +236,10 @@ class ScanComparison:
     def _crossing(self, match: Match) -> float:
         """Return the spread of the directions of the walls that match; 0 if they are parallel."""
         return float(spread(self._seen.along[match.walls], np.zeros_like(match.walls), 1)[0])
+
+
+def _unusual(motions: Floats, before: Floats) -> Floats:
+    """Return the log odds against motions (k, 3) given the one before (3,)."""
+    way = np.hypot(*(motions[:, 1:] - before[1:]).T) / USUAL_M
+    turn = wrapped(motions[:, 0] - before[0]) / USUAL_RAD
+    return np.asarray((way**2 + turn**2) / 2)

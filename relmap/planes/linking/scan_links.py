@@ -99,17 +99,17 @@ class ScanLinks(LinkRecord):
         self, tracks: PlaneTracks, seen: PlaneObservation, expected: Expected | None
     ) -> Found | None:
         """Return the accepted motion into a scan, and the resulting association."""
-        every, usual = self._views(seen), self.usual
+        every, recent = self._views(seen), usual_motion(self.motions, self.measured)
         views = [*islice(every, VERIFYING)]
         if views:
             beams = self.beams.of_next(seen.beams, seen.ends)
             if len(self) in FIRST or len(self) % AGAIN == 0:
                 self._at_rest = share_at_rest(self._scans, self._known()[0], LATELY) > OFTEN
             firm = not self._at_rest
-            judged = Search(tracks, seen, beams, views, usual, expected, firm, every).found()
+            judged = Search(tracks, seen, beams, views, recent, expected, firm, every).found()
             return judged if judged and self._confirmed(judged, seen, beams, views, firm) else None
-        found = place(tracks, seen, usual, farthest_m(self._last_links))
-        if found is None or not is_supported(tracks, seen, found, usual):
+        found = place(tracks, seen, self.usual, farthest_m(self._last_links))
+        if found is None or not is_supported(tracks, seen, found, self.usual):
             return None
         return Found(*found, measured_along(tracks, seen, found[1]), np.inf)
 

@@ -12,10 +12,18 @@ from typing import NamedTuple
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.core.motion_noise import WRONG_SCALE, WRONG_WAY, MotionNoise, motion_noise
+from relmap.core.motion_noise import (
+    WRONG_SCALE,
+    WRONG_WAY,
+    MotionNoise,
+    misses_most,
+    missing_turn,
+    missing_way,
+    motion_noise,
+)
 from relmap.core.odometry import Motions, OdometryUse
 from relmap.planes.motions import from_matrices, inverse, matrices, wrapped
-from relmap.planes.odometry.steps import constant_errors, corrected, path_of
+from relmap.planes.odometry.steps import constant_errors, corrected, path_of, stretches
 
 COMPARED, LONG_AGO = 200, 5000
 """Number of last motions that odometry is compared with, and their largest age in scans."""
@@ -30,6 +38,14 @@ AGREED = 3.0
 FAULTS, FAULTY = 2, 0.05
 """If odometry contradicts the walls more often than this, and in a larger fraction of the steps, it
 is rejected: bridges would be wrong as often."""
+STRETCH_M = 1.0
+"""Length of the stretches of which odometry must not miss most."""
+WRONG_RAD = 0.3
+"""Standard deviation of the angle of a step above which odometry is rejected."""
+UNKNOWN_M = 3.5
+"""Longest step by odometry that was not compared yet: it may be in other units."""
+GUESSED = MotionNoise()
+"""The noise of odometry that was not compared yet."""
 NEVER = -1, -1, -1
 OTHERWISE = 4.0
 """Standard deviations above which a motion contradicts odometry."""
@@ -97,6 +113,8 @@ class Wheels:
         off_m = np.sqrt((sd_m**2 + (sd_rad * ahead) ** 2).sum() + ROUGH_M**2)
         off_rad = np.sqrt((sd_rad**2).sum() + ROUGH_RAD**2)
         motion = inverse(path[-1])
+        if noise is GUESSED and np.hypot(*motion[1:]) > UNKNOWN_M:
+            return None
         return Expected(motion, float(off_m), float(off_rad))
 
     def noise(self, motions: Floats, measured: Bools) -> MotionNoise | None:
@@ -123,9 +141,11 @@ class Wheels:
         """Return how odometry was used; None if there is none."""
         if not len(self.given):
             return None
-        found, _ = self._compared(np.flatnonzero(measured), motions)
+        found, is_accepted = self._compared(np.flatnonzero(measured), motions)
         use = OdometryUse.of(found, left_out)
-        return replace(use, is_used=bool(hanging.any()), hanging=np.flatnonzero(hanging))
+        hanging_at = np.flatnonzero(hanging)
+        is_used = len(hanging_at) > 0
+        return replace(use, is_wrong=not is_accepted, is_used=is_used, hanging=hanging_at)
 
     def _compared(self, scans: Ints, motions: Floats) -> tuple[MotionNoise, bool]:
         """Return the quality of odometry in some scans (k,), and whether it is accepted."""
@@ -136,12 +156,14 @@ class Wheels:
         poses = _poses(true)
         found = motion_noise(steps, poses, constant_errors(steps, poses))
         if found is None:
-            return MotionNoise(), True
+            return GUESSED, True
         off_m = found.sigma_way * float(np.median(np.linalg.norm(steps[:, :2, 3], axis=1)))
         is_noise = found.sigma_way > WRONG_WAY and off_m > ROUGH_M
+        is_noise |= found.sigma_rad > WRONG_RAD
         faults = int(_otherwise(found, steps, true).sum())
         fails = faults > FAULTS and faults > FAULTY * len(steps)
-        return found, not (is_noise or fails or abs(found.scale - 1) > WRONG_SCALE)
+        fails |= is_noise or abs(found.scale - 1) > WRONG_SCALE or _misses(steps, poses)
+        return found, not fails
 
     def left_out(self, motions: Floats, measured: Bools) -> Bools:
         """Return in which iterations (i,) odometry is rejected.
@@ -156,6 +178,18 @@ class Wheels:
     def look_again(self) -> None:
         """Forget the noise estimate: motions have changed."""
         self._noise_of, self._last = -1, (NEVER, None)
+
+
+def _misses(steps: Floats, true: Floats) -> bool:
+    """Return whether steps (k, 4, 4) miss most of the way, or of the turns, of motions (k, 4, 4).
+
+    Over stretches, as that of a single step is no more than the error of walls.
+    """
+    over, seen = stretches(steps, true, np.linalg.norm(true[:, :2, 3], axis=1), STRETCH_M)
+    every = np.ones(len(over), dtype=np.bool_)
+    if misses_most(every, missing_way(over, seen, np.full(len(over), ROUGH_M))):
+        return True
+    return misses_most(*missing_turn(over, seen, np.full(len(over), ROUGH_RAD)))
 
 
 def _otherwise(noise: MotionNoise, steps: Floats, motions: Floats) -> Bools:

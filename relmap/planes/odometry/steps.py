@@ -183,17 +183,27 @@ def _compared(
 def constant_errors(steps: Floats, true: Floats) -> MotionNoise | None:
     """Return the constant errors of steps (k, 4, 4) with measured motions (k, 4, 4).
 
-    They are compared over paths of `WAY_M`, joined from these steps only: jitter lengthens single
-    steps, which biases the scale. None if the whole path is too short.
+    They are compared over paths of `WAY_M`: jitter lengthens single steps, which biases the scale.
+    Without paths with a leap, which would decide alone. None if the whole path is too short.
     """
-    way = np.cumsum(np.linalg.norm(steps[:, :2, 3], axis=1))
-    if not len(way) or way[-1] < APART * WAY_M:
-        return None
-    end = np.searchsorted(way, way + WAY_M)
+    given, measured = stretches(steps, true, np.linalg.norm(steps[:, :2, 3], axis=1), WAY_M)
+    is_usual = np.linalg.norm(given[:, :2, 3], axis=1) < 2 * WAY_M
+    whole_m = np.linalg.norm(steps[:, :2, 3], axis=1).sum()
+    return motion_noise(given[is_usual], measured[is_usual]) if whole_m >= APART * WAY_M else None
+
+
+def stretches(steps: Floats, true: Floats, way_m: Floats, length_m: float) -> tuple[Floats, Floats]:
+    """Return odometry and measured motions over stretches of some length, both (s, 4, 4).
+
+    Of steps (k, 4, 4) with measured motions (k, 4, 4), joined as if there were no others; `way_m`
+    (k,): the lengths of the steps.
+    """
+    way = np.cumsum(way_m)
+    end = np.searchsorted(way, way + length_m)
     a = np.flatnonzero(end < len(way))
-    given, measured = (matrices(path_of(from_matrices(of))) for of in (steps, true))
-    over = [np.linalg.inv(path[a]) @ path[end[a]] for path in (given, measured)]
-    return motion_noise(over[0], over[1])
+    paths = [matrices(path_of(from_matrices(each))) for each in (steps, true)]
+    given, measured = (np.linalg.inv(path[a]) @ path[end[a]] for path in paths)
+    return given, measured
 
 
 def corrected(noise: MotionNoise, steps: Floats) -> Floats:
