@@ -85,7 +85,7 @@ def test_relmap_resume_with_ids_and_an_interval(eight: Path, tmp_path: Path) -> 
 
 def test_relmap_resume_of_walls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    scans = simulate_building(seed=0, points=100).scans[:12]
+    scans = simulate_building(seed=0, points=100, iterations=12).scans
     points, stamps_s = [scan.points for scan in scans], np.arange(12.0)
     write_scans_npz(tmp_path / "scans.npz", points, stamps_s)
     asked = ["map", "scans.npz", "--variant", "planes", "-o"]
@@ -110,7 +110,7 @@ def test_the_animation_of_a_resumed_run_is_whole(
     monkeypatch.setattr(plots_bench, "write_bench_gif", show)
     monkeypatch.setattr(plots_bench, "write_bench_png", lambda *_: None)
     monkeypatch.chdir(tmp_path)
-    points = [scan.points for scan in simulate_building(seed=0, points=100).scans[:12]]
+    points = [scan.points for scan in simulate_building(seed=0, points=100, iterations=12).scans]
     write_scans_npz(tmp_path / "scans.npz", points, np.arange(12.0))
     asked = ["map", "scans.npz", "--variant", "planes", "--animate", "-o", "out"]
     assert main([*asked, "--journal", "run.journal"]) == 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +23,10 @@ BEGAN_S, N = 1.7e9, 20
 AnyKind = type[PointMapper] | type[PlaneMapper]
 
 
+@cache
 def scans_for(kind: AnyKind) -> list[Any]:
     if kind is PlaneMapper:
-        return [scan.seen for scan in simulate_building(seed=0, points=20).scans][:N]
+        return [scan.seen for scan in simulate_building(seed=0, points=20, iterations=N).scans]
     return [scan.points_robot for scan in simulate_figure_eight(iterations=N).log.scans()]
 
 
