@@ -12,14 +12,18 @@ import pytest
 from benchmarks.document import write_all
 from tests.commands import run_process
 
+ONE_THREAD = dict.fromkeys(
+    [f"{name}_NUM_THREADS" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA")], "1"
+)
+"""With these a benchmark need not start itself anew."""
+
 
 def tables_of(
     repo_root: Path, child_env: dict[str, str], *command: str
 ) -> dict[str, list[dict[str, str]]]:
     """Run a benchmark; return the rows of each table that it prints, by the line above it."""
-    done = run_process(
-        [sys.executable, str(repo_root / "benchmarks" / command[0]), *command[1:]], env=child_env
-    )
+    program = str(repo_root / "benchmarks" / command[0])
+    done = run_process([sys.executable, program, *command[1:]], env=child_env | ONE_THREAD)
     assert done.returncode == 0, done.stderr
     tables: dict[str, list[dict[str, str]]] = {}
     blocks = [block.splitlines() for block in done.stdout.strip().split("\n\n")]
@@ -80,9 +84,6 @@ for script in sys.argv[1:]:
         print(f"ended with {end.code}")
 """
 """One process for all, for it takes a second to load what they import."""
-ONE_THREAD = dict.fromkeys(
-    [f"{name}_NUM_THREADS" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA")], "1"
-)
 
 
 def test_every_benchmark_has_a_help_text(child_env: dict[str, str]) -> None:
