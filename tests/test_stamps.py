@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +22,6 @@ BEGAN_S, N = 1.7e9, 20
 AnyKind = type[PointMapper] | type[PlaneMapper]
 
 
-@cache
 def scans_for(kind: AnyKind) -> list[Any]:
     if kind is PlaneMapper:
         return [scan.seen for scan in simulate_building(seed=0, points=20, iterations=N).scans]

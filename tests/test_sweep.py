@@ -9,9 +9,11 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from joblib.externals.loky import get_reusable_executor
 
 from relmap.cli import main
 from relmap.comparison import sweep as sweep_module
@@ -19,7 +21,7 @@ from relmap.comparison.methods.running import ACCURACY
 from relmap.comparison.sweep import TIMES, CellStore, Finished, accuracy_csv, run_cell, run_cells
 from relmap.comparison.sweep_spec import KEYS, Cell, cells_of, varying
 from relmap.core.errors import RelmapError
-from tests.commands import PATIENCE_S, RELMAP, Check, names, run_process, table
+from tests.commands import PATIENCE_S, Check, names, table
 
 pytestmark = pytest.mark.usefixtures("unrendered")
 
@@ -73,14 +75,21 @@ def press_ctrl_c_after_3(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(CellStore, "save", counted)
 
 
+@pytest.fixture
+def workers_end() -> Iterator[None]:
+    """End the workers of joblib after the test: they would wait for more work."""
+    yield
+    get_reusable_executor().shutdown()
+
+
+@pytest.mark.usefixtures("workers_end")
 def test_goes_on_after_an_interruption(
     spec: Path,
     tmp_path: Path,
     expected: str,
-    child_env: dict[str, str],
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Begun here, ended by two workers of another process: the same table as in one process."""
+    """Begun in this process, ended by two workers: the same table as in one process."""
     out = tmp_path / "out"
     with pytest.MonkeyPatch.context() as patch:
         press_ctrl_c_after_3(patch)
@@ -92,15 +101,14 @@ def test_goes_on_after_an_interruption(
     assert "the same command continues with the others" in complained
     assert "Traceback" not in complained
     assert not (out / "sweep.csv").exists()
-    command = [*RELMAP, "sweep", str(spec), "-o", str(out), "--workers", "2"]
-    run = run_process(command, env=child_env)
-    assert run.returncode == 0, run.stderr
-    assert f"{len(before)} of {N} cells were finished before" in run.stderr
+    assert main(["sweep", str(spec), "-o", str(out), "--workers", "2"]) == 0
+    printed = capsys.readouterr()
+    assert f"{len(before)} of {N} cells were finished before" in printed.err
     after = finished_cells(out)
     assert len(after) == N
     assert {name: after[name] for name in before} == before
     assert (out / "sweep.csv").read_text() == expected
-    lines = run.stdout.splitlines()
+    lines = printed.out.splitlines()
     assert lines[0] == "medians over the seeds"
     assert lines[1].split()[:3] == ["method", "sigma", "RMSE"]
     assert len(lines) == 3 + 4 + 1
