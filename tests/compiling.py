@@ -2,7 +2,8 @@
 
     python -m tests.compiling
 
-The workers begin together, and without this each would compile the same.
+The workers begin together, and without this each would compile the same.  It takes no longer than
+mypy, which runs meanwhile.
 """
 
 from __future__ import annotations
@@ -17,7 +18,10 @@ from relmap.cli import main
 COMMANDS = """
 simulate figure-eight --iterations 60 -o eight
 map eight -o nearest
-map eight -o known --association known
+simulate figure-eight --iterations 450 -o long
+map long -o known --association known
+simulate world --noise stereo --space --sigma 0.03 --length 130 --iterations 90 -o stereo
+map stereo -o stereo-map
 simulate building --iterations 12 -o spots
 map spots -o spots-map --variant planes
 simulate building --beams 181 --sigma 0.01 --iterations 40 -o laser

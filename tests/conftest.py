@@ -6,7 +6,7 @@ import gc
 import os
 import shutil
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import chdir
 from functools import cache
 from pathlib import Path
@@ -20,6 +20,8 @@ from relmap.cli import console, main
 from relmap.comparison.compare import Compared
 from relmap.comparison.methods.registry import find_method
 from relmap.comparison.methods.running import run_method
+from relmap.datasets import open_scans
+from relmap.datasets.scans import ScanLog
 from relmap.evaluation.feeding import Association
 from relmap.evaluation.sources import Source
 from tests.commands import GOOD, Check, snapshot, unrendered
@@ -73,6 +75,12 @@ def shared_data() -> Path:
     if os.environ.get("CI") == "true":
         pytest.fail(message)
     pytest.skip(message)
+
+
+@pytest.fixture(scope="session")
+def real_scans(shared_data: Path) -> Callable[[str], ScanLog]:
+    """Return a function that opens scans of the real data sets; it reads none of them twice."""
+    return cache(lambda name: open_scans(shared_data / name))
 
 
 @pytest.fixture(scope="session", autouse=True)

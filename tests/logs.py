@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 from collections.abc import Callable
 from pathlib import Path
 
@@ -43,3 +44,15 @@ def ids_of(log: ObservationLog) -> list[int]:
     assert log.ids is not None
     ids: list[int] = log.ids.tolist()
     return ids
+
+
+def first_scans(log: Path, count: int, folder: Path) -> Path:
+    """Write the first scans of a packed CARMEN log; return the path of the new one."""
+    lines = []
+    with gzip.open(log, "rt") as stream:
+        for line in stream:
+            count -= line.startswith("FLASER ")
+            if count < 0:
+                break
+            lines.append(line)
+    return put(folder, "".join(lines), "first.log")

@@ -32,15 +32,17 @@ def cast(ends: Floats, bearing: float) -> tuple[float, int]:
 
     Of two sides of a wall it names the one that faces the robot.
     """
-    ray = np.array([np.cos(bearing), np.sin(bearing)])
+    (x, y), (a, b) = (np.cos(bearing), np.sin(bearing)), (ends[:, 0], ends[:, 1])
+    back = a - b
+    det = x * back[:, 1] - y * back[:, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        distances = (a[:, 0] * back[:, 1] - a[:, 1] * back[:, 0]) / det
+        t = (x * a[:, 1] - y * a[:, 0]) / det
+    faces = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0] > 0
     best, which = np.inf, -1
-    for number, (a, b) in enumerate(ends):
-        matrix = np.column_stack([ray, a - b])
-        if abs(np.linalg.det(matrix)) < 1e-14:
-            continue
-        distance, t = np.linalg.solve(matrix, a)
-        faces = a[0] * b[1] - a[1] * b[0] > 0
-        nearer = distance < best - 1e-9 or (distance < best + 1e-9 and faces)
-        if 0 <= t <= 1 and distance > 0 and nearer:
+    met = (np.abs(det) >= 1e-14) & (t >= 0) & (t <= 1) & (distances > 0)
+    for number in np.flatnonzero(met).tolist():
+        distance = float(distances[number])
+        if distance < best - 1e-9 or (distance < best + 1e-9 and faces[number]):
             best, which = distance, number
     return best, which

@@ -1,12 +1,13 @@
 """Stops every verb that writes at each of its system calls that change files; see test_stopped.py.
 
-    python -m tests.stopping [--full] [--every N] [VERB ...]
+    python -m tests.stopping [--every N] [--full N] [VERB ...]
 
 From the files as they are before a call, which are those that a kill leaves, the same command or
 `relmap resume` must end with the bytes of a run that was not stopped; only numbers that differ
 between such runs may differ.  Before that no file is cut, and no old one is beside a new one.  With
-``--full`` the call fails, and so does each later one that needs space on the disk: that must make
-no difference, or end in one line and code 2, with the old files as they were.
+``--full`` calls fail as well, with each later one that needs space on the disk: that must make no
+difference, or end in one line and code 2, with the old files as they were.  Both take every Nth
+call, or none for 0.
 """
 
 from __future__ import annotations
@@ -218,8 +219,8 @@ def prepare(folder: Path, names: Iterable[str]) -> None:
 @unrendered()
 def main_() -> int:
     parser = argparse.ArgumentParser(description="Stop every verb at its system calls.")
-    parser.add_argument("--full", action="store_true", help="let calls fail instead")
-    parser.add_argument("--every", type=int, default=1)
+    parser.add_argument("--every", type=int, default=1, metavar="N")
+    parser.add_argument("--full", type=int, default=0, metavar="N", help="let calls fail, too")
     parser.add_argument("--root", type=Path, help="folder to work in, with the inputs of before")
     parser.add_argument("verbs", nargs="*", metavar="VERB", help=", ".join(VERBS))
     arguments = parser.parse_args()
@@ -230,9 +231,10 @@ def main_() -> int:
     prepare(root / "inputs", names)
     for name in names:
         attack, found = Attack(root, VERBS[name]), defaultdict[str, list[str]](list)
-        calls = attack.calls if arguments.full else attack.kept()
-        for at, call in calls[:: arguments.every]:
-            found[(attack.failed if arguments.full else attack.killed)(at)].append(f"{at} {call}")
+        for at, call in attack.kept()[:: arguments.every] if arguments.every else ():
+            found[attack.killed(at)].append(f"{at} {call}")
+        for at, call in attack.calls[:: arguments.full] if arguments.full else ():
+            found[attack.failed(at)].append(f"{at} {call}")
         print(f"{name}: {len(attack.calls)} calls", flush=True)
         for what, where in found.items():
             print(f"  {len(where)} times {what}: {', '.join(where[:6])}", flush=True)

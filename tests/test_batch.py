@@ -49,14 +49,14 @@ def dense_solution(
     """Solve for all landmarks and poses densely by scipy, from the truth; return map and cost."""
     (m, d), k = world.shape, len(poses)
     r = 1 if d == 2 else 3
+    there = np.array([t for _, t in poses])
 
     def residuals(x: Points) -> Points:
         landmarks, motions = x[: m * d].reshape(m, d), x[m * d :].reshape(k, r + d)
-        placed = [
-            rotation(motions[p, :r]) @ poses[p][0] @ point + motions[p, r:] + poses[p][1]
-            for p, point in zip(batch.pose, batch.points_robot, strict=True)
-        ]
-        return np.asarray((np.array(placed) - landmarks[batch.landmark]).ravel())
+        R = np.array([rotation(motions[p, :r]) @ poses[p][0] for p in range(k)])
+        t = motions[:, r:] + there
+        placed = np.einsum("nij,nj->ni", R[batch.pose], batch.points_robot) + t[batch.pose]
+        return np.asarray((placed - landmarks[batch.landmark]).ravel())
 
     start = np.concatenate([world.ravel(), np.zeros(k * (r + d))])
     fit = least_squares(residuals, start, xtol=1e-12, ftol=1e-14, gtol=1e-12)

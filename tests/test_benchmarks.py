@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import re
+import runpy
 import sys
+from collections.abc import Callable
+from contextlib import redirect_stdout
+from io import StringIO
 from itertools import pairwise
 from pathlib import Path
 
@@ -12,22 +16,48 @@ import pytest
 from benchmarks.document import write_all
 from tests.commands import run_process
 
+ONE_THREAD = dict.fromkeys(
+    [f"{name}_NUM_THREADS" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA")], "1"
+)
+"""With these a benchmark need not start itself anew."""
 
-def tables_of(
-    repo_root: Path, child_env: dict[str, str], *command: str
-) -> dict[str, list[dict[str, str]]]:
-    """Run a benchmark; return the rows of each table that it prints, by the line above it."""
-    done = run_process(
-        [sys.executable, str(repo_root / "benchmarks" / command[0]), *command[1:]], env=child_env
-    )
-    assert done.returncode == 0, done.stderr
-    tables: dict[str, list[dict[str, str]]] = {}
-    blocks = [block.splitlines() for block in done.stdout.strip().split("\n\n")]
+
+Tables = dict[str, list[dict[str, str]]]
+"""The rows of each table that is printed, by the line above it."""
+
+
+def tables_in(printed: str) -> Tables:
+    tables: Tables = {}
+    blocks = [block.splitlines() for block in printed.strip().split("\n\n")]
     for title, lines in pairwise(blocks):
         if lines[0].startswith("|"):
             header, _, *rows = ([c.strip() for c in line.strip("|").split("|")] for line in lines)
             tables[title[-1]] = [dict(zip(header, cells, strict=True)) for cells in rows]
     return tables
+
+
+def tables_of(repo_root: Path, child_env: dict[str, str], *command: str) -> Tables:
+    """Run a benchmark that begins processes or measures time, in its own; return its tables."""
+    program = str(repo_root / "benchmarks" / command[0])
+    done = run_process([sys.executable, program, *command[1:]], env=child_env | ONE_THREAD)
+    assert done.returncode == 0, done.stderr
+    return tables_in(done.stdout)
+
+
+@pytest.fixture
+def tables_here(repo_root: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Tables]:
+    """Return a function that runs a benchmark in this process, where all is loaded already."""
+
+    def run(name: str, *arguments: str) -> Tables:
+        program = str(repo_root / "benchmarks" / name)
+        monkeypatch.syspath_prepend(repo_root / "benchmarks")
+        monkeypatch.setattr("speed.on_one_core", lambda: None)
+        monkeypatch.setattr(sys, "argv", [program, *arguments])
+        with redirect_stdout(StringIO()) as printed:
+            runpy.run_path(program, run_name="__main__")
+        return tables_in(printed.getvalue())
+
+    return run
 
 
 def test_speed_is_compared_with_frame_to_map(repo_root: Path, child_env: dict[str, str]) -> None:
@@ -52,15 +82,15 @@ def test_endurance_reports_time_and_memory(repo_root: Path, child_env: dict[str,
     assert int(times[0]["landmarks"]) == int(memory[-1]["landmarks seen"])
 
 
-def test_drift_is_reported_for_both_runs(repo_root: Path, child_env: dict[str, str]) -> None:
-    (rows,) = tables_of(repo_root, child_env, "drift.py", "--iterations", "300").values()
+def test_drift_is_reported_for_both_runs(tables_here: Callable[..., Tables]) -> None:
+    (rows,) = tables_here("drift.py", "--iterations", "300").values()
     assert [row["iterations"] for row in rows] == ["30", "300"] * 2
     assert all(float(row["RMSE [m]"]) < 1e-9 for row in rows)
     assert all(int(row["mapped"]) > 20 and row["submaps"] == "1" for row in rows)
 
 
-def test_dynamics_judges_every_landmark(repo_root: Path, child_env: dict[str, str]) -> None:
-    (rows,) = tables_of(repo_root, child_env, "dynamics.py", "--quick").values()
+def test_dynamics_judges_every_landmark(tables_here: Callable[..., Tables]) -> None:
+    (rows,) = tables_here("dynamics.py", "--quick").values()
     assert [row["association"] for row in rows] == ["known", "nearest"] * 2
     for row in rows:
         for figure in ("precision (worst seed)", "recall (worst seed)"):
@@ -80,9 +110,6 @@ for script in sys.argv[1:]:
         print(f"ended with {end.code}")
 """
 """One process for all, for it takes a second to load what they import."""
-ONE_THREAD = dict.fromkeys(
-    [f"{name}_NUM_THREADS" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA")], "1"
-)
 
 
 def test_every_benchmark_has_a_help_text(child_env: dict[str, str]) -> None:

@@ -223,9 +223,7 @@ def run(
 @pytest.mark.parametrize(
     ("arguments", "most_bytes"),
     [
-        (["map", "none.csv", "-o", "out"], None),
         (["map", "log.csv", "-o", "out", "--loud"], None),
-        (["map", "log.csv", "-o", "log.csv/below"], None),
         (["map", "log.csv", "-o", "out"], 3000),
     ],
 )

@@ -57,6 +57,7 @@ def test_a_run_with_columns_is_gone_on_with(here: Path) -> None:
         assert (here / "again" / name).read_bytes() == (here / "out" / name).read_bytes()
 
 
+@pytest.mark.usefixtures("in_process")
 def test_every_verb_reads_a_table_with_columns(
     here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -81,7 +82,7 @@ def test_every_verb_reads_a_table_with_columns(
 def test_a_comparison_reports_ignored_columns_once(
     here: Path, caplog: pytest.LogCaptureFixture, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    command = ["compare", "seen.csv", "--methods", "relmap-points,batch", "-o", "compared"]
+    command = ["compare", "seen.csv", "--methods", "relmap-points", "-o", "compared"]
     assert main([*command, "--columns", NAMES]) == 0
     assert caplog.messages == ["seen.csv: other columns are ignored: 'score'"]
     assert "ignored" not in capfd.readouterr().err

@@ -7,6 +7,8 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import chdir, redirect_stderr, redirect_stdout
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +21,7 @@ from relmap.comparison.methods.registry import METHODS, MethodInfo, find_method
 from relmap.comparison.methods.running import run_method
 from relmap.evaluation.feeding import Association
 from relmap.evaluation.sources import Data, EightSource
-from tests.commands import GOOD, PATIENCE_S, RELMAP, Check, names, run_process, table
+from tests.commands import GOOD, PATIENCE_S, RELMAP, Check, names, table
 
 pytestmark = pytest.mark.usefixtures("unrendered")
 
@@ -28,17 +30,14 @@ SHORT = ["compare", "--simulate", "figure-eight", "--iterations", "60"]
 
 
 @pytest.fixture(scope="module")
-def compared(tmp_path_factory: pytest.TempPathFactory, child_env: dict[str, str]) -> Path:
-    """A comparison as a user makes it; stdout and stderr are beside it."""
+def compared(tmp_path_factory: pytest.TempPathFactory, unrendered: None) -> Path:
+    """A comparison, each method in its process; what it printed is beside it."""
     folder = tmp_path_factory.mktemp("compare")
-    chosen = "relmap-points,ekf"
-    done = run_process(
-        [*RELMAP, *SHORT, "--methods", chosen, "-o", "out"], cwd=folder, env=child_env
-    )
-    assert done.returncode == 0, done.stderr
-    progress = [line.endswith(" so far") for line in done.stderr.splitlines()]
-    assert all(progress), done.stderr  # a busy machine prints progress
-    (folder / "printed").write_text(done.stdout)
+    printed, complained = StringIO(), StringIO()
+    with chdir(folder), redirect_stdout(printed), redirect_stderr(complained):
+        assert main([*SHORT, "--methods", "relmap-points,ekf", "-o", "out"]) == 0
+    assert complained.getvalue() == ""
+    (folder / "printed").write_text(printed.getvalue())
     return folder
 
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from relmap.datasets import open_scans
+from relmap.datasets.scans import ScanLog
 from tests.logs import put
 from tests.scanlogs import CORRECTED, GRAPH, failure, planar
 
@@ -132,8 +134,10 @@ def test_a_file_beside_a_corrected_log_is_used(tmp_path: Path) -> None:
         "orebro-corrected",
     ],
 )
-def test_no_corrected_path_is_taken_for_odometry(shared_data: Path, name: str) -> None:
-    log = open_scans(shared_data / "carmen-laser2d" / f"{name}.log.gz")
+def test_no_corrected_path_is_taken_for_odometry(
+    real_scans: Callable[[str], ScanLog], name: str
+) -> None:
+    log = real_scans(f"carmen-laser2d/{name}.log.gz")
     assert log.odometry is None
     assert "corrected path" in log.no_odometry
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Floats
 from relmap.datasets import open_scans, read_relations
+from relmap.datasets.scans import ScanLog
 
 LASER = "carmen-laser2d"
 
@@ -30,7 +32,7 @@ LASER = "carmen-laser2d"
     ],
 )
 def test_carmen_logs(
-    shared_data: Path,
+    real_scans: Callable[[str], ScanLog],
     name: str,
     scans: int,
     beams: int,
@@ -39,7 +41,7 @@ def test_carmen_logs(
     turn_deg: float,
     far_m: float,
 ) -> None:
-    log = open_scans(shared_data / LASER / f"{name}.log.gz")
+    log = real_scans(f"{LASER}/{name}.log.gz")
     assert (len(log), log.dimension) == (scans, 2)
     points = [scan.points_robot for scan in log.scans()]
     counts = [len(p) for p in points]
@@ -69,13 +71,15 @@ def poses_at(times_s: Floats, stamps_s: Floats, poses: Floats) -> Floats:
     return T
 
 
-def test_the_graph_of_freiburg_079_agrees_with_the_relations(shared_data: Path) -> None:
+def test_the_graph_of_freiburg_079_agrees_with_the_relations(
+    shared_data: Path, real_scans: Callable[[str], ScanLog]
+) -> None:
     """The description says 0.043 m and 0.52 degrees, at exact stamps."""
     relations = read_relations(shared_data / LASER / "fr079.relations")
     assert len(relations.begin_s) == 1685
     assert relations.begin_s.min() == pytest.approx(1215.6, abs=0.1)
     assert relations.end_s.max() == pytest.approx(2258.9, abs=0.1)
-    log = open_scans(shared_data / LASER / "fr079.log.gz")
+    log = real_scans(f"{LASER}/fr079.log.gz")
     assert log.poses is not None
     begin = poses_at(relations.begin_s, log.stamps_s, log.poses)
     end = poses_at(relations.end_s, log.stamps_s, log.poses)
@@ -105,13 +109,13 @@ def distances_to_the_scan_before(points: list[Floats], poses: Floats) -> Floats:
     ],
 )
 def test_scans_coincide_at_the_reference_poses(
-    shared_data: Path, name: str, median_m: float
+    real_scans: Callable[[str], ScanLog], name: str, median_m: float
 ) -> None:
     """Mirrored scans, or poses that belong to other scans, do not.
 
     Half a degree apart, the beams of the simulation lie further from each other, as its walls do.
     """
-    log = open_scans(shared_data / name).between(100, 500)
+    log = real_scans(name).between(100, 500)
     assert log.poses is not None
     points = [scan.points_robot for scan in log.scans()]
     right = np.median(distances_to_the_scan_before(points, log.poses))

@@ -91,6 +91,7 @@ def in_python(text: str, names: dict[str, Any]) -> str:
 
 
 @unrendered()
+@pytest.mark.usefixtures("in_process")
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
 def test_blocks_run_in_order_and_print_what_is_shown(document: Path, tmp_path: Path) -> None:
     names: dict[str, Any] = {}

@@ -2,21 +2,14 @@
 
 from __future__ import annotations
 
+import runpy
 import sys
 from pathlib import Path
 
 import pytest
 
-from tests.commands import run_process
-
 FOLDER = Path(__file__).resolve().parents[1] / "examples"
 EXAMPLES = sorted(FOLDER.glob("*.py"))
-
-
-def run_file(path: Path, env: dict[str, str], folder: Path) -> None:
-    """Run a Python file in a folder, in a separate interpreter; fail with what it said."""
-    done = run_process([sys.executable, str(path)], env=env, cwd=folder)
-    assert done.returncode == 0, f"{path.name} failed:\n{done.stdout}{done.stderr}"
 
 
 def test_there_are_examples() -> None:
@@ -24,5 +17,8 @@ def test_there_are_examples() -> None:
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.name)
-def test_example_runs(path: Path, child_env: dict[str, str], tmp_path: Path) -> None:
-    run_file(path, child_env, tmp_path)
+def test_example_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In this process, where all is loaded already."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", [str(path)])
+    runpy.run_path(str(path), run_name="__main__")

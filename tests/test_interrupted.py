@@ -27,7 +27,7 @@ AnyMapper = PointMapper | PlaneMapper
 Kind = type[PointMapper] | type[PlaneMapper]
 
 POINTS = [points for _, points in walk(3, 5, 0.02, iterations=30).scans]
-WALLS = [scan.seen for scan in simulate_building(seed=0, points=20).scans][:25]
+WALLS = [scan.seen for scan in simulate_building(seed=0, points=20, iterations=25).scans]
 SIDES = np.concatenate(
     [np.insert(np.argwhere(np.ones((40, 40))) / 20, axis, 1.5, axis=1) for axis in range(3)]
 )

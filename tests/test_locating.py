@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from relmap import PlaneMapper, RelmapError
 from relmap.cli import main
 from relmap.core.arrays import Floats
 from relmap.core.geometry.alignment import fit_rigid
-from relmap.datasets import open_scans, write_scans_npz
+from relmap.datasets import write_scans_npz
 from relmap.datasets.scans import ScanLog, SensorView
 from relmap.evaluation.feeding import feed, preparation
 from relmap.evaluation.sources import log_of
@@ -248,9 +249,11 @@ def test_a_journal_is_kept_from_the_beginning(tmp_path: Path) -> None:
     mapper.close()
 
 
-def test_real_scans_are_found_where_the_robot_comes_again(shared_data: Path) -> None:
+def test_real_scans_are_found_where_the_robot_comes_again(
+    real_scans: Callable[[str], ScanLog],
+) -> None:
     """Freiburg 079, judged by the poses in the log: none may be wrong."""
-    log = open_scans(shared_data / "carmen-laser2d" / "freiburg-079-corrected.log.gz")
+    log = real_scans("carmen-laser2d/freiburg-079-corrected.log.gz")
     assert log.poses is not None
     mapper = PlaneMapper()
     feed(mapper, log.between(0, 300), "nearest", refine=True)

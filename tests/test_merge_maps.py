@@ -22,6 +22,7 @@ from relmap.planes.places.wall_tie import wall_ties
 from relmap.planes.walls.files import read_any, read_planes, write_planes
 from relmap.planes.walls.table import PlaneTable
 from tests.commands import load, run_relmap, table
+from tests.logs import first_scans
 from tests.tables import wall_table
 from tests.worlds import turn
 
@@ -271,7 +272,8 @@ def test_an_ambiguous_alignment_is_refused(
 
 
 def test_freiburg_079_in_two_parts(shared_data: Path, tmp_path: Path) -> None:
-    log = shared_data / "carmen-laser2d" / "freiburg-079-corrected.log.gz"
+    packed = shared_data / "carmen-laser2d" / "freiburg-079-corrected.log.gz"
+    log = first_scans(packed, 350, tmp_path)
     for name, scans in (("a", "0:250"), ("b", "100:350")):
         run_relmap("map", log, "-o", tmp_path / name, "--variant", "planes", "--scans", scans)
     run_relmap("merge", tmp_path / "a", tmp_path / "b", "-o", tmp_path / "both")

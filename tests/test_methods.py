@@ -21,8 +21,9 @@ from relmap.comparison.methods.running import ACCURACY, COST, PATH, MethodRun, r
 from relmap.core.errors import RelmapError
 from relmap.datasets.base import ObservationLog
 from relmap.evaluation.metrics import align, rms
-from relmap.evaluation.sources import BuildingSource, Data, EightSource
+from relmap.evaluation.sources import Data, EightSource, log_of, truth_of
 from relmap.evaluation.truth import Truth
+from relmap.simulation import simulate_building
 from tests.tables import poses_along
 
 EIGHT = EightSource(iterations=150)
@@ -97,7 +98,8 @@ def test_without_ids_the_paper_matches_worse(eight: Landmarks) -> None:
 
 
 def test_walls() -> None:
-    data = BuildingSource(iterations=20).load()
+    building = simulate_building(600, iterations=20)
+    data = Data(log_of(building), truth_of(building))
     found = {
         name: run_method(find_method(name), data, "nearest").figures["corner_rmse_m"] or 9.0
         for name in ("relmap-planes", "relmap-planes-paper")

@@ -5,13 +5,14 @@ from __future__ import annotations
 import csv
 import re
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from relmap.cli.outcome import torn
-from relmap.datasets import open_scans
+from relmap.datasets.scans import ScanLog
 from relmap.evaluation import metrics
 from relmap.evaluation.run import run_mapper
 from relmap.planes import PlaneMapper
@@ -122,9 +123,8 @@ def test_a_map_of_points_takes_away_what_only_walls_have(building: Path, tmp_pat
     assert not left & {"planes.csv", "bench.png", "bench.gif", "evaluation.json"}
 
 
-def test_first_metres_of_freiburg_079(shared_data: Path) -> None:
-    source = shared_data / "carmen-laser2d" / "freiburg-079-corrected.log.gz"
-    log = open_scans(source).between(0, 150)
+def test_first_metres_of_freiburg_079(real_scans: Callable[[str], ScanLog]) -> None:
+    log = real_scans("carmen-laser2d/freiburg-079-corrected.log.gz").between(0, 150)
     run = run_mapper(PlaneMapper(), log, refine=True, segmenter=PlaneSegmenter())
     assert len(run.result.poses) >= 0.95 * len(log)
     mine, other = metrics.match_stamps(run.result.stamps_s, log.stamps_s)

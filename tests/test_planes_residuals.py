@@ -15,7 +15,7 @@ ITERATIONS = 64
 
 def mapped(seed: int) -> tuple[Building, PlaneMapper]:
     """Map a building from clouds, or if there is a seed from laser scans."""
-    sampling = {"points": 361, "sampling": "laser"} if seed else {"points": 400}
+    sampling = {"points": 361, "sampling": "laser"} if seed else {"points": 250}
     building = simulate_building(sigma=0.05, seed=seed, iterations=ITERATIONS, **sampling)
     mapper = finished(
         PlaneMapper(segmenter=PlaneSegmenter()),

@@ -111,7 +111,7 @@ def test_verdict_on_the_corner_test_is_that_of_all_pairs() -> None:
 @pytest.fixture(scope="module")
 def bench() -> BenchRecorder:
     """A recorder after 40 scans of a building."""
-    building = simulate_building(points=800, sigma=0.02, iterations=40, seed=3)
+    building = simulate_building(points=400, sigma=0.02, iterations=40, seed=3)
     truth = truth_of(building)
     mapper, segmenter = PlaneMapper(), PlaneSegmenter()
     recorder = BenchRecorder(mapper, segmenter, truth, every=frame_step(40, 8))
@@ -163,7 +163,7 @@ def test_links_tie_the_middles_of_walls(bench: BenchRecorder) -> None:
 def test_rows_of_the_bench_hold_every_point_and_wall(bench: BenchRecorder) -> None:
     last = last_frame(bench)
     whats = [row[0] for row in last.rows()]
-    assert whats.count("point (robot)") == len(last.points_robot) == 800
+    assert whats.count("point (robot)") == len(last.points_robot) == 400
     assert whats.count("wall") == len(last.walls)
     assert whats.count("true wall") == len(last.true_walls)
     assert whats.count("pose") == len(last.path)
@@ -172,7 +172,7 @@ def test_rows_of_the_bench_hold_every_point_and_wall(bench: BenchRecorder) -> No
 def test_bench_has_the_four_panels_of_the_paper(bench: BenchRecorder) -> None:
     titles = [axes.get_title() for axes in plot_bench(last_frame(bench)).axes]
     assert titles[0] == "mapped walls over the true ones"
-    assert titles[1] == "what the robot sees: 800 points"
+    assert titles[1] == "what the robot sees: 400 points"
     assert titles[2] == f"segmented: {len(last_frame(bench).ends_robot)} planes"
     assert titles[3] == "the map with group connectivity"
 

@@ -25,21 +25,31 @@ def own_names(node: ast.ClassDef) -> set[str]:
             found.add(child.name)
         elif isinstance(child, ast.Name) and isinstance(child.ctx, ast.Store):
             found.add(child.id)
-        elif isinstance(child, ast.Attribute) and ast.unparse(child) == f"self.{child.attr}":
+        elif isinstance(child, ast.Attribute) and is_of(child, "self"):
             found.update([child.attr] if isinstance(child.ctx, ast.Store) else [])
     return found
+
+
+def is_of(node: ast.Attribute, *names: str) -> bool:
+    return isinstance(node.value, ast.Name) and node.value.id in names
+
+
+def called(node: ast.Call) -> str:
+    """Return the last name of what is called; none if it has no name."""
+    if isinstance(node.func, ast.Attribute):
+        return node.func.attr
+    return node.func.id if isinstance(node.func, ast.Name) else ""
 
 
 def privates_read(node: ast.AST, own: frozenset[str] = frozenset()) -> Iterator[str]:
     """Yield the private attributes and imports in a source that are of another class or module."""
     for child in ast.iter_child_nodes(node):
         if isinstance(child, ast.Attribute) and is_private(child.attr):
-            of_itself = isinstance(child.value, ast.Name) and child.value.id in ("self", "cls")
-            if not of_itself and child.attr not in own:
+            if not is_of(child, "self", "cls") and child.attr not in own:
                 yield ast.unparse(child)
         elif isinstance(child, ast.ImportFrom):
             yield from (alias.name for alias in child.names if is_private(alias.name))
-        elif isinstance(child, ast.Call) and ast.unparse(child.func).endswith("etattr"):
+        elif isinstance(child, ast.Call) and called(child).endswith("etattr"):
             texts = [arg.value for arg in child.args if isinstance(arg, ast.Constant)]
             names = [text.rpartition(".")[2] for text in texts if isinstance(text, str)]
             yield from (name for name in names if is_private(name))

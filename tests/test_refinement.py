@@ -204,7 +204,7 @@ def deviations_by_qr(world: Walk, sigma: float) -> Points:
     return np.asarray(sigma * np.sqrt(squares.mean(axis=1)))
 
 
-@pytest.mark.parametrize(("d", "length"), [(2, 400), (3, 150)])
+@pytest.mark.parametrize(("d", "length"), [(2, 300), (3, 150)])
 def test_how_sure_the_end_of_a_long_corridor_is(d: int, length: int) -> None:
     world = corridor(d, length)
     found = refined(noisy(world, 0.02, 0), world.landmarks)

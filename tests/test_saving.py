@@ -67,7 +67,7 @@ def test_the_live_refinement_goes_on(tmp_path: Path) -> None:
 
 
 def test_walls_go_on_too(tmp_path: Path) -> None:
-    scans = [scan.seen for scan in simulate_building(seed=0, points=20).scans][:90]
+    scans = [scan.seen for scan in simulate_building(seed=0, points=20, iterations=90).scans]
     plain, saved = PlaneMapper(), PlaneMapper(segmenter=PlaneSegmenter())
     for k, scan in enumerate(scans):
         if k in (0, 40, 41):

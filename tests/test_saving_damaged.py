@@ -140,9 +140,9 @@ def test_flipped_bytes_anywhere_give_one_line_or_the_same_map(tmp_path: Path) ->
         heads = [member.header_offset for member in archive.infolist()]
         directory = archive.start_dir
     at = [
-        *rng.integers(len(data), size=300),
-        *(np.repeat(rng.choice(heads, 30), 10) + rng.integers(200, size=300)),
-        *rng.integers(directory, len(data), size=400),
+        *rng.integers(len(data), size=150),
+        *(np.repeat(rng.choice(heads, 30), 5) + rng.integers(200, size=150)),
+        *rng.integers(directory, len(data), size=200),
     ]
     n_told = 0
     for k in at:
@@ -156,7 +156,7 @@ def test_flipped_bytes_anywhere_give_one_line_or_the_same_map(tmp_path: Path) ->
             said = str(error)
             assert "\n" not in said
             assert str(path) in said
-    assert n_told > 500
+    assert n_told > 250
 
 
 @pytest.mark.parametrize(

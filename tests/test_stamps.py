@@ -24,7 +24,7 @@ AnyKind = type[PointMapper] | type[PlaneMapper]
 
 def scans_for(kind: AnyKind) -> list[Any]:
     if kind is PlaneMapper:
-        return [scan.seen for scan in simulate_building(seed=0, points=20).scans][:N]
+        return [scan.seen for scan in simulate_building(seed=0, points=20, iterations=N).scans]
     return [scan.points_robot for scan in simulate_figure_eight(iterations=N).log.scans()]
 
 

@@ -52,7 +52,7 @@ def test_impossible_walls_change_nothing(planes: Any, named: str, tmp_path: Path
 
 
 def test_walls_in_any_array_and_gaps_in_seeing_them() -> None:
-    scans = [scan.seen for scan in simulate_building(seed=0, points=20).scans][:60]
+    scans = [scan.seen for scan in simulate_building(seed=0, points=20, iterations=60).scans]
     plain, tried = PlaneMapper(), PlaneMapper()
     for k, scan in enumerate(scans):
         ends: Any = [scan.ends.tolist(), np.asfortranarray(scan.ends), scan.ends][k % 3]

@@ -9,9 +9,11 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from joblib.externals.loky import get_reusable_executor
 
 from relmap.cli import main
 from relmap.comparison import sweep as sweep_module
@@ -57,59 +59,56 @@ def expected() -> str:
     return accuracy_csv(cells, [run_cell(cell) for cell in cells])
 
 
-def sweep(
-    spec: Path, out: Path, env: dict[str, str], *more: str, begin: str = ""
-) -> subprocess.Popen[str]:
-    """Sweep in a separate process, which first executes some code."""
-    code = f"{begin}\nimport sys\nfrom relmap.cli import main\nsys.exit(main(sys.argv[1:]))"
-    return subprocess.Popen(
-        [sys.executable, "-c", code, "sweep", str(spec), "-o", str(out), *more],
-        env=env,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-
-
-CTRL_C_AFTER_3 = """
-import os, signal
-from relmap.comparison.sweep import CellStore
-save, saved = CellStore.save, []
-def counted(*cell):
-    save(*cell)
-    saved.append(cell)
-    if len(saved) == 3:
-        os.kill(os.getpid(), signal.SIGINT)
-CellStore.save = counted
-"""
-
-
 def finished_cells(out: Path) -> dict[str, int]:
     return {path.name: path.stat().st_mtime_ns for path in (out / "cells").glob("*.json")}
 
 
+def press_ctrl_c_after_3(patch: pytest.MonkeyPatch) -> None:
+    save, saved = CellStore.save, list[Cell]()
+
+    def counted(store: CellStore, cell: Cell, finished: Finished) -> None:
+        save(store, cell, finished)
+        saved.append(cell)
+        if len(saved) == 3:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    patch.setattr(CellStore, "save", counted)
+
+
+@pytest.fixture
+def workers_end() -> Iterator[None]:
+    """End the workers of joblib after the test: they would wait for more work."""
+    yield
+    get_reusable_executor().shutdown()
+
+
+@pytest.mark.usefixtures("workers_end")
 def test_goes_on_after_an_interruption(
-    spec: Path, tmp_path: Path, expected: str, child_env: dict[str, str]
+    spec: Path,
+    tmp_path: Path,
+    expected: str,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Begun with one worker, ended with two: the same table as in one process."""
+    """Begun in this process, ended by two workers: the same table as in one process."""
     out = tmp_path / "out"
-    run = sweep(spec, out, child_env, "--workers", "1", begin=CTRL_C_AFTER_3)
-    _, complained = run.communicate(timeout=PATIENCE_S)
+    with pytest.MonkeyPatch.context() as patch:
+        press_ctrl_c_after_3(patch)
+        code = main(["sweep", str(spec), "-o", str(out), "--workers", "1"])
+    complained = capsys.readouterr().err
     before = finished_cells(out)
-    assert run.returncode == 130, complained
+    assert code == 130, complained
     assert 3 <= len(before) < N
     assert "the same command continues with the others" in complained
     assert "Traceback" not in complained
     assert not (out / "sweep.csv").exists()
-    run = sweep(spec, out, child_env, "--workers", "2")
-    printed, complained = run.communicate(timeout=PATIENCE_S)
-    assert run.returncode == 0, complained
-    assert f"{len(before)} of {N} cells were finished before" in complained
+    assert main(["sweep", str(spec), "-o", str(out), "--workers", "2"]) == 0
+    printed = capsys.readouterr()
+    assert f"{len(before)} of {N} cells were finished before" in printed.err
     after = finished_cells(out)
     assert len(after) == N
     assert {name: after[name] for name in before} == before
     assert (out / "sweep.csv").read_text() == expected
-    lines = printed.splitlines()
+    lines = printed.out.splitlines()
     assert lines[0] == "medians over the seeds"
     assert lines[1].split()[:3] == ["method", "sigma", "RMSE"]
     assert len(lines) == 3 + 4 + 1
@@ -230,7 +229,11 @@ def test_a_killed_worker_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @NEEDS_DASK
 def test_on_a_cluster_that_loses_a_worker(
-    spec: Path, tmp_path: Path, expected: str, child_env: dict[str, str]
+    spec: Path,
+    tmp_path: Path,
+    expected: str,
+    child_env: dict[str, str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """A scheduler and two workers on loopback; one of them is killed in the middle."""
     from distributed import Client
@@ -248,18 +251,22 @@ def test_on_a_cluster_that_loses_a_worker(
         ]
         with Client(at, set_as_default=False) as client:
             client.wait_for_workers(2, timeout=PATIENCE_S)
-        patient = f"from relmap.comparison import sweep; sweep.PATIENCE_S = {PATIENCE_S}"
-        run = sweep(spec, tmp_path / "out", child_env, "--dask", at, begin=patient)
-        while len(finished_cells(tmp_path / "out")) < 2 and run.poll() is None:
-            time.sleep(0.02)
-        assert workers[0].poll() is None
-        workers[0].kill()
-        _, complained = run.communicate(timeout=PATIENCE_S)
+        save = CellStore.save
+
+        def saved(store: CellStore, cell: Cell, finished: Finished) -> None:
+            save(store, cell, finished)
+            if len(finished_cells(tmp_path / "out")) == 2:
+                assert workers[0].poll() is None
+                workers[0].kill()
+
+        monkeypatch.setattr(CellStore, "save", saved)
+        monkeypatch.setattr(sweep_module, "PATIENCE_S", PATIENCE_S)
+        assert main(["sweep", str(spec), "-o", str(tmp_path / "out"), "--dask", at]) == 0
+        assert workers[0].poll() == -signal.SIGKILL
     finally:
         for process in (*workers, scheduler):
             process.kill()
             process.wait()
-    assert run.returncode == 0, complained
     assert len(finished_cells(tmp_path / "out")) == N
     assert (tmp_path / "out" / "sweep.csv").read_text() == expected
 

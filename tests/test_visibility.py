@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -78,23 +80,22 @@ def test_an_empty_world_shows_nothing() -> None:
     assert len(look().wall) == 0
 
 
-def random_views(count: int, most_deg: float = 90) -> list[tuple[Floats, float, float]]:
-    """Return walls in the frame of robots on random places of random worlds, range, half view."""
-    views = []
+@cache
+def random_view(seed: int, most_deg: float) -> tuple[Floats, float, float]:
+    """Return walls in the frame of a robot on a random place of a world, range and half view."""
     worlds: tuple[World, ...] = ("building", "panels")
-    for seed in range(count):
-        rng = np.random.default_rng(1000 + seed)
-        plan = make_floor_plan(worlds[seed % 2], rng)
-        R = turn(rng.uniform(-np.pi, np.pi))
-        floor = plan.floors[rng.integers(len(plan.floors))]
-        ends = plan.walls[:, :4].reshape(-1, 2, 2) - rng.uniform(floor[:2], floor[2:])
-        views.append((ends @ R, rng.uniform(4, 12), np.deg2rad(rng.uniform(25, most_deg))))
-    return views
+    rng = np.random.default_rng(1000 + seed)
+    plan = make_floor_plan(worlds[seed % 2], rng)
+    R = turn(rng.uniform(-np.pi, np.pi))
+    floor = plan.floors[rng.integers(len(plan.floors))]
+    ends = plan.walls[:, :4].reshape(-1, 2, 2) - rng.uniform(floor[:2], floor[2:])
+    return ends @ R, rng.uniform(4, 12), np.deg2rad(rng.uniform(25, most_deg))
 
 
-@pytest.mark.parametrize("view", random_views(12) + random_views(12, 179))
-def test_ray_casting_meets_the_same_walls(view: tuple[Floats, float, float]) -> None:
-    ends, range_m, half_view = view
+@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("most_deg", [90, 179])
+def test_ray_casting_meets_the_same_walls(seed: int, most_deg: float) -> None:
+    ends, range_m, half_view = random_view(seed, most_deg)
     seen = seen_walls(ends, range_m, half_view)
     limits = bearings(seen)
     assert (limits[:, 0] < limits[:, 1]).all()
@@ -112,9 +113,10 @@ def test_ray_casting_meets_the_same_walls(view: tuple[Floats, float, float]) -> 
             assert abs(off) < 1e-9
 
 
-@pytest.mark.parametrize("view", random_views(30) + random_views(30, 179))
-def test_ends_are_what_they_are_called(view: tuple[Floats, float, float]) -> None:
-    ends, range_m, half_view = view
+@pytest.mark.parametrize("seed", range(30))
+@pytest.mark.parametrize("most_deg", [90, 179])
+def test_ends_are_what_they_are_called(seed: int, most_deg: float) -> None:
+    ends, range_m, half_view = random_view(seed, most_deg)
     seen = seen_walls(ends, range_m, half_view)
     for wall, pair, types in zip(seen.wall, seen.ends, seen.end_type, strict=True):
         for side, (point, kind) in enumerate(zip(pair, types, strict=True)):

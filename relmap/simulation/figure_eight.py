@@ -8,6 +8,7 @@ start only after the whole loop.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -167,15 +168,21 @@ def _path(phase: Floats, half_size_m: float) -> Floats:
     return np.column_stack([x, y, z])
 
 
-def _frames(length_m: Floats) -> Floats:
-    """Return the poses (k, 4, 4) at path lengths (k,): x ahead along the path, gently rolling."""
+@cache
+def _loop() -> tuple[float, Floats, Floats]:
+    """Return the half size of the loop, phases around it (n,), and the lengths (n,) up to them."""
     phase = np.linspace(0, 2 * np.pi, 20_001)
     half_size_m, high = 1.0, LOOP_LENGTH_M
     for _ in range(60):
         middle = (half_size_m + high) / 2
         short = lengths_along(_path(phase, middle))[-1] < LOOP_LENGTH_M
         half_size_m, high = (middle, high) if short else (half_size_m, middle)
-    lengths = lengths_along(_path(phase, half_size_m))
+    return half_size_m, phase, lengths_along(_path(phase, half_size_m))
+
+
+def _frames(length_m: Floats) -> Floats:
+    """Return the poses (k, 4, 4) at path lengths (k,): x ahead along the path, gently rolling."""
+    half_size_m, phase, lengths = _loop()
     at = np.interp(length_m % LOOP_LENGTH_M, lengths, phase)
     step = 1e-5
     ahead = _path(at + step, half_size_m) - _path(at - step, half_size_m)
