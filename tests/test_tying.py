@@ -69,7 +69,7 @@ def test_many_submaps_of_one_place_become_one(d: int) -> None:
     assert aligned_rmse(global_map.table.position[left], world[left % len(world)]) < 0.05
 
 
-@settings(max_examples=10)
+@settings(max_examples=4)
 @given(seeds, dimensions)
 def test_different_places_stay_apart(seed: int, d: int) -> None:
     rng = np.random.default_rng(seed)
