@@ -163,6 +163,20 @@ def test_a_stretch_of_odometry_stuck_at_zero_is_left_out(stuck: slice) -> None:
     assert rmse_m(run, mapper.map.positions, np.array(of)) < 0.1
 
 
+def test_a_leap_of_odometry_in_a_gap_is_left_out() -> None:
+    run, gap = world(2 * SPARSE, 250), 125
+    motions = odometry_of(run, 0)
+    motions[gap, 0, 3] += 60.0
+    mapper, labels = mapped(run, motions, known=False)
+    now, true = mapper.landmarks_of(labels), run.log.ids
+    assert true is not None
+    of = [np.bincount(true[now == landmark]).argmax() for landmark in mapper.map.landmark_ids]
+    assert mapper.odometry is not None
+    assert gap in mapper.odometry.hanging
+    assert mapper.odometry.left_out.tolist() == [gap]
+    assert rmse_m(run, mapper.map.positions, np.array(of)) < 0.1
+
+
 def test_slips_are_named_where_landmarks_show_them() -> None:
     run = world(DENSE, 200)
     motions = odometry_of(run, 0)

@@ -24,6 +24,8 @@ SLIPPED = 6.0
 """Standard deviations beyond which a step of odometry is wrong."""
 WRONG_SCALE, WRONG_WAY = 0.3, 0.5
 """Error of the scale, and noise relative to the distance, beyond which odometry is rejected."""
+LEAP, USUALLY = 10.0, 0.9
+"""A step that is so many times longer than this fraction of the steps is a fault of odometry."""
 STILL_M = 1e-3
 """Distance below which the robot stands still."""
 FLOOR_M, FLOOR_RAD = 1e-4, 1e-5
@@ -51,7 +53,7 @@ class MotionNoise:
     @property
     def is_wrong(self) -> bool:
         """Whether it is rejected as a whole: of another robot, or another time."""
-        return abs(self.scale - 1) > WRONG_SCALE or self.sigma_way > WRONG_WAY or self.misses
+        return bool(abs(self.scale - 1) > WRONG_SCALE or self.sigma_way > WRONG_WAY or self.misses)
 
     def corrected(self, odometry: Floats) -> Floats:
         """Return motions (k, 4, 4) without the constant errors."""
@@ -87,10 +89,13 @@ def motion_noise(
 ) -> MotionNoise | None:
     """Return errors and noise of odometry from more accurate motions; None if there are too few.
 
+    Leaps of odometry do not count: as the longest steps they would determine the scale.
+
     `odometry`, `measured` (k, 4, 4): pose of the robot in its previous frame; NaN if unknown.
     `constant`: the constant errors, if known from longer motions.
     """
     both = np.isfinite(odometry[:, 0, 0]) & np.isfinite(measured[:, 0, 0])
+    both &= ~leaps(odometry, both)
     if both.sum() < FEWEST:
         return None
     odometry, measured = odometry[both], measured[both]
@@ -105,6 +110,17 @@ def motion_noise(
     off_m = NORMAL * np.median(off[goes] / way[goes, None]) if goes.any() else 0.0
     sigma_rad = NORMAL * float(np.median(rad)) / (1.0 if axes == 2 else np.sqrt(3))
     return MotionNoise(scale, per_m, float(off_m), max(still_m, FLOOR_M), max(sigma_rad, FLOOR_RAD))
+
+
+def leaps(odometry: Floats, usual: Bools) -> Bools:
+    """Return which motions (k, 4, 4) are `LEAP` times longer than most, as if encoders were reset.
+
+    `usual` (k,): which motions count as usual.
+    """
+    way = np.linalg.norm(odometry[:, :3, 3], axis=1)
+    if not usual.any():
+        return np.zeros(len(way), dtype=np.bool_)
+    return np.asarray(way > LEAP * max(float(np.quantile(way[usual], USUALLY)), STILL_M))
 
 
 def missing_way(odometry: Floats, measured: Floats, sd_m: Floats) -> Bools:

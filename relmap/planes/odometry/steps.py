@@ -184,12 +184,12 @@ def constant_errors(steps: Floats, true: Floats) -> MotionNoise | None:
     """Return the constant errors of steps (k, 4, 4) with measured motions (k, 4, 4).
 
     They are compared over paths of `WAY_M`: jitter lengthens single steps, which biases the scale.
-    Without paths with a leap, which would decide alone. None if the whole path is too short.
+    None if the whole path is too short.
     """
-    given, measured = stretches(steps, true, np.linalg.norm(steps[:, :2, 3], axis=1), WAY_M)
-    is_usual = np.linalg.norm(given[:, :2, 3], axis=1) < 2 * WAY_M
-    whole_m = np.linalg.norm(steps[:, :2, 3], axis=1).sum()
-    return motion_noise(given[is_usual], measured[is_usual]) if whole_m >= APART * WAY_M else None
+    way_m = np.linalg.norm(steps[:, :2, 3], axis=1)
+    if way_m.sum() < APART * WAY_M:
+        return None
+    return motion_noise(*stretches(steps, true, way_m, WAY_M))
 
 
 def stretches(steps: Floats, true: Floats, way_m: Floats, length_m: float) -> tuple[Floats, Floats]:

@@ -12,6 +12,7 @@ from relmap.core.geometry.alignment import sums_each
 from relmap.core.map.pose import trajectory
 from relmap.core.motion_noise import (
     MotionNoise,
+    leaps,
     misses_most,
     missing_turn,
     missing_way,
@@ -113,14 +114,16 @@ def noise_of(
 ) -> tuple[MotionNoise, Bools, Bools]:
     """Return the noise of odometry, estimated from landmarks, and which steps (k,) are wrong.
 
-    Those that contradict landmarks given its noise, and those that miss most of the motion. The
-    noise is estimated over whole segments, where that of the landmarks has less influence.
+    Those that contradict landmarks given its noise, and leaps and those that miss most of the
+    motion. The noise is estimated over whole segments, where that of the landmarks has less
+    influence.
     """
     sure = _is_sure(odometry, measured.sd_m**2)
     compared = np.where(sure[:, None, None], measured.motion, np.nan)
     single = motion_noise(odometry, compared) or MotionNoise()
     slipped = single.slipped(odometry, measured.motion, measured.sd_m, measured.sd_rad)
     misses, missed = _missed(single.corrected(odometry), measured, slipped, rows)
+    missed |= leaps(odometry, np.isfinite(odometry[:, 0, 0]))
     without_slips = odometry.copy()
     without_slips[slipped] = np.nan
     composed, seen, steps = _stretches(without_slips, rows)
