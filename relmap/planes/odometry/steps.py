@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.core.motion_noise import STILL_M, MotionNoise, motion_noise
+from relmap.core.motion_noise import STILL_M, MotionNoise, leaps, motion_noise
 from relmap.core.refinement.schur import Linearised
 from relmap.planes.motions import from_matrices, matrices, wrapped
 
@@ -183,9 +183,11 @@ def _compared(
 def constant_errors(steps: Floats, true: Floats) -> MotionNoise | None:
     """Return the constant errors of steps (k, 4, 4) with measured motions (k, 4, 4).
 
-    They are compared over paths of `WAY_M`: jitter lengthens single steps, which biases the scale.
-    None if the whole path is too short.
+    They are compared over paths of `WAY_M` without leaps: jitter lengthens single steps, which
+    biases the scale. None if the whole path is too short.
     """
+    is_usual = ~leaps(steps, np.ones(len(steps), dtype=np.bool_))
+    steps, true = steps[is_usual], true[is_usual]
     way_m = np.linalg.norm(steps[:, :2, 3], axis=1)
     if way_m.sum() < APART * WAY_M:
         return None
