@@ -153,11 +153,16 @@ def broken(summary: dict[str, Any]) -> str:
     if len(submaps) < 2:
         return ""
     scans, metres = submaps[0]["scans"], submaps[0]["metres"]
-    largest = f"{scans} scan{'' if scans == 1 else 's'} and {metres:.1f} m"
+    largest = f"{counted(scans)} and {metres:.1f} m"
     parts = f"; the run broke into {len(submaps)} submaps"
     if not summary["counts"]["planes_static"]:
         return f"{parts}, the largest of {largest}"
     return f"{parts}: the largest, of {largest}, is the map"
+
+
+def counted(scans: int) -> str:
+    """Return a number of scans as part of a message."""
+    return f"{scans} scan{'' if scans == 1 else 's'}"
 
 
 def overlaps_little(summary: dict[str, Any]) -> bool:
@@ -200,8 +205,9 @@ def on_odometry(odometry: dict[str, Any] | None) -> str:
     if odometry["wrong_throughout"]:
         return "; odometry contradicts the observations and was not used"
     alone, left_out = (odometry[key]["count"] for key in ("tied_by_it_alone", "left_out"))
-    message = f"; {alone} scans are linked by odometry alone" if alone else ""
-    message += f"; odometry was rejected at {left_out} scans" if left_out else ""
+    linked = "is" if alone == 1 else "are"
+    message = f"; {counted(alone)} {linked} linked by odometry alone" if alone else ""
+    message += f"; odometry was rejected at {counted(left_out)}" if left_out else ""
     worst_m = odometry["largest_sd_m"]
     if alone and worst_m is not None:
         message += f"; the least certain landmark has a standard deviation of {worst_m:.2g} m"
