@@ -71,8 +71,9 @@ def test_a_log_without_vertices_gives_the_pose_of_its_scans(tmp_path: Path) -> N
     ("old", "new", "expected"),
     [
         ("3.5 81.91 1", "3.5 1", "line 4: 'FLASER 2 3.5 1 2 0.5 1 2', expected FLASER n r1"),
-        ("3.5", "nan", "line 4"),
-        ("3.5", "inf", "line 4"),
+        ("3.5", "nan", "'nan', expected FLASER n r1..rn"),
+        ("3.5", "nan", "a beam without a return has the range 0 or the maximum range"),
+        ("3.5", "inf", "a beam without a return has the range 0"),
         ("3.5", "3_5", "line 4: '3_5', expected FLASER"),
         ("3.5", "x", "line 4"),
         ("3.5", "1e10", "line 4: the range of beam 0"),

@@ -10,7 +10,7 @@ import pytest
 
 from relmap.core.arrays import Floats
 from relmap.datasets import ScanLog, laser, open_scans
-from relmap.datasets.laser import on_robot
+from relmap.datasets.laser import on_robot, usable_beams
 from tests.logs import put
 from tests.scanlogs import npz
 
@@ -55,6 +55,48 @@ def test_beams_at_the_largest_range_did_not_return(
     assert log.sensor.range_m == pytest.approx(REACH_M, rel=1e-3)
     (message,) = caplog.messages
     assert message.endswith("end at the largest range, 5 m, and are treated as no return")
+
+
+@pytest.mark.parametrize("written", [scans_npz, carmen_log])
+@pytest.mark.parametrize("sd_m", [0.005, 0.02])
+def test_the_range_of_beams_without_a_return_may_vary(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, written: object, sd_m: float
+) -> None:
+    assert callable(written)
+    rng = np.random.default_rng(0)
+    true = [hall(step) for step in range(40)]
+    none_m = [REACH_M + rng.normal(0, sd_m, 180).round(3) for _ in true]
+    log = written(
+        tmp_path, [np.where(r < REACH_M, r, none) for r, none in zip(true, none_m, strict=True)]
+    )
+    for scan, ranges in zip(log.scans(), true, strict=True):
+        assert len(scan.points_robot) == pytest.approx(np.sum(ranges < REACH_M), abs=6)
+    assert REACH_M - 5 * sd_m < log.sensor.range_m < REACH_M - 2 * sd_m
+    (message,) = caplog.messages
+    assert "m before it, and are treated as no return" in message
+
+
+@pytest.mark.parametrize("around_rad", [0.3, np.pi])
+def test_a_wall_at_the_largest_range_keeps_its_beams(tmp_path: Path, around_rad: float) -> None:
+    """A sensor with a narrow view follows a wall, or one drives across a round room."""
+    rng = np.random.default_rng(0)
+    bearings = np.linspace(-around_rad / 2, around_rad / 2, 180)
+    scans = []
+    for step in np.linspace(-1, 1, 40):
+        across = step * np.sin(bearings)
+        round_m = np.sqrt(REACH_M**2 - step**2 + across**2) - step * np.cos(bearings)
+        ranges = round_m if around_rad == np.pi else 3 / np.cos(bearings)
+        scans.append(np.asarray(ranges + rng.normal(0, 0.01, 180)))
+    kept = usable_beams(tmp_path / "a.log", scans, [bearings] * 40)[0]
+    assert all(beams.all() for beams in kept)
+
+
+def test_points_at_the_origin_did_not_return(tmp_path: Path) -> None:
+    scans = [hall(step) for step in range(10)]
+    for ranges in scans:
+        ranges[40:60] = 0.0
+    log = scans_npz(tmp_path, scans)
+    assert {len(scan.points_robot) for scan in log.scans()} == {160}
 
 
 @pytest.mark.parametrize("written", [scans_npz, carmen_log])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from relmap import PlaneMapper, RelmapError
 from relmap.cli import main
 from relmap.core.arrays import Floats
 from relmap.core.geometry.alignment import fit_rigid
-from relmap.datasets import write_scans_npz
+from relmap.datasets import open_scans, write_scans_npz
 from relmap.datasets.scans import ScanLog, SensorView
 from relmap.evaluation.feeding import feed, preparation
 from relmap.evaluation.sources import log_of
@@ -21,7 +22,7 @@ from relmap.planes.places.taking_up import WallFinder
 from relmap.planes.scans.observation import checked_planes
 from relmap.points import PointMapper
 from relmap.simulation import Building, simulate_building
-from relmap.simulation.visibility import seen_walls
+from relmap.simulation.visibility import SeenWalls, seen_walls
 from tests.commands import load, unrendered
 from tests.everyformat import Mapped
 from tests.worlds import turn
@@ -61,6 +62,21 @@ def test_a_scan_that_fits_in_two_places_or_none_is_refused(walls: Floats, n_plac
     place = place_in(walls, ROOM, 1.5, 1.0, 0.4)
     assert place.n_places == n_places
     assert np.isnan(place.T_map_robot).all()
+
+
+def test_a_scan_larger_than_the_map_is_not_aligned(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr("relmap.planes.places.taking_up.wall_ties")
+    assert place_in(ROOM, 3.0 * ROOM, 4.5, 3.0, 0.4).n_places == 0
+
+
+def test_walls_that_no_laser_sees_are_not_compared() -> None:
+    seen = seen_walls(ROOM - [1.5, 1.0], 8.0, 3.0)
+    far = np.array([[[1e5, -0.2], [1e5, 0.2]]])
+    ends, end_type = np.concatenate([seen.ends, far]), np.append(seen.end_type, [["view"] * 2], 0)
+    step = np.linspace(0.0, 1.0, 60)[:, None]
+    beams = np.concatenate([a + step * (b - a) for a, b in ends])
+    walls = SeenWalls(np.append(seen.wall, 9), ends, end_type)
+    assert WallFinder(ROOM).find(checked_planes(walls, beams)).n_places == 1
 
 
 def test_along_a_bare_corridor_a_scan_may_be_anywhere() -> None:
@@ -225,6 +241,32 @@ def test_a_map_of_places_that_look_alike_is_warned_of(
     printed = capsys.readouterr().out
     assert printed.startswith(f"found {found} of 4 scans in the map; {4 - found} fit in more than ")
     assert ("WARNING: more scans fit in several places" in printed) == warned
+
+
+@pytest.mark.parametrize(("scale", "away"), [(1, ""), (100, r"\d{3}"), (0.01, r"0.0\d")])
+@unrendered()
+def test_scans_in_other_units_than_the_map_are_named(
+    part: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], scale: float, away: str
+) -> None:
+    log = open_scans(part / "scans.npz").between(0, 3)
+    points = [scale * scan.points_robot for scan in log.scans()]
+    write_scans_npz(tmp_path / "scans.npz", points, np.arange(3.0))
+    asked = ["localise", str(tmp_path / "scans.npz"), "--map", str(part / "part")]
+    assert main([*asked, "-o", str(tmp_path / "where")]) == 0
+    said = capsys.readouterr().out
+    assert said.startswith("found 0 of 3 scans in the map") == bool(away)
+    told = re.search(rf"Half of the points of a scan are more than {away}[\d.]* m away", said)
+    assert ("in metres" in said) == bool(away) == (told is not None)
+
+
+def test_no_scan_is_looked_for_in_a_map_without_a_wall(
+    part: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    PlaneMapper().save(tmp_path / "mapper.npz")
+    asked = ["localise", str(part / "scans.npz"), "--map", str(tmp_path)]
+    assert main([*asked, "-o", str(tmp_path / "where")]) == 2
+    assert "the map has no wall" in capsys.readouterr().err
+    assert not (tmp_path / "where").exists()
 
 
 def test_what_was_saved_is_loaded_whatever_its_variant(mapped: Mapped) -> None:

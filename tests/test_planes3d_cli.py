@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 from relmap.cli import main
-from relmap.datasets import open_scans
+from relmap.datasets import open_scans, write_scans_npz
 from relmap.datasets.trajectories import read_trajectory
+from relmap.evaluation.summary import steps_of
 from relmap.io.files import read_tum
 from relmap.planes3d.files import COLUMNS
 from tests.commands import RESULT_FILES, load, names, run_relmap, table
@@ -91,6 +92,27 @@ def test_a_broken_run_says_so_with_advice(
     assert "broke into 2 submaps" in said
     assert f"shorter steps (here {summary['steps']['median_m']:.2f} m" in said
     assert "odometry" not in said
+
+
+def test_scans_of_the_ground_alone_say_what_they_lack(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rng = np.random.default_rng(0)
+    clouds = [np.append(rng.uniform(-9, 9, (2000, 2)), np.full((2000, 1), -1.2), 1)] * 6
+    write_scans_npz(tmp_path / "scans.npz", clouds, np.arange(6.0))
+    run_relmap("map", tmp_path, "-o", tmp_path / "map", "--variant", "planes3d")
+    said = capsys.readouterr().out
+    assert "0 planes mapped in 6 iterations" in said
+    assert "no two scans could be connected: they must show planes of three directions" in said
+    assert "1 scans" not in said
+
+
+def test_undetermined_steps_do_not_count_as_usual_ones() -> None:
+    poses = np.tile(np.eye(4), (5, 1, 1))
+    poses[:, 0, 3] = [0.0, 0.3, 145.3, 290.3, 435.3]
+    path = [(poses, np.arange(7, 12))]
+    assert steps_of(path, np.array([9, 10, 11]))["median_m"] == pytest.approx(0.3)
+    assert steps_of(path, np.arange(8, 12))["median_m"] is None
 
 
 def test_mesh_holds_polygons_on_the_planes(storey: Path) -> None:

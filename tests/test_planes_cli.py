@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from relmap.cli.outcome import torn
+from relmap.datasets import write_scans_npz
 from relmap.datasets.scans import ScanLog
 from relmap.evaluation import metrics
 from relmap.evaluation.run import run_mapper
@@ -59,8 +60,34 @@ def test_an_empty_map_says_what_is_needed(
     run_relmap("map", building / "world", "-o", tmp_path / "result", *few)
     printed = capsys.readouterr().out
     assert "nothing is mapped: a map needs walls that are seen in at least four scans" in printed
-    assert re.search(r"metres: here the farthest point is [78]\.\d* m away\n", printed)
+    assert "metres" not in printed
     assert "could not be refined" not in printed
+
+
+def test_a_log_of_a_wall_and_a_pole_says_what_is_true(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Steps along the wall are undetermined, and the submap cannot be refined."""
+    rng = np.random.default_rng(0)
+    bearings, scans = np.linspace(-np.pi / 2, np.pi / 2, 181), []
+    for x in np.linspace(-3.0, 3.0, 30):
+        ahead = np.column_stack([np.cos(bearings + 0.15 * x), np.sin(bearings + 0.15 * x)])
+        beside = ahead @ [1 - x, 1.0]
+        with np.errstate(invalid="ignore"):
+            pole_m = beside - np.sqrt(beside**2 - np.hypot(1 - x, 1.0) ** 2 + 0.3**2)
+        wall_m = 3 / np.maximum(ahead[:, 1], 1e-9)
+        range_m = np.fmin(wall_m, np.where(beside > 0, pole_m, np.nan)) + rng.normal(0, 0.01, 181)
+        seen = range_m < 8
+        scans.append((range_m[seen] * [np.cos(bearings[seen]), np.sin(bearings[seen])]).T)
+    write_scans_npz(tmp_path / "scans.npz", scans, np.arange(30.0))
+    run_relmap("map", tmp_path, "-o", tmp_path / "out", "--variant", "planes")
+    summary = load(tmp_path / "out" / "summary.json")
+    assert summary["counts"]["planes_static"] == 0 < len(summary["weak_links"])
+    assert capsys.readouterr().out.endswith(
+        "; nothing is mapped; the only submap could not be refined; steps that the scans do not "
+        f"determine, and that may be wrong: {len(summary['weak_links'])}\n"
+    )
+    assert [submap["refined"] for submap in summary["submaps"]] == [summary["refined"]] == [False]
 
 
 def map_scaled(building: Path, folder: Path, scale: float) -> None:
@@ -132,11 +159,38 @@ def test_first_metres_of_freiburg_079(real_scans: Callable[[str], ScanLog]) -> N
     assert ate_m(run.result.poses[mine], log.poses[other]) <= 0.08
 
 
+def closing(*submaps: tuple[int, bool], walls: int = 9, farthest_m: float = 8.0) -> str:
+    """Return the end of the message about submaps, given their scans and whether refined."""
+    steps = {"median_m": None, "median_deg": None, "view_deg": None}
+    rows = [{"scans": n, "refined": refined, "metres": 1.0} for n, refined in submaps]
+    about = {"submaps": rows, "weak_links": [], "steps": steps, "variant": "planes"}
+    return torn(about | {"counts": {"planes_static": walls}}, farthest_m, refine=True)
+
+
 @pytest.mark.parametrize(("scans", "failed"), [(3, ""), (4, "1 of 2 submaps of four scans")])
 def test_submaps_too_small_for_a_wall_are_not_said_to_fail(scans: int, failed: str) -> None:
-    sizes = {"metres": 1.0, "iterations": 1}
-    submaps = [{"scans": 90, "refined": True, **sizes}, {"scans": scans, "refined": False, **sizes}]
-    about = {"submaps": submaps, "refined": True, "weak_links": [], "steps": {"median_m": None}}
-    message = torn(about, 8.0)
+    message = closing((90, True), (scans, False))
     assert ("could not be refined" in message) == bool(failed)
     assert failed in message
+
+
+def test_an_empty_map_does_not_hide_its_submaps() -> None:
+    assert closing((90, False), walls=0) == (
+        "; nothing is mapped; the only submap could not be refined"
+    )
+    message = closing((1, False), (1, False), walls=0)
+    assert "the run broke into 2 submaps, the largest of 1 scan and 1.0 m. More overlap" in message
+    assert closing((90, True), walls=0).endswith("in at least four scans")
+
+
+@pytest.mark.parametrize(
+    ("walls", "farthest_m", "doubted"),
+    [(0, 0.4, True), (9, 0.4, False), (0, 8.0, False), (0, 800.0, True), (9, 800.0, False)],
+)
+def test_only_implausible_coordinates_are_doubted(
+    walls: int, farthest_m: float, doubted: bool
+) -> None:
+    message = closing((90, True), walls=walls, farthest_m=farthest_m)
+    assert ("Coordinates must be metres" in message) == doubted
+    apart = closing((50, True), (50, True), walls=walls, farthest_m=800.0)
+    assert "Coordinates must be metres" in apart

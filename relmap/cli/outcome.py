@@ -31,6 +31,13 @@ NOTHING = (
     "; nothing is mapped: a map needs landmarks that are seen together in at least four scans, "
     "three in the plane and four in space"
 )
+NO_WALL = ": a map needs walls that are seen in at least four scans"
+UNCONNECTED = (
+    "; no two scans could be connected: they must show planes of three directions, and overlap, so "
+    "shorter steps and turns may help"
+)
+NEAREST_M = 1.0
+"""A scan of walls all of whose points are nearer is hardly in metres."""
 
 
 def report(job: Job) -> None:
@@ -51,7 +58,7 @@ def report(job: Job) -> None:
         message += (
             f"{counts['planes_static']} walls with {counts['corners_static']} corners mapped in "
             f"{iterations} iterations, {each(timing['scan_median_ms'])}{took}{hanging}"
-            f"{(torn if counts['planes_static'] else bare)(summary, farthest(run.result))}"
+            f"{torn(summary, farthest(run.result), job.refine)}"
         )
     else:
         message += (
@@ -89,37 +96,48 @@ def each(median_ms: float | None) -> str:
     return f"median {value:.{digits}f} {unit} each"
 
 
-def torn(summary: dict[str, Any], farthest_m: float) -> str:
-    """Return the submaps of a broken run of walls, and its weak links: the end of a message."""
-    submaps = summary["submaps"]
-    usable = [submap for submap in submaps if submap["scans"] >= FEWEST]
-    failed = sum(not submap["refined"] for submap in usable) if summary["refined"] else 0
-    message = broken(submaps)
+def torn(summary: dict[str, Any], farthest_m: float, refine: bool) -> str:
+    """Return the submaps of a run of walls, and its weak links: the end of a message.
+
+    `farthest_m`: distance of the farthest point of a scan; `refine`: whether to refine was asked.
+    """
+    usable = [submap for submap in summary["submaps"] if submap["scans"] >= FEWEST]
+    failed = sum(not submap["refined"] for submap in usable) if refine else 0
+    message = ""
+    if not summary["counts"]["planes_static"]:
+        message = "; nothing is mapped" + ("" if failed else NO_WALL)
+    message += broken(summary)
     if failed:
-        message += f"; {failed} of {len(usable)} submaps of four scans or more could not be refined"
+        which = "only" if len(summary["submaps"]) == 1 else "largest"
+        several = f"{failed} of {len(usable)} submaps of four scans or more"
+        message += f"; {several if len(usable) > 1 else f'the {which} submap'} could not be refined"
     odometry = summary.get("odometry")
     bridged = odometry["tied_by_it_alone"]["stretches"] if odometry else []
     weak = [k for k in summary["weak_links"] if not any(a <= k <= b for a, b in bridged)]
     if weak:
         message += f"; steps that the scans do not determine, and that may be wrong: {len(weak)}"
-    return message + advice(summary, farthest_m)
+    return message + (unit(summary, farthest_m) or advice(summary))
 
 
 def in_space(summary: dict[str, Any]) -> str:
     """Return the submaps and uncertain scans of a run in space: the end of a message."""
     if not summary["submaps"]:
         return "; no plane was found: the clouds show none, or are not in metres"
+    if len(summary["submaps"]) > 1 and summary["submaps"][0]["scans"] == 1:
+        return UNCONNECTED
     weak = len(summary["weak_links"])
     unsure = f"; scans whose position is poorly determined in some direction: {weak}"
-    return broken(summary["submaps"]) + (unsure if weak else "") + advice(summary)
+    return broken(summary) + (unsure if weak else "") + advice(summary)
 
 
-def bare(summary: dict[str, Any], farthest_m: float) -> str:
-    """Return that no wall is mapped, and the range of the scans: the end of a message."""
-    return (
-        "; nothing is mapped: a map needs walls that are seen in at least four scans, and "
-        f"coordinates in metres: here the farthest point is {round(farthest_m, 2):.9g} m away"
-    ) + (advice(summary) if farthest_m <= BEYOND_M else "")
+def unit(summary: dict[str, Any], farthest_m: float) -> str:
+    """Return that coordinates are hardly in metres, if a map of walls is empty or broken."""
+    empty = not summary["counts"]["planes_static"]
+    small = empty and 0 < farthest_m < NEAREST_M
+    if not small and (farthest_m <= BEYOND_M or not (empty or overlaps_little(summary))):
+        return ""
+    away_m = f"{round(farthest_m, 2):.9g}"
+    return f". Coordinates must be metres: here the farthest point is {away_m} m away"
 
 
 def farthest(result: Result) -> float:
@@ -129,32 +147,43 @@ def farthest(result: Result) -> float:
     return float(np.hypot(*from_scan.T).max(initial=0.0))
 
 
-def broken(submaps: list[dict[str, Any]]) -> str:
+def broken(summary: dict[str, Any]) -> str:
     """Return that a run broke into submaps, as part of a message; nothing if it did not."""
+    submaps = summary["submaps"]
     if len(submaps) < 2:
         return ""
     scans, metres = submaps[0]["scans"], submaps[0]["metres"]
-    return (
-        f"; the run broke into {len(submaps)} submaps: the largest, of {scans} "
-        f"scans and {metres:.1f} m, is the map"
-    )
+    largest = f"{counted(scans)} and {metres:.1f} m"
+    parts = f"; the run broke into {len(submaps)} submaps"
+    if not summary["counts"]["planes_static"]:
+        return f"{parts}, the largest of {largest}"
+    return f"{parts}: the largest, of {largest}, is the map"
 
 
-def advice(summary: dict[str, Any], farthest_m: float = 0.0) -> str:
-    """Return advice for a run that broke into submaps, as the end of a message."""
+def counted(scans: int) -> str:
+    """Return a number of scans as part of a message."""
+    return f"{scans} scan{'' if scans == 1 else 's'}"
+
+
+def overlaps_little(summary: dict[str, Any]) -> bool:
+    """Return whether the largest submap lacks many scans."""
     scans = [submap["scans"] for submap in summary["submaps"]]
-    steps = summary["steps"]
-    if len(scans) < 2 or scans[0] >= WHOLE * sum(scans) or steps["median_m"] is None:
+    return len(scans) > 1 and scans[0] < WHOLE * sum(scans)
+
+
+def advice(summary: dict[str, Any]) -> str:
+    """Return advice for a run that broke into submaps, as the end of a message."""
+    if not overlaps_little(summary):
         return ""
-    if farthest_m > BEYOND_M:
-        return f". Coordinates must be metres: here the farthest point is {farthest_m:.0f} m away"
-    view_deg = steps["view_deg"]
-    view = "" if view_deg is None else f" (here {view_deg:.0f} degrees)"
-    return (
-        f". More overlap between scans helps: shorter steps (here "
-        f"{steps['median_m']:.2f} m and {steps['median_deg']:.0f} degrees in the median) or a "
-        f"wider view{view}"
-    ) + ("; odometry, if available, bridges breaks" if summary["variant"] == "planes" else "")
+    median_m, median_deg, view_deg = (
+        summary["steps"][name] for name in ("median_m", "median_deg", "view_deg")
+    )
+    step, view = "", "" if view_deg is None else f" (here {view_deg:.0f} degrees)"
+    if median_m is not None:
+        step = f" (here {median_m:.2f} m and {median_deg:.0f} degrees in the median)"
+    return (f". More overlap between scans helps: shorter steps{step} or a wider view{view}") + (
+        "; odometry, if available, bridges breaks" if summary["variant"] == "planes" else ""
+    )
 
 
 def doubted(trust: dict[str, Any]) -> str:
@@ -176,8 +205,9 @@ def on_odometry(odometry: dict[str, Any] | None) -> str:
     if odometry["wrong_throughout"]:
         return "; odometry contradicts the observations and was not used"
     alone, left_out = (odometry[key]["count"] for key in ("tied_by_it_alone", "left_out"))
-    message = f"; {alone} scans are linked by odometry alone" if alone else ""
-    message += f"; odometry was rejected at {left_out} scans" if left_out else ""
+    linked = "is" if alone == 1 else "are"
+    message = f"; {counted(alone)} {linked} linked by odometry alone" if alone else ""
+    message += f"; odometry was rejected at {counted(left_out)}" if left_out else ""
     worst_m = odometry["largest_sd_m"]
     if alone and worst_m is not None:
         message += f"; the least certain landmark has a standard deviation of {worst_m:.2g} m"

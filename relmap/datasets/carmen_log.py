@@ -48,6 +48,8 @@ _FORMS = {
     "FLASER": "FLASER n r1..rn x y theta odom_x odom_y odom_theta t host t",
     "ROBOTLASER1": "ROBOTLASER1 7 numbers n r1..rn m v1..vm 11 numbers t host t",
 }
+NO_RETURN = "; a beam without a return has the range 0 or the maximum range of the laser"
+_NOT_FINITE = re.compile(r"[+-]?(nan|inf|infinity)", re.IGNORECASE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,7 +201,8 @@ class _Line:
         if len(values) != count or len(self.cells) != words:
             of_right_length = len(self.cells) == words
             culprits = [cell for cell in cells if not finite_numbers([cell])]
-            raise self.wrong(culprits[:1] if of_right_length and culprits else self.cells)
+            why = NO_RETURN if any(_NOT_FINITE.fullmatch(cell) for cell in culprits[:1]) else ""
+            raise self.wrong(culprits[:1] if of_right_length and culprits else self.cells, why)
         return values
 
     def ranges(self, values: list[float]) -> Floats:

@@ -30,6 +30,12 @@ WIDE_RAD = np.deg2rad(10.0)
 if ranges are rounded to 0.01 m, unless it is less than 2 m away."""
 WIDE_SCANS = 3
 """Minimum number of scans with such beams."""
+JITTER_M = 0.2
+"""Ranges of beams without a return that vary: the median of those this far below the largest range
+is the middle of a peak, ..."""
+PEAK, PEAK_SCANS = 5.0, 0.1
+"""... that holds this many times as many as the same width below it. Minimum fraction of the scans
+with such beams, in sectors wider than any straight wall within the peak."""
 REACH_M, SAME_M = 0.6, 0.1
 """Largest range of the robot's own parts, and by how much it varies: noise, vibration."""
 MOSTLY, SELDOM, CHANGING = 0.9, 0.5, 0.1
@@ -76,7 +82,6 @@ def laser_scans(
     usable, limit_m = usable_beams(path, ranges_m, [scan.bearings_rad for scan in scans], limit_m)
     points = []
     for scan, there in zip(scans, usable, strict=True):
-        there &= scan.ranges_m > 0
         r, (x, y, yaw) = scan.ranges_m[there], scan.T_robot_laser
         angle = scan.bearings_rad[there] + yaw
         points.append(np.column_stack([x + r * np.cos(angle), y + r * np.sin(angle)]))
@@ -108,30 +113,55 @@ def usable_beams(
     limit_m = min(limit_m, no_return_m(path, below_m, bearings_rad))
     known_m = [np.where((r > 0) & (r < limit_m), r, 0.0) for r in ranges_m]
     own = on_robot(path, known_m, bearings_rad)
-    return [(r < limit_m) & ~robot for r, robot in zip(ranges_m, own, strict=True)], limit_m
+    return [(r > 0) & ~robot for r, robot in zip(known_m, own, strict=True)], limit_m
 
 
 def no_return_m(path: Path, ranges_m: list[Floats], bearings_rad: list[Floats]) -> float:
-    """Return the range of beams without a return, infinity if there are none.
+    """Return the range from which beams are without a return, infinity if there are none.
 
-    It is the largest one of a log if in several scans wide sectors have it: no wall looks like this
-    from several places. Parameters as for `usable_beams`.
+    It is the largest one of a log, or the lower end of a narrow peak there, if in several scans
+    wide sectors have it: no wall looks like this from several places. Parameters as for
+    `usable_beams`.
     """
     every = np.concatenate([*ranges_m, np.zeros(1)])
-    least = float(every.max() * (1 - SAME))
-    wide = sum(
-        _widest_rad(ranges >= least, bearings) > WIDE_RAD
-        for ranges, bearings in zip(ranges_m, bearings_rad, strict=True)
-    )
-    if wide < WIDE_SCANS or least <= 0:
-        return np.inf
+    largest_m = float(every.max())
+    for least_m, fewest in (
+        (largest_m * (1 - SAME), WIDE_SCANS),
+        (_peak_m(every), max(WIDE_SCANS, PEAK_SCANS * len(ranges_m))),
+    ):
+        if not 0 < least_m < np.inf:
+            continue
+        straight_rad = 2 * np.arccos(least_m / largest_m)
+        wide = sum(
+            _widest_rad(ranges >= least_m, bearings) > max(WIDE_RAD, straight_rad)
+            for ranges, bearings in zip(ranges_m, bearings_rad, strict=True)
+        )
+        if wide >= fewest:
+            _warn_of_no_return(path, float(np.mean(every[:-1] >= least_m)), least_m, largest_m)
+            return least_m
+    return np.inf
+
+
+def _peak_m(ranges_m: Floats) -> float:
+    """Return the lower end of a narrow peak at the largest range, infinity if there is none."""
+    largest_m = ranges_m.max()
+    middle_m = np.median(ranges_m[ranges_m >= largest_m - JITTER_M])
+    least_m = float((2 * middle_m - largest_m) * (1 - SAME))
+    lower_m = 2 * least_m - largest_m
+    n_below = np.count_nonzero((ranges_m >= lower_m) & (ranges_m < least_m))
+    return least_m if np.count_nonzero(ranges_m >= least_m) >= PEAK * n_below else np.inf
+
+
+def _warn_of_no_return(path: Path, share: float, least_m: float, largest_m: float) -> None:
+    """Warn of the share of beams from the least range up to the largest."""
+    exact = least_m >= largest_m * (1 - SAME)
     _LOG.warning(
-        "%s: %.3g %% of the beams end at the largest range, %.4g m, and are treated as no return",
+        "%s: %.3g %% of the beams end at the largest range, %.4g m, %sand are treated as no return",
         shown(path),
-        100 * np.mean(every[:-1] >= least),
-        every.max(),
+        100 * share,
+        largest_m,
+        "" if exact else f"or at most {largest_m - least_m:.2g} m before it, ",
     )
-    return least
 
 
 def _widest_rad(chosen: Bools, bearings_rad: Floats) -> float:

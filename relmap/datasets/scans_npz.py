@@ -2,9 +2,10 @@
 
 ``points`` (n, 3) or, of a 2-D laser, (n, 2), also with a third column of zeros: metres, in the
 frame of the sensor, which serves as the robot frame. ``iteration`` (n,): the scan of each point,
-from 0; the points of a scan keep their order. ``stamps_s`` (iterations,): the time of every scan,
-seconds, ascending; a scan without points is empty. ``view_rad`` and ``range_m`` (optional numbers):
-the sensor's horizontal field of view and range.
+from 0; the points of a scan keep their order. Points of a 2-D laser at the origin are beams without
+a return. ``stamps_s`` (iterations,): the time of every scan, seconds, ascending; a scan without
+points is empty. ``view_rad`` and ``range_m`` (optional numbers): the sensor's horizontal field of
+view and range.
 """
 
 from __future__ import annotations
@@ -91,7 +92,8 @@ class ScansNpz:
         if points_robot.shape[1] == 2:
             returned, limit_m = _returned(file, points_robot, iteration)
             iteration, points_robot = iteration[returned], points_robot[returned]
-            limits = {"range_m": limit_m, **limits} if np.isfinite(limit_m) else limits
+            if np.isfinite(limit_m):
+                limits["range_m"] = min(limit_m, limits.get("range_m", limit_m))
         offsets = np.searchsorted(iteration, np.arange(len(stamps_s) + 1))
         sensor = SensorView(**limits)
         return stored_scans(points_robot, offsets.astype(np.int64), stamps_s, sensor=sensor)

@@ -27,7 +27,7 @@ from relmap.evaluation.feeding import (
     stamps_of,
 )
 from relmap.evaluation.space_run import result_in_space
-from relmap.evaluation.summary import completion, summary_of
+from relmap.evaluation.summary import completion, is_refined, summary_of
 from relmap.io.results import Result, Tracks, shifted
 from relmap.planes import PlaneMapper
 from relmap.planes.walls.files import DrawnSubmap, PlaneResult
@@ -121,7 +121,7 @@ def run_mapper(
     if not isinstance(mapper, Plane3dMapper):
         groups = tuple(group.landmarks for group in mapper.groups)
         summary |= summary_of(mapper, result, done, offset, len(groups))
-    summary |= completion(log, done, fed, refine)
+    summary |= completion(log, done, fed, is_refined(mapper))
     return Run(replace(result, summary=summary), groups)
 
 

@@ -13,7 +13,7 @@ from relmap.datasets.scans import stored_scans
 from relmap.evaluation.feeding import AnyMapper, Association, Log
 from relmap.evaluation.run import result_of
 from relmap.evaluation.space_run import VARIANT, result_in_space
-from relmap.evaluation.summary import summary_of
+from relmap.evaluation.summary import is_refined, summary_of
 from relmap.io.files import staged_folder
 from relmap.io.results import MAPPER, Result, write_result
 from relmap.planes import PlaneMapper
@@ -40,7 +40,7 @@ def result_of_mapper(mapper: AnyMapper) -> Result:
         in_space = result_in_space(mapper, scans, [none] * n)
         del in_space.summary["counts"]["observations"]
         settings = {"variant": VARIANT, "configuration": mapper.settings}
-        state = {"interrupted": False, "refined": mapper.is_refined}
+        state = {"interrupted": False, "refined": is_refined(mapper)}
         return replace(in_space, summary=settings | in_space.summary | state)
     association: Association = "known" if mapper.engine.association.has_ids else "nearest"
     d = 2 if walls else max(mapper.engine.store.dimension, 2)
@@ -52,7 +52,7 @@ def result_of_mapper(mapper: AnyMapper) -> Result:
     for name in OF_THE_LOG:
         found["counts"].pop(name, None)
     about = {"variant": "planes" if walls else "points", "configuration": mapper.settings}
-    more = {"interrupted": False, "refined": len(mapper.refined) > 0}
+    more = {"interrupted": False, "refined": is_refined(mapper)}
     return replace(result, summary=about | result.summary | found | more)
 
 

@@ -36,6 +36,7 @@ def result_in_space(mapper: Plane3dMapper, log: Log, labels: Sequence[Ints]) -> 
     tracks = Tracks(first + np.repeat(np.arange(len(counts)), counts), rows, named)
     stamps_s, poses = paths[0] if paths else (np.empty(0), np.empty((0, 4, 4)))
     weak = mapper.weak_links
+    path = [span for part in parts for span in consecutive(part)]
     own = np.array(parts[0].iteration if parts else [], dtype=np.int64)
     summary = {
         "association": "nearest",
@@ -50,7 +51,7 @@ def result_in_space(mapper: Plane3dMapper, log: Log, labels: Sequence[Ints]) -> 
             "iterations_without_pose": len(log) - len(poses),
         },
         "submaps": [submap_row(part, first) for part in parts],
-        "steps": steps_of([path for part in parts for path in consecutive(part)]),
+        "steps": steps_of(path, np.array([*weak], dtype=np.int64)),
         "weak_links": [first + k for k in weak],
         "weak_directions": [free.tolist() for free in weak.values()],
     }
@@ -84,14 +85,16 @@ def _landmarks(table: Plane3dTable) -> LandmarkTable:
     )
 
 
-def consecutive(part: Submap) -> list[Floats]:
-    """Return the poses of a submap, apart where scans in between may be in another submap."""
-    return np.split(part.trajectory, np.flatnonzero(np.diff(part.iteration) != 1) + 1)
+def consecutive(part: Submap) -> list[tuple[Floats, Ints]]:
+    """Return poses and iterations of a submap, apart where scans between may be in another one."""
+    cuts = np.flatnonzero(np.diff(part.iteration) != 1) + 1
+    iteration = np.split(np.array(part.iteration, dtype=np.int64), cuts)
+    return list(zip(np.split(part.trajectory, cuts), iteration, strict=True))
 
 
 def submap_row(part: Submap, first: int) -> dict[str, Any]:
     """Return the entry of a submap in `summary.json`; `first` is the first iteration of the run."""
-    ways = (np.diff(path[:, :3, 3], axis=0) for path in consecutive(part))
+    ways = (np.diff(path[:, :3, 3], axis=0) for path, _ in consecutive(part))
     return {
         "planes": len(part),
         "iterations": [first + part.iteration[0], first + part.iteration[-1]],

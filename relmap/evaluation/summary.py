@@ -20,6 +20,7 @@ from relmap.io.results import Result
 from relmap.planes import PlaneMapper
 from relmap.planes.submaps.submap import WallSubmap
 from relmap.planes.walls.files import PlaneResult
+from relmap.planes3d import Plane3dMapper
 from relmap.points import PointMapper
 from relmap.recorded import versions
 
@@ -57,7 +58,10 @@ def summary_of(
     if isinstance(mapper, PlaneMapper):
         weak = (mapper.weak_links + offset).tolist()
         view_rad = log.sensor.view_rad if isinstance(log, ScanLog) else None
-        steps = steps_of([submap.poses for submap in mapper.submaps], view_rad)
+        paths = [
+            (own.poses, own.first_iteration + np.arange(len(own.poses))) for own in mapper.submaps
+        ]
+        steps = steps_of(paths, mapper.weak_links, view_rad)
         return summary | {"weak_links": weak, "steps": steps}
     if summary["refinement"] is not None:
         away_m = np.linalg.norm(mapper.engine.rows.points, axis=1)
@@ -147,15 +151,21 @@ def _submap_row(submap: Submap, offset: int) -> dict[str, Any]:
     return row
 
 
-def steps_of(paths: Sequence[Floats], view_rad: float | None = None) -> dict[str, float | None]:
+def steps_of(
+    paths: Sequence[tuple[Floats, Ints]], weak: Ints, view_rad: float | None = None
+) -> dict[str, float | None]:
     """Return the median step between scans, and the width of the sensor's view.
 
-    None if unknown; metres and degrees.
+    None if unknown; metres and degrees. Steps that the scans do not determine do not count.
 
-    `paths`, sequence of (k, d + 1, d + 1): poses of consecutive scans; NaN if unknown.
+    `paths`, sequence of (k, d + 1, d + 1) and (k,): poses of consecutive scans, NaN if unknown, and
+    their iterations; `weak`: iterations with an undetermined step from the one before.
     """
     view_deg = None if view_rad is None else float(np.rad2deg(view_rad))
-    steps = [np.linalg.inv(poses[:-1]) @ poses[1:] for poses in paths if len(poses) > 1]
+    steps = [
+        (np.linalg.inv(poses[:-1]) @ poses[1:])[~np.isin(iteration[1:], weak)]
+        for poses, iteration in paths
+    ]
     T = np.concatenate(steps) if steps else np.empty((0, 3, 3))
     T = T[np.isfinite(T[:, 0, -1])]
     if not len(T):
@@ -168,6 +178,15 @@ def steps_of(paths: Sequence[Floats], view_rad: float | None = None) -> dict[str
         "median_deg": float(np.rad2deg(np.median(turn_rad))),
         "view_deg": view_deg,
     }
+
+
+def is_refined(mapper: PointMapper | PlaneMapper | Plane3dMapper) -> bool:
+    """Return whether the map, of walls the largest submap, is refined."""
+    if isinstance(mapper, Plane3dMapper):
+        return mapper.is_refined
+    if isinstance(mapper, PlaneMapper):
+        return any(submap.refined for submap in mapper.submaps[:1])
+    return len(mapper.refined) > 0
 
 
 def ends_of(numbers: Ints, of: str) -> dict[str, Any]:

@@ -38,6 +38,8 @@ LEAST_M, SHARE = 3.0, 0.5
 """Length of wall, and fraction of the walls of the scan, that must lie on walls of the map."""
 EXPLAINED = 0.7
 """Minimum fraction of beams that end on walls, minus the fraction that go through one."""
+FAR_M = 500.0
+"""Maximum distance of the walls of a scan that are compared: no laser sees farther."""
 RIVAL_PLACE = 0.6
 """Maximum score of another placement, as a fraction of the best."""
 AROUND = 1.2
@@ -87,21 +89,35 @@ class WallFinder:
 
     def _judged(self, seen: PlaneObservation) -> tuple[list[WallTie], Floats, Bools]:
         """Return the likely placements (k,) of a scan, their scores, and which explain it."""
-        ties = wall_ties(seen.ends, self._ends)[:PLACES] if len(seen.beams.points) else []
+        every = 1 + len(seen.beams.points) // BEAMS
+        points = seen.beams.points[::every].astype(np.float64)
+        near = np.abs(seen.ends).max(axis=(1, 2), initial=0.0) <= FAR_M
+        ties = wall_ties(seen.ends[near], self._ends)[:PLACES] if self._may_hold(points) else []
         length_m = float(seen.size.sum())
         overlap_m = np.array([tie.length_m for tie in ties])
-        explained = np.array([self._explained(tie, seen) for tie in ties])
+        explained = np.array([self._explained(tie, points, seen.beams.origin) for tie in ties])
         fits = (explained >= EXPLAINED) & (overlap_m >= max(LEAST_M, SHARE * length_m))
         return ties, explained + overlap_m / length_m, fits
 
-    def _explained(self, tie: WallTie, seen: PlaneObservation) -> float:
-        """Return the fraction of beams that end on walls, minus that of beams through one."""
+    def _may_hold(self, points: Floats) -> bool:
+        """Return whether as many points (n, 2) as must end on walls lie as close together."""
+        if not (len(points) and len(self._ends)):
+            return False
+        across_m = np.linalg.norm(np.ptp(self._ends.reshape(-1, 2), axis=0)) + 3 * ENDS_M
+        n, at = max(int(EXPLAINED * len(points)), 1), np.sort(points, axis=0)
+        closest_m = (at[n - 1 :] - at[: len(at) - n + 1]).min(axis=0)
+        return bool((closest_m <= across_m).all())
+
+    def _explained(self, tie: WallTie, points: Floats, origin: Floats) -> float:
+        """Return the fraction of beams that end on walls, minus that of beams through one.
+
+        The beams go from `origin` (2,) to `points` (n, 2), robot frame.
+        """
         from relmap.planes.scans.loose_kernels import on_walls
 
-        every = 1 + len(seen.beams.points) // BEAMS
-        points = seen.beams.points[::every].astype(np.float64) @ tie.R.T + tie.t
+        points = points @ tie.R.T + tie.t
         on = on_walls(points, self._ends, ENDS_M)
-        return float(on.mean() - self._through(tie.R @ seen.beams.origin + tie.t, points).mean())
+        return float(on.mean() - self._through(tie.R @ origin + tie.t, points).mean())
 
     def _through(self, origin: Floats, points: Floats) -> Floats:
         """Return which beams from the origin (2,) to points (n, 2) go through a wall."""
