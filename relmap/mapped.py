@@ -103,7 +103,10 @@ class Mapped(Shown, ABC):
 
     @property
     def submaps(self) -> Sequence[Submap]:
-        """The submaps, the largest first; more than one if parts of the run are not connected."""
+        """The submaps; more than one if parts of the run are not connected.
+
+        The largest is first, or the map to which a log was added.
+        """
         return readout.map_submaps(self.engine)
 
     @property
@@ -113,12 +116,13 @@ class Mapped(Shown, ABC):
 
     @property
     def refined(self) -> list[Refined]:
-        """The submaps as refined, in ascending order; none after a later update.
+        """The submaps as refined, in the order of `submaps`; none after a later update.
 
         They include the residuals of each segment of the run and of each merge. Landmarks are
         identified by their index, in order of first observation.
         """
-        return list(self.engine.refined)
+        ranks = self.engine.map.ranks
+        return sorted(self.engine.refined, key=lambda one: int(ranks[one.landmarks].max(initial=0)))
 
     @property
     def rejected(self) -> Ints:

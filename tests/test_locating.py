@@ -191,6 +191,26 @@ def test_a_log_of_another_place_is_a_separate_submap(
     assert len(np.loadtxt(out / "submap-1.tum")) == 16
 
 
+@unrendered()
+def test_a_longer_log_of_another_place_does_not_displace_the_map(
+    part: Path, capsys: pytest.CaptureFixture[str], logs: Path
+) -> None:
+    old, out = part / "short", part / "longer"
+    asked = ["--variant", "planes", "-o"]
+    assert main(["map", str(logs / "npz"), *asked, str(old)]) == 0
+    new = [str(part / "scans.npz"), "--scans", "0:40"]
+    assert main(["map", *new, *asked, str(out), "--onto", str(old)]) == 0
+    printed = capsys.readouterr().out
+    assert "that of the earlier map, of 16 scans" in printed
+    assert "could not be localised" in printed
+    assert [submap["scans"] for submap in load(out / "summary.json")["submaps"]] == [16, 40]
+    assert len(np.loadtxt(out / "submap-1.tum")) == 40
+    before, after = (PlaneMapper.load(folder / "mapper.npz") for folder in (old, out))
+    np.testing.assert_allclose(after.trajectory[:16], before.trajectory, atol=1e-6)
+    np.testing.assert_allclose(after.map.positions, before.map.positions, atol=1e-6)
+    assert after.tied_at is None
+
+
 def test_scans_are_localised_and_drawn_in_a_map_of_walls(
     part: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -236,6 +236,23 @@ def test_two_runs_in_one_log_are_one_map_where_ids_say_what_is_the_same() -> Non
     assert np.isfinite(mapper.trajectory).all()
 
 
+def test_a_map_stays_the_first_submap_beside_a_longer_log_that_is_not_connected() -> None:
+    run = world(SPARSE, 150)
+    motions, mapper = odometry_of(run, 0), PointMapper()
+    for count, first_id in ((80, 0), (150, 1000)):
+        for scan in run.log.between(0, count).scans():
+            if first_id and not scan.iteration:
+                mapper.take_up(scan.points_robot)
+            motion = np.full((4, 4), np.nan) if not scan.iteration else motions[scan.iteration]
+            assert scan.ids is not None
+            mapper.update(scan.points_robot, ids=scan.ids + first_id, odometry=motion)
+        mapper.finish()
+        mapper.refine()
+    assert np.flatnonzero(np.isfinite(mapper.trajectory[:, 0, 3])).tolist() == list(range(80))
+    assert mapper.map.landmark_ids.max() < 1000
+    assert len(mapper.submaps) == 2
+
+
 def test_covariances_weigh_the_observations_that_they_came_with() -> None:
     run, rng = world(SPARSE, 150), np.random.default_rng(0)
     motions, mapper = odometry_of(run, 0), PointMapper()

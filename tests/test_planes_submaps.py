@@ -56,6 +56,14 @@ def test_a_scan_that_nothing_supports_begins_a_submap() -> None:
     assert set(mapper.landmarks.submap.tolist()) >= {0, 1}
 
 
+def test_the_longest_submap_is_the_first() -> None:
+    mapper = PlaneMapper()
+    drive(mapper, 14, ELSEWHERE)
+    drive(mapper, 20)
+    mapper.finish()
+    assert [submap.span for submap in mapper.submaps] == [(14, 34), (0, 14)]
+
+
 def test_a_long_bridge_ends_the_submap() -> None:
     """Few scans without walls are bridged; after many the motion is unknown."""
     mapper = PlaneMapper()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -165,6 +166,27 @@ def test_a_log_is_added_to_a_map(tour: Path, capsys: pytest.CaptureFixture[str])
     ]
     assert np.linalg.norm(away, axis=1).max() < 0.5
     assert len((tour / "more" / "trajectory.tum").read_text().splitlines()) == 401
+
+
+@pytest.mark.parametrize("association", ["nearest", "known"])
+def test_a_longer_log_of_another_place_does_not_displace_the_map(
+    tmp_path: Path, association: str
+) -> None:
+    for name, seed, iterations, first_id in (("old", 1, 60, 0), ("new", 2, 120, 1000)):
+        log = simulate_figure_eight(iterations=iterations, seed=seed).log
+        assert log.ids is not None
+        write_observation_csv(tmp_path / f"{name}.csv", replace(log, ids=log.ids + first_id))
+    old, new, both = (str(tmp_path / name) for name in ("old", "new", "both"))
+    asked = ["--association", association, "-o"]
+    assert main(["map", f"{old}.csv", *asked, old]) == 0
+    assert main(["map", f"{new}.csv", *asked, both, "--onto", old]) == 0
+    summary = load(tmp_path / "both" / "summary.json")
+    assert summary["tied_at"] is None
+    assert summary["refinement"]["anchor_iteration"] == -60
+    before, after = (PointMapper.load(tmp_path / name / "mapper.npz") for name in ("old", "both"))
+    assert len(after.submaps[1].landmark_ids) > len(after.map.landmark_ids)
+    np.testing.assert_array_equal(after.map.landmark_ids, before.map.landmark_ids)
+    np.testing.assert_allclose(after.map.positions, before.map.positions, atol=1e-6)
 
 
 def test_scans_are_found_in_a_map_that_stays_as_it_is(tour: Path) -> None:

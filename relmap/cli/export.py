@@ -15,8 +15,8 @@ Target = Literal["grid", "dxf", "svg", "geojson", "g2o", "ply"]
 HELP = """Write the map of a result in the format of another program.
 
 RESULT is a folder written by 'relmap map', of points or of walls; if the run broke into submaps,
-the largest is exported. OUT is a file, or a folder (a name without extension), in which the file is
-called map.
+only the map is exported. OUT is a file, or a folder (a name without extension), in which the file
+is called map.
 
 \b
   grid     occupancy grid, a PGM picture and a YAML file, for the map servers of ROS; planar maps.

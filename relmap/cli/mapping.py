@@ -83,7 +83,7 @@ def _mapped_into(folder: Path, job: Job, log: Log) -> Run:
 
         def watched(scans: Iterable[Any]) -> Iterator[Any]:
             followed: Iterable[Any] = job.scans(scans)
-            if job.onto is not None and job.association != "known":
+            if job.onto is not None:
                 followed = _taken_up(mapper, log, followed, about)
             followed = view.watch(mapper, followed) if view else followed
             yield from bench.watch(followed) if bench else followed

@@ -153,11 +153,13 @@ def broken(summary: dict[str, Any]) -> str:
     if len(submaps) < 2:
         return ""
     scans, metres = submaps[0]["scans"], submaps[0]["metres"]
-    largest = f"{counted(scans)} and {metres:.1f} m"
+    of = f"{counted(scans)} and {metres:.1f} m"
+    if summary.get("onto"):
+        return f"; there are {len(submaps)} submaps: that of the earlier map, of {of}, is the map"
     parts = f"; the run broke into {len(submaps)} submaps"
     if not summary["counts"]["planes_static"]:
-        return f"{parts}, the largest of {largest}"
-    return f"{parts}: the largest, of {largest}, is the map"
+        return f"{parts}, the largest of {of}"
+    return f"{parts}: the largest, of {of}, is the map"
 
 
 def counted(scans: int) -> str:
@@ -173,7 +175,8 @@ def overlaps_little(summary: dict[str, Any]) -> bool:
 
 def advice(summary: dict[str, Any]) -> str:
     """Return advice for a run that broke into submaps, as the end of a message."""
-    if not overlaps_little(summary):
+    apart = summary.get("onto") and summary["tied_at"] is None
+    if apart or not overlaps_little(summary):
         return ""
     median_m, median_deg, view_deg = (
         summary["steps"][name] for name in ("median_m", "median_deg", "view_deg")

@@ -119,6 +119,7 @@ def _solver(
         engine.config.group_after // 2 if mature else AGAIN,
         is_open,
         engine.association.has_ids,
+        engine.map.kept_until,
     )
 
 
@@ -149,7 +150,7 @@ def _moving(engine: RelativeMapper, solved: list[Solved], suspects: Ints) -> Int
 
 
 def _place(engine: RelativeMapper, solved: list[Solved]) -> None:
-    """Make each part a submap; landmarks of several parts belong to the largest."""
+    """Make each part a submap; landmarks of several parts belong to the last."""
     table = engine.table
     seen = np.bincount(table.now(engine.kept.landmark), minlength=len(table)).astype(np.float64)
     table.take_off_map(np.flatnonzero(table.submap != NONE))
@@ -169,9 +170,8 @@ def _in_use(
     """Return how odometry is used in a map of solved parts."""
     poses, sigmas = np.full((n_iterations, 4, 4), np.nan), np.ones(3)
     if solved:
-        largest = solved[-1]
-        poses[largest.iterations] = largest.poses
-        sigmas = np.array(largest.sigmas)
+        poses[solved[-1].iterations] = solved[-1].poses
+        sigmas = np.array(solved[-1].sigmas)
     doubted = np.concatenate([use.left_out, *(part.doubted for part in solved)])
     return replace(
         use, is_used=True, left_out=np.unique(doubted), hanging=hanging, poses=poses, sigmas=sigmas

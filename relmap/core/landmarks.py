@@ -22,7 +22,7 @@ def in_space(positions: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LandmarkMap(Table):
-    """The mapped landmarks: those of the largest submap.
+    """The mapped landmarks: those of the first submap.
 
     Attributes
     ----------

@@ -19,19 +19,19 @@ def labels(engine: RelativeMapper) -> Ints:
     return engine.association.current.labels_of(np.arange(len(engine.table)))
 
 
-def positions_in_largest_submap(table: LandmarkState) -> Floats:
-    """Return the positions (n, d) of the largest submap, map frame, metres; NaN for the rest."""
-    return np.where(_ranks(table)[:, None] == 0, table.position, np.nan)
+def mapped_positions(engine: RelativeMapper) -> Floats:
+    """Return the positions (n, d) in the map, map frame, metres; NaN for other submaps."""
+    return np.where(engine.map.ranks[:, None] == 0, engine.table.position, np.nan)
 
 
-def covariances_in_largest_submap(engine: RelativeMapper) -> Floats:
+def mapped_covariances(engine: RelativeMapper) -> Floats:
     """Return the covariances (n, d, d) of the positions, square metres; NaN if unmapped.
 
     After refinement they come from the joint least squares, in the robot frame of the submap's
     first iteration. Before refinement they cover the averages only, not the drift of the chain.
     """
     table = engine.table
-    mapped = _ranks(table) == 0
+    mapped = engine.map.ranks == 0
     variance = engine.averaging.noise.sigma_m**2 / np.maximum(table.weight, 1)
     covariances: Floats = variance[:, None, None] * np.eye(table.dimension)
     for submap in engine.refined:
@@ -42,12 +42,12 @@ def covariances_in_largest_submap(engine: RelativeMapper) -> Floats:
 
 
 def landmark_map(engine: RelativeMapper) -> LandmarkMap:
-    """Return the largest submap, in ascending order of labels."""
+    """Return the map, the first submap, in ascending order of labels."""
     called, d = labels(engine), engine.table.dimension
-    members = np.flatnonzero(_ranks(engine.table) == 0)
+    members = np.flatnonzero(engine.map.ranks == 0)
     members = members[np.argsort(called[members])]
     covariances = np.zeros((len(members), 3, 3))
-    covariances[:, :d, :d] = covariances_in_largest_submap(engine)[members]
+    covariances[:, :d, :d] = mapped_covariances(engine)[members]
     return LandmarkMap(called[members], in_space(engine.table.position[members]), covariances)
 
 
@@ -59,14 +59,14 @@ def landmark_table(engine: RelativeMapper) -> LandmarkTable:
     table, called = engine.table, labels(engine)
     order = np.argsort(called)
     order = order[table.is_own[order]]
-    rank = _ranks(table)
+    rank = engine.map.ranks
     mapped = rank == 0
     status = np.where(mapped, "static", np.where(table.dynamic, "dynamic", "unmapped"))
-    covariances = covariances_in_largest_submap(engine)
+    covariances = mapped_covariances(engine)
     variance = np.trace(covariances, axis1=1, axis2=2) / max(covariances.shape[1], 1)
     return LandmarkTable(
         landmark=called[order],
-        position=in_space(positions_in_largest_submap(table))[order],
+        position=in_space(mapped_positions(engine))[order],
         sd=np.sqrt(variance)[order],
         observations=table.observations[order],
         first_iteration=table.first[order],
@@ -79,9 +79,9 @@ def landmark_table(engine: RelativeMapper) -> LandmarkTable:
 
 
 def map_submaps(engine: RelativeMapper) -> list[Submap]:
-    """Return the submaps, the largest first."""
+    """Return the submaps, the map first, the others by size."""
     table, called = engine.table, labels(engine)
-    rank = _ranks(table)
+    rank = engine.map.ranks
     submaps = []
     for submap in range(int(rank.max(initial=NONE)) + 1):
         members = np.flatnonzero(rank == submap)
@@ -102,7 +102,7 @@ def path(engine: RelativeMapper) -> Floats:
     """Return ``T_map_robot`` of every iteration (k, 4, 4); NaN where undetermined."""
     if engine.odometry is not None and engine.odometry.is_used:
         return engine.odometry.poses
-    positions = positions_in_largest_submap(engine.table)
+    positions = mapped_positions(engine)
     noise_m = float(np.nan_to_num(engine.averaging.noise.sigma_m))
     return trajectory(engine.rows, positions, engine.table.landmark_of, noise_m)
 
@@ -115,16 +115,3 @@ def _moving_bins(table: LandmarkState, status: NDArray[np.str_], called: Ints) -
     )
     together = (bins != NONE) & (sizes[members] > 1)
     return np.where(together, called[first[members]], NONE)
-
-
-def _ranks(table: LandmarkState) -> Ints:
-    """Return the index of each landmark's submap in descending order of size, or `NONE`."""
-    mapped = table.submap != NONE
-    submaps, members, counts = np.unique(
-        table.submap[mapped], return_inverse=True, return_counts=True
-    )
-    rank_of = np.empty(len(submaps), dtype=np.int64)
-    rank_of[np.argsort(-counts, kind="stable")] = np.arange(len(submaps))
-    ranks = np.full(len(mapped), NONE)
-    ranks[mapped] = rank_of[members]
-    return ranks

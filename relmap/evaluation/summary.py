@@ -202,12 +202,12 @@ def weakness(refined: Sequence[Refined], first_iteration: int) -> dict[str, Any]
 
     Residuals are relative to their expectation from the noise: ideally about 1.
 
-    `refined`: refined submaps; only the largest is described. `first_iteration`: log number of the
+    `refined`: refined submaps; only the first is described. `first_iteration`: log number of the
     mapper's first iteration. Returns None if nothing was refined.
     """
     if not refined:
         return None
-    submap = max(refined, key=lambda submap: len(submap.landmarks))
+    submap = refined[0]
     segments, merges = submap.segments, submap.merges
     segments = replace(segments, first_iteration=first_iteration + segments.first_iteration)
     return {

@@ -46,7 +46,7 @@ class Merged:
 def merge_results(one: Path, other: Path) -> Merged:
     """Return the merged map of two result folders, in the frame of the first.
 
-    If a run broke into submaps, its largest is merged. Raises `RelmapError` if a folder is not a
+    If a run broke into submaps, only the map is merged. Raises `RelmapError` if a folder is not a
     result, they are of different kinds, or have no unique alignment.
     """
     a, b = (_read(folder) for folder in (one, other))

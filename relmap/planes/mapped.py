@@ -56,11 +56,15 @@ class MappedWalls(Mapper):
             measured=self._planes.links.measured,
             spacing_rad=self._planes.links.beams.spacing_rad,
             same=self._planes.links.same_walls,
+            kept=-1 if self._frame is None else self._frame.scan,
         )
 
     @property
     def submaps(self) -> list[WallSubmap]:
-        """The unconnected parts of the run, those with most scans first."""
+        """The unconnected parts of the run, those with most scans first.
+
+        A map to which a log was added is before all others; see `take_up`.
+        """
         return self._state[0]
 
     @property

@@ -84,7 +84,7 @@ def _plot_submap(submap: DrawnSubmap, n_submaps: int) -> Figure:
     planes, poses = submap.planes, submap.poses
     sheet = _sheet(planes.ends[planes.status == "static"].reshape(-1, 2), poses)
     n_walls, n_corners = _draw_submap(sheet.views[0][0], submap)
-    apart = f"the largest of {n_submaps} submaps: " if n_submaps > 1 else ""
+    apart = f"the first of {n_submaps} submaps: " if n_submaps > 1 else ""
     sheet.finish(f"{apart}{n_walls} walls, {n_corners} corners, {len(poses)} poses")
     return sheet.figure
 

@@ -19,7 +19,7 @@ from relmap.core.geometry.motions import transforms
 from relmap.core.guard import reads_whole
 from relmap.core.linalg.threads import one_thread
 from relmap.core.odometry import checked_odometry
-from relmap.core.readout import positions_in_largest_submap
+from relmap.core.readout import mapped_positions
 from relmap.core.scan import checked_covariances, checked_ids, checked_points
 from relmap.mapper import Mapper, Place
 from relmap.points.model import PointModel
@@ -233,8 +233,9 @@ class PointMapper(Mapper):
     def take_up(self, points: ArrayLike) -> bool:
         """Localise a scan in the map so that the next update, of this scan, continues there.
 
-        Use it to add a log to a map whose last scan was taken elsewhere. With known association it
-        is not needed.
+        Use it to add a log to a map whose last scan was taken elsewhere. The map stays the first of
+        the `submaps`, even if a longer log is not connected to it. With known association no scan
+        is localised: the ids connect the log.
 
         Parameters
         ----------
@@ -243,7 +244,7 @@ class PointMapper(Mapper):
         Returns
         -------
         bool
-            Whether the scan was found in the map; if not, nothing is changed.
+            Whether the scan was found in the map.
 
         Raises
         ------
@@ -253,11 +254,14 @@ class PointMapper(Mapper):
         if self._journal is not None:
             raise RelmapError("a run with a journal must start with an empty map")
         seen = checked_points(points, self.engine.store.dimension)
-        placement = self._placed(seen, TRIED)[0]
+        if not self.engine.map.kept_until:
+            with self._guard.change():
+                self.engine.map.kept_until = self.engine.store.n_iterations
         registration = self.engine.association.registration
+        placement = self._placed(seen, TRIED)[0] if registration is not None else None
         if placement is None or registration is None:
             return False
-        positions = positions_in_largest_submap(self.engine.table)
+        positions = mapped_positions(self.engine)
         landmarks = np.flatnonzero(np.isfinite(positions[:, 0]))
         around = (positions[landmarks] - placement.t) @ placement.R
         near = np.linalg.norm(around, axis=1) <= AROUND * np.linalg.norm(seen, axis=1).max()
@@ -272,7 +276,7 @@ class PointMapper(Mapper):
         """
         known, latest = self._finder, self._guard.latest
         if known is None or known[0] is not latest:
-            positions = positions_in_largest_submap(self.engine.table)
+            positions = mapped_positions(self.engine)
             mapped = positions[np.isfinite(positions).all(axis=1)]
             known = self._finder = latest, PlaceFinder(mapped, np.nan_to_num(self.noise_m))
         finder = known[1]

@@ -18,13 +18,31 @@ class GlobalMap:
 
     A group that shares too few landmarks with the map starts a new submap, with its own frame. Two
     submaps are joined when a group connects them.
+
+    `kept_until`: iteration before which landmarks were seen in the map to which logs are added; 0
+    if there is none.
     """
 
-    STATE = "_n_submaps"
+    STATE = "_n_submaps kept_until"
 
     def __init__(self, table: LandmarkState) -> None:
         self.table = table
-        self._n_submaps = 0
+        self._n_submaps, self.kept_until = 0, 0
+
+    @property
+    def ranks(self) -> Ints:
+        """Index of each landmark's submap (n,), or `NONE`; 0 is the map.
+
+        It is the largest submap, or the one with most landmarks of the map to which logs are added.
+        """
+        submap, ranks = self.table.submap, np.full(len(self.table), NONE)
+        members = np.flatnonzero(submap != NONE)
+        submaps, of, counts = np.unique(submap[members], return_inverse=True, return_counts=True)
+        kept = np.bincount(of[self.table.first[members] < self.kept_until], minlength=len(submaps))
+        rank_of = np.empty(len(submaps), dtype=np.int64)
+        rank_of[np.lexsort((-counts, -kept))] = np.arange(len(submaps))
+        ranks[members] = rank_of[of]
+        return ranks
 
     def submaps_of(self, landmarks: Ints, at_least: int = 1) -> Ints:
         """Return the submaps that contain enough of the landmarks, the oldest first."""

@@ -91,7 +91,8 @@ class LocatingMapper(MappedWalls):
         The log has separate submaps until `finish`. A submap then becomes part of the map if,
         along 7 m of its path, half of the scans, 0.5 m apart, fit in the map at the same placement
         of the submap, and no other placement agrees with half as many scans; `refine` may join
-        others. The map keeps its frame; see `tied_at`. Further calls change nothing until `finish`.
+        others. The map keeps its frame, and stays the first of the `submaps`; see `tied_at`.
+        Further calls change nothing until `finish`.
 
         Parameters
         ----------

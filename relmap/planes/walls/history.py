@@ -40,7 +40,8 @@ class PlaneHistory:
     accepted; `measured` (i,): which motions are determined in all directions; `spacing_rad`: angle
     between the beams of the laser, 0 if unknown; `same` (k, 2): numbers that are the same wall,
     according to links found later; `bent` (b,): iterations at which a refined map was bent,
-    ascending: their motions are kept as equations.
+    ascending: their motions are kept as equations; `kept`: a scan of the map to which a log was
+    added, -1 for none.
     """
 
     iteration: Ints
@@ -56,6 +57,7 @@ class PlaneHistory:
     spacing_rad: float = 0.0
     same: Ints = field(default_factory=lambda: np.empty((0, 2), dtype=np.int64))
     bent: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    kept: int = -1
 
     @property
     def n_iterations(self) -> int:
@@ -66,13 +68,15 @@ class PlaneHistory:
     def spans(self) -> list[tuple[int, int]]:
         """First iteration and end of each submap, those with most iterations first.
 
-        Iterations in between may belong to other submaps or none.
+        A map to which a log was added is before all others. Iterations in between may belong to
+        other submaps or none.
         """
         own = np.flatnonzero(self.submap >= 0)
         number, first, count = np.unique(self.submap[own], return_index=True, return_counts=True)
         last = len(own) - 1 - np.unique(self.submap[own][::-1], return_index=True)[1]
         spans = np.column_stack([own[first], own[last] + 1])
-        return [(a, b) for a, b in spans[np.lexsort((number, -count))].tolist()]
+        other = number != (self.submap[self.kept] if self.kept >= 0 else -1)
+        return [(a, b) for a, b in spans[np.lexsort((number, -count, other))].tolist()]
 
     def factors(self, iterations: Ints) -> MotionFactors:
         """Return the equations for the motions between some iterations (k,).

@@ -75,6 +75,8 @@ class PartSolver:
     has_ids : bool
         Whether ids are given.  Then parts of the chain do not turn as a whole: wrong ids would turn
         them, and the errors of MRCLAM's maps increased by half.
+    kept_until : int
+        See `relmap.core.map.globalmap.GlobalMap`.
     """
 
     table: LandmarkState
@@ -89,12 +91,18 @@ class PartSolver:
     fewest: int
     is_open: bool
     has_ids: bool
+    kept_until: int
 
     def solve(self, bridged: Bridged) -> list[Solved]:
-        """Return the solved parts of a run, the smallest first, from these initial poses."""
+        """Return the solved parts of a run from these initial poses.
+
+        The smallest is first; those of the map to which logs are added are last.
+        """
         found = (self._part(bridged, part) for part in np.unique(bridged.part).tolist())
         solved = [part for part in found if part is not None]
-        return sorted(solved, key=lambda part: len(part.refined.landmarks))
+        kept = [int((part.iterations < self.kept_until).sum()) for part in solved]
+        order = np.lexsort(([len(part.refined.landmarks) for part in solved], kept))
+        return [solved[k] for k in order.tolist()]
 
     def _part(self, bridged: Bridged, part: int) -> Solved | None:
         """Return one part; None if it has no observation."""
@@ -160,12 +168,12 @@ class PartSolver:
 
 
 def join_parts(bridged: Bridged, solved: Sequence[Solved]) -> Bridged | None:
-    """Return all scans with a part joined to the largest that shares landmarks with it.
+    """Return all scans with a part joined to the last that shares landmarks with it.
 
     Parts of one log that are not connected by odometry may share landmarks, known by their ids.
 
-    `solved`: its parts, the smallest first. Returns None if no part shares enough landmarks, or
-    their positions disagree.
+    `solved`: its parts, as `PartSolver.solve` returns them. Returns None if no part shares enough
+    landmarks, or their positions disagree.
     """
     for k, other in enumerate(solved):
         for base in reversed(solved[k + 1 :]):
