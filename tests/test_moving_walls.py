@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -44,6 +46,25 @@ def test_the_rest_of_the_world_is_the_same() -> None:
 def test_a_negative_number_of_movers_is_refused() -> None:
     with pytest.raises(RelmapError, match="moving is -1"):
         simulate_building(moving=-1)
+
+
+def test_two_walls_that_share_their_only_corner_stand_still() -> None:
+    """Their corners and midpoints keep all distances but one, so the rest seems to move."""
+    rng, mapper = np.random.default_rng(0), PlaneMapper()
+    for k in range(40):
+        turn = np.array([-2.2, 2.3]) + 0.01 * k + rng.normal(0.0, 0.003, 2)
+        corner = np.array([3.0 - 0.02 * k, 0.01 * k]) + rng.normal(0.0, 0.005, 2)
+        right, left = corner + np.column_stack([np.cos(turn), np.sin(turn)]) * [[2.0], [3.0]]
+        seen = SimpleNamespace(
+            ends=np.array([[right, corner], [corner, left]]),
+            end_type=np.array([["view", "corner"], ["corner", "view"]]),
+            n_points=np.array([100, 100]),
+            noise=np.array([0.02, 0.02]),
+        )
+        mapper.update(seen)
+    mapper.finish()
+    assert mapper.planes.status.tolist() == ["static", "static"]
+    assert 0.002 < mapper.noise_m < 0.02
 
 
 @pytest.mark.parametrize(

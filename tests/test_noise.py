@@ -65,6 +65,17 @@ def test_estimate_is_unknown_before_anything_was_seen_twice() -> None:
     assert np.isnan(estimated([np.zeros((5, 1, 3)), np.zeros((1, 9, 3))]))
 
 
+def test_the_estimate_is_not_below_what_observations_say_of_their_noise() -> None:
+    noise, still = NoiseEstimate(), np.ones((4, 10, 2)) * np.arange(4)[:, None, None]
+    for least_m in (0.02, 0.0, 0.02):
+        noise.limit(least_m)
+    assert np.isnan(noise.sigma_m)
+    noise.add(still)
+    assert noise.sigma_m == pytest.approx(0.02)
+    noise.limit(0.12)
+    assert noise.sigma_m == pytest.approx(0.02 + 0.1 * (1 - FORGETTING))
+
+
 def test_what_was_seen_long_ago_is_forgotten() -> None:
     rng = np.random.default_rng(0)
     blocks = [seen_block(10, 10, 2, rng) for _ in range(600)]

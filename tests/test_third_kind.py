@@ -78,6 +78,9 @@ class SignModel:
     def min_shared(self, dimension: int) -> int:
         return 2
 
+    def least_noise_m(self, rows: Rows) -> float:
+        return 0.0
+
     def is_compared(self, landmarks: Ints) -> Bools:
         return np.asarray(landmarks % 2 == 0)
 

@@ -99,6 +99,7 @@ class RelativeMapper:
     def _store(self, seen: Any, found: Ints, iteration: int) -> Ints:
         """Add landmarks to the table and their observations to the store; return the landmarks."""
         rows = self.model.rows(seen, found)
+        self.averaging.noise.limit(self.model.least_noise_m(rows))
         shown = self.model.points(rows)
         landmarks = self.table.enter(shown.landmarks, shown.points_robot, iteration)
         self.store.append(**rows)

@@ -66,6 +66,13 @@ class LandmarkModel(Protocol):
         """Ratio of the largest to the typical noise of a point."""
         ...
 
+    def least_noise_m(self, rows: Rows) -> float:
+        """Return the least noise of the points of one scan, given its rows; 0 if unknown.
+
+        Points computed from one observation keep their distances, whatever the noise.
+        """
+        ...
+
     def is_compared(self, landmarks: Ints) -> Bools:
         """Return which points (n,) are compared with older ones when they are re-observed."""
         ...

@@ -13,6 +13,7 @@ from relmap.core.state.store import Rows, Shown
 from relmap.core.state.table import LandmarkState
 from relmap.planes.linking.registration import PlaneRegistration
 from relmap.planes.scans.observation import PlaneObservation
+from relmap.planes.walls.assembly import BLUNT
 
 TURN = np.cos(np.deg2rad(20.0))
 """Largest rotation of a wall when it is seen again (cosine)."""
@@ -76,6 +77,13 @@ class WallModel:
     def min_shared(self, dimension: int) -> int:
         """Return the minimum number of mapped points per group: a corner and its midpoint."""
         return 2
+
+    def least_noise_m(self, rows: Rows) -> float:
+        """Return the usual noise of a corner along its wall, from that of the distances of walls.
+
+        A corner and its midpoint keep their distance, and so do corners where two walls meet.
+        """
+        return BLUNT * float(np.median(rows["sd"])) if len(rows["sd"]) else 0.0
 
     def is_compared(self, landmarks: Ints) -> Bools:
         """Return which points (n,) are compared with older ones: corners.

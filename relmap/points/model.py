@@ -54,6 +54,10 @@ class PointModel:
         """Return the minimum number of mapped points that determine the pose of a group."""
         return dimension
 
+    def least_noise_m(self, rows: Rows) -> float:
+        """Return that nothing is known of the noise."""
+        return 0.0
+
     def is_compared(self, landmarks: Ints) -> Bools:
         """Return which points (n,) are compared with older ones: all of them."""
         return np.ones(len(landmarks), dtype=bool)

@@ -97,7 +97,7 @@ class Averaging:
         self.n_comparisons += bins.n_comparisons
         known = weights[bins.static].sum() / max(weights.sum(), 1.0)
         if len(bins.static) < FEW * len(block) and known < FEW:
-            guess_m = self._noise_spread * guess_noise(block)
+            guess_m = self._noise_spread * np.fmax(guess_noise(block), self.noise.least_m)
             if not guess_m <= noise_m:
                 guessed = Binning(block, guess_m).sort(weights)
                 self.n_comparisons += guessed.n_comparisons

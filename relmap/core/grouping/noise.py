@@ -24,17 +24,25 @@ class NoiseEstimate:
     The distance of a member from the centre of its group does not depend on the robot's motion; its
     variance is the noise along one direction. The median over the members rejects single outliers;
     groups of moving landmarks must be excluded by the caller.
+
+    `least_m`: lower limit, metres, from what the observations say of their noise.
     """
 
-    STATE = "_squares _freedoms"
+    STATE = "_squares _freedoms least_m"
 
     def __init__(self) -> None:
         self._squares = 0.0
         self._freedoms = 0.0
+        self.least_m = 0.0
 
     def restart(self) -> None:
         """Forget the estimate: the noise has changed."""
         self._squares = self._freedoms = 0.0
+
+    def limit(self, least_m: float) -> None:
+        """Take the least noise of another scan, metres, into the mean of those so far; 0: none."""
+        share = 1 - FORGETTING if self.least_m else 1.0
+        self.least_m += share * (least_m - self.least_m) if least_m else 0.0
 
     def add(self, block: Floats) -> None:
         """Add a group's observations (g, i, d), robot frame, metres."""
@@ -51,7 +59,9 @@ class NoiseEstimate:
     @property
     def sigma_m(self) -> float:
         """Standard deviation of one coordinate, metres; NaN before any repeated observation."""
-        return float(np.sqrt(self._squares / self._freedoms)) if self._freedoms else np.nan
+        if not self._freedoms:
+            return np.nan
+        return max(float(np.sqrt(self._squares / self._freedoms)), self.least_m)
 
 
 def guess_noise(block: Floats) -> float:
