@@ -91,6 +91,12 @@ def test_damaged_carmen_log(tmp_path: Path, old: str, new: str, expected: str) -
     assert expected in failure(put(tmp_path, CORRECTED.replace(old, new), "a.log"), "carmen-log")
 
 
+def test_only_of_ranges_it_is_said_what_no_return_is(tmp_path: Path) -> None:
+    said = failure(put(tmp_path, CORRECTED.replace("1 2 0.5 1 2", "1 nan 0.5 1 2"), "a.log"))
+    assert "'nan', expected FLASER" in said
+    assert "without a return" not in said
+
+
 @pytest.mark.parametrize(
     ("old", "new"),
     [("0 3 1 2 60 0", "0 3 1 2 60 1"), ("0 3 1 2 60 0", "0 3 1 2"), ("-1.5 3", "- 3")],

@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from relmap.core.arrays import Floats
-from relmap.core.motion_noise import motion_noise
+from relmap.core.motion_noise import leaps, missing_turn, motion_noise
 from relmap.core.odometry import checked_odometry
 
 Array = Floats
@@ -87,3 +87,33 @@ def test_a_robot_that_stands_still_has_exact_odometry() -> None:
     assert not found.is_wrong
     assert found.sigma_m <= 1e-3
     assert found.sigma_rad <= 1e-3
+
+
+def test_driving_after_a_long_stop_does_not_leap() -> None:
+    rng = np.random.default_rng(0)
+    true = np.concatenate([np.tile(np.eye(4), (5000, 1, 1)), drive(rng)])
+    odometry = odometry_of(true, rng, way=0.01, yaw=0.002)
+    assert not leaps(odometry, np.ones(len(odometry), dtype=bool)).any()
+    found = motion_noise(odometry, true)
+    assert found is not None
+    assert_allclose(found.scale, 1.03, atol=0.003)
+
+
+def test_only_what_is_far_longer_than_most_steps_is_a_leap() -> None:
+    odometry = odometry_of(drive(np.random.default_rng(0)), np.random.default_rng(1), 0.01, 0.002)
+    odometry[[7, 9], 0, 3] = 5.0, 10.0
+    known = np.ones(len(odometry), dtype=bool)
+    assert np.flatnonzero(leaps(odometry, known)).tolist() == [9]
+    assert not leaps(odometry[:3], known[:3]).any()
+
+
+@pytest.mark.parametrize(
+    ("counted", "is_missed"), [(0.0, True), (-0.4, True), (1.0, True), (0.25, False), (0.5, False)]
+)
+def test_a_turn_is_missed_if_odometry_is_off_by_more_than_half(
+    counted: float, is_missed: bool
+) -> None:
+    odometry, true = (checked_odometry([0.1, 0, yaw])[None] for yaw in (counted, 0.4))
+    judged, missed = missing_turn(odometry, true, np.array([0.01]))
+    assert judged.tolist() == [True]
+    assert missed.tolist() == [is_missed]

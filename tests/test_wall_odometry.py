@@ -277,10 +277,32 @@ def test_wrong_odometry_does_not_bridge_a_corridor(spoil: Any) -> None:
 
 
 def test_turns_the_wrong_way_are_noticed() -> None:
-    poses = round_the_room(60)
-    use = use_of(mapped(scans_from(ROOM, poses), odometry_of(poses) * [1, 1, -1]))
+    """Where the robot weaves down the corridor, the way is right over a metre."""
+    x = np.arange(0.5, 10.5, 0.25)
+    poses = np.array([pose_of(at, 0.2 * np.sin(at), 0.3 * np.sin(at)) for at in x])
+    use = use_of(mapped(scans_from(CORRIDOR, poses), odometry_of(poses) * [1, 1, -1]))
     assert use.is_wrong
     assert not use.is_used
+
+
+def test_a_leap_of_odometry_does_not_bridge_a_corridor() -> None:
+    poses, scans = in_the_corridor()
+    odometry = odometry_of(poses)
+    odometry[80, 0] += 60
+    mapper = mapped(scans, odometry)
+    assert use_of(mapper).left_out.tolist() == [80]
+    for submap in mapper.submaps:
+        true = poses[slice(*submap.span)]
+        assert ate_m(submap.poses, true) < 0.3
+
+
+def test_a_constant_turn_of_wheels_is_estimated_not_rejected() -> None:
+    poses = round_the_room(60)
+    odometry = odometry_of(poses)
+    odometry[:, 2] -= 0.15 * np.hypot(*odometry[:, :2].T)
+    use = use_of(mapped(scans_from(ROOM, poses), odometry))
+    assert not use.is_wrong
+    assert_allclose(use.noise.turn_per_m[2], 0.15, atol=0.02)
 
 
 @pytest.mark.parametrize("slip_m", [0.4, 60.0])

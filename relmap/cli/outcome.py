@@ -136,7 +136,7 @@ def unit(summary: dict[str, Any], farthest_m: float) -> str:
     small = empty and 0 < farthest_m < NEAREST_M
     if not small and (farthest_m <= BEYOND_M or not (empty or overlaps_little(summary))):
         return ""
-    away_m = f"{round(farthest_m, 2):.9g}"
+    away_m = f"{farthest_m:.3g}" if farthest_m < NEAREST_M else f"{round(farthest_m, 2):.9g}"
     return f". Coordinates must be metres: here the farthest point is {away_m} m away"
 
 

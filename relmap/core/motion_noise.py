@@ -24,8 +24,8 @@ SLIPPED = 6.0
 """Standard deviations beyond which a step of odometry is wrong."""
 WRONG_SCALE, WRONG_WAY = 0.3, 0.5
 """Error of the scale, and noise relative to the distance, beyond which odometry is rejected."""
-LEAP, USUALLY = 10.0, 0.9
-"""A step that is so many times longer than this fraction of the steps is a fault of odometry."""
+LEAP, USUALLY, LEAP_M = 10.0, 0.9, 0.5
+"""A step so many times longer than this fraction of the steps, and this long, is a fault."""
 STILL_M = 1e-3
 """Distance below which the robot stands still."""
 FLOOR_M, FLOOR_RAD = 1e-4, 1e-5
@@ -118,9 +118,9 @@ def leaps(odometry: Floats, usual: Bools) -> Bools:
     `usual` (k,): which motions count as usual.
     """
     way = np.linalg.norm(odometry[:, :3, 3], axis=1)
-    if not usual.any():
-        return np.zeros(len(way), dtype=np.bool_)
-    return np.asarray(way > LEAP * max(float(np.quantile(way[usual], USUALLY)), STILL_M))
+    goes = way[usual & (way > STILL_M)]
+    usual_m = float(np.quantile(goes, USUALLY)) if len(goes) else np.inf
+    return np.asarray(way > max(LEAP * usual_m, LEAP_M))
 
 
 def missing_way(odometry: Floats, measured: Floats, sd_m: Floats) -> Bools:

@@ -139,7 +139,7 @@ def _lines(path: Path) -> Iterator[_Line]:
 
 def _flaser(line: _Line) -> _Scan:
     n = line.count(1)
-    values = line.numbers(line.cells[2:-2], n + 7, n + 11)
+    values = line.numbers(line.cells[2:-2], n + 7, n + 11, slice(n))
     step = math.pi / (n if n % 2 == 0 else max(n - 1, 1))
     return _Scan(
         line.ranges(values[:n]),
@@ -154,7 +154,7 @@ def _flaser(line: _Line) -> _Scan:
 def _robotlaser(line: _Line) -> _Scan:
     n = line.count(8)
     m = line.count(9 + n, least=0)
-    values = line.numbers(line.cells[1:-2], n + m + 21, n + m + 24)
+    values = line.numbers(line.cells[1:-2], n + m + 21, n + m + 24, slice(8, 8 + n))
     laser, robot = values[n + m + 9 : n + m + 12], values[n + m + 12 : n + m + 15]
     return _Scan(
         line.ranges(values[8 : n + 8]),
@@ -193,16 +193,22 @@ class _Line:
             raise self.wrong(self.cells)
         return count
 
-    def numbers(self, cells: list[str], count: int, words: int) -> list[float]:
-        """Return `count` finite numbers from a line with the given number of words."""
+    def numbers(
+        self, cells: list[str], count: int, words: int, ranges: slice = slice(0)
+    ) -> list[float]:
+        """Return `count` finite numbers from a line with the given number of words.
+
+        `ranges`: which of them are ranges.
+        """
         values = finite_numbers(cells)
         if len(self.cells) < words:
             raise self.wrong(self.cells, f": cut off after {len(self.cells)} of {words} fields")
         if len(values) != count or len(self.cells) != words:
-            of_right_length = len(self.cells) == words
-            culprits = [cell for cell in cells if not finite_numbers([cell])]
-            why = NO_RETURN if any(_NOT_FINITE.fullmatch(cell) for cell in culprits[:1]) else ""
-            raise self.wrong(culprits[:1] if of_right_length and culprits else self.cells, why)
+            culprits = [cell for cell in cells if not finite_numbers([cell])][:1]
+            if len(self.cells) != words or not culprits:
+                raise self.wrong(self.cells)
+            no_return = culprits[0] in cells[ranges] and _NOT_FINITE.fullmatch(culprits[0])
+            raise self.wrong(culprits, NO_RETURN if no_return else "")
         return values
 
     def ranges(self, values: list[float]) -> Floats:

@@ -70,7 +70,7 @@ class ScanComparison:
         more: Iterable[View] = (),
     ) -> None:
         self._beams, self._views, self._more = beams, views, more
-        self._usual, self._before = before, expected.motion if expected else before
+        self._recent, self._usual = before, expected.motion if expected else before
         self._expected, self._firm = expected, firm
         kept, own = ~(tracks.loose & firm), ~(seen.loose & firm)
         self._rows, self._walls = kept.nonzero()[0], own.nonzero()[0]
@@ -119,10 +119,10 @@ class ScanComparison:
 
         By odometry, if there is any; but it may be wrong, and the robot go on as before.
         """
-        surprise = _unusual(motions, self._before)
+        surprise = _unusual(motions, self._usual)
         if self._expected is None:
             return surprise
-        likelier = np.minimum(surprise, _unusual(motions, self._usual))
+        likelier = np.minimum(surprise, _unusual(motions, self._recent))
         return likelier - self._expected.supports(motions)
 
     @cached_property
@@ -151,7 +151,7 @@ class ScanComparison:
         agree would be taken.
         """
         motion, match = one.motions[0], one.matches[0]
-        usual_m = (self._before[1:] - motion[1:]) @ self._along_longest(match)
+        usual_m = (self._usual[1:] - motion[1:]) @ self._along_longest(match)
         moved = self._moved(motion, match, np.array([usual_m]))
         views = [*self._views[:1], *self._nearby]
         return one if self._odds(views, moved, motion)[0] < CONTRADICTED else self._judged(moved, 0)
@@ -167,7 +167,7 @@ class ScanComparison:
         crossing = self._crossing(match)
         if crossing >= CROSSINGS:
             return judged.only(k)
-        usual_m = float((self._before[1:] - motion[1:]) @ self._along_longest(match))
+        usual_m = float((self._usual[1:] - motion[1:]) @ self._along_longest(match))
         way_m = np.append(COARSE_M, usual_m) if far else COARSE_M
         views = list(self._views[:1])
         if crossing < PARALLEL and self._expected is None:
@@ -187,7 +187,7 @@ class ScanComparison:
 
         Compared with no shift, by the odds (k,) of the beams; `usual_m` leads to the usual step.
         """
-        scale_m = USUAL_SHARE * float(np.hypot(*self._before[1:])) + USUAL_LEAST_M
+        scale_m = USUAL_SHARE * float(np.hypot(*self._usual[1:])) + USUAL_LEAST_M
         usual = np.log1p((usual_m / scale_m) ** 2) - np.log1p(((way_m - usual_m) / scale_m) ** 2)
         at = int(np.argmax(odds + usual))
         return float(way_m[at]), float((odds + usual)[at])
@@ -238,8 +238,8 @@ class ScanComparison:
         return float(spread(self._seen.along[match.walls], np.zeros_like(match.walls), 1)[0])
 
 
-def _unusual(motions: Floats, before: Floats) -> Floats:
-    """Return the log odds against motions (k, 3) given the one before (3,)."""
-    way = np.hypot(*(motions[:, 1:] - before[1:]).T) / USUAL_M
-    turn = wrapped(motions[:, 0] - before[0]) / USUAL_RAD
+def _unusual(motions: Floats, usual: Floats) -> Floats:
+    """Return the log odds against motions (k, 3) where another one (3,) is usual."""
+    way = np.hypot(*(motions[:, 1:] - usual[1:]).T) / USUAL_M
+    turn = wrapped(motions[:, 0] - usual[0]) / USUAL_RAD
     return np.asarray((way**2 + turn**2) / 2)

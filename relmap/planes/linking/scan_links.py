@@ -120,7 +120,8 @@ class ScanLinks(LinkRecord):
         views = [*islice(self._views(seen), VERIFYING)]
         if views:
             beams = self.beams.of_next(seen.beams, seen.ends)
-            return Search(tracks, seen, beams, views, self.usual, expected).bridged(expected)
+            recent_motion = usual_motion(self.motions, self.measured)
+            return Search(tracks, seen, beams, views, recent_motion, expected).bridged(expected)
         (motion,), (match,) = settled(tracks, seen, [expected.motion])
         near = expected.off(motion[None])[0] < OTHERWISE
         recent = tracks.missed == tracks.missed.min(initial=0)

@@ -66,9 +66,9 @@ class Search(ScanComparison):
         """
         if self._is_empty:
             return None
-        every = self._judged([self._before, STILL])
+        every = self._judged([self._usual, STILL])
         best = int(np.argmax(every.evidence))
-        is_usual = not others(every.motions[[best]], self._before)[0]
+        is_usual = not others(every.motions[[best]], self._usual)[0]
         clear = is_usual and every.agree[best] > CLEARLY and every.contradict[best] < HARDLY
         clear = clear and self._measured(every, best)
         if not clear:
@@ -126,7 +126,7 @@ class Search(ScanComparison):
         """
         if self._is_empty:
             return NO_CANDIDATES
-        every = self._judged([self._before, STILL, *guesses, *self._guesses()])
+        every = self._judged([self._usual, STILL, *guesses, *self._guesses()])
         for k in np.argsort(-every.of_pair, kind="stable")[:SLID]:
             every = every.and_those(self._slid(every, k))
         evidence = every.of_pair

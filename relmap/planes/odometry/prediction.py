@@ -16,6 +16,7 @@ from relmap.core.motion_noise import (
     WRONG_SCALE,
     WRONG_WAY,
     MotionNoise,
+    leaps,
     misses_most,
     missing_turn,
     missing_way,
@@ -40,8 +41,6 @@ FAULTS, FAULTY = 2, 0.05
 is rejected: bridges would be wrong as often."""
 STRETCH_M = 1.0
 """Length of the stretches of which odometry must not miss most."""
-WRONG_RAD = 0.3
-"""Standard deviation of the angle of a step above which odometry is rejected."""
 UNKNOWN_M = 3.5
 """Longest step by odometry that was not compared yet: it may be in other units."""
 GUESSED = MotionNoise()
@@ -105,7 +104,7 @@ class Wheels:
     ) -> Expected | None:
         steps = self.given.between(earlier + 1, later + 1)
         noise = self.noise(motions, measured)
-        if noise is None or not np.isfinite(steps[:, 0, 0]).all():
+        if noise is None or not np.isfinite(steps[:, 0, 0]).all() or self._leaps(earlier, later):
             return None
         path = path_of(corrected(noise, steps))
         sd_m, sd_rad = noise.sigmas(steps)
@@ -116,6 +115,12 @@ class Wheels:
         if noise is GUESSED and np.hypot(*motion[1:]) > UNKNOWN_M:
             return None
         return Expected(motion, float(off_m), float(off_rad))
+
+    def _leaps(self, earlier: int, later: int) -> bool:
+        """Return whether a step from an earlier scan to a later one leaps, unlike the last ones."""
+        begin = max(earlier + 1 - COMPARED, 0)
+        last = self.given.between(begin, later + 1)
+        return bool(leaps(last, np.isfinite(last[:, 0, 0]))[earlier + 1 - begin :].any())
 
     def noise(self, motions: Floats, measured: Bools) -> MotionNoise | None:
         """Return the recent quality of odometry; None if it is rejected."""
@@ -159,10 +164,11 @@ class Wheels:
             return GUESSED, True
         off_m = found.sigma_way * float(np.median(np.linalg.norm(steps[:, :2, 3], axis=1)))
         is_noise = found.sigma_way > WRONG_WAY and off_m > ROUGH_M
-        is_noise |= found.sigma_rad > WRONG_RAD
         faults = int(_otherwise(found, steps, true).sum())
         fails = faults > FAULTS and faults > FAULTY * len(steps)
-        fails |= is_noise or abs(found.scale - 1) > WRONG_SCALE or _misses(steps, poses)
+        fails |= (
+            is_noise or abs(found.scale - 1) > WRONG_SCALE or _misses(found.corrected(steps), poses)
+        )
         return found, not fails
 
     def left_out(self, motions: Floats, measured: Bools) -> Bools:
@@ -173,7 +179,10 @@ class Wheels:
         steps = self.given.over(len(motions))
         known = np.isfinite(steps[:, 0, 0])
         noise = self.noise_over_all(motions, measured)
-        return known & measured & _otherwise(noise, steps, motions) if noise else known
+        if noise is None:
+            return known
+        wrong = measured & _otherwise(noise, steps, motions)
+        return known & (wrong | (leaps(steps, known) & ~measured))
 
     def look_again(self) -> None:
         """Forget the noise estimate: motions have changed."""

@@ -93,7 +93,7 @@ class WallFinder:
         points = seen.beams.points[::every].astype(np.float64)
         near = np.abs(seen.ends).max(axis=(1, 2), initial=0.0) <= FAR_M
         ties = wall_ties(seen.ends[near], self._ends)[:PLACES] if self._may_hold(points) else []
-        length_m = float(seen.size.sum())
+        length_m = float(seen.size[near].sum())
         overlap_m = np.array([tie.length_m for tie in ties])
         explained = np.array([self._explained(tie, points, seen.beams.origin) for tie in ties])
         fits = (explained >= EXPLAINED) & (overlap_m >= max(LEAST_M, SHARE * length_m))

@@ -123,7 +123,7 @@ def noise_of(
     single = motion_noise(odometry, compared) or MotionNoise()
     slipped = single.slipped(odometry, measured.motion, measured.sd_m, measured.sd_rad)
     misses, missed = _missed(single.corrected(odometry), measured, slipped, rows)
-    missed |= leaps(odometry, np.isfinite(odometry[:, 0, 0]))
+    missed |= leaps(odometry, np.isfinite(odometry[:, 0, 0])) & np.isnan(measured.sd_m)
     without_slips = odometry.copy()
     without_slips[slipped] = np.nan
     composed, seen, steps = _stretches(without_slips, rows)
