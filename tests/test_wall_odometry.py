@@ -259,6 +259,12 @@ def test_wrong_odometry_is_left_out_and_named(spoil: Any) -> None:
     assert len(use_of(other).left_out) > 2
 
 
+def bare_part() -> tuple[Array, list[tuple[Any, Array]]]:
+    """Return the poses and scans of the first part of the corridor, from the bay on."""
+    poses, scans = in_the_corridor()
+    return poses[:70], scans[:70]
+
+
 def dead(odometry: Array) -> Array:
     return np.zeros_like(odometry)
 
@@ -269,7 +275,7 @@ def in_millimetres(odometry: Array) -> Array:
 
 @pytest.mark.parametrize("spoil", [dead, in_millimetres])
 def test_wrong_odometry_does_not_bridge_a_corridor(spoil: Any) -> None:
-    poses, scans = in_the_corridor()
+    poses, scans = bare_part()
     plain, other = mapped(scans), mapped(scans, spoil(odometry_of(poses)))
     assert use_of(other).is_wrong
     assert not use_of(other).is_used
@@ -286,11 +292,11 @@ def test_turns_the_wrong_way_are_noticed() -> None:
 
 
 def test_a_leap_of_odometry_does_not_bridge_a_corridor() -> None:
-    poses, scans = in_the_corridor()
+    poses, scans = bare_part()
     odometry = odometry_of(poses)
-    odometry[80, 0] += 60
+    odometry[50, 0] += 60
     mapper = mapped(scans, odometry)
-    assert use_of(mapper).left_out.tolist() == [80]
+    assert use_of(mapper).left_out.tolist() == [50]
     for submap in mapper.submaps:
         true = poses[slice(*submap.span)]
         assert ate_m(submap.poses, true) < 0.3
