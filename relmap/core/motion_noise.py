@@ -24,7 +24,7 @@ SLIPPED = 6.0
 """Standard deviations beyond which a step of odometry is wrong."""
 WRONG_SCALE, WRONG_WAY = 0.3, 0.5
 """Error of the scale, and noise relative to the distance, beyond which odometry is rejected."""
-LEAP, USUALLY, LEAP_M = 10.0, 0.9, 0.5
+LEAP, USUALLY, LEAP_M = 10.0, 0.9, 5.0
 """A step so many times longer than this fraction of the steps, and this long, is a fault."""
 STILL_M = 1e-3
 """Distance below which the robot stands still."""
