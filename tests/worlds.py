@@ -32,6 +32,11 @@ class Walk:
     scans: Scans
 
 
+OUTLINE = np.array([[0.0, 0.0], [5.0, 0.0], [5.0, 2.0], [2.0, 2.0], [2.0, 4.5], [0.0, 4.5]])
+ROOM = np.stack([OUTLINE, np.roll(OUTLINE, -1, axis=0)], axis=1)
+"""A room from inside, each wall from right to left."""
+
+
 def random_rotation(dimension: int, angle: float, rng: np.random.Generator) -> Floats:
     """Return a rotation of up to `angle` radians about each axis."""
     if dimension == 2:

@@ -1,0 +1,65 @@
+"""One scan among the walls of a map: found where it fits in one place alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from relmap.core.arrays import Floats
+from relmap.mapper import Place
+from relmap.planes.places.taking_up import WallFinder
+from relmap.planes.scans.observation import checked_planes
+from relmap.simulation.visibility import SeenWalls, seen_walls
+from tests.worlds import ROOM, turn
+
+HALL = np.array([[[-30.0, 0.0], [30.0, 0.0]], [[30.0, 2.0], [-30.0, 2.0]]])
+
+
+def place_in(walls: Floats, seen_of: Floats, x: float, y: float, yaw: float) -> Place:
+    """Look for a scan of some walls, taken at a pose, among walls."""
+    seen = seen_walls((seen_of - [x, y]) @ turn(yaw), 8.0, 3.0)
+    step = np.linspace(0.0, 1.0, 60)[:, None]
+    beams = np.concatenate([a + step * (b - a) for a, b in seen.ends])
+    return WallFinder(walls).find(checked_planes(seen, beams))
+
+
+def test_a_scan_is_found_where_it_fits_in_one_place_alone() -> None:
+    one = place_in(ROOM, ROOM, 1.5, 1.0, 0.4)
+    assert one.n_places == 1
+    np.testing.assert_allclose(one.T_map_robot[:2, 3], [1.5, 1.0], atol=0.02)
+    assert np.arctan2(one.T_map_robot[1, 0], one.T_map_robot[0, 0]) == pytest.approx(0.4, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("walls", "n_places"),
+    [
+        (np.concatenate([ROOM, np.add(ROOM, [20.0, 3.0])]), 2),
+        (np.concatenate([ROOM, ROOM @ np.array([[0.0, 1.0], [-1.0, 0.0]]) + [20.0, 3.0]]), 2),
+        (HALL, 0),
+        (np.empty((0, 2, 2)), 0),
+    ],
+    ids=["twins", "turned twins", "elsewhere", "nothing"],
+)
+def test_a_scan_that_fits_in_two_places_or_none_is_refused(walls: Floats, n_places: int) -> None:
+    place = place_in(walls, ROOM, 1.5, 1.0, 0.4)
+    assert place.n_places == n_places
+    assert np.isnan(place.T_map_robot).all()
+
+
+def test_a_scan_larger_than_the_map_is_not_aligned(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr("relmap.planes.places.taking_up.wall_ties")
+    assert place_in(ROOM, 3.0 * ROOM, 4.5, 3.0, 0.4).n_places == 0
+
+
+def test_walls_that_no_laser_sees_are_not_compared() -> None:
+    seen = seen_walls(ROOM - [1.5, 1.0], 8.0, 3.0)
+    far = np.array([[[1e5, -0.2], [1e5, 0.2]]])
+    ends, end_type = np.concatenate([seen.ends, far]), np.append(seen.end_type, [["view"] * 2], 0)
+    step = np.linspace(0.0, 1.0, 60)[:, None]
+    beams = np.concatenate([a + step * (b - a) for a, b in ends])
+    walls = SeenWalls(np.append(seen.wall, 9), ends, end_type)
+    assert WallFinder(ROOM).find(checked_planes(walls, beams)).n_places == 1
+
+
+def test_along_a_bare_corridor_a_scan_may_be_anywhere() -> None:
+    assert place_in(HALL, HALL, 1.0, 1.0, 0.1).n_places == 2
