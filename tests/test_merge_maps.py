@@ -271,6 +271,19 @@ def test_an_ambiguous_alignment_is_refused(
     assert "m of walls overlap in one alignment, and " in capsys.readouterr().err
 
 
+def test_a_map_in_other_units_is_refused(
+    halves: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Before a search, which would be over as many cells as the map is larger."""
+    shutil.copytree(halves / "lab-a", tmp_path / "mm")
+    planes = read_planes(tmp_path / "mm")
+    write_planes(tmp_path / "mm", replace(planes, ends=1000 * planes.ends))
+    for pair in (["mm", "lab-b"], ["lab-b", "mm"]):
+        folders = [str((tmp_path if name == "mm" else halves) / name) for name in pair]
+        assert main(["merge", *folders, "-o", str(tmp_path / "out")]) == 2
+        assert "both maps must be in metres" in capsys.readouterr().err
+
+
 def test_freiburg_079_in_two_parts(shared_data: Path, tmp_path: Path) -> None:
     packed = shared_data / "carmen-laser2d" / "freiburg-079-corrected.log.gz"
     log = first_scans(packed, 350, tmp_path)

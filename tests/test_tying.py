@@ -8,19 +8,28 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from relmap import PointMapper
+from relmap.core import afterwards, repairing
 from relmap.core.arrays import Floats
+from relmap.core.association.reobservation.disagreement import local_drift
+from relmap.core.association.reobservation.evidence import LOCAL_DRIFT
 from relmap.core.association.reobservation.tying import NEIGHBOURHOOD, neighbourhoods, tie_submaps
 from relmap.core.config import MapperConfig
 from relmap.core.map.globalmap import GlobalMap
+from relmap.core.mapper import RelativeMapper
+from relmap.core.refinement.condensing import LENGTH
 from relmap.core.state.schedule import GroupingSchedule
 from relmap.core.state.table import NONE, LandmarkState
-from tests.worlds import aligned_rmse, random_rotation, two_visits, walk
+from relmap.points.model import PointModel
+from tests.worlds import Scans, aligned_rmse, random_rotation, two_visits, walk
 
 seeds = st.integers(0, 2**32 - 1)
 dimensions = st.sampled_from([2, 3])
 both_dimensions = pytest.mark.parametrize("d", [2, 3])
 
 Points = Floats
+
+SIGMA = 0.02
+"""Standard deviation of an observed coordinate, metres."""
 
 
 def in_submaps(*places: Points) -> GlobalMap:
@@ -167,6 +176,42 @@ def test_a_second_visit_from_nowhere_is_the_same_place(d: int, sigma: float) -> 
     assert len(set(mapped)) >= len(world.landmarks) - 2
     assert len(mapped) <= 1.1 * len(set(mapped))
     assert aligned_rmse(mapper.map.positions[:, :d], world.landmarks[mapped]) < max(1e-9, sigma)
+
+
+def biased(d: int, seed: int, bias_m: float, visits: int) -> Scans:
+    """Return scans of a walk in which each landmark is biased anew in each segment."""
+    world, rng = walk(d, seed, SIGMA), np.random.default_rng(seed)
+    scans = []
+    for k, (ids, points) in enumerate(visits * world.scans):
+        if k % LENGTH == 0:
+            bias = bias_m * rng.standard_normal(world.landmarks.shape)
+        scans.append((ids, points + bias[ids]))
+    return scans
+
+
+@both_dimensions
+@pytest.mark.parametrize("bias_m", [0.0, 0.02, 0.1])
+def test_disagreement_of_segments_is_known(d: int, bias_m: float) -> None:
+    engine, true = RelativeMapper(PointModel(), MapperConfig()), (bias_m / SIGMA) ** 2
+    for ids, points in biased(d, 0, bias_m, visits=1):
+        engine.update(points, ids)
+    afterwards.finish(engine)
+    repairing.refine(engine)
+    drift = local_drift(engine.table, engine.rows, SIGMA)
+    # Each landmark is averaged over few segments, which takes a part of the bias with it.
+    assert drift == LOCAL_DRIFT if bias_m == 0 else 0.6 * true < drift < 1.1 * true
+
+
+@both_dimensions
+@pytest.mark.parametrize("seed", range(2))
+def test_a_place_is_found_again_by_segments_that_disagree(d: int, seed: int) -> None:
+    """As those of Victoria Park do, by more than the noise of averages."""
+    mapper = PointMapper()
+    for _, points in biased(d, seed, 2 * SIGMA, visits=2):
+        mapper.update(points)
+    mapper.finish()
+    mapper.refine()
+    assert len(mapper.submaps) == 1
 
 
 @both_dimensions

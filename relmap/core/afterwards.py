@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.association.reobservation.disagreement import local_drift
 from relmap.core.association.reobservation.loops import LoopFinder
 from relmap.core.association.reobservation.merging import merge_doubles
 from relmap.core.association.reobservation.sightings import Sightings
@@ -79,7 +80,8 @@ def tie(engine: RelativeMapper) -> None:
     noise_m, merger = engine.averaging.noise.sigma_m, engine.merger
     rows = engine.rows
     merger.sightings = Sightings(rows, engine.table)
-    for _ in tie_submaps(engine.map, noise_m):
+    drift = local_drift(engine.table, rows, noise_m)
+    for _ in tie_submaps(engine.map, noise_m, drift):
         merge_doubles(merger, engine.merge, noise_m)
     if is_bridged(engine):
         close_revisits(engine)
@@ -87,7 +89,7 @@ def tie(engine: RelativeMapper) -> None:
         merge_within_drift(engine)
         merge_doubles_in_place(engine)
     else:
-        _close_loops(engine, rows, noise_m)
+        _close_loops(engine, rows, noise_m, drift)
         if engine.refined:  # Before that, coinciding landmarks may be distinct.
             merge_doubles(merger, engine.merge, noise_m)
     merger.sightings = None
@@ -108,9 +110,9 @@ def tie_and_solve(engine: RelativeMapper) -> None:
             bridge_gaps(engine)
 
 
-def _close_loops(engine: RelativeMapper, rows: SegmentRows, noise_m: float) -> None:
+def _close_loops(engine: RelativeMapper, rows: SegmentRows, noise_m: float, drift: float) -> None:
     """Close loops that drift has left open, one after the other."""
-    finder = LoopFinder(engine.table, noise_m, engine.association.current.is_blurred)
+    finder = LoopFinder(engine.table, noise_m, drift, engine.association.current.is_blurred)
     while (loop := finder.next()) is not None:
         pairs = loop.pairs[engine.merger.allowed(loop.pairs)]
         if len(pairs) > CLEAR * len(loop.pairs):
@@ -125,12 +127,13 @@ def find_again(engine: RelativeMapper) -> bool:
     Then join submaps that scans show together; returns whether any were.
     """
     table, merger = engine.table, engine.merger
-    rows = engine.rows
+    rows, noise_m = engine.rows, engine.averaging.noise.sigma_m
     found = True
     while found:
         extend_submaps(engine.map, rows, (table.submap == NONE) & ~table.dynamic)
         found = False
-        for pairs in find_strays(table, rows, engine.averaging.noise.sigma_m):
+        drift = local_drift(table, rows, noise_m)
+        for pairs in find_strays(table, rows, noise_m, drift):
             found |= engine.merge_pairs(pairs[merger.allowed(pairs)]) > 0
     if is_bridged(engine):
         return False

@@ -27,6 +27,8 @@ from relmap.recorded import versions
 Record = dict[str, Any]
 NOTHING = np.empty(0, dtype=np.int64)
 STATUS = ("static", "dynamic", "unmapped")
+OTHER_UNITS = 20.0
+"""Ratio of the lengths of their walls above which two maps are not in the same units."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,8 +136,14 @@ def _tie_of_points(a: Result, b: Result, named: str) -> tuple[Motion, Record]:
 def _tie_of_walls(a: PlaneTable, b: PlaneTable, named: str) -> tuple[Motion, Record]:
     """Return the alignment of the second map, by the length of overlapping walls."""
     ends = [table.ends[table.status == "static"] for table in (b, a)]
-    ties = wall_ties(*ends)
     failed = f"{named} have no unique alignment"
+    typical_m = [float(np.median(np.hypot(*(w[:, 1] - w[:, 0]).T))) for w in ends if len(w)]
+    if len(typical_m) == 2 and max(typical_m) > OTHER_UNITS * min(typical_m):
+        raise RelmapError(
+            f"{failed}: their walls are {typical_m[0]:.3g} and {typical_m[1]:.3g} m long in the "
+            "median; both maps must be in metres"
+        )
+    ties = wall_ties(*ends)
     if not ties or ties[0].length_m < LEAST_M:
         length_m = ties[0].length_m if ties else 0.0
         raise RelmapError(

@@ -44,12 +44,19 @@ class Loop:
 class LoopFinder:
     """Finds loops in a map, one at a time; each landmark is tried as a starting point once.
 
-    `noise_m`: standard deviation of an observed coordinate; `is_blurred`: whether this makes many
+    `noise_m`: standard deviation of an observed coordinate; `drift`: variance of the drift of the
+    map nearby, relative to that of an observation; `is_blurred`: whether the noise makes many
     single matches ambiguous: loops are then also found by likelihood.
     """
 
-    def __init__(self, table: LandmarkState, noise_m: float, is_blurred: bool = False) -> None:
-        self._table = table
+    def __init__(
+        self,
+        table: LandmarkState,
+        noise_m: float,
+        drift: float = LOCAL_DRIFT,
+        is_blurred: bool = False,
+    ) -> None:
+        self._table, self._drift = table, drift
         self._noise_m, self._is_blurred = noise_m, is_blurred
         self._had = np.zeros(len(table), dtype=bool)
 
@@ -62,7 +69,7 @@ class LoopFinder:
                 continue
             if table.last[own].min() >= table.since[own].max():
                 continue  # every landmark was seen together with every other
-            finder = PlaceFinder(table.position[own], self._noise_m)
+            finder = PlaceFinder(table.position[own], self._noise_m, self._drift)
             for seed in own[np.argsort(table.first[own], kind="stable")].tolist():
                 loop = None if self._had[seed] else self._loop(finder, own, seed)
                 if loop is not None:

@@ -51,10 +51,12 @@ REACH, SETTLING = 3.0, 3
 class PlaceFinder:
     """Localises scans in a map.
 
-    `positions` (m, d), map frame, metres; `noise_m`: standard deviation of an observed coordinate.
+    `positions` (m, d), map frame, metres; `noise_m`: standard deviation of an observed coordinate;
+    `drift`: variance of the drift of the map nearby, relative to that of an observation.
     """
 
-    def __init__(self, positions: Floats, noise_m: float) -> None:
+    def __init__(self, positions: Floats, noise_m: float, drift: float = LOCAL_DRIFT) -> None:
+        self._drift = drift
         self._positions = positions
         self._among: Bools | None = None
         self._n_tried = 0
@@ -155,7 +157,7 @@ class PlaceFinder:
         the points are of a map, too, which drifts, 1 if they are of a segment.
         """
         there, (n, d) = self._positions[at], points.shape
-        variance = (1 / np.maximum(n_averaged, 1)).sum(axis=0) + n_maps * LOCAL_DRIFT
+        variance = (1 / np.maximum(n_averaged, 1)).sum(axis=0) + n_maps * self._drift
         R, t = fit_rigid(points, there)
         square = np.sum((points @ R.T + t - there) ** 2, axis=1)
         freedom = n * d - d * (d + 1) / 2

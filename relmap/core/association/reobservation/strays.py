@@ -20,10 +20,13 @@ NEARBY = 100
 """Iterations before and after a stray scan within which its landmarks were seen."""
 
 
-def find_strays(table: LandmarkState, rows: SegmentRows, noise_m: float) -> Iterator[Ints]:
+def find_strays(
+    table: LandmarkState, rows: SegmentRows, noise_m: float, drift: float
+) -> Iterator[Ints]:
     """Yield pairs (k, 2) of unmapped tracks and the mapped landmarks that they are.
 
-    `noise_m`: standard deviation of an observed coordinate.
+    `noise_m`: standard deviation of an observed coordinate; `drift`: variance of the drift of the
+    map nearby, relative to that of an observation.
     """
     n, d = rows.n_segments, table.dimension
     mapped = table.weight[table.landmark_of[rows.landmark]] > 0
@@ -33,7 +36,7 @@ def find_strays(table: LandmarkState, rows: SegmentRows, noise_m: float) -> Iter
     submaps = [np.flatnonzero(table.submap == k) for k in np.unique(table.submap) if k != NONE]
     if not submaps or not len(strays):
         return
-    finders = [(own, PlaceFinder(table.position[own], noise_m)) for own in submaps]
+    finders = [(own, PlaceFinder(table.position[own], noise_m, drift)) for own in submaps]
     for stray in strays.tolist():
         of = np.flatnonzero((rows.segment == stray) & free)
         of = of[table.weight[table.now(rows.landmark[of])] == 0]

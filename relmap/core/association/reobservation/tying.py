@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association.base import nearest
 from relmap.core.association.placement import Placement
+from relmap.core.association.reobservation.evidence import LOCAL_DRIFT
 from relmap.core.association.reobservation.recognition import BY_CHANCE, ENOUGH, PlaceFinder
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.state.table import NONE, LandmarkState
@@ -32,17 +33,20 @@ APART = 4.0
 """Spacing at which submaps are laid out side by side, in sizes of the largest."""
 
 
-def tie_submaps(global_map: GlobalMap, noise_m: float) -> Iterator[Ints]:
+def tie_submaps(
+    global_map: GlobalMap, noise_m: float, drift: float = LOCAL_DRIFT
+) -> Iterator[Ints]:
     """Join submaps that show the same place.
 
-    `noise_m`: standard deviation of an observed coordinate. Yields (k,): the landmarks of a submap
-    that was just joined by another. Duplicates should be merged before the next search.
+    `noise_m`: standard deviation of an observed coordinate; `drift`: variance of the drift of the
+    map nearby, relative to that of an observation. Yields (k,): the landmarks of a submap that was
+    just joined by another. Duplicates should be merged before the next search.
     """
     table = global_map.table
     submaps, sizes = np.unique(table.submap, return_counts=True)
     known = (submaps != NONE) & (sizes >= ENOUGH)
     for submap in submaps[known][np.argsort(sizes[known], kind="stable")].tolist():
-        found = _found_elsewhere(table, submap, noise_m)
+        found = _found_elsewhere(table, submap, noise_m, drift)
         if found is not None:
             other, placement = found
             global_map.tie(submap, other, placement.R, placement.t)
@@ -50,7 +54,7 @@ def tie_submaps(global_map: GlobalMap, noise_m: float) -> Iterator[Ints]:
 
 
 def _found_elsewhere(
-    table: LandmarkState, submap: int, noise_m: float
+    table: LandmarkState, submap: int, noise_m: float, drift: float
 ) -> tuple[int, Placement] | None:
     """Return the submap that shows a place of this one, and the placement of this one in it."""
     own = np.flatnonzero(table.submap == submap)
@@ -58,7 +62,9 @@ def _found_elsewhere(
     if not len(others):
         return None
     positions, shifts, number = _laid_out(table, others)
-    finder, back = (PlaceFinder(there, noise_m) for there in (positions, table.position[own]))
+    finder, back = (
+        PlaceFinder(there, noise_m, drift) for there in (positions, table.position[own])
+    )
     for around in neighbourhoods(table.position[own]):
         points = table.position[own[around]]
         places = finder.places(points)
