@@ -76,6 +76,30 @@ def test_the_range_of_beams_without_a_return_may_vary(
     assert "m before it, and are treated as no return" in message
 
 
+@pytest.mark.parametrize("noise_m", [0.0, 0.01])
+@pytest.mark.parametrize("limit_m", [7.0, np.inf])
+def test_points_of_clouds_at_the_largest_range_did_not_return(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, noise_m: float, limit_m: float
+) -> None:
+    """Noise puts a few returns beyond it. Where all rays return, all points are kept."""
+    rng = np.random.default_rng(0)
+    rays = rng.standard_normal((2000, 3))
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    scans, kept = [], []
+    for step in range(5):  # in a cube of 12 m, 0.1 m a scan
+        ahead_m = (6 - 0.1 * step * np.sign(rays[:, 0])) / np.abs(rays[:, 0])
+        true_m = np.minimum(ahead_m, (6 / np.abs(rays[:, 1:])).min(axis=1))
+        range_m = true_m + noise_m * rng.standard_normal(2000)
+        scans.append(rays * np.where(true_m < limit_m, range_m, limit_m)[:, None])
+        kept.append(np.count_nonzero((true_m < limit_m) & (range_m < limit_m)))
+    points, iteration = np.concatenate(scans), np.repeat(np.arange(5), 2000)
+    file = npz(tmp_path / "scans.npz", points=points, iteration=iteration, stamps_s=np.arange(5.0))
+    found = [len(scan.points_robot) for scan in open_scans(file).scans()]
+    assert found == pytest.approx(kept, abs=3)  # A return may have just this range.
+    said = [m for m in caplog.messages if m.endswith("7 m, and are treated as no return")]
+    assert len(said) == np.isfinite(limit_m) == len(caplog.messages)
+
+
 @pytest.mark.parametrize("around_rad", [0.3, np.pi])
 def test_a_wall_at_the_largest_range_keeps_its_beams(tmp_path: Path, around_rad: float) -> None:
     """A sensor with a narrow view follows a wall, or one drives across a round room."""

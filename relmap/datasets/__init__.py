@@ -24,6 +24,7 @@ from relmap.datasets.kitti_bin import KittiBin
 from relmap.datasets.mrclam import Mrclam
 from relmap.datasets.mrpt_landmarks import MrptLandmarks
 from relmap.datasets.mrpt_laser import MrptLaser
+from relmap.datasets.no_return import without_no_return
 from relmap.datasets.observation_csv import OTHER_NAMES, ObservationCsv, write_observation_csv
 from relmap.datasets.odometry import with_odometry_beside
 from relmap.datasets.own_table import OwnTable, log_of_frame
@@ -142,7 +143,8 @@ def open_scans(path: Path | str, format: str | None = None, topics: Sequence[str
     RelmapError
         If there is no log of a known format, or it is damaged: file, line, field.
     """
-    return _opened(Path(path), format, SCAN_DATASETS, topics)
+    log = _opened(Path(path), format, SCAN_DATASETS, topics)
+    return without_no_return(Path(path), log) if log.dimension == 3 else log
 
 
 def _opened(

@@ -38,7 +38,8 @@ BOX = 8
 ARRIVED = 0.05
 """A hypothesis that a fit brings this close to a placement, as a fraction of `APART`, is it."""
 CLEARLY = 0.5
-"""The step to the chosen placement is at most this fraction of the step to any other rival."""
+"""The chosen placement is at most this fraction as far from the expected one as any rival. It is
+where steady motion leads if it is within this fraction of the standard deviation of that."""
 LEAP = 1.0
 """A step longer than this fraction of the range is a leap; a rotation counts by how far it moves
 points at the range."""
@@ -82,19 +83,11 @@ def place(seen: Patches, there: Surfaces, last: Pose | None, held: Held) -> Plac
 
     `seen`: planes of the scan, robot frame. `there`: planes of the map. `last`, R (3, 3) and t
     (3,): pose of the previous scan. Of placements that explain the scan equally well, as in a room
-    that looks the same from two sides, the closest to it is accepted if the others are far. Without
-    it, a placement with a rival is not accepted.
+    that looks the same from two sides or beside parallel faces, the closest to where steady motion
+    leads is accepted if the others are far. Without `last`, a placement with a rival is not
+    accepted.
     """
-    best: list[Placed] = []
-    tried = _promising(seen, there, held)
-    # At the previous pose planes are matched to the nearest, as in the paper.
-    for R, t in tried if last is None else [*tried, last]:
-        if any(other.share > SETTLES and _same(R, t, other, seen, CLOSE) for other in best):
-            continue
-        placed = _settled(R, t, seen, there, held, best)
-        if placed is not None:
-            best.append(placed)
-    best.sort(key=lambda each: -each.share)
+    best = _settled_all(seen, there, last, held)
     if not best or best[0].share < LEAST:
         return None
     first, reach_m, leap = best[0], seen.reach_m, LEAP * seen.reach_m
@@ -107,18 +100,54 @@ def place(seen: Patches, there: Surfaces, last: Pose | None, held: Held) -> Plac
     rivals = _distinct([other for other in best if _rivals(other, first)], seen)
     if last is None:
         return first if len(rivals) == 1 else None
-    rivals.sort(key=lambda each: moved_m(each.pose, last, reach_m))
+    return _closest(rivals, last[0], held, reach_m)
+
+
+def _settled_all(seen: Patches, there: Surfaces, last: Pose | None, held: Held) -> list[Placed]:
+    """Return the placements to which hypotheses lead, best first; parameters as of `place`."""
+    found: list[Placed] = []
+    tried = _promising(seen, there, held)
+    # At the previous pose planes are matched to the nearest, as in the paper.
+    for R, t in tried if last is None else [*tried, last]:
+        if any(other.share > SETTLES and _same(R, t, other, seen, CLOSE) for other in found):
+            continue
+        placed = _settled(R, t, seen, there, held, found)
+        if placed is not None:
+            found.append(placed)
+    return sorted(found, key=lambda each: -each.share)
+
+
+def _closest(rivals: list[Placed], R: Floats, held: Held, reach_m: float) -> Placed | None:
+    """Return the placement closest to the expected pose; None if others are as close.
+
+    `R` (3, 3): rotation of the previous scan, with which the predicted position is expected.
+    """
+    expected, leap = (R, held.place), LEAP * reach_m
+    rivals.sort(key=lambda each: moved_m(each.pose, expected, reach_m))
     sure = [each for each in rivals if not each.is_held]
     chosen, *others = sure or rivals
-    step = moved_m(chosen.pose, last, reach_m)
+    step = moved_m(chosen.pose, expected, reach_m)
     # Constant motion is accepted if everything else is a leap.
-    if step > leap and CLEARLY * step > moved_m(rivals[0].pose, last, reach_m):
+    if step > leap and CLEARLY * step > moved_m(rivals[0].pose, expected, reach_m):
         return rivals[0]
     # Normals of two directions often match by chance.
     if chosen.is_held and step > leap:
         return None
-    is_near = bool(others) and step > CLEARLY * moved_m(others[0].pose, last, reach_m)
+    is_near = any(_is_near(chosen, other, expected, held, reach_m) for other in others)
     return None if is_near else chosen
+
+
+def _is_near(chosen: Placed, other: Placed, expected: Pose, held: Held, reach_m: float) -> bool:
+    """Return whether a placement is not much farther from the expected pose than the chosen one.
+
+    Where both turn alike, and the chosen one is where steady motion leads, only their positions
+    tell them apart.
+    """
+    way_m, other_m = (float(np.linalg.norm(each.t - held.place)) for each in (chosen, other))
+    is_alike = apart(*chosen.pose, *other.pose)[0] < APART_RAD
+    if not (is_alike and way_m < CLEARLY * held.off_m < np.inf):
+        way_m, other_m = (moved_m(each.pose, expected, reach_m) for each in (chosen, other))
+    return way_m > CLEARLY * other_m
 
 
 def _rivals(other: Placed, best: Placed, is_leap: bool = False) -> bool:

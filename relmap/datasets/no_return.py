@@ -1,0 +1,80 @@
+"""Rays of a 3-D lidar that have no return and are given at its largest range.
+
+They would be a surface that moves with the sensor. `laser` treats the beams of 2-D lasers.
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from relmap.core.arrays import Floats
+from relmap.core.errors import RelmapError
+from relmap.datasets.laser import SAME, WIDE_SCANS
+from relmap.datasets.scans import ScanLog
+from relmap.datasets.textfile import shown
+
+_LOG = logging.getLogger(__name__)
+SCANS = 20
+"""Number of scans, spread over the log, that are searched for such points."""
+SHARE, LEAST = 0.01, 30
+"""Minimum fraction of the points of a scan, and their number, at the largest range: of a surface
+only a point or a thin ring is there."""
+NEARLY = 0.98
+"""The range is at least this fraction of the largest: noise puts a few returns beyond it."""
+
+
+def without_no_return(path: Path, log: ScanLog) -> ScanLog:
+    """Return a log of clouds without points at the range that rays without a return share.
+
+    `path`: the log, for warnings.
+    """
+    ranges_m = [
+        _ranges_m(log, points)
+        for index in np.unique(np.linspace(0, len(log) - 1, SCANS).astype(np.int64)).tolist()
+        if len(points := _read(log, index))
+    ]
+    if not ranges_m:
+        return log
+    same_m = _shared(np.concatenate(ranges_m))
+    least_m, most_m = same_m[0], same_m[-1]
+    count = np.array([np.count_nonzero((r >= least_m) & (r <= most_m)) for r in ranges_m])
+    share = count / [len(one) for one in ranges_m]
+    if np.count_nonzero((share >= SHARE) & (count >= LEAST)) < WIDE_SCANS:
+        return log
+    _LOG.warning(
+        "%s: %.3g %% of the points are at the largest range, %.4g m, and are treated as no return",
+        shown(path),
+        100 * float(share.mean()),
+        float(np.median(same_m)),
+    )
+
+    def points_of(index: int) -> Floats:
+        points = log.points_of(index)
+        return points[_ranges_m(log, points) < least_m]
+
+    return replace(log, points_of=points_of)
+
+
+def _shared(ranges_m: Floats) -> Floats:
+    """Return those of ranges (n,) that are the same as most others near the largest, ascending."""
+    far_m = np.sort(ranges_m[ranges_m >= NEARLY * ranges_m.max()])
+    ends = np.searchsorted(far_m, far_m * (1 + SAME), "right")
+    most = int(np.argmax(ends - np.arange(len(far_m))))
+    return np.asarray(far_m[most : ends[most]])
+
+
+def _ranges_m(log: ScanLog, points: Floats) -> Floats:
+    """Return the distances (n,) of points (n, 3) from the sensor."""
+    return np.asarray(np.linalg.norm(points - [log.sensor.x_m, log.sensor.y_m, 0.0], axis=1))
+
+
+def _read(log: ScanLog, index: int) -> Floats:
+    """Return the points of a scan; none if its file is damaged, which is reported in its turn."""
+    try:
+        return log.points_of(index)
+    except RelmapError:
+        return np.empty((0, 3))

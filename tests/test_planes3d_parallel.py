@@ -1,0 +1,67 @@
+"""Parallel faces a step apart, as of a cupboard before a wall: the right placement is taken."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from relmap import Plane3dMapper
+from relmap.core.arrays import Floats
+from relmap.simulation.storey import cast_rays
+from tests.worlds import ate_m
+
+WIDTH_M, HEIGHT_M = 2.5, 2.6
+
+
+def box(low: tuple[float, float, float], high: tuple[float, float, float]) -> list[Floats]:
+    """Return the faces of a box: a corner and two sides each, (3, 3)."""
+    size = np.diag(np.subtract(high, low))
+    faces = []
+    for axis in range(3):
+        sides = np.delete(size, axis, axis=0)
+        faces += [np.vstack([corner, sides]) for corner in (low, np.add(low, size[axis]))]
+    return faces
+
+
+def corridor(depth_m: float) -> Floats:
+    """Return the faces (f, 3, 3) of a corridor of 20 m, with cupboards at its sides and an end."""
+    half = WIDTH_M / 2
+    return np.array(
+        box((-10.0, -half, 0.0), (10.0, half, HEIGHT_M))
+        + box((-10.0, -half, 0.0), (-10.0 + depth_m, -0.25, 2.0))
+        + box((-4.0, half - 0.3, 0.0), (-3.0, half, 2.1))
+        + box((3.0, -half, 0.0), (4.0, -half + 0.3, 1.6))
+    )
+
+
+def driven(depth_m: float, step_m: float, seed: int) -> tuple[list[Floats], Floats]:
+    """Return the clouds of a lidar with 32 rings along the corridor, and its poses."""
+    rng, faces = np.random.default_rng(seed), corridor(depth_m)
+    azimuth, elevation = np.meshgrid(
+        np.linspace(-np.pi, np.pi, 300, endpoint=False), np.deg2rad(np.linspace(-30, 30, 32))
+    )
+    level = np.cos(elevation)
+    rays = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)], axis=-1)
+    rays, scans, poses = rays.reshape(-1, 3), [], []
+    for k, x in enumerate(np.arange(-8.0, 0.0, step_m)):
+        pose = np.eye(4)
+        tilt = [0.04 * np.sin(k / 4), 0.04 * np.cos(k / 3), 0.05 * np.sin(k / 6)]
+        pose[:3, :3] = Rotation.from_euler("xyz", tilt).as_matrix()
+        pose[:3, 3] = x, 0.05 * np.sin(k / 5), 1.3 + 0.02 * np.sin(k)
+        range_m, _ = cast_rays(pose[:3, 3], rays @ pose[:3, :3].T, faces[:, 0], faces[:, 1:])
+        range_m += 0.01 * rng.standard_normal(len(range_m))
+        scans.append(rays * range_m[:, None])
+        poses.append(pose)
+    return scans, np.array(poses)
+
+
+@pytest.mark.parametrize(("depth_m", "step_m"), [(0.3, 0.34), (0.37, 0.35)])
+def test_a_step_as_long_as_a_cupboard_is_deep_is_right(depth_m: float, step_m: float) -> None:
+    scans, poses = driven(depth_m, step_m, seed=0)
+    mapper = Plane3dMapper()
+    for points in scans:
+        mapper.update(points)
+    mapper.finish()
+    assert len(mapper.submaps) == 1
+    assert ate_m(mapper.trajectory, poses, planar=False) < 0.02
