@@ -13,7 +13,7 @@ from relmap.core.arrays import Floats
 from relmap.evaluation.space_run import submap_row
 from relmap.planes3d.fitting import matched
 from relmap.planes3d.placing import Placed
-from relmap.planes3d.sights import is_doubtful, is_tied_doubtfully, sight_of
+from relmap.planes3d.sights import is_doubtful, is_tied_doubtfully, sight_of, with_ends
 from relmap.planes3d.submap import Submap
 from relmap.planes3d.table import plane_table
 from relmap.plots.planes import plot_planes3d
@@ -67,6 +67,28 @@ def test_submaps_are_tied_near_in_time_or_if_they_show_the_same(
 ) -> None:
     part = replace(placed(yaw, share), match=np.array([0, 1, 2, 3, 4, -1, -1, -1]))
     assert is_tied_doubtfully(part, carried(4, first), carried(4)) is doubtful
+
+
+def passed(first: int, *walls: Floats) -> Submap:
+    """Return a submap of four scans that pass walls."""
+    part = Submap()
+    for k in range(4):
+        at = np.array([0.1 * k, 0.0, 0.0])
+        seen = with_ends(patches(*(each - at for each in walls)))
+        part.add(first + k, seen, (STILL, at), np.arange(len(walls)))
+    return part
+
+
+@pytest.mark.parametrize(
+    ("first", "screens", "doubtful"), [(9, 0, False), (9, 1, True), (5, 1, False)]
+)
+def test_scans_that_see_through_another_submap_far_apart_in_time_are_not_tied_to_it(
+    first: int, screens: int, doubtful: bool
+) -> None:
+    room = [wall(axis, at) for axis in range(3) for at in (-3.0, 3.0)]
+    there = replace(placed(0.0, 0.9), match=np.arange(6))
+    part = passed(first, *room, *[wall(0, 2.0, (-1.5, 1.5))] * screens)
+    assert is_tied_doubtfully(there, part, passed(0, *room)) is doubtful
 
 
 @pytest.mark.parametrize(("shared", "doubtful"), [(11, True), (12, False)])
