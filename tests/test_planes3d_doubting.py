@@ -136,3 +136,17 @@ def test_the_way_between_two_parts_of_a_path_is_not_drawn_nor_counted() -> None:
     figure = plot_planes3d(plane_table([part], True), part.trajectory, stamps_s, weak)
     drawn = [line.get_xdata() for line in figure.axes[1].lines]
     assert max(np.nanmax(np.abs(np.diff(x)), initial=0.0) for x in drawn) < 0.2
+
+
+def test_headings_of_the_picture_are_inside_of_it() -> None:
+    # The panel from above is square, and as high as the picture allows.
+    square, part = np.array([[0.0, 0.0], [8.0, 0.0], [8.0, 8.0], [0.0, 8.0]]), Submap()
+    corners = np.insert(square, 2, 0.0, axis=1)
+    for k in range(2):
+        seen = patches(wall(2, -1.0), wall(0, 3.0), wall(1, 3.0))
+        part.add(k, seen, (STILL, np.array([0.1 * k, 0.0, 0.0])), np.arange(3))
+    planes = replace(plane_table([part], True), outline=[corners] * 3)
+    figure = plot_planes3d(planes, part.trajectory, np.arange(2.0), np.arange(0))
+    figure.draw_without_rendering()  # as when it is saved
+    for axes in figure.axes:
+        assert axes.title.get_window_extent().y1 < figure.bbox.y1
