@@ -107,6 +107,14 @@ def test_scans_of_the_ground_alone_say_what_they_lack(
     assert "1 scans" not in said
 
 
+def test_a_single_scan_says_that_a_map_needs_two(
+    storey: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    made = ["-o", tmp_path / "map", "--variant", "planes3d", "--scans", "0:1"]
+    run_relmap("map", storey / "world", *made)
+    assert "nothing is mapped: a map needs planes that at least two" in capsys.readouterr().out
+
+
 def test_undetermined_steps_do_not_count_as_usual_ones() -> None:
     poses = np.tile(np.eye(4), (5, 1, 1))
     poses[:, 0, 3] = [0.0, 0.3, 145.3, 290.3, 435.3]
