@@ -84,6 +84,13 @@ def test_a_broken_run_says_so_with_advice(
     run_relmap("map", tmp_path / "both.npz", "-o", tmp_path / "map", "--variant", "planes3d")
     summary = load(tmp_path / "map" / "summary.json")
     assert [part["scans"] for part in summary["submaps"]] == [10, 8]
+    planes = table(tmp_path / "map" / "planes.csv")
+    centres = {row["plane"]: row["x"] for row in planes if row["submap"] == "1"}
+    other = table(tmp_path / "map" / "submaps.csv")
+    assert len(other) >= 8
+    assert {row["submap"] for row in other} == {"1"}
+    for row in other:
+        assert float(row["x"]) == pytest.approx(float(centres[row["landmark"]]), abs=1e-3)
     _, poses = read_tum(tmp_path / "map" / "trajectory.tum")
     way = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
     assert summary["submaps"][0]["metres"] == pytest.approx(way.sum())
