@@ -84,6 +84,13 @@ def test_a_broken_run_says_so_with_advice(
     run_relmap("map", tmp_path / "both.npz", "-o", tmp_path / "map", "--variant", "planes3d")
     summary = load(tmp_path / "map" / "summary.json")
     assert [part["scans"] for part in summary["submaps"]] == [10, 8]
+    planes = table(tmp_path / "map" / "planes.csv")
+    centres = {row["plane"]: row["x"] for row in planes if row["submap"] == "1"}
+    other = table(tmp_path / "map" / "submaps.csv")
+    assert len(other) >= 8
+    assert {row["submap"] for row in other} == {"1"}
+    for row in other:
+        assert float(row["x"]) == pytest.approx(float(centres[row["landmark"]]), abs=1e-3)
     _, poses = read_tum(tmp_path / "map" / "trajectory.tum")
     way = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
     assert summary["submaps"][0]["metres"] == pytest.approx(way.sum())
@@ -105,6 +112,14 @@ def test_scans_of_the_ground_alone_say_what_they_lack(
     assert "0 planes mapped in 6 iterations" in said
     assert "no two scans could be connected: they must show planes of three directions" in said
     assert "1 scans" not in said
+
+
+def test_a_single_scan_says_that_a_map_needs_two(
+    storey: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    made = ["-o", tmp_path / "map", "--variant", "planes3d", "--scans", "0:1"]
+    run_relmap("map", storey / "world", *made)
+    assert "nothing is mapped: a map needs planes that at least two" in capsys.readouterr().out
 
 
 def test_undetermined_steps_do_not_count_as_usual_ones() -> None:

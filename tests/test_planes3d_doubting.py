@@ -13,7 +13,7 @@ from relmap.core.arrays import Floats
 from relmap.evaluation.space_run import submap_row
 from relmap.planes3d.fitting import matched
 from relmap.planes3d.placing import Placed
-from relmap.planes3d.sights import is_doubtful, is_tied_doubtfully, sight_of
+from relmap.planes3d.sights import is_doubtful, is_tied_doubtfully, sight_of, with_ends
 from relmap.planes3d.submap import Submap
 from relmap.planes3d.table import plane_table
 from relmap.plots.planes import plot_planes3d
@@ -69,6 +69,28 @@ def test_submaps_are_tied_near_in_time_or_if_they_show_the_same(
     assert is_tied_doubtfully(part, carried(4, first), carried(4)) is doubtful
 
 
+def passed(first: int, *walls: Floats) -> Submap:
+    """Return a submap of four scans that pass walls."""
+    part = Submap()
+    for k in range(4):
+        at = np.array([0.1 * k, 0.0, 0.0])
+        seen = with_ends(patches(*(each - at for each in walls)))
+        part.add(first + k, seen, (STILL, at), np.arange(len(walls)))
+    return part
+
+
+@pytest.mark.parametrize(
+    ("first", "screens", "doubtful"), [(9, 0, False), (9, 1, True), (5, 1, False)]
+)
+def test_scans_that_see_through_another_submap_far_apart_in_time_are_not_tied_to_it(
+    first: int, screens: int, doubtful: bool
+) -> None:
+    room = [wall(axis, at) for axis in range(3) for at in (-3.0, 3.0)]
+    there = replace(placed(0.0, 0.9), match=np.arange(6))
+    part = passed(first, *room, *[wall(0, 2.0, (-1.5, 1.5))] * screens)
+    assert is_tied_doubtfully(there, part, passed(0, *room)) is doubtful
+
+
 @pytest.mark.parametrize(("shared", "doubtful"), [(11, True), (12, False)])
 def test_a_jump_between_submaps_needs_more_planes(shared: int, doubtful: bool) -> None:
     seen = patches(*(wall(axis, at) for axis in range(3) for at in (-3.0, 3.0)))
@@ -114,3 +136,17 @@ def test_the_way_between_two_parts_of_a_path_is_not_drawn_nor_counted() -> None:
     figure = plot_planes3d(plane_table([part], True), part.trajectory, stamps_s, weak)
     drawn = [line.get_xdata() for line in figure.axes[1].lines]
     assert max(np.nanmax(np.abs(np.diff(x)), initial=0.0) for x in drawn) < 0.2
+
+
+def test_headings_of_the_picture_are_inside_of_it() -> None:
+    # The panel from above is square, and as high as the picture allows.
+    square, part = np.array([[0.0, 0.0], [8.0, 0.0], [8.0, 8.0], [0.0, 8.0]]), Submap()
+    corners = np.insert(square, 2, 0.0, axis=1)
+    for k in range(2):
+        seen = patches(wall(2, -1.0), wall(0, 3.0), wall(1, 3.0))
+        part.add(k, seen, (STILL, np.array([0.1 * k, 0.0, 0.0])), np.arange(3))
+    planes = replace(plane_table([part], True), outline=[corners] * 3)
+    figure = plot_planes3d(planes, part.trajectory, np.arange(2.0), np.arange(0))
+    figure.draw_without_rendering()  # as when it is saved
+    for axes in figure.axes:
+        assert axes.title.get_window_extent().y1 < figure.bbox.y1

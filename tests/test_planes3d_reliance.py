@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from relmap.core.arrays import Floats, Ints
-from relmap.planes3d.certainty import changes, fragile
+from relmap.planes3d.certainty import changes, fragile, turn_changes
 from relmap.planes3d.refining import refined, scene, sightings, unsure_steps
 from relmap.planes3d.submap import Submap
 from tests.test_planes3d_covariances import patches, wall
@@ -33,6 +34,16 @@ def test_a_jump_on_a_smooth_path_is_listed_whatever_implies_it() -> None:
     way_m = [0.1 * k + (0.3 if k > 4 else 0.0) for k in range(9)]
     part, _ = refined(carried(way_m, 3.0, -3.0), 4)
     assert sorted(unsure_steps(part)) == [4, 5, 6]
+
+
+@pytest.mark.parametrize(("less_rad", "listed"), [(0.0, []), (0.15, [5])])
+def test_a_turn_unlike_those_before_and_after_is_listed(less_rad: float, listed: list[int]) -> None:
+    # In a square room with a fast turn by 80 degrees the scans agree with one by -10, too.
+    part, sides = Submap(), [wall(axis, at) for axis in range(3) for at in (-3.0, 3.0)]
+    for k in range(9):
+        R = Rotation.from_rotvec([0.0, 0.0, 0.07 * k - less_rad * (k > 4)]).as_matrix()
+        part.add(k, patches(*(side @ R for side in sides)), (R, np.zeros(3)), np.arange(6))
+    assert sorted(unsure_steps(refined(part, 6)[0])) == listed
 
 
 def test_a_steady_path_that_depends_on_one_wall_is_not_listed() -> None:
@@ -76,3 +87,10 @@ def test_changes_compare_a_step_with_its_neighbours() -> None:
     later = np.array([0, 1, 2, 4, 5, 6])
     assert np.abs(changes(path(0.3, 0.3, 0.6, 0.3, 0.3), later)).max() < 1e-12
     assert not changes(path(0.3), np.arange(2)).any()
+
+
+def test_turns_are_compared_whatever_the_heading() -> None:
+    yaw = Rotation.from_euler("z", 0.4 * np.arange(6)[:, None] + 3.0).as_matrix()
+    assert np.abs(turn_changes(yaw, np.arange(6))).max() < 1e-12
+    # A missing scan makes a turn twice as large, not unsteady.
+    assert np.abs(turn_changes(yaw[[0, 1, 2, 4, 5]], np.array([0, 1, 2, 4, 5]))).max() < 1e-12

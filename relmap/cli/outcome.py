@@ -36,6 +36,7 @@ UNCONNECTED = (
     "; no two scans could be connected: they must show planes of three directions, and overlap, so "
     "shorter steps and turns may help"
 )
+SINGLE = "; nothing is mapped: a map needs planes that at least two scans show"
 NEAREST_M = 1.0
 """A scan of walls all of whose points are nearer is hardly in metres."""
 
@@ -123,8 +124,8 @@ def in_space(summary: dict[str, Any]) -> str:
     """Return the submaps and uncertain scans of a run in space: the end of a message."""
     if not summary["submaps"]:
         return "; no plane was found: the clouds show none, or are not in metres"
-    if len(summary["submaps"]) > 1 and summary["submaps"][0]["scans"] == 1:
-        return UNCONNECTED
+    if summary["submaps"][0]["scans"] == 1:
+        return UNCONNECTED if len(summary["submaps"]) > 1 else SINGLE
     weak = len(summary["weak_links"])
     unsure = f"; scans whose position is poorly determined in some direction: {weak}"
     return broken(summary) + (unsure if weak else "") + advice(summary)

@@ -9,13 +9,14 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.landmarks import LandmarkTable
+from relmap.core.landmarks import Submap as LandmarkSubmap
 from relmap.evaluation.feeding import Log, stamps_of
 from relmap.evaluation.summary import steps_of
 from relmap.io.results import Tracks, shifted
 from relmap.planes3d import Plane3dMapper
 from relmap.planes3d.files import Plane3dResult
 from relmap.planes3d.submap import Submap
-from relmap.planes3d.table import Plane3dTable
+from relmap.planes3d.table import Plane3dTable, is_mapped
 from relmap.recorded import versions
 
 VARIANT = "planes3d"
@@ -61,6 +62,7 @@ def result_in_space(mapper: Plane3dMapper, log: Log, labels: Sequence[Ints]) -> 
         stamps_s,
         poses,
         summary,
+        tuple(_submap(part) for part in parts),
         iterations=first + own,
         planes=table,
         parts=tuple(parts),
@@ -83,6 +85,14 @@ def _landmarks(table: Plane3dTable) -> LandmarkTable:
         submap=table.submap,
         moving_bin=np.full(len(table.plane), -1),
     )
+
+
+def _submap(part: Submap) -> LandmarkSubmap:
+    """Return the planes of a submap that would be mapped in the first one."""
+    mapped = np.flatnonzero(is_mapped(part))
+    mapped = mapped[np.argsort(part.number[mapped])]
+    at = part.all_planes().centre[mapped]
+    return LandmarkSubmap(part.number[mapped], at, part.iteration[0], part.iteration[-1])
 
 
 def consecutive(part: Submap) -> list[tuple[Floats, Ints]]:

@@ -7,6 +7,7 @@ Motion is used here to name such steps only, not in the map.
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.geometry.alignment import sums_each
@@ -29,6 +30,9 @@ multiple of the median."""
 JERK, SEVERAL = 8.0, 6
 """A step that differs by this multiple of the median from those before and after is unreliable
 whatever it depends on; of fewer steps than the second value, one that is unsteady."""
+TURN_JERK, TURN_RAD = 6.0, np.deg2rad(5.0)
+"""So is one whose rotation differs by this multiple of the median, and by more than the second
+value: a room that looks the same from two sides gives a fast turn as a slow one."""
 
 
 def plane_covariances(seen: Sightings, scene: Scene, systematic: float) -> Floats:
@@ -161,7 +165,21 @@ def changes(place: Floats, iteration: Ints) -> Floats:
 
     `place` (p, 3), `iteration` (p,): of the scans. Steps are per iteration.
     """
-    step = np.diff(place, axis=0) / np.diff(iteration)[:, None]
+    return _unlike(np.diff(place, axis=0), iteration)
+
+
+def turn_changes(R: Floats, iteration: Ints) -> Floats:
+    """Return by how much each rotation (p - 1, 3) differs from those before and after, radians.
+
+    `R` (p, 3, 3): of the scans; see `changes`. Rotation vectors are along the axes of the scans.
+    """
+    turn = Rotation.from_matrix(R[:-1].transpose(0, 2, 1) @ R[1:]).as_rotvec()
+    return _unlike(turn, iteration)
+
+
+def _unlike(step: Floats, iteration: Ints) -> Floats:
+    """Return by how much steps (p - 1, 3) differ from the mean of those before and after."""
+    step = step / np.diff(iteration)[:, None]
     if len(step) < 2:
         return np.zeros_like(step)
     around = np.concatenate([step[1:2], step, step[-2:-1]])
@@ -173,8 +191,8 @@ def unreliable_steps(
 ) -> Bools:
     """Return which steps (p - 1,) are unsteady in a direction that depends on one landmark.
 
-    So are those that are unsteady by far. Parameters as of `fragile`, and the iterations (p,) of
-    the scans.
+    So are those that are unsteady by far, or whose rotation is. Parameters as of `fragile`, and the
+    iterations (p,) of the scans.
     """
     scan, along = fragile(seen, scene, systematic, reach_m)
     change = changes(scene.t, iteration)
@@ -183,6 +201,9 @@ def unreliable_steps(
     jerk_m = JERK * usual_m if len(change) >= SEVERAL else 0.0
     least_m = UNSTEADY * np.minimum(reach_m[1:], reach_m[:-1])
     found = np.asarray(size_m > np.maximum(least_m, jerk_m))
+    turn = np.linalg.norm(turn_changes(scene.R, iteration), axis=1)
+    if len(turn) >= SEVERAL:
+        found |= turn > max(TURN_RAD, TURN_JERK * float(np.median(turn)))
     for step in (scan - 1, scan):
         inside = (step >= 0) & (step < len(change))
         row = step[inside]

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.planes3d.placing import LEAP, Placed, apart, moved_m
 from relmap.planes3d.submap import Pose, Submap
-from relmap.planes3d.surfaces import some_cells
+from relmap.planes3d.surfaces import LOOKED_AT, some_cells
 from relmap.segmentation.space import Patches
 from relmap.segmentation.space.voxels import NEAR, cells_of
 
@@ -40,6 +40,9 @@ fraction of the range, or a rotation of more than this angle and `FASTER` times 
 SOON, PLANES, SURFACES = 2, 0.7, 0.8
 """Submaps more scans apart than the first value are tied only if one shows at least this fraction
 of the planes or of the surfaces of the other: halls look much the same from both ends."""
+CONTRADICTED = 0.02
+"""Nor if more than this fraction of the looks at the surfaces of the other go through: corridors
+look alike, and have their corners elsewhere."""
 AROUND = 4
 """Number of the rays of a scan next to each cell that is looked for: a scan sees through a cell if
 all of these end beyond it, the nearest behind it."""
@@ -98,7 +101,10 @@ def is_tied_doubtfully(placed: Placed, part: Submap, other: Submap) -> bool:
     jumps = _jumps(other.poses[m], there, gap, part.seen[k].reach_m, part, other)
     if jumps and placed.n_planes < MANY_SHARED:
         return True
-    return gap > SOON and placed.share < SURFACES and placed.n_planes < PLANES * len(part)
+    if gap <= SOON:
+        return False
+    few = placed.share < SURFACES and placed.n_planes < PLANES * len(part)
+    return few or contradicted(part, other, placed.pose) > CONTRADICTED
 
 
 def fastest_m(part: Submap) -> float:
@@ -178,6 +184,23 @@ def sights_of(part: Submap) -> dict[int, Ints]:
         counts[:, 0] += np.bincount(of[there], minlength=count)
         counts[:, 1] += np.bincount(of[through], minlength=count)
     return {int(part.number[k]): counts[k] for k in np.flatnonzero(counts.any(axis=1))}
+
+
+def contradicted(part: Submap, other: Submap, pose: Pose) -> float:
+    """Return the fraction of looks of two submaps at the surfaces of the other that go through.
+
+    `pose`, R (3, 3) and t (3,): of the frame of the first one in that of the other. Surfaces count
+    by their area, as what moved between two visits is small.
+    """
+    back, looks = (pose[0].T, -pose[0].T @ pose[1]), np.zeros(2)
+    for scans, there, (R, t) in ((part, other, pose), (other, part, back)):
+        planes = there.planes(np.arange(len(there)))
+        count = min(LOOKED_AT * len(planes), len(planes.cells))
+        rows = np.linspace(0, len(planes.cells) - 1, count).astype(np.int64)
+        cells, normal = planes.cells[rows], planes.normal[planes.cell_patch[rows]]
+        for seen, (S, s) in zip(scans.seen, scans.poses, strict=True):
+            looks += [len(each) for each in _looks(seen, (R @ S, R @ s + t), cells, normal)]
+    return float(looks[1] / max(looks.sum(), 1.0))
 
 
 def _looks(seen: Patches, pose: Pose, cells: Floats, normal: Floats) -> tuple[Ints, Ints]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.arrays import Floats, Ints
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.columns import Table
 from relmap.planes3d.gathering import is_rough
 from relmap.planes3d.outlines import surfaces_of
@@ -54,7 +54,8 @@ class Plane3dTable(Table):
         does, -2 if the surface ends there, as scans saw past it, or -1 if nothing was seen beyond,
         or the plane was only found by `refine`.
     observations, first_iteration, last_iteration : (n,) int64
-        Number of scans that saw it, the first and the last.
+        Number of scans that saw it, the first and the last; those included in which only `refine`
+        found it, and which have no label from `update`.
     status : (n,) str
         After `finish` or `refine`: "dynamic" if scans often saw through it; "static" if not, and if
         it is in the first submap, at least two scans saw it and it is not much thicker than the
@@ -98,16 +99,22 @@ def plane_table(submaps: list[Submap], is_refined: bool) -> Plane3dTable:
     return Plane3dTable(**columns)
 
 
+def is_mapped(part: Submap) -> Bools:
+    """Return which landmarks (l,) of a submap are planes, seen in two scans, that stay in place."""
+    found = np.concatenate([np.unique(match) for match in part.match])
+    sights = np.bincount(found, minlength=len(part))
+    return np.asarray((sights >= FEWEST) & ~is_rough(part) & ~part.is_dynamic)
+
+
 def _rows(part: Submap, rank: int, is_refined: bool) -> dict[str, Any]:
     order = np.argsort(part.number, kind="stable")
     planes = part.all_planes()
     when = np.repeat(part.iteration, [len(match) for match in part.match])
     landmark, scan = np.unique(np.column_stack([np.concatenate(part.match), when]), axis=0).T
-    sights = np.bincount(landmark, minlength=len(part))
     first = np.full(len(part), np.iinfo(np.int64).max)
     np.minimum.at(first, landmark, scan)
-    mapped = (sights >= FEWEST) & ~is_rough(part)
-    surfaces = surfaces_of(planes, np.flatnonzero(mapped & ~part.is_dynamic))
+    mapped = is_mapped(part)
+    surfaces = surfaces_of(planes, np.flatnonzero(mapped))
     outlines = [surfaces[k].outline() for k in order.tolist()]
     rasters = [surfaces[k].raster for k in order.tolist()]
     static = mapped & (rank == 0)
@@ -121,7 +128,7 @@ def _rows(part: Submap, rank: int, is_refined: bool) -> dict[str, Any]:
         "area_m2": np.array([each.filled.sum() * each.size_m**2 for each in rasters]),
         "outline": [outline for outline, _ in outlines],
         "meets": [np.where(meets >= 0, part.number[meets], meets) for _, meets in outlines],
-        "observations": sights[order],
+        "observations": np.bincount(landmark, minlength=len(part))[order],
         "first_iteration": first[order],
         "last_iteration": part.last[order],
         "status": status[order],

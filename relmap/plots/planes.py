@@ -209,9 +209,8 @@ def plot_planes3d(table: Plane3dTable, poses: Floats, stamps_s: Floats, weak: In
     space.add_collection(surfaces, autolim=False)
     path = broken_at_gaps(stamps_s, way)
     space.plot(*path.T, color=BLUE, linewidth=1.5)
-    space.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
-    space.set_box_aspect(np.maximum(high - low, 1e-3))
-    space.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
+    space.set(xlim=(low[0], high[0]), xlabel="x [m]", ylim=(low[1], high[1]), ylabel="y [m]")
+    space.set(zlim=(low[2], high[2]), zlabel="z [m]", box_aspect=np.maximum(high - low, 1e-3))
     space.view_init(elev=35, azim=-60)
     above = figure.add_subplot(1, 2, 2)
     order = np.argsort([outline[:, 2].mean() for outline in outlines], kind="stable")
@@ -225,6 +224,8 @@ def plot_planes3d(table: Plane3dTable, poses: Floats, stamps_s: Floats, weak: In
     legend_below(figure, 2, above)
     # The layout does not know how high the box is.
     space.set_title(f"{len(rows)} planes, {len(way)} scans", fontsize=10, y=1.0)
+    # With a fixed aspect the layout is right only from the second drawing on.
+    figure.draw_without_rendering()
     return figure
 
 

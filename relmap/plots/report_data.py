@@ -17,8 +17,7 @@ from relmap.io.results import Result
 from relmap.planes.walls.files import DrawnSubmap, PlaneResult
 from relmap.planes.walls.table import PlaneTable
 from relmap.planes3d.files import LEAST_SCANS, Plane3dResult
-from relmap.planes3d.gathering import is_rough
-from relmap.planes3d.table import FEWEST, Plane3dTable
+from relmap.planes3d.table import Plane3dTable, is_mapped
 from relmap.plots.path import jumps
 from relmap.plots.planes import upward
 from relmap.plots.run import weak_places
@@ -70,8 +69,7 @@ def _view_of_planes(result: Plane3dResult, rank: int) -> View:
     planes, (stamps_s, poses) = result.planes, result.paths[rank]
     iterations = result.summary["scans"][0] + np.array(result.parts[rank].iteration)
     part, own = result.parts[rank], np.flatnonzero(planes.submap == rank)
-    shown = (planes.observations[own] >= FEWEST) & (planes.status[own] != "dynamic")
-    rows = own[shown & ~is_rough(part)[np.argsort(part.number, kind="stable")]].tolist()
+    rows = own[is_mapped(part)[np.argsort(part.number, kind="stable")]].tolist()
     level = np.eye(4)
     level[:3, :3] = up = upward(planes, rows)
     rings = [planes.outline[k] @ up.T for k in rows]
