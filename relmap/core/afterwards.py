@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.arrays import Bools
 from relmap.core.association.reobservation.disagreement import local_drift
 from relmap.core.association.reobservation.loops import LoopFinder
 from relmap.core.association.reobservation.merging import merge_doubles
 from relmap.core.association.reobservation.sightings import Sightings
 from relmap.core.association.reobservation.strays import find_strays
 from relmap.core.association.reobservation.tying import CLEAR, NEIGHBOURHOOD, tie_submaps
-from relmap.core.gaps import bridge_gaps, is_bridged
+from relmap.core.gaps import bridge_gaps, is_bridged, n_kept
 from relmap.core.grouping.chart import PointChart
 from relmap.core.grouping.dynamics import FEWEST
 from relmap.core.map.bending import bend
@@ -156,12 +156,12 @@ def rarely_seen(engine: RelativeMapper) -> Bools:
 
     Where landmarks stay in view too briefly for groups, fewer than half of the usual number.
     """
-    table, n, enough = engine.table, len(engine.table), float(engine.config.group_after)
+    table, enough = engine.table, float(engine.config.group_after)
     if is_bridged(engine):  # Scans of one or two landmarks are in no segment.
-        seen: Ints | Floats = np.bincount(table.now(engine.kept.landmark), minlength=n)
+        seen = n_kept(engine)
     else:
         rows = engine.rows
-        seen = np.bincount(table.now(rows.landmark), rows.n_seen, minlength=n)
+        seen = np.bincount(table.now(rows.landmark), rows.n_seen, len(table)).astype(np.float64)
         if _is_brief(engine, rows):
             enough = SELDOM * _usually(rows)
     return np.asarray((table.weight > 0) & (seen < enough))

@@ -27,6 +27,12 @@ def is_bridged(engine: RelativeMapper) -> bool:
     return engine.odometry is not None and engine.odometry.is_used
 
 
+def n_kept(engine: RelativeMapper) -> Floats:
+    """Return the number of observations of each landmark (m,) that are kept."""
+    kept, table = engine.kept, engine.table
+    return np.asarray(np.bincount(table.now(kept.landmark), kept.count, len(table)), np.float64)
+
+
 def bridge_gaps(engine: RelativeMapper, to_the_last: bool = False, is_open: bool = False) -> bool:
     """Place all parts connected by odometry in one frame, by joint least squares.
 
@@ -48,7 +54,8 @@ def bridge_gaps(engine: RelativeMapper, to_the_last: bool = False, is_open: bool
     corrected = noise.corrected(odometry)
     start, sigmas = None, None
     if before is not None and before.is_used:
-        start, sigmas = before.poses if engine.refined else None, Sigmas(*before.sigmas.tolist())
+        start = before.poses_in(engine.map.first) if engine.refined else None
+        sigmas = Sigmas(*before.sigmas.tolist())
     corrected[missed] = np.nan
     motions = np.where((slipped | missed)[:, None, None], measured.motion, corrected)
     bridged = bridge(engine.table, rows, motions, start)
@@ -59,8 +66,8 @@ def bridge_gaps(engine: RelativeMapper, to_the_last: bool = False, is_open: bool
     solve = _solver(engine, rows, corrected, noise, sigmas, to_the_last, is_open).solve
     judges = to_the_last or not engine.refined
     solved = _judged(engine, bridged, solve) if judges else _solved(engine, bridged, solve)[1]
-    _place(engine, solved)
-    engine.odometry = _in_use(use, solved, hanging, engine.store.n_iterations)
+    numbers = _place(engine, solved)
+    engine.odometry = _in_use(use, solved, numbers, hanging, engine.store.n_iterations)
     return True
 
 
@@ -103,9 +110,7 @@ def _solver(
     mature = to_the_last and not engine.association.has_ids
     roots = None
     if len(engine.weighed) and not engine.association.current.estimates_covariances:
-        # Observations long before the first odometry are not kept.
-        covariance = engine.weighed.covariance[len(engine.weighed) - len(engine.kept) :]
-        roots = np.linalg.inv(np.linalg.cholesky(covariance))
+        roots = np.linalg.inv(np.linalg.cholesky(engine.weighed.covariance))
     return PartSolver(
         engine.table,
         rows,
@@ -128,9 +133,7 @@ def _suspects(engine: RelativeMapper) -> Ints:
 
     Groups of two or three landmarks underestimate the noise.
     """
-    table = engine.table
-    seen = np.bincount(table.now(engine.kept.landmark), minlength=len(table))
-    return np.flatnonzero(table.dynamic & (seen >= engine.config.group_after))
+    return np.flatnonzero(engine.table.dynamic & (n_kept(engine) >= engine.config.group_after))
 
 
 def _moving(engine: RelativeMapper, solved: list[Solved], suspects: Ints) -> Ints:
@@ -139,40 +142,51 @@ def _moving(engine: RelativeMapper, solved: list[Solved], suspects: Ints) -> Int
         return suspects
     table, kept = engine.table, engine.kept
     poses = np.full((engine.store.n_iterations, 4, 4), np.nan)
-    for part in solved[-1:]:
+    for part in solved[:1]:
         poses[part.iterations] = part.poses
     static = ~table.dynamic
     static[suspects] = False
-    landmark = table.now(kept.landmark)
-    seen = np.bincount(landmark, minlength=len(table)) >= engine.config.group_after
-    rests = at_rest(landmark, placed_observations(kept, poses), static & seen)
+    static &= n_kept(engine) >= engine.config.group_after
+    rests = at_rest(table.now(kept.landmark), placed_observations(kept, poses), static)
     return suspects[~rests[suspects]]
 
 
-def _place(engine: RelativeMapper, solved: list[Solved]) -> None:
-    """Make each part a submap; landmarks of several parts belong to the last."""
-    table = engine.table
-    seen = np.bincount(table.now(engine.kept.landmark), minlength=len(table)).astype(np.float64)
+def _place(engine: RelativeMapper, solved: list[Solved]) -> Ints:
+    """Make each part a submap; return their numbers (p,).
+
+    Landmarks of several parts belong to the first; a part without others gets `NONE`.
+    """
+    table, seen = engine.table, n_kept(engine)
     table.take_off_map(np.flatnonzero(table.submap != NONE))
-    for part in solved:
-        refined = part.refined
-        own = refined.landmarks
-        engine.map.place(engine.map.new_submap(), own, refined.positions, seen[own])
-        table.highest_level[own] = np.maximum(table.highest_level[own], 1)
     drift = 1.0 if engine.odometry is None else engine.odometry.drift
-    scaled = (replace(part.refined, spread=part.refined.spread.scaled(drift)) for part in solved)
-    engine.refined = list(scaled)
+    numbers, engine.refined = np.full(len(solved), NONE), []
+    for k, part in enumerate(solved):
+        refined = part.refined.only(table.submap[part.refined.landmarks] == NONE)
+        own = refined.landmarks
+        if not len(own):
+            continue
+        numbers[k] = engine.map.new_submap()
+        engine.map.place(int(numbers[k]), own, refined.positions, seen[own])
+        table.highest_level[own] = np.maximum(table.highest_level[own], 1)
+        engine.refined.append(replace(refined, spread=refined.spread.scaled(drift)))
+    return numbers
 
 
 def _in_use(
-    use: OdometryUse, solved: list[Solved], hanging: Ints, n_iterations: int
+    use: OdometryUse, solved: list[Solved], numbers: Ints, hanging: Ints, n_iterations: int
 ) -> OdometryUse:
-    """Return how odometry is used in a map of solved parts."""
-    poses, sigmas = np.full((n_iterations, 4, 4), np.nan), np.ones(3)
-    if solved:
-        poses[solved[-1].iterations] = solved[-1].poses
-        sigmas = np.array(solved[-1].sigmas)
+    """Return how odometry is used in a map of solved parts, submaps of these numbers (p,)."""
+    poses, submap = np.full((n_iterations, 4, 4), np.nan), np.full(n_iterations, NONE)
+    for part, number in zip(solved, numbers, strict=True):
+        poses[part.iterations], submap[part.iterations] = part.poses, number
+    sigmas = np.array(solved[0].sigmas) if solved else np.ones(3)
     doubted = np.concatenate([use.left_out, *(part.doubted for part in solved)])
     return replace(
-        use, is_used=True, left_out=np.unique(doubted), hanging=hanging, poses=poses, sigmas=sigmas
+        use,
+        is_used=True,
+        left_out=np.unique(doubted),
+        hanging=hanging,
+        poses=poses,
+        submap=submap,
+        sigmas=sigmas,
     )

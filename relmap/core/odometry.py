@@ -80,7 +80,9 @@ class OdometryUse:
     hanging : (h,) int64
         Iterations connected to the previous one by odometry only.
     poses : (k, 4, 4) float64, metres
-        ``T_map_robot`` where it is used; NaN in other submaps.
+        Pose of each iteration in the frame of its submap; NaN where undetermined.
+    submap : (k,) int64
+        Number of the submap of each iteration among those of the engine; -1 if there is none.
     sigmas : (3,) float64
         Noise of observations and of the distances and turns of odometry, relative to `noise`.
     is_wrong : bool
@@ -95,6 +97,7 @@ class OdometryUse:
     left_out: Ints
     hanging: Ints
     poses: Floats
+    submap: Ints
     sigmas: Floats
     is_wrong: bool
     drift: float = 1.0
@@ -107,7 +110,11 @@ class OdometryUse:
         """
         none = np.empty(0, dtype=np.int64)
         left_out, poses = np.flatnonzero(slipped), np.empty((0, 4, 4))
-        return cls(noise, False, left_out, none, poses, np.ones(3), noise.is_wrong)
+        return cls(noise, False, left_out, none, poses, none, np.ones(3), noise.is_wrong)
+
+    def poses_in(self, submap: int) -> Floats:
+        """Return the poses (k, 4, 4) in the frame of one submap; NaN in others."""
+        return np.where((self.submap == submap)[:, None, None], self.poses, np.nan)
 
 
 class Motions:

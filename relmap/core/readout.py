@@ -101,7 +101,7 @@ def mapped_groups(engine: RelativeMapper) -> list[MappedGroup]:
 def path(engine: RelativeMapper) -> Floats:
     """Return ``T_map_robot`` of every iteration (k, 4, 4); NaN where undetermined."""
     if engine.odometry is not None and engine.odometry.is_used:
-        return engine.odometry.poses
+        return engine.odometry.poses_in(engine.map.first)
     positions = mapped_positions(engine)
     noise_m = float(np.nan_to_num(engine.averaging.noise.sigma_m))
     return trajectory(engine.rows, positions, engine.table.landmark_of, noise_m)

@@ -54,7 +54,9 @@ def _merge_revisits(engine: RelativeMapper) -> list[float]:
     sightings = Sightings(engine.rows, table)
     for refined in engine.refined:
         drift = Drift(refined.spread.problem, refined.spread.settled)
-        finder = RevisitFinder(table, refined.landmarks, drift, refined.noise_m)
+        landmarks = np.full(len(refined.spread.chosen), NONE)
+        landmarks[refined.spread.chosen] = refined.landmarks
+        finder = RevisitFinder(table, landmarks, drift, refined.noise_m)
         for revisit in finder.revisits():
             pairs = table.now(revisit.pairs)
             pairs = pairs[pairs[:, 0] != pairs[:, 1]]
@@ -177,10 +179,10 @@ class _Accuracy:
         for refined in engine.refined:
             problem, d = refined.spread.problem, refined.positions.shape[1]
             unknown = np.full((len(table), d), NONE)
-            if seen_in is not None and refined is engine.refined[-1]:
-                pose = np.cumsum(np.isfinite(use.poses[:, 0, 0])) - 1
+            if seen_in is not None and refined is engine.refined[0]:
+                pose = np.cumsum(np.isfinite(use.poses_in(engine.map.first)[:, 0, 0])) - 1
                 unknown = problem.pose[pose[seen_in], -d:]
-            unknown[refined.landmarks] = problem.unknown
+            unknown[refined.landmarks] = problem.unknown[refined.spread.chosen]
             self._parts.append((Drift(problem, refined.spread.settled), unknown))
 
     def suffices(self, pairs: Ints) -> Bools:
@@ -211,19 +213,19 @@ def gather(engine: RelativeMapper) -> None:
     if engine.odometry is None or not engine.refined:
         return
     landmark = table.now(kept.landmark)
-    places = placed_observations(kept, engine.odometry.poses)
+    places = placed_observations(kept, engine.odometry.poses_in(engine.map.first))
     mapped = table.weight > 0
     rests = mapped | at_rest(landmark, places, mapped)
     pieces = [(one, rows) for one, rows in by_landmark(landmark, places) if rests[one]]
     own = np.array([one for one, _ in pieces])
     middle = np.array([np.median(places[rows], axis=0) for _, rows in pieces])
-    counts = np.array([len(rows) for _, rows in pieces])
+    counts = np.array([kept.count[rows].sum() for _, rows in pieces])
     scans = [kept.iteration[rows] for _, rows in pieces]
     noise_m = max(refined.noise_m for refined in engine.refined)
     whole = own[gathered(middle, counts, scans, noise_m, spacing_of(table.position[mapped]))]
     became = np.arange(len(table))
     became[own] = whole
-    known, total = np.zeros(len(table), dtype=bool), np.zeros(len(table), dtype=np.int64)
+    known, total = np.zeros(len(table), dtype=bool), np.zeros(len(table))
     np.logical_or.at(known, whole, mapped[own])
     np.add.at(total, whole, counts)
     # Landmarks may belong to a moving object if none of them was mapped.

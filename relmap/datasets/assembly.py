@@ -83,10 +83,19 @@ def with_stamps(table: Table, log: ObservationLog) -> ObservationLog:
         row = int(late.min())
         found = f"{table.columns['stamp'][row]:.10g} is later than the first of another iteration"
         table.fail(row, "stamp", f"{found}, expected the rows of an iteration to have one time")
-    rows = np.argsort(later[which], kind="stable")
-    every = np.arange(log.first_iteration, log.end_iteration)
-    iteration, stamps_s = numbers[later[which]][rows], np.interp(every, numbers, ascending)
-    return replace(log.only(rows), iteration=iteration, stamps_s=stamps_s)
+    rows, first = np.argsort(later[which], kind="stable"), log.first_iteration
+    every = np.arange(first, log.end_iteration)
+    # Iterations without a row stay behind the one before; at the end they have no time.
+    before = every[np.argsort(later[np.searchsorted(numbers, every, "right") - 1], kind="stable")]
+    now = first + np.argsort(before)
+    begun, end = np.sort(now[numbers - first]), int(now[numbers - first].max()) + 1
+    return replace(
+        log.only(rows),
+        iteration=now[log.iteration - first][rows],
+        stamps_s=np.interp(np.arange(first, end), begun, ascending),
+        end_iteration=end,
+        numbers=None if (before == every).all() else before[: end - first],
+    )
 
 
 def _check_span(table: Table, name: str, ascending: Ints, order: Ints) -> None:

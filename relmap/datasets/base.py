@@ -82,6 +82,8 @@ class ObservationLog(Brief):
         Why the log's odometry fields are not used as odometry, if so.
     names : tuple of str or None
         Original names of the ids 0, 1, ..., if the log has text ids.
+    numbers : (end_iteration - first_iteration,) int64 or None
+        Number of each iteration in the source, if they were renumbered in order of time.
     """
 
     points_robot: Floats
@@ -95,6 +97,7 @@ class ObservationLog(Brief):
     odometry: Floats | None = None
     no_odometry: str = ""
     names: tuple[str, ...] | None = None
+    numbers: Ints | None = None
 
     @classmethod
     def of_scans(cls, points: Sequence[Floats], ids: Sequence[Ints]) -> ObservationLog:
@@ -139,6 +142,7 @@ class ObservationLog(Brief):
             end_iteration=last,
             stamps_s=None if self.stamps_s is None else self.stamps_s[steps],
             odometry=None if self.odometry is None else self.odometry[steps],
+            numbers=None if self.numbers is None else self.numbers[steps],
         )
 
     def each_once(self) -> ObservationLog:

@@ -5,7 +5,7 @@ Motions come from the log itself or from a file beside it:
 
 * ``odometry.csv`` or ``odometry.csv.gz``: header ``iteration,x,y,yaw`` or
   ``iteration,x,y,z,qx,qy,qz,qw``, the motion from the previous iteration to this one. Without a row
-  the motion is unknown.
+  the motion is unknown, and so it is where sorting by time gives a scan another predecessor.
 * ``odometry.tum``: lines ``t x y z qx qy qz qw``, poses in one odometry frame, at the log's times
   or at others: poses are interpolated.
 """
@@ -168,7 +168,23 @@ def _read_motions(file: Path, log: ObservationLog | ScanLog) -> Floats:
     index = iteration - log.first_iteration
     there = (index >= 0) & (index < len(log))
     odometry[index[there]] = poses[there]
-    return odometry
+    return odometry if log.numbers is None else _renumbered(file, odometry, log)
+
+
+def _renumbered(file: Path, odometry: Floats, log: ObservationLog | ScanLog) -> Floats:
+    """Return motions (k, 4, 4) by the numbers of the source in the order of the log."""
+    assert log.numbers is not None
+    found = odometry[log.numbers - log.first_iteration]
+    moved = np.append(False, np.diff(log.numbers) != 1)
+    lost = moved & np.isfinite(found[:, 0, 0])
+    found[moved] = np.nan
+    if lost.any():
+        _LOG.warning(
+            "%s: %d motions are not used: sorted by time, their scans follow others",
+            shown(file),
+            lost.sum(),
+        )
+    return found
 
 
 def _poses(table: Table) -> Floats:

@@ -90,6 +90,8 @@ class ScanLog(Brief):
         Motion from the previous scan to each one, see `PointScan`; that of the first is not used.
     no_odometry : str
         Why the log's odometry fields are not used as odometry, if so.
+    numbers : (k,) int64 or None
+        Number of each scan in the source, if they were renumbered in order of time.
     """
 
     dimension: int
@@ -100,6 +102,7 @@ class ScanLog(Brief):
     sensor: SensorView = SensorView()
     odometry: Floats | None = None
     no_odometry: str = ""
+    numbers: Ints | None = None
 
     def __len__(self) -> int:
         """Return the number of scans, empty ones included."""
@@ -128,6 +131,7 @@ class ScanLog(Brief):
             points_of=lambda index: points_of(skip + index),
             poses=None if self.poses is None else self.poses[rows],
             odometry=None if self.odometry is None else self.odometry[rows],
+            numbers=None if self.numbers is None else self.numbers[rows],
             first_iteration=first,
         )
 

@@ -16,6 +16,7 @@ import re
 import struct
 import zipfile
 import zlib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -96,7 +97,8 @@ class ScansNpz:
                 limits["range_m"] = min(limit_m, limits.get("range_m", limit_m))
         offsets = np.searchsorted(iteration, np.arange(len(stamps_s) + 1))
         sensor = SensorView(**limits)
-        return stored_scans(points_robot, offsets.astype(np.int64), stamps_s, sensor=sensor)
+        log = stored_scans(points_robot, offsets.astype(np.int64), stamps_s, sensor=sensor)
+        return replace(log, numbers=in_time) if (np.diff(in_time) < 0).any() else log
 
 
 def _returned(file: Path, points: Floats, iteration: NDArray[Any]) -> tuple[Bools, float]:

@@ -13,6 +13,15 @@ LOOSE, LOOSE_SUBMAP = 30.0, 1e4
 it to connect submaps, which are refined as a whole."""
 
 
+def order_of_submaps(n_kept: Ints, n_landmarks: Ints) -> Ints:
+    """Return the order of submaps (s,): the first one is the map.
+
+    `n_kept`, `n_landmarks` (s,): numbers of landmarks of the map to which logs are added, and of
+    all. Of equal submaps the one that was begun first comes first.
+    """
+    return np.lexsort((-n_landmarks, -n_kept))
+
+
 class GlobalMap:
     """Positions of landmarks: the average over the best group of every interval.
 
@@ -31,18 +40,20 @@ class GlobalMap:
 
     @property
     def ranks(self) -> Ints:
-        """Index of each landmark's submap (n,), or `NONE`; 0 is the map.
-
-        It is the largest submap, or the one with most landmarks of the map to which logs are added.
-        """
+        """Index of each landmark's submap (n,), or `NONE`; 0 is the map: see `order_of_submaps`."""
         submap, ranks = self.table.submap, np.full(len(self.table), NONE)
         members = np.flatnonzero(submap != NONE)
         submaps, of, counts = np.unique(submap[members], return_inverse=True, return_counts=True)
         kept = np.bincount(of[self.table.first[members] < self.kept_until], minlength=len(submaps))
         rank_of = np.empty(len(submaps), dtype=np.int64)
-        rank_of[np.lexsort((-counts, -kept))] = np.arange(len(submaps))
+        rank_of[order_of_submaps(kept, counts)] = np.arange(len(submaps))
         ranks[members] = rank_of[of]
         return ranks
+
+    @property
+    def first(self) -> int:
+        """Number of the submap that is the map, or `NONE` if there is none."""
+        return int(self.table.submap[self.ranks == 0].max(initial=NONE))
 
     def submaps_of(self, landmarks: Ints, at_least: int = 1) -> Ints:
         """Return the submaps that contain enough of the landmarks, the oldest first."""

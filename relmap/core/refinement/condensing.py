@@ -79,6 +79,20 @@ class SegmentRows:
         """Number of segments."""
         return len(self.squares)
 
+    @property
+    def base(self) -> Ints:
+        """First iteration that belongs to each segment; (s,)."""
+        inside = np.flatnonzero(self.iteration_segment != NOWHERE)
+        return inside[np.unique(self.iteration_segment[inside], return_index=True)[1]]
+
+    @property
+    def poses(self) -> Floats:
+        """Pose of each iteration in the frame of its segment, metres; (i, 4, 4)."""
+        d = self.points.shape[1]
+        poses = np.tile(np.eye(4), (len(self.iteration_segment), 1, 1))
+        poses[:, :d, :d], poses[:, :d, 3] = self.R, self.t
+        return poses
+
 
 class CondensedSegments:
     """Condenses iterations as they leave the store; each observation counts exactly once."""
@@ -188,6 +202,19 @@ class CondensedSegments:
         self._iteration_segment.resize(self.end + k, NOWHERE)
         self._R.resize(self.end, np.nan)
         self._t.resize(self.end, np.nan)
+
+
+def seen_from_first(rows: SegmentRows) -> tuple[Ints, Floats, Ints, Floats]:
+    """Return segments as scans, each made in the first iteration of its segment.
+
+    Landmarks (n,), positions (n, d), robot frame, metres, iterations (n,), ascending, and numbers
+    of observations (n,).
+    """
+    at = rows.base[rows.segment]
+    location = np.einsum("nji,nj->ni", rows.R[at], rows.points - rows.t[at])
+    order = np.argsort(at, kind="stable")
+    n_seen = rows.n_seen[order].astype(np.float64)
+    return rows.landmark[order], location[order], at[order], n_seen
 
 
 def _means(block: Floats, joined: Bools, R: Floats, t: Floats) -> tuple[Floats, NDArray[np.uint8]]:

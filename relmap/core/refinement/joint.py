@@ -93,6 +93,15 @@ class Refined(Brief):
         """Copy the covariances, not the data from which they are computed."""
         return self.__dict__ | {"covariances": self.covariances, "spread": None}
 
+    def only(self, own: Bools) -> Refined:
+        """Return the same with some of the landmarks (m,); the residuals remain those of all."""
+        chosen = self.spread.chosen.copy()
+        chosen[chosen] = own
+        spread = replace(self.spread, chosen=chosen)
+        return replace(
+            self, landmarks=self.landmarks[own], positions=self.positions[own], spread=spread
+        )
+
     @cached_property
     def covariances(self) -> Floats:
         """Covariances of the position errors (m, d, d), square metres, computed on first access."""

@@ -46,12 +46,30 @@ class SingleObservations:
 class KeptObservations(SingleObservations):
     """Every observation of a run with odometry.
 
-    Scans with too few landmarks to be condensed count too.  An observation takes 32 bytes in the
-    plane and 40 in space.
+    Scans with too few landmarks to be condensed count too.  An observation takes 40 bytes in the
+    plane and 48 in space.  Observations that were condensed before the first odometry are means of
+    `count` of them.
     """
 
-    STATE = "_landmark _location _iteration"
+    STATE = "_landmark _location _iteration _count"
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._count: GrowingArray[np.float64] = GrowingArray(np.float64)
+
+    @property
+    def count(self) -> Floats:
+        """Number of observations (n,) of which each is the mean."""
+        return self._count.values
 
     def append(self, landmark: Ints, location: Floats, iteration: int) -> None:
         """Add n observations of landmarks (n,) at (n, d), robot frame, metres."""
         self._add(landmark, location, iteration)
+        self._count.resize(len(self), 1.0)
+
+    def begin_with(self, landmark: Ints, location: Floats, iteration: Ints, count: Floats) -> None:
+        """Replace all by n earlier observations; the arguments are the columns."""
+        self._landmark.hold(landmark)
+        self._location.hold(location)
+        self._iteration.hold(iteration)
+        self._count.hold(count)

@@ -101,7 +101,8 @@ class Revisit:
 class RevisitFinder:
     """Finds revisited places in one part of a map.
 
-    `landmarks` (m,): those of the part; `noise_m`: standard deviation of an observed coordinate.
+    `landmarks` (m,): those of the part, `NONE` if another's; `noise_m`: standard deviation of an
+    observed coordinate.
     """
 
     def __init__(self, table: LandmarkState, landmarks: Ints, drift: Drift, noise_m: float) -> None:
@@ -112,6 +113,7 @@ class RevisitFinder:
         self._tolerance_m = WIDER * TOLERANCE * max(noise_m, FLOOR_M)
         own = table.observations[landmarks] >= SOLID
         own &= (table.submap[landmarks] != NONE) & (table.now(landmarks) == landmarks)
+        own &= landmarks != NONE
         self._own = np.flatnonzero(own)
         at = drift.state.positions[self._own]
         apart = nearest(cKDTree(at), at, NEIGHBOUR + 1)[0] if len(at) else np.full((1, 1), np.inf)

@@ -61,7 +61,7 @@ class Measured(NamedTuple):
 
 def measured_motions(rows: SegmentRows) -> Measured:
     """Return the motions by landmarks alone."""
-    k, placed = len(rows.iteration_segment), _placed(rows)
+    k, placed = len(rows.iteration_segment), rows.poses
     found = Measured(np.full((k, 4, 4), np.nan), np.full(k, np.nan), np.full(k, np.nan))
     segment = rows.iteration_segment
     tied = 1 + np.flatnonzero((segment[1:] == segment[:-1]) & (segment[1:] != NOWHERE))
@@ -70,14 +70,6 @@ def measured_motions(rows: SegmentRows) -> Measured:
     found.sd_m[tied] = np.sqrt(each_m[tied - 1] + each_m[tied])
     found.sd_rad[tied] = np.sqrt(each_rad[tied - 1] + each_rad[tied])
     return found
-
-
-def _placed(rows: SegmentRows) -> Floats:
-    """Return the pose of each iteration (k, 4, 4) in the frame of its segment."""
-    d = rows.points.shape[1]
-    placed = np.tile(np.eye(4), (len(rows.iteration_segment), 1, 1))
-    placed[:, :d, :d], placed[:, :d, 3] = rows.R, rows.t
-    return placed
 
 
 def _is_sure(odometry: Floats, variance: Floats) -> Bools:
@@ -175,7 +167,7 @@ def _missing_over(odometry: Floats, rows: SegmentRows) -> tuple[Bools, Bools, Bo
         composed[now] = composed[now - 1] @ odometry[now]
     last = np.flatnonzero(np.append(begins[1:], True)[:k])
     of, first = np.cumsum(begins) - 1, first[last]
-    placed, (each_m, each_rad) = _placed(rows), _variances(rows)
+    placed, (each_m, each_rad) = rows.poses, _variances(rows)
     seen = np.linalg.inv(placed[first]) @ placed[last]
     inside = ~begins & (segment != NOWHERE)
     way = missing_way(composed[last], seen, np.sqrt(each_m[first] + each_m[last]))
@@ -204,7 +196,7 @@ def _stretches(odometry: Floats, rows: SegmentRows) -> tuple[Floats, Floats, flo
     composed = np.tile(np.eye(4), (len(first), 1, 1))
     for step in range(1, steps + 1):
         composed = composed @ odometry[first + step]
-    placed, (variance, _) = _placed(rows), _variances(rows)
+    placed, (variance, _) = rows.poses, _variances(rows)
     seen = np.linalg.inv(placed[first]) @ placed[first + steps]
     sure = _is_sure(composed, variance[first] + variance[first + steps])
     return composed[sure], seen[sure], max(steps, 1)

@@ -107,7 +107,8 @@ class ChainProblem:
         turn = Rotation.from_matrix(R).as_rotvec() if len(R) else np.empty((0, 3))
         self._turn = turn if d == 3 else turn[:, 2:]
         self._set_noise(sigmas, positions)
-        self.freedoms = max(n * d + len(self.moved) * (d + q) - m * d - (k - 1) * (d + q), 1)
+        n_tied = len(np.unique(np.concatenate([chain.iteration, self.moved, self.moved + 1])))
+        self.freedoms = max(n * d + len(self.moved) * (d + q) - m * d - (n_tied - 1) * (d + q), 1)
         self.pattern = _pattern(chain, self.moved, m, k, d, q)
         first = self.pattern.first
         pose = first[m : m + k, None] + np.arange(d + q)

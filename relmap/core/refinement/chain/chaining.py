@@ -9,11 +9,12 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import fit_rigid, fixes_rotation, sums_each
+from relmap.core.map.globalmap import order_of_submaps
 from relmap.core.motion_noise import MotionNoise
 from relmap.core.refinement.chain.bridging import Bridged
 from relmap.core.refinement.chain.chain_solving import settled_chain
 from relmap.core.refinement.chain.chained import Chain, Chained, ChainProblem, Sigmas
-from relmap.core.refinement.condensing import SegmentRows
+from relmap.core.refinement.condensing import NOWHERE, SegmentRows
 from relmap.core.refinement.joint import Refined, Spread, joint_rows
 from relmap.core.refinement.residuals import (
     MergeResiduals,
@@ -96,12 +97,13 @@ class PartSolver:
     def solve(self, bridged: Bridged) -> list[Solved]:
         """Return the solved parts of a run from these initial poses.
 
-        The smallest is first; those of the map to which logs are added are last.
+        They are in the order of submaps: the first is the map.
         """
         found = (self._part(bridged, part) for part in np.unique(bridged.part).tolist())
         solved = [part for part in found if part is not None]
-        kept = [int((part.iterations < self.kept_until).sum()) for part in solved]
-        order = np.lexsort(([len(part.refined.landmarks) for part in solved], kept))
+        each, first = [part.refined.landmarks for part in solved], self.table.first
+        kept = np.array([np.sum(first[own] < self.kept_until) for own in each], dtype=np.int64)
+        order = order_of_submaps(kept, np.array([len(own) for own in each], dtype=np.int64))
         return [solved[k] for k in order.tolist()]
 
     def _part(self, bridged: Bridged, part: int) -> Solved | None:
@@ -127,12 +129,13 @@ class PartSolver:
         kept = self.kept
         every = self.table.now(kept.landmark)
         there = (bridged.part[kept.iteration] == part) & ~self.table.dynamic[every]
-        often = np.bincount(every[there], minlength=len(self.table)) >= self.fewest
+        seen = np.bincount(every[there], kept.count[there], minlength=len(self.table))
+        often = seen >= self.fewest
         chosen = np.flatnonzero(there & often[every])
         landmarks, of = np.unique(every[chosen], return_inverse=True)
         points, sigma_m = kept.location[chosen], self._sigma_m
-        n, d = points.shape
-        alike = np.broadcast_to(np.eye(d) / sigma_m, (n, d, d))
+        d = points.shape[1]
+        alike = np.sqrt(kept.count[chosen])[:, None, None] * (np.eye(d) / sigma_m)
         root = alike if self.roots is None else self.roots[chosen]
         between = self.motions[iterations[1:]].copy()
         between[np.diff(iterations) != 1] = np.nan
@@ -148,6 +151,7 @@ class PartSolver:
         d = len(t)
         placed = np.tile(np.eye(4), (len(iterations), 1, 1))
         placed[:, :d, :d], placed[:, :d, 3] = R.T @ state.R, (state.t - t) @ R
+        self._carry_condensed(placed, iterations)
         positions, seen_m = (state.positions - t) @ R, self._sigma_m * problem.sigmas.seen
         segments, merges = _residuals(self.rows, self.table, landmarks, positions, seen_m)
         refined = Refined(
@@ -162,21 +166,36 @@ class PartSolver:
         )
         return refined, placed
 
+    def _carry_condensed(self, placed: Floats, iterations: Ints) -> None:
+        """Move the poses (k, 4, 4) of iterations (k,) that were not observed singly.
+
+        Their segment was condensed before the first odometry, and moves with its first iteration.
+        """
+        segment = self.rows.iteration_segment[iterations]
+        is_condensed = (segment != NOWHERE) & ~np.isin(iterations, self.kept.iteration)
+        own = np.flatnonzero(is_condensed)
+        base = self.rows.base[segment[own]]
+        at = np.searchsorted(iterations, base).clip(max=len(iterations) - 1)
+        own, at = own[iterations[at] == base], at[iterations[at] == base]
+        lies = self.rows.poses[iterations]
+        placed[own] = placed[at] @ np.linalg.inv(lies[at]) @ lies[own]
+
     @property
     def _sigma_m(self) -> float:
         return self.noise_m if np.isfinite(self.noise_m) and self.noise_m > 0 else GUESS_M
 
 
 def join_parts(bridged: Bridged, solved: Sequence[Solved]) -> Bridged | None:
-    """Return all scans with a part joined to the last that shares landmarks with it.
+    """Return all scans with a part joined to the first that shares landmarks with it.
 
     Parts of one log that are not connected by odometry may share landmarks, known by their ids.
 
     `solved`: its parts, as `PartSolver.solve` returns them. Returns None if no part shares enough
     landmarks, or their positions disagree.
     """
-    for k, other in enumerate(solved):
-        for base in reversed(solved[k + 1 :]):
+    for k in reversed(range(len(solved))):
+        other = solved[k]
+        for base in solved[:k]:
             one, another = other.refined, base.refined
             _, mine, its = np.intersect1d(one.landmarks, another.landmarks, return_indices=True)
             here, there = one.positions[mine], another.positions[its]
