@@ -14,7 +14,7 @@ from relmap.core.refinement import settling
 from relmap.core.refinement.condensing import CondensedSegments, SegmentRows
 from relmap.core.refinement.joint import Refined, refine
 from relmap.core.state.store import ObservationStore
-from relmap.simulation import WorldSpec, simulate_world
+from relmap.simulation import WorldSpec, simulate_figure_eight, simulate_world
 from tests.worlds import Walk, aligned_rmse, driven, random_rotation, walk
 
 seeds = st.integers(0, 2**32 - 1)
@@ -277,3 +277,14 @@ def test_outliers_are_down_weighted() -> None:
         batch = batch_least_squares(batch_of(dirty), world.landmarks)
         spoilt.append(aligned_rmse(batch, world.landmarks))
     assert np.median(errors) < 0.5 * np.median(spoilt)
+
+
+def test_outliers_in_the_anchor_scan_do_not_move_the_frame() -> None:
+    log = simulate_figure_eight(density=25, iterations=150, seed=1).log
+    points = log.points_robot.copy()
+    wrong = np.flatnonzero(log.iteration < 8)[::7]
+    points[wrong] += np.random.default_rng(0).normal(0, 0.5, (len(wrong), 3))
+    mapper = driven(replace(log, points_robot=points))
+    mapper.refine()
+    pose = mapper.trajectory[mapper.refined[0].anchor_iteration]
+    np.testing.assert_allclose(pose, np.eye(4), atol=1e-6)

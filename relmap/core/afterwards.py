@@ -53,7 +53,18 @@ def finish(engine: RelativeMapper) -> None:
     for seed in gone[np.argsort(-engine.table.in_interval[gone], kind="stable")].tolist():
         if engine.table.is_gone[seed]:
             last_pass(engine, seed)
-    if engine.association.is_known:
+    if engine.association.is_known and len(engine.motions):
+        # Single observations with wrong ids would place landmarks, and then poses, elsewhere.
+        rows, table = engine.rows, engine.table
+        extend_submaps(engine.map, seen_in(rows, CONFIRMED))
+        extend_submaps(engine.map, seen_in(rows, CONFIRMED - 1), table.submap == NONE)
+    elif engine.association.is_known:
+        extend_submaps(engine.map, engine.rows)
+
+
+def extend_by_the_rest(engine: RelativeMapper) -> None:
+    """Extend submaps by single observations with ids, if odometry given has placed nothing."""
+    if engine.association.is_known and len(engine.motions):
         extend_submaps(engine.map, engine.rows)
 
 

@@ -54,7 +54,7 @@ def without_no_return(path: Path, log: ScanLog) -> ScanLog:
 
     def points_of(index: int) -> Floats:
         points = log.points_of(index)
-        return points[_ranges_m(log, points) < least_m]
+        return np.asarray(points[_ranges_m(log, points) < least_m])
 
     return replace(log, points_of=points_of)
 

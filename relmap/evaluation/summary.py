@@ -64,8 +64,10 @@ def summary_of(
         steps = steps_of(paths, mapper.weak_links, view_rad)
         return summary | {"weak_links": weak, "steps": steps}
     if summary["refinement"] is not None:
-        away_m = np.linalg.norm(mapper.engine.rows.points, axis=1)
-        summary["refinement"]["median_range_m"] = float(np.median(away_m))
+        engine = mapper.engine
+        # With odometry, one landmark in a scan may be enough for a map, but not for a segment.
+        points = engine.rows.points if len(engine.rows.points) else engine.kept.location
+        summary["refinement"]["median_range_m"] = _median(np.linalg.norm(points, axis=1))
     summary["rejected_iterations"] = ends_of(mapper.rejected + offset, "iterations")
     summary["rejected_observations"] = ends_of(_rejected_rows(mapper, log, offset), "rows")
     return summary

@@ -182,7 +182,8 @@ class PointMapper(Mapper):
         if self.config.refine_live and not self.engine.refined:
             self.engine.live.complete()
             self.engine.merger.look_again()
-        bridge_gaps(self.engine)
+        if not bridge_gaps(self.engine):
+            afterwards.extend_by_the_rest(self.engine)
         if not self.engine.association.has_ids:
             afterwards.tie_and_solve(self.engine)
             afterwards.leave_out_rare(self.engine)

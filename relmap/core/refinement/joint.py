@@ -17,6 +17,7 @@ from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.brief import Brief
 from relmap.core.geometry.alignment import fit_rigid, fixes_rotation, place_each
 from relmap.core.geometry.robust import fit_robust_each
+from relmap.core.map.pose import trajectory
 from relmap.core.refinement.condensing import LENGTH, SegmentRows
 from relmap.core.refinement.equations import Laid, SegmentProblem, segment_problem
 from relmap.core.refinement.residuals import (
@@ -69,7 +70,7 @@ class Refined(Brief):
     sum of p-th powers of the residuals; 2 is least squares. `converged`: whether the least squares
     converged. Otherwise the positions are the best found, no worse than the initial ones.
     `n_outliers`: number of observations that noise does not explain. `n_contradicting`: of these,
-    landmarks of segments that confirm them (`CONFIRMED`).
+    landmarks of segments that confirm them (`CONFIRMED`); 0 in maps that depend on odometry.
     """
 
     landmarks: Ints
@@ -130,12 +131,8 @@ def refine(
     explained = (weight == 1).astype(np.float64)
     cost = problem.equations(settled.state, explained, with_matrix=False, damping=0.0).cost
     noise_m = _noise(rows, joint, cost, explained)
-    iteration = int(rows.first_iteration[joint.segments[anchor[0]]]) + anchor[1]
-    seen = (joint.segment == anchor[0]) & ((joint.visible >> anchor[1]) & 1 > 0)
-    R, t = fit_rigid(joint.points[seen], refined[joint.landmark[seen]])
-    R, t = R @ rows.R[iteration], R @ rows.t[iteration] + t
     mapped = chosen[joint.landmarks]
-
+    iteration, R, t = _pose(rows, joint, anchor, refined, mapped, of)
     return Refined(
         joint.landmarks[mapped],
         (refined[mapped] - t) @ R,
@@ -198,6 +195,30 @@ def _anchor(rows: JointRows) -> tuple[int, int] | None:
             if fixes_rotation(rows.points[begin:end][seen]):
                 return segment, bit
     return None
+
+
+def _pose(
+    rows: SegmentRows,
+    joint: JointRows,
+    anchor: tuple[int, int],
+    refined: Floats,
+    mapped: Bools,
+    of: Ints,
+) -> tuple[int, Floats, Floats]:
+    """Return an iteration (segment, bit), and rotation and translation of the robot in it.
+
+    As the trajectory shows it, which is robust to outliers, where mapped landmarks determine it.
+    `refined` (k, d), metres, and `mapped` (k,): of the landmarks of `joint`; `of`: as for `refine`.
+    """
+    iteration = int(rows.first_iteration[joint.segments[anchor[0]]]) + anchor[1]
+    d, positions = refined.shape[1], np.full((len(of), refined.shape[1]), np.nan)
+    positions[joint.landmarks[mapped]] = refined[mapped]
+    pose = trajectory(rows, positions, of)[iteration]
+    if np.isfinite(pose[0, 0]):
+        return iteration, pose[:d, :d], pose[:d, 3]
+    seen = (joint.segment == anchor[0]) & ((joint.visible >> anchor[1]) & 1 > 0)
+    R, t = fit_rigid(joint.points[seen], refined[joint.landmark[seen]])
+    return iteration, R @ rows.R[iteration], R @ rows.t[iteration] + t
 
 
 def _noise(rows: SegmentRows, joint: JointRows, cost: float, weight: Floats) -> float:

@@ -163,6 +163,7 @@ class PartSolver:
             merges,
             Spread(problem, settled, np.ones(len(landmarks), dtype=bool), R),
             converged=settled.converged,
+            n_outliers=int(np.sum(settled.weight[problem.parts[0]] < 1)),
         )
         return refined, placed
 

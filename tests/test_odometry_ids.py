@@ -1,0 +1,106 @@
+"""Points with ids and odometry: wrong ids are reported, and what a summary says of such a run."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from relmap.cli.outcome import MISREAD
+from relmap.core.arrays import Floats, Ints
+from relmap.datasets import ObservationLog
+from relmap.evaluation.run import Run, map_log
+from tests.worlds import aligned_rmse, turn
+
+SCANS, NOISE_M, REACH_M = 500, 0.05, 13.0
+
+
+def landmarks() -> Floats:
+    return np.random.default_rng(300).uniform(-45, 45, (70, 2))
+
+
+def rounds(most: int | None = None) -> ObservationLog:
+    """Return two rounds of an ellipse, a few landmarks in view, with odometry.
+
+    `most`: landmarks of a scan.
+    """
+    rng, angle = np.random.default_rng(2), np.linspace(0, 4 * np.pi, SCANS, endpoint=False)
+    place = np.column_stack([30 * np.cos(angle), 20 * np.sin(angle)])
+    yaw = np.arctan2(20 * np.cos(angle), -30 * np.sin(angle))
+    poses, motions = np.tile(np.eye(4), (SCANS, 1, 1)), np.full((SCANS, 4, 4), np.nan)
+    poses[:, :2, :2], poses[:, :2, 3] = turn(yaw), place
+    motions[1:] = np.linalg.inv(poses[:-1]) @ poses[1:]
+    motions[1:, :2, 3] += rng.normal(0, 0.01, (SCANS - 1, 2))
+    motions[1:, :2, :2] = motions[1:, :2, :2] @ turn(rng.normal(0, 0.005, SCANS - 1))
+    points, ids = [], []
+    for k in range(SCANS):
+        away = (landmarks() - place[k]) @ poses[k, :2, :2]
+        in_view = (np.linalg.norm(away, axis=1) < REACH_M) & (rng.random(len(away)) > 0.1)
+        ids.append(rng.permutation(np.flatnonzero(in_view))[:most])
+        points.append(away[ids[-1]] + rng.normal(0, NOISE_M, (len(ids[-1]), 2)))
+    return replace(ObservationLog.of_scans(points, ids), odometry=motions)
+
+
+def misread(log: ObservationLog, share: float) -> Ints:
+    """Return the ids, a share of them replaced by ids of landmarks that are not in view."""
+    assert log.ids is not None
+    rng, ids = np.random.default_rng(6), log.ids.copy()
+    for row in np.flatnonzero(rng.random(len(ids)) < share):
+        ids[row] = rng.choice(np.setdiff1d(log.ids, ids[log.iteration == log.iteration[row]]))
+    return ids
+
+
+def contradicting(run: Run) -> float:
+    return float(run.result.summary["association_trust"]["contradicting"])
+
+
+@pytest.mark.parametrize("share", [0.0, 0.08])
+def test_a_few_wrong_ids_do_not_bend_a_map_with_odometry_and_are_counted(share: float) -> None:
+    log = rounds()
+    ids = misread(log, share)
+    run = map_log(replace(log, ids=ids), association="known")
+    table = run.result.landmarks
+    assert run.result.summary["odometry"]["used"]
+    found = table.position[run.result.mapped, :2]
+    truth = landmarks()[table.landmark[run.result.mapped]]
+    assert len(found) > 30
+    assert aligned_rmse(found, truth) < 0.1
+    wrong = float(np.mean(ids != log.ids))
+    assert abs(contradicting(run) - wrong) <= 0.2 * wrong
+
+
+def test_ids_swapped_in_the_second_round_are_counted_with_odometry() -> None:
+    log = rounds()
+    assert log.ids is not None
+    names = np.arange(len(landmarks()))
+    often = np.flatnonzero(np.bincount(log.ids) > 30)[:4]
+    names[often] = np.roll(often, 1)
+    later = log.iteration >= SCANS // 2
+    run = map_log(replace(log, ids=np.where(later, names[log.ids], log.ids)), association="known")
+    assert contradicting(run) > MISREAD
+
+
+def test_one_landmark_in_each_scan_has_a_summary() -> None:
+    run = map_log(rounds(most=1), association="known")
+    summary = run.result.summary
+    json.dumps(summary, allow_nan=False)
+    assert summary["counts"]["mapped"] > 0
+    assert 1 < summary["refinement"]["median_range_m"] < REACH_M
+
+
+def test_iterations_that_are_not_in_the_log_are_not_linked_by_odometry() -> None:
+    """A jump of the numbers, as of a log that was cut, adds no scan."""
+    log, jump = rounds(), 1000
+    assert log.odometry is not None
+    half, unknown = SCANS // 2, np.full((jump, 4, 4), np.nan)
+    motions = np.concatenate([log.odometry[:half], unknown, log.odometry[half:]])
+    iteration = log.iteration + jump * (log.iteration >= half)
+    cut = replace(log, iteration=iteration, end_iteration=SCANS + jump, odometry=motions)
+    alone = [
+        map_log(each, association="known", refine=False).result.summary["odometry"]
+        for each in (log, cut)
+    ]
+    before, after = (one["tied_by_it_alone"]["count"] for one in alone)
+    assert 0 < after <= before + 1
