@@ -200,3 +200,24 @@ def test_parts_whose_landmarks_are_all_in_the_map_are_left_out() -> None:
     assert np.isfinite(mapper.trajectory[mapper.refined[0].anchor_iteration]).all()
     assert len(mapper.refined[0].segments.residual) > 10
     assert (np.diff(np.sort(np.concatenate([r.landmarks for r in mapper.refined]))) > 0).all()
+
+
+@pytest.mark.parametrize("with_odometry", [False, True])
+def test_the_frame_stays_when_a_log_joins_an_earlier_part(with_odometry: bool) -> None:
+    landmarks = np.concatenate(
+        [field(30, -5, 35, 9), field(20, 35, 50, 10), field(80, 50, 105, 11)]
+    )
+    if with_odometry:  # Nothing else leads from one part to the other.
+        landmarks = landmarks[(landmarks[:, 0] < 30) | (landmarks[:, 0] > 50)]
+    first = drive(np.concatenate([np.arange(0, 20, 0.5), np.arange(62, 100, 0.5)]), landmarks, 12)
+    mapper = PointMapper()
+    feed(mapper, first, True, np.zeros(len(first.points), dtype=bool))
+    assert len(mapper.submaps) == 2
+    before, second = mapper.map, drive(np.arange(8, 80, 0.5), landmarks, 13, 1.0)
+    mapper.take_up(second.points[-1])
+    feed(mapper, second, True, np.full(len(second.points), with_odometry))
+    assert len(mapper.submaps) == 1
+    own = np.isin(mapper.map.landmark_ids, before.landmark_ids)
+    assert own.sum() == len(before.landmark_ids)
+    off_m = np.linalg.norm(mapper.map.positions[own] - before.positions, axis=1)
+    assert np.median(off_m) < 0.2

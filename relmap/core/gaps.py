@@ -126,6 +126,7 @@ def _solver(
         is_open,
         engine.association.has_ids,
         engine.map.kept_until,
+        engine.map.kept_anchor,
     )
 
 

@@ -269,7 +269,8 @@ def _refine_submaps(
     others = (submaps == NONE) & ~table.dynamic
     found, end = [], 0 if kept is None else kept.n_iterations
     for submap in np.unique(submaps[submaps != NONE]):
-        refined = refine_jointly(rows, table.position, submaps == submap, of, others)
+        chosen, since = submaps == submap, engine.map.kept_anchor
+        refined = refine_jointly(rows, table.position, chosen, of, others, since)
         if refined is not None and len(engine.weighed):
             refined = refine_weighed(refined, engine.weighed, of)
         elif refined is not None and kept is not None:

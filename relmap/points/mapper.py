@@ -258,6 +258,8 @@ class PointMapper(Mapper):
         if not self.engine.map.kept_until:
             with self._guard.change():
                 self.engine.map.kept_until = self.engine.store.n_iterations
+                anchors = [one.anchor_iteration for one in self.refined[:1]]
+                self.engine.map.kept_anchor = max(anchors, default=0)
         registration = self.engine.association.registration
         placement = self._placed(seen, TRIED)[0] if registration is not None else None
         if placement is None or registration is None:

@@ -29,14 +29,14 @@ class GlobalMap:
     submaps are joined when a group connects them.
 
     `kept_until`: iteration before which landmarks were seen in the map to which logs are added; 0
-    if there is none.
+    if there is none. `kept_anchor`: iteration whose pose defined the frame of that map.
     """
 
-    STATE = "_n_submaps kept_until"
+    STATE = "_n_submaps kept_until kept_anchor"
 
     def __init__(self, table: LandmarkState) -> None:
         self.table = table
-        self._n_submaps, self.kept_until = 0, 0
+        self._n_submaps, self.kept_until, self.kept_anchor = 0, 0, 0
 
     @property
     def ranks(self) -> Ints:

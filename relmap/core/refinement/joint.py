@@ -110,18 +110,24 @@ class Refined(Brief):
 
 
 def refine(
-    rows: SegmentRows, positions: Floats, chosen: Bools, of: Ints, others: Bools
+    rows: SegmentRows,
+    positions: Floats,
+    chosen: Bools,
+    of: Ints,
+    others: Bools,
+    since: int = 0,
 ) -> Refined | None:
     """Return the joint optimum of the landmarks of one submap over all observations.
 
     `positions` (m, d), metres: initial positions, from the chain of groups. `chosen` (m,): the
     landmarks of the submap. `of` (m,): the landmark that each number stands for, after merging.
     `others` (m,): static landmarks that are not mapped; they constrain the landmarks seen with
-    them. Returns None if the observations determine nothing.
+    them. `since`: iteration from which the anchor is chosen, if there is one. Returns None if the
+    observations determine nothing.
     """
     landmark = of[rows.landmark]
     joint, start = joint_rows(rows, positions, chosen, landmark, others)
-    anchor = _anchor(joint)
+    anchor = _anchor(joint, rows.first_iteration, since) or _anchor(joint, rows.first_iteration)
     if anchor is None:
         return None
     problem = segment_problem(joint, size_of(start.positions), anchor)
@@ -187,10 +193,11 @@ def joint_rows(
     return joint, Laid(start[joint.landmarks], placed[known])
 
 
-def _anchor(rows: JointRows) -> tuple[int, int] | None:
-    """Return segment and bit of the first iteration that its landmarks determine."""
+def _anchor(rows: JointRows, first_iteration: Ints, since: int = 0) -> tuple[int, int] | None:
+    """Return segment and bit of the first iteration, not before `since`, that is determined."""
+    begun = first_iteration[rows.segments]
     for segment, (begin, end) in enumerate(zip(rows.begin[:-1], rows.begin[1:], strict=True)):
-        for bit in range(LENGTH):
+        for bit in range(max(since - int(begun[segment]), 0), LENGTH):
             seen = (rows.visible[begin:end] >> bit) & 1 > 0
             if fixes_rotation(rows.points[begin:end][seen]):
                 return segment, bit

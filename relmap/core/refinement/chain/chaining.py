@@ -76,7 +76,7 @@ class PartSolver:
     has_ids : bool
         Whether ids are given.  Then parts of the chain do not turn as a whole: wrong ids would turn
         them, and the errors of MRCLAM's maps increased by half.
-    kept_until : int
+    kept_until, kept_anchor : int
         See `relmap.core.map.globalmap.GlobalMap`.
     """
 
@@ -93,6 +93,7 @@ class PartSolver:
     is_open: bool
     has_ids: bool
     kept_until: int
+    kept_anchor: int
 
     def solve(self, bridged: Bridged) -> list[Solved]:
         """Return the solved parts of a run from these initial poses.
@@ -112,13 +113,13 @@ class PartSolver:
         chain, landmarks = self._chain(bridged, part, iterations)
         if not len(landmarks):
             return None
-        anchor = int(chain.iteration[0])
+        anchor = self._anchor(chain, iterations)
         start = _start(chain, bridged.poses[iterations], len(landmarks))
         step_sd = self.noise.sigmas(chain.motion)
         settled, problem = settled_chain(
             chain, step_sd, start, anchor, self.sigmas, self.to_the_last, self.is_open, self.has_ids
         )
-        refined, placed = self._refined(settled, problem, landmarks, iterations)
+        refined, placed = self._refined(settled, problem, landmarks, iterations, anchor)
         way, turn = problem.parts[1:]
         weight = np.minimum(settled.weight[way], settled.weight[turn])
         doubted = iterations[problem.moved[weight < DOUBT] + 1]
@@ -142,11 +143,21 @@ class PartSolver:
         begin = np.searchsorted(iterations, kept.iteration[chosen])
         return Chain(points, of, begin, root, between), landmarks
 
+    def _anchor(self, chain: Chain, iterations: Ints) -> int:
+        """Return the row of the first iteration with an observation, from the kept anchor on."""
+        kept = np.flatnonzero(iterations[chain.iteration] >= self.kept_anchor)
+        return int(chain.iteration[kept[0] if len(kept) else 0])
+
     def _refined(
-        self, settled: Settled[Chained], problem: ChainProblem, landmarks: Ints, iterations: Ints
+        self,
+        settled: Settled[Chained],
+        problem: ChainProblem,
+        landmarks: Ints,
+        iterations: Ints,
+        anchor: int,
     ) -> tuple[Refined, Floats]:
-        """Return the map and the poses (k, 4, 4), in the frame of the first observation."""
-        state, anchor = settled.state, int(problem.chain.iteration[0])
+        """Return the map and the poses (k, 4, 4), in the frame of the anchor."""
+        state = settled.state
         R, t = state.R[anchor], state.t[anchor]
         d = len(t)
         placed = np.tile(np.eye(4), (len(iterations), 1, 1))
