@@ -40,9 +40,6 @@ ARRIVED = 0.05
 CLEARLY = 0.5
 """The chosen placement is at most this fraction as far from the expected one as any rival. It is
 where steady motion leads if it is within this fraction of the standard deviation of that."""
-SURPRISING = 3.0
-"""A placement this many standard deviations from the predicted position does not displace one there
-that needs the prediction."""
 LEAP = 1.0
 """A step longer than this fraction of the range is a leap; a rotation counts by how far it moves
 points at the range."""
@@ -128,9 +125,6 @@ def _closest(rivals: list[Placed], R: Floats, held: Held, reach_m: float) -> Pla
     expected, leap = (R, held.place), LEAP * reach_m
     rivals.sort(key=lambda each: moved_m(each.pose, expected, reach_m))
     sure = [each for each in rivals if not each.is_held]
-    # One plane, as a table top taken for the floor, may place a scan far from where motion leads.
-    if sure and rivals[0].is_held and _off_m(sure[0], held) > SURPRISING * held.off_m:
-        sure = []
     chosen, *others = sure or rivals
     step = moved_m(chosen.pose, expected, reach_m)
     # Constant motion is accepted if everything else is a leap.
@@ -143,17 +137,13 @@ def _closest(rivals: list[Placed], R: Floats, held: Held, reach_m: float) -> Pla
     return None if is_near else chosen
 
 
-def _off_m(placed: Placed, held: Held) -> float:
-    return float(np.linalg.norm(placed.t - held.place))
-
-
 def _is_near(chosen: Placed, other: Placed, expected: Pose, held: Held, reach_m: float) -> bool:
     """Return whether a placement is not much farther from the expected pose than the chosen one.
 
     Where both turn alike, and the chosen one is where steady motion leads, only their positions
     tell them apart.
     """
-    way_m, other_m = (_off_m(each, held) for each in (chosen, other))
+    way_m, other_m = (float(np.linalg.norm(each.t - held.place)) for each in (chosen, other))
     is_alike = apart(*chosen.pose, *other.pose)[0] < APART_RAD
     if not (is_alike and way_m < CLEARLY * held.off_m < np.inf):
         way_m, other_m = (moved_m(each.pose, expected, reach_m) for each in (chosen, other))
