@@ -100,6 +100,18 @@ def test_points_of_clouds_at_the_largest_range_did_not_return(
     assert len(said) == np.isfinite(limit_m) == len(caplog.messages)
 
 
+def test_the_outermost_ring_on_flat_ground_returned(tmp_path: Path) -> None:
+    """It has one range, as far as the ground is flat and the sensor level."""
+    azimuth, elevation = np.meshgrid(
+        np.linspace(-np.pi, np.pi, 300, endpoint=False), -np.deg2rad(np.arange(2.0, 18.0, 2.0))
+    )
+    flat = np.stack([np.cos(azimuth), np.sin(azimuth), np.tan(elevation)], axis=-1).reshape(-1, 3)
+    ground = flat * 1.5 / -flat[:, 2:]
+    points, iteration = np.tile(ground, (5, 1)), np.repeat(np.arange(5), len(ground))
+    file = npz(tmp_path / "scans.npz", points=points, iteration=iteration, stamps_s=np.arange(5.0))
+    assert {len(scan.points_robot) for scan in open_scans(file).scans()} == {len(ground)}
+
+
 @pytest.mark.parametrize("around_rad", [0.3, np.pi])
 def test_a_wall_at_the_largest_range_keeps_its_beams(tmp_path: Path, around_rad: float) -> None:
     """A sensor with a narrow view follows a wall, or one drives across a round room."""

@@ -282,29 +282,3 @@ def test_mrpt_laser_motions_follow_their_scan(tmp_path: Path) -> None:
 def test_plain_logs_have_none(tmp_path: Path) -> None:
     assert open_log(put(tmp_path, PLAIN)).odometry is None
     assert open_log(put(tmp_path, MRPT, "a.csv")).odometry is None
-
-
-@pytest.mark.parametrize(("begin", "used"), [(3, [1, 1, 0, 1, 1]), (0, [1] * 5)])
-def test_motions_follow_scans_that_are_sorted_by_time(
-    tmp_path: Path, begin: int, used: list[int], caplog: pytest.LogCaptureFixture
-) -> None:
-    number = np.roll(np.arange(6), -begin)  # in order of time: 3, 4, 5, 0, 1, 2
-    rows = [f"{number[k]},{10 + k},1,2" for k in range(6) if number[k] not in (1, 4)]
-    put(tmp_path, "iteration,stamp,x,y\n" + "\n".join(rows), "observations.csv")
-    motion = [f"{k},{k},0,0" for k in range(6)]
-    put(tmp_path, "iteration,x,y,yaw\n" + "\n".join(motion), "odometry.csv")
-    found = odometry_of(tmp_path)[1:, 0, 3]
-    assert_array_equal(found, np.where(used, number[1:], np.nan))
-    told = "odometry.csv: 1 motions are not used: sorted by time, their scans follow others"
-    assert (told in caplog.text) == (begin > 0)
-
-
-def test_motions_follow_scans_of_points_that_are_sorted_by_time(tmp_path: Path) -> None:
-    stamps_s = np.array([4.0, 5, 1, 2, 3])
-    points, iteration = np.ones((5, 3)), np.arange(5)
-    np.savez(tmp_path / "scans.npz", points=points, iteration=iteration, stamps_s=stamps_s)
-    motion = [f"{k},{k},0,0" for k in range(5)]
-    put(tmp_path, "iteration,x,y,yaw\n" + "\n".join(motion), "odometry.csv")
-    odometry = open_scans(tmp_path).odometry
-    assert odometry is not None
-    assert_array_equal(odometry[1:, 0, 3], [3, 4, np.nan, 1])

@@ -26,7 +26,7 @@ from relmap.datasets.bags import Bag, bag_errors, is_bag, topics_in
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.observation_csv import COLUMNS
 from relmap.datasets.own_table import Ids, log_of
-from relmap.datasets.scans import in_time_order
+from relmap.datasets.scans import in_time_order, numbers_of
 from relmap.datasets.textfile import shown
 
 BOXES = "vision_msgs/msg/Detection3DArray"
@@ -95,8 +95,13 @@ def _log(path: Path, values: Floats, stamps: list[float], ids: Ids | None) -> Ob
     values[:, 0] = np.argsort(order)[values[:, 0].astype(np.int64)]
     log = log_of(path, _USED, values, np.arange(1, len(values) + 1), "detection", ids)
     known = log.ids is not None and bool((log.ids >= 0).any())
-    stamps_s = stamps_s[log.first_iteration : log.end_iteration]
-    return replace(log, stamps_s=stamps_s, ids=log.ids if known else None)
+    own, numbers = slice(log.first_iteration, log.end_iteration), numbers_of(order)
+    return replace(
+        log,
+        stamps_s=stamps_s[own],
+        ids=log.ids if known else None,
+        numbers=None if numbers is None else numbers[own],
+    )
 
 
 def _seen(message: Any, kind: str) -> Iterator[tuple[Any, str, str]]:

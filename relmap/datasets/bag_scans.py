@@ -21,7 +21,7 @@ from relmap.datasets.bag_detections import DETECTIONS
 from relmap.datasets.bag_frames import Driven, Mounting, stamp_s
 from relmap.datasets.bags import Bag, bag_errors, is_bag, topics_in
 from relmap.datasets.laser import Beams, laser_scans, require_memory
-from relmap.datasets.scans import ScanLog, in_time_order
+from relmap.datasets.scans import ScanLog, in_time_order, numbers_of
 from relmap.datasets.textfile import invalid, shown
 
 LASER, CLOUD = "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/PointCloud2"
@@ -78,7 +78,7 @@ def _lasers(bag: Bag, topic: str, mounting: Mounting) -> tuple[ScanLog, str]:
         raise invalid(bag.path, f"topic {topic} holds no scan, expected some")
     order, stamps_s = in_time_order(bag.path, np.array(stamps))
     log = laser_scans(bag.path, [scans[k] for k in order], limit_m, stamps_s, None)
-    return log, min(frames)
+    return replace(log, numbers=numbers_of(order)), min(frames)
 
 
 def _beams(bag: Bag, message: Any, T_robot_laser: Floats) -> Beams:
@@ -121,7 +121,7 @@ def _clouds(bag: Bag, topic: str, mounting: Mounting) -> tuple[ScanLog, str]:
             points = cloud_points(reopened[0].message_at(topic, t, nth), shown(bag.path))
         return np.asarray(points @ T[:3, :3].T + T[:3, 3])
 
-    return ScanLog(3, stamps_s, points_of), frame
+    return ScanLog(3, stamps_s, points_of, numbers=numbers_of(order)), frame
 
 
 def cloud_points(message: Any, where: str) -> Floats:

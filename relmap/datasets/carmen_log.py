@@ -33,7 +33,7 @@ from relmap.datasets.carmen_odometry import Hints, odometry_of
 from relmap.datasets.headers import members_of
 from relmap.datasets.laser import Beams, laser_scans, require_memory
 from relmap.datasets.number_rows import NumberRows, finite_numbers
-from relmap.datasets.scans import ScanLog, in_time_order, planar_poses
+from relmap.datasets.scans import ScanLog, in_time_order, numbers_of, planar_poses
 from relmap.datasets.textfile import invalid, numbered_lines, quoted, shown
 
 FULL_SCALES_M = (32.767, 51.16, 81.91)
@@ -126,7 +126,7 @@ def _log(path: Path, scans: list[_Scan], vertices: Floats, hints: Hints) -> Scan
     full = [top for top in tops if top <= largest <= top + ERROR_STEPS_M]
     limit_m = min(full + [scan.limit_m for scan in scans])
     log = laser_scans(path, scans, limit_m, stamps_s, poses)
-    return replace(log, odometry=odometry, no_odometry=reason)
+    return replace(log, odometry=odometry, no_odometry=reason, numbers=numbers_of(order))
 
 
 def _lines(path: Path) -> Iterator[_Line]:

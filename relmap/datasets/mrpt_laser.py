@@ -21,7 +21,7 @@ from relmap.datasets.headers import TABLES, columns_of, only_one, tables_with
 from relmap.datasets.laser import Beams, laser_scans, require_memory
 from relmap.datasets.number_rows import finite_numbers
 from relmap.datasets.odometry import motions, path_of
-from relmap.datasets.scans import ScanLog, in_time_order, planar_poses
+from relmap.datasets.scans import ScanLog, in_time_order, numbers_of, planar_poses
 from relmap.datasets.table import Column, Table, read_table
 from relmap.datasets.textfile import invalid, shown
 
@@ -63,7 +63,8 @@ class MrptLaser:
         scans = [Beams(scan_m, bearing, sensor) for scan_m in ranges]
         log = laser_scans(file, scans, limit_m, stamps_s, poses[order])
         steps = planar_poses(*(table.columns[name] for name in _STEP))
-        return replace(log, odometry=motions(path_of(np.roll(steps, 1, axis=0))[order]))
+        odometry = motions(path_of(np.roll(steps, 1, axis=0))[order])
+        return replace(log, odometry=odometry, numbers=numbers_of(order))
 
 
 def _sensor(table: Table) -> tuple[list[float], float]:

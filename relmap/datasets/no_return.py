@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from relmap.core.arrays import Floats
+from relmap.core.arrays import Bools, Floats
 from relmap.core.errors import RelmapError
 from relmap.datasets.laser import SAME, WIDE_SCANS
 from relmap.datasets.scans import ScanLog
@@ -23,6 +23,9 @@ SCANS = 20
 SHARE, LEAST = 0.01, 30
 """Minimum fraction of the points of a scan, and their number, at the largest range: of a surface
 only a point or a thin ring is there."""
+SPREAD = 0.02
+"""Minimum standard deviation of their directions, unit vectors, across a plane: those of a ring, as
+the outermost of a lidar on flat ground, lie in one."""
 NEARLY = 0.98
 """The range is at least this fraction of the largest: noise puts a few returns beyond it."""
 
@@ -32,23 +35,20 @@ def without_no_return(path: Path, log: ScanLog) -> ScanLog:
 
     `path`: the log, for warnings.
     """
-    ranges_m = [
-        _ranges_m(log, points)
-        for index in np.unique(np.linspace(0, len(log) - 1, SCANS).astype(np.int64)).tolist()
-        if len(points := _read(log, index))
-    ]
-    if not ranges_m:
+    some = np.unique(np.linspace(0, max(len(log) - 1, 0), min(SCANS, len(log))).astype(np.int64))
+    scans = [points for index in some.tolist() if len(points := _read(log, index))]
+    if not scans:
         return log
+    ranges_m = [_ranges_m(log, points) for points in scans]
     same_m = _shared(np.concatenate(ranges_m))
     least_m, most_m = same_m[0], same_m[-1]
-    count = np.array([np.count_nonzero((r >= least_m) & (r <= most_m)) for r in ranges_m])
-    share = count / [len(one) for one in ranges_m]
-    if np.count_nonzero((share >= SHARE) & (count >= LEAST)) < WIDE_SCANS:
+    there = [(r >= least_m) & (r <= most_m) for r in ranges_m]
+    if sum(map(_did_not_return, scans, there)) < WIDE_SCANS:
         return log
     _LOG.warning(
         "%s: %.3g %% of the points are at the largest range, %.4g m, and are treated as no return",
         shown(path),
-        100 * float(share.mean()),
+        100 * float(np.mean([np.mean(one) for one in there])),
         float(np.median(same_m)),
     )
 
@@ -67,6 +67,14 @@ def _shared(ranges_m: Floats) -> Floats:
     return np.asarray(far_m[most : ends[most]])
 
 
+def _did_not_return(points: Floats, there: Bools) -> bool:
+    """Return whether those there of points (n, 3) are many, in directions of more than a ring."""
+    if there.sum() < max(LEAST, SHARE * len(points)):
+        return False
+    way = points[there] / np.linalg.norm(points[there], axis=1, keepdims=True)
+    return bool(np.linalg.eigvalsh(np.cov(way.T))[0] >= SPREAD**2)
+
+
 def _ranges_m(log: ScanLog, points: Floats) -> Floats:
     """Return the distances (n,) of points (n, 3) from the sensor."""
     return np.asarray(np.linalg.norm(points - [log.sensor.x_m, log.sensor.y_m, 0.0], axis=1))
@@ -75,6 +83,7 @@ def _ranges_m(log: ScanLog, points: Floats) -> Floats:
 def _read(log: ScanLog, index: int) -> Floats:
     """Return the points of a scan; none if its file is damaged, which is reported in its turn."""
     try:
-        return log.points_of(index)
+        points = log.points_of(index)
     except RelmapError:
         return np.empty((0, 3))
+    return np.asarray(points[np.isfinite(points).all(axis=1)])

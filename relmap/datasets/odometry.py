@@ -162,20 +162,11 @@ def _read_motions(file: Path, log: ObservationLog | ScanLog) -> Floats:
     if len(again):
         row = int(order[again[0] + 1])
         table.fail(row, "iteration", f"{iteration[row]} occurs twice, expected each once")
-    ends = np.array([log.first_iteration, log.first_iteration + len(log) - 1])
-    _require_common(file, "iterations", iteration, ends)
-    odometry = np.full((len(log), 4, 4), np.nan)
-    index = iteration - log.first_iteration
-    there = (index >= 0) & (index < len(log))
-    odometry[index[there]] = poses[there]
-    return odometry if log.numbers is None else _renumbered(file, odometry, log)
-
-
-def _renumbered(file: Path, odometry: Floats, log: ObservationLog | ScanLog) -> Floats:
-    """Return motions (k, 4, 4) by the numbers of the source in the order of the log."""
-    assert log.numbers is not None
-    found = odometry[log.numbers - log.first_iteration]
-    moved = np.append(False, np.diff(log.numbers) != 1)
+    numbers = np.arange(len(log)) + log.first_iteration if log.numbers is None else log.numbers
+    _require_common(file, "iterations", iteration, np.array([numbers.min(), numbers.max()]))
+    at = order[np.minimum(np.searchsorted(iteration[order], numbers), len(order) - 1)]
+    found = np.where((iteration[at] == numbers)[:, None, None], poses[at], np.nan)
+    moved = np.append(False, np.diff(numbers) != 1)
     lost = moved & np.isfinite(found[:, 0, 0])
     found[moved] = np.nan
     if lost.any():

@@ -18,7 +18,7 @@ from relmap.core.arrays import Floats
 from relmap.datasets.cloud_file import is_cloud, read_cloud
 from relmap.datasets.headers import numbered_files, numbers_in_name
 from relmap.datasets.number_rows import read_rows
-from relmap.datasets.scans import ScanLog, in_time_order, require_rotations
+from relmap.datasets.scans import ScanLog, in_time_order, numbers_of, require_rotations
 from relmap.datasets.textfile import invalid, shown
 
 POSES_FILE = "alidarPose.csv"
@@ -48,13 +48,14 @@ class PointClouds:
         files = numbered_files(path, _NAME) if os.path.isdir(path) else [path]
         if not files:
             raise invalid(path, f"holds no cloud, expected {self.description}")
-        stamps_s, poses = np.arange(len(files), dtype=np.float64), None
+        stamps_s, poses, numbers = np.arange(len(files), dtype=np.float64), None, None
         poses_file = files[0].with_name(POSES_FILE)
         if poses_file.is_file():
             stamps_s, poses = _read_poses(poses_file, files)
             order, stamps_s = in_time_order(poses_file, stamps_s)
             files, poses = [files[index] for index in order], poses[order]
-        return ScanLog(3, stamps_s, lambda index: read_cloud(files[index]), poses)
+            numbers = numbers_of(order)
+        return ScanLog(3, stamps_s, lambda index: read_cloud(files[index]), poses, numbers=numbers)
 
 
 def _read_poses(file: Path, clouds: list[Path]) -> tuple[Floats, Floats]:

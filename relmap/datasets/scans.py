@@ -192,3 +192,8 @@ def in_time_order(path: Path, stamps_s: Floats) -> tuple[Ints, Floats]:
         return order, ascending
     _LOG.warning("%s: times repeat: the scans are numbered instead", shown(path))
     return order, np.arange(len(stamps_s), dtype=np.float64)
+
+
+def numbers_of(order: Ints) -> Ints | None:
+    """Return the numbers of scans in the source, given their order (k,); None if it is the same."""
+    return order if (np.diff(order) < 0).any() else None

@@ -28,7 +28,7 @@ from relmap.datasets.assembly import MAX_COORDINATE_M
 from relmap.datasets.foreign import ZIP, foreign_at
 from relmap.datasets.headers import file_in
 from relmap.datasets.laser import usable_beams
-from relmap.datasets.scans import ScanLog, SensorView, in_time_order, stored_scans
+from relmap.datasets.scans import ScanLog, SensorView, in_time_order, numbers_of, stored_scans
 from relmap.datasets.textfile import invalid, quoted, replacing, require_path, unreadable
 
 FILE_NAME = "scans.npz"
@@ -98,7 +98,7 @@ class ScansNpz:
         offsets = np.searchsorted(iteration, np.arange(len(stamps_s) + 1))
         sensor = SensorView(**limits)
         log = stored_scans(points_robot, offsets.astype(np.int64), stamps_s, sensor=sensor)
-        return replace(log, numbers=in_time) if (np.diff(in_time) < 0).any() else log
+        return replace(log, numbers=numbers_of(in_time))
 
 
 def _returned(file: Path, points: Floats, iteration: NDArray[Any]) -> tuple[Bools, float]:

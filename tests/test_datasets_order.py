@@ -1,0 +1,68 @@
+"""Rows of `odometry.csv` belong to iterations of the source, also where time sorts these anew."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from relmap.core.arrays import Floats
+from relmap.datasets import open_log, open_scans
+from tests.logs import put
+
+
+def odometry_of(folder: Path) -> Floats:
+    odometry = open_log(folder).odometry
+    assert odometry is not None
+    return odometry
+
+
+@pytest.mark.parametrize(("begin", "used"), [(3, [1, 1, 0, 1, 1]), (0, [1] * 5)])
+def test_motions_follow_scans_that_are_sorted_by_time(
+    tmp_path: Path, begin: int, used: list[int], caplog: pytest.LogCaptureFixture
+) -> None:
+    number = np.roll(np.arange(6), -begin)  # in order of time: 3, 4, 5, 0, 1, 2
+    rows = [f"{number[k]},{10 + k},1,2" for k in range(6) if number[k] not in (1, 4)]
+    put(tmp_path, "iteration,stamp,x,y\n" + "\n".join(rows), "observations.csv")
+    motion = [f"{k},{k},0,0" for k in range(6)]
+    put(tmp_path, "iteration,x,y,yaw\n" + "\n".join(motion), "odometry.csv")
+    found = odometry_of(tmp_path)[1:, 0, 3]
+    assert_array_equal(found, np.where(used, number[1:], np.nan))
+    told = "odometry.csv: 1 motions are not used: sorted by time, their scans follow others"
+    assert (told in caplog.text) == (begin > 0)
+
+
+def test_motions_follow_scans_though_the_last_iterations_have_no_rows(tmp_path: Path) -> None:
+    put(tmp_path, "iteration,stamp,x,y\n3,1,1,2\n0,2,1,2", "observations.csv")
+    put(tmp_path, "iteration,x,y,yaw\n0,5,0,0\n1,6,0,0\n3,7,0,0", "odometry.csv")
+    log = open_log(tmp_path)
+    assert log.numbers is not None
+    assert_array_equal(log.numbers, [3, 0])
+    assert_array_equal(odometry_of(tmp_path)[:, 0, 3], [7, np.nan])
+
+
+def scans_npz(folder: Path, stamps_s: list[float]) -> Path:
+    points, iteration = np.ones((len(stamps_s), 3)), np.arange(len(stamps_s))
+    np.savez(folder / "scans.npz", points=points, iteration=iteration, stamps_s=stamps_s)
+    return folder
+
+
+def carmen_log(folder: Path, stamps_s: list[float]) -> Path:
+    ranges = " ".join(f"{2 + 0.01 * k:.2f}" for k in range(180))
+    lines = [f"FLASER 180 {ranges} {t} 0 0 {t} 0 0 {t} host {t}" for t in stamps_s]
+    return put(folder, "\n".join(lines), "a.log")
+
+
+@pytest.mark.parametrize("written", [scans_npz, carmen_log])
+def test_motions_follow_scans_of_points_that_are_sorted_by_time(
+    tmp_path: Path, written: Callable[[Path, list[float]], Path]
+) -> None:
+    path = written(tmp_path, [4.0, 5, 1, 2, 3])
+    motion = [f"{k},{k},0,0" for k in range(5)]
+    put(tmp_path, "iteration,x,y,yaw\n" + "\n".join(motion), "odometry.csv")
+    odometry = open_scans(path).odometry
+    assert odometry is not None
+    assert_array_equal(odometry[1:, 0, 3], [3, 4, np.nan, 1])
