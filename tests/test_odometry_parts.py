@@ -202,8 +202,10 @@ def test_parts_whose_landmarks_are_all_in_the_map_are_left_out() -> None:
     assert (np.diff(np.sort(np.concatenate([r.landmarks for r in mapper.refined]))) > 0).all()
 
 
-@pytest.mark.parametrize("with_odometry", [False, True])
-def test_the_frame_stays_when_a_log_joins_an_earlier_part(with_odometry: bool) -> None:
+@pytest.mark.parametrize(("with_odometry", "refine"), [(False, True), (True, True), (True, False)])
+def test_the_frame_stays_when_a_log_joins_an_earlier_part(
+    with_odometry: bool, refine: bool
+) -> None:
     landmarks = np.concatenate(
         [field(30, -5, 35, 9), field(20, 35, 50, 10), field(80, 50, 105, 11)]
     )
@@ -211,7 +213,7 @@ def test_the_frame_stays_when_a_log_joins_an_earlier_part(with_odometry: bool) -
         landmarks = landmarks[(landmarks[:, 0] < 30) | (landmarks[:, 0] > 50)]
     first = drive(np.concatenate([np.arange(0, 20, 0.5), np.arange(62, 100, 0.5)]), landmarks, 12)
     mapper = PointMapper()
-    feed(mapper, first, True, np.zeros(len(first.points), dtype=bool))
+    feed(mapper, first, True, np.zeros(len(first.points), dtype=bool), refine=refine)
     assert len(mapper.submaps) == 2
     before, second = mapper.map, drive(np.arange(8, 80, 0.5), landmarks, 13, 1.0)
     mapper.take_up(second.points[-1])

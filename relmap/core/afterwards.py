@@ -123,7 +123,9 @@ def tie_and_solve(engine: RelativeMapper) -> None:
 
 def _close_loops(engine: RelativeMapper, rows: SegmentRows, noise_m: float, drift: float) -> None:
     """Close loops that drift has left open, one after the other."""
-    finder = LoopFinder(engine.table, noise_m, drift, engine.association.current.is_blurred)
+    finder = LoopFinder(
+        engine.table, noise_m, drift=drift, is_blurred=engine.association.current.is_blurred
+    )
     while (loop := finder.next()) is not None:
         pairs = loop.pairs[engine.merger.allowed(loop.pairs)]
         if len(pairs) > CLEAR * len(loop.pairs):

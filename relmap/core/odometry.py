@@ -13,6 +13,7 @@ from relmap.core.errors import RelmapError
 from relmap.core.motion_noise import MotionNoise
 from relmap.core.scan import FARTHEST_M, numbers
 from relmap.core.state.growing import GrowingArray
+from relmap.core.state.table import NONE
 
 WANTED = (
     "(3,) x, y, yaw; (7,) x, y, z, qx, qy, qz, qw; or a (4, 4) pose of the robot in its frame "
@@ -113,8 +114,9 @@ class OdometryUse:
         return cls(noise, False, left_out, none, poses, none, np.ones(3), noise.is_wrong)
 
     def poses_in(self, submap: int) -> Floats:
-        """Return the poses (k, 4, 4) in the frame of one submap; NaN in others."""
-        return np.where((self.submap == submap)[:, None, None], self.poses, np.nan)
+        """Return the poses (k, 4, 4) in the frame of one submap; NaN in others, and of none."""
+        inside = (self.submap == submap) & (submap != NONE)
+        return np.where(inside[:, None, None], self.poses, np.nan)
 
 
 class Motions:

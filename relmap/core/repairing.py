@@ -86,7 +86,8 @@ def _extend_by_ids(engine: RelativeMapper) -> bool:
     """Extend the submaps of a refined map with known ids; return whether the map has changed."""
     misread = take_off_misread(engine.map, engine.rows)
     others = ~np.isin(np.arange(len(engine.table)), misread)
-    grew = extend_submaps(engine.map, engine.rows, others)
+    # With odometry every landmark is placed, and submaps of few landmarks are not remainders.
+    grew = not is_bridged(engine) and extend_submaps(engine.map, engine.rows, others)
     if grew:
         take_off_misread(engine.map, engine.rows)
     return grew or len(misread) > 0

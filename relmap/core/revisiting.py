@@ -165,7 +165,7 @@ class _Accuracy:
     """Whether landmarks that coincide are one: where the map has drifted, they may be neighbours.
 
     `seen_in` (m,): an iteration in which each landmark was seen: one that is not mapped is as
-    accurate as the pose, if that is in the largest part.
+    accurate as the pose, if that is in the first part.
 
     Attributes: `needed_m`: largest standard deviation of the distance of landmarks that are merged.
     """

@@ -258,8 +258,7 @@ class PointMapper(Mapper):
         if not self.engine.map.kept_until:
             with self._guard.change():
                 self.engine.map.kept_until = self.engine.store.n_iterations
-                anchors = [one.anchor_iteration for one in self.refined[:1]]
-                self.engine.map.kept_anchor = max(anchors, default=0)
+                self.engine.map.kept_anchor = self._anchor()
         registration = self.engine.association.registration
         placement = self._placed(seen, TRIED)[0] if registration is not None else None
         if placement is None or registration is None:
@@ -271,6 +270,13 @@ class PointMapper(Mapper):
         with self._guard.change():
             registration.expect(landmarks[near], around[near])
         return True
+
+    def _anchor(self) -> int:
+        """Return the iteration whose pose defines the frame of the map."""
+        if self.refined:
+            return self.refined[0].anchor_iteration
+        own = self.engine.table.first[self.engine.map.ranks == 0]
+        return int(own.min()) if len(own) else 0
 
     def _placed(self, points_robot: Floats, searches: int) -> tuple[Placement | None, int]:
         """Return the placement of a scan in the map, if certain, and the number of placements.

@@ -53,6 +53,7 @@ class LoopFinder:
         self,
         table: LandmarkState,
         noise_m: float,
+        *,
         drift: float = LOCAL_DRIFT,
         is_blurred: bool = False,
     ) -> None:

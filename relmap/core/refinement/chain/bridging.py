@@ -208,7 +208,7 @@ def bridge(
     """Place all scans in one frame: by submaps where these determine them, else by odometry.
 
     `motions` (k, 4, 4): odometry, without its constant errors; NaN if unknown. `solved` (k, 4, 4):
-    poses solved for before the map changed, in the frame of its largest submap; NaN in others.
+    poses solved for before the map changed, in the frame of the first submap; NaN in others.
     """
     k = len(motions)
     poses, part = np.tile(np.eye(4), (k, 1, 1)), np.zeros(k, dtype=np.int64)
