@@ -50,6 +50,8 @@ TRUE_WALL = "#e0a800"
 """As in the paper: the true map in yellow, the computed one in blue (Fig. 7)."""
 LIGHT = np.array([0.3, 0.5, 0.81])
 """Direction of a light: planes facing it are brighter."""
+TICKS = 8
+"""Number of ticks along the longest side of a box, in space."""
 
 
 def plot_submaps(submaps: Sequence[DrawnSubmap], n_submaps: int) -> Figure:
@@ -185,6 +187,15 @@ write_planes_png = to_png(plot_planes)
 write_building_png = to_png(plot_building)
 
 
+def _draw_box(space: Any, low: Floats, high: Floats) -> None:
+    """Draw axes in space between two corners (3,), with as many ticks as each side has room for."""
+    size = np.maximum(high - low, 1e-3)
+    space.set(xlim=(low[0], high[0]), xlabel="x [m]", ylim=(low[1], high[1]), ylabel="y [m]")
+    space.set(zlim=(low[2], high[2]), zlabel="z [m]", box_aspect=size)
+    for axis, share in zip("xyz", size / size.max(), strict=True):
+        space.locator_params(axis=axis, nbins=max(round(TICKS * float(share)), 2))
+
+
 def plot_planes3d(table: Plane3dTable, poses: Floats, stamps_s: Floats, weak: Ints) -> Figure:
     """Draw the outlines of mapped planes and the path of the sensor.
 
@@ -209,8 +220,7 @@ def plot_planes3d(table: Plane3dTable, poses: Floats, stamps_s: Floats, weak: In
     space.add_collection(surfaces, autolim=False)
     path = broken_at_gaps(stamps_s, way)
     space.plot(*path.T, color=BLUE, linewidth=1.5)
-    space.set(xlim=(low[0], high[0]), xlabel="x [m]", ylim=(low[1], high[1]), ylabel="y [m]")
-    space.set(zlim=(low[2], high[2]), zlabel="z [m]", box_aspect=np.maximum(high - low, 1e-3))
+    _draw_box(space, low, high)
     space.view_init(elev=35, azim=-60)
     above = figure.add_subplot(1, 2, 2)
     order = np.argsort([outline[:, 2].mean() for outline in outlines], kind="stable")
