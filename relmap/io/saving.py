@@ -110,5 +110,5 @@ def _read_arrays(path: Path) -> dict[str, NDArray[Any]]:
             name = member.filename.removesuffix(".npy")
             if member.compress_type != zipfile.ZIP_STORED or name in arrays:
                 raise ValueError(f"{member.filename!r} is not part of a saved map")
-            arrays[name] = read_array(archive, member, size).copy(order="K")
+            arrays[name] = read_array(archive, member)
     return arrays
