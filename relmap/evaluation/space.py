@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
+from relmap.evaluation.metrics import align_poses
 from relmap.planes3d.table import Plane3dTable
 
 NEAR_M, TURN = 0.05, np.cos(np.deg2rad(5.0))
@@ -48,7 +49,7 @@ def judge_planes(
     figures: dict[str, float | None] = {"doubled_area": doubled_area(table)}
     if faces is None or not len(faces.plane) or not len(poses):
         return figures
-    R, t = _between(poses, true_poses)
+    R, t = align_poses(poses, true_poses, 3)
     rows = np.flatnonzero((table.status == "static") & (table.area_m2 >= LEAST_M2)).tolist()
     off, own = [np.empty(0)], []
     for k in rows:
@@ -150,12 +151,3 @@ def _true_plane(points: Floats, normal: Floats, faces: Faces) -> tuple[int, int]
     if by_plane[best] < MOSTLY:
         return -1, -1
     return best, int(np.where(faces.plane == best, hits, -1.0).argmax())
-
-
-def _between(poses: Floats, true_poses: Floats) -> tuple[Floats, Floats]:
-    """Return the motion (3, 3), (3,) that aligns the map to the truth, by whole poses."""
-    turns = true_poses[:, :3, :3] @ poses[:, :3, :3].transpose(0, 2, 1)
-    u, _, vt = np.linalg.svd(turns.sum(axis=0))
-    R = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
-    t = (true_poses[:, :3, 3] - poses[:, :3, 3] @ R.T).mean(axis=0)
-    return np.asarray(R), np.asarray(t)
