@@ -8,6 +8,7 @@ import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.evaluation.metrics import align_poses
+from relmap.planes3d.adjustment import across
 from relmap.planes3d.table import Plane3dTable
 
 NEAR_M, TURN = 0.05, np.cos(np.deg2rad(5.0))
@@ -82,8 +83,8 @@ def doubled_area(table: Plane3dTable) -> float | None:
         on = np.zeros(len(points[k]), dtype=bool)
         for other in rows:
             if other != k and table.normal[k] @ table.normal[other] > TURN:
-                across = points[k] @ table.normal[other] - table.offset[other]
-                near = np.flatnonzero((np.abs(across) < NEAR_M) & ~on)
+                off = points[k] @ table.normal[other] - table.offset[other]
+                near = np.flatnonzero((np.abs(off) < NEAR_M) & ~on)
                 on[near] = _inside(points[k][near], table, other)
         doubled += float(on.mean()) * table.area_m2[k] if len(on) else 0.0
     area = float(table.area_m2[rows].sum())
@@ -95,7 +96,7 @@ def surface_points(table: Plane3dTable, k: int) -> Floats:
     outline = table.outline[k]
     if len(outline) < 3:
         return np.asarray(table.centre[k][None])
-    axes = _along(table.normal[k])
+    axes = np.concatenate(across(table.normal[k][None]))
     flat = (outline - table.centre[k]) @ axes.T
     size = np.ptp(flat, axis=0)
     most = max(np.sqrt(size.prod() / MOST_SAMPLES), size.max() / MOST_SAMPLES)
@@ -111,7 +112,7 @@ def _inside(points: Floats, table: Plane3dTable, k: int) -> Bools:
     """Return which points (n, 3) lie within the outline of a plane, seen from its front."""
     if len(table.outline[k]) < 3:
         return np.zeros(len(points), dtype=bool)
-    axes = _along(table.normal[k])
+    axes = np.concatenate(across(table.normal[k][None]))
     return _within(
         (points - table.centre[k]) @ axes.T, (table.outline[k] - table.centre[k]) @ axes.T
     )
@@ -121,13 +122,6 @@ def _within(points: Floats, outline: Floats) -> Bools:
     from matplotlib.path import Path
 
     return np.asarray(Path(outline).contains_points(points))
-
-
-def _along(normal: Floats) -> Floats:
-    """Return two directions (2, 3) perpendicular to a normal and to each other."""
-    u = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
-    u /= np.linalg.norm(u)
-    return np.stack([u, np.cross(normal, u)])
 
 
 def _normals(corners: Floats) -> Floats:
