@@ -239,25 +239,36 @@ def test_a_log_that_was_not_mapped_is_refused(place: Path, refused: Any) -> None
 
 
 @pytest.mark.parametrize(
-    ("header", "change", "said"),
+    ("source", "header", "change", "said"),
     [
-        ("iteration,x,y,z", lambda rows: rows, "the map is planar, the log in space"),
-        ("iteration,x,y", lambda rows: rows[1:, :3], "its rows or iterations differ"),
+        ("flat", "iteration,x,y", lambda rows: rows[:, :3] * [1, 1, -1], "its points, .* off"),
+        ("flat", "iteration,x,y,z", lambda rows: rows, "the map is planar, the log in space"),
+        ("flat", "iteration,x,y", lambda rows: rows[1:, :3], "its row .* is not of iteration"),
+        ("npz", "", lambda points: points * [1, -1], "its beams pass through .* of the walls"),
     ],
-    ids=["in space", "fewer rows"],
+    ids=["mirrored", "in space", "fewer rows", "mirrored beams"],
 )
 def test_another_log_with_the_times_of_the_mapped_one_is_refused(
     mapped: Mapped,
     logs: Path,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
+    source: str,
     header: str,
     change: Any,
     said: str,
 ) -> None:
-    result, other = mapped("flat"), tmp_path / "other.csv"
-    rows = np.loadtxt(logs / "flat" / "observations.csv", delimiter=",", skiprows=1)
-    np.savetxt(other, change(rows), "%.9g", ",", header=header, comments="")
+    log, result, other = (
+        logs / source,
+        mapped(source),
+        tmp_path / f"other.{'csv' if header else 'npz'}",
+    )
+    if header:
+        rows = change(np.loadtxt(log / "observations.csv", delimiter=",", skiprows=1))
+        np.savetxt(other, rows, "%.9g", ",", header=header, comments="")
+    else:
+        with np.load(log / "scans.npz") as scans:
+            np.savez(other, **{**scans, "points": change(scans["points"])})
     capsys.readouterr()
     grid = ["export", str(result), "--to", "grid", "-o", str(tmp_path / "a.yaml")]
     assert main([*grid, "--log", str(other)]) == 2

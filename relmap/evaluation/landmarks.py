@@ -10,7 +10,6 @@ from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.association.reobservation.pairing import Motion, paired
 from relmap.core.errors import RelmapError
 from relmap.datasets.base import ObservationLog
-from relmap.datasets.textfile import shown
 from relmap.evaluation import metrics
 from relmap.evaluation.metrics import Matched
 from relmap.evaluation.truth import Truth
@@ -165,15 +164,8 @@ def mapped_part(result: Result, log: ObservationLog) -> ObservationLog:
     same = [part.first_iteration, part.end_iteration] == scans and bool((at >= 0).all())
     same = same and np.array_equal(part.iteration[at], tracks.iteration)
     if not same:
-        raise another_log(result, "its rows or iterations differ")
+        raise RelmapError("the log is not the one that was mapped: its rows or iterations differ")
     return part
-
-
-def another_log(result: Result, why: str) -> RelmapError:
-    """Return the error that a log is not the one that was mapped, which the summary names."""
-    mapped = result.summary.get("input")
-    expected = f"; give {shown(mapped)}" if isinstance(mapped, str) else ""
-    return RelmapError(f"the log is not the one that was mapped: {why}{expected}")
 
 
 def match_landmarks(

@@ -11,18 +11,28 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.scans import ScanLog
+from relmap.datasets.textfile import shown
 from relmap.evaluation.feeding import Log, stamps_of
-from relmap.evaluation.landmarks import another_log, mapped_part
 from relmap.evaluation.metrics import match_stamps, positions_of
 from relmap.evaluation.sources import read_again
 from relmap.evaluation.truth import Variant
 from relmap.exports.content import MapContent
 from relmap.io.results import MAPPER, SUMMARY, TRACKS, TRAJECTORY
 from relmap.planes import PlaneMapper
+from relmap.planes.places.submap_ties import MapPart
+from relmap.planes.scans.beams import PlacedBeams
 from relmap.points import PointMapper
 
 MOST = 5_000_000
 """Maximum number of beams, by subsampling."""
+JUDGED = 60_000
+"""Approximate number of beams by which a log is compared with the map."""
+LEAST_M = 3.0
+"""Length of wall passed through, up to which it may be a door or glass."""
+MISFIT = 0.5
+"""Deviation of a log from the map above which it is another one: of points, as a fraction of their
+distance; of beams, the length of wall that they pass through, as a fraction of that on which they
+end: with the log that was mapped at most 0.08, also without refinement, mirrored 1 or more."""
 Lines = tuple[Floats, Floats]
 """Start and end points of lines, (n, 2) each, map frame, metres."""
 
@@ -54,7 +64,11 @@ def sight_lines(content: MapContent, log: Path | None) -> Lines | None:
         begins = content.result.poses[seen.pose, :2, 3]
         return begins, content.landmarks.position[seen.landmark, :2]
     if log is not None:
-        return _placed(content, _read(content, log))
+        read = _read(content, log)
+        lines = _placed(content, read)
+        if isinstance(read, ScanLog) and read.dimension == 2:  # clouds are not levelled here
+            _check_beams(content, lines)
+        return lines
     saved = content.folder / MAPPER
     if not saved.is_file():
         return None
@@ -82,9 +96,20 @@ def sightings(content: MapContent, log: Path | None) -> Sightings | None:
         )
     if not isinstance(read, ObservationLog):
         return Sightings(pose[known], landmark[known], None)
-    part = mapped_part(content.result, read)
-    points = part.points_robot[positions_of(part.rows, tracks.row)[known]]
-    return Sightings(pose[known], landmark[known], points)
+    points = read.points_robot[_rows(content, read)[known]]
+    seen = Sightings(pose[known], landmark[known], points)
+    _check_points(content, seen, points)
+    return seen
+
+
+def _check_points(content: MapContent, seen: Sightings, points: Floats) -> None:
+    """Raise an error if measured points (n, d) are not where the map has them."""
+    if not len(points):
+        return
+    off_m = np.median(np.linalg.norm(points - as_mapped(content, seen), axis=1))
+    away_m = np.median(np.linalg.norm(points, axis=1))
+    if off_m > MISFIT * away_m:
+        raise _another(content, f"its points, {away_m:.2g} m away, are {off_m:.2g} m off the map")
 
 
 def as_mapped(content: MapContent, seen: Sightings) -> Floats:
@@ -94,6 +119,13 @@ def as_mapped(content: MapContent, seen: Sightings) -> Floats:
     return np.asarray(points[:, : 2 if content.result.planar else 3])
 
 
+def _another(content: MapContent, why: str) -> RelmapError:
+    """Return the error that a log is not the one that was mapped, which the summary names."""
+    mapped = content.result.summary.get("input")
+    expected = f"; give {shown(mapped)}" if isinstance(mapped, str) else ""
+    return RelmapError(f"the log is not the one that was mapped: {why}{expected}")
+
+
 def _read(content: MapContent, log: Path) -> Log:
     variant: Variant = "points" if content.walls is None else "planes"
     read = read_again(log, variant, content.result.summary)
@@ -101,8 +133,22 @@ def _read(content: MapContent, log: Path) -> Log:
         planar = read.points_robot.shape[1] == 2
         if planar != content.result.planar:
             kinds = ("in space", "planar") if planar else ("planar", "in space")
-            raise another_log(content.result, f"the map is {kinds[0]}, the log {kinds[1]}")
+            raise _another(content, f"the map is {kinds[0]}, the log {kinds[1]}")
     return read
+
+
+def _rows(content: MapContent, log: ObservationLog) -> Ints:
+    """Return the index in the log of each tracked observation (n,)."""
+    tracks = content.result.tracks
+    row = positions_of(log.rows, tracks.row)
+    there = log.iteration[row] if len(log.rows) else row
+    strange = np.flatnonzero((row < 0) | (there != tracks.iteration))
+    if len(strange):
+        first, iteration = tracks.row[strange[0]], tracks.iteration[strange[0]]
+        raise _another(
+            content, f"its row {first} is not of iteration {iteration}, as {TRACKS} has it"
+        )
+    return row.astype(np.int64)
 
 
 def _iterations(content: MapContent, log: Log | None) -> Ints | None:
@@ -130,8 +176,8 @@ def _scans(content: MapContent, log: Log) -> Ints:
     mine, scan = match_stamps(stamps_s, stamps_of(log))
     if len(mine) < len(stamps_s):
         missing = stamps_s[np.setdiff1d(np.arange(len(stamps_s)), mine)[0]]
-        raise another_log(
-            content.result,
+        raise _another(
+            content,
             f"{len(stamps_s) - len(mine)} poses of the result have no scan of their time in it, "
             f"the first at {missing:.16g} s",
         )
@@ -149,3 +195,20 @@ def _placed(content: MapContent, log: Log) -> Lines:
         begins.append(np.broadcast_to(R @ sensor + t, points.shape))
     every = max(-(-sum(map(len, ends)) // MOST), 1)
     return np.concatenate(begins)[::every], np.concatenate(ends)[::every]
+
+
+def _check_beams(content: MapContent, lines: Lines) -> None:
+    """Raise an error if beams pass through the mapped walls rather than end on them."""
+    walls = content.walls
+    if walls is None or not len(walls.plane):
+        return
+    some = slice(None, None, 1 + len(lines[0]) // JUDGED)
+    begins, ends = (np.ascontiguousarray(each[some]) for each in lines)
+    beams = PlacedBeams(begins, ends, np.zeros(len(begins), dtype=np.int64))
+    part = MapPart.of(0, walls.ends, walls.plane, beams, np.empty((0, 3)))
+    on_m, through_m = part.judged(begins, ends)
+    if through_m > max(MISFIT * on_m, LEAST_M):
+        raise _another(
+            content,
+            f"its beams pass through {through_m:.3g} m of the walls, and end on {on_m:.3g} m",
+        )
