@@ -32,7 +32,7 @@ pytestmark = pytest.mark.usefixtures("unrendered")
             "not the one",
         ),
         ("tracks.csv.gz", gzip.compress(b"iteration,row,landmark\n", mtime=0)[:-6], "gzip"),
-        ("trajectory.tum", b"1 2 3\n", "3 fields"),
+        ("trajectory.tum", b"1 2 3\n", "expected 8 numbers"),
         ("trajectory.tum", b"\x00\x01", "NUL"),
         ("landmarks.csv", None, "does not exist"),
         ("tracks.csv.gz", None, "does not exist"),

@@ -53,7 +53,6 @@ FILES = [
     ("a.npy", saved(np.eye(9)), "a NumPy array"),
     ("a.zip", zipped("readme.txt"), "a zip archive"),
     ("mapper.npz", saved_map(), "a saved map of relmap"),
-    ("a.png", b"\x89PNG\r\n\x1a\n" + REST, "a PNG image"),
     ("a.tar", b"a".ljust(257, b"\0") + b"ustar\0" + REST, "a tar archive"),
     ("a.gz", gzip.compress(saved(np.eye(9))), "a NumPy array (.npy), packed by gzip"),
     ("a.xz", lzma.compress(b"text"), "an xz file"),

@@ -106,8 +106,8 @@ def test_depth_images_come_out_ahead_left_and_up(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "data", "wrong"),
     [
-        ("camera-intrinsics.txt", "1 2\n", "line 1: expected 3 numbers"),
-        ("camera-intrinsics.txt", "1 2 x\n", "line 1: expected 3 numbers"),
+        ("camera-intrinsics.txt", "1 2\n", "line 1: '1 2', expected 3 numbers"),
+        ("camera-intrinsics.txt", "1 2 x\n", "line 1: '1 2 x', expected 3 numbers"),
         ("camera-intrinsics.txt", "1 2 3\n", "1 rows, expected a 3 x 3 matrix"),
         ("camera-intrinsics.txt", K.replace("10", "-10"), "focal lengths above 0"),
         ("camera-intrinsics.txt", "0 0 1\n10 0 4\n0 20 2\n", "focal lengths above 0"),

@@ -65,8 +65,11 @@ def test_the_clock_of_most_relations_decides() -> None:
     ("end_s", "note"),
     [
         (4.0, None),
-        (4.5, "no checked relation has both ends within 0.03 s of scans"),
-        ((4.0, 4.5), "within 0.03 s of scans, 1 of 2: 0.000 m, 0.0100 rad"),
+        (4.5, "0 of 1 checked relations have both ends within 0.03 s of scans;"),
+        (
+            (4.0, 4.5),
+            "1 of 2 checked relations have both ends within 0.03 s of scans: 0.000 m, 0.0100 rad",
+        ),
         (20.0, "no checked relation lies within the times of the result"),
     ],
 )

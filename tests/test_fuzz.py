@@ -84,14 +84,13 @@ def test_paths_in_archives_are_not_followed(tmp_path: Path) -> None:
     assert sorted(tmp_path.rglob("*")) == [inner, path]
 
 
-@pytest.mark.parametrize("directory", [1 << 20, 1 << 17])
-def test_archive_with_a_huge_directory_is_refused(tmp_path: Path, directory: int) -> None:
+def test_archive_of_other_files_is_refused(tmp_path: Path) -> None:
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w") as archive:
-        for k in range(directory // 60):
+        for k in range(2000):
             archive.writestr(f"{k}", b"")
     path = put(tmp_path, stream.getvalue(), "scans.npz")
-    with pytest.raises(RelmapError, match="no directory of a zip file with a few arrays"):
+    with pytest.raises(RelmapError, match=r"is a zip archive, not a log of point scans"):
         open_scans(path)
 
 

@@ -215,10 +215,10 @@ def test_scans_in_other_units_than_the_map_are_named(
     write_scans_npz(tmp_path / "scans.npz", points, np.arange(3.0))
     asked = ["localise", str(tmp_path / "scans.npz"), "--map", str(part / "part")]
     assert main([*asked, "-o", str(tmp_path / "where")]) == 0
-    said = capsys.readouterr().out
-    assert said.startswith("found 0 of 3 scans in the map") == bool(away)
-    told = re.search(rf"Half of the points of a scan are more than {away}[\d.]* m away", said)
-    assert ("in metres" in said) == bool(away) == (told is not None)
+    said = capsys.readouterr()
+    assert said.out.startswith("found 0 of 3 scans in the map") == bool(away)
+    told = re.search(rf"half of the points of a scan are more than {away}[\d.]* m away", said.err)
+    assert ("in metres" in said.err) == bool(away) == (told is not None)
 
 
 def test_no_scan_is_looked_for_in_a_map_without_a_wall(

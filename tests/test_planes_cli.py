@@ -115,9 +115,8 @@ def test_a_log_in_other_units_is_reported(
     building: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], scale: int
 ) -> None:
     map_scaled(building, tmp_path, scale)
-    printed = capsys.readouterr().out
-    assert re.search(r"metres: here the farthest point is [78]\d\d+(\.\d+)? m away\n", printed)
-    assert "shorter steps" not in printed
+    printed = capsys.readouterr().err
+    assert re.search(r"half of the points of a scan are more than \S+ m away: .* metres", printed)
 
 
 def test_figures_against_the_truth(building: Path) -> None:
@@ -159,12 +158,12 @@ def test_first_metres_of_freiburg_079(real_scans: Callable[[str], ScanLog]) -> N
     assert ate_m(run.result.poses[mine], log.poses[other]) <= 0.08
 
 
-def closing(*submaps: tuple[int, bool], walls: int = 9, farthest_m: float = 8.0) -> str:
+def closing(*submaps: tuple[int, bool], walls: int = 9) -> str:
     """Return the end of the message about submaps, given their scans and whether refined."""
     steps = {"median_m": None, "median_deg": None, "view_deg": None}
     rows = [{"scans": n, "refined": refined, "metres": 1.0} for n, refined in submaps]
     about = {"submaps": rows, "weak_links": [], "steps": steps, "variant": "planes"}
-    return torn(about | {"counts": {"planes_static": walls}}, farthest_m, refine=True)
+    return torn(about | {"counts": {"planes_static": walls}}, refine=True)
 
 
 @pytest.mark.parametrize(("scans", "failed"), [(3, ""), (4, "1 of 2 submaps of four scans")])
@@ -181,16 +180,3 @@ def test_an_empty_map_does_not_hide_its_submaps() -> None:
     message = closing((1, False), (1, False), walls=0)
     assert "the run broke into 2 submaps, the largest of 1 scan and 1.0 m. More overlap" in message
     assert closing((90, True), walls=0).endswith("in at least four scans")
-
-
-@pytest.mark.parametrize(
-    ("walls", "farthest_m", "doubted"),
-    [(0, 0.4, True), (9, 0.4, False), (0, 8.0, False), (0, 800.0, True), (9, 800.0, False)],
-)
-def test_only_implausible_coordinates_are_doubted(
-    walls: int, farthest_m: float, doubted: bool
-) -> None:
-    message = closing((90, True), walls=walls, farthest_m=farthest_m)
-    assert ("Coordinates must be metres" in message) == doubted
-    apart = closing((50, True), (50, True), walls=walls, farthest_m=800.0)
-    assert "Coordinates must be metres" in apart

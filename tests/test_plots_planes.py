@@ -13,6 +13,7 @@ from PIL import Image
 from relmap.cli import main
 from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
+from relmap.evaluation.metrics import align_poses
 from relmap.evaluation.sources import truth_of
 from relmap.figures import figure04, figure06
 from relmap.figures.figure04 import corner_tests
@@ -22,7 +23,6 @@ from relmap.planes.scans.observation import checked_planes
 from relmap.planes.walls.history import PlaneHistory
 from relmap.plots.bench import FPS, HOLD, plot_bench, write_bench_gif
 from relmap.plots.bench_recorder import BenchFrame, BenchRecorder, frame_step
-from relmap.plots.path import fit_poses
 from relmap.segmentation import PlaneSegmenter
 from relmap.simulation import simulate_building
 from tests.commands import Check, unrendered
@@ -121,7 +121,7 @@ def bench() -> BenchRecorder:
     ]
     for scan in recorder.watch(scans):  # type: ignore[arg-type]
         segmenter.fit(scan.points_robot)
-        mapper.update(segmenter.planes_)
+        mapper.update(segmenter.planes_, stamp_s=scan.stamp_s)
     mapper.finish()
     mapper.refine()
     return recorder
@@ -265,7 +265,7 @@ def test_one_pose_is_enough_to_place_a_path() -> None:
     pose[0, :2, 3] = 1.0, 2.0
     other[0, :2, :2] = [[0.0, -1.0], [1.0, 0.0]]
     other[0, :2, 3] = 5.0, 6.0
-    R, t = fit_poses(pose, other)
+    R, t = align_poses(pose, other, 2)
     np.testing.assert_allclose(R, [[0.0, -1.0], [1.0, 0.0]], atol=1e-15)
     np.testing.assert_allclose(pose[0, :2, 3] @ R.T + t, [5.0, 6.0], atol=1e-15)
 

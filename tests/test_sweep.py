@@ -219,10 +219,10 @@ def test_refused_in_one_line(refused: Check, place: Path) -> None:
 
 
 def test_a_killed_worker_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
-    def killed(number: int, cell: Cell) -> None:
+    def killed(cell: Cell) -> None:
         os.kill(os.getpid(), signal.SIGKILL)
 
-    monkeypatch.setattr(sweep_module, "numbered", killed)
+    monkeypatch.setattr(sweep_module, "with_its_cell", killed)
     with pytest.raises(RelmapError, match="a worker process of the sweep was killed"):
         list(run_cells([Cell(), Cell(seed=1)], 2))
 

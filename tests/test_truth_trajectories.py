@@ -45,8 +45,8 @@ def test_a_trajectory_is_a_truth(tmp_path: Path, variant: Variant) -> None:
     ("content", "times", "problem"),
     [
         ("1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 0\n", None, "line 2: '1 0 0 0', expected 12 numbers"),
-        ("1 0 0 0 0 1 0 0 0 0 -1 0\n", None, "line 1: its 3 x 3 part is not a rotation"),
-        ("1 0 0 0 0 .9 0 0 0 0 1 0\n", None, "line 1: its 3 x 3 part is not a rotation"),
+        ("1 0 0 0 0 1 0 0 0 0 -1 0\n", None, "a.txt: pose 0 has no rotation"),
+        ("1 0 0 0 0 .9 0 0 0 0 1 0\n", None, "a.txt: pose 0 has no rotation"),
         ("1 0 0 0 0 1 0 0 0 0 1 0\n", "1\n2\n", "times.txt: 2 times, expected 1 as in a.txt"),
         ("1 0 0 0 0 1 0 0 0 0 1 0\n", "one\n", "times.txt: line 1: 'one', expected one number"),
         ("1 0 0 0 0 0 0 1\n1 x\n", None, "line 2: '1 x', expected 8 numbers"),

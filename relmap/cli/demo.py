@@ -32,6 +32,7 @@ Example:
 """
 
 INDEX = "index.html"
+STYLE = "img { display: inline }"
 INTRODUCTION = """<p>Maps of simulated scans, compared with the truth. RMSE and ATE (of the path)
 are after rigid alignment; coverage is the fraction of the landmarks seen at least ten times that
 are mapped; purity is 1 where every observation is assigned to the right landmark. Reports to pan,
@@ -46,16 +47,12 @@ Rows = Sequence[Sequence[str]]
 def demo_command(out: Out = Path("relmap-demo"), seed: Seed = 0) -> None:
     """Run the demonstration; the help text explains the arguments."""
     from relmap.io.files import atomic_write
+    from relmap.plots.html import document
 
     parts = [_figure_eight(out, seed)]
     parts += [_both_variants(out, name, noise, seed) for name, noise in NOISES.items()]
-    style = (
-        "body { font: 16px/1.5 sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem } "
-        "td, th { padding: .2rem 1rem .2rem 0; text-align: left }"
-    )
-    head = f'<meta charset="utf-8"><title>relmap demo</title><style>{style}</style>'
-    begin = f'<!DOCTYPE html><html lang="en"><head>{head}</head><body><h1>relmap demo</h1>'
-    atomic_write(out / INDEX, "\n".join([begin, INTRODUCTION, *parts, "</body></html>\n"]))
+    page = document("relmap demo", ["<h1>relmap demo</h1>", INTRODUCTION, *parts], STYLE)
+    atomic_write(out / INDEX, page)
     typer.echo(f"wrote {INDEX} and the files behind it to {out}")
 
 
@@ -123,13 +120,9 @@ def _both_variants(out: Path, name: str, noise: float, seed: int) -> str:
 
 def _part(title: str, text: str, header: Sequence[str], rows: Rows, *pictures: str) -> str:
     """Return a heading, a table and pictures, side by side, of the page."""
-    cells = ["".join(f"<td>{escape(cell)}</td>" for cell in row) for row in rows]
-    head = "".join(f"<th>{escape(name)}</th>" for name in header)
-    table = f"<tr>{head}</tr>" + "".join(f"<tr>{row}</tr>" for row in cells)
-    width = 100 // len(pictures)
-    shown = "".join(
-        f'<img src="{name}" alt="{escape(title)}" style="max-width: {width}%">' for name in pictures
-    )
-    return (
-        f"<h2>{escape(title.capitalize())}</h2><p>{escape(text)}</p><table>{table}</table>{shown}"
-    )
+    from relmap.plots.html import table
+
+    heading, width = escape(title.capitalize()), 100 // len(pictures)
+    style = f'style="max-width: {width}%"'
+    shown = "".join(f'<img src="{name}" alt="{escape(title)}" {style}>' for name in pictures)
+    return f"<h2>{heading}</h2><p>{escape(text)}</p>{table(header, rows)}{shown}"

@@ -29,6 +29,12 @@ MAPPERS: dict[str, type[AnyMapper]] = {
     "planes3d": Plane3dMapper,
 }
 """The mapper of each variant."""
+NOTED = {
+    **{name: name for name in ("folder", "out", "association", "refine", "animate", "sigmas")},
+    **{name: name for name in ("odometry", "level", "segmenter", "columns", "topics")},
+    **{"input": "source", "scans": "interval", "format": "log_format", "voxel": "voxel_m"},
+}
+"""The keys of what is stored in a journal, and the names of the fields."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,23 +75,8 @@ class Job:
     @property
     def noted(self) -> dict[str, Any]:
         """The part stored in a journal."""
-        return {
-            "folder": str(self.folder),
-            "input": str(self.source),
-            "out": str(self.out),
-            "association": self.association,
-            "scans": self.interval,
-            "format": self.log_format,
-            "refine": self.refine,
-            "animate": self.animate,
-            "sigmas": self.sigmas,
-            "odometry": self.odometry,
-            "level": self.level,
-            "segmenter": self.segmenter,
-            "voxel": self.voxel_m,
-            "columns": self.columns,
-            "topics": self.topics,
-        }
+        values = {key: getattr(self, name) for key, name in NOTED.items()}
+        return {key: str(v) if isinstance(v, Path) else v for key, v in values.items()}
 
     @property
     def command(self) -> str:
@@ -116,27 +107,12 @@ class Job:
                 f"continue it with {MAPPERS[meta['variant']].__name__}.resume"
             )
         try:
-            interval = run["scans"]
-            return cls(
-                source=Path(run["input"]),
-                out=Path(run["out"]),
-                variant=meta["variant"],
-                association="known" if run["association"] == "known" else "nearest",
-                interval=None if interval is None else Interval(*map(int, interval)),
-                log_format=run["format"],
-                refine=bool(run["refine"]),
-                animate=bool(run["animate"]),
-                sigmas=tuple(map(float, run.get("sigmas") or ())) or None,
-                odometry="auto" if run.get("odometry") == "auto" else "none",
-                level="auto" if run.get("level") == "auto" else "none",
-                segmenter=run.get("segmenter"),
-                voxel_m=run.get("voxel"),
-                columns=dict(run["columns"]) if run.get("columns") else None,
-                topics=tuple(map(str, run.get("topics") or ())),
-                journal=path.absolute(),
-                folder=Path(run["folder"]),
-                resumed=True,
-            )
+            given = {name: run[key] for key, name in NOTED.items() if key in run}
+            given |= {name: Path(given[name]) for name in ("folder", "source", "out")}
+            given["interval"] = given["interval"] and Interval(*map(int, given["interval"]))
+            given["sigmas"] = tuple(map(float, given.get("sigmas") or ())) or None
+            given["topics"] = tuple(map(str, given.get("topics") or ()))
+            return cls(**given, variant=meta["variant"], journal=path.absolute(), resumed=True)
         except (LookupError, TypeError, ValueError) as error:
             raise RelmapError(f"journal {path}: its run cannot be read: {error!r}") from error
 

@@ -19,8 +19,9 @@ from relmap.evaluation.levelling import levelled, shows_floors
 from relmap.evaluation.sources import read_log
 from relmap.segmentation.segmenter import SPATIAL
 
-BEYOND_M = 300.0
-"""Farther than 2-D lasers reach, and most points of a lidar: such coordinates are hardly metres."""
+NEAR_M, FAR_M = 0.1, 100.0
+"""Half of the points of a scan are farther than the first and nearer than the second, as those of
+2-D lasers and most of a lidar are: other coordinates are hardly metres."""
 
 
 def log_of(job: Job) -> Log:
@@ -36,10 +37,9 @@ def log_of(job: Job) -> Log:
         raise RelmapError(f"--association known needs ids, and {source} has none")
     if job.odometry == "auto" and log.odometry is None and log.no_odometry:
         typer.echo(f"relmap: {source}: mapped without odometry: {log.no_odometry}", err=True)
-    if job.variant == "planes3d":
-        if job.odometry == "auto" and log.odometry is not None:
-            typer.echo(f"relmap: {source}: planes3d does not use the odometry of the log", err=True)
-        _doubt_unit(log)
+    if job.variant == "planes3d" and job.odometry == "auto" and log.odometry is not None:
+        typer.echo(f"relmap: {source}: planes3d does not use the odometry of the log", err=True)
+    doubt_unit(source, log)
     log = _level(job, log) if job.association == "known" else _each_once(job, _level(job, log))
     if job.sigmas is None:
         return log
@@ -49,13 +49,15 @@ def log_of(job: Job) -> Log:
     return replace(log, covariances=range_bearing_covariances(log.points_robot, *job.sigmas))
 
 
-def _doubt_unit(log: Log) -> None:
-    """Warn of coordinates that are hardly in metres: the map would be as good, in their unit."""
-    clouds = (scan.points_robot for scan in log.scans() if len(scan.points_robot))
-    middle_m = float(np.median(np.linalg.norm(next(clouds, np.zeros((1, 3))), axis=1)))
-    if middle_m > BEYOND_M:
+def doubt_unit(source: Path, log: Log) -> None:
+    """Warn of point scans that are hardly in metres: the map would be as good, in their unit."""
+    if not isinstance(log, ScanLog):
+        return
+    scans = (scan.points_robot for scan in log.scans() if len(scan.points_robot))
+    middle_m = float(np.median(np.linalg.norm(next(scans, np.ones((1, 3))), axis=1)))
+    if not NEAR_M < middle_m < FAR_M:
         typer.echo(
-            f"relmap: half of the points of a cloud are more than {middle_m:.0f} m away: "
+            f"relmap: {source}: half of the points of a scan are more than {middle_m:.3g} m away: "
             "coordinates must be in metres",
             err=True,
         )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -38,8 +38,6 @@ ALIKE = (
 )
 
 NO_WALL = "the map has no wall, so no scan can be found in it, expected a map with walls"
-NEAREST_M = 0.1
-"""Half of the points of a scan are hardly nearer, in metres."""
 
 
 def localise_command(
@@ -54,7 +52,7 @@ def localise_command(
     topic: args.Topics = None,
 ) -> None:
     """Localise scans; the help text explains the arguments."""
-    from relmap.cli.job_log import level_if_needed
+    from relmap.cli.job_log import doubt_unit, level_if_needed
     from relmap.evaluation.sources import read_log
     from relmap.io.files import staged_folder
     from relmap.io.results import MAPPER
@@ -69,59 +67,31 @@ def localise_command(
     of_table = columns and (variant == "planes" or log_format)
     args.refuse(of_table, "--columns applies only to tables of landmarks")
     log = read_log(source, variant, log_format, scans, columns, tuple(topic or ()))
+    if isinstance(mapper, PlaneMapper):
+        args.refuse(not (mapper.planes.status == "static").any(), f"{result}: {NO_WALL}")
+    doubt_unit(source, log)
     log = level_if_needed(source, log)
-    across_m = _across_m(mapper, result) if isinstance(mapper, PlaneMapper) else None
     with staged_folder(out) as staging:
-        places, away_m = _places(mapper, log)
+        places = list(_places(mapper, log))
         _write(staging, mapper, log, places)
     found, several = (sum(place.n_places == n for place in places) for n in (1, 2))
     message = f"found {found} of {len(log)} scans in the map"
     if several:
         message += f"; {several} fit in more than one place and were refused"
-    typer.echo(f"{message}; wrote 2 files to {out}{_unlike(away_m, across_m, found)}")
+    typer.echo(f"{message}; wrote 2 files to {out}")
     if 0 < found < several:
         typer.echo(ALIKE)
 
 
-def _across_m(mapper: PlaneMapper, result: Path) -> float:
-    """Return the width of a map of walls, the diagonal; `RelmapError` if it has no wall."""
-    import numpy as np
-
-    from relmap.core.errors import RelmapError
-
-    table = mapper.planes
-    ends = table.ends[table.status == "static"].reshape(-1, 2)
-    if not len(ends):
-        raise RelmapError(f"{result}: {NO_WALL}")
-    return float(np.linalg.norm(np.ptp(ends, axis=0)))
-
-
-def _unlike(away_m: float, across_m: float | None, found: int) -> str:
-    """Return advice on scans none of which can lie in a map of walls: the end of a message."""
-    if found or across_m is None or not away_m or NEAREST_M < away_m < across_m:
-        return ""
-    return (
-        f". Half of the points of a scan are more than {round(away_m, 3):.9g} m away, and the map "
-        f"is {across_m:.0f} m across: scans must show the map, and coordinates be in metres"
-    )
-
-
-def _places(mapper: PointMapper | PlaneMapper, log: Log) -> tuple[list[Place], float]:
-    """Return the places of the scans, and the usual distance of their points; 0 without points."""
-    import numpy as np
-
+def _places(mapper: PointMapper | PlaneMapper, log: Log) -> Iterator[Place]:
     from relmap.evaluation.feeding import preparation
     from relmap.planes import PlaneMapper
 
-    prepare = preparation(mapper, log)
-    walls, found, away_m = isinstance(mapper, PlaneMapper), list["Place"](), list[float]()
+    prepare, walls = preparation(mapper, log), isinstance(mapper, PlaneMapper)
     scans: Iterable[Any] = tracked(log.scans(), len(log), "localising")
     for scan in scans:
         points = scan.points_robot
-        found.append(mapper.locate(prepare(points), **({"beams": points} if walls else {})))
-        if len(points):
-            away_m.append(float(np.median(np.linalg.norm(points[:, :2], axis=1))))
-    return found, float(np.median(away_m or [0.0]))
+        yield mapper.locate(prepare(points), **({"beams": points} if walls else {}))
 
 
 def _write(folder: Path, mapper: PointMapper | PlaneMapper, log: Log, places: list[Place]) -> None:

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from time import monotonic
-from typing import Any, cast
+from typing import Any
 
-import numpy as np
 import typer
 
 from relmap.cli.console import INTERRUPTED, lasting
 from relmap.cli.job import Job
-from relmap.cli.job_log import BEYOND_M
 from relmap.cli.mapping import map_log
 from relmap.io.results import Result
-from relmap.planes.walls.files import PlaneResult
 
 OFTEN = 10
 """Observations that make a landmark worth mapping."""
@@ -37,8 +34,6 @@ UNCONNECTED = (
     "shorter steps and turns may help"
 )
 SINGLE = "; nothing is mapped: a map needs planes that at least two scans show"
-NEAREST_M = 1.0
-"""A scan of walls all of whose points are nearer is hardly in metres."""
 
 
 def report(job: Job) -> None:
@@ -59,7 +54,7 @@ def report(job: Job) -> None:
         message += (
             f"{counts['planes_static']} walls with {counts['corners_static']} corners mapped in "
             f"{iterations} iterations, {each(timing['scan_median_ms'])}{took}{hanging}"
-            f"{torn(summary, farthest(run.result), job.refine)}"
+            f"{torn(summary, job.refine)}"
         )
     else:
         message += (
@@ -97,10 +92,10 @@ def each(median_ms: float | None) -> str:
     return f"median {value:.{digits}f} {unit} each"
 
 
-def torn(summary: dict[str, Any], farthest_m: float, refine: bool) -> str:
+def torn(summary: dict[str, Any], refine: bool) -> str:
     """Return the submaps of a run of walls, and its weak links: the end of a message.
 
-    `farthest_m`: distance of the farthest point of a scan; `refine`: whether to refine was asked.
+    `refine`: whether to refine was asked.
     """
     usable = [submap for submap in summary["submaps"] if submap["scans"] >= FEWEST]
     failed = sum(not submap["refined"] for submap in usable) if refine else 0
@@ -117,7 +112,7 @@ def torn(summary: dict[str, Any], farthest_m: float, refine: bool) -> str:
     weak = [k for k in summary["weak_links"] if not any(a <= k <= b for a, b in bridged)]
     if weak:
         message += f"; steps that the scans do not determine, and that may be wrong: {len(weak)}"
-    return message + (unit(summary, farthest_m) or advice(summary))
+    return message + advice(summary)
 
 
 def in_space(summary: dict[str, Any]) -> str:
@@ -129,23 +124,6 @@ def in_space(summary: dict[str, Any]) -> str:
     weak = len(summary["weak_links"])
     unsure = f"; scans whose position is poorly determined in some direction: {weak}"
     return broken(summary) + (unsure if weak else "") + advice(summary)
-
-
-def unit(summary: dict[str, Any], farthest_m: float) -> str:
-    """Return that coordinates are hardly in metres, if a map of walls is empty or broken."""
-    empty = not summary["counts"]["planes_static"]
-    small = empty and 0 < farthest_m < NEAREST_M
-    if not small and (farthest_m <= BEYOND_M or not (empty or overlaps_little(summary))):
-        return ""
-    away_m = f"{farthest_m:.3g}" if farthest_m < NEAREST_M else f"{round(farthest_m, 2):.9g}"
-    return f". Coordinates must be metres: here the farthest point is {away_m} m away"
-
-
-def farthest(result: Result) -> float:
-    """Return the distance of the farthest point of the scans of walls, metres."""
-    first = cast("PlaneResult", result).drawn[0]
-    from_scan = first.points - first.poses[first.point_scan, :2, 3]
-    return float(np.hypot(*from_scan.T).max(initial=0.0))
 
 
 def broken(summary: dict[str, Any]) -> str:

@@ -102,13 +102,12 @@ def run_cells(
     """
     from joblib import Parallel, delayed
 
-    jobs = (delayed(numbered)(number, cell) for number, cell in enumerate(cells))
+    jobs = (delayed(with_its_cell)(cell) for cell in cells)
     with _cluster(scheduler) if scheduler else nullcontext():
         settings = {} if scheduler else {"n_jobs": workers}
         parallel = Parallel(return_as="generator_unordered", batch_size=1, **settings)
         try:
-            for number, finished in parallel(jobs):
-                yield cells[number], finished
+            yield from parallel(jobs)
         except BrokenExecutor as error:
             raise RelmapError(
                 "a worker process of the sweep was killed, perhaps because memory ran out: "
@@ -116,9 +115,9 @@ def run_cells(
             ) from error
 
 
-def numbered(number: int, cell: Cell) -> tuple[int, Finished]:
-    """Run a cell, and return its result with its number."""
-    return number, run_cell(cell)
+def with_its_cell(cell: Cell) -> tuple[Cell, Finished]:
+    """Run a cell, and return it with its result."""
+    return cell, run_cell(cell)
 
 
 def _cluster(scheduler: str) -> AbstractContextManager[Any]:

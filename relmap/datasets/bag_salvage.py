@@ -7,17 +7,14 @@ SQLite see "Database File Format" (sqlite.org/fileformat2.html), 1.3.
 from __future__ import annotations
 
 import bz2
-import os
 import sqlite3
 import struct
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass
-from functools import cache, partial
-from io import BytesIO
-from itertools import islice
+from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
@@ -43,11 +40,6 @@ VISION_MSGS = {
 
 _TOPICS = "SELECT id, name, type FROM topics"
 _SIZE = struct.Struct("<I")
-_MCAP_MAGIC_BYTES, _MCAP_CHUNK, _CHUNK_SIZE_BYTES = 8, 6, 8
-_RECORD = struct.Struct("<BQ")
-"""Kind and length of a record of MCAP."""
-_CHUNK_HEAD = struct.Struct("<QQQII")
-"""Start of a chunk: times, size, checksum, and length of the name of its compression."""
 
 
 @dataclass(frozen=True)
@@ -163,12 +155,6 @@ def _unpacked(compression: str, data: bytes) -> bytes:
         return data
     if compression == "bz2":
         return bz2.BZ2Decompressor().decompress(data, MAX_BYTES)
-    if compression == "zstd":
-        from zstandard import ZstdDecompressor
-
-        with ZstdDecompressor().stream_reader(data) as reader:
-            pieces = iter(partial(reader.read, 1 << 20), b"")
-            return b"".join(islice(pieces, MAX_BYTES >> 20))
     from lz4.frame import LZ4FrameDecompressor
 
     return bytes(LZ4FrameDecompressor().decompress(data, MAX_BYTES))
@@ -176,11 +162,12 @@ def _unpacked(compression: str, data: bytes) -> bytes:
 
 def _of_mcap(file: Path, definitions: dict[str, str]) -> Iterator[Found]:
     from mcap.records import Channel, Message, Schema
+    from mcap.stream_reader import StreamReader
 
     schemas: dict[int, str] = {}
     channels: dict[int, tuple[str, str]] = {}
-    with file.open("rb") as stream, closing(_mcap_records(stream)) as records:
-        for record in records:
+    with file.open("rb") as stream:
+        for record in StreamReader(stream, record_size_limit=MAX_BYTES).records:
             if isinstance(record, Schema):
                 schemas[record.id] = record.name
                 if record.encoding == "ros2msg":
@@ -190,35 +177,6 @@ def _of_mcap(file: Path, definitions: dict[str, str]) -> Iterator[Found]:
             elif isinstance(record, Message):
                 topic, type_ = channels[record.channel_id]
                 yield Found(topic, type_, record.log_time, record.data)
-
-
-def _mcap_records(stream: BinaryIO) -> Generator[Any, None, None]:
-    """Yield the records of a file, and those of a chunk that is truncated."""
-    from mcap.stream_reader import StreamReader
-
-    try:
-        yield from StreamReader(stream, record_size_limit=MAX_BYTES).records
-    except GeneratorExit:
-        raise
-    except Exception:  # noqa: BLE001 - of a damaged file any error may come
-        inner = BytesIO(_truncated_chunk(stream))
-        yield from StreamReader(inner, skip_magic=True, record_size_limit=MAX_BYTES).records
-
-
-def _truncated_chunk(stream: BinaryIO) -> bytes:
-    """Return the available part of the chunk with which a file ends; b"" if that is not a chunk."""
-    at, opcode, size = _MCAP_MAGIC_BYTES, 0, stream.seek(0, os.SEEK_END)
-    while at + _RECORD.size <= size:
-        stream.seek(at)
-        opcode, length = _RECORD.unpack(stream.read(_RECORD.size))
-        at += _RECORD.size + length
-    if at <= size or opcode != _MCAP_CHUNK:
-        return b""
-    data = stream.read(MAX_BYTES)
-    names_at = _CHUNK_HEAD.size
-    body_at = names_at + _CHUNK_HEAD.unpack_from(data)[-1]
-    compression = data[names_at:body_at].decode() or "none"
-    return _unpacked(compression, data[body_at + _CHUNK_SIZE_BYTES :])
 
 
 def _of_sqlite(file: Path, definitions: dict[str, str]) -> Iterator[Found]:

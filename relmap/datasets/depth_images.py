@@ -16,8 +16,9 @@ from pathlib import Path
 import numpy as np
 
 from relmap.core.arrays import Floats
+from relmap.datasets.assembly import MAX_COORDINATE_M
 from relmap.datasets.headers import members_of
-from relmap.datasets.kitti_bin import numbers_in
+from relmap.datasets.number_rows import read_rows
 from relmap.datasets.scans import ScanLog, require_rotations
 from relmap.datasets.textfile import invalid, unreadable
 
@@ -93,7 +94,8 @@ def _poses(files: list[Path]) -> Floats | None:
 
 
 def _matrix(file: Path, size: int) -> Floats:
-    rows = numbers_in(file, size)
+    expected = f"{size} numbers: a row of a {size} x {size} matrix"
+    rows = read_rows(file, [MAX_COORDINATE_M] * size, "row", expected).values
     if len(rows) != size:
         raise invalid(file, f"{len(rows)} rows, expected a {size} x {size} matrix")
     return rows

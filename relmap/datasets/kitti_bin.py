@@ -21,7 +21,7 @@ from relmap.datasets.assembly import MAX_COORDINATE_M
 from relmap.datasets.cloud_file import MAX_BYTES
 from relmap.datasets.foreign import is_kitti
 from relmap.datasets.headers import numbered_files
-from relmap.datasets.number_rows import MAX_LISTED, finite_numbers, too_many
+from relmap.datasets.number_rows import finite_numbers, read_rows
 from relmap.datasets.scans import ScanLog, poses_of, require_rotations
 from relmap.datasets.textfile import invalid, numbered_lines, unreadable
 
@@ -81,14 +81,11 @@ def _poses(files: list[Path]) -> Floats | None:
     folder = files[0].parent
     for file in (folder / POSES, folder.parent / POSES):
         if file.is_file():
-            rows = numbers_in(file, 12)
-            if len(rows) < len(files):
-                problem = f"{len(rows)} poses, expected one for each of {len(files)} clouds"
+            poses = read_poses(file)
+            if len(poses) < len(files):
+                problem = f"{len(poses)} poses, expected one for each of {len(files)} clouds"
                 raise invalid(file, problem)
-            poses = np.tile(np.eye(4), (len(files), 1, 1))
-            poses[:, :3] = rows[: len(files)].reshape(-1, 3, 4)
-            require_rotations(file, poses)
-            return poses
+            return poses[: len(files)]
     each = [folder.parent / POSES_FOLDER / f"{file.stem}.txt" for file in files]
     if not each[0].is_file():
         return None
@@ -96,32 +93,22 @@ def _poses(files: list[Path]) -> Floats | None:
     return poses_of(Rotation.from_quat(rows[:, 3:]), rows[:, :3])
 
 
+def read_poses(file: Path) -> Floats:
+    """Return the poses (k, 4, 4) in a file with a 3 x 4 matrix, by rows, in each line."""
+    expected = "12 numbers: a 3 x 4 matrix of a pose, by rows"
+    rows = read_rows(file, [MAX_COORDINATE_M] * 12, "pose", expected).values
+    poses = np.tile(np.eye(4), (len(rows), 1, 1))
+    poses[:, :3] = rows.reshape(-1, 3, 4)
+    require_rotations(file, poses)
+    return poses
+
+
 def _seven(file: Path) -> Floats:
     """Return position and quaternion (7,); the quaternion may be omitted."""
-    numbers = numbers_in(file)
+    text = " ".join(line for _, line in numbered_lines(file))
+    numbers = np.array(finite_numbers(text.replace(",", " ").split()))
     if len(numbers) == 3:
         numbers = np.append(numbers, [0.0, 0.0, 0.0, 1.0])
     if len(numbers) != 7 or not numbers[3:].any():
         raise invalid(file, f"{len(numbers)} numbers, expected x, y, z, qx, qy, qz, qw")
     return numbers
-
-
-def numbers_in(file: Path, width: int | None = None) -> Floats:
-    """Return the numbers of a small text file, separated by white space or commas.
-
-    `width`: number of values per line. Returns (n, width) or, without a width, (n,). Raises
-    `RelmapError` if the file cannot be read or has other content.
-    """
-    rows: list[list[float]] = []
-    for number, line in numbered_lines(file):
-        cells = line.replace(",", " ").split()
-        row = finite_numbers(cells)
-        if len(row) != len(cells) or (row and len(row) != (width or len(row))):
-            what = f"{width} numbers" if width else "numbers"
-            raise invalid(file, f"line {number}: expected {what}")
-        if len(rows) * len(row) > MAX_LISTED:
-            raise too_many(file, number, MAX_LISTED)
-        rows += [row] if row else []
-    if width:
-        return np.array(rows).reshape(-1, width)
-    return np.array([value for row in rows for value in row])

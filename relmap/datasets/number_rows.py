@@ -62,13 +62,15 @@ def read_rows(
     expected: str,
     comment: str = "#",
     separator: str | None = None,
+    empty: bool = False,
 ) -> NumberRows:
     """Read a file of rows of numbers.
 
     `limits`: the largest allowed magnitude of each number, finite. `what`, `expected`: description
     of a row and its content, for messages. `comment`: start of a comment. `separator`: separator of
-    the numbers, also allowed after the last; white space by default. Raises `RelmapError` if the
-    file cannot be read, has no row, or a line is not a row.
+    the numbers, also allowed after the last; white space by default. `empty`: whether a file
+    without a row is read. Raises `RelmapError` if the file cannot be read, has no row, or a line is
+    not a row.
     """
     rows = NumberRows(path, len(limits))
     for number, line in numbered_lines(path):
@@ -78,7 +80,7 @@ def read_rows(
             rows.add(row, number)
         elif any(cells):
             raise invalid(path, f"line {number}: {quoted(line)}, expected {expected}")
-    if not len(rows.lines):
+    if not (empty or len(rows.lines)):
         raise invalid(path, f"holds no {what}, expected {expected}")
     return rows
 

@@ -92,7 +92,8 @@ def open_text(path: Path) -> Iterator[TextIO]:
     except OSError as error:
         raise unreadable(path, error) from error
     with file:
-        guard = _GuardedBytes(path, file)
+        packed = file.peek(2)[:2] == _GZIP_MAGIC
+        guard = _GuardedBytes(path, gzip.GzipFile(fileobj=file) if packed else file)
         buffer = io.BufferedReader(guard, MAX_LINE_BYTES)
         with io.TextIOWrapper(buffer, "utf-8-sig", "surrogateescape") as stream:
             yield stream
@@ -101,11 +102,10 @@ def open_text(path: Path) -> Iterator[TextIO]:
 class _GuardedBytes(io.RawIOBase):
     """The unpacked bytes of a file; raises RelmapError at content no text log can have."""
 
-    def __init__(self, path: Path, file: io.BufferedReader) -> None:
+    def __init__(self, path: Path, source: io.BufferedReader | gzip.GzipFile) -> None:
         super().__init__()
         self._path = path
-        self._file = file
-        self._source: io.BufferedReader | gzip.GzipFile | None = None
+        self._source = source
         self._head = b""
         self._bytes = 0
         self._lines = 0
@@ -122,9 +122,6 @@ class _GuardedBytes(io.RawIOBase):
 
     def _read(self, size: int) -> bytes:
         try:
-            if self._source is None:
-                packed = self._file.peek(2)[:2] == _GZIP_MAGIC
-                self._source = gzip.GzipFile(fileobj=self._file) if packed else self._file
             return self._source.read1(size)
         except (EOFError, zlib.error, gzip.BadGzipFile) as error:
             raise self._fail(f"damaged gzip: {shown(error)}; expected a whole file") from error

@@ -22,6 +22,7 @@ from scipy.spatial.transform import Rotation
 from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
+from relmap.datasets.kitti_bin import read_poses
 from relmap.datasets.number_rows import finite_numbers, read_rows
 from relmap.datasets.odometry import read_tum
 from relmap.datasets.scans import poses_of
@@ -29,8 +30,6 @@ from relmap.datasets.textfile import invalid, numbered_lines, shown
 
 TIMES = "times.txt"
 _TUM, _KITTI = 8, 12
-_RIGID = 1e-3
-"""Tolerance of the rotation of a pose, for rounded files."""
 _RELATION = "t1 t2 x y z roll pitch yaw"
 _RELATION_LIMITS = (1e12, 1e12, *[MAX_COORDINATE_M] * 6)
 
@@ -57,16 +56,7 @@ def read_trajectory(path: Path) -> tuple[Floats, Floats]:
     if len(first.partition("#")[0].split()) == _TUM:
         stamps_s, poses, _ = read_tum(path)
         return stamps_s, poses
-    limits = [MAX_COORDINATE_M if k % 4 == 3 else 1 + _RIGID for k in range(_KITTI)]
-    rows = read_rows(path, limits, "pose", "12 numbers: a 3 x 4 matrix of a pose, by rows")
-    poses = np.tile(np.eye(4), (len(rows.lines), 1, 1))
-    poses[:, :3] = rows.values.reshape(-1, 3, 4)
-    R = poses[:, :3, :3]
-    off = np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max(axis=(1, 2))
-    wrong = (off > _RIGID) | (np.linalg.det(R) < 0)
-    if wrong.any():
-        line = rows.lines[np.argmax(wrong)]
-        raise invalid(path, f"line {line}: its 3 x 3 part is not a rotation")
+    poses = read_poses(path)
     return _times_of(path, len(poses)), poses
 
 

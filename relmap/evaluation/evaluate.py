@@ -156,15 +156,10 @@ def _relation_notes(result: Result, truth: Truth) -> list[str]:
     )
     if every is None:
         return ["no checked relation lies within the times of the result"] * bool(truth.relations)
-    if at_scans is None:
-        return [f"no checked relation has both ends within {AT_SCANS_S} s of scans"]
-    if at_scans.n == every.n:
-        return []
-    return [
-        f"checked relations with both ends within {AT_SCANS_S} s of scans, {at_scans.n} of "
-        f"{every.n}: {at_scans.shift_m:.3f} m, {at_scans.turn_rad:.4f} rad; the path is "
-        "interpolated to the others"
-    ]
+    n = at_scans.n if at_scans else 0
+    error = f": {at_scans.shift_m:.3f} m, {at_scans.turn_rad:.4f} rad" if at_scans else ""
+    which = f"{n} of {every.n} checked relations have both ends within {AT_SCANS_S} s of scans"
+    return [f"{which}{error}; the path is interpolated to the others"] * (n < every.n)
 
 
 def match_walls(result: PlaneResult, truth: Truth) -> MatchedCorners | None:

@@ -68,6 +68,19 @@ def align(source: Floats, target: Floats) -> tuple[Floats, Floats]:
     return fit_rigid(source, target)
 
 
+def align_poses(poses: Floats, others: Floats, d: int) -> tuple[Floats, Floats]:
+    """Return the motion that best aligns poses to others, by whole poses: one suffices.
+
+    `poses`, `others` (k, 4, 4): of the same instants; `d`: 2 to align in the plane, or 3. Returns
+    `R` (d, d), `t` (d,): ``others ~ poses @ R.T + t`` for the positions.
+    """
+    turns = others[:, :d, :d] @ poses[:, :d, :d].transpose(0, 2, 1)
+    u, _, vt = np.linalg.svd(turns.sum(axis=0))
+    u[:, -1] *= np.sign(np.linalg.det(u @ vt))
+    R = np.asarray(u @ vt)
+    return R, (others[:, :d, 3] - poses[:, :d, 3] @ R.T).mean(axis=0)
+
+
 def aligned_rmse(source: Floats, target: Floats) -> float | None:
     """Return the `rms` of the distances after `align`."""
     R, t = align(source, target)

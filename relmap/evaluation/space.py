@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
+from relmap.evaluation.metrics import align_poses
+from relmap.planes3d.adjustment import across
 from relmap.planes3d.table import Plane3dTable
 
 NEAR_M, TURN = 0.05, np.cos(np.deg2rad(5.0))
@@ -48,7 +50,7 @@ def judge_planes(
     figures: dict[str, float | None] = {"doubled_area": doubled_area(table)}
     if faces is None or not len(faces.plane) or not len(poses):
         return figures
-    R, t = _between(poses, true_poses)
+    R, t = align_poses(poses, true_poses, 3)
     rows = np.flatnonzero((table.status == "static") & (table.area_m2 >= LEAST_M2)).tolist()
     off, own = [np.empty(0)], []
     for k in rows:
@@ -81,8 +83,8 @@ def doubled_area(table: Plane3dTable) -> float | None:
         on = np.zeros(len(points[k]), dtype=bool)
         for other in rows:
             if other != k and table.normal[k] @ table.normal[other] > TURN:
-                across = points[k] @ table.normal[other] - table.offset[other]
-                near = np.flatnonzero((np.abs(across) < NEAR_M) & ~on)
+                off = points[k] @ table.normal[other] - table.offset[other]
+                near = np.flatnonzero((np.abs(off) < NEAR_M) & ~on)
                 on[near] = _inside(points[k][near], table, other)
         doubled += float(on.mean()) * table.area_m2[k] if len(on) else 0.0
     area = float(table.area_m2[rows].sum())
@@ -94,7 +96,7 @@ def surface_points(table: Plane3dTable, k: int) -> Floats:
     outline = table.outline[k]
     if len(outline) < 3:
         return np.asarray(table.centre[k][None])
-    axes = _along(table.normal[k])
+    axes = np.concatenate(across(table.normal[k][None]))
     flat = (outline - table.centre[k]) @ axes.T
     size = np.ptp(flat, axis=0)
     most = max(np.sqrt(size.prod() / MOST_SAMPLES), size.max() / MOST_SAMPLES)
@@ -110,7 +112,7 @@ def _inside(points: Floats, table: Plane3dTable, k: int) -> Bools:
     """Return which points (n, 3) lie within the outline of a plane, seen from its front."""
     if len(table.outline[k]) < 3:
         return np.zeros(len(points), dtype=bool)
-    axes = _along(table.normal[k])
+    axes = np.concatenate(across(table.normal[k][None]))
     return _within(
         (points - table.centre[k]) @ axes.T, (table.outline[k] - table.centre[k]) @ axes.T
     )
@@ -120,13 +122,6 @@ def _within(points: Floats, outline: Floats) -> Bools:
     from matplotlib.path import Path
 
     return np.asarray(Path(outline).contains_points(points))
-
-
-def _along(normal: Floats) -> Floats:
-    """Return two directions (2, 3) perpendicular to a normal and to each other."""
-    u = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
-    u /= np.linalg.norm(u)
-    return np.stack([u, np.cross(normal, u)])
 
 
 def _normals(corners: Floats) -> Floats:
@@ -150,12 +145,3 @@ def _true_plane(points: Floats, normal: Floats, faces: Faces) -> tuple[int, int]
     if by_plane[best] < MOSTLY:
         return -1, -1
     return best, int(np.where(faces.plane == best, hits, -1.0).argmax())
-
-
-def _between(poses: Floats, true_poses: Floats) -> tuple[Floats, Floats]:
-    """Return the motion (3, 3), (3,) that aligns the map to the truth, by whole poses."""
-    turns = true_poses[:, :3, :3] @ poses[:, :3, :3].transpose(0, 2, 1)
-    u, _, vt = np.linalg.svd(turns.sum(axis=0))
-    R = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
-    t = (true_poses[:, :3, 3] - poses[:, :3, 3] @ R.T).mean(axis=0)
-    return np.asarray(R), np.asarray(t)

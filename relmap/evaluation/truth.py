@@ -17,7 +17,7 @@ from relmap.datasets.textfile import invalid, quoted, require_path
 from relmap.datasets.trajectories import is_trajectory, read_trajectory
 from relmap.evaluation.relations import RELATIONS, relations_by_clocks
 from relmap.evaluation.space import Faces
-from relmap.io.files import atomic_write, read_text, read_tum, write_tum
+from relmap.io.files import atomic_write, read_tum, write_tum
 from relmap.io.results import SUMMARY
 from relmap.io.tables import Kind, columns_text, read_table
 
@@ -153,27 +153,24 @@ def _read_space(path: Path) -> Truth:
 
 def _read_landmarks(path: Path) -> Truth:
     table = read_table(path, _COLUMNS)
-    for landmark, status in zip(table["landmark"], table["status"].tolist(), strict=True):
-        if status not in ("static", "dynamic"):
-            problem = f"status of landmark {landmark} is {quoted(status)}"
-            raise invalid(path, f"{problem}, neither static nor dynamic")
+    wrong = ~np.isin(table["status"], ("static", "dynamic"))
+    if wrong.any():
+        landmark, status = (table[name][wrong][0] for name in ("landmark", "status"))
+        problem = f"status of landmark {landmark} is {quoted(status)}"
+        raise invalid(path, f"{problem}, neither static nor dynamic")
     position = np.column_stack([table["x"], table["y"], table["z"]])
     return Truth(table["landmark"], position, table["status"])
 
 
 def _read_walls(path: Path) -> Truth:
-    columns: dict[str, Kind] = dict.fromkeys(_ENDS, "float")
-    columns |= {"corner0": "int", "corner1": "int"}
-    header = read_text(path).partition("\n")[0].split(",")
-    if "status" in header:
-        columns["status"] = "text"
-    if extents := set(header) >= set(_SEEN):
-        columns |= dict.fromkeys(_SEEN, "float or empty")
-    table = read_table(path, columns)
+    columns: dict[str, Kind] = {**dict.fromkeys(_ENDS, "float"), "corner0": "int", "corner1": "int"}
+    columns |= {"status": "text", **dict.fromkeys(_SEEN, "float or empty")}
+    table = read_table(path, columns, optional=("status", *_SEEN))
     ends = np.column_stack([table[name] for name in _ENDS]).reshape(-1, 2, 2)
     scans = np.column_stack([table["corner0"], table["corner1"]])
     still = table.get("status", np.full(len(ends), "static")) != "dynamic"
-    seen_m = np.column_stack([table[name] for name in _SEEN])[still] if extents else _NOWHERE
+    extents = [table[name] for name in _SEEN if name in table]
+    seen_m = np.column_stack(extents)[still] if len(extents) == 2 else _NOWHERE
     return Truth(ends=ends[still], corner_scans=scans[still], seen_m=seen_m)
 
 

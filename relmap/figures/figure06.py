@@ -23,7 +23,6 @@ from relmap.evaluation.feeding import Through
 from relmap.evaluation.run import run_mapper
 from relmap.figures.base import Outcome, PaperFigure, Table, Watch, judged
 from relmap.planes import PlaneMapper
-from relmap.plots.path import fit_poses
 from relmap.plots.planes import CORNER, PATH, WALL, draw_true_walls, draw_walls
 from relmap.plots.sheet import ORANGE, RED, blank, draw_limits, finish, limits_of
 from relmap.segmentation import PlaneSegmenter
@@ -109,7 +108,7 @@ def run_partial_wall(
     planes = run_mapper(mapper, log, through=through, refine=True, segmenter=segmenter).planes
     weak = np.isin(np.arange(len(part)), mapper.weak_links)
     before = slice(0, longest(weak)[0])
-    T = transforms(*fit_poses(mapper.trajectory[before], true_poses[before]))
+    T = transforms(*metrics.align_poses(mapper.trajectory[before], true_poses[before], 2))
     mapped = planes.status == "static"
     ends = planes.ends[mapped] @ T[:2, :2].T + T[:2, 3]
     corners = ends[planes.corner[mapped] >= 0]

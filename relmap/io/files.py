@@ -5,8 +5,9 @@ from __future__ import annotations
 import os
 import secrets
 import shutil
+import sys
 import tomllib
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, TypeVar
@@ -16,13 +17,11 @@ from scipy.spatial.transform import Rotation
 
 from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError, reason
-from relmap.datasets.number_rows import NumberRows
+from relmap.datasets.number_rows import read_rows
 from relmap.datasets.scans import poses_of
 from relmap.datasets.textfile import (
     invalid,
-    numbered_lines,
     open_text,
-    quoted,
     replacing,
     require_utf8,
     shown,
@@ -36,6 +35,8 @@ WHOLE = "summary.json"
 """A folder without this file is not read as a result: it is deleted first and moved last, so that a
 kill between two files leaves no result of old and new files. Where there is none, all old files are
 deleted first."""
+POSE_LIMITS = (sys.float_info.max, *[MAX_RESULT_M] * 3, *[10.0] * 4)
+"""Largest time and coordinates, and of the quaternion, which need not be of unit length."""
 MAX_TEXT = 1 << 26
 """Maximum number of characters of a text; JSON needs twenty times as much memory."""
 
@@ -74,8 +75,7 @@ def staged_folder(folder: Path, stale: Sequence[str] = ()) -> Iterator[Path]:
         staging = folder / f".relmap-{secrets.token_hex(4)}"
         staging.mkdir(mode=0o700)
         yield staging
-        with _no_other_moves(folder):
-            _move_files(staging, folder, stale)
+        _move_files(staging, folder, stale)
     except OSError as error:
         raise RelmapError(f"cannot write into {shown(folder)}: {why_not_written(error)}") from error
     except RelmapError as error:
@@ -86,23 +86,6 @@ def staged_folder(folder: Path, stale: Sequence[str] = ()) -> Iterator[Path]:
         for level in made:
             with suppress(OSError):
                 level.rmdir()
-
-
-@contextmanager
-def _no_other_moves(folder: Path) -> Iterator[None]:
-    """Wait until no other process moves files into a folder, where the system has such locks."""
-    try:
-        import fcntl
-    except ImportError:  # Windows
-        yield
-        return
-    lock = os.open(folder, os.O_RDONLY)
-    try:
-        with suppress(OSError):  # not every network file system has locks
-            fcntl.flock(lock, fcntl.LOCK_EX)
-        yield
-    finally:
-        os.close(lock)
 
 
 def _move_files(staging: Path, folder: Path, stale: Sequence[str]) -> None:
@@ -118,33 +101,10 @@ def _move_files(staging: Path, folder: Path, stale: Sequence[str]) -> None:
     first = [Path(WHOLE)] if WHOLE in written else old
     gone = [*first, *map(Path, set(stale).difference(written))]
     names.sort(key=lambda name: name == Path(WHOLE))
-    with _restored_on_error(folder, {*names, *gone}, staging / ".old"):
-        for name in gone:
-            (folder / name).unlink(missing_ok=True)
-        for name in names:
-            (staging / name).replace(folder / name)
-
-
-@contextmanager
-def _restored_on_error(folder: Path, names: Collection[Path], aside: Path) -> Iterator[None]:
-    """Put files of a folder back if the disk fails, where the file system has hard links."""
-    old = sorted(name for name in names if (folder / name).is_file())
-    try:
-        for name in old:
-            (aside / name).parent.mkdir(parents=True, exist_ok=True)
-            (aside / name).hardlink_to(folder / name)
-    except OSError:
-        yield
-        return
-    try:
-        yield
-    except OSError:
-        with suppress(OSError):
-            for name in old:
-                (aside / name).replace(folder / name)
-            for name in set(names).difference(old):
-                (folder / name).unlink(missing_ok=True)
-        raise
+    for name in gone:
+        (folder / name).unlink(missing_ok=True)
+    for name in names:
+        (staging / name).replace(folder / name)
 
 
 def read_text(path: Path) -> str:
@@ -201,28 +161,12 @@ def read_tum(path: Path) -> tuple[Floats, Floats]:
     `poses` (k, 4, 4): T_map_robot. Raises `RelmapError` if the file cannot be read or a line is not
     a pose.
     """
-    rows = NumberRows(path, 8)
-    for number, line in numbered_lines(path):
-        if line.strip() and not line.lstrip().startswith("#"):
-            rows.add(_tum_row(f"{shown(path)}: line {number}", line), number)
+    rows = read_rows(path, POSE_LIMITS, "pose", "8 numbers: t x y z qx qy qz qw", empty=True)
     table = rows.values
     if not len(table):
         return table[:, 0], np.empty((0, 4, 4))
+    wrong = np.abs(table[:, 4:]).max(axis=1) < 0.1
+    if wrong.any():
+        line = rows.lines[np.argmax(wrong)]
+        raise invalid(path, f"line {line}: the quaternion qx qy qz qw is not of unit length")
     return table[:, 0], poses_of(Rotation.from_quat(table[:, 4:]), table[:, 1:4])
-
-
-def _tum_row(where: str, line: str) -> list[float]:
-    cells = line.split()
-    if len(cells) != 8:
-        raise RelmapError(f"{where}: {len(cells)} fields; a pose has 8: t x y z qx qy qz qw")
-    row = []
-    for cell in cells:
-        try:
-            row.append(float(cell))
-        except ValueError:
-            raise RelmapError(f"{where}: {quoted(cell)} is not a number") from None
-    if not (np.isfinite(row).all() and max(map(abs, row[1:4])) <= MAX_RESULT_M):
-        raise RelmapError(f"{where}: {quoted(line)} holds a number that is out of range for a pose")
-    if not 0.1 < max(map(abs, row[4:])) < 10:
-        raise RelmapError(f"{where}: the quaternion qx qy qz qw is not of unit length")
-    return row

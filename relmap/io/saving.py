@@ -59,11 +59,12 @@ def load_state(path: Path, begin: Callable[[dict[str, Any]], list[Any]]) -> None
         raise RelmapError(f"there is no saved map {path}, expected one that 'relmap map' wrote")
     try:
         arrays = _read_arrays(path)
-        if "graph" in arrays:
-            raise RelmapError(_of_other_format(path, "1 or less"))
         header = json.loads(arrays["header"].tobytes())
         if header["format"] != FORMAT:
-            raise RelmapError(_of_other_format(path, f"{header['format']!r:.20}"))
+            raise RelmapError(
+                f"saved map {path} is of format {header['format']!r:.20}, and this relmap reads "
+                f"{FORMAT}; map its log again"
+            )
         if not np.array_equal(arrays.pop("checksum"), checksum(arrays)):
             raise ValueError("its checksum does not match")
         del arrays["header"]
@@ -80,12 +81,6 @@ def load_state(path: Path, begin: Callable[[dict[str, Any]], list[Any]]) -> None
         raise RelmapError(
             f"saved map {path} is damaged or not a saved map: {reason(error)}"
         ) from error
-
-
-def _of_other_format(path: Path, found: str) -> str:
-    return (
-        f"saved map {path} is of format {found}, and this relmap reads {FORMAT}; map its log again"
-    )
 
 
 def checksum(arrays: dict[str, NDArray[Any]]) -> NDArray[np.uint8]:
@@ -110,5 +105,5 @@ def _read_arrays(path: Path) -> dict[str, NDArray[Any]]:
             name = member.filename.removesuffix(".npy")
             if member.compress_type != zipfile.ZIP_STORED or name in arrays:
                 raise ValueError(f"{member.filename!r} is not part of a saved map")
-            arrays[name] = read_array(archive, member, size).copy(order="K")
+            arrays[name] = read_array(archive, member)
     return arrays

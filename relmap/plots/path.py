@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats
-from relmap.evaluation.metrics import match_stamps
+from relmap.evaluation.metrics import align_poses, match_stamps
 from relmap.evaluation.truth import Truth
 
 GAP = 3.0
@@ -45,25 +45,11 @@ def _broken(position: Floats, gap: Bools) -> Floats:
     return np.insert(position, np.flatnonzero(gap) + 1, np.nan, axis=0)
 
 
-def fit_poses(poses: Floats, others: Floats) -> tuple[Floats, Floats]:
-    """Return the planar motion that best aligns poses to others.
-
-    Its rotation is the mean over the poses, so that one pose suffices.
-
-    `poses`, `others` (k, 4, 4). Returns `R` (2, 2), `t` (2,): ``others ~ poses @ R.T + t`` for the
-    positions.
-    """
-    turn = np.einsum("kij,klj->il", others[:, :2, :2], poses[:, :2, :2])
-    angle = np.arctan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1])
-    R = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    return R, (others[:, :2, 3] - poses[:, :2, 3] @ R.T).mean(axis=0)
-
-
 def fit_to_truth(stamps_s: Floats, poses: Floats, truth: Truth) -> tuple[Floats, Floats] | None:
     """Return the planar motion that best aligns poses to the true ones of the same times.
 
     `stamps_s` (k,), seconds; `poses` (k, 4, 4): ``T_map_robot``. Returns `R` (2, 2), `t` (2,): as
-    for `fit_poses`; None if no times match.
+    for `align_poses`; None if no times match.
     """
     mine, other = match_stamps(stamps_s, truth.stamps_s)
-    return fit_poses(poses[mine], truth.poses[other]) if len(mine) else None
+    return align_poses(poses[mine], truth.poses[other], 2) if len(mine) else None

@@ -80,9 +80,9 @@ def run_method(
             begin = log.between(first, first + WARM_UP[data.kind])
             feed(info.make(setup), begin, association, info.refine, clock=process_time)
         method = info.make(setup)
-        memory = PeakMemory()
+        before_kb = _reset_peak()
         fed = feed(method, log, association, info.refine, clock=process_time)
-        memory_mb = memory.grown_mb
+        peak_kb = _kibibytes("VmHWM")
         result = result_of(method, log, fed.labels, association, first)
         path_coverage = len(result.poses) / len(log) if len(log) else None
         figures = {**_accuracy(result, data), "path_coverage": path_coverage}
@@ -93,7 +93,7 @@ def run_method(
             "mean_ms": 1e3 * float(durations_s.mean()) if len(durations_s) else None,
             "last_100_median_ms": times["last_100_median_ms"],
             "total_s": float(durations_s.sum()) + fed.finish_s + fed.refine_s,
-            "memory_mb": memory_mb,
+            "memory_mb": max(peak_kb - before_kb, 0) / KB_PER_MB if peak_kb and before_kb else None,
         }
         return MethodRun(result, figures)
 
@@ -152,22 +152,11 @@ def _accuracy(result: Result, data: Data[Log]) -> dict[str, float | None]:
     return figures | {"often_rmse_m": often.rmse_m if often else None}
 
 
-class PeakMemory:
-    """Measures this process from construction on; Linux only."""
-
-    def __init__(self) -> None:
-        # If the peak cannot be reset, it is that of the whole process so far.
-        with suppress(OSError):
-            _RESET.write_text("5")
-        self._before = _kibibytes("VmRSS")
-
-    @property
-    def grown_mb(self) -> float | None:
-        """Peak minus initial memory, megabytes; None if the system does not report it."""
-        peak = _kibibytes("VmHWM")
-        if peak is None or self._before is None:
-            return None
-        return max(peak - self._before, 0) / KB_PER_MB
+def _reset_peak() -> int | None:
+    """Reset the peak memory of this process where possible, and return its memory, kilobytes."""
+    with suppress(OSError):
+        _RESET.write_text("5")
+    return _kibibytes("VmRSS")
 
 
 def _kibibytes(name: str) -> int | None:
