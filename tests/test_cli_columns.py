@@ -112,3 +112,35 @@ def test_wrong_columns_are_refused(
     assert main(["map", "seen.csv", "-o", "out", *options]) == 2
     assert message in capsys.readouterr().err
     assert not (here / "out").exists()
+
+
+@pytest.mark.usefixtures("in_process")
+def test_texts_mean_the_same_landmarks_in_a_log_added_to_a_map(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = Path("seen.csv").read_text().replace(HEADER, "iteration;stamp;x;y;id;score\n")
+    Path("seen.csv").write_text(text)
+    command = ["map", "seen.csv", "--columns", "id=id", "--association", "known"]
+    assert main([*command, "-o", "out"]) == 0
+    # An `alder`, first in the alphabet, gives all others other numbers in this log by itself.
+    seen = Path("seen.csv").read_text()
+    alder = "".join(f"{k};{100 + 0.5 * k};{6 - 0.1 * k};0;alder;0.9\n" for k in range(16))
+    Path("seen.csv").write_text(seen + alder)
+    assert main([*command, "-o", "more", "--onto", "out"]) == 0
+    names = (here / "out" / "names.csv").read_text() + f"{len(PLACES)},alder\n"
+    assert (here / "more" / "names.csv").read_text() == names
+    was, now = (read_result(here / name).landmarks for name in ("out", "more"))
+    np.testing.assert_array_equal(now.landmark, [*was.landmark, len(PLACES)])
+    np.testing.assert_allclose(now.position[:-1], was.position, atol=1e-6)
+    places = sorted({**PLACES, "alder": (6, 0)}.items())
+    truth = [f"{k},{x},{y},0,static" for k, (_, (x, y)) in enumerate(places)]
+    Path("truth").mkdir()
+    Path("truth/landmarks.csv").write_text("\n".join(["landmark,x,y,z,status", *truth]))
+    assert main(["evaluate", "more", "--truth", "truth"]) == 0
+    assert load(here / "more" / "evaluation.json")["landmark_rmse_m"] < 1e-3
+    numbers = here / "numbers.csv"
+    numbers.write_text("iteration,x,y,id\n0,1,2,3\n")
+    assert main(["map", "numbers.csv", *command[-2:], "-o", "no", "--onto", "out"]) == 2
+    assert (
+        "numbers, those of the map out texts; they must be of one kind" in capsys.readouterr().err
+    )

@@ -87,6 +87,10 @@ def test_a_log_is_added_to_a_map_of_walls(
     summary = load(more / "summary.json")
     assert summary["tied_at"] is not None
     assert [submap["scans"] for submap in summary["submaps"]] == [290]
+    assert 60 not in summary["weak_links"]  # there is no step from one log to the next
+    way_m = np.hypot(*np.diff(oblique.trajectory[:, :2, 3], axis=0).T)
+    both_m = way_m[:149].sum() + way_m[60:199].sum()
+    np.testing.assert_allclose(summary["submaps"][0]["metres"], both_m, rtol=0.02)
     first, both = (np.loadtxt(folder / "trajectory.tum") for folder in (part / "part", more))
     true = oblique.trajectory[:, :2, 3]
     R, t = fit_rigid(true[:150], first[:, 1:3])

@@ -17,6 +17,7 @@ from relmap.datasets.scans import ScanLog
 from relmap.evaluation.feeding import Log
 from relmap.evaluation.levelling import levelled, shows_floors
 from relmap.evaluation.sources import read_log
+from relmap.io.results import read_names
 from relmap.segmentation.segmenter import SPATIAL
 
 NEAR_M, FAR_M = 0.1, 100.0
@@ -35,6 +36,8 @@ def log_of(job: Job) -> Log:
     ids = getattr(log, "ids", None)
     if job.association == "known" and (ids is None or not (ids >= 0).any()):
         raise RelmapError(f"--association known needs ids, and {source} has none")
+    if job.onto is not None and job.association == "known" and isinstance(log, ObservationLog):
+        log = _named_as_in_map(job.source, log, job.onto)
     if job.odometry == "auto" and log.odometry is None and log.no_odometry:
         typer.echo(f"relmap: {source}: mapped without odometry: {log.no_odometry}", err=True)
     if job.variant == "planes3d" and job.odometry == "auto" and log.odometry is not None:
@@ -47,6 +50,21 @@ def log_of(job: Job) -> Log:
     if len(job.sigmas) > log.points_robot.shape[1]:
         raise RelmapError("--elevation-sigma is for logs in space, and this one is planar")
     return replace(log, covariances=range_bearing_covariances(log.points_robot, *job.sigmas))
+
+
+def _named_as_in_map(source: Path, log: ObservationLog, onto: Path) -> ObservationLog:
+    """Return a log whose text ids have the numbers that a map has for them, new ones behind."""
+    new, known = log.names, read_names(onto)
+    if (new is None) != (known is None):
+        kinds = ["numbers" if names is None else "texts" for names in (new, known)]
+        found = f"the ids of {source} are {kinds[0]}, those of the map {onto} {kinds[1]}"
+        raise RelmapError(f"{found}; they must be of one kind")
+    if new is None or known is None or log.ids is None:
+        return log
+    names = tuple(dict.fromkeys((*known, *new)))
+    number = {name: k for k, name in enumerate(names)}
+    numbers = np.array([*map(number.__getitem__, new), -1])
+    return replace(log, ids=numbers[np.maximum(log.ids, -1)], names=names)
 
 
 def doubt_unit(source: Path, log: Log) -> None:

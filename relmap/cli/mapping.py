@@ -18,6 +18,7 @@ from relmap.cli.job import Job, journaled_labels
 from relmap.cli.job_log import log_of
 from relmap.cli.merge import SECOND
 from relmap.core.errors import RelmapError
+from relmap.datasets.own_table import OwnTable
 from relmap.datasets.scans import ScanLog
 from relmap.evaluation.feeding import AnyMapper, Log, preparation, segmenter_for
 from relmap.evaluation.run import Run, run_mapper
@@ -143,9 +144,10 @@ def _note_tie(run: Run, mapper: AnyMapper, log: Log) -> None:
 
 
 def _about(job: Job, log: Log) -> dict[str, Any]:
+    form = job.log_format or (OwnTable.name if job.columns else None)
     about: dict[str, Any] = {
         "input": str(job.source),
-        "format": job.log_format or recognised_format(job.at(job.source), job.variant),
+        "format": form or recognised_format(job.at(job.source), job.variant),
         "columns": job.columns,
         "topics": list(job.topics),
         "variant": job.variant,

@@ -200,12 +200,13 @@ def read_log(
 def read_again(path: Path, variant: Variant, summary: Mapping[str, Any]) -> Log:
     """Read a log as the run of a result read it.
 
-    Format, columns and topics are those of its summary, unless the format is recognised. Raises
-    `RelmapError` if there is no such log or it is damaged.
+    Format, columns and topics are those of its summary; the format only if none is recognised, or
+    columns were given. Raises `RelmapError` if there is no such log or it is damaged.
     """
     form, columns, topics = (summary.get(key) for key in ("format", "columns", "topics"))
     known = recognised_format(path, variant)
-    if variant == "points" and known in (None, OwnTable.name) and isinstance(columns, dict):
+    own = form == OwnTable.name or known in (None, OwnTable.name)
+    if variant == "points" and own and isinstance(columns, dict):
         names = {ours: str(theirs) for ours, theirs in columns.items()}
         return read_log(path, variant, columns=names)
     form = known or (form if isinstance(form, str) else None)

@@ -45,7 +45,8 @@ def summary_of(
     counts["groups"] = n_groups
     counts["iterations_without_pose"] = len(log) - len(result.poses)
     summary: dict[str, Any] = {"versions": versions(), "counts": {"iterations": len(log)} | counts}
-    summary["submaps"] = [_submap_row(submap, offset) for submap in result.submaps]
+    begun = mapper.begun if isinstance(mapper, PlaneMapper) else ()
+    summary["submaps"] = [_submap_row(submap, offset, begun) for submap in result.submaps]
     summary["refinement"] = weakness(mapper.refined, offset)
     summary["association_trust"] = {
         "tied_scans": mapper.tied_share,
@@ -61,7 +62,7 @@ def summary_of(
         paths = [
             (own.poses, own.first_iteration + np.arange(len(own.poses))) for own in mapper.submaps
         ]
-        steps = steps_of(paths, mapper.weak_links, view_rad)
+        steps = steps_of(paths, np.append(mapper.weak_links, mapper.begun), view_rad)
         return summary | {"weak_links": weak, "steps": steps}
     if summary["refinement"] is not None:
         engine = mapper.engine
@@ -142,13 +143,13 @@ def _by_status(status: NDArray[np.str_], prefix: str = "") -> dict[str, int]:
     return {f"{prefix}{name}": int((status == name).sum()) for name in STATUS}
 
 
-def _submap_row(submap: Submap, offset: int) -> dict[str, Any]:
+def _submap_row(submap: Submap, offset: int, begun: Ints | tuple[()]) -> dict[str, Any]:
     row: dict[str, Any] = {
         "landmarks": len(submap.landmark_ids),
         "iterations": [offset + submap.first_iteration, offset + submap.last_iteration],
     }
     if isinstance(submap, WallSubmap):
-        scans, metres = submap.n_scans, submap.length_m
+        scans, metres = submap.n_scans, submap.length_m(begun)
         row |= {"scans": scans, "metres": metres, "refined": submap.refined}
     return row
 

@@ -117,6 +117,13 @@ def write_names(folder: Path, names: Sequence[str]) -> None:
     atomic_write(folder / NAMES, text.getvalue())
 
 
+def read_names(folder: Path) -> tuple[str, ...] | None:
+    """Return what `write_names` wrote; None if the ids of the map are numbers."""
+    if not (folder / NAMES).is_file():
+        return None
+    return tuple(row[-1] for row in csv.reader(io.StringIO(read_text(folder / NAMES))))[1:]
+
+
 def write_result(folder: Path, result: Result) -> None:
     """Write the files of a result folder, except the picture.
 

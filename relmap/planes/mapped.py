@@ -175,6 +175,11 @@ class MappedWalls(Mapper):
         return self._weak[1].copy()
 
     @property
+    def begun(self) -> Ints:
+        """First iterations (r,) of the logs that were added to the map, see `take_up`."""
+        return self._planes.links.begun.copy()
+
+    @property
     def odometry(self) -> OdometryUse | None:
         """How odometry was used so far; None if there was none.
 

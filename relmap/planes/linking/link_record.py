@@ -88,6 +88,11 @@ class LinkRecord:
         """Which motions (i,) are determined by odometry only."""
         return self._bridged.values
 
+    @property
+    def begun(self) -> Ints:
+        """First iteration (r,) of each further log, as begun by `begin_run`."""
+        return self._begun.values
+
     def begin_submap(self) -> None:
         """Begin a submap with the next scan."""
         self.submap = self._n_submaps
@@ -245,7 +250,7 @@ class LinkRecord:
         expected = partial(
             self.wheels.expected, motions=self.motions, measured=self.measured.copy()
         )
-        links = self.motions, self.measured, expected, self._begun.values
+        links = self.motions, self.measured, expected, self.begun
         return Scans(self.store, self.beams, *links)
 
     def _known(self) -> tuple[Bools, Bools]:

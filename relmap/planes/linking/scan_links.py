@@ -161,7 +161,7 @@ class ScanLinks(LinkRecord):
             return
         motion = STILL
         now, motions, ends = len(self._motions), self.motions, self.store.column("location")
-        first = max(now - VIEWS, 0, *self._begun.values[-1:].tolist())  # of the same run
+        first = max(now - VIEWS, 0, *self.begun[-1:].tolist())  # of the same run
         outside = np.flatnonzero(self.submaps[first:] != self.submaps[-1])
         first += int(outside[-1]) + 1 if len(outside) else 0
         for i in reversed(range(first, now)):

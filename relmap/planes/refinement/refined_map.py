@@ -113,7 +113,7 @@ def at_the_noise(found: WallSubmap, history: PlaneHistory) -> WallSubmap:
 
 def _dampings(submap: WallSubmap) -> Sequence[float]:
     """Return the damping of a map, and of further attempts."""
-    return HELD if submap.length_m < HELD_M else HELD[:1]
+    return HELD if submap.length_m() < HELD_M else HELD[:1]
 
 
 def _refined(best: Assembled, span: tuple[int, int], history: PlaneHistory) -> WallSubmap:

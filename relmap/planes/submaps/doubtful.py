@@ -16,7 +16,7 @@ from relmap.core.arrays import Bools, Floats, Ints
 from relmap.planes.linking.link_record import LinkRecord
 from relmap.planes.motions import from_matrices, inverse
 from relmap.planes.scans.beams import NEAR_M, Beams, BeamStore, compared, leads, log_odds
-from relmap.planes.submaps.submap import WallSubmap
+from relmap.planes.submaps.submap import WallSubmap, between_logs
 from relmap.planes.walls.history import PlaneHistory
 
 FREE_M = 0.3
@@ -60,10 +60,11 @@ def undetermined_steps(
     before and of the four after it, if they differ. It is determined if the beams of both scans
     exclude all of these, and neither scan shows one wall only. Where a submap continues after scans
     that are not part of it, the motion is since the last one that is. Without beams, and with
-    odometry, the walls decide (`PlaneHistory.weak_links`).
+    odometry, the walls decide (`PlaneHistory.weak_links`). From one log to the next there is no
+    step: the place of a log in the map is determined by a stretch of it.
     """
     if _have_odometry(links):
-        return history.weak_links
+        return np.setdiff1d(history.weak_links, links.begun)
     weak = np.zeros(history.n_iterations, dtype=np.bool_)
     weak[history.weak_links] = True
     free, least = _free_directions(history), np.where(weak, CLEARLY, EXCLUDED)
@@ -78,6 +79,7 @@ def undetermined_steps(
             changes = _changes(step, free[scan], ways)
             excluded = _excluded(step, changes, earlier, later)
             weak[scan] = one_wall or excluded < least[scan]
+    weak[after[between_logs(links.begun, before, after)]] = False
     return np.flatnonzero(weak)
 
 

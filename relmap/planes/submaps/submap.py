@@ -10,8 +10,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.landmarks import Submap
@@ -135,10 +137,20 @@ class WallSubmap(Submap):
         known = np.flatnonzero(np.isfinite(self.poses[:, 0, 3]))
         return np.column_stack([self.first_iteration + known, self.poses[known, :2, 3]])
 
-    @property
-    def length_m(self) -> float:
-        """Length of the path, metres."""
-        return float(np.linalg.norm(np.diff(self.path[:, 1:], axis=0), axis=1).sum())
+    def length_m(self, begun: Ints | tuple[()] = ()) -> float:
+        """Return the length of the path, metres, without the ways from log to log.
+
+        `begun` (r,): first iterations of the logs after the first.
+        """
+        scan, position = self.path[:, 0], self.path[:, 1:]
+        steps_m = np.linalg.norm(np.diff(position, axis=0), axis=1)
+        return float(steps_m[~between_logs(begun, scan[:-1], scan[1:])].sum())
+
+
+def between_logs(begun: Ints | tuple[()], before: NDArray[Any], after: NDArray[Any]) -> Bools:
+    """Return whether pairs of scans (k,), (k,) are of two logs; see `WallSubmap.length_m`."""
+    first, second = (np.searchsorted(begun, scans, side="right") for scans in (before, after))
+    return np.asarray(first != second)
 
 
 def among_all(poses: Floats, span: tuple[int, int], history: PlaneHistory) -> Floats:
