@@ -13,7 +13,7 @@ from relmap.core.arrays import Floats
 from relmap.evaluation.space_run import submap_row
 from relmap.planes3d.fitting import matched
 from relmap.planes3d.placing import Placed
-from relmap.planes3d.sights import is_doubtful, is_tied_doubtfully, sight_of, with_ends
+from relmap.planes3d.sights import is_doubtful, is_tied_doubtfully, seen_through, with_ends
 from relmap.planes3d.submap import Submap
 from relmap.planes3d.table import plane_table
 from relmap.plots.planes import plot_planes3d
@@ -41,11 +41,11 @@ def carried(count: int, first: int = 0) -> Submap:
 @pytest.mark.parametrize(("yaw", "doubtful"), [(0.8, False), (np.pi, True)])
 def test_a_leap_far_beyond_the_fastest_step_is_not_accepted(yaw: float, doubtful: bool) -> None:
     part = carried(7)
-    sight = sight_of(STILL, ORIGIN, part.seen[0], part.all_planes())
-    assert is_doubtful(placed(yaw), part.seen[0], sight, part, 1) is doubtful
+    planes = part.all_planes()
+    assert is_doubtful(placed(yaw), part.seen[0], planes, part, 1) is doubtful
     # How fast the sensor turns is not known yet.
     part = carried(3)
-    assert not is_doubtful(placed(np.pi), part.seen[0], sight, part, 1)
+    assert not is_doubtful(placed(np.pi), part.seen[0], planes, part, 1)
 
 
 @pytest.mark.parametrize(
@@ -54,8 +54,7 @@ def test_a_leap_far_beyond_the_fastest_step_is_not_accepted(yaw: float, doubtful
 def test_a_scan_that_jumps_needs_several_planes(planes: int, way_m: float, doubtful: bool) -> None:
     part = carried(7)
     there = replace(placed(0.6), t=np.array([way_m, 0.0, 0.0]), match=np.arange(planes))
-    sight = sight_of(STILL, ORIGIN, part.seen[0], part.all_planes())
-    assert is_doubtful(there, part.seen[0], sight, part, 1) is doubtful
+    assert is_doubtful(there, part.seen[0], part.all_planes(), part, 1) is doubtful
 
 
 @pytest.mark.parametrize(
@@ -106,8 +105,8 @@ def test_a_jump_between_submaps_needs_more_planes(shared: int, doubtful: bool) -
 @pytest.mark.parametrize(("at", "least", "most"), [(3.0, 0, 0), (4.0, 0, 0), (1.5, 0.6, 1)])
 def test_a_scan_sees_no_surface_through_another(at: float, least: float, most: float) -> None:
     there = part_of((patches(wall(0, at)), [0])).all_planes()
-    sight = sight_of(STILL, ORIGIN, patches(wall(0, 3.0)), there)
-    assert least <= sight.seen_through <= most
+    share = seen_through((STILL, ORIGIN), with_ends(patches(wall(0, 3.0))), there)
+    assert least <= share <= most
 
 
 def test_a_scan_that_sees_through_the_map_begins_a_submap() -> None:

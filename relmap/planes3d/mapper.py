@@ -21,7 +21,6 @@ from relmap.planes3d.refining import refined, unsure_steps
 from relmap.planes3d.sights import (
     is_doubtful,
     is_tied_doubtfully,
-    sight_of,
     sights_of,
     with_ends,
     with_rim,
@@ -140,7 +139,7 @@ class Plane3dMapper(Mapped3d):
         iteration, self._n_iterations = self._n_iterations, self._n_iterations + 1
         if not len(seen):
             return np.empty(0, dtype=np.int64)
-        seen = with_ends(with_rim(seen, iteration))
+        seen = with_rim(with_ends(seen), iteration)
         pose, number = (np.eye(3), np.zeros(3)), np.full(len(seen), -1)
         placed = self._placed(seen, iteration) if self._submaps else None
         if placed is None:
@@ -231,10 +230,7 @@ class Plane3dMapper(Mapped3d):
         rms = np.sqrt((steps[known] ** 2).sum(axis=1).mean()) if any(known) else np.inf
         held = Held(way[-1] + mean, float(rms))
         placed = place(seen, Surfaces(planes), part.poses[-1], held)
-        if placed is None:
-            return None
-        sight = sight_of(*placed.pose, seen, planes)
-        if is_doubtful(placed, seen, sight, part, gap):
+        if placed is None or is_doubtful(placed, seen, planes, part, gap):
             return None
         return placed.named(part.number[chosen])
 

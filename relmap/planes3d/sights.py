@@ -7,12 +7,12 @@ seen through, or too far for the time.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.arrays import Floats, Ints
 from relmap.planes3d.placing import LEAP, Placed, apart, moved_m
 from relmap.planes3d.submap import Pose, Submap
 from relmap.planes3d.surfaces import LOOKED_AT, some_cells
@@ -20,12 +20,11 @@ from relmap.segmentation.space import Patches
 from relmap.segmentation.space.voxels import NEAR, cells_of
 
 FEWEST = 40
-"""Number of cells of the map in view, below which more are assumed to be."""
-FACING, BESIDE = 0.3, 0.7
-"""Minimum cosine at which a surface is seen, and largest distance of a ray from the nearest cell of
-the scan, in cells."""
+"""Number of looks at the cells of the map, below which more are assumed."""
+FACING = 0.3
+"""Minimum cosine at which a surface is seen."""
 THROUGH = 0.1
-"""Largest fraction of the surfaces in view that a scan may see through: things move."""
+"""Largest fraction of its looks at the map in which a scan may see through: things move."""
 FASTER = 2.0
 """A leap, or the step between submaps that are tied, is at most as many times the fastest step."""
 SEVERAL = 6
@@ -54,27 +53,10 @@ BEYOND, EVERY = 2.0, 4
 in a scan, others in the next ones."""
 
 
-@dataclass(frozen=True, eq=False)
-class Sight:
-    """What a scan sees of the cells (c,) of a map.
-
-    `in_view`: which of them the scan faces, where it has a surface nearby or beyond; `through`:
-    which of these it sees through.
-    """
-
-    in_view: Bools
-    through: Bools
-
-    @property
-    def seen_through(self) -> float:
-        """Fraction of the cells in view that the scan sees through."""
-        return float(self.through.sum() / max(self.in_view.sum(), FEWEST))
-
-
-def is_doubtful(placed: Placed, seen: Patches, sight: Sight, part: Submap, gap: int) -> bool:
+def is_doubtful(placed: Placed, seen: Patches, planes: Patches, part: Submap, gap: int) -> bool:
     """Return whether a scan, `gap` scans after the last one of a submap, cannot be there.
 
-    `seen`: planes of the scan, robot frame; `sight`: of the map, see `sight_of`.
+    `seen`, `planes`: planes of the scan, robot frame, and of the map, map frame.
     """
     way_m = moved_m(part.poses[-1], placed.pose, seen.reach_m)
     if len(part.poses) >= SEVERAL:
@@ -83,7 +65,7 @@ def is_doubtful(placed: Placed, seen: Patches, sight: Sight, part: Submap, gap: 
         few = placed.n_planes < LEAST_SHARED
         if few and _jumps(part.poses[-1], placed.pose, gap, seen.reach_m, part):
             return True
-    return sight.seen_through > THROUGH
+    return seen_through(placed.pose, seen, planes) > THROUGH
 
 
 def is_tied_doubtfully(placed: Placed, part: Submap, other: Submap) -> bool:
@@ -131,37 +113,26 @@ def _jumps(last: Pose, pose: Pose, gap: int, reach_m: float, *parts: Submap) -> 
     return bool(turn > max(FASTER * turns, TURN_RAD) or way_m > max(JUMP * ways_m, FAR * reach_m))
 
 
-def sight_of(R: Floats, t: Floats, seen: Patches, planes: Patches) -> Sight:
-    """Return what a scan sees of the surfaces of a map.
+def seen_through(pose: Pose, seen: Patches, planes: Patches) -> float:
+    """Return the fraction of the looks of a scan at the surfaces of a map that go through.
 
-    `R` (3, 3), `t` (3,): pose of the scan; `seen`, `planes`: of the scan, robot frame, and of the
+    `pose`, R (3, 3) and t (3,): of the scan; `seen`, `planes`: of the scan, robot frame, and of the
     map, map frame.
     """
-    cells, size_m = (planes.cells - t) @ R, max(seen.cell_m, planes.cell_m)
-    away = np.linalg.norm(cells, axis=1)
-    ray = cells / away[:, None]
-    facing = np.abs(np.einsum("ci,ci->c", ray, planes.normal[planes.cell_patch] @ R)) > FACING
-    range_m = np.linalg.norm(seen.cells, axis=1)
-    cell, beside = np.zeros(len(ray), dtype=np.int64), np.full(len(ray), np.inf)
-    tree = cKDTree(seen.cells / range_m[:, None])
-    beside[facing], cell[facing] = tree.query(ray[facing])
-    in_view = beside * range_m[cell] < BESIDE * seen.cell_m
-    plane = seen.cell_patch[cell]
-    # Normals face the sensor.
-    ahead = np.einsum("ci,ci->c", cells - seen.centre[plane], seen.normal[plane])
-    through = (ahead > size_m) & (away < range_m[cell] - seen.cell_m)
-    return Sight(in_view, in_view & through)
+    there, through = _looks(seen, pose, planes.cells, planes.normal[planes.cell_patch])
+    return len(through) / max(len(there) + len(through), FEWEST)
 
 
 def with_rim(seen: Patches, iteration: int) -> Patches:
-    """Return the planes of a scan, robot frame, with their rim; see `Patches`."""
-    cells, of = (each[iteration % EVERY :: EVERY] for each in (seen.cells, seen.cell_patch))
+    """Return the planes of a scan with ends, robot frame, with their rim; see `Patches`."""
+    tried = slice(iteration % EVERY, None, EVERY)
+    cells, of = seen.cells[tried], seen.cell_patch[tried]
     u, v = seen.axes[of, 0], seen.axes[of, 1]
     way = np.stack([u, -u, v, -v], axis=1)
     beyond = (cells[:, None] + BEYOND * seen.cell_m * way).reshape(-1, 3)
-    tried = replace(seen, cells=beyond, cell_patch=np.repeat(of, 4))
-    through = sight_of(np.eye(3), np.zeros(3), seen, tried).through
-    return replace(seen, rim=beyond[through], rim_patch=tried.cell_patch[through])
+    patch, still = np.repeat(of, 4), (np.eye(3), np.zeros(3))
+    _, through = _looks(seen, still, beyond, seen.normal[patch])
+    return replace(seen, rim=beyond[through], rim_patch=patch[through])
 
 
 def with_ends(seen: Patches) -> Patches:
