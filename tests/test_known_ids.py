@@ -11,7 +11,6 @@ from relmap import PointMapper
 from relmap.cli.outcome import doubtful
 from relmap.comparison.baselines.batch import Batch, batch_least_squares
 from relmap.core.arrays import Floats, Ints
-from relmap.core.association.known import SLOTS, KnownAssociation
 from relmap.datasets import ObservationLog
 from relmap.simulation import simulate_figure_eight
 from relmap.simulation.worlds import World, WorldSpec, simulate_world
@@ -110,21 +109,6 @@ def test_what_moves_is_not_taken_for_noisy(seed: int) -> None:
     table = driven(world.log).landmarks
     often = table.observations >= 30
     np.testing.assert_array_equal(table.status[often], world.status[table.landmark[often]])
-
-
-def test_ids_far_apart_keep_their_landmarks_as_the_table_grows() -> None:
-    rng = np.random.default_rng(0)
-    ids = np.unique(rng.integers(0, 2**63 - 1, 3 * SLOTS))
-    known, number_of = KnownAssociation(), dict[int, int]()
-    for part in np.array_split(rng.permutation(np.concatenate([ids, ids])), 40):
-        own = np.unique(part)
-        landmarks = known.match(np.zeros((len(own), 2)), own)
-        for one, landmark in zip(own.tolist(), landmarks.tolist(), strict=True):
-            assert number_of.setdefault(one, landmark) == landmark
-    assert sorted(number_of.values()) == list(range(len(ids)))
-    np.testing.assert_array_equal(
-        known.labels_of(np.array(list(number_of.values()))), list(number_of)
-    )
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1])

@@ -9,9 +9,6 @@ from relmap.core.association.base import UNIDENTIFIED, Registration
 from relmap.core.association.rigidity import Rigidity
 from relmap.core.state.growing import GrowingArray
 
-SLOTS = 2**12
-"""Initial slots of the table of ids, which are at least twice as many as the ids."""
-
 
 class KnownAssociation(Registration):
     """Uses the given ids, except for geometrically impossible observations; see `Rigidity`.
@@ -29,8 +26,8 @@ class KnownAssociation(Registration):
         self._rejected, self.overruled_scans, self.overruled_rows = [], [], []
         self._n_scans = 0
         self._rigidity = Rigidity()
-        self._slots = np.full(SLOTS, UNIDENTIFIED)
         self._labels: GrowingArray[np.int64] = GrowingArray(np.int64)
+        self._number: dict[int, int] = {}
 
     @property
     def rejected(self) -> list[int]:
@@ -39,8 +36,7 @@ class KnownAssociation(Registration):
 
     def restored(self) -> None:
         """Look up the current ids."""
-        self._slots = np.full(SLOTS, UNIDENTIFIED)
-        self._enter(0)
+        self._number = {label: k for k, label in enumerate(self._labels.values.tolist())}
 
     def labels_of(self, landmarks: Ints) -> Ints:
         """Return the ids of landmarks (n,)."""
@@ -51,30 +47,14 @@ class KnownAssociation(Registration):
 
         Observations with negative ids, and inconsistent ones, belong to none.
         """
-        from relmap.core.association.known_kernels import numbers_of
-
         known = np.empty(0, dtype=np.int64) if ids is None else ids
         self._n_scans += 1
-        known = self._checked(known, points_robot)
-        landmarks = numbers_of(self._slots, self._labels.values, known)
-        new = (landmarks == UNIDENTIFIED) & (known >= 0)
-        if new.any():
-            before = len(self._labels)
-            self._labels.extend(known[new])
-            landmarks[new] = np.arange(before, len(self._labels))
-            self._enter(before)
-        return landmarks
-
-    def _enter(self, first: int) -> None:
-        """Add the ids from the first on to the table, which grows with them."""
-        from relmap.core.association.known_kernels import enter
-
-        if 2 * len(self._labels) > len(self._slots):
-            n_slots = len(self._slots)
-            while n_slots < 4 * len(self._labels):
-                n_slots *= 2
-            self._slots, first = np.full(n_slots, UNIDENTIFIED), 0
-        enter(self._slots, self._labels.values, first)
+        given = self._checked(known, points_robot).tolist()
+        for one in given:
+            if one >= 0 and one not in self._number:
+                self._number[one] = len(self._number)
+                self._labels.append(one)
+        return np.array([self._number.get(one, UNIDENTIFIED) for one in given], dtype=np.int64)
 
     def _checked(self, ids: Ints, points_robot: Floats) -> Ints:
         """Return the ids (n,), replaced or `UNIDENTIFIED` for inconsistent observations.
