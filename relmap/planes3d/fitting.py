@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.geometry.motions import rotations
 from relmap.planes3d.hypotheses import SKEW, Held
 from relmap.planes3d.submap import Pose
 from relmap.planes3d.surfaces import SIDE
@@ -19,7 +20,7 @@ BENT_RAD = 1e-4
 """Standard deviation of the bend of the map."""
 DOUBTFUL = 4.0
 """Standard deviations above which the weight of a match decreases."""
-ROUNDS, SETTLED, ROUNDING = 8, 1e-7, 1e-13
+ROUNDS, SETTLED, LAST = 8, 1e-3, 1e-7
 """Maximum number of steps of a fit, and the step that ends it, or the last one: metres, radians."""
 WEAK, OPEN = 0.015, 0.1
 """A direction is weak if the standard deviation of the position exceeds the first fraction of the
@@ -79,12 +80,11 @@ def fitted(
     the map, map frame. `match` (m,): plane of the map that each plane of the scan matches; -1 for
     none. Returns `R` (3, 3), `t` (3,) and `free` (3,), `is_held`: see `Placed`.
     """
-    from relmap.planes3d.fitting_kernels import fit_placement
-
-    scan = seen.axes, seen.centre, seen.spread, seen.information
-    there = planes.axes, planes.centre, planes.spread
-    R, t, H = fit_placement(*pose, scan, there, match, ROUNDING if last else SETTLED)
-    n = planes.normal[match[match >= 0]]
+    rows, there = np.flatnonzero(match >= 0), match[match >= 0]
+    n, offset = planes.normal[there], planes.offset[there]
+    root = _root_information(seen, rows, planes.spread[there, 2])
+    arm = np.concatenate([seen.axes[rows, :2], seen.centre[rows, None]], axis=1)
+    R, t, H = _settled(pose, arm, n, offset, root, LAST if last else SETTLED)
     free, sd_m = _weakest(H, n)
     weak_m, open_m = (share * seen.reach_m for share in (WEAK, OPEN)) if last else (np.inf,) * 2
     if sd_m <= weak_m and sd_m < np.inf:
@@ -93,6 +93,55 @@ def fitted(
     if is_held:
         t = t + free * ((held.place - t) @ free)
     return R, t, directed(free), is_held
+
+
+def _root_information(seen: Patches, rows: Ints, noise_m: Floats) -> Floats:
+    """Return the square roots of the information (m, 3) of matched planes of a scan.
+
+    Points of a plane have some of their errors in common, and the map may be bent. `noise_m` (m,):
+    of the planes of the map.
+    """
+    spread, away = seen.spread[rows], np.ones((len(rows), 3))
+    lever = np.maximum(np.insert(spread[:, :2], 2, 1.0, axis=1), 1e-9)
+    away[:, 2] = np.linalg.norm(seen.centre[rows], axis=1)
+    common = SYSTEMATIC**2 * (spread[:, 2:] ** 2 + noise_m[:, None] ** 2)
+    shared = common / lever**2 + (BENT_RAD * away) ** 2
+    return np.asarray(1 / np.sqrt(1 / np.maximum(seen.information[rows], 1e-12) + shared))
+
+
+def _settled(
+    pose: Pose, arm: Floats, n: Floats, offset: Floats, root: Floats, settled: float
+) -> tuple[Floats, Floats, Floats]:
+    """Return rotation and translation fitted to matches, and the normal matrix (6, 6).
+
+    `arm` (m, 3, 3): two directions along each plane of the scan and its centre, robot frame; `n`
+    (m, 3), `offset` (m,): of the planes of the map; `root` (m, 3): see `_root_information`;
+    `settled`: the step that ends the fit.
+    """
+    (R, t), H = pose, np.empty((6, 6))
+    J = np.zeros((len(n), 3, 6))
+    J[:, 2, 3:] = root[:, 2:] * n
+    across = np.zeros((len(n), 3, 3))  # of the normals, as a matrix: x @ across is x cross n
+    for a, b, c in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        across[:, b, a], across[:, c, a] = n[:, c], -n[:, b]
+    for _ in range(ROUNDS):
+        x = arm @ R.T
+        off = (x @ n[:, :, None])[:, :, 0]
+        off[:, 2] += n @ t - offset
+        off *= root
+        J[:, :, :3] = root[:, :, None] * (x @ across)
+        size = np.sqrt((off * off).sum(axis=1))
+        usual = np.partition(size, (len(size) - 1) // 2)[(len(size) - 1) // 2]
+        weight = 1 / (1 + (size / max(DOUBTFUL, 2 * usual)) ** 2)
+        weighed = (weight[:, None, None] * J).reshape(-1, 6).T
+        H, g = weighed @ J.reshape(-1, 6), weighed @ off.ravel()
+        diagonal = H.diagonal().reshape(2, 3).sum(axis=1).repeat(3)
+        H += np.diag(1e-12 * diagonal + 1e-30)
+        step = np.linalg.solve(H, g)
+        R, t = rotations(-step[None, :3])[0] @ R, t - step[3:]
+        if np.abs(step).max() < settled:
+            break
+    return R, t, H
 
 
 def directed(axis: Floats) -> Floats:
