@@ -8,9 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from scipy.optimize import least_squares, nnls
+from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from relmap import PointMapper
@@ -19,7 +17,6 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.association import matching_kernels
 from relmap.core.association.estimated import LONGEST, EstimatedCovariances
 from relmap.core.association.metric import RayNoise, stretch_of
-from relmap.core.association.metric_kernels import fitted
 from relmap.core.association.placement import trimmed_fit
 from relmap.core.association.reobservation.coinciding import compatible
 from relmap.core.state.weighed import WeighedObservations
@@ -237,15 +234,3 @@ def test_a_run_that_estimates_its_noise_goes_on_after_loading(tmp_path: Path) ->
         mapper.refine()
     assert plain.engine.association.current.estimates_covariances
     assert plain.map.positions.tobytes() == saved.map.positions.tobytes()
-
-
-@given(st.integers(0, 2**32 - 1))
-def test_the_coefficients_are_the_nonnegative_ones_of_least_squares(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    square = rng.uniform(0.02, 1.3, 300) ** 2
-    terms = np.column_stack([np.ones(300), square, square**2])
-    squares = (terms @ (rng.integers(0, 2, 3) * rng.uniform(0.1, 1, 3))) * rng.normal(size=300) ** 2
-    found = fitted(terms, squares, np.ones(3), (np.inf, 1e-9, 1.0), 1)
-    variance = terms.sum(axis=1)
-    best, _ = nnls(terms / variance[:, None], squares / variance)
-    np.testing.assert_allclose(terms @ found, terms @ best, rtol=1e-6, atol=1e-9)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from relmap.core.arrays import Floats
+from relmap.core.association.base import extent_of
 from relmap.core.association.placement import Placement
 from relmap.core.association.scale import Scale
 from relmap.core.association.search import log_chance
@@ -58,8 +59,6 @@ class Chance:
 
         Placements are counted in steps of the tolerance: those with no larger motion, or all.
         """
-        from relmap.core.association.rigidity_kernels import extent_of
-
         tolerance_m, d, placements = self.scale.tolerance_m, here.shape[1], 0.0
         if far_m is None:
             far_m = extent_of(there)

@@ -158,11 +158,16 @@ def _fitted(terms: Floats, squares: Floats, before: Floats) -> Floats:
 
     Weighted, nonnegative least squares, from the coefficients before; outliers are clipped.
     """
-    from relmap.core.association.metric_kernels import fitted
+    from scipy.optimize import nnls
 
     typical = middle(squares) / CHI2_MEDIAN
-    limits = OUTLIER, max(LEAST * typical, TINY), typical
-    return fitted(terms, squares, before, limits, ROUNDS)
+    least = max(LEAST * typical, TINY)
+    variance = np.maximum(terms @ before, least) if before.any() else typical + least
+    for _ in range(ROUNDS):
+        clipped = np.minimum(squares, OUTLIER * variance)
+        found = nnls(terms / np.reshape(variance, (-1, 1)), clipped / variance)[0]
+        variance = np.maximum(terms @ found, least)
+    return np.asarray(found)
 
 
 def rows_of(metric: Floats | None, rows: Ints) -> Floats | None:

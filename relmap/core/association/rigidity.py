@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.association.base import UNIDENTIFIED
+from relmap.core.association.base import UNIDENTIFIED, extent_of
 
 PLENTY = 6
 """Minimum number of common landmarks to judge a scan."""
@@ -109,10 +109,8 @@ class Rigidity:
         `ids` (n,): all different; `points_robot` (n, d), metres. Returns (n,): the ids, replaced
         where inconsistent, or `UNIDENTIFIED`; None if the whole scan is rejected.
         """
-        from relmap.core.association.rigidity_kernels import in_order
-
-        order, own, points, missed, times, self._extent_m = in_order(ids, points_robot)
-        scan = _Places(own, points, missed, times)
+        order, self._extent_m = np.argsort(ids), extent_of(points_robot)
+        scan = _Places.begun(ids[order], points_robot[order])
         fit = self._fit(self._last, scan)
         if fit is None:
             if self._last is None or len(ids) >= PLENTY:

@@ -7,36 +7,7 @@ import numpy as np
 from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.fitting_kernels import trimmed_fit_rows
 from relmap.core.linalg.compiling import compiled, helper
-from relmap.core.linalg.order_kernels import ordered, smallest
-
-
-@compiled
-def extent_of(points: Floats) -> float:
-    """Return the longest side of the box around points (n, d)."""
-    longest = 0.0
-    for a in range(points.shape[1]):
-        low, high = np.inf, -np.inf
-        for i in range(len(points)):
-            low, high = min(low, points[i, a]), max(high, points[i, a])
-        longest = max(longest, high - low)
-    return longest
-
-
-@compiled
-def in_order(ids: Ints, points: Floats) -> tuple[Ints, Ints, Floats, Ints, Ints, float]:
-    """Return the ascending order (n,) of the ids of a scan, and its landmarks in this order.
-
-    That is ids, points (n, d), scans missed, which is 0, and how often each was seen, 1. The extent
-    of the points follows.
-    """
-    (n, d), order = points.shape, ordered(ids)
-    own, places = np.empty(n, dtype=np.int64), np.empty((n, d))
-    missed, times = np.zeros(n, dtype=np.int64), np.ones(n, dtype=np.int64)
-    for k in range(n):
-        own[k] = ids[order[k]]
-        for a in range(d):
-            places[k, a] = points[order[k], a]
-    return order, own, places, missed, times, extent_of(points)
+from relmap.core.linalg.order_kernels import smallest
 
 
 @helper

@@ -16,8 +16,6 @@ EXACT = 1e-9
 ROUNDS = 8
 """Iterations towards the least sum of distances: with one outlier in five, each divides the error
 by four."""
-ROBUST = {d: (OUTLIER / median, EXACT, ROUNDS) for d, median in CHI_MEDIAN.items()}
-"""The constants of a robust fit in d dimensions, as the compiled one takes them."""
 
 
 def limit_of(residual: Floats, dimension: int, size: float) -> float:

@@ -81,12 +81,17 @@ class GlobalMap:
         submap, metres, or None if the members determine no rotation: NaN for landmarks whose
         position is poorly determined by the rotation.
         """
-        from relmap.core.geometry.robust_kernels import aligned
+        from relmap.core.geometry.fitting_kernels import swings
 
         in_map = self.weights_in(submap, landmarks)
         weights = in_map * n_iterations / (in_map + n_iterations)
-        placed, is_fixed = aligned(relative_map, self.table.position[landmarks], weights, LOOSE)
-        return placed if is_fixed else None
+        known, there = weights > 0, self.table.position[landmarks]
+        if not fixes_rotation(there[known]):
+            return None
+        R, t = fit_rigid(relative_map[known], there[known], weights[known])
+        placed = relative_map @ R.T + t
+        placed[~(swings(relative_map, known) <= LOOSE)] = np.nan
+        return placed
 
     def new_submap(self) -> int:
         """Return the number of a new, empty submap."""

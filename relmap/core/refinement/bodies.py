@@ -21,13 +21,13 @@ def brought_together(points: Floats, weight: Floats, landmark: Ints, body: Ints)
     `points` (n, d), map frame, metres; `weight` (n,); `landmark` (n,): 0 to m - 1; `body` (n,),
     ascending: 0 to b - 1.
     """
-    from relmap.core.refinement.bodies_kernels import moments_between, pulls
+    from relmap.core.refinement.bodies_kernels import moments_between
 
     b, d, q = int(body[-1]) + 1, points.shape[1], 3 * points.shape[1] - 3
     centre = sums_each(points, body, b) / np.bincount(body)[:, None]
     away = points - centre[body]
     total = np.bincount(landmark, weights=weight).astype(np.float64)
-    pull, cost = pulls(points, weight, total, landmark)
+    pull, cost = _pulls(points, weight, total, landmark)
     columns = np.column_stack([away, np.ones(len(away))])  # the Jacobians are linear in them
     constant = derivatives(np.zeros((1, d)))
     by_step = np.concatenate([derivatives(np.eye(d)) - constant, constant])
@@ -41,4 +41,15 @@ def brought_together(points: Floats, weight: Floats, landmark: Ints, body: Ints)
     free = matrix[q:, q:] + least * np.eye(b * q - q)
     steps = np.append(np.zeros(q), np.linalg.solve(free, right[q:])).reshape(b, q)
     after = place_each(rotations(steps[:, :-d]), steps[:, -d:], body, away) + centre[body]
-    return after if pulls(after, weight, total, landmark)[1] <= cost else points
+    return after if _pulls(after, weight, total, landmark)[1] <= cost else points
+
+
+def _pulls(points: Floats, weight: Floats, total: Floats, landmark: Ints) -> tuple[Floats, float]:
+    """Return the weighted vectors (n, d) from points to the means of their landmarks.
+
+    Also the cost: the weighted sum of the squared distances.
+    """
+    means = sums_each(weight[:, None] * points, landmark, len(total)) / total[:, None]
+    apart = means[landmark] - points
+    pull = weight[:, None] * apart
+    return pull, float(np.sum(pull * apart))

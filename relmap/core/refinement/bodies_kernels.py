@@ -43,25 +43,3 @@ def moments_between(
         for m in range(k):
             moments[m, k] = moments[k, m].T
     return moments
-
-
-@compiled
-def pulls(points: Floats, weight: Floats, total: Floats, landmark: Ints) -> tuple[Floats, float]:
-    """Return the weighted vectors (n, d) from points to the means of their landmarks.
-
-    Also the cost: the weighted sum of the squared distances.
-    """
-    (n, d), cost = points.shape, 0.0
-    means, pull = np.zeros((len(total), d)), np.empty((n, d))
-    for i in range(n):
-        for a in range(d):
-            means[landmark[i], a] += weight[i] * points[i, a]
-    for k in range(len(total)):
-        for a in range(d):
-            means[k, a] /= total[k]
-    for i in range(n):
-        for a in range(d):
-            apart = means[landmark[i], a] - points[i, a]
-            pull[i, a] = weight[i] * apart
-            cost += pull[i, a] * apart
-    return pull, cost

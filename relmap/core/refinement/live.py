@@ -14,7 +14,7 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import fit_rigid, place_each, sums_each
-from relmap.core.geometry.robust import ROBUST, fit_robust_each
+from relmap.core.geometry.robust import fit_robust_each
 from relmap.core.linalg.threads import one_thread
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.refinement.bodies import brought_together
@@ -190,8 +190,6 @@ class LiveRefinement:
 
 def laid_together(one: Body, other: Body) -> Body | None:
     """Align one body to another and merge them; None if they share too little."""
-    from relmap.core.geometry.robust_kernels import robust_fit
-
     landmark, of = np.unique(np.append(one.landmark, other.landmark), return_inverse=True)
     n, d = one.points.shape
     rows = np.full((2, len(landmark)), NONE)
@@ -200,11 +198,11 @@ def laid_together(one: Body, other: Body) -> Body | None:
     if len(mine) < d:
         return None
     counts = np.minimum(one.weight[mine], other.weight[its])
-    R, t, is_fixed = robust_fit(other.points[its], one.points[mine], counts, *ROBUST[d])
-    if not is_fixed:
+    R, t, fixed, _ = fit_robust_each(other.points[its], one.points[mine], counts, 0 * mine, 1)
+    if not fixed[0]:
         return None
     weight = np.append(one.weight, other.weight)
-    placed = np.concatenate([one.points, other.points @ R.T + t])
+    placed = np.concatenate([one.points, other.points @ R[0].T + t[0]])
     total = np.bincount(of, weights=weight).astype(np.float64)
     means = sums_each(weight[:, None] * placed, of, len(landmark)) / total[:, None]
     return Body(landmark, means, total, one.n_segments + other.n_segments)
