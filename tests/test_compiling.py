@@ -16,7 +16,6 @@ from typing import Any
 import numba
 import numpy as np
 import pytest
-from numba.core import untyped_passes
 from numba.core.runtime import nrt
 
 import relmap
@@ -226,7 +225,6 @@ def test_other_versions_of_numba_compile_with_their_own_steps(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(numba, "version_info", SimpleNamespace(short=(0, 99)))
-    monkeypatch.delattr(untyped_passes, "LiteralUnroll")
     monkeypatch.setitem(sys.modules, "relmap.core.linalg.lowering", None)
     other = runpy.run_path(compiler.__file__)["KernelCompiler"]
     here, there = (np.ones((4, 4)), np.zeros(4, bool)), (np.ones((4, 4)), np.zeros(4, bool))

@@ -1,38 +1,22 @@
 # mypy: disable-error-code="no-untyped-call"
-"""How numba compiles the loops: its own steps, less those that loops do not need."""
+"""How numba compiles the loops: its own steps, with shorter code and less optimisation."""
 
 from __future__ import annotations
 
-import operator
 from functools import cache
-from typing import Any, ClassVar, cast
+from typing import Any, cast
 
 import llvmlite.binding as llvm
 import numba
-from numba.core import typed_passes, types, typing
+from numba.core import typed_passes
 from numba.core.codegen import JITCodeLibrary, get_host_cpu_features
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import register_pass
 from numba.core.lowering import Lower
 
 IS_KNOWN = (0, 61) <= numba.version_info.short <= (0, 68)
-"""Whether the tests have passed with this version of numba. Others use their own steps and code,
-which takes longer."""
-_NEEDLESS = {
-    "IRProcessing",
-    "WithLifting",
-    "InlineClosureLikes",
-    "RewriteDynamicRaises",
-    "MakeFunctionToJitFunction",
-    "InlineInlinables",
-    "FindLiterallyCalls",
-    "LiteralUnroll",
-    "LiteralPropagationSubPipelinePass",
-    "InlineOverloads",
-    "NopythonRewrites",
-    "DumpParforDiagnostics",
-}
-"""Steps for what loops do not contain, such as closures and array arithmetic."""
+"""Whether the tests have passed with this version of numba. Others use their own code, which takes
+longer."""
 
 
 @cache
@@ -102,31 +86,6 @@ class _PartLibrary(_Unoptimised):
         """Do nothing: only functions callable from Python have an environment."""
 
 
-class _Types(cast("Any", typing).Context):  # type: ignore[misc]
-    """What numba knows of types, with a memory for the functions that were resolved."""
-
-    memory: ClassVar[dict[object, Any]] = {}
-
-    def __init__(self, known: Any) -> None:
-        """Share all of `known`."""
-        self.__dict__.update(known.__dict__)
-        self._known = known
-
-    def resolve_function_type(self, function: Any, args: Any, kws: Any) -> Any:
-        """Return the signature for arguments of these types."""
-        if kws or isinstance(function, (str, types.Dispatcher)):
-            return self._known.resolve_function_type(function, args, kws)
-        key = function, tuple(args)
-        found = self.memory.get(key) or self._known.resolve_function_type(function, args, kws)
-        if found is not None:  # a function that is compiled later may be found then
-            self.memory[key] = found
-        return found
-
-    def resolve_setitem(self, target: Any, index: Any, value: Any) -> Any:
-        """Return the signature of an assignment to an entry."""
-        return self.resolve_function_type(operator.setitem, (target, index, value), {})
-
-
 class _AsKernel(typed_passes.NativeLowering):
     _name = "as_kernel"
     library: Any = _KernelLibrary
@@ -166,14 +125,11 @@ class KernelCompiler(CompilerBase):
     lowering: Any = _AsKernel
 
     def define_pipelines(self) -> list[Any]:
-        """Return numba's steps, less the needless ones and with the code of loops."""
-        if IS_KNOWN:
-            self.state.typingctx = _Types(self.state.typingctx)
+        """Return numba's steps, with the code of loops."""
         passes = DefaultPassBuilder.define_nopython_pipeline(self.state)
         passes.passes = [
             (self.lowering if one is typed_passes.NativeLowering else one, name)
             for one, name in passes.passes
-            if not (IS_KNOWN and one.__name__ in _NEEDLESS)
         ]
         passes.finalize()
         return [passes]
