@@ -18,7 +18,7 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.linalg.cholesky import Pattern
 from relmap.core.refinement.gauss_newton import gauss_newton
 from relmap.core.refinement.schur import Elimination, Linearised, NormalEquations
-from relmap.planes.walls.equations import WallEquations, Walls, between_neighbours, open_along
+from relmap.planes.walls.equations import WallEquations, Walls
 
 MOST = 0.9
 ROUNDING = 1e-13
@@ -41,7 +41,7 @@ UNSURE = 1e-3
 REST = 0.03
 """Steps longer than this, metres and radians, indicate that the solution does not converge."""
 USUAL = 3.0
-"""A residual below this multiple of the typical one, of all or of its scan, is not an outlier."""
+"""A residual below this multiple of the typical one is not an outlier."""
 
 Seen = tuple[Floats, Ints, Ints, Ints]
 
@@ -61,11 +61,7 @@ class WallSystem:
         self.settled, self._held = False, held
         self._latest: tuple[Walls, Linearised] | None = None
         self._set(given)
-        self._open_along = open_along(given)
         self._rows, self._factors = _seen(given), given.odometry
-        self._iteration = np.concatenate([self._rows[1], given.odometry.iteration])
-        scans = np.unique(self._rows[1])
-        self._scan = np.searchsorted(scans, self._iteration).clip(max=len(scans) - 1)
         self._prepare(given)
 
     def _set(self, given: WallEquations) -> None:
@@ -74,17 +70,16 @@ class WallSystem:
         least_m = ROUNDING * float(np.abs(given.ends).max())
         self.rounding = float(np.sum((least_m / self._sd) ** 2))
 
-    def refine(self, state: Walls, rounds: int, doubtful: float, by_scan: bool = True) -> Walls:
+    def refine(self, state: Walls, rounds: int, doubtful: float) -> Walls:
         """Return the optimal state by damped Gauss-Newton.
 
         The first iteration is fixed.
 
         `state`: initial state; `rounds`: maximum number of steps; `doubtful`: residual, in standard
         deviations, above which the weight decreases (Geman and McClure, 1987): a wrongly associated
-        wall should have no influence; `by_scan`: whether a scan with large residuals overall is
-        treated as not yet converged instead of wrong.
+        wall should have no influence.
         """
-        weigh = partial(self._weights, doubtful=doubtful, by_scan=by_scan)
+        weigh = partial(self._weights, doubtful=doubtful)
         unsure, monotone = UNSURE * self._n_unknowns, self._held > 0
         found = gauss_newton(
             self, state, weigh, rounds, unsure=unsure, same=np.inf, monotone=monotone, reuse=False
@@ -94,7 +89,7 @@ class WallSystem:
             step = np.abs(_unknowns(found.state) - _unknowns(found.last))
             most = int(MOST * len(step))
             self.settled = bool(np.partition(step, most)[most] < REST)
-        return between_neighbours(found.state, self._open_along)
+        return found.state
 
     def reweighted(self, given: WallEquations) -> WallSystem:
         """Return the system of the same observations with other standard deviations."""
@@ -115,14 +110,11 @@ class WallSystem:
         self, state: Walls, weight: Floats, with_matrix: bool, damping: float
     ) -> NormalEquations:
         """Return the normal equations of walls and corners."""
-        (x, y), c, s = self._open_along.T, np.cos(state.yaw), np.sin(state.yaw)
-        along = np.column_stack([np.zeros(len(c)), c * x - s * y, s * x + c * y])
         equations = self._poses.equations(
             self._linearised(state),
             weight / self._sd**2,
             LOOSE_POSE + self._held + damping,
             with_matrix,
-            along,
         )
         if with_matrix:
             self.pattern.hold(equations.matrix, LOOSE + self._held + damping, LEAST)
@@ -153,7 +145,7 @@ class WallSystem:
         For the direction of the normal, radians, the distance across and the position along,
         metres, with the first iteration fixed.
         """
-        weight = self._weights(self.residuals(state), doubtful, by_scan=False)
+        weight = self._weights(self.residuals(state), doubtful)
         values = self.equations(state, weight, with_matrix=True, damping=0.0).matrix
         wall, (_, _, of, corner) = np.zeros(len(state.along), dtype=np.int64), self._rows
         wall[corner] = of[len(of) - len(corner) :]
@@ -162,14 +154,10 @@ class WallSystem:
         chosen = np.column_stack([line, line + 1, self._place])
         return self.pattern.parts(self.pattern.inverse(values), chosen)
 
-    def _weights(self, residual: Floats, doubtful: float, by_scan: bool) -> Floats:
+    def _weights(self, residual: Floats, doubtful: float) -> Floats:
         """Return the weights of residuals that treat large ones as outliers."""
-        from relmap.core.linalg.order_kernels import medians
-
         size, n = np.abs(residual), len(self._rows[1])
         typical = np.median(size[:n])  # for walls: initially, the map may come from odometry
-        if by_scan:
-            typical = np.maximum(typical, medians(self._scan[:n], size[:n]))[self._scan]
         return np.asarray(1 / (1 + (size / np.maximum(doubtful, USUAL * typical)) ** 2) ** 2)
 
     def _linearised(self, state: Walls) -> Linearised:
@@ -203,7 +191,7 @@ class WallSystem:
         unknown = np.column_stack([self._line[self._rows[2]], other])
         met = (first[meeting][:, None] + np.arange(3)).ravel()
         unknown = np.concatenate([unknown, np.column_stack([met, met])])
-        iteration = self._iteration
+        iteration = np.concatenate([self._rows[1], given.odometry.iteration])
         poses = np.arange(given.n_iterations)
         rows = np.argsort(iteration, kind="stable")
         starts = np.searchsorted(iteration[rows], np.append(poses, len(poses)))
