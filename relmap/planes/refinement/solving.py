@@ -59,18 +59,21 @@ def refined_to_the_noise(assembled: Assembled, held: float) -> Assembled:
     while share * FLAT_M > max(assembled.typical_m, EXACT_M):
         share *= SHARPER
         lower = replace(given, sd=share * given.sd, corner_sd=share * given.corner_sd)
-        best = _solved(system, replace(best, given=lower), (SHARPLY,))
+        best = _solved(system, replace(best, given=lower), (SHARPLY,), by_scan=False)
     return best
 
 
 def _solved(
-    system: WallSystem, assembled: Assembled, rounds: Sequence[tuple[int, float]]
+    system: WallSystem,
+    assembled: Assembled,
+    rounds: Sequence[tuple[int, float]],
+    by_scan: bool = True,
 ) -> Assembled:
     """Solve in rounds, with a system of the same observations; see `WallSystem.refine`."""
     given, state, settled = assembled.given, assembled.state, True
     for most, doubtful in rounds:
         own = system.reweighted(given)
-        state = own.refine(state, most, doubtful)
+        state = own.refine(state, most, doubtful, by_scan)
         across, along = own.off(state)
         given, settled = assembled.given, own.settled
         wall = _learnt(given.wall, across.mean(axis=1) / given.sd)

@@ -41,7 +41,7 @@ UNSURE = 1e-3
 REST = 0.03
 """Steps longer than this, metres and radians, indicate that the solution does not converge."""
 USUAL = 3.0
-"""A residual below this multiple of the typical one is not an outlier."""
+"""A residual below this multiple of the typical one, of all or of its scan, is not an outlier."""
 
 Seen = tuple[Floats, Ints, Ints, Ints]
 
@@ -62,6 +62,9 @@ class WallSystem:
         self._latest: tuple[Walls, Linearised] | None = None
         self._set(given)
         self._rows, self._factors = _seen(given), given.odometry
+        self._iteration = np.concatenate([self._rows[1], given.odometry.iteration])
+        scans = np.unique(self._rows[1])
+        self._scan = np.searchsorted(scans, self._iteration).clip(max=len(scans) - 1)
         self._prepare(given)
 
     def _set(self, given: WallEquations) -> None:
@@ -70,16 +73,17 @@ class WallSystem:
         least_m = ROUNDING * float(np.abs(given.ends).max())
         self.rounding = float(np.sum((least_m / self._sd) ** 2))
 
-    def refine(self, state: Walls, rounds: int, doubtful: float) -> Walls:
+    def refine(self, state: Walls, rounds: int, doubtful: float, by_scan: bool = True) -> Walls:
         """Return the optimal state by damped Gauss-Newton.
 
         The first iteration is fixed.
 
         `state`: initial state; `rounds`: maximum number of steps; `doubtful`: residual, in standard
         deviations, above which the weight decreases (Geman and McClure, 1987): a wrongly associated
-        wall should have no influence.
+        wall should have no influence; `by_scan`: whether a scan with large residuals overall is
+        treated as not yet converged instead of wrong.
         """
-        weigh = partial(self._weights, doubtful=doubtful)
+        weigh = partial(self._weights, doubtful=doubtful, by_scan=by_scan)
         unsure, monotone = UNSURE * self._n_unknowns, self._held > 0
         found = gauss_newton(
             self, state, weigh, rounds, unsure=unsure, same=np.inf, monotone=monotone, reuse=False
@@ -145,7 +149,7 @@ class WallSystem:
         For the direction of the normal, radians, the distance across and the position along,
         metres, with the first iteration fixed.
         """
-        weight = self._weights(self.residuals(state), doubtful)
+        weight = self._weights(self.residuals(state), doubtful, by_scan=False)
         values = self.equations(state, weight, with_matrix=True, damping=0.0).matrix
         wall, (_, _, of, corner) = np.zeros(len(state.along), dtype=np.int64), self._rows
         wall[corner] = of[len(of) - len(corner) :]
@@ -154,10 +158,14 @@ class WallSystem:
         chosen = np.column_stack([line, line + 1, self._place])
         return self.pattern.parts(self.pattern.inverse(values), chosen)
 
-    def _weights(self, residual: Floats, doubtful: float) -> Floats:
+    def _weights(self, residual: Floats, doubtful: float, by_scan: bool) -> Floats:
         """Return the weights of residuals that treat large ones as outliers."""
+        from relmap.core.linalg.order_kernels import medians
+
         size, n = np.abs(residual), len(self._rows[1])
         typical = np.median(size[:n])  # for walls: initially, the map may come from odometry
+        if by_scan:
+            typical = np.maximum(typical, medians(self._scan[:n], size[:n]))[self._scan]
         return np.asarray(1 / (1 + (size / np.maximum(doubtful, USUAL * typical)) ** 2) ** 2)
 
     def _linearised(self, state: Walls) -> Linearised:
@@ -191,7 +199,7 @@ class WallSystem:
         unknown = np.column_stack([self._line[self._rows[2]], other])
         met = (first[meeting][:, None] + np.arange(3)).ravel()
         unknown = np.concatenate([unknown, np.column_stack([met, met])])
-        iteration = np.concatenate([self._rows[1], given.odometry.iteration])
+        iteration = self._iteration
         poses = np.arange(given.n_iterations)
         rows = np.argsort(iteration, kind="stable")
         starts = np.searchsorted(iteration[rows], np.append(poses, len(poses)))
