@@ -163,7 +163,7 @@ class PlaneMapper(LocatingMapper):
     def _finish(self) -> None:
         self._attach()
         self._weak = None
-        cut = self._planes.tie()
+        cut = self._planes.links.tie()
         super()._finish()
         self._planes.links.cut(np.union1d(cut, unsupported_links(self.history, self._planes.links)))
         for span in self.history.spans:
@@ -182,10 +182,10 @@ class PlaneMapper(LocatingMapper):
 
     def _refine_and_cut(self) -> None:
         self._refine_until_whole([])
-        before = self._planes.before_join()
+        before = self._planes.links.before_join()
         joined = self._join_submaps()
         if joined and len(torn := self._torn(joined)):  # in one of the parts: join these anew
-            self._planes.undo_join(before)
+            vars(self._planes.links).update(before)
             self._planes.links.cut(torn)
             self._refine_until_whole([])
             joined = self._join_submaps()
@@ -220,7 +220,7 @@ class PlaneMapper(LocatingMapper):
                 own = among_all(submaps[number].poses, submaps[number].span, self.history)
                 path[:] = np.where(np.isfinite(own), motion @ own, path)
         if tied:
-            self._planes.join(poses, np.concatenate([part.same for part in tied]))
+            self._planes.links.join(poses, np.concatenate([part.same for part in tied]))
         return poses
 
     def _refine_until_whole(self, known: list[Floats]) -> None:

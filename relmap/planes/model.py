@@ -95,7 +95,7 @@ class WallModel:
     def may_be(self, table: LandmarkState, new: int, old: int) -> bool:
         """Return whether a corner may be an older one: same end, and a wall with its direction."""
         corners = np.array([new, old]) // 2
-        ends, submaps = self._walls.wall_end[corners], self._walls.submap_of[corners]
+        ends, submaps = self._walls.wall_end[corners], self._walls.submap_of(corners)
         if ends[0] % 2 != ends[1] % 2 or submaps[0] != submaps[1]:
             return False
         positions = table.position

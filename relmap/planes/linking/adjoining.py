@@ -16,7 +16,7 @@ from relmap.planes.linking.links import JUMP, JUMP_M
 from relmap.planes.linking.placement import STILL
 from relmap.planes.linking.tying import Link, Scans
 from relmap.planes.motions import after, distinct, inverse, motion_over, others, wrapped
-from relmap.planes.scans.beams import NEAR_M, compared, leads, log_odds
+from relmap.planes.scans.beams import NEAR_M, compared, odds_over
 
 SIDE = 4
 """Largest number of scans on either side of a break that are compared."""
@@ -76,15 +76,13 @@ class Break:
 
     def _odds(self, motions: Floats, motion: Floats) -> Floats:
         """Return the log odds of motions (k, 3) across the break relative to one (3,)."""
-        lead, variance, n = np.zeros(len(motions)), np.zeros(len(motions)), 0
-        both = np.vstack([motion, motions])
-        for i, j in product(self.earlier.tolist(), self.later.tolist()):
-            each = self._between(i, j, both)
-            beams = self.scans.beams_of(i), self.scans.beams_of(j)
-            own = leads(*beams, each[1:], each[0], self.scans.firm)
-            lead, variance = lead + own[0], variance + own[1] ** 2
-            n += len(beams[0]) + len(beams[1])
-        return np.where(np.abs(lead) < LEAST_SHARE * n, 0.0, log_odds(lead, variance))
+        both, scans = np.vstack([motion, motions]), self.scans
+        pairs = [
+            (scans.beams_of(i), scans.beams_of(j), self._between(i, j, both))
+            for i, j in product(self.earlier.tolist(), self.later.tolist())
+        ]
+        odds, share = odds_over(pairs, scans.firm)
+        return np.where(np.abs(share) < LEAST_SHARE, 0.0, odds)
 
     def _agreement(self, motion: Floats) -> tuple[float, float]:
         """Return the fractions of the points in view that agree with a motion, and contradict."""

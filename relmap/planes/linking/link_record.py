@@ -102,21 +102,21 @@ class LinkRecord:
         """Begin another run with the next scan, which is not tied to the last one."""
         self._begun.extend(np.array([len(self)]))
 
-    def attach(self, first: int, motion: Floats, scan: int, walls: Ints) -> Ints:
+    def attach(self, first: int, motion: Floats, scan: int, walls: Ints) -> None:
         """Tie a submap to that of another scan, in whose map it was localised.
 
         `first`: its first scan; `motion` (3,): to that scan, from the one before; `walls` (k, 2):
-        pairs of numbers of the same wall. Returns (s,): new number of each submap.
+        pairs of numbers of the same wall.
         """
-        old, new = int(self.submaps[first]), int(self.submaps[scan])
         self.motions[first] = motion
         self._evidence.values[first], self.measured[first] = np.inf, True
         self.same_walls = np.concatenate([self.same_walls, walls])
-        name = np.arange(self._n_submaps)
-        name[old] = new
-        self.submap = int(name[self.submap])
+        self._unite(int(self.submaps[first]), int(self.submaps[scan]))
+
+    def _unite(self, old: int, new: int) -> None:
+        """Make one submap part of another."""
         self._submaps.values[self.submaps == old] = new
-        return name
+        self.submap = new if self.submap == old else self.submap
 
     def append(
         self,
@@ -158,32 +158,29 @@ class LinkRecord:
             self.submap = self._n_submaps if self.submap == old else self.submap
             self._n_submaps += 1
 
-    def tie(self) -> tuple[Ints, Ints]:
+    def tie(self) -> Ints:
         """Re-evaluate doubtful links and breaks with the surrounding scans.
 
-        Returns `name` (s,): current number of each submap. `cut` (c,): scans whose links are no
-        longer accepted; see `cut`.
+        Returns the scans (c,) whose links are no longer accepted; see `cut`.
         """
-        name = np.arange(self._n_submaps)
         if not (len(self.beams) and self._n_submaps):
-            return name, np.empty(0, dtype=np.int64)
+            return np.empty(0, dtype=np.int64)
         is_tied, in_doubt = self._known()
         scans, share = self._scans, share_at_rest(self._scans, is_tied)
         links, cut = judged_links(replace(scans, firm=share <= OFTEN), is_tied, in_doubt)
-        self._take(links, name)
+        self._take(links)
         if share > OFTEN:  # the remaining breaks without small objects, as some may have moved
             is_tied, _ = self._known()
             in_doubt = ~is_tied
             in_doubt[:1] = False
             more, _ = judged_links(replace(self._scans, firm=True), is_tied, in_doubt)
-            self._take(more, name)
-        self._take_adjoining(name)
-        self.submap = int(name[self.submap])
+            self._take(more)
+        self._take_adjoining()
         self.wheels.look_again()
-        return name, np.array(cut, dtype=np.int64)
+        return np.array(cut, dtype=np.int64)
 
-    def _take_adjoining(self, name: Ints) -> None:
-        """Tie submaps that are adjacent in time; `name` (s,) becomes the new number of submaps."""
+    def _take_adjoining(self) -> None:
+        """Tie submaps that are adjacent in time."""
         scans, found = replace(self._scans, firm=True), True
         while found:
             found = False
@@ -193,41 +190,40 @@ class LinkRecord:
                     continue
                 link = tied_across(scans, self.submaps, scan)
                 if link is not None:
-                    self._take([link], name)
+                    self._take([link])
                     self._evidence.values[scan], found = RIVAL, True
 
-    def _take(self, links: Sequence[Link], name: Ints) -> None:
-        """Add links that were accepted later; `name` (s,) becomes the new number of submaps."""
+    def _take(self, links: Sequence[Link]) -> None:
+        """Add links that were accepted later."""
         for link in links:
             between = motion_over(self.motions[link.earlier + 1 : link.later])
             self.motions[link.later] = after(inverse(between), link.motion[None])[0]
             if len(self.wheels.given):
                 self.measured[link.later] = link.measured and link.earlier == link.later - 1
                 self.bridged[link.later] = not len(link.walls)
-            old, new = self.submaps[link.later], self.submaps[link.earlier]
+            old, new = self.submaps[[link.later, link.earlier]].tolist()
             if new >= 0:
-                self._submaps.values[self.submaps == old] = new
-                name[name == old] = new
+                self._unite(old, new)
         walls = np.concatenate([self.same_walls, *(link.walls for link in links)])
         self.same_walls = np.unique(walls, axis=0)
 
-    def join(self, poses: Sequence[Floats], walls: Ints) -> Ints:
+    def join(self, poses: Sequence[Floats], walls: Ints) -> None:
         """Join submaps whose maps show the same place.
 
         `poses`, sequence of (i, 4, 4): for the submaps that become one, the poses of all their
         scans in one frame; NaN for other scans. `walls` (k, 2): pairs of numbers of the same wall.
-        Returns (s,): new number of each submap.
         """
-        name, submaps = np.arange(self._n_submaps), self._submaps.values
+        submaps = self._submaps.values
         chain = np.linalg.inv(matrices(self.motions))
         every = np.array(list(accumulate(chain, np.matmul)))
         for path in poses:
             own = np.isfinite(path[:, 0, 0])
             every[own] = path[own]
-            old = np.unique(submaps[own])
-            name[old] = old[0]
         first = np.flatnonzero((np.diff(submaps, prepend=-1) != 0) & (submaps >= 0))
-        submaps[:] = np.where(submaps >= 0, name[submaps], -1)
+        for path in poses:
+            one, *others = np.unique(submaps[np.isfinite(path[:, 0, 0])]).tolist()
+            for other in others:
+                self._unite(other, one)
         for scan in first.tolist():
             earlier = np.flatnonzero(submaps[:scan] == submaps[scan])
             if len(earlier):
@@ -237,8 +233,6 @@ class LinkRecord:
                 self.motions[scan] = after(inverse(between), motion)[0]
                 self._evidence.values[scan], self.measured[scan] = np.inf, True
         self.same_walls = np.concatenate([self.same_walls, walls])
-        self.submap = int(name[self.submap])
-        return name
 
     def before_join(self) -> dict[str, Any]:
         """Return a copy of what `join` changes."""

@@ -37,10 +37,6 @@ CORNER = 0.3
 """Weight of a corner, relative to an end of a wall."""
 ROUGHLY = 3.0
 """Tolerances of an initial guess, relative to those of the final match."""
-REACH_M, REACH_RAD = 3.0, np.deg2rad(45.0)
-"""Range of the wider search between two scans."""
-GUESSES = 3
-"""Number of motions of the wider search that are evaluated in full."""
 HELD = 1e-2
 """Weight of constant motion where the observations do not determine it: a wall has 1."""
 LEAST_M = 0.02
@@ -228,55 +224,3 @@ def _settled(tracks: Tracks, seen: Seen, guess: Floats, rounds: int) -> tuple[Fl
         if track_of[j] >= 0:
             score += worth[track_of[j], j]
     return motion, track_of, score
-
-
-@helper
-def _at_most(worth: Floats) -> float:
-    """Return an upper bound of the total score (n, m) with one row for each column."""
-    total = 0.0
-    for j in range(worth.shape[1]):
-        best = 0.0
-        for i in range(len(worth)):
-            best = max(best, worth[i, j])
-        total += best
-    return total
-
-
-@helper
-def _entered(motion: Floats, score: float, found: Floats, best: Floats) -> None:
-    """Insert a motion into the best found so far."""
-    at = len(best)
-    while at > 0 and score > best[at - 1]:
-        at -= 1
-    for k in range(len(best) - 1, at - 1, -1):
-        best[k] = best[k - 1] if k > at else score
-        for q in range(3):
-            found[k, q] = found[k - 1, q] if k > at else motion[q]
-
-
-@compiled
-def guesses(tracks: Tracks, seen: Seen) -> tuple[Floats, Floats]:
-    """Return the motions (g, 3) with the highest scores that match two corners.
-
-    Also returns upper bounds of their scores, best first; unused rows are 0.
-    """
-    angle, _, _, _, corner_at = tracks
-    wall_ends, _, normal, _, _, static = seen
-    best, found = np.zeros(GUESSES), np.zeros((GUESSES, 3))
-    for i in range(len(angle)):
-        for j in range(len(static)):
-            yaw = half_turn(math.atan2(normal[j, 1], normal[j, 0]) - angle[i])
-            if abs(yaw) >= REACH_RAD:
-                continue
-            c, s = math.cos(yaw), math.sin(yaw)
-            for e in range(2):
-                a, b = corner_at[i, e, 0], corner_at[i, e, 1]
-                x, y = wall_ends[j, e, 0] - c * a + s * b, wall_ends[j, e, 1] - s * a - c * b
-                # NaN for a track without that corner.
-                if not (static[j, e] and math.hypot(x, y) < REACH_M):
-                    continue
-                motion = np.empty(3)
-                motion[0], motion[1], motion[2] = yaw, x, y
-                score = _at_most(agreement(carried(tracks, motion), seen, ROUGHLY))
-                _entered(motion, score, found, best)
-    return found, best

@@ -34,6 +34,8 @@ single walls are ambiguous."""
 SUDDEN_M = 0.75
 LEVER_M = 3.0
 """Distance at which a rotation counts as the equivalent translation."""
+GUESSES, REACH_RAD = 3, np.deg2rad(45.0)
+"""Number of motions of the wider search that are evaluated in full, and largest rotation."""
 MANY = 7
 """Walls that must agree on a motion longer than usual."""
 STILL = np.zeros(3)
@@ -140,15 +142,15 @@ def place(
 ) -> tuple[Floats, Match] | None:
     """Find the motion from the tracks' frame to the scan's, and the resulting association.
 
-    Candidates are constant motion, no motion, and if neither suffices, every pair of a track's
-    corner and a corner of the scan: a corner and the direction of its wall determine a motion.
+    Candidates are constant motion, no motion, and if neither suffices, those that corners and
+    crossing walls imply.
 
     `before`: the previous motion. Where the observed walls do not determine a direction, as with a
     single partial wall, constant motion is assumed (motion model). `farthest_m`: a longer motion is
     a jump, which requires more agreeing walls. Returns (motion, match): None if no wall agrees, or
     too few for a jump.
     """
-    from relmap.planes.linking.matching_kernels import guesses
+    from relmap.planes.linking.guess_kernels import implied
 
     motions, matches = settled(tracks, seen, [before, STILL])
     best, still = zip(motions, matches, strict=True)
@@ -157,8 +159,10 @@ def place(
     recent = tracks.missed == tracks.missed.min(initial=0)
     possible = min(worth(tracks, seen, recent))
     if best[1].score < CONTENT * possible:
-        motions, scores = guesses(tracks.arrays, seen.arrays)
-        likely = motions[scores > best[1].score]
+        motions = implied(tracks.arrays, seen.arrays)
+        motions = motions[np.abs(motions[:, 0]) < REACH_RAD]
+        scores = [match.score for match in settled(tracks, seen, motions, 0)[1]]
+        likely = motions[np.argsort(scores)[::-1][:GUESSES]]
         for found in zip(*settled(tracks, seen, likely), strict=True):
             jumps = [
                 np.hypot(*(found[0] - usual)[1:]) + LEVER_M * abs(found[0][0] - usual[0])

@@ -10,9 +10,6 @@ rest of the algorithm is the same as for points.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
-
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
@@ -54,7 +51,7 @@ class PlaneRegistration(Registration):
     """
 
     _tracks: PlaneTracks | None
-    STATE = "_tracks n_planes _half _wall_end _submap_of _type _since links"
+    STATE = "_tracks n_planes _half _wall_end _begun_at _type _since links"
 
     def __init__(self, max_missed: int, bridge_m: float) -> None:
         self._max_missed = max_missed
@@ -62,7 +59,7 @@ class PlaneRegistration(Registration):
         self.links = ScanLinks(bridge_m)
         self._half: GrowingArray[np.float64] = GrowingArray(np.float64)
         self._wall_end: GrowingArray[np.int64] = GrowingArray(np.int64)
-        self._submap_of: GrowingArray[np.int64] = GrowingArray(np.int64)
+        self._begun_at: GrowingArray[np.int64] = GrowingArray(np.int64)
         self._type: GrowingArray[np.int8] = GrowingArray(np.int8, (2,))
         self._since: GrowingArray[np.int64] = GrowingArray(np.int64)
         self.n_planes = 0
@@ -79,10 +76,9 @@ class PlaneRegistration(Registration):
         """Wall end of each corner: twice the number of the wall, plus 1 for the left end."""
         return self._wall_end.values
 
-    @property
-    def submap_of(self) -> Ints:
-        """Submap of each corner."""
-        return self._submap_of.values
+    def submap_of(self, corners: Ints) -> Ints:
+        """Return the submap of corners (k,): that of the scan which showed each first."""
+        return np.asarray(self.links.submaps[self._begun_at.values[corners]])
 
     def match(self, seen: PlaneObservation, ids: Ints | None = None) -> Ints:
         """Return the number of each wall (m,) of one scan.
@@ -123,31 +119,6 @@ class PlaneRegistration(Registration):
         self._tracks = None
         self.links.begin_run()
 
-    def attach(self, first: int, motion: Floats, scan: int, walls: Ints) -> None:
-        """Tie a submap to that of another scan; see `ScanLinks.attach`."""
-        name = self.links.attach(first, motion, scan, walls)
-        self._submap_of.values[:] = name[self.submap_of]
-
-    def join(self, poses: Sequence[Floats], walls: Ints) -> None:
-        """Join submaps whose maps show the same place; see `ScanLinks.join`."""
-        name = self.links.join(poses, walls)
-        self._submap_of.values[:] = name[self.submap_of]
-
-    def before_join(self) -> tuple[dict[str, Any], Ints]:
-        """Return what `join` changes, for `undo_join`."""
-        return self.links.before_join(), self.submap_of.copy()
-
-    def undo_join(self, before: tuple[dict[str, Any], Ints]) -> None:
-        """Separate the submaps that were joined since."""
-        links, self._submap_of.values[:] = before
-        vars(self.links).update(links)
-
-    def tie(self) -> Ints:
-        """Re-evaluate the doubtful links; return the scans (c,) whose links are now rejected."""
-        name, cut = self.links.tie()
-        self._submap_of.values[:] = name[self.submap_of]
-        return cut
-
     def _see_corners(self, tracks: PlaneTracks, seen: PlaneObservation, walls: Ints) -> None:
         """Assign a corner to every static end; create new ones where none is expected."""
         row_of = {plane: row for row, plane in enumerate(tracks.plane.tolist())}
@@ -187,7 +158,7 @@ class PlaneRegistration(Registration):
         n = len(self._half)
         if len(wall_end):
             self._half.extend(size_m / 2)
-            self._submap_of.extend(np.full(len(wall_end), self.links.submap))
+            self._begun_at.extend(np.full(len(wall_end), len(self.links)))
             self._wall_end.extend(wall_end)
         return np.arange(n, len(self._half))
 

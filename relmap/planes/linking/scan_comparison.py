@@ -16,7 +16,7 @@ from relmap.planes.linking.links import spread
 from relmap.planes.linking.placement import ROUNDS, Match, PlaneTracks, settled, worth
 from relmap.planes.motions import after, wrapped
 from relmap.planes.odometry.prediction import Expected
-from relmap.planes.scans.beams import NEAR_M, Beams, compared, leads, log_odds
+from relmap.planes.scans.beams import NEAR_M, Beams, compared, odds_over
 from relmap.planes.scans.observation import PlaneObservation
 
 REACH_M = 3.5
@@ -198,12 +198,9 @@ class ScanComparison:
         Beams hit the same places of a wall again where the robot seems to stand still; the longer
         the way from an earlier scan, the less that matters.
         """
-        lead, variance = np.zeros(len(motions)), np.zeros(len(motions))
-        for view in views:
-            both = after(view.motion, np.vstack([motion[None], motions]))
-            own = leads(view.beams, self._beams, both[1:], both[0], self._firm)
-            lead, variance = lead + own[0], variance + own[1] ** 2
-        return log_odds(lead, variance)
+        both = np.vstack([motion[None], motions])
+        pairs = [(view.beams, self._beams, after(view.motion, both)) for view in views]
+        return odds_over(pairs, self._firm)[0]
 
     def _measured(self, judged: Judged, k: int) -> bool:
         """Return whether beams agree less if a motion is slid along the longest wall."""

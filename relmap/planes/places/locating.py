@@ -129,7 +129,7 @@ class LocatingMapper(MappedWalls):
         for tie in run.ties(links):
             before = run.before.carried_on(links.motions[: tie.first])
             into = from_matrices((np.linalg.inv(tie.T_map_first) @ before)[None])[0]
-            self._planes.attach(tie.first, into, run.before.scan, tie.same)
+            self._planes.links.attach(tie.first, into, run.before.scan, tie.same)
         self._onto = None
 
     def _segmented(self, points: Any) -> Any:

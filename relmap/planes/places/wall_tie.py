@@ -11,10 +11,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.motions import transforms
@@ -146,6 +145,8 @@ def wall_ties(ends: Floats, others: Floats) -> list[WallTie]:
 def _turns(points: WallPoints, among: WallPoints) -> list[float]:
     """Return the rotations that align most fronts with the directions of others."""
     bins = round(2 * np.pi / BIN_RAD)
+    from scipy.ndimage import maximum_filter1d
+
     counts = [
         np.bincount(np.floor(each.angle / BIN_RAD).astype(int) % bins, minlength=bins)
         for each in (points, among)
@@ -153,28 +154,15 @@ def _turns(points: WallPoints, among: WallPoints) -> list[float]:
     spectra = [np.fft.rfft(count) for count in counts]
     score = np.fft.irfft(np.conj(spectra[0]) * spectra[1], bins)
     score += np.roll(score, 1) + np.roll(score, -1)
-    peaks = score == _highest_near(score, round(2 * APART_RAD / BIN_RAD) + 1, "wrap")
+    peaks = score == maximum_filter1d(score, round(2 * APART_RAD / BIN_RAD) + 1, mode="wrap")
     order = np.argsort(-np.where(peaks, score, -1.0), kind="stable")[:TURNS]
     return [float(k * BIN_RAD) for k in order if peaks[k]]
 
 
-def _highest_near(
-    score: NDArray[Any], size: int, beyond: Literal["edge", "wrap"] = "edge"
-) -> NDArray[Any]:
-    """Return the highest score in a window around each; `scipy.ndimage` takes long to import."""
-    before = size // 2
-    for axis in range(score.ndim):
-        width = [(before, size - before - 1) if axis == k else (0, 0) for k in range(score.ndim)]
-        highest, span = np.swapaxes(np.pad(score, width, mode=beyond), 0, axis), 1
-        while span < size:
-            step = min(span, size - span)
-            highest, span = np.maximum(highest[:-step], highest[step:]), span + step
-        score = np.swapaxes(highest, 0, axis)
-    return score
-
-
 def _guesses(points: WallPoints, among: WallPoints) -> Iterator[WallTie]:
     """Yield the motions that bring most points into cells of others with the same direction."""
+    from scipy.ndimage import maximum_filter
+
     from relmap.planes.places.wall_tie_kernels import votes
 
     base = among.at.min(axis=0)
@@ -188,7 +176,7 @@ def _guesses(points: WallPoints, among: WallPoints) -> Iterator[WallTie]:
         here, counts = _cells(turned, low, 0)
         last = here[:, 1:].max(axis=0)
         score = votes(here, counts, there, begin, there[:, 1:].max(axis=0) + last + 1)
-        peaks = np.flatnonzero(score == _highest_near(score, round(2 * ALIKE_M / CELL_M) + 1))
+        peaks = np.flatnonzero(score == maximum_filter(score, round(2 * ALIKE_M / CELL_M) + 1))
         peaks = peaks[np.argsort(-score.ravel()[peaks], kind="stable")][:SHIFTS]
         for shift in np.column_stack(np.unravel_index(peaks, score.shape)) - last:
             yield WallTie(R, base - low + CELL_M * shift, 0.0)

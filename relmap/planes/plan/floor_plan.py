@@ -133,7 +133,9 @@ def drawn_walls(
     """
     track = history.plane[walls.rows]
     tracks = np.unique(track)
-    piece = _piece_of_tracks(walls, pieces, track, len(numbers.wall_of))
+    own, on = _lying_on(walls, pieces, track)
+    piece = np.full(len(numbers.wall_of), -1)
+    piece[own] = on  # the one with the largest part is last
     placed = tracks[piece[tracks] >= 0]
     drawn, first, of = np.unique(piece[placed], return_index=True, return_inverse=True)
     wall_of = numbers.wall_of.copy()
@@ -144,22 +146,6 @@ def drawn_walls(
     rank[drawn[order]] = np.arange(len(order))
     found = _of_pieces(walls, pieces.only(drawn[order]), rank[piece[track]], placed[first[order]])
     return found, WallNumbers(wall_of, numbers.corner_of)
-
-
-def _piece_of_tracks(walls: Assembled, pieces: Pieces, track: Ints, n_tracks: int) -> Ints:
-    """Return the piece that most of each track (p,) lies on; -1 for none.
-
-    A piece without tracks takes one from a piece that has several.
-    """
-    tracks, on = _lying_on(walls, pieces, track)
-    found = np.full(n_tracks, -1)
-    found[tracks] = on  # the one with the largest part is last
-    times = np.bincount(found[np.unique(tracks)], minlength=len(pieces))
-    for each, k in zip(tracks[::-1].tolist(), on[::-1].tolist(), strict=True):
-        if times[k] == 0 and times[found[each]] > 1:
-            times[found[each]] -= 1
-            times[k], found[each] = 1, k
-    return found
 
 
 def _lying_on(walls: Assembled, pieces: Pieces, track: Ints) -> tuple[Ints, Ints]:

@@ -17,7 +17,7 @@ from relmap.planes.motions import from_matrices, matrices
 from relmap.planes.odometry.steps import Steps, steps_of
 from relmap.planes.plan.floor_plan import floor_plan
 from relmap.planes.refinement.refined_map import at_the_noise, refined_map, straightened
-from relmap.planes.scans.beams import BeamStore, leads, log_odds
+from relmap.planes.scans.beams import BeamStore, odds_over
 from relmap.planes.submaps.doubtful import beams_of
 from relmap.planes.submaps.grouped_map import GroupedMap
 from relmap.planes.submaps.submap import WallSubmap, deviations
@@ -202,8 +202,6 @@ def _is_better(
     i, j = np.array(pairs).T
     both = np.stack([poses[j], change @ poses[j]], axis=1)
     motions = from_matrices(np.linalg.inv(poses[i])[:, None] @ both)
-    lead, variance, n = np.zeros(1), np.zeros(1), 0
-    for (earlier, later), (kept, moved) in zip(pairs, motions, strict=True):
-        own, sd = leads(seen[later], seen[earlier], moved[None], kept)
-        lead, variance, n = lead + own, variance + sd**2, n + len(seen[earlier]) + len(seen[later])
-    return bool(log_odds(lead, variance)[0] > RIVAL and lead[0] > LEAST_SHARE * n)
+    scans = ((seen[later], seen[earlier]) for earlier, later in pairs)
+    odds, share = odds_over((*two, own) for two, own in zip(scans, motions, strict=True))
+    return bool(odds[0] > RIVAL and share[0] > LEAST_SHARE)

@@ -18,7 +18,7 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.linalg.cholesky import Pattern
 from relmap.core.refinement.gauss_newton import gauss_newton
 from relmap.core.refinement.schur import Elimination, Linearised, NormalEquations
-from relmap.planes.walls.equations import WallEquations, Walls, between_neighbours, open_along
+from relmap.planes.walls.equations import WallEquations, Walls
 
 MOST = 0.9
 ROUNDING = 1e-13
@@ -61,7 +61,6 @@ class WallSystem:
         self.settled, self._held = False, held
         self._latest: tuple[Walls, Linearised] | None = None
         self._set(given)
-        self._open_along = open_along(given)
         self._rows, self._factors = _seen(given), given.odometry
         self._iteration = np.concatenate([self._rows[1], given.odometry.iteration])
         scans = np.unique(self._rows[1])
@@ -94,7 +93,7 @@ class WallSystem:
             step = np.abs(_unknowns(found.state) - _unknowns(found.last))
             most = int(MOST * len(step))
             self.settled = bool(np.partition(step, most)[most] < REST)
-        return between_neighbours(found.state, self._open_along)
+        return found.state
 
     def reweighted(self, given: WallEquations) -> WallSystem:
         """Return the system of the same observations with other standard deviations."""
@@ -115,14 +114,11 @@ class WallSystem:
         self, state: Walls, weight: Floats, with_matrix: bool, damping: float
     ) -> NormalEquations:
         """Return the normal equations of walls and corners."""
-        (x, y), c, s = self._open_along.T, np.cos(state.yaw), np.sin(state.yaw)
-        along = np.column_stack([np.zeros(len(c)), c * x - s * y, s * x + c * y])
         equations = self._poses.equations(
             self._linearised(state),
             weight / self._sd**2,
             LOOSE_POSE + self._held + damping,
             with_matrix,
-            along,
         )
         if with_matrix:
             self.pattern.hold(equations.matrix, LOOSE + self._held + damping, LEAST)

@@ -6,6 +6,7 @@ on surfaces of the other, and contradict where a beam passed through such a surf
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -239,27 +240,28 @@ def compared(
     return beam_kernels.compared(earlier.arrays, later.arrays, motions, near_m, step, firm)
 
 
-def leads(
-    earlier: Beams, later: Beams, motions: Floats, motion: Floats, firm: bool = True
+def odds_over(
+    pairs: Iterable[tuple[Beams, Beams, Floats]], firm: bool = True
 ) -> tuple[Floats, Floats]:
-    """Return by how much beams agree better with motions (k, 3) than with another one (3,).
+    """Return the log odds that motions are better than another one, by the beams of scans.
 
-    Only points in view by both are compared, one by one: otherwise standing still, which keeps all
-    of them in view, is favoured.
+    Only points in view by both motions are compared, one by one (McNemar): otherwise standing
+    still, which keeps all of them in view, is favoured.
 
-    Returns `lead`, `sd` (k,): sum of the differences, and its standard deviation if neither motion
-    is better (McNemar).
+    `pairs`: an earlier scan, a later one, and the motions (1 + k, 3) between the two, of which the
+    first is the other one. Returns `odds`, `share` (k,): log odds, and the sum of the differences
+    in agreement as a fraction of the points.
     """
     from relmap.planes.scans import beam_kernels
 
-    both = np.vstack([motion[None], motions])
-    off = beam_kernels.differences(earlier.arrays, later.arrays, both, firm)
-    return off.sum(axis=1), np.sqrt((off**2).sum(axis=1))
-
-
-def log_odds(lead: Floats, variance: Floats) -> Floats:
-    """Return the log odds that motions are better than another one, by their leads (k,)."""
-    return np.asarray(np.sign(lead) * lead**2 / np.maximum(variance, 1e-18) / 2)
+    lead: Any = 0.0
+    variance, n = lead, 0
+    for earlier, later, motions in pairs:
+        off = beam_kernels.differences(earlier.arrays, later.arrays, motions, firm)
+        lead, variance = lead + off.sum(axis=1), variance + (off**2).sum(axis=1)
+        n += len(earlier) + len(later)
+    odds = np.sign(lead) * lead**2 / np.maximum(variance, 1e-18) / 2
+    return np.asarray(odds), np.asarray(lead / max(n, 1))
 
 
 def on_loose_things(ends: Floats, given: GivenBeams) -> Bools:

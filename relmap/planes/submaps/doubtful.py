@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.planes.linking.link_record import LinkRecord
 from relmap.planes.motions import from_matrices, inverse
-from relmap.planes.scans.beams import NEAR_M, Beams, BeamStore, compared, leads, log_odds
+from relmap.planes.scans.beams import NEAR_M, Beams, BeamStore, compared, odds_over
 from relmap.planes.submaps.submap import WallSubmap, between_logs
 from relmap.planes.walls.history import PlaneHistory
 
@@ -169,9 +169,8 @@ def _excluded(step: Floats, changes: Floats, earlier: Beams, later: Beams) -> fl
 
     `step`: pose of the later scan in the frame of the earlier one: yaw, x, y.
     """
-    lead, sd = leads(later, earlier, step + changes, step)
-    excluded = -float(log_odds(lead, sd**2).max())
-    clear = lead.max() < -LEAST_SHARE * (len(earlier) + len(later))
+    odds, share = odds_over([(later, earlier, np.vstack([step, step + changes]))])
+    excluded, clear = -float(odds.max()), share.max() < -LEAST_SHARE
     return excluded if clear else min(excluded, 0.0)
 
 

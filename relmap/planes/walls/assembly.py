@@ -163,16 +163,11 @@ def _missed_m(iteration: Ints, ends: Floats, spacing_rad: float) -> Floats:
 
 def _meeting(iteration: Ints, x: Floats, y: Floats) -> Bools:
     """Return which ends (n,) are also those of another wall of the same scan."""
-    order = np.argsort(x)
-    same = np.zeros(len(x) + 1, dtype=np.bool_)
-    same[1:-1] = x[order][1:] == x[order][:-1]
-    rows = order[same[1:] | same[:-1]]  # the others differ in x
-    rows = rows[np.lexsort((iteration[rows], x[rows], y[rows]))]
-    same = np.zeros(len(rows) + 1, dtype=np.bool_)
-    one, other = rows[1:], rows[:-1]
-    same[1:-1] = (iteration[one] == iteration[other]) & (x[one] == x[other]) & (y[one] == y[other])
+    order = np.lexsort((iteration, y, x))
+    one, other = order[1:], order[:-1]
+    same = (iteration[one] == iteration[other]) & (x[one] == x[other]) & (y[one] == y[other])
     meet = np.zeros(len(x), dtype=np.bool_)
-    meet[rows[same[1:] | same[:-1]]] = True
+    meet[one[same]] = meet[other[same]] = True
     return meet
 
 
