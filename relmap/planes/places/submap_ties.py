@@ -190,7 +190,9 @@ def tied_parts(parts: Sequence[MapPart]) -> list[MapPart]:
                 found[first, second] = unrivalled(left[first], left[second])
 
 
-def _carried(sure: dict[tuple[int, int], SubmapTie], joined: tuple[int, int], c: int) -> list[WallTie]:
+def _carried(
+    sure: dict[tuple[int, int], SubmapTie], joined: tuple[int, int], c: int
+) -> list[WallTie]:
     """Return the alignments of a part with each of two that are joined now, the second to the first.
 
     Among the walls of a large map, those of a small one lie on many others: they are not searched
