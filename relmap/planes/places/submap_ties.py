@@ -45,8 +45,8 @@ SYMMETRIC = 0.02
 """Largest contradicted fraction if the robot must have been carried, or scans are missing, between
 submaps: a corridor round a building looks the same after half a turn (0.037 and more)."""
 RIVAL = 0.5
-"""Largest support of another alignment, or largest number of its ends that coincide, as a fraction of
-the best: along corridors whose doors differ, walls support many alignments, and ends one."""
+"""Largest support of another alignment, or number of ends that coincide in it, as a fraction of the
+best: along a corridor, walls support many alignments, and the ends at its doors only one."""
 TURNS_RAD = np.deg2rad(np.arange(15, 346, 15))
 """Turns about the middle of the walls in common that beams must exclude: a round room looks much
 the same after each of them, while its walls suggest only some."""
@@ -193,10 +193,10 @@ def tied_parts(parts: Sequence[MapPart]) -> list[MapPart]:
 def _carried(
     sure: dict[tuple[int, int], SubmapTie], joined: tuple[int, int], c: int
 ) -> list[WallTie]:
-    """Return the alignments of a part with each of two that are joined now, the second to the first.
+    """Return the alignments of a part with each of two that are joined now.
 
-    Among the walls of a large map, those of a small one lie on many others: they are not searched
-    for anew.
+    They are not searched for anew: among the walls of a large map, those of a small one lie on many
+    others.
     """
     ties = []
     for member in joined:
