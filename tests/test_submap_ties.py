@@ -106,6 +106,31 @@ def test_along_a_bare_corridor_a_fit_does_not_slide() -> None:
     assert np.abs(motion[2:]).max() < 0.2
 
 
+def corridor_past(doors_m: Floats) -> Floats:
+    """Return the corners (c, 2) of a corridor of 60 m with niches that begin at these places."""
+    below = [
+        [[x, 0.0], [x, -0.3], [x + 0.9, -0.3], [x + 0.9, 0.0]]
+        for x in np.sort(doors_m[::2]).tolist()
+    ]
+    above = [
+        [[x + 0.9, 2.4], [x + 0.9, 2.7], [x, 2.7], [x, 2.4]]
+        for x in np.sort(doors_m[1::2])[::-1].tolist()
+    ]
+    ends = np.array([[0.0, 0.0]]), np.array([[60.0, 0.0], [60.0, 2.4]]), np.array([[0.0, 2.4]])
+    return np.concatenate([ends[0], *map(np.array, below), ends[1], *map(np.array, above), ends[2]])
+
+
+def test_a_corridor_is_placed_by_its_doors() -> None:
+    """Most of its walls also fit one or two doors further, but the ends of few walls do."""
+    rng, sensors = np.random.default_rng(0), np.column_stack([np.arange(2.0, 59, 4), np.ones(15)])
+    uneven = np.cumsum(rng.uniform(1.2, 2.6, 30))
+    parts = [part_of(k, corridor_past(uneven), sensors, moved=bool(k)) for k in range(2)]
+    (joined,) = tied_parts(parts)
+    np.testing.assert_allclose(joined.members[1][1][:2, 3], T, atol=1e-3)
+    even = corridor_past(np.arange(1.0, 58, 2))
+    assert len(tied_parts([part_of(k, even, sensors, moved=bool(k)) for k in range(2)])) == 2
+
+
 def known_of(mapper: PlaneMapper) -> list[list[int]]:
     """Return the scans of each submap."""
     return [

@@ -34,8 +34,9 @@ if TYPE_CHECKING:
 CUTS = 4
 """Maximum number of rounds of cutting torn submaps and refining again."""
 
-BEAMS = 60_000
-"""Beams of each submap by which ties of submaps are judged."""
+BEAMS_PER_M = 100
+"""Beams of a submap by which its ties are judged, by the length of its walls: three must support a
+stretch."""
 
 
 class Segmenter(Protocol):
@@ -209,10 +210,12 @@ class PlaneMapper(LocatingMapper):
         """Join the submaps that show the same place; return the poses (i, 4, 4) of each result."""
         submaps, parts = self.submaps, list[MapPart]()
         for k in range(len(submaps)):
-            table, beams = self.planes_of(k), self.beams_of(k, BEAMS)
+            table, path = self.planes_of(k), submaps[k].path
             static = table.status == "static"
-            path = submaps[k].path
-            parts.append(MapPart.of(k, table.ends[static], table.plane[static], beams, path))
+            ends = table.ends[static]
+            length_m = np.hypot(*(ends[:, 1] - ends[:, 0]).T).sum()
+            beams = self.beams_of(k, max(int(BEAMS_PER_M * length_m), 1))
+            parts.append(MapPart.of(k, ends, table.plane[static], beams, path))
         tied = [part for part in tied_parts(parts) if len(part.members) > 1]
         poses = [np.full((self.history.n_iterations, 4, 4), np.nan) for _ in tied]
         for path, part in zip(poses, tied, strict=True):

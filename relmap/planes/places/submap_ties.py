@@ -24,8 +24,6 @@ from relmap.planes.scans.beams import PlacedBeams
 NEAR_M = 0.25
 """Largest distance of a beam's end from the wall it hits: submaps are bent a little. One that ends
 farther in front of a wall does not count: something else may stand there."""
-MOST_BEAMS = 10_000
-"""Number of beams of either map that score an alignment."""
 ALIGNMENTS = 12
 """Number of alignments of a pair that are scored, those with the longest overlap first."""
 OFTEN = 3
@@ -47,7 +45,8 @@ SYMMETRIC = 0.02
 """Largest contradicted fraction if the robot must have been carried, or scans are missing, between
 submaps: a corridor round a building looks the same after half a turn (0.037 and more)."""
 RIVAL = 0.5
-"""Largest support of another alignment, as a fraction of the best."""
+"""Largest support of another alignment, or number of ends that coincide in it, as a fraction of the
+best: along a corridor, walls support many alignments, and the ends at its doors only one."""
 TURNS_RAD = np.deg2rad(np.arange(15, 346, 15))
 """Turns about the middle of the walls in common that beams must exclude: a round room looks much
 the same after each of them, while its walls suggest only some."""
@@ -151,8 +150,7 @@ class MapPart:
     def beams_from(self, ends: Floats) -> tuple[Floats, Floats]:
         """Return start and end points of the beams from within the extent of walls (w, 2, 2)."""
         low, high = ends.min(axis=(0, 1)), ends.max(axis=(0, 1))
-        there = np.flatnonzero(((self.begins >= low) & (self.begins <= high)).all(axis=1))
-        there = there[:: 1 + len(there) // MOST_BEAMS]
+        there = ((self.begins >= low) & (self.begins <= high)).all(axis=1)
         return self.begins[there], self.stops[there]
 
 
@@ -173,17 +171,40 @@ class SubmapTie(NamedTuple):
 def tied_parts(parts: Sequence[MapPart]) -> list[MapPart]:
     """Join the parts that show the same place, while one alignment is certain and without rival."""
     left = dict(enumerate(parts))
-    found = {pair: unrivalled(*(left[k] for k in pair)) for pair in combinations(left, 2)}
+    found = {(a, b): unrivalled(left[a], left[b]) for a, b in combinations(left, 2)}
     while True:
         sure = {pair: tie for pair, tie in found.items() if tie is not None}
         if not sure:
             return list(left.values())
         (a, b), best = max(sure.items(), key=lambda each: each[1].support_m)
         left[a] = left[a].with_that(left.pop(b), best.tie)
-        found = {pair: tie for pair, tie in found.items() if not {a, b} & set(pair)}
-        for pair in combinations(sorted(left), 2):
-            if a in pair:
-                found[pair] = unrivalled(*(left[k] for k in pair))
+        found = {pair: tie for pair, tie in found.items() if b not in pair}
+        for c in left.keys() - {a}:
+            first, second = sorted((a, c))
+            ties = _carried(sure, (a, b), c)
+            if ties:
+                judged = (_judged(left[first], left[second], tie) for tie in ties)
+                likely = max(judged, key=lambda each: each.support_m)
+                found[first, second] = likely if likely.is_sure else None
+            else:
+                found[first, second] = unrivalled(left[first], left[second])
+
+
+def _carried(
+    sure: dict[tuple[int, int], SubmapTie], joined: tuple[int, int], c: int
+) -> list[WallTie]:
+    """Return the alignments of a part with each of two that are joined now.
+
+    They are not searched for anew: among the walls of a large map, those of a small one lie on many
+    others.
+    """
+    ties = []
+    for member in joined:
+        if (member, c) in sure or (c, member) in sure:
+            tie = sure[member, c].tie if (member, c) in sure else sure[c, member].tie.inverse()
+            tie = tie if member == joined[0] else sure[joined].tie.after(tie)
+            ties.append(tie if joined[0] < c else tie.inverse())
+    return ties
 
 
 def unrivalled(part: MapPart, other: MapPart) -> SubmapTie | None:
@@ -194,13 +215,14 @@ def unrivalled(part: MapPart, other: MapPart) -> SubmapTie | None:
     if not any(_crosses(tie) for tie in ties):
         return None
     judged = [_judged(part, other, tie) for tie in ties]
-    judged.sort(key=lambda each: -each.support_m)
-    rival_m = judged[1].support_m if len(judged) > 1 else 0.0
-    best = judged[0]
-    if not best.is_sure or rival_m > RIVAL * best.support_m:
+    best, *others = sorted(judged, key=lambda each: -each.support_m)
+    if not best.is_sure:
         return None
     walls, ends = coinciding_ends(other.ends, part.ends, best.tie)
     if walls < WALLS or ends < max(ENDS, ENDS_SHARE * walls):
+        return None
+    near = (each.tie for each in others if each.support_m > RIVAL * best.support_m)
+    if any(coinciding_ends(other.ends, part.ends, tie)[1] > RIVAL * ends for tie in near):
         return None
     if best.contradicted > SYMMETRIC and part.jumps_to(other, best.tie):
         return None
