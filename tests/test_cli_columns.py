@@ -141,6 +141,10 @@ def test_texts_mean_the_same_landmarks_in_a_log_added_to_a_map(
     numbers = here / "numbers.csv"
     numbers.write_text("iteration,x,y,id\n0,1,2,3\n")
     assert main(["map", "numbers.csv", *command[-2:], "-o", "no", "--onto", "out"]) == 2
-    assert (
-        "numbers, those of the map out texts; they must be of one kind" in capsys.readouterr().err
-    )
+    assert "numbers, those of the map out texts" in capsys.readouterr().err
+    table = here / "out" / "names.csv"
+    table.write_text(table.read_text().replace("\n1,", "\n7,"))
+    assert main([*command, "-o", "no", "--onto", "out"]) == 2
+    assert "names.csv: the landmarks are not numbered from 0" in capsys.readouterr().err
+    assert main([*command, "-o", "no", "--onto", "nowhere"]) == 2
+    assert "nowhere" in capsys.readouterr().err

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import logging
 import lzma
+import struct
 import warnings
 import zipfile
 from collections.abc import Iterator
@@ -92,6 +93,31 @@ def test_archive_of_other_files_is_refused(tmp_path: Path) -> None:
     path = put(tmp_path, stream.getvalue(), "scans.npz")
     with pytest.raises(RelmapError, match=r"is a zip archive, not a log of point scans"):
         open_scans(path)
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "{'descr': '<f4', 'fortran_order': False, 'shape': (99999999999999999999, 2)}",
+        "{'descr': '(2,f4', 'fortran_order': False, 'shape': (2, 2)}",
+        "{'descr': '<f4',\n  'fortran_order': False, 'shape': (2, 2)}\n 1",
+    ],
+)
+def test_headers_that_are_not_of_arrays_are_refused(tmp_path: Path, header: str) -> None:
+    array = b"\x93NUMPY\x01\x00" + struct.pack("<H", len(header)) + header.encode() + b"\0" * 16
+    with zipfile.ZipFile(tmp_path / "scans.npz", "w") as archive:
+        for name in ("points", "iteration", "stamps_s"):
+            archive.writestr(f"{name}.npy", array)
+    with pytest.raises(RelmapError, match=r"scans\.npz"):
+        open_scans(tmp_path / "scans.npz")
+
+
+def test_arrays_are_packed_as_numpy_packs_them(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "scans.npz", "w", zipfile.ZIP_LZMA) as archive:
+        for name in ("points", "iteration", "stamps_s"):
+            archive.writestr(f"{name}.npy", b"\0" * 200)
+    with pytest.raises(RelmapError, match="packed in a way that numpy does not use"):
+        open_scans(tmp_path / "scans.npz")
 
 
 def test_bombs_are_refused_by_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

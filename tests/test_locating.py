@@ -221,7 +221,9 @@ def test_scans_in_other_units_than_the_map_are_named(
     assert main([*asked, "-o", str(tmp_path / "where")]) == 0
     said = capsys.readouterr()
     assert said.out.startswith("found 0 of 3 scans in the map") == bool(away)
-    told = re.search(rf"half of the points of a scan are more than {away}[\d.]* m away", said.err)
+    told = re.search(
+        rf"the points of the first scan are {away}[\d.]* m away in the median", said.err
+    )
     assert ("in metres" in said.err) == bool(away) == (told is not None)
 
 

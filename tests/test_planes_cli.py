@@ -116,7 +116,9 @@ def test_a_log_in_other_units_is_reported(
 ) -> None:
     map_scaled(building, tmp_path, scale)
     printed = capsys.readouterr().err
-    assert re.search(r"half of the points of a scan are more than \S+ m away: .* metres", printed)
+    assert re.search(
+        r"the points of the first scan are \S+ m away in the median: .* metres", printed
+    )
 
 
 def test_figures_against_the_truth(building: Path) -> None:

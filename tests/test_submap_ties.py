@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -129,6 +130,31 @@ def test_a_corridor_is_placed_by_its_doors() -> None:
     np.testing.assert_allclose(joined.members[1][1][:2, 3], T, atol=1e-3)
     even = corridor_past(np.arange(1.0, 58, 2))
     assert len(tied_parts([part_of(k, even, sensors, moved=bool(k)) for k in range(2)])) == 2
+
+
+def with_rooms(number: int, rooms: Sequence[tuple[Floats, Floats]], moved: bool = False) -> MapPart:
+    """Return several rooms, each given by its corners and sensors, as one part."""
+    parts = [part_of(number, corners, sensors, moved) for corners, sensors in rooms]
+    names = ("ends", "begins", "stops", "path")
+    ends, begins, stops, path = (np.concatenate([getattr(p, n) for p in parts]) for n in names)
+    path[:, 0] = 100 * number + np.arange(len(path))
+    beams = PlacedBeams(begins, stops, np.zeros(len(begins), dtype=np.int64))
+    return MapPart.of(number, ends, 100 * number + np.arange(len(ends)), beams, path)
+
+
+def test_a_room_that_each_of_two_joined_parts_has_once_is_not_placed() -> None:
+    hall = np.array([[20, 0], [29, 0], [29, 5], [27, 5], [27, 7], [24, 7], [24, 6], [20, 6.0]])
+    yard = np.array([[40, 0], [47, 0], [47, 2], [50, 2], [50, 8], [44, 8], [44, 7], [40, 7.0]])
+    both = [(hall, INSIDE + np.array([21.0, 1.0])), (yard, INSIDE + np.array([40.5, 1.0]))]
+    far = np.array([100.0, 0.0])
+    parts = [
+        with_rooms(0, [(ROOM, INSIDE), *both]),
+        with_rooms(1, [*both, (ROOM + far, INSIDE + far)], moved=True),
+        with_rooms(2, [(ROOM, INSIDE)]),
+    ]
+    for pair in (parts[:2], parts[::2], parts[1:]):
+        assert len(tied_parts(pair)) == 1
+    assert [len(part.members) for part in tied_parts(parts)] == [2, 1]
 
 
 def known_of(mapper: PlaneMapper) -> list[list[int]]:

@@ -17,7 +17,7 @@ from relmap.datasets.scans import ScanLog
 from relmap.evaluation.feeding import Log
 from relmap.evaluation.levelling import levelled, shows_floors
 from relmap.evaluation.sources import read_log
-from relmap.io.results import read_names
+from relmap.io.results import MAPPER, NAMES, read_names
 from relmap.segmentation.segmenter import SPATIAL
 
 NEAR_M, FAR_M = 0.1, 100.0
@@ -55,10 +55,10 @@ def log_of(job: Job) -> Log:
 def _named_as_in_map(source: Path, log: ObservationLog, onto: Path) -> ObservationLog:
     """Return a log whose text ids have the numbers that a map has for them, new ones behind."""
     new, known = log.names, read_names(onto)
-    if (new is None) != (known is None):
-        kinds = ["numbers" if names is None else "texts" for names in (new, known)]
-        found = f"the ids of {source} are {kinds[0]}, those of the map {onto} {kinds[1]}"
-        raise RelmapError(f"{found}; they must be of one kind")
+    if new is None and known is not None:
+        raise RelmapError(f"the ids of {source} are numbers, those of the map {onto} texts")
+    if new is not None and known is None and (onto / MAPPER).is_file():
+        raise RelmapError(f"the ids of {source} are texts, and the map {onto} has no {NAMES}")
     if new is None or known is None or log.ids is None:
         return log
     names = tuple(dict.fromkeys((*known, *new)))
@@ -75,8 +75,8 @@ def doubt_unit(source: Path, log: Log) -> None:
     middle_m = float(np.median(np.linalg.norm(next(scans, np.ones((1, 3))), axis=1)))
     if not NEAR_M < middle_m < FAR_M:
         typer.echo(
-            f"relmap: {source}: half of the points of a scan are more than {middle_m:.3g} m away: "
-            "coordinates must be in metres",
+            f"relmap: {source}: the points of the first scan are {middle_m:.3g} m away in the "
+            "median: coordinates must be in metres",
             err=True,
         )
 

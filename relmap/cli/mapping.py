@@ -79,7 +79,7 @@ def _mapped_into(folder: Path, job: Job, log: Log) -> Run:
         mapper = job.mapper(partial(bench.see_again, cast("ScanLog", log)) if bench else None)
         afterwards.callback(mapper.close)
         if bench is not None:
-            bench.mapper = cast("PlaneMapper", mapper)
+            bench.follow(cast("PlaneMapper", mapper), mapper.n_iterations if job.onto else 0)
         view = afterwards.enter_context(closing(LiveView(job.live_file))) if job.live else None
 
         def watched(scans: Iterable[Any]) -> Iterator[Any]:
@@ -189,9 +189,9 @@ def _bench(job: Job, log: Log, n_seen: int) -> BenchRecorder | None:
     if job.variant != "planes" or not isinstance(log, ScanLog):
         return None
     every = frame_step(len(log)) if job.animate else 0
-    truth = _truth_beside(job.at(job.source))
+    before_s, truth = log.stamps_s[:n_seen].tolist(), _truth_beside(job.at(job.source))
     segmenter = segmenter_for(log.sensor, job.segmenter)
-    return BenchRecorder(None, segmenter, truth, every, log.sensor, n_seen)
+    return BenchRecorder(None, segmenter, truth, every, log.sensor, before_s)
 
 
 def _draw_bench(folder: Path, bench: BenchRecorder, animate: bool) -> None:

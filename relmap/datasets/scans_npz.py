@@ -42,7 +42,7 @@ _BEYOND = 1.2
 """Multiple of the stated range above which a point is not noise: the stated range is wrong."""
 DAMAGE = (
     *(OSError, EOFError, RuntimeError, MemoryError, zipfile.BadZipFile, zlib.error, struct.error),
-    *(ValueError, TypeError, LookupError, tokenize.TokenError),
+    *(ValueError, TypeError, LookupError, OverflowError, SyntaxError, tokenize.TokenError),
 )
 """Exceptions raised for damaged files."""
 
@@ -199,5 +199,7 @@ def _check_values(file: Path, arrays: dict[str, NDArray[Any]]) -> None:
 
 def read_array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[Any]:
     """Return a member as a numeric array; raises one of `DAMAGE` if it is not one."""
+    if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise ValueError(f"{member.filename} is packed in a way that numpy does not use")
     with archive.open(member) as stream:
         return np.asarray(np.lib.format.read_array(stream, allow_pickle=False))

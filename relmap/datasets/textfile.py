@@ -92,7 +92,10 @@ def open_text(path: Path) -> Iterator[TextIO]:
     except OSError as error:
         raise unreadable(path, error) from error
     with file:
-        packed = file.peek(2)[:2] == _GZIP_MAGIC
+        try:
+            packed = file.peek(2)[:2] == _GZIP_MAGIC
+        except OSError as error:
+            raise unreadable(path, error) from error
         guard = _GuardedBytes(path, gzip.GzipFile(fileobj=file) if packed else file)
         buffer = io.BufferedReader(guard, MAX_LINE_BYTES)
         with io.TextIOWrapper(buffer, "utf-8-sig", "surrogateescape") as stream:

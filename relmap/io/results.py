@@ -16,6 +16,7 @@ from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.brief import Brief
 from relmap.core.errors import RelmapError
 from relmap.core.landmarks import LandmarkTable, Submap
+from relmap.datasets.textfile import invalid
 from relmap.io.files import atomic_write, read_text, read_tum, write_tum
 from relmap.io.tables import Kind, columns_text, compressed, csv_text, read_table
 
@@ -118,10 +119,18 @@ def write_names(folder: Path, names: Sequence[str]) -> None:
 
 
 def read_names(folder: Path) -> tuple[str, ...] | None:
-    """Return what `write_names` wrote; None if the ids of the map are numbers."""
-    if not (folder / NAMES).is_file():
+    """Return what `write_names` wrote; None if there is no such file.
+
+    Raises `RelmapError` if the file is damaged.
+    """
+    path = folder / NAMES
+    if not path.is_file():
         return None
-    return tuple(row[-1] for row in csv.reader(io.StringIO(read_text(folder / NAMES))))[1:]
+    table = read_table(path, {"landmark": "int", "name": "text"})
+    number, names = table["landmark"], table["name"]
+    if not np.array_equal(np.sort(number), np.arange(len(number))):
+        raise invalid(path, "the landmarks are not numbered from 0, each once")
+    return tuple(names[np.argsort(number)].tolist())
 
 
 def write_result(folder: Path, result: Result) -> None:

@@ -73,7 +73,7 @@ class BenchRecorder:
 
     `mapper`: the mapper of the run; see `see_again` for resumed runs. `segmenter`: the segmenter of
     the run. `every`: scans between frames; 0: only the last one, on request. `view`: pose of the
-    sensor on the robot. `n_seen`: scans already processed.
+    sensor on the robot. `before_s`: times of the scans already processed, seconds.
     """
 
     def __init__(
@@ -83,29 +83,34 @@ class BenchRecorder:
         truth: Truth | None = None,
         every: int = 0,
         view: SensorView | None = None,
-        n_seen: int = 0,
+        before_s: Iterable[float] = (),
     ) -> None:
         self.mapper, self.segmenter = mapper, segmenter
         self._truth, self._every = truth, every
         self._view = view or SensorView()
-        self._n_seen = n_seen
+        self._stamps_s = list(before_s)
         self._scan: PointScan | None = None
         self.frames: list[BenchFrame] = []
+
+    def follow(self, mapper: PlaneMapper, n_before: int = 0) -> None:
+        """Record a mapper that has processed scans of earlier logs, whose times are unknown."""
+        self.mapper = mapper
+        self._stamps_s += [math.nan] * n_before
 
     def watch(self, scans: Iterable[PointScan]) -> Iterator[PointScan]:
         """Yield the scans of a run; record a frame at intervals, once the scan is mapped."""
         for scan in scans:
             yield scan
             self._scan = scan
-            assert self.mapper is not None
-            if self._every and self.mapper.n_iterations % self._every == 0:
+            self._stamps_s.append(scan.stamp_s)
+            if self._every and len(self._stamps_s) % self._every == 0:
                 self.frames.append(self._frame(scan))
 
     def see_again(self, log: ScanLog, mapper: PlaneMapper) -> None:
         """Record a mapper that is restored from its journal, scan by scan."""
         self.mapper, n = mapper, mapper.n_iterations
         wanted = bool(self._every) and n % self._every == 0
-        if not wanted and n < self._n_seen:
+        if not wanted and n < len(self._stamps_s):
             return
         k = log.first_iteration + n - 1
         for scan in log.between(k, k + 1).scans():
@@ -144,8 +149,7 @@ class BenchRecorder:
     def _world(self, poses: Floats) -> tuple[Floats, Floats]:
         """Return the motion R (2, 2), t (2,) from the map to the world frame."""
         placed = np.flatnonzero(np.isfinite(poses[:, 0, 0]))
-        assert self.mapper is not None
-        stamps_s = self.mapper.stamps_s[placed]
+        stamps_s = np.array(self._stamps_s)[placed]
         found = self._truth and fit_to_truth(stamps_s, poses[placed], self._truth)
         return found or (np.eye(2), np.zeros(2))
 

@@ -17,7 +17,14 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.planes.linking.links import JUMP, JUMP_M
-from relmap.planes.places.wall_tie import LEAST_M, WallTie, coinciding, coinciding_ends, wall_ties
+from relmap.planes.places.wall_tie import (
+    ALIKE_M,
+    LEAST_M,
+    WallTie,
+    coinciding,
+    coinciding_ends,
+    wall_ties,
+)
 from relmap.planes.plan.evidence import BIN_M, Stretches, grid_over
 from relmap.planes.scans.beams import PlacedBeams
 
@@ -181,13 +188,8 @@ def tied_parts(parts: Sequence[MapPart]) -> list[MapPart]:
         found = {pair: tie for pair, tie in found.items() if b not in pair}
         for c in left.keys() - {a}:
             first, second = sorted((a, c))
-            ties = _carried(sure, (a, b), c)
-            if ties:
-                judged = (_judged(left[first], left[second], tie) for tie in ties)
-                likely = max(judged, key=lambda each: each.support_m)
-                found[first, second] = likely if likely.is_sure else None
-            else:
-                found[first, second] = unrivalled(left[first], left[second])
+            also = _carried(sure, (a, b), c)
+            found[first, second] = unrivalled(left[first], left[second], also)
 
 
 def _carried(
@@ -195,8 +197,8 @@ def _carried(
 ) -> list[WallTie]:
     """Return the alignments of a part with each of two that are joined now.
 
-    They are not searched for anew: among the walls of a large map, those of a small one lie on many
-    others.
+    Among the walls of a large map, those of a small one lie on many others, and the search may miss
+    them.
     """
     ties = []
     for member in joined:
@@ -207,11 +209,14 @@ def _carried(
     return ties
 
 
-def unrivalled(part: MapPart, other: MapPart) -> SubmapTie | None:
-    """Return the alignment of another part to this one, if it is certain and the only one."""
+def unrivalled(part: MapPart, other: MapPart, also: Sequence[WallTie] = ()) -> SubmapTie | None:
+    """Return the alignment of another part to this one, if it is certain and the only one.
+
+    `also`: alignments to consider beside those found by a search.
+    """
     if min(part.crossing_m, other.crossing_m) < CROSSING_M:
         return None
-    ties = wall_ties(other.ends, part.ends)[:ALIGNMENTS]
+    ties = [*also, *wall_ties(other.ends, part.ends)[:ALIGNMENTS]]
     if not any(_crosses(tie) for tie in ties):
         return None
     judged = [_judged(part, other, tie) for tie in ties]
@@ -221,8 +226,9 @@ def unrivalled(part: MapPart, other: MapPart) -> SubmapTie | None:
     walls, ends = coinciding_ends(other.ends, part.ends, best.tie)
     if walls < WALLS or ends < max(ENDS, ENDS_SHARE * walls):
         return None
-    near = (each.tie for each in others if each.support_m > RIVAL * best.support_m)
-    if any(coinciding_ends(other.ends, part.ends, tie)[1] > RIVAL * ends for tie in near):
+    rivals = (each.tie for each in others if each.support_m > RIVAL * best.support_m)
+    elsewhere = (tie for tie in rivals if not _alike(best.tie, tie, other.ends))
+    if any(coinciding_ends(other.ends, part.ends, tie)[1] > RIVAL * ends for tie in elsewhere):
         return None
     if best.contradicted > SYMMETRIC and part.jumps_to(other, best.tie):
         return None
@@ -239,6 +245,12 @@ def _turned(part: MapPart, other: MapPart, tie: WallTie) -> Iterator[WallTie]:
         c, s = np.cos(angle), np.sin(angle)
         turn = np.array([[c, -s], [s, c]])
         yield replace(tie, R=turn @ tie.R, t=turn @ (tie.t - centre) + centre)
+
+
+def _alike(one: WallTie, other: WallTie, ends: Floats) -> bool:
+    """Return whether two alignments place walls (w, 2, 2) at nearly the same place."""
+    apart = ends @ one.R.T + one.t - (ends @ other.R.T + other.t)
+    return bool(np.linalg.norm(apart, axis=2).max() <= ALIKE_M)
 
 
 def _crosses(tie: WallTie) -> bool:
