@@ -90,8 +90,8 @@ def scatter_of(points: Floats, rows: Bools) -> Floats:
     return _moments(points, points, rows, means)[1]
 
 
-@helper
-def swings_of(points: Floats, rows: Bools) -> Floats:
+@compiled
+def swings(points: Floats, rows: Bools) -> Floats:
     """Return the variance (n,) of points (n, d) placed by a fit to some rows of them.
 
     In units of the variance of one of these rows. It is large far from the line of the rows, where
@@ -105,17 +105,11 @@ def swings_of(points: Floats, rows: Bools) -> Floats:
     return swing
 
 
-@compiled
-def swings(points: Floats, rows: Bools) -> Floats:
-    """Return the same as `swings_of`, to Python."""
-    return swings_of(points, rows)
-
-
 @helper
 def enter_swings(
     points: Floats, means: Floats, count: float, scatter: Floats, swing: Floats
 ) -> None:
-    """Write the result of `swings_of` for points (n, d); the scatter (3, 3) is overwritten."""
+    """Write the result of `swings` for points (n, d); the scatter (3, 3) is overwritten."""
     n, d = points.shape
     x, y, z = means[0, 0], means[0, 1], means[0, 2]
     trace = scatter[0, 0] + scatter[1, 1] + scatter[2, 2]
