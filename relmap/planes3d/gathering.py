@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.scan import TINY
-from relmap.planes3d.adjustment import across
+from relmap.planes3d.adjustment import NORMAL, across
 from relmap.planes3d.submap import Submap
 from relmap.planes3d.surfaces import Surfaces
 from relmap.segmentation.space import Patches
@@ -28,6 +28,9 @@ across the edge of a small plane is not flat."""
 KNOWN_CELLS, KNOWN_SD, PIECE_SD = 1.5, 3.0, 6.0
 """Points within this many cells of the surface of a plane, and this many standard deviations,
 belong to it. Planes with half of their points within the last value are its noise."""
+TRIMMED, TRIM_SD = 12, 2.0
+"""Number of times that the points of a plane are chosen, and standard deviations within which they
+are: other points in its voxels would tilt it."""
 WIDE = 0.25
 """Minimum standard deviation of the points of a plane along its width, by the size of voxels."""
 BESIDE_CELLS, AROUND = 1.5, 6
@@ -81,7 +84,7 @@ def _labels(points: Floats, scan: Ints, part: Submap, planes: Patches, sigma: fl
             mine = mine[label[left[mine]] < 0]
             if len(mine) < FEWEST:
                 continue  # most of it lies beside another one
-            rows = left[mine]
+            rows = left[mine[_on_plane(free[mine])]]
             piece = np.bincount(of[rows][off[rows] < PIECE_SD]).max(initial=0) > len(rows) / 2
             if not piece and _is_plane(points[rows], scan[rows], size_m):
                 rows = left[_beside(free, points[rows], size_m)]
@@ -130,6 +133,21 @@ def _regions_in(points: Floats, size_m: float, sigma: float) -> list[Ints]:
     voxels = uniform_voxels(points, size_m)
     label = grown(voxels, voxels.flat, np.full(len(voxels.centre), sigma))[voxels.of]
     return [np.flatnonzero(label == k) for k in range(int(label.max(initial=-1)) + 1)]
+
+
+def _on_plane(points: Floats) -> Ints:
+    """Return the rows of points (n, 3) on the plane of most of them."""
+    rows = np.arange(len(points))
+    for _ in range(TRIMMED):
+        moments = moments_of(points[rows], np.zeros(len(rows), np.int64), 1)
+        plane = planes_of(moments)[0]
+        off = np.abs(points @ plane[:3] - plane[3])
+        usual = np.median(off) / NORMAL
+        before = rows
+        rows = np.flatnonzero(off <= TRIM_SD * usual + ROUNDING * np.abs(points).max())
+        if np.array_equal(rows, before):
+            break
+    return rows
 
 
 def _beside(points: Floats, own: Floats, reach_m: float) -> Ints:
