@@ -54,6 +54,21 @@ def test_no_pose_is_reported_where_noise_alone_determines_the_turn_about_a_row()
         assert np.mean(known) <= share if share < 1 else known.all()
 
 
+def test_no_pose_is_reported_where_two_landmarks_side_by_side_hardly_show_the_turn() -> None:
+    rng = np.random.default_rng(4)
+    landmarks = np.column_stack([20 * rng.random(12), 4 + rng.random(12)])
+    landmarks[:2] = [[20.0, 4.0], [20.2, 4.1]]
+    mapper = PointMapper()
+    for k in range(40):
+        points = landmarks - [k / 8, 0] + 0.05 * rng.standard_normal(landmarks.shape)
+        n = 2 if k % 10 == 5 else 12
+        mapper.update(points[:n], ids=np.arange(n))
+    mapper.finish()
+    mapper.refine()
+    unknown = np.flatnonzero(np.isnan(mapper.trajectory[:, 0, 3]))
+    assert unknown.tolist() == [5, 15, 25, 35]
+
+
 def test_as_many_false_detections_as_true_ones_are_not_mapped() -> None:
     rng = np.random.default_rng(1)
     true = circuit(rng.uniform(-25, 25, (250, 2)), 0.03, rng)

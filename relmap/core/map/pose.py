@@ -12,7 +12,8 @@ from relmap.core.refinement.condensing import LENGTH, NOWHERE, SegmentRows
 ABSURD = 0.01
 """Weight of an observation ten times as far off as the least outlier: it has no part in a pose."""
 LOOSE_RAD = 0.1
-"""Largest standard deviation of a rotation about a line, as of a row of lamps, that is known."""
+"""Largest standard deviation of the turn of a pose that is known; in space, of that about a line, as
+of a row of lamps."""
 
 
 def trajectory(rows: SegmentRows, positions_map: Floats, of: Ints, noise_m: float = 0.0) -> Floats:
@@ -27,7 +28,7 @@ def trajectory(rows: SegmentRows, positions_map: Floats, of: Ints, noise_m: floa
     landmarks; `of` (m,): the landmark that each number stands for, after merging; `noise_m`:
     standard deviation of an observed coordinate. Returns
     (n_iterations, 4, 4): ``T_map_robot``; NaN if the mapped landmarks in view do not determine a
-    pose, as those nearly on a line in space, or contradict each other.
+    pose, as two side by side or those nearly on a line in space, or contradict each other.
     """
     n, d = len(rows.iteration_segment), rows.points.shape[1]
     poses = np.full((n, 4, 4), np.nan)
@@ -52,15 +53,15 @@ def trajectory(rows: SegmentRows, positions_map: Floats, of: Ints, noise_m: floa
 
 
 def _turn_sd(points: Floats, at: Ints, n: int, noise_m: float) -> Floats:
-    """Return the standard deviation (n,), radians, of the turn about the line nearest to points.
+    """Return the standard deviation (n,), radians, of the turn about points; in space, the largest.
 
     `points` (k, d), map frame, metres; `at` (k,): the iteration that sees each; `noise_m`: standard
-    deviation of an observed coordinate. In the plane no turn leaves a line where it is.
+    deviation of an observed coordinate. In space the worst turn is about the line nearest to them.
     """
-    if points.shape[1] == 2:
-        return np.zeros(n)
     centre = sums_each(points, at, n) / np.maximum(np.bincount(at, minlength=n), 1)[:, None]
     away = points - centre[at]
     scatter = sums_each(away[:, :, None] * away[:, None], at, n)
-    across = np.trace(scatter, axis1=1, axis2=2) - np.linalg.eigvalsh(scatter)[:, -1]
+    across = np.trace(scatter, axis1=1, axis2=2)
+    if points.shape[1] == 3:
+        across = across - np.linalg.eigvalsh(scatter)[:, -1]
     return np.asarray(noise_m / np.sqrt(np.maximum(across, 1e-300)))
