@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from relmap.cli import main
+from relmap.evaluation.truth import read_truth
 from relmap.io.files import read_tum
 from tests.commands import RESULT_FILES, load, names, table
 
@@ -138,6 +140,12 @@ def test_the_same_input_gives_the_same_bytes(world: Path, result: Path, tmp_path
     assert ours.pop("timing") is not None
     assert theirs.pop("timing") is not None
     assert ours == theirs
+
+
+def test_the_truth_may_be_given_as_its_file(world: Path) -> None:
+    by_file, by_folder = read_truth(world / "truth" / "landmarks.csv"), read_truth(world)
+    assert np.array_equal(by_file.landmarks_map, by_folder.landmarks_map)
+    assert np.array_equal(by_file.poses, by_folder.poses)
 
 
 def test_scans_keep_the_numbers_of_the_log(world: Path, tmp_path: Path) -> None:

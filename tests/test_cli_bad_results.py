@@ -86,6 +86,7 @@ def test_no_truth(place: Path, refused: Check) -> None:
     assert "holds no truth" in refused("evaluate", "out", "--truth", "empty")
     assert "is not a truth" in refused("evaluate", "out", "--truth", "log.csv")
     assert "result folder" in refused("evaluate", "out", "--truth", "out")
+    assert "result folder" in refused("evaluate", "out", "--truth", "out/landmarks.csv")
     assert "bad_ground_truth" in refused("evaluate", "out", "--truth", "bad_ground_truth.txt")
     assert "trajectory.tum: line 1" in refused("evaluate", "out", "--truth", "truth")
 

@@ -160,6 +160,34 @@ def test_truth_of_landmarks_only() -> None:
     assert evaluation.landmark_rmse_m == pytest.approx(0, abs=1e-12)
 
 
+@pytest.mark.parametrize("path", [True, False])
+def test_ids_that_the_truth_gives_to_other_places_are_noticed(path: bool) -> None:
+    truth = make_truth()
+    if not path:
+        truth = replace(truth, stamps_s=np.empty(0), poses=np.empty((0, 4, 4)))
+    turned = replace(truth, landmark_ids=np.roll(truth.landmark_ids, 1))
+    evaluation = evaluate(make_result(), turned, make_log())
+    assert evaluation.landmark_rmse_m is not None
+    assert evaluation.landmark_rmse_m > 1
+    assert f"{N} of {N} landmarks are not where their ids are" in " ".join(evaluation.notes)
+    order = np.arange(N)[::-1]
+    reordered = replace(
+        truth,
+        landmark_ids=truth.landmark_ids[order],
+        landmarks_map=truth.landmarks_map[order],
+        status=truth.status[order],
+    )
+    assert evaluate(make_result(), reordered, make_log()).notes == ()
+
+
+def test_two_exchanged_ids_of_the_truth_are_noticed() -> None:
+    truth = make_truth()
+    ids = truth.landmark_ids.copy()
+    ids[:2] = ids[1::-1]
+    evaluation = evaluate(make_result(), replace(truth, landmark_ids=ids), make_log())
+    assert "2 of 5 landmarks are not where their ids are" in " ".join(evaluation.notes)
+
+
 def test_truth_without_the_landmarks_seen() -> None:
     truth = replace(make_truth(), landmark_ids=np.arange(N) + 100)
     evaluation = evaluate(make_result(), truth, make_log())

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.association.reobservation.pairing import Motion, paired
@@ -14,6 +15,9 @@ from relmap.evaluation import metrics
 from relmap.evaluation.metrics import Matched
 from relmap.evaluation.truth import Truth
 from relmap.io.results import Result
+
+ELSEWHERE = 10.0
+"""Ratio of the distances from its own true place and from another above which ids disagree."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +79,7 @@ def judge_landmarks(
     notes = []
     if placed and not len(matched.position):
         notes.append("no landmark RMSE: no mapped landmark matches a true one")
+    notes += _other_ids(result, truth, matched)
     _, ids = _standing_for(result, identified)
     often = metrics.seen_often(identified.seen_id, identified.seen_iteration)
     due = np.intersect1d(often, truth.landmark_ids[truth.status == "static"])
@@ -85,6 +90,32 @@ def judge_landmarks(
         "purity": metrics.purity(identified.landmark, identified.true_id),
     }
     return figures, counts, notes
+
+
+def _other_ids(result: Result, truth: Truth, matched: Matched) -> list[str]:
+    """Return a note if the ids of the truth are not those of the log.
+
+    Then landmarks lie at the true places of others once the paths are aligned. Without a common
+    path, the error is more than half of their extent.
+    """
+    d = 2 if result.planar else 3
+    own = matched.truth[:, :d]
+    mine, other = metrics.match_stamps(result.stamps_s, truth.stamps_s)
+    poses, true_poses = result.poses[mine], truth.poses[other]
+    if len(own) and len(mine):
+        R, t = metrics.align_poses(poses, true_poses, d)
+        placed = matched.position[:, :d] @ R.T + t
+        path_m = metrics.ate(poses, true_poses, result.planar) or 0.0
+        least_m = ELSEWHERE * (path_m + cKDTree(own).query(placed)[0])
+        n = int((np.linalg.norm(placed - own, axis=1) > least_m).sum())
+    else:
+        spread_m = metrics.rms(own - own.mean(axis=0)) if len(own) else None
+        n = len(own) if 2 * (matched.rmse_m or 0.0) > (spread_m or 0.0) else 0
+    if n < 2:
+        return []
+    found = f"{n} of {len(own)} landmarks are not where their ids are in the truth"
+    place = ", but where other ids are" if len(mine) else ""
+    return [f"{found}{place}: do the ids of the truth and of the log agree?"]
 
 
 def _judged_by_place(

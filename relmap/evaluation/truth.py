@@ -80,8 +80,8 @@ def read_truth(path: Path, judged: Judged = "points") -> Truth:
     """Read the truth, or a reference instead, for what is judged.
 
     `path`: a folder written by `relmap simulate`, with ``truth/landmarks.csv`` or ``landmarks.csv``
-    (for walls ``planes.csv``), and ``trajectory.tum`` beside it if the path is known. Or a
-    trajectory in TUM or KITTI format (`relmap.datasets.trajectories`). For points also
+    (for walls ``planes.csv``), or that file, and ``trajectory.tum`` beside it if the path is known.
+    Or a trajectory in TUM or KITTI format (`relmap.datasets.trajectories`). For points also
 
     * MRPT's ``..._ground_truth.txt`` or its folder;
     * the folder of I-SLSJF's simulation, or of MRCLAM;
@@ -104,6 +104,7 @@ def read_truth(path: Path, judged: Judged = "points") -> Truth:
     if judged == "planes3d":
         return _read_space(path)
     name = TABLES[judged]
+    path = path.parent if path.name == name and path.is_file() else path
     folder = path / "truth"
     if not (folder / name).is_file():
         if judged == "planes" and folder.is_dir():

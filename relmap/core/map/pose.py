@@ -12,8 +12,8 @@ from relmap.core.refinement.condensing import LENGTH, NOWHERE, SegmentRows
 ABSURD = 0.01
 """Weight of an observation ten times as far off as the least outlier: it has no part in a pose."""
 LOOSE_RAD = 0.1
-"""Largest standard deviation of the turn of a pose that is known; in space, of that about a line, as
-of a row of lamps."""
+"""Largest standard deviation of the turn of a pose that is known; in space, of that about a line,
+as of a row of lamps."""
 
 
 def trajectory(rows: SegmentRows, positions_map: Floats, of: Ints, noise_m: float = 0.0) -> Floats:
