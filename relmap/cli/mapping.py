@@ -180,7 +180,7 @@ def _write(folder: Path, run: Run, job: Job, names: Sequence[str] | None) -> Non
         )
     write_tables(folder, run.result)
     if names and job.association == "known":
-        results.write_names(folder, names)
+        results.write_names(folder, dict(enumerate(names)))
     write_pictures(folder, run.result, run.groups, job.command, job.source.name)
 
 

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from relmap.cli.arguments import Out, refuse_to_write_into
 from relmap.cli.console import busy
+
+if TYPE_CHECKING:
+    from relmap.io.results import Result
 
 SECOND = "trajectory-2.tum"
 
@@ -19,7 +22,8 @@ landmarks with the same relative locations, or by coinciding walls. It is an err
 alignment, or more than one. If a run broke into submaps, only the map is merged. It writes into C
 the files of 'relmap map' except mapper.npz, report.html and bench.png; tracks.csv.gz is empty,
 trajectory.tum is the path of A, and trajectory-2.tum that of B in the same frame. In landmarks.csv
-and planes.csv the iterations of B follow those of A.
+and planes.csv the iterations of B follow those of A. Landmarks keep their ids, if both have been
+mapped with ids; an id of B that means another landmark in A gets a new number.
 
 \b
 Example:
@@ -37,7 +41,7 @@ def merge_command(
 
     from relmap.cli.mapping import stale_files
     from relmap.io.files import staged_folder, write_tum
-    from relmap.io.results import MAP_PNG, MAPPER, write_result
+    from relmap.io.results import MAP_PNG, MAPPER, write_names, write_result
     from relmap.merging.results import merge_results
     from relmap.planes.walls.files import PlaneResult, write_planes
     from relmap.plots.planes import write_planes_png
@@ -50,6 +54,8 @@ def merge_command(
         with staged_folder(out, [*stale_files(out), MAPPER]) as staging:
             write_result(staging, result)
             write_tum(staging / SECOND, merged.stamps_s, merged.poses)
+            if merged.names:
+                write_names(staging, merged.names)
             if isinstance(result, PlaneResult):
                 write_planes(staging, result.planes)
                 both = np.concatenate([result.poses, merged.poses])
@@ -57,11 +63,15 @@ def merge_command(
             else:
                 write_map_png(staging / MAP_PNG, result)
             n_files = len(list(staging.iterdir()))
-    counts, common = result.summary["counts"], result.summary["merged"]["common_landmarks"]
+    typer.echo(f"wrote {n_files} files to {out}: {_said(result)}")
+
+
+def _said(result: Result) -> str:
+    counts, record = result.summary["counts"], result.summary["merged"]
+    walls = "planes_static" in counts
     what = f"{counts.get('mapped')} landmarks"
-    if isinstance(result, PlaneResult):
+    if walls:
         what = f"{counts['planes_static']} walls with {counts['corners_static']} corners"
-    typer.echo(
-        f"wrote {n_files} files to {out}: {what}; {common} "
-        f"{'corners' if isinstance(result, PlaneResult) else 'landmarks'} are in both maps"
-    )
+    said = f"{record['common_landmarks']} {'corners' if walls else 'landmarks'} are in both maps"
+    apart = int(record.get("different_ids", 0))
+    return f"{what}; {said}" + f"; {apart} ids mean different landmarks in them" * (apart > 0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -109,17 +109,17 @@ class Result(Brief):
         return np.asarray(np.isfinite(self.landmarks.position).all(axis=1))
 
 
-def write_names(folder: Path, names: Sequence[str]) -> None:
-    """Write the names in the log of landmarks 0, 1, ..., as ``landmark,name``."""
+def write_names(folder: Path, names: Mapping[int, str]) -> None:
+    """Write the name in the log of each landmark as ``landmark,name``."""
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(["landmark", "name"])
-    rows.writerows(enumerate(names))
+    rows.writerows(names.items())
     atomic_write(folder / NAMES, text.getvalue())
 
 
 def read_names(folder: Path) -> tuple[str, ...] | None:
-    """Return what `write_names` wrote; None if there is no such file.
+    """Return the names of landmarks 0, 1, ... of a mapped log; None if there is no such file.
 
     Raises `RelmapError` if the file is damaged.
     """

@@ -16,8 +16,10 @@ from relmap.core.geometry.alignment import fit_rigid
 from relmap.core.landmarks import LandmarkTable
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.state.table import LandmarkState
+from relmap.datasets.textfile import invalid
 from relmap.evaluation.metrics import positions_of
-from relmap.io.results import Result, Tracks, shifted
+from relmap.io.results import NAMES, Result, Tracks, read_names, shifted
+from relmap.merging.identities import Identities, Texts, identities_of
 from relmap.merging.tables import joined, joined_walls, moved
 from relmap.planes.places.wall_tie import ACROSS, LEAST_M, RIVAL, wall_ties
 from relmap.planes.walls.files import PlaneResult, read_any
@@ -37,12 +39,14 @@ class Merged:
 
     `result`: for walls a `PlaneResult`. Its path is that of the first run, its iterations are those
     of the first run followed by those of the second. It has no tracks, as they belong to two logs.
-    `stamps_s` (k,), `poses` (k, 4, 4): the path of the second, in the frame of the first.
+    `stamps_s` (k,), `poses` (k, 4, 4): the path of the second, in the frame of the first. `names`:
+    of the landmarks whose ids in the logs are texts.
     """
 
     result: Result
     stamps_s: Floats
     poses: Floats
+    names: dict[int, str]
 
 
 def merge_results(one: Path, other: Path) -> Merged:
@@ -65,8 +69,9 @@ def merge_results(one: Path, other: Path) -> Merged:
     else:
         motion, record = _tie_of_points(a, b, f"{other} and {one}")
     record |= {"first": str(one), "second": str(other)}
-    result, motion = _joined(a, b, motion, record)
-    return Merged(result, b.stamps_s, motion.matrix @ b.poses)
+    texts = _texts(one, a), _texts(other, b)
+    result, motion, names = _joined(a, b, texts, motion, record)
+    return Merged(result, b.stamps_s, motion.matrix @ b.poses, names)
 
 
 def _read(folder: Path) -> Result:
@@ -79,27 +84,40 @@ def _read(folder: Path) -> Result:
     return result
 
 
-def _joined(a: Result, b: Result, motion: Motion, record: Record) -> tuple[Result, Motion]:
+def _texts(folder: Path, result: Result) -> Texts:
+    names, labels = read_names(folder), result.landmarks.landmark
+    if names is not None and not 0 <= labels.min(initial=0) <= labels.max(initial=-1) < len(names):
+        raise invalid(folder / NAMES, f"names only {len(names)} of the landmarks")
+    return names
+
+
+def _joined(
+    a: Result, b: Result, texts: tuple[Texts, Texts], motion: Motion, record: Record
+) -> tuple[Result, Motion, dict[int, str]]:
     """Merge two results, given an approximate alignment of the second; return it refined."""
     shift = int(a.landmarks.last_iteration.max(initial=-1)) + 1
     shift -= int(b.landmarks.first_iteration.min(initial=0))
-    planes, label = None, b.landmarks.landmark + int(a.landmarks.landmark.max(initial=-1)) + 1
+    planes = None
     if isinstance(a, PlaneResult) and isinstance(b, PlaneResult):
+        label = b.landmarks.landmark + int(a.landmarks.landmark.max(initial=-1)) + 1
         others = shifted(moved(b.planes, motion), shift)
         base = label[0] - b.landmarks.landmark[0] if len(label) else 0
         others = replace(others, corner=np.where(others.corner >= 0, others.corner + base, -1))
         planes, corners = joined_walls(a.planes, others)
         mine = positions_of(a.landmarks.landmark, corners[:, 1])
         pairs = np.column_stack([positions_of(label, corners[:, 0]), mine])
+        same = Identities(label, pairs, {})
     else:
         motion, pairs = _paired(a, b, motion)
+        same = identities_of(a, b, texts, pairs)
+        record["different_ids"] = same.n_apart
     theirs = replace(_alone(b.landmarks), position=motion.apply(b.landmarks.position))
-    theirs = shifted(replace(theirs, landmark=label), shift)
-    table = joined(_alone(a.landmarks), theirs, pairs)
+    theirs = shifted(replace(theirs, landmark=same.label), shift)
+    table = joined(_alone(a.landmarks), theirs, same.pairs)
     record |= {"T_first_second": motion.matrix.tolist(), "common_landmarks": len(pairs)}
     tracks = Tracks(NOTHING, NOTHING, NOTHING)
     result = Result(table, tracks, a.stamps_s, a.poses, _summary(a, table, record))
-    return result if planes is None else _of_walls(result, planes), motion
+    return result if planes is None else _of_walls(result, planes), motion, same.names
 
 
 def _paired(a: Result, b: Result, motion: Motion) -> tuple[Motion, Ints]:

@@ -117,20 +117,25 @@ def joined(one: LandmarkTable, other: LandmarkTable, pairs: Ints) -> LandmarkTab
 
     `pairs` (k, 2): rows of `other` and of `one` that are one landmark, which keeps the label from
     `one`. Positions are averaged, weighted by their variances if both are known, otherwise by the
-    number of observations.
+    number of observations; if one is unmapped, the other stands.
     """
     theirs, mine = pairs.T
+    columns = {name: column.copy() for name, column in vars(one).items()}
+    lost = np.isnan(one.position[mine, 0])
+    for name, column in columns.items():
+        if name != "landmark":
+            column[mine[lost]] = getattr(other, name)[theirs[lost]]
+    for name, of in COMBINED.items():
+        columns[name][mine] = of(getattr(one, name)[mine], getattr(other, name)[theirs])
+    theirs, mine = pairs[~lost & np.isfinite(other.position[theirs, 0])].T
     a, b = one.sd[mine] ** 2, other.sd[theirs] ** 2
     seen = one.observations[mine], other.observations[theirs]
     known, by_count = (a > 0) & (b > 0), seen[1] / np.maximum(seen[0] + seen[1], 1)
     share = np.where(known, a / np.where(known, a + b, 1.0), by_count)
-    columns = {name: column.copy() for name, column in vars(one).items()}
     away = other.position[theirs] - one.position[mine]
     columns["position"][mine] += share[:, None] * away
     columns["sd"][mine] = np.hypot((1 - share) * one.sd[mine], share * other.sd[theirs])
-    for name, of in COMBINED.items():
-        columns[name][mine] = of(columns[name][mine], getattr(other, name)[theirs])
-    rest = np.setdiff1d(np.arange(len(other.landmark)), theirs)
+    rest = np.setdiff1d(np.arange(len(other.landmark)), pairs[:, 0])
     for name, column in columns.items():
         columns[name] = np.concatenate([column, getattr(other, name)[rest]])
     return LandmarkTable(**columns)
