@@ -237,6 +237,13 @@ def test_ids_and_their_names_survive(named: Path, tmp_path: Path) -> None:
     assert set(merged.landmarks.landmark[alone].tolist()) <= named_ones
 
 
+def test_a_merged_map_with_names_is_merged_again(named: Path, tmp_path: Path) -> None:
+    run_relmap("merge", named / "eight-a", named / "text-b", "-o", tmp_path / "half")
+    run_relmap("merge", named / "text-a", tmp_path / "half", "-o", tmp_path / "again")
+    names = [row["name"] for row in table(tmp_path / "again" / "names.csv")]
+    assert len(set(names)) > 50
+
+
 def test_ids_that_mean_other_landmarks_are_renumbered(
     named: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

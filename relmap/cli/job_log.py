@@ -14,6 +14,7 @@ from relmap.core.errors import RelmapError
 from relmap.core.sensor import range_bearing_covariances
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.scans import ScanLog
+from relmap.datasets.textfile import invalid
 from relmap.evaluation.feeding import Log
 from relmap.evaluation.levelling import levelled, shows_floors
 from relmap.evaluation.sources import read_log
@@ -61,7 +62,9 @@ def _named_as_in_map(source: Path, log: ObservationLog, onto: Path) -> Observati
         raise RelmapError(f"the ids of {source} are texts, and the map {onto} has no {NAMES}")
     if new is None or known is None or log.ids is None:
         return log
-    names = tuple(dict.fromkeys((*known, *new)))
+    if sorted(known) != list(range(len(known))):
+        raise invalid(onto / NAMES, "the landmarks are not numbered from 0, each once")
+    names = tuple(dict.fromkeys((*(known[k] for k in range(len(known))), *new)))
     number = {name: k for k, name in enumerate(names)}
     numbers = np.array([*map(number.__getitem__, new), -1])
     return replace(log, ids=numbers[np.maximum(log.ids, -1)], names=names)

@@ -118,8 +118,8 @@ def write_names(folder: Path, names: Mapping[int, str]) -> None:
     atomic_write(folder / NAMES, text.getvalue())
 
 
-def read_names(folder: Path) -> tuple[str, ...] | None:
-    """Return the names of landmarks 0, 1, ... of a mapped log; None if there is no such file.
+def read_names(folder: Path) -> dict[int, str] | None:
+    """Return what `write_names` wrote; None if there is no such file.
 
     Raises `RelmapError` if the file is damaged.
     """
@@ -127,10 +127,10 @@ def read_names(folder: Path) -> tuple[str, ...] | None:
     if not path.is_file():
         return None
     table = read_table(path, {"landmark": "int", "name": "text"})
-    number, names = table["landmark"], table["name"]
-    if not np.array_equal(np.sort(number), np.arange(len(number))):
-        raise invalid(path, "the landmarks are not numbered from 0, each once")
-    return tuple(names[np.argsort(number)].tolist())
+    names = dict(zip(table["landmark"].tolist(), table["name"].tolist(), strict=True))
+    if len(names) < len(table["landmark"]):
+        raise invalid(path, "a landmark occurs twice")
+    return names
 
 
 def write_result(folder: Path, result: Result) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +11,7 @@ from relmap.core.arrays import Ints
 from relmap.evaluation.metrics import positions_of
 from relmap.io.results import Result
 
-Texts = Sequence[str] | None
+Texts = Mapping[int, str] | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,39 +35,31 @@ def identities_of(a: Result, b: Result, texts: tuple[Texts, Texts], pairs: Ints)
 
     Landmarks of the second map keep their ids if both maps have ids, of the same kind, and the id
     is not that of a landmark of the first elsewhere. `texts`: what the ids of each map stand for,
-    None if they are numbers.
+    by label; None if they are numbers.
     """
-    labels = a.landmarks.landmark, b.landmarks.landmark
+    firsts, seconds = a.landmarks.landmark, b.landmarks.landmark
     known = all(result.summary.get("association") == "known" for result in (a, b))
-    if not known or (texts[0] is None) != (texts[1] is None):
-        label = _fresh(labels[0], len(labels[1]))
-        names = dict(enumerate(texts[0] or ()))
-        named = {} if texts[1] is None else _called(label, labels[1], texts[1])
-        return Identities(label, pairs, names | named)
-    each = dict.fromkeys((*(texts[0] or ()), *(texts[1] or ())))
-    number = {name: k for k, name in enumerate(each)}
-    own = labels[1]
-    if texts[1] is not None:
-        own = np.array([number[texts[1][k]] for k in own.tolist()], dtype=np.int64)
-    mine = positions_of(labels[0], own)
-    alone = ~np.isin(np.arange(len(own)), pairs[:, 0])
+    comparable = known and (texts[0] is None) == (texts[1] is None)
+    own = _in_first(seconds, *texts) if comparable else np.full(len(seconds), -1)
+    mine = positions_of(firsts, own)
+    there = ~np.isin(np.arange(len(own)), pairs[:, 0]) & (mine >= 0)
     unplaced = ~(a.mapped[mine] & b.mapped) & ~np.isin(mine, pairs[:, 1])
-    same = np.flatnonzero(alone & (mine >= 0) & unplaced)
-    apart = alone & (mine >= 0) & ~unplaced
-    others = np.concatenate([labels[0], own, list(number.values())])
-    label = np.where(apart, _fresh(others, len(own)), own)
-    n_apart = int(apart.sum() + (own[pairs[:, 0]] != labels[0][pairs[:, 1]]).sum())
-    names = {k: name for name, k in number.items()}
-    if texts[1] is not None:
-        names |= _called(label[apart], labels[1][apart], texts[1])
+    same, apart = np.flatnonzero(there & unplaced), there & ~unplaced
+    n_other = int((own[pairs[:, 0]] != firsts[pairs[:, 1]]).sum())
+    names = dict(texts[0] or {})
+    fresh = max([*firsts.tolist(), *own.tolist(), *names], default=-1) + 1 + np.arange(len(own))
+    label = np.where(apart | (own < 0), fresh, own)
     pairs = np.concatenate([pairs, np.column_stack([same, mine[same]])])
-    return Identities(label, pairs, names, n_apart)
+    rest = np.setdiff1d(np.arange(len(own)), pairs[:, 0])
+    for at, number in zip(label[rest].tolist(), seconds[rest].tolist(), strict=True):
+        if texts[1] is not None and number in texts[1]:
+            names[at] = texts[1][number]
+    return Identities(label, pairs, names, int(apart.sum()) + n_other if comparable else 0)
 
 
-def _fresh(labels: Ints, n: int) -> Ints:
-    return int(labels.max(initial=-1)) + 1 + np.arange(n)
-
-
-def _called(label: Ints, number: Ints, texts: Sequence[str]) -> dict[int, str]:
-    """Return the names of labels (n,) whose landmarks have a number (n,) among the texts."""
-    return {int(at): texts[k] for at, k in zip(label, number.tolist(), strict=True)}
+def _in_first(labels: Ints, first: Texts, second: Texts) -> Ints:
+    """Return the labels (n,) of the second map as the first has them; -1 if it has no such text."""
+    if first is None or second is None:
+        return labels
+    number = {text: k for k, text in first.items()}
+    return np.array([number.get(second.get(k, ""), -1) for k in labels.tolist()], dtype=np.int64)

@@ -16,9 +16,8 @@ from relmap.core.geometry.alignment import fit_rigid
 from relmap.core.landmarks import LandmarkTable
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.state.table import LandmarkState
-from relmap.datasets.textfile import invalid
 from relmap.evaluation.metrics import positions_of
-from relmap.io.results import NAMES, Result, Tracks, read_names, shifted
+from relmap.io.results import Result, Tracks, read_names, shifted
 from relmap.merging.identities import Identities, Texts, identities_of
 from relmap.merging.tables import joined, joined_walls, moved
 from relmap.planes.places.wall_tie import ACROSS, LEAST_M, RIVAL, wall_ties
@@ -69,7 +68,7 @@ def merge_results(one: Path, other: Path) -> Merged:
     else:
         motion, record = _tie_of_points(a, b, f"{other} and {one}")
     record |= {"first": str(one), "second": str(other)}
-    texts = _texts(one, a), _texts(other, b)
+    texts = read_names(one), read_names(other)
     result, motion, names = _joined(a, b, texts, motion, record)
     return Merged(result, b.stamps_s, motion.matrix @ b.poses, names)
 
@@ -82,13 +81,6 @@ def _read(folder: Path) -> Result:
             "planes) are merged"
         )
     return result
-
-
-def _texts(folder: Path, result: Result) -> Texts:
-    names, labels = read_names(folder), result.landmarks.landmark
-    if names is not None and not 0 <= labels.min(initial=0) <= labels.max(initial=-1) < len(names):
-        raise invalid(folder / NAMES, f"names only {len(names)} of the landmarks")
-    return names
 
 
 def _joined(
@@ -116,7 +108,7 @@ def _joined(
     table = joined(_alone(a.landmarks), theirs, same.pairs)
     record |= {"T_first_second": motion.matrix.tolist(), "common_landmarks": len(pairs)}
     tracks = Tracks(NOTHING, NOTHING, NOTHING)
-    result = Result(table, tracks, a.stamps_s, a.poses, _summary(a, table, record))
+    result = Result(table, tracks, a.stamps_s, a.poses, _summary(a, b, table, record))
     return result if planes is None else _of_walls(result, planes), motion, same.names
 
 
@@ -206,11 +198,13 @@ def _of_walls(result: Result, planes: PlaneTable) -> PlaneResult:
     return PlaneResult(**vars(replace(result, landmarks=table, summary=summary)), planes=planes)
 
 
-def _summary(a: Result, table: LandmarkTable, record: Record) -> Record:
+def _summary(a: Result, b: Result, table: LandmarkTable, record: Record) -> Record:
     mapped = int(np.isfinite(table.position[:, 0]).sum())
     counts = {"landmarks": len(table.landmark), "mapped": mapped}
     counts |= {kind: int((table.status == kind).sum()) for kind in STATUS}
     about = {name: a.summary.get(name) for name in ("variant", "association", "dimensions")}
+    if b.summary.get("association") != about["association"]:
+        about["association"] = "nearest"
     first, last = table.first_iteration.min(initial=0), table.last_iteration.max(initial=-1)
     scans = [int(first), int(last) + 1]
     return about | {"merged": record, "scans": scans, "versions": versions(), "counts": counts}
