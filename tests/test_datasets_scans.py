@@ -73,8 +73,11 @@ def test_the_range_of_the_sensor_reaches_its_points(tmp_path: Path) -> None:
     assert "array range_m: 1, but there are points up to 9.22 m away" in near
 
 
-def test_a_log_in_which_every_z_is_zero_is_of_a_2d_laser(tmp_path: Path) -> None:
-    points = np.arange(9.0).reshape(3, 3) * [1, 1, 0]
+@pytest.mark.parametrize("height_m", [0.0, 0.3])
+def test_a_log_in_which_every_z_is_the_same_is_of_a_2d_laser(
+    tmp_path: Path, height_m: float
+) -> None:
+    points = np.arange(9.0).reshape(3, 3) * [1, 1, 0] + [0, 0, height_m]
     log = open_scans(npz(tmp_path / "scans.npz", points=points))
     assert log.dimension == 2
     assert points_of(log)[0] == points[:2, :2].tolist()
@@ -115,6 +118,10 @@ def test_rows_may_come_in_any_order_and_as_float32(tmp_path: Path) -> None:
         ({"iteration": np.array([0, -1, 1])}, "iteration, row 1"),
         ({"stamps_s": np.array([1.0, 1.0])}, "stamps_s, row 1: is not a later time"),
         ({"stamps_s": np.array([np.nan, 1.0])}, "stamps_s, row 0"),
+        (
+            {"stamps_s": np.array([1, 17 * 10**17])},
+            "stamps_s, row 1: is out of range, expected sec",
+        ),
         ({"stamps_s": np.array([1.0, 0.0, 1.0])}, "stamps_s, row 2: is not a later time"),
         ({"stamps_s": np.zeros((2, 1))}, "array stamps_s"),
         (

@@ -81,6 +81,7 @@ def test_impossible_times_are_refused_and_change_nothing(kind: type[Any]) -> Non
         (3.0, "order of time"),
         (np.nan, "stamp_s is nan; it must be one finite number of seconds"),
         (np.inf, "finite"),
+        (1.7e18, "stamp_s is 1.7e[+]18; it must be one finite number of seconds, at most 1e[+]12"),
         ([1.0, 2.0], "one finite"),
         ("now", "stamp_s must be one finite number of seconds"),
     ):

@@ -10,6 +10,9 @@ from relmap.core.errors import RelmapError
 from relmap.core.scan import numbers
 from relmap.core.state.growing import GrowingArray
 
+MAX_S = 1e12
+"""Larger times are not in seconds."""
+
 
 class Stamps:
     """The time of each scan of a run, seconds; NaN for scans without."""
@@ -27,11 +30,11 @@ class Stamps:
     def checked(self, stamp_s: ArrayLike) -> float:
         """Return the time of the next scan.
 
-        Raises `RelmapError` if it is not one finite number, or not later than the latest time.
+        Raises `RelmapError` if it is not one number, beyond `MAX_S`, or not after the latest one.
         """
-        wanted = "one finite number of seconds"
+        wanted = f"one finite number of seconds, at most {MAX_S:g}"
         array = numbers(stamp_s, "stamp_s", wanted, 0.0)
-        if array.shape or not np.isfinite(array):
+        if array.shape or not abs(array) <= MAX_S:
             raise RelmapError(f"stamp_s is {array.tolist()!s:.40}; it must be {wanted}")
         if array <= self.latest_s:
             raise RelmapError(

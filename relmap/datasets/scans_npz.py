@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.arrays import Bools, Floats
+from relmap.core.stamps import MAX_S
 from relmap.datasets.assembly import MAX_COORDINATE_M
 from relmap.datasets.foreign import ZIP, foreign_at
 from relmap.datasets.headers import file_in
@@ -74,7 +75,8 @@ class ScansNpz:
         in_time, stamps_s = in_time_order(file, stamps_s.astype(np.float64))
         iteration = np.argsort(in_time)[iteration]
         order = np.argsort(iteration, kind="stable")
-        if not points[:, 2:].any():
+        z = points[:, 2:]
+        if not z.any() or (len(z) > 1 and not np.ptp(z, axis=0).any()):  # a 2-D laser
             points = points[:, :2]
         iteration, points_robot = iteration[order], points[order].astype(np.float64, copy=False)
         if points_robot.shape[1] == 2:
@@ -188,10 +190,12 @@ def _check_values(file: Path, arrays: dict[str, NDArray[Any]]) -> None:
     there = (iteration >= 0) & (iteration <= last)
     far = "is not finite or out of range, expected metres; leave out beams without a return"
     again = "is not a later time, expected seconds, a different time for each scan"
+    seconds = ~(np.abs(stamps_s) > MAX_S)
     for array, good, problem in (
         ("points", near, far),
         ("iteration", there, f"is not a scan, expected 0 to {last}"),
         ("stamps_s", later, again),
+        ("stamps_s", seconds, f"is out of range, expected seconds, at most {MAX_S:g}"),
     ):
         if not good.all():
             raise invalid(file, f"array {array}, row {np.argmin(good)}: {problem}")

@@ -80,7 +80,10 @@ class WorldSpec:
         ranges = {"length_m": (10, 1e5), "iterations": (1, 10**6), "spacing_m": (0.1, 1e3)}
         ranges |= {"turn_deg": (0, 180), "view_deg": (1, 360)} | dict.fromkeys(shares, (0, 0.9))
         limits = [
-            (low <= getattr(self, key) <= high, f"{key} is {getattr(self, key)}; {low} to {high}")
+            (
+                low <= getattr(self, key) <= high,
+                f"{key} is {getattr(self, key)}; it must lie in [{low}, {high:g}]",
+            )
             for key, (low, high) in ranges.items()
         ]
         check_arguments("gaussian", self.sigma, self.seed, *limits)
