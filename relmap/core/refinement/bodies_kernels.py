@@ -41,5 +41,7 @@ def moments_between(
                     _add_product(share, columns[j], columns[i], moments[body[i], body[j]])
     for k in range(n_bodies):
         for m in range(k):
-            moments[m, k] = moments[k, m].T
+            for a in range(q):
+                for c in range(q):
+                    moments[m, k, a, c] = moments[k, m, c, a]
     return moments
