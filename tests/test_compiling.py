@@ -11,15 +11,17 @@ import sys
 from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numba
 import numpy as np
 import pytest
+from numba.core.compiler import Flags
 from numba.core.runtime import nrt
 
 import relmap
 from relmap.core.linalg import compiler
+from relmap.core.linalg.compiling import helper
 
 PACKAGE = Path(relmap.__file__).parent
 KERNEL = """
@@ -230,6 +232,24 @@ def test_other_versions_of_numba_compile_with_their_own_steps(
     here, there = (np.ones((4, 4)), np.zeros(4, bool)), (np.ones((4, 4)), np.zeros(4, bool))
     one = afresh(lambda rows, flags: (rows[1:, 0] + 2 * rows[0, 1:])[flags[1:].argmin()], other)
     assert one(*here) == one.py_func(*there)
+
+
+def test_a_helper_is_compiled_once_whatever_constants_it_gets() -> None:
+    raised: Any = helper(lambda base, by: base**by)
+    powers = afresh(lambda x, n: raised(x, 2) + raised(x, 3) + raised(x, n))
+    assert powers(2.0, 4) == 4 + 8 + 16
+    assert len(raised.signatures) == 1
+
+
+def test_options_are_compared_as_by_numba() -> None:
+    given, quick = cast("Any", Flags)(), compiler.KernelFlags()
+    assert hash(given) == hash(quick)
+    assert given == quick
+    quick.error_model = "numpy"
+    assert given != quick
+    given.error_model = "numpy"
+    assert given == quick == quick.copy()
+    assert quick.values() == given.values()
 
 
 def test_compiled_code_frees_its_arrays() -> None:

@@ -132,6 +132,19 @@ def test_a_corridor_is_placed_by_its_doors() -> None:
     assert len(tied_parts([part_of(k, even, sensors, moved=bool(k)) for k in range(2)])) == 2
 
 
+@pytest.mark.parametrize(
+    ("walls", "ends", "jumps", "n_maps"),
+    [(14, 7, False, 2), (16, 10, False, 1), (12, 9, False, 1), (12, 9, True, 2), (30, 38, True, 1)],
+)
+def test_ends_that_coincide_by_chance_do_not_join(
+    monkeypatch: pytest.MonkeyPatch, walls: int, ends: int, jumps: bool, n_maps: int
+) -> None:
+    """Numbers from simulated corridors with doors; wrong alignments were up to 54 m off."""
+    monkeypatch.setattr(submap_ties, "coinciding_ends", lambda *_: (walls, ends))
+    monkeypatch.setattr(MapPart, "jumps_to", lambda *_: jumps)
+    assert len(tied_parts([part_of(0, ROOM, INSIDE), part_of(1, ROOM, INSIDE, True)])) == n_maps
+
+
 def with_rooms(number: int, rooms: Sequence[tuple[Floats, Floats]], moved: bool = False) -> MapPart:
     """Return several rooms, each given by its corners and sensors, as one part."""
     parts = [part_of(number, corners, sensors, moved) for corners, sensors in rooms]

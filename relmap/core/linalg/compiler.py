@@ -10,13 +10,24 @@ import llvmlite.binding as llvm
 import numba
 from numba.core import typed_passes
 from numba.core.codegen import JITCodeLibrary, get_host_cpu_features
-from numba.core.compiler import CompilerBase, DefaultPassBuilder
+from numba.core.compiler import CompilerBase, DefaultPassBuilder, Flags
 from numba.core.compiler_machinery import register_pass
 from numba.core.lowering import Lower
 
 IS_KNOWN = (0, 61) <= numba.version_info.short <= (0, 68)
 """Whether the tests have passed with this version of numba. Others use their own code, which takes
 longer."""
+
+
+_DEFAULTS = {name: option.default for name, option in Flags.options.items()}
+
+
+class KernelFlags(cast("Any", Flags)):  # type: ignore[misc]
+    """Options of the compiler, which numba compares for each call that it types."""
+
+    def values(self) -> dict[str, Any]:
+        """Return all options; by default numba would ask for one after the other."""
+        return {**_DEFAULTS, **self._values}
 
 
 @cache

@@ -6,8 +6,9 @@ imported where they are used.
 
 Compile time depends on the number and length of functions. A scalar loop takes about 0.01 s,
 whereas a slice assignment, `np.full`, `np.sort`, `np.dot` and array arithmetic take 0.1 to 0.2 s
-each, and assigning an array to part of another 2 s, for the message if the shapes differ. Each
-form of a call counts: `np.empty(n, dtype=kind)` beside `np.empty(n, kind)` takes twice as long.
+each, and assigning an array to part of another 2 s, for the message if the shapes differ: use a
+loop. Each form of a call counts: `np.empty(n, dtype=kind)` beside `np.empty(n, kind)` takes twice
+as long.
 """
 
 from __future__ import annotations
@@ -18,10 +19,16 @@ from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
 import numba
-from numba.core import event
+from numba.core import event, types
 
 from relmap.core.linalg.caching import keep_by_content
-from relmap.core.linalg.compiler import IS_KNOWN, KernelCompiler, PartCompiler, UnrolledCompiler
+from relmap.core.linalg.compiler import (
+    IS_KNOWN,
+    KernelCompiler,
+    KernelFlags,
+    PartCompiler,
+    UnrolledCompiler,
+)
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
@@ -50,6 +57,7 @@ def _kept(function: Function, **options: Any) -> Function:
         _WATCH.keeps = False
         return cast("Function", _njit(**_OPTIONS, **options)(function))
     if IS_KNOWN:
+        kept._compiler._customize_flags = KernelFlags
         keep_by_content(kept, repr(options))
     return cast("Function", kept)
 
@@ -57,9 +65,15 @@ def _kept(function: Function, **options: Any) -> Function:
 def helper(function: Function) -> Function:
     """Compile a function as a part of its callers, which must be compiled too.
 
-    It cannot be called from Python.
+    It cannot be called from Python. A constant among its arguments is an argument like others:
+    by default numba would compile the function again for each constant.
     """
-    return cast("Function", _njit(pipeline_class=PartCompiler, **_OPTIONS)(function))
+    part = _njit(pipeline_class=PartCompiler, **_OPTIONS)(function)
+    if IS_KNOWN:
+        part._compiler._customize_flags = KernelFlags
+    by_types, plain = part.get_call_template, cast("Any", types).unliteral
+    part.get_call_template = lambda args, kws: by_types([plain(one) for one in args], kws)
+    return cast("Function", part)
 
 
 class _Watch(event.Listener):
