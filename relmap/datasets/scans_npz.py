@@ -75,8 +75,7 @@ class ScansNpz:
         in_time, stamps_s = in_time_order(file, stamps_s.astype(np.float64))
         iteration = np.argsort(in_time)[iteration]
         order = np.argsort(iteration, kind="stable")
-        z = points[:, 2:]
-        if not z.any() or (len(z) > 1 and not np.ptp(z, axis=0).any()):  # a 2-D laser
+        if not points[:, 2:].any():
             points = points[:, :2]
         iteration, points_robot = iteration[order], points[order].astype(np.float64, copy=False)
         if points_robot.shape[1] == 2:

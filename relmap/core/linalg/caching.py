@@ -29,9 +29,17 @@ def keep_by_content(dispatcher: Any, options: str) -> None:
     _Kept.keep(dispatcher, options)
 
 
+def compile_with(dispatcher: Any, flags: type) -> None:
+    """Let a function be compiled with options of a type of ours."""
+    _Kept.compile_with(dispatcher, flags)
+
+
 class _Kept(CPUDispatcher):
     def keep(self, options: str) -> None:
         self._cache = _Cache(self.py_func, options)
+
+    def compile_with(self: Any, flags: type) -> None:
+        vars(self._compiler)["_customize_flags"] = flags
 
 
 class _Cache(FunctionCache):

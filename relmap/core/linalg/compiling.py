@@ -21,7 +21,7 @@ from typing import Any, TypeVar, cast
 import numba
 from numba.core import event, types
 
-from relmap.core.linalg.caching import keep_by_content
+from relmap.core.linalg.caching import compile_with, keep_by_content
 from relmap.core.linalg.compiler import (
     IS_KNOWN,
     KernelCompiler,
@@ -57,7 +57,7 @@ def _kept(function: Function, **options: Any) -> Function:
         _WATCH.keeps = False
         return cast("Function", _njit(**_OPTIONS, **options)(function))
     if IS_KNOWN:
-        kept._compiler._customize_flags = KernelFlags
+        compile_with(kept, KernelFlags)
         keep_by_content(kept, repr(options))
     return cast("Function", kept)
 
@@ -70,7 +70,7 @@ def helper(function: Function) -> Function:
     """
     part = _njit(pipeline_class=PartCompiler, **_OPTIONS)(function)
     if IS_KNOWN:
-        part._compiler._customize_flags = KernelFlags
+        compile_with(part, KernelFlags)
     by_types, plain = part.get_call_template, cast("Any", types).unliteral
     part.get_call_template = lambda args, kws: by_types([plain(one) for one in args], kws)
     return cast("Function", part)
