@@ -15,8 +15,6 @@ from relmap.cli import main
 from relmap.core.arrays import Floats
 from relmap.core.association.reobservation.pairing import Motion
 from relmap.core.geometry.alignment import fit_rigid
-from relmap.evaluation.metrics import positions_of
-from relmap.evaluation.truth import read_truth
 from relmap.io.files import read_tum
 from relmap.io.results import read_result
 from relmap.merging.tables import joined_walls, moved
@@ -183,79 +181,6 @@ def test_a_map_merged_with_itself_is_that_map(halves: Path) -> None:
             atol=1e-6,
         )
     assert not (halves / "self" / "planes.csv").exists()  # of walls, before
-
-
-def lines_of(path: Path) -> list[str]:
-    return path.read_text().splitlines()
-
-
-def write_lines(path: Path, rows: list[list[str]]) -> None:
-    path.write_text("".join(",".join(row) + "\n" for row in rows))
-
-
-@pytest.fixture(scope="module")
-def named(halves: Path) -> Path:
-    """The two logs of the figure eight, mapped with ids that are numbers and with texts."""
-    header, *rows = [row.split(",") for row in lines_of(halves / "eight" / "observations.csv")]
-    known = ["--association", "known"]
-    columns = ["--columns", "iteration=iteration,x=x,y=y,z=z,id=tree"]
-    for name, first, end in (("a", 0, 180), ("b", 120, 300)):
-        part = [row for row in rows if first <= int(row[0]) < end]
-        write_lines(halves / f"{name}.csv", [header, *part])
-        run_relmap("map", halves / f"{name}.csv", "-o", halves / f"ids-{name}", *known)
-        texts = [[*row[:4], f"tree {row[4]}"] for row in part]
-        write_lines(halves / f"{name}-text.csv", [[*header[:4], "tree"], *texts])
-        text_log = halves / f"{name}-text.csv"
-        run_relmap("map", text_log, "-o", halves / f"text-{name}", *known, *columns)
-    return halves
-
-
-def at_their_ids(merged: Path, truth: Path, ids: dict[int, int] | None) -> Floats:
-    """Return the distances of mapped landmarks from the true places of their ids."""
-    table, true = read_result(merged).landmarks, read_truth(truth)
-    rows = np.isfinite(table.position[:, 0])
-    own = [ids[k] if ids else k for k in table.landmark[rows].tolist()]
-    places = true.landmarks_map[positions_of(true.landmark_ids, np.array(own))]
-    R, t = fit_rigid(table.position[rows], places)
-    assert len(set(own)) == len(own) > 50
-    return np.asarray(np.linalg.norm(table.position[rows] @ R.T + t - places, axis=1))
-
-
-def test_ids_and_their_names_survive(named: Path, tmp_path: Path) -> None:
-    run_relmap("merge", named / "ids-a", named / "ids-b", "-o", tmp_path / "ids")
-    assert at_their_ids(tmp_path / "ids", named / "eight", None).max() < 0.5
-    seen = [read_result(named / f"ids-{name}").landmarks.observations.sum() for name in "ab"]
-    assert read_result(tmp_path / "ids").landmarks.observations.sum() == sum(seen)
-    run_relmap("merge", named / "text-a", named / "text-b", "-o", tmp_path / "text")
-    names = table(tmp_path / "text" / "names.csv")
-    ids = {int(row["landmark"]): int(row["name"].removeprefix("tree ")) for row in names}
-    assert at_their_ids(tmp_path / "text", named / "eight", ids).max() < 0.5
-    run_relmap("merge", named / "eight-a", named / "text-b", "-o", tmp_path / "half")
-    merged = read_result(tmp_path / "half")
-    named_ones = {int(row["landmark"]) for row in table(tmp_path / "half" / "names.csv")}
-    alone = merged.landmarks.first_iteration > 200  # of the second map alone
-    assert set(merged.landmarks.landmark[alone].tolist()) <= named_ones
-
-
-def test_a_merged_map_with_names_is_merged_again(named: Path, tmp_path: Path) -> None:
-    run_relmap("merge", named / "eight-a", named / "text-b", "-o", tmp_path / "half")
-    run_relmap("merge", named / "text-a", tmp_path / "half", "-o", tmp_path / "again")
-    names = [row["name"] for row in table(tmp_path / "again" / "names.csv")]
-    assert len(set(names)) > 50
-
-
-def test_ids_that_mean_other_landmarks_are_renumbered(
-    named: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    header, *rows = [row.split(",") for row in lines_of(named / "b.csv")]
-    others = [[*row[:4], str((int(row[4]) + 50) % 185)] for row in rows]
-    write_lines(tmp_path / "b.csv", [header, *others])
-    run_relmap("map", tmp_path / "b.csv", "-o", tmp_path / "b", "--association", "known")
-    capsys.readouterr()
-    run_relmap("merge", named / "ids-a", tmp_path / "b", "-o", tmp_path / "both")
-    assert "ids mean different landmarks in them" in capsys.readouterr().out
-    labels = read_result(tmp_path / "both").landmarks.landmark
-    assert len(np.unique(labels)) == len(labels)
 
 
 def test_a_merged_map_is_exported(halves: Path, tmp_path: Path) -> None:
