@@ -52,7 +52,7 @@ def killed_after(seconds: float, journal: Path, scans: list[Floats]) -> bool:
 
 def main(folder: Path, moments: int) -> None:
     """Print the outcome of each run, as JSON."""
-    scans = [points for _, points in walk(3, 5, 0.02, iterations=110).scans]
+    scans = [points for _, points in walk(3, 5, 0.02, iterations=500).scans]
     whole = mapped(PointMapper(), scans, folder / "warm")
     killed_after(0, folder / "whole.journal", scans)
     used = resource.getrusage(resource.RUSAGE_CHILDREN)

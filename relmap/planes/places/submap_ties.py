@@ -43,12 +43,12 @@ Of 436 alignments of submaps, of eight logs and between buildings, right ones ha
 wrong ones 0.10 or more."""
 CROSSING_M = 3.0
 """Minimum length of overlapping wall that prevents sliding along the rest."""
-WALLS, ENDS, ENDS_SHARE = 6, 4, 0.3
-"""Minimum number of walls that coincide, and of places where their ends do: a constant and a share
-of the walls. A bend of a bare corridor has four walls, and looks like any other, as do crossings;
-along two corridors with doors, half as many ends as walls coincide by chance. The share is twice as
-large where the robot must have been carried. Of 130 alignments of submaps in 20 logs and worlds,
-the 6 wrong ones by more than 5 m had too few such places, and 117 of the others enough."""
+WALLS, CHANCE, SIGMAS = 6, 0.3, 3.5
+"""Minimum number of walls that coincide; share of places per wall where ends coincide by chance, as
+along two corridors with doors, and by how many standard deviations of a binomial distribution there
+must be more. A bend of a bare corridor has four walls, and looks like any other, as do crossings.
+Of 140 alignments of submaps in 23 logs and worlds, the 9 wrong ones by more than 5 m had too few
+such places."""
 SYMMETRIC = 0.02
 """Largest contradicted fraction if the robot must have been carried, or scans are missing, between
 submaps: a corridor round a building looks the same after half a turn (0.037 and more)."""
@@ -224,15 +224,15 @@ def unrivalled(part: MapPart, other: MapPart, also: Sequence[WallTie] = ()) -> S
     best, *others = sorted(judged, key=lambda each: -each.support_m)
     if not best.is_sure:
         return None
-    jumps = part.jumps_to(other, best.tie)
     walls, ends = coinciding_ends(other.ends, part.ends, best.tie)
-    if walls < WALLS or ends < ENDS + (1 + jumps) * ENDS_SHARE * walls:
+    by_chance = CHANCE * walls + SIGMAS * (CHANCE * (1 - CHANCE) * walls) ** 0.5
+    if walls < WALLS or ends < by_chance:
         return None
     rivals = (each.tie for each in others if each.support_m > RIVAL * best.support_m)
     elsewhere = (tie for tie in rivals if not _alike(best.tie, tie, other.ends))
     if any(coinciding_ends(other.ends, part.ends, tie)[1] > RIVAL * ends for tie in elsewhere):
         return None
-    if best.contradicted > SYMMETRIC and jumps:
+    if best.contradicted > SYMMETRIC and part.jumps_to(other, best.tie):
         return None
     turned = (_judged(part, other, tie) for tie in _turned(part, other, best.tie))
     return None if any(each.support_m > RIVAL * best.support_m for each in turned) else best
