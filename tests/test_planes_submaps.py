@@ -315,3 +315,14 @@ def test_resuming_a_finished_run_writes_what_the_run_wrote(
     assert f"wrote {len(written)} files" in said
     for name in written.keys() - {"summary.json"}:
         assert written[name] == whole[name], name
+
+
+@pytest.mark.parametrize(("lost", "torn"), [(1, 1), (2, 1), (3, 0)])
+def test_a_path_follows_its_links_across_a_few_lost_scans(lost: int, torn: int) -> None:
+    """A part behind a lost scan slid 31 m along a corridor when the map was refined."""
+    motions = np.tile([0.1, -0.5, 0.02], (12, 1))
+    poses = stitched([], motions)
+    poses[5 : 5 + lost] = np.nan
+    assert disagreement(poses, motions) == pytest.approx((0, 0.0), abs=1e-12)
+    poses[5 + lost :, 0, 3] += 3.0
+    assert disagreement(poses, motions)[0] == torn

@@ -177,7 +177,8 @@ def bent_steps(submap: WallSubmap, history: PlaneHistory, beams: BeamStore) -> I
     """
     motions = history.motion[slice(*submap.span)]
     way_m, turn = deviations(submap.poses, motions)
-    far = 1 + np.flatnonzero((way_m > FAR_M) | (turn > FAR_RAD))
+    stepped = np.isfinite(submap.poses[:-1, 0, 3])
+    far = 1 + np.flatnonzero(stepped & ((way_m > FAR_M) | (turn > FAR_RAD)))
     links = np.linalg.inv(matrices(motions[far]))
     changes = submap.poses[far - 1] @ links @ np.linalg.inv(submap.poses[far])
     bent = [

@@ -18,13 +18,15 @@ from numpy.typing import NDArray
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.landmarks import Submap
 from relmap.planes.linking.placement import LEVER_M
-from relmap.planes.motions import APART_M, APART_RAD, matrices, wrapped
+from relmap.planes.motions import APART_M, APART_RAD, matrices, motion_over, wrapped
 from relmap.planes.walls.assembly import Assembled
 from relmap.planes.walls.history import PlaneHistory
 from relmap.planes.walls.table import corner_map
 
 FEW, ASTRAY_M = 5, 0.3
 """Maximum number of consecutive misplaced scans, and minimum distance from the others."""
+LOST = 2
+"""Number of consecutive scans without a pose across which a path must follow its links."""
 TORN_M = 1.0
 """Disagreement of a map with a link above which the map is torn."""
 
@@ -217,9 +219,16 @@ def torn_links(poses: Floats, motions: Floats) -> Ints:
 def deviations(poses: Floats, motions: Floats) -> tuple[Floats, Floats]:
     """Return how far the steps of a path are off its links (k - 1,), metres and radians.
 
-    NaN where unknown; the arguments are those of `torn_links`.
+    Across a few lost scans, the motions from the scan before to the one after are composed. NaN
+    where unknown; the arguments are those of `torn_links`.
     """
-    relative = np.linalg.inv(poses[1:]) @ poses[:-1]
-    turn = np.arctan2(relative[:, 1, 0], relative[:, 0, 0]) - motions[1:, 0]
-    way_m = np.hypot(*(relative[:, :2, 3] - motions[1:, 1:]).T)
+    motions, before = motions[1:].copy(), poses[:-1].copy()
+    known = np.flatnonzero(np.isfinite(poses[:, 0, 0]))
+    lost = np.diff(known) - 1
+    for k in np.flatnonzero((lost > 0) & (lost <= LOST)).tolist():
+        first, last = int(known[k]), int(known[k + 1]) - 1
+        motions[last], before[last] = motion_over(motions[first : last + 1]), poses[first]
+    relative = np.linalg.inv(poses[1:]) @ before
+    turn = np.arctan2(relative[:, 1, 0], relative[:, 0, 0]) - motions[:, 0]
+    way_m = np.hypot(*(relative[:, :2, 3] - motions[:, 1:]).T)
     return way_m, np.abs(wrapped(turn))
