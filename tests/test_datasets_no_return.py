@@ -58,6 +58,28 @@ def test_beams_at_the_largest_range_did_not_return(
 
 
 @pytest.mark.parametrize("written", [scans_npz, carmen_log])
+def test_few_beams_down_a_corridor_did_not_return(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, written: object
+) -> None:
+    """They are 4 degrees wide only; where the end of the corridor is seen, it is kept."""
+    assert callable(written)
+    ends_m = 33 - 0.5 * np.arange(40.0)
+    with np.errstate(divide="ignore"):
+        sides_m = 1 / np.abs(np.sin(BEARINGS))
+    true = [np.minimum(sides_m, end_m / np.cos(BEARINGS)).round(2) for end_m in ends_m]
+    assert [len(scan.points_robot) for scan in written(tmp_path, true).scans()] == 40 * [180]
+    assert not caplog.messages
+    none = [np.where(ranges < 25, ranges, 26) for ranges in true]
+    none[0][90] = 40.0  # an error beyond the range
+    log = written(tmp_path, none)
+    for scan, ranges in zip(log.scans(), true, strict=True):
+        assert len(scan.points_robot) == np.sum(ranges < 25) > 170
+    assert log.sensor.range_m == pytest.approx(26, rel=1e-3)
+    (message,) = caplog.messages
+    assert message.endswith("end at the largest range, 26 m, and are treated as no return")
+
+
+@pytest.mark.parametrize("written", [scans_npz, carmen_log])
 @pytest.mark.parametrize("sd_m", [0.005, 0.02])
 def test_the_range_of_beams_without_a_return_may_vary(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, written: object, sd_m: float

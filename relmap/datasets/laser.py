@@ -36,6 +36,10 @@ is the middle of a peak, ..."""
 PEAK, PEAK_SCANS = 5.0, 0.1
 """... that holds this many times as many as the same width below it. Minimum fraction of the scans
 with such beams, in sectors wider than any straight wall within the peak."""
+REPEATED = 10
+"""Minimum number of scans whose largest range is the same if hardly any beams end just below it or
+beyond: down a corridor only a few do not return, and no wall stays at one range as the robot
+moves."""
 REACH_M, SAME_M = 0.6, 0.1
 """Largest range of the robot's own parts, and by how much it varies: noise, vibration."""
 MOSTLY, SELDOM, CHANGING = 0.9, 0.5, 0.1
@@ -119,25 +123,27 @@ def usable_beams(
 def no_return_m(path: Path, ranges_m: list[Floats], bearings_rad: list[Floats]) -> float:
     """Return the range from which beams are without a return, infinity if there are none.
 
-    It is the largest one of a log, or the lower end of a narrow peak there, if in several scans
-    wide sectors have it: no wall looks like this from several places. Parameters as for
-    `usable_beams`.
+    It is that of wide sectors in several scans, the largest of the log or the lower end of a narrow
+    peak there; or one that many scans have, and hardly any beams near it or beyond. No wall looks
+    like this from several places. Parameters as for `usable_beams`.
     """
     every = np.concatenate([*ranges_m, np.zeros(1)])
     largest_m = float(every.max())
-    for least_m, fewest in (
-        (largest_m * (1 - SAME), WIDE_SCANS),
-        (_peak_m(every), max(WIDE_SCANS, PEAK_SCANS * len(ranges_m))),
+    repeated_m = _repeated_m(every, ranges_m)
+    for least_m, most_m, fewest in (
+        (largest_m * (1 - SAME), largest_m, WIDE_SCANS),
+        (_peak_m(every), largest_m, max(WIDE_SCANS, PEAK_SCANS * len(ranges_m))),
+        (repeated_m * (1 - SAME), repeated_m, 0),
     ):
         if not 0 < least_m < np.inf:
             continue
-        straight_rad = 2 * np.arccos(least_m / largest_m)
+        straight_rad = 2 * np.arccos(least_m / most_m)
         wide = sum(
             _widest_rad(ranges >= least_m, bearings) > max(WIDE_RAD, straight_rad)
             for ranges, bearings in zip(ranges_m, bearings_rad, strict=True)
         )
         if wide >= fewest:
-            _warn_of_no_return(path, float(np.mean(every[:-1] >= least_m)), least_m, largest_m)
+            _warn_of_no_return(path, float(np.mean(every[:-1] >= least_m)), least_m, most_m)
             return least_m
     return np.inf
 
@@ -152,15 +158,33 @@ def _peak_m(ranges_m: Floats) -> float:
     return least_m if np.count_nonzero(ranges_m >= least_m) >= PEAK * n_below else np.inf
 
 
-def _warn_of_no_return(path: Path, share: float, least_m: float, largest_m: float) -> None:
+def _repeated_m(every_m: Floats, ranges_m: list[Floats]) -> float:
+    """Return the range that stands alone at the far end of many scans, infinity if there is none.
+
+    `every_m` (n,): the ranges of all scans.
+    """
+    farthest_m = np.sort([ranges.max(initial=0.0) for ranges in ranges_m])
+    farthest_m = farthest_m[farthest_m > 0]
+    if len(farthest_m) < REPEATED:
+        return np.inf
+    ends = np.searchsorted(farthest_m, farthest_m * (1 + SAME), "right")
+    counts = ends - np.arange(len(ends))
+    most = int(np.argmax(counts))
+    same_m = float(farthest_m[ends[most] - 1])
+    same = np.count_nonzero(np.abs(every_m - same_m) <= SAME * same_m)
+    others = np.count_nonzero(every_m >= same_m - JITTER_M) - same
+    return same_m if counts[most] >= REPEATED and same >= PEAK * others else np.inf
+
+
+def _warn_of_no_return(path: Path, share: float, least_m: float, most_m: float) -> None:
     """Warn of the share of beams from the least range up to the largest."""
-    exact = least_m >= largest_m * (1 - SAME)
+    exact = least_m >= most_m * (1 - SAME)
     _LOG.warning(
         "%s: %.3g %% of the beams end at the largest range, %.4g m, %sand are treated as no return",
         shown(path),
         100 * share,
-        largest_m,
-        "" if exact else f"or at most {largest_m - least_m:.2g} m before it, ",
+        most_m,
+        "" if exact else f"or at most {most_m - least_m:.2g} m before it, ",
     )
 
 

@@ -46,8 +46,6 @@ LIKELIER = 3.0
 """Minimum log odds of a correction."""
 FREE_M, FREE = 0.3, 0.01
 """A motion along a wall is undetermined if the beams agree almost as well at this distance."""
-STANDING_M, UNLIKELY = 0.05, -1.0
-"""Up to this motion it is undetermined also if the log odds there are higher."""
 CONTRADICTED = -5.0
 """Log odds below which beams contradict the usual step."""
 
@@ -205,20 +203,6 @@ class ScanComparison:
         return odds_over(pairs, self._firm)[0]
 
     def _measured(self, judged: Judged, k: int) -> bool:
-        """Return whether beams exclude other motions along the longest wall.
-
-        Standing still keeps all points in view, and in a corridor they hit the same places again:
-        then only points in view by both motions are compared.
-        """
-        if not self._stands_out(judged, k):
-            return False
-        motion, match = judged.motions[k], judged.matches[k]
-        if np.hypot(*motion[1:]) > STANDING_M:
-            return True
-        moved = self._moved(motion, match, FREE_M * np.array([-1.0, 1.0]))
-        return bool(self._odds(self._views, moved, motion).max() < UNLIKELY)
-
-    def _stands_out(self, judged: Judged, k: int) -> bool:
         """Return whether beams agree less if a motion is slid along the longest wall."""
         if not len(judged.matches[k].walls):
             return False

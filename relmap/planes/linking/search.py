@@ -157,7 +157,7 @@ class Search(ScanComparison):
         if self._is_empty:
             return -np.inf, 0.0, True
         found = self._judged([motion])
-        evidence = float(found.of_pair[0]) + MEASURED * self._stands_out(found, 0)
+        evidence = float(found.of_pair[0]) + MEASURED * self._measured(found, 0)
         return evidence, float(found.contradict[0]), not others(found.motions, motion)[0]
 
     def bridged(self, expected: Expected) -> Found | None:
