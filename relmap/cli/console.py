@@ -35,12 +35,11 @@ class Counter:
 
     It is a callback for `relmap.map_log`: called with the work done and the total.
 
-    `patience_s`: shorter work shows no progress; `PATIENCE_S` if not given.
+    `patience_s`: shorter work shows no progress.
     """
 
-    def __init__(self, what: str, patience_s: float | None = None) -> None:
-        self._what = what
-        self._patience_s = PATIENCE_S if patience_s is None else patience_s
+    def __init__(self, what: str, patience_s: float = PATIENCE_S) -> None:
+        self._what, self._patience_s = what, patience_s
         self._began = self._printed = self._latest = monotonic()
         self._slowest_s: list[float] = []
         self._before: int | None = None
@@ -93,7 +92,7 @@ class Counter:
 
 
 def tracked(
-    items: Iterable[T], total: int, what: str, patience_s: float | None = None
+    items: Iterable[T], total: int, what: str, patience_s: float = PATIENCE_S
 ) -> Iterator[T]:
     """Yield the `total` items; show progress on stderr if it takes long, see `Counter`."""
     counter = Counter(what, patience_s)
