@@ -24,10 +24,7 @@ much: a robot turns by a degree meanwhile."""
 
 
 def relations_by_clocks(path: Path) -> tuple[Relations, ...]:
-    """Read relations by the robot's clock and, if known, by the logger's.
-
-    Raises `RelmapError` if the file does not contain relations.
-    """
+    """Read relations by the robot's clock and, if known, the logger's; see `read_relations`."""
     relations = read_relations(path)
     stem = path.name.removesuffix(RELATIONS)
     for name in (f"{stem}.log.gz", f"{stem}.log"):

@@ -79,10 +79,7 @@ def write_parts(folder: Path, result: Plane3dResult) -> None:
 
 
 def read_result3d(folder: Path) -> Plane3dResult:
-    """Read a result folder of planes in space.
-
-    Raises `RelmapError` if a file is missing or invalid.
-    """
+    """Read a result folder of planes in space; RelmapError if a file is missing or invalid."""
     table = read_table(folder / PLANES, COLUMNS)
     for name in (*NORMAL, "offset", *AXES, "area_m2"):
         _require(folder, table, ~np.isnan(table[name]), f"its field {name} is empty")

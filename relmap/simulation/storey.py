@@ -125,10 +125,7 @@ def simulate_storey(
 
 
 class Squares:
-    """Squares of faces, and how many scans saw each.
-
-    `origin` (f, 3); `sides` (f, 2, 3): at right angles.
-    """
+    """Squares of faces, and how many scans saw each; `origin` (f, 3), `sides` (f, 2, 3)."""
 
     def __init__(self, origin: Floats, sides: Floats) -> None:
         self._origin, self._sides = origin, sides
