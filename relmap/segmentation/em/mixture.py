@@ -117,7 +117,7 @@ def scan_area(xy: Floats, sigma: float) -> float:
 def maximise(
     mixture: WallMixture, xy: Floats, steps: int, held: bool = False, tolerance: float = TOLERANCE
 ) -> WallMixture:
-    """Return the mixture after at most so many steps of EM, if `held` with fixed ends of walls."""
+    """Return the mixture after EM, until it converges; if `held`, the ends of walls are fixed."""
     from relmap.segmentation.em.step_kernels import em_step
 
     walls, sigma, stray = mixture.walls.copy(), mixture.sigma, mixture.stray
