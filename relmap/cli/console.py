@@ -35,11 +35,12 @@ class Counter:
 
     It is a callback for `relmap.map_log`: called with the work done and the total.
 
-    `patience_s`: shorter work shows no progress.
+    `patience_s`: shorter work shows no progress; `PATIENCE_S` if not given.
     """
 
-    def __init__(self, what: str, patience_s: float = PATIENCE_S) -> None:
-        self._what, self._patience_s = what, patience_s
+    def __init__(self, what: str, patience_s: float | None = None) -> None:
+        self._what = what
+        self._patience_s = PATIENCE_S if patience_s is None else patience_s
         self._began = self._printed = self._latest = monotonic()
         self._slowest_s: list[float] = []
         self._before: int | None = None
@@ -92,7 +93,7 @@ class Counter:
 
 
 def tracked(
-    items: Iterable[T], total: int, what: str, patience_s: float = PATIENCE_S
+    items: Iterable[T], total: int, what: str, patience_s: float | None = None
 ) -> Iterator[T]:
     """Yield the `total` items; show progress on stderr if it takes long, see `Counter`."""
     counter = Counter(what, patience_s)
