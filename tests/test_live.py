@@ -82,6 +82,9 @@ def test_usage_data_stays_here(monkeypatch: pytest.MonkeyPatch) -> None:
     LiveView().close()
     assert seen == ["true"]
     assert "CI" not in os.environ
+    monkeypatch.setenv("CI", "")
+    LiveView().close()
+    assert (seen, os.environ["CI"]) == (["true", "true"], "")
 
 
 def test_without_the_viewer_one_line_says_what_to_install(

@@ -229,11 +229,13 @@ def test_walls_under_uniform_noise_are_not_doubled() -> None:
 @pytest.mark.parametrize(
     ("arguments", "points", "part"),
     [
-        ({}, [[1.0, 2.0, np.nan]], "point 0"),
-        ({}, [[1.0, 2.0, 3.0], [np.inf, 0, 0]], "point 1"),
+        ({}, [[1.0, 2.0, np.nan]], "points row 0"),
+        ({}, [[1.0, 2.0, 3.0], [np.inf, 0, 0]], "points row 1"),
         ({}, [1.0, 2.0], "(2,)"),
         ({}, np.zeros((3, 4)), "(3, 4)"),
-        ({}, "abc", "not numbers"),
+        ({}, "abc", "array of numbers"),
+        ({}, [["1", "2", "3"]], "array of numbers"),
+        ({}, [[1j, 2.0, 3.0]], "array of numbers"),
         ({"method": "best"}, np.zeros((3, 3)), "em, ransac"),
         ({"method": "patches"}, np.zeros((3, 2)), "(n, 3)"),
         ({"noise": -1.0}, np.zeros((3, 3)), "noise"),
@@ -277,7 +279,7 @@ def test_odd_scans_make_no_warnings(method: str) -> None:
 
 @pytest.mark.parametrize("far_m", [1e10, 1e160, np.inf, np.nan])
 def test_points_that_no_sensor_sees_are_refused(far_m: float) -> None:
-    with pytest.raises(RelmapError, match="must be finite, and metres up to 1e\\+09"):
+    with pytest.raises(RelmapError, match="must be finite, in metres, and at most 1e\\+09"):
         PlaneSegmenter().fit(np.array([[0.0, 1.0], [far_m, 2.0], [3.0, 4.0]]))
 
 

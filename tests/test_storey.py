@@ -65,6 +65,8 @@ def test_settings_out_of_range_are_refused() -> None:
     for settings in ({"storeys": 3}, {"storeys": 0}, {"moving": -1}):
         with pytest.raises(RelmapError, match="storeys must be 1 or 2"):
             simulate_storey("lidar", iterations=1, **settings)
+    with pytest.raises(RelmapError, match="seed is -1; it must not be negative"):
+        simulate_storey(seed=-1)
 
 
 def test_a_house_is_mapped_over_the_stairs(house: Storey) -> None:

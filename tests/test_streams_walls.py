@@ -35,8 +35,8 @@ def walls(**changed: Any) -> SimpleNamespace:
         (walls(noise=[0.1, np.nan]), "noise holds"),
         (walls(n_points=["many", 1]), "n_points must be"),
         (walls(z_extent=np.zeros(2)), "z_extent has shape"),
-        (np.full((4, 3), np.nan), "point 0 is"),
-        (np.ones((4, 5)), "points have shape"),
+        (np.full((4, 3), np.nan), "points row 0 is"),
+        (np.ones((4, 5)), "points has shape"),
         ("points", "points"),
     ],
 )

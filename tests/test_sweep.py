@@ -118,6 +118,18 @@ def test_goes_on_after_an_interruption(
     assert all(float(row["total_s"]) > 0 for row in timing)
 
 
+def test_medians_are_listed_by_number(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "grid.toml").write_text('method = "ekf"\ndensity = [100, 25, 3]\n')
+    monkeypatch.setattr(
+        sweep_module, "run_cells", lambda cells, *_: [(cell, Finished(FIGURES)) for cell in cells]
+    )
+    assert main(["sweep", str(tmp_path / "grid.toml"), "-o", str(tmp_path / "out")]) == 0
+    rows = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert [row[1] for row in rows if row[0] == "ekf"] == ["3.0", "25.0", "100.0"]
+
+
 def test_more_of_a_grid_runs_only_what_is_new(spec: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert main(["sweep", str(spec), "-o", str(out), "--workers", "1"]) == 0

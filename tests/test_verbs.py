@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from relmap.cli import main
-from relmap.cli.simulate_building import Sampling, World
+from relmap.cli.simulate import Sampling, World
 from relmap.datasets import FORMATS, SCAN_FORMATS, open_scans, write_observation_csv
 from relmap.io.files import read_tum, write_tum
 from relmap.io.results import read_result, write_result

@@ -65,10 +65,7 @@ class Interval(NamedTuple):
 
 
 def interval(text: str) -> Interval:
-    """Return the interval given as ``A:B``.
-
-    Raises `RelmapError` if it is not two whole numbers with 0 <= A < B.
-    """
+    """Return the interval given as ``A:B``, whole numbers with 0 <= A < B; else RelmapError."""
     numbers = re.fullmatch(r"(\d{1,18}):(\d{1,18})", text, re.ASCII)
     if numbers and int(numbers[1]) < int(numbers[2]):
         return Interval(int(numbers[1]), int(numbers[2]))
@@ -128,19 +125,13 @@ Columns = Annotated[
 
 
 def refuse(is_wrong: object, message: str) -> None:
-    """Raise an error if arguments are incompatible or unknown.
-
-    Raises `RelmapError` with the message, if `is_wrong` is true.
-    """
+    """Raise a `RelmapError` with the message, if arguments are incompatible or unknown."""
     if is_wrong:
         raise RelmapError(message)
 
 
 def refuse_to_write_into(out: Path, *results: Path) -> None:
-    """Raise an error if the output folder is a result folder that is only read.
-
-    Raises `RelmapError` if it is one of `results`, whatever it is called.
-    """
+    """Raise a `RelmapError` if the output folder is a result folder that is only read."""
     for result in results:
         same = out.exists() and result.exists() and out.samefile(result)
         refuse(same, f"--out is {out}, an input, which is not changed: give another folder")

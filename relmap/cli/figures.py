@@ -87,8 +87,7 @@ def _counting(show: Callable[[str], None], what: str) -> Watch:
 
 
 def _say(made: Made) -> None:
-    name = made.figure.name
-    shown = f"figure {name}" if name.isdigit() else name
+    shown = made.figure.heading.lower()
     if made.outcome is None:
         typer.echo(f"relmap: {shown} is skipped: it {made.note}", err=True)
     else:

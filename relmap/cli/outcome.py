@@ -146,16 +146,11 @@ def counted(scans: int) -> str:
     return f"{scans} scan{'' if scans == 1 else 's'}"
 
 
-def overlaps_little(summary: dict[str, Any]) -> bool:
-    """Return whether the largest submap lacks many scans."""
-    scans = [submap["scans"] for submap in summary["submaps"]]
-    return len(scans) > 1 and scans[0] < WHOLE * sum(scans)
-
-
 def advice(summary: dict[str, Any]) -> str:
     """Return advice for a run that broke into submaps, as the end of a message."""
     apart = summary.get("onto") and summary["tied_at"] is None
-    if apart or not overlaps_little(summary):
+    scans = [submap["scans"] for submap in summary["submaps"]]
+    if apart or not scans or scans[0] >= WHOLE * sum(scans):
         return ""
     median_m, median_deg, view_deg = (
         summary["steps"][name] for name in ("median_m", "median_deg", "view_deg")

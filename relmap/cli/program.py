@@ -21,7 +21,6 @@ from relmap.cli import (
     figures,
     localise,
     map,
-    map_options,
     merge,
     resume,
     simulate,
@@ -56,7 +55,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 app.add_typer(simulate.app, name="simulate")
-app.command("map", help=map_options.HELP)(map.map_command)
+app.command("map", help=map.HELP)(map.map_command)
 app.command("resume", help=resume.HELP)(resume.resume_command)
 app.command("localise", help=localise.HELP)(localise.localise_command)
 app.command("evaluate", help=evaluate.HELP)(evaluate.evaluate_command)

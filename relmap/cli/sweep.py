@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from operator import itemgetter
 from pathlib import Path
 from statistics import median
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -50,8 +51,6 @@ Examples:
 On a cluster relmap is installed on every machine; 'dask scheduler' and 'dask worker ADDRESS' start
 them (pip install 'relmap[cluster]'). Work of a failed machine is given to the others.
 """
-
-T = TypeVar("T")
 
 AXES = {"sigma": "noise [m]", "density": "landmarks per 100 m", "dynamic": "fraction moving"}
 """Axis labels of the varied keys."""
@@ -155,15 +154,14 @@ def _print_medians(cells: Sequence[Cell], finished: Sequence[Finished]) -> None:
     from relmap.comparison.sweep_spec import varying
 
     keys = [key for key in varying(list(cells)) if key != "method"]
-    rows: dict[tuple[str, ...], list[Finished]] = {}
+    rows: dict[tuple[Any, ...], list[Finished]] = {}
     for cell, done in zip(cells, finished, strict=True):
-        name = (cell.method, *(f"{getattr(cell, key)}" for key in keys))
-        rows.setdefault(name, []).append(done)
+        rows.setdefault((*(getattr(cell, key) for key in keys), cell.method), []).append(done)
     of_map = OF_CORNERS if cells[0].world == "building" else {}
     columns = {heading: (COLUMNS | of_map)[heading] for heading in MEDIANS}
     table = [
-        [*name, *(_median(group, *column) for column in columns.values()), str(len(group))]
-        for name, group in sorted(rows.items(), key=lambda row: (row[0][1:], row[0][0]))
+        [method, *map(str, of), *(_median(group, *at) for at in columns.values()), str(len(group))]
+        for (*of, method), group in sorted(rows.items(), key=itemgetter(0))
     ]
     print_table("medians over the seeds", ["method", *keys, *columns, "seeds"], table)
 

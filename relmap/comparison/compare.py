@@ -33,10 +33,7 @@ CSV_COLUMNS = ("method", "association", *FIGURES, "note")
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """The outcome of one method.
-
-    `run`: None if it could not run. `note`: the reason; empty if it ran.
-    """
+    """The outcome of one method: its run, or None and the reason in `note`."""
 
     method: str
     run: MethodRun | None
@@ -51,11 +48,7 @@ class Compared:
 def chosen_methods(
     names: Sequence[str] | None, data: Data[Log], association: Association
 ) -> list[MethodInfo]:
-    """Return the requested methods, or all that fit the data.
-
-    Raises `RelmapError` if a name is unknown or occurs twice, or a method does not accept such
-    data.
-    """
+    """Return the named methods, or all that fit; RelmapError if one is unknown or does not fit."""
     if association == "known" and data.ids is None:
         if data.kind != "landmarks":
             raise RelmapError("--association known is for landmarks: point scans have no ids")

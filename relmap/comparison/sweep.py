@@ -121,10 +121,7 @@ def with_its_cell(cell: Cell) -> tuple[Cell, Finished]:
 
 
 def _cluster(scheduler: str) -> AbstractContextManager[Any]:
-    """Return joblib's dask backend on a scheduler.
-
-    Raises `RelmapError` if dask is not installed, or no scheduler answers.
-    """
+    """Return joblib's dask backend; RelmapError without dask, or if no scheduler answers."""
     try:
         from distributed import Client
     except ImportError as error:

@@ -68,10 +68,7 @@ _DEFAULTS: dict[str, Any] = asdict(Cell())
 
 
 def read_spec(path: Path) -> list[Cell]:
-    """Read a sweep's file; see `cells_of`.
-
-    Raises `RelmapError` if it cannot be read, is not TOML or describes no valid grid.
-    """
+    """Read a sweep's file; RelmapError if it is not TOML, or as for `cells_of`."""
     return read_toml(path, cells_of)
 
 

@@ -42,10 +42,7 @@ _USED = [column for column in COLUMNS if column.name in ("iteration", "x", "y", 
 
 @dataclass(frozen=True)
 class BagDetections:
-    """Reads the detections of one topic.
-
-    `topics`: topics to read if there are several with detections or odometry.
-    """
+    """Reads the detections of one topic, of `topics` if there are several of a kind."""
 
     topics: tuple[str, ...] = ()
     name = "bag-detections"

@@ -35,10 +35,7 @@ _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"
 
 @dataclass(frozen=True)
 class BagScans:
-    """Reads the scans of one topic.
-
-    `topics`: topics to read if there are several with scans or odometry.
-    """
+    """Reads the scans of one topic, of `topics` if there are several of a kind."""
 
     topics: tuple[str, ...] = ()
     name = "bag-scans"
@@ -125,11 +122,7 @@ def _clouds(bag: Bag, topic: str, mounting: Mounting) -> tuple[ScanLog, str]:
 
 
 def cloud_points(message: Any, where: str) -> Floats:
-    """Return the finite points (n, 3) of a ``PointCloud2``.
-
-    Raises `RelmapError` if it has no x, y, z or too few bytes; `where` is the prefix of the
-    message.
-    """
+    """Return the finite points (n, 3) of a ``PointCloud2``; RelmapError, at `where`, if damaged."""
     n, step = int(message.width) * int(message.height), int(message.point_step)
     order = ">" if message.is_bigendian else "<"
     data = np.asarray(message.data, dtype=np.uint8)

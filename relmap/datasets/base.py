@@ -20,10 +20,7 @@ MAX_ITERATION = 100_000_000
 
 
 def common_range(begin: int, end: int, first: int, last: int) -> tuple[int, int]:
-    """Return the part of iterations ``range(begin, end)`` covered by a log.
-
-    Raises `RelmapError` if there is none.
-    """
+    """Return the part of ``range(begin, end)`` that a log covers; RelmapError if there is none."""
     if max(begin, first) >= min(end, last):
         raise RelmapError(f"scans {begin}:{end} are empty: the log covers {first}:{last}")
     return max(begin, first), min(end, last)
@@ -129,10 +126,7 @@ class ObservationLog(Brief):
             yield Scan(number, points, ids, self.rows[rows], noise, motion)
 
     def between(self, begin: int, end: int) -> ObservationLog:
-        """Return the part of the log in iterations ``range(begin, end)``; it may end before.
-
-        Raises `RelmapError` if the log has no iteration in that range.
-        """
+        """Return the part in iterations ``range(begin, end)``; RelmapError if it is empty."""
         first, last = common_range(begin, end, self.first_iteration, self.end_iteration)
         rows = slice(*np.searchsorted(self.iteration, [first, last]))
         steps = slice(first - self.first_iteration, last - self.first_iteration)

@@ -13,10 +13,7 @@ from relmap.datasets.textfile import invalid, open_text, require_utf8, shown, un
 
 
 def only_one(path: Path, found: Sequence[Path], what: str, names: str) -> Path:
-    """Return the path itself unless it is a folder, else the only file of a kind in it.
-
-    `names` describes such files for messages. RelmapError if there is none, or there are several.
-    """
+    """Return a file itself, of a folder the only one found; RelmapError if there is not one."""
     if not os.path.isdir(path):
         return path
     if not found:
@@ -111,9 +108,6 @@ TABLES = "*.csv or *.csv.gz"
 
 
 def tables_with(path: Path, columns: frozenset[str]) -> list[Path]:
-    """Return the files whose header has all the columns: the path, or files in the folder.
-
-    In a folder only files ``*.csv`` and ``*.csv.gz`` are examined.
-    """
+    """Return the files with all the columns: the path, or of a folder ``*.csv``, ``*.csv.gz``."""
     members = members_of(path, (".csv", ".csv.gz")) if os.path.isdir(path) else [path]
     return [member for member in members if columns <= columns_of(member)]

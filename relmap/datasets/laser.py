@@ -228,10 +228,7 @@ def on_robot(path: Path, ranges_m: list[Floats], bearings_rad: list[Floats]) -> 
 
 
 def _own_m(ranges_m: Floats, direction: Ints, scan: Ints) -> Floats:
-    """Return the range (d,) up to which beams of each direction end on the robot; 0 for none.
-
-    `ranges_m`, `direction`, `scan` (n,): of each beam.
-    """
+    """Return up to which range (d,) beams (n,) of each direction end on the robot; 0 for none."""
     returned = np.flatnonzero(ranges_m > 0)
     order = returned[np.lexsort((ranges_m[returned], direction[returned]))]
     begins = np.flatnonzero(np.diff(direction[order], prepend=-1))

@@ -32,10 +32,7 @@ _COMPLEX = 0x0800
 
 
 def read_matrix(file: Path, name: str) -> Floats:
-    """Return a matrix of real numbers from a MATLAB file.
-
-    Raises `RelmapError` if the file is missing or damaged, or contains no such matrix.
-    """
+    """Return a matrix of real numbers from a MATLAB file; RelmapError if it holds none."""
     try:
         with open(file, "rb") as stream:
             data = stream.read(MAX_BYTES + 1)

@@ -31,10 +31,7 @@ NEARLY = 0.98
 
 
 def without_no_return(path: Path, log: ScanLog) -> ScanLog:
-    """Return a log of clouds without points at the range that rays without a return share.
-
-    `path`: the log, for warnings.
-    """
+    """Return a log of clouds without points at the range that rays without a return share."""
     some = np.unique(np.linspace(0, max(len(log) - 1, 0), min(SCANS, len(log))).astype(np.int64))
     scans = [points for index in some.tolist() if len(points := _read(log, index))]
     if not scans:

@@ -27,10 +27,7 @@ def too_many(path: Path, line: int, most: int) -> RelmapError:
 
 
 def parse_number(cell: str) -> float:
-    """Return the number in a cell, with the grammar of `relmap.datasets.table.parse_fast`.
-
-    Raises `ValueError` if the cell is not a number.
-    """
+    """Return the number in a cell, ValueError if it is none; grammar as of `table.parse_fast`."""
     if not _is_plain(cell):
         raise ValueError(cell)
     return float(cell)

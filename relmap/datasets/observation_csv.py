@@ -52,7 +52,6 @@ COLUMNS = (
 _GZIP_LEVEL = 4
 _ROWS_AT_ONCE = 50_000
 
-
 OTHER_NAMES = (
     "for columns of other names, --columns iteration=...,x=...,y=... (stamp=... for times)"
 )

@@ -136,10 +136,7 @@ def relative(a: Floats, b: Floats) -> Floats:
 
 
 def with_odometry_beside(log: Log, path: Path) -> Log:
-    """Return a log with the odometry of the file beside it, if any.
-
-    Raises `RelmapError` if there are several, or it is damaged.
-    """
+    """Return a log with the odometry beside it; RelmapError if it is damaged, or there is more."""
     names = [name for name in (*TABLES, TRAJECTORY) if os.path.isfile(file_beside(path, name))]
     if not names:
         return log

@@ -38,10 +38,7 @@ _LOG = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class OwnTable:
-    """Reads a table, CSV or Parquet.
-
-    `columns`: names of the columns of the observation log in the table.
-    """
+    """Reads a table, CSV or Parquet; `columns`: their names, by those of the observation log."""
 
     columns: Mapping[str, str] = field(default_factory=dict)
     name = "own-table"

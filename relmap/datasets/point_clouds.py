@@ -41,10 +41,7 @@ class PointClouds:
         return bool(numbered_files(path, _NAME)) and not (path / _RESULT).exists()
 
     def load(self, path: Path) -> ScanLog:
-        """Read the log; clouds are read lazily.
-
-        Points whose coordinates are NaN are beams without a return and left out.
-        """
+        """Read the log; clouds are read lazily, without NaN, which are beams without a return."""
         files = numbered_files(path, _NAME) if os.path.isdir(path) else [path]
         if not files:
             raise invalid(path, f"holds no cloud, expected {self.description}")

@@ -117,10 +117,7 @@ class ScanLog(Brief):
             yield PointScan(number, points, stamp_s, pose, motion)
 
     def between(self, begin: int, end: int) -> ScanLog:
-        """Return the part of the log in iterations ``range(begin, end)``; it may end before.
-
-        Raises `RelmapError` if the log has no scan in that range.
-        """
+        """Return the part in iterations ``range(begin, end)``; RelmapError if it is empty."""
         last = self.first_iteration + len(self)
         first, stop = common_range(begin, end, self.first_iteration, last)
         skip, points_of = first - self.first_iteration, self.points_of

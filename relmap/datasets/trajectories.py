@@ -84,10 +84,7 @@ class Relations:
 
 
 def read_relations(path: Path) -> Relations:
-    """Read a ``.relations`` file.
-
-    Raises `RelmapError` if it cannot be read, has no relation, or a line is not a relation.
-    """
+    """Read a ``.relations`` file; RelmapError if it has no relation, or a line is none."""
     table = read_rows(path, _RELATION_LIMITS, "relation", f"8 numbers: {_RELATION}").values
     T = poses_of(Rotation.from_euler("xyz", table[:, 5:]), table[:, 2:5])
     return Relations(table[:, 0], table[:, 1], T)

@@ -121,10 +121,7 @@ def _other_ids(result: Result, truth: Truth, matched: Matched) -> list[str]:
 def _judged_by_place(
     result: Result, truth: Truth, counts: dict[str, int]
 ) -> tuple[dict[str, float | None], dict[str, int], list[str]]:
-    """Evaluate a merged map, which has no tracks: landmarks are matched by position.
-
-    The alignment starts from the path. Returns what `judge_landmarks` returns.
-    """
+    """Evaluate a merged map, which has no tracks, by position, as `judge_landmarks` does."""
     d = 2 if result.planar else 3
     rows = result.mapped & (result.landmarks.status == "static")
     position = result.landmarks.position[rows][:, :d]
@@ -165,10 +162,7 @@ def overlay(result: Result, truth: Truth, log: ObservationLog | None = None) -> 
 
 
 def identify(result: Result, log: ObservationLog | None) -> Identified | None:
-    """Return the true landmark of each observation; None if unknown.
-
-    Raises `RelmapError` if the log is not the one that was mapped.
-    """
+    """Return the true landmark of each observation, if known; RelmapError as for `mapped_part`."""
     tracks = result.tracks
     if log is not None:
         log = mapped_part(result, log)
@@ -182,10 +176,7 @@ def identify(result: Result, log: ObservationLog | None) -> Identified | None:
 
 
 def mapped_part(result: Result, log: ObservationLog) -> ObservationLog:
-    """Return the iterations of the log that were mapped.
-
-    Raises `RelmapError` if the log is not the one that was mapped.
-    """
+    """Return the mapped iterations of a log; RelmapError if it is not the one that was mapped."""
     scans = result.summary.get("scans")
     if not (isinstance(scans, list) and len(scans) == 2 and all(type(s) is int for s in scans)):
         raise RelmapError("summary.json of the result: scans is not a pair of iteration numbers")

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Floats
 from relmap.datasets import Relations, read_relations
@@ -24,10 +25,7 @@ much: a robot turns by a degree meanwhile."""
 
 
 def relations_by_clocks(path: Path) -> tuple[Relations, ...]:
-    """Read relations by the robot's clock and, if known, by the logger's.
-
-    Raises `RelmapError` if the file does not contain relations.
-    """
+    """Read relations by the robot's clock and, if known, the logger's; see `read_relations`."""
     relations = read_relations(path)
     stem = path.name.removesuffix(RELATIONS)
     for name in (f"{stem}.log.gz", f"{stem}.log"):
@@ -67,16 +65,12 @@ def relation_errors(
     """
     if not len(stamps_s) or not relations:
         return None
-    inside = [
-        (one.begin_s >= stamps_s[0])
-        & (one.end_s <= stamps_s[-1])
-        & (one.end_s >= stamps_s[0])
-        & (one.begin_s <= stamps_s[-1])
-        for one in relations
-    ]
+    both_s = [np.column_stack([one.begin_s, one.end_s]) for one in relations]
+    inside = [((ends >= stamps_s[0]) & (ends <= stamps_s[-1])).all(axis=1) for ends in both_s]
     best = int(np.argmax([rows.sum() for rows in inside]))
     rows, own = inside[best], relations[best]
-    rows &= np.maximum(_away_s(stamps_s, own.begin_s), _away_s(stamps_s, own.end_s)) <= near_s
+    away_s = np.asarray(cKDTree(stamps_s[:, None]).query(both_s[best][..., None])[0])
+    rows &= away_s.max(axis=1) <= near_s
     if not rows.any():
         return None
     T_begin = _poses_at(stamps_s, poses, own.begin_s[rows])
@@ -85,13 +79,6 @@ def relation_errors(
     shift = np.hypot(off[:, 0, 3], off[:, 1, 3])
     turn = np.abs(np.arctan2(off[:, 1, 0], off[:, 0, 0]))
     return RelationErrors(float(shift.mean()), float(turn.mean()), int(rows.sum()))
-
-
-def _away_s(stamps_s: Floats, when: Floats) -> Floats:
-    """Return the time from each of `when` (n,) to the nearest stamp."""
-    later = np.searchsorted(stamps_s, when).clip(1, max(len(stamps_s) - 1, 1))
-    around = stamps_s[np.column_stack([later - 1, later]).clip(max=len(stamps_s) - 1)]
-    return np.asarray(np.abs(around - when[:, None]).min(axis=1))
 
 
 def _poses_at(stamps_s: Floats, poses: Floats, when: Floats) -> Floats:

@@ -35,25 +35,23 @@ def result_of_mapper(mapper: AnyMapper) -> Result:
     times_s = mapper.stamps_s
     if np.isnan(times_s).any():
         times_s = np.arange(float(n))
-    scans = stored_scans(np.empty((0, 2)), np.zeros(n + 1, dtype=np.int64), times_s)
+    log: Log = stored_scans(np.empty((0, 2)), np.zeros(n + 1, dtype=np.int64), times_s)
     if isinstance(mapper, Plane3dMapper):
-        in_space = result_in_space(mapper, scans, [none] * n)
-        del in_space.summary["counts"]["observations"]
-        settings = {"variant": VARIANT, "configuration": mapper.settings}
-        state = {"interrupted": False, "refined": is_refined(mapper)}
-        return replace(in_space, summary=settings | in_space.summary | state)
-    association: Association = "known" if mapper.engine.association.has_ids else "nearest"
-    d = 2 if walls else max(mapper.engine.store.dimension, 2)
-    log: Log = ObservationLog(np.empty((0, d)), none, none, 0, n, stamps_s=times_s)
-    if walls:
-        log = scans
-    result = result_of(mapper, log, [none] * n, association, 0)
-    found = summary_of(mapper, result, log, 0, len(mapper.groups))
+        result: Result = result_in_space(mapper, log, [none] * n)
+        variant, found = VARIANT, result.summary
+    else:
+        variant = "planes" if walls else "points"
+        association: Association = "known" if mapper.engine.association.has_ids else "nearest"
+        if not walls:
+            points = np.empty((0, max(mapper.engine.store.dimension, 2)))
+            log = ObservationLog(points, none, none, 0, n, stamps_s=times_s)
+        result = result_of(mapper, log, [none] * n, association, 0)
+        found = result.summary | summary_of(mapper, result, log, 0, len(mapper.groups))
     for name in OF_THE_LOG:
         found["counts"].pop(name, None)
-    about = {"variant": "planes" if walls else "points", "configuration": mapper.settings}
+    about = {"variant": variant, "configuration": mapper.settings}
     more = {"interrupted": False, "refined": is_refined(mapper)}
-    return replace(result, summary=about | result.summary | found | more)
+    return replace(result, summary=about | found | more)
 
 
 def write_tables(folder: Path, result: Result) -> None:

@@ -23,10 +23,7 @@ VARIANT = "planes3d"
 
 
 def result_in_space(mapper: Plane3dMapper, log: Log, labels: Sequence[Ints]) -> Plane3dResult:
-    """Return the result of a mapper of planes in space.
-
-    `log`: the scans that it mapped; `labels`, sequence of (n,): of each of them.
-    """
+    """Return the result of a mapper for the scans of a log, given the labels (n,) of each."""
     first = log.first_iteration
     table = shifted(mapper.planes, first)
     parts, times_s = mapper.submaps, stamps_of(log)

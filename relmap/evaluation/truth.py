@@ -129,10 +129,7 @@ def read_truth(path: Path, judged: Judged = "points") -> Truth:
 
 
 def write_truth(folder: Path, truth: Truth) -> None:
-    """Write true landmarks and the path into an existing folder.
-
-    Raises `RelmapError` if a file cannot be written.
-    """
+    """Write true landmarks and the path into a folder; RelmapError if it cannot be written."""
     columns = (truth.landmark_ids, *truth.landmarks_map.T, truth.status)
     table = dict(zip(_COLUMNS, columns, strict=True))
     atomic_write(folder / TABLES["points"], columns_text(table))

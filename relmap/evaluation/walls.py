@@ -127,10 +127,7 @@ class MatchedCorners(Matched):
 def judge_corners(
     planes: PlaneTable, truth: Truth, true_poses: Floats, matched: MatchedCorners | None
 ) -> tuple[dict[str, float | None], dict[str, int], list[str]]:
-    """Evaluate a map of walls, given what `match_corners` returns for it.
-
-    Returns figures, counts and notes as `relmap.evaluation.landmarks.judge_landmarks` does.
-    """
+    """Evaluate the corners of a map as `judge_landmarks` does, given its `match_corners`."""
     counts = {
         "planes": len(planes.plane),
         "mapped_planes": int((planes.status == "static").sum()),

@@ -59,10 +59,7 @@ class MapContent:
 
 
 def read_content(folder: Path) -> MapContent:
-    """Read the exported part of a result folder.
-
-    Raises `RelmapError` if a file is missing or was not written by `relmap map`.
-    """
+    """Read the exported part of a result folder; RelmapError if it is not one of `relmap map`."""
     result = read_any(folder)
     if result.summary.get("variant") == "planes3d":
         raise RelmapError(

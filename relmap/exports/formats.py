@@ -18,7 +18,6 @@ RESOLUTION_M = 0.05
 NAME = "map"
 """Name of a file that is written into a folder."""
 
-
 Rendered = tuple[dict[str, str | bytes], str]
 """File contents by name, and a message that describes them."""
 Render = Callable[[Path, MapContent, Path | None, float], Rendered]

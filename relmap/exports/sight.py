@@ -77,10 +77,7 @@ def sight_lines(content: MapContent, log: Path | None) -> Lines | None:
 
 
 def sightings(content: MapContent, log: Path | None) -> Sightings | None:
-    """Return which pose of a map of points saw which landmark; None if unknown.
-
-    Parameters and errors as for `sight_lines`.
-    """
+    """Return which pose of a map of points saw which landmark, if known; see `sight_lines`."""
     read = None if log is None else _read(content, log)
     iterations = _iterations(content, read)
     if iterations is None:

@@ -118,10 +118,7 @@ def run_partial_wall(
 
 
 def longest(held: Bools) -> tuple[int, int]:
-    """Return start and end of the longest run of true values (k,).
-
-    Raises `RelmapError` if nothing is true.
-    """
+    """Return start and end of the longest run of true values (k,); RelmapError if none is true."""
     if not held.any():
         raise RelmapError("no link is weak: no stretch depends on a single partial wall")
     edges = np.flatnonzero(np.diff(held.astype(np.int8), prepend=0, append=0))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
@@ -24,8 +23,9 @@ MISPLACED = 0.02
 SHARES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
 PAPERS_SHARE = 0.4
 """Fraction of moving landmarks up to which the paper needs no more than n log n comparisons."""
-SIZES, QUICK_SIZES = (20, 30, 50, 80, 130, 200, 320, 500, 800), (20, 50, 130, 320, 800)
-WORLDS, QUICK_WORLDS = 40, 6
+FULL: tuple[tuple[int, ...], int] = ((20, 30, 50, 80, 130, 200, 320, 500, 800), 40)
+QUICK: tuple[tuple[int, ...], int] = ((20, 50, 130, 320, 800), 6)
+"""Sizes of blocks, and number of worlds."""
 OFTEN = 0.95
 
 
@@ -53,11 +53,6 @@ class Comparisons:
         """Number of shares, from the smallest on, without a median above n log2 n."""
         within = np.all(self.median <= n_log_n(self.n), axis=1)
         return int(np.logical_and.accumulate(within).sum())
-
-
-def _run(quick: bool, data: Path | None, watch: Watch) -> Comparisons:
-    sizes = QUICK_SIZES if quick else SIZES
-    return sorted_worlds(sizes, QUICK_WORLDS if quick else WORLDS, watch)
 
 
 def sorted_worlds(sizes: tuple[int, ...], worlds: int, watch: Watch = iter) -> Comparisons:
@@ -200,7 +195,7 @@ FIGURE = PaperFigure(
         "landmarks misplaced); partly where one of the two holds"
     ),
     unit="most comparisons over n log2 n at up to 40 % moving",
-    run=_run,
+    run=lambda quick, data, watch: sorted_worlds(*(QUICK if quick else FULL), watch),
     judge=_judge,
     draw=_plot,
 )

@@ -104,10 +104,7 @@ class DensityTiming:
 
 
 def _timed(log: ObservationLog) -> tuple[Floats, Ints]:
-    """Return the processor time of each iteration, ms, and the landmark of each observation.
-
-    The log is mapped without its ids, with one thread.
-    """
+    """Return the time of each iteration without ids, ms, and the landmark of each observation."""
     mapper, times_s, labels = PointMapper(), [], []
     with threadpool_limits(1):
         for scan in log.scans():
@@ -198,10 +195,7 @@ def _plot_loop(data: LoopTiming) -> Figure:
 
 
 def fit_n_log_n(n: Floats, time_ms: Floats) -> tuple[float, float]:
-    """Fit ``a + b n log2 n``, neither negative, by least squares of the relative errors.
-
-    `n`, `time_ms` (k,). Returns `a`, `b`: milliseconds.
-    """
+    """Fit ``a + b n log2 n``, neither negative, to times (k,), ms, by relative least squares."""
     terms = np.column_stack([np.ones(len(n)), n_log_n(n)])
     a, b = nnls(terms / time_ms[:, None], np.ones(len(n)))[0]
     return float(a), float(b)

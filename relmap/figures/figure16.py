@@ -42,10 +42,7 @@ COLOURS = (RED, ORANGE, GREY, BLUE, "#2e7d32")
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """The error of one method under one noise.
-
-    `iteration` (p,); `rmse_m` (s, p): one row for each seed.
-    """
+    """The error of one method under one noise: `iteration` (p,); `rmse_m` (seeds, p)."""
 
     iteration: Ints
     rmse_m: Floats

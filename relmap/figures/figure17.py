@@ -100,10 +100,7 @@ def _run(quick: bool, data: Path | None, watch: Watch) -> list[Panel]:
 
 @cache
 def victoria_park(path: Path) -> ObservationLog:
-    """Read the data.
-
-    `path`: their folder, or its parent. Raises `RelmapError` if they are missing or damaged.
-    """
+    """Read the data from their folder or its parent; RelmapError if they are not there."""
     inner = path / FORMAT
     return open_log(inner if inner.is_dir() else path, FORMAT)
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import astuple, dataclass, fields
 from itertools import product
-from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -22,9 +21,10 @@ from relmap.figures.base import Outcome, PaperFigure, Table, Watch, judged, sent
 from relmap.figures.figure06 import longest
 from relmap.plots.sheet import BLUE, GREY, ORANGE, RED, blank, finish, legend_below
 
-FULL = ((0.2, 0.3, 0.4), (0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5), range(5))
+Grid = tuple[Iterable[float], Iterable[float], Iterable[int]]
+FULL: Grid = ((0.2, 0.3, 0.4), (0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5), range(5))
 """Spacings in metres, noise in units of them, seeds."""
-QUICK = ((0.3,), (0.05, 0.15, 0.3), range(1))
+QUICK: Grid = ((0.3,), (0.05, 0.15, 0.3), range(1))
 COLOURS: dict[Method, str] = {"planes": BLUE, "points": RED, "points, ids given": ORANGE}
 BAR = 1.2
 """Target map error of planes at the noise of figure 7, in units of sigma."""
@@ -111,11 +111,6 @@ def run_crossing(
     return [Crossing(spacing_m, tuple(each)) for spacing_m, each in runs.items()]
 
 
-def _run(quick: bool, data: Path | None, watch: Watch) -> list[Crossing]:
-    spacings_m, noises, seeds = QUICK if quick else FULL
-    return run_crossing(spacings_m, noises, seeds, progress=watch)
-
-
 def _judge(data: list[Crossing]) -> Outcome:
     ahead = [each.planes_ahead("points") for each in data]
     begins = [interval[0] for interval in ahead if interval is not None]
@@ -196,7 +191,7 @@ FIGURE = PaperFigure(
         "and one at which points lose half of it; partly where one of the two holds"
     ),
     unit="noise over spacing above which planes have the better map",
-    run=_run,
+    run=lambda quick, data, watch: run_crossing(*(QUICK if quick else FULL), progress=watch),
     judge=_judge,
     draw=_plot,
 )

@@ -84,10 +84,7 @@ class Made:
 
 
 def page(entries: Sequence[Made], quick: bool) -> str:
-    """Return the page as HTML with everything in it.
-
-    `entries`: in the order of the page; `quick`: whether the runs were small.
-    """
+    """Return the page of figures as HTML with everything in it; `quick`: whether runs are small."""
     small = "small runs (--quick): figures and verdicts of the full size may differ"
     size = small if quick else "runs of full size"
     said = ", ".join(f"{name} {version}" for name, version in versions().items())

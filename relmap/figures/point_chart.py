@@ -65,10 +65,7 @@ class ChartPicture:
 
 
 def chart_picture(store: ObservationStore, seed: int, begin: int, end: int) -> ChartPicture:
-    """Chart the iterations `begin` to `end` around a seed, and grow its group.
-
-    Raises `RelmapError` if the seed was not seen with enough others to be grouped.
-    """
+    """Chart iterations around a seed, and grow its group; RelmapError if there is none."""
     chart = PointChart.around(seed, store, begin, end)
     rows, unmapped = np.arange(len(chart.landmarks)), np.zeros(len(chart.landmarks))
     group = grow_group(chart, rows, unmapped, FEWEST_MEMBERS, 0) if len(rows) else None
@@ -89,10 +86,7 @@ def paper_stops(area: Ints) -> int:
 
 @dataclass(frozen=True, eq=False)
 class ChartedRun:
-    """A figure eight, registered without its ids.
-
-    `log`: with the true ids; `store`: with the landmarks according to the association.
-    """
+    """A figure eight with the true ids, and the store of its registration without them."""
 
     log: ObservationLog
     store: ObservationStore

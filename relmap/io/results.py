@@ -119,10 +119,7 @@ def write_names(folder: Path, names: Mapping[int, str]) -> None:
 
 
 def read_names(folder: Path) -> dict[int, str] | None:
-    """Return what `write_names` wrote; None if there is no such file.
-
-    Raises `RelmapError` if the file is damaged.
-    """
+    """Return what `write_names` wrote, None without a file; RelmapError if it is damaged."""
     path = folder / NAMES
     if not path.is_file():
         return None

@@ -13,7 +13,7 @@ from relmap.core.columns import AXES, NORMAL
 from relmap.core.errors import RelmapError
 from relmap.io.files import atomic_write, write_tum
 from relmap.io.results import MAP_PLY, Result, read_result
-from relmap.io.tables import Kind, csv_text, read_table
+from relmap.io.tables import Kind, columns_text, read_table
 from relmap.planes3d.outlines import surfaces_of
 from relmap.planes3d.submap import Submap
 from relmap.planes3d.table import Plane3dTable
@@ -67,11 +67,11 @@ def write_parts(folder: Path, result: Plane3dResult) -> None:
     `RelmapError` if a file cannot be written.
     """
     table = result.planes
-    columns = {name: values.tolist() for name, values in table.columns().items()}
-    columns["outline"] = [_text(outline) for outline in table.outline]
-    columns["meets"] = [";".join(map(str, meets.tolist())) for meets in table.meets]
-    rows = zip(*(columns[name] for name in COLUMNS), strict=True)
-    atomic_write(folder / PLANES, csv_text(list(COLUMNS), rows))
+    outlines = [_text(outline) for outline in table.outline]
+    meets = [";".join(map(str, meets.tolist())) for meets in table.meets]
+    ragged = zip(("outline", "meets"), np.array([outlines, meets], dtype=object), strict=True)
+    columns = table.columns() | dict(ragged)
+    atomic_write(folder / PLANES, columns_text({name: columns[name] for name in COLUMNS}))
     write_mesh(folder, next(iter(result.parts), None), table.plane[table.status == "static"])
     for number, (stamps_s, poses) in enumerate(result.paths[1:], start=1):
         if len(poses) >= LEAST_SCANS:
@@ -79,10 +79,7 @@ def write_parts(folder: Path, result: Plane3dResult) -> None:
 
 
 def read_result3d(folder: Path) -> Plane3dResult:
-    """Read a result folder of planes in space.
-
-    Raises `RelmapError` if a file is missing or invalid.
-    """
+    """Read a result folder of planes in space; RelmapError if a file is missing or invalid."""
     table = read_table(folder / PLANES, COLUMNS)
     for name in (*NORMAL, "offset", *AXES, "area_m2"):
         _require(folder, table, ~np.isnan(table[name]), f"its field {name} is empty")

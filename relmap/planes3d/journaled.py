@@ -20,10 +20,7 @@ ARRAYS = ("centre", "axes", "information", "spread", "cells", "loose")
 
 
 def checked_patches(seen: Patches) -> Patches:
-    """Return patches as a journal restores them: contiguous, and 0 for -0.
-
-    Raises `RelmapError` if a number is not finite, or a patch says nothing of its distance.
-    """
+    """Return patches as a journal restores them: contiguous, 0 for -0; RelmapError if invalid."""
     arrays: dict[str, Any] = {
         name: np.ascontiguousarray(getattr(seen, name), dtype=np.float64) + 0.0 for name in ARRAYS
     }

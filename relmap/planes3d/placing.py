@@ -187,10 +187,7 @@ def _promising(seen: Patches, there: Surfaces, held: Held) -> list[Pose]:
 def _settled(
     R: Floats, t: Floats, seen: Patches, there: Surfaces, held: Held, known: list[Placed]
 ) -> Placed | None:
-    """Fit a hypothesis to its matches, three times, and judge it.
-
-    None if it is undetermined, or leads to one of the known placements.
-    """
+    """Fit a hypothesis to its matches, three times, and judge it; None if it fails, or is known."""
     planes, near = there.planes, there.overlapping(R, t, seen)
     match, _ = matched(R, t, seen, planes, near, loose=4.0)
     for loose in (2.0, 1.0):

@@ -45,10 +45,7 @@ def refined(part: Submap, number: int) -> tuple[Submap, dict[int, int]]:
 
 
 def _settled(part: Submap, least_gain: float) -> tuple[Submap, dict[int, int]]:
-    """Adjust a submap and join landmarks that are one surface, in turns; see `refined`.
-
-    `least_gain`: see `PlaneAdjustment.solve`, of the last adjustment.
-    """
+    """Adjust a submap and join landmarks that are one surface, in turns; see `refined`."""
     names: dict[int, int] = {}
     gain = ROUGHLY
     for _ in range(ROUNDS):
@@ -156,10 +153,7 @@ def _doubles(part: Submap) -> dict[int, int]:
 
 
 def _covered(planes: Patches, chosen: Bools) -> Floats:
-    """Return the fraction (l, l) of the cells of each landmark that are at a cell of another.
-
-    `chosen` (l,): landmarks whose cells count.
-    """
+    """Return which share (l, l) of the cells of each chosen landmark are at a cell of another."""
     mine, count = chosen[planes.cell_patch], len(planes)
     of, tree = planes.cell_patch[mine], cKDTree(planes.cells[mine])
     pairs = tree.query_pairs(planes.cell_m, output_type="ndarray")

@@ -20,7 +20,6 @@ from relmap.segmentation import PlaneSegmenter
 FRAMES = 80
 """Approximate number of frames of an animation."""
 
-
 COLUMNS = ("what", "number", "x0", "y0", "x1", "y1")
 
 

@@ -51,10 +51,8 @@ def plot_comparison(rows: Sequence[tuple[str, Figures]], title: str) -> Figure:
     `rows`, sequence of (str, mapping): name and figures of each method, from top to bottom.
     """
     walls = any(f.get("corner_rmse_m") for _, f in rows)
-    of_map = ("corner_rmse_m", "corners") if walls else ("often_rmse_m", "landmarks seen ten times")
     panels = [
-        (of_map[0], f"RMSE of {of_map[1]} [m]"),
-        ("ate_m", "error of the path (ATE) [m]"),
+        *((key, PANELS[key]) for key in ("corner_rmse_m" if walls else "often_rmse_m", "ate_m")),
         ("relation_m", "error of checked relations [m]"),
         ("total_s", "processor time of the whole log [s]"),
     ]

@@ -119,5 +119,6 @@ def _without_analytics() -> Iterator[None]:
     try:
         yield
     finally:
-        if before is None:
-            del os.environ["CI"]
+        del os.environ["CI"]
+        if before is not None:
+            os.environ["CI"] = before

@@ -35,10 +35,7 @@ def groups_of(mapper: AnyMapper) -> list[Ints]:
 def write_pictures(
     folder: Path, result: Result, groups: Sequence[Ints], command: str, name: str
 ) -> None:
-    """Write ``map.png`` and ``report.html`` of a result into a folder.
-
-    `groups`: as for `relmap.plots.run.plot_run`; `command`, `name`: as for `report_page`.
-    """
+    """Write ``map.png`` and ``report.html``, see `plot_run` and `report_page`, into a folder."""
     write_png(folder / MAP_PNG, lambda: plot_result(result, groups))
     atomic_write(folder / REPORT, report_page(result, command, name))
 

@@ -111,10 +111,7 @@ def _draw_path(axes: Axes, result: Result, pair: list[int]) -> None:
 
 
 def on_odometry_alone(result: Result) -> Ints:
-    """Return the rows (k,) of the poses that only odometry ties to the previous one.
-
-    None for a result read from a folder, whose poses have unknown iteration numbers.
-    """
+    """Return the rows (k,) of poses that only odometry ties to the previous one, if known."""
     odometry = result.summary.get("odometry")
     if odometry is None or result.iterations is None:
         return np.empty(0, dtype=np.int64)

@@ -26,10 +26,7 @@ STEPS = 50
 
 
 def _open3d() -> Any:
-    """Return the library.
-
-    Raises `RelmapError` if it cannot be loaded, for example because of a missing system library.
-    """
+    """Return the library; RelmapError if it does not load, as without a system library."""
     try:
         import open3d
     except ImportError as error:

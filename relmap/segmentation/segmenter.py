@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
-from relmap.core.scan import refuse_masked
+from relmap.core.scan import checked_points
 from relmap.segmentation.em.mixture import WallMixture, scan_area
 from relmap.segmentation.ends.corners import Sharpened, meet, sharpen
 from relmap.segmentation.ends.end_types import sensor_limits, type_ends
@@ -21,8 +21,6 @@ from relmap.segmentation.wall import BEGIN, END, EXACT_M, SHARE, UX, UY, WALL
 METHODS = ("em", "ransac", "mixture", "ransac3d", "patches", "scanlines")
 SPATIAL = ("ransac3d", "patches")
 """Methods that distinguish floors and ceilings from walls."""
-FARTHEST_M = 1e9
-"""Larger than the range of any sensor; squares of much larger numbers overflow."""
 DEFAULTS = {"method": None, "noise": None, "random_state": 0, "view_rad": None, "range_m": None}
 CHECKED = 5
 """Number of first scans that are checked for upright surfaces, or for the order of the beams."""
@@ -156,7 +154,7 @@ class PlaneSegmenter:
             If a parameter or the shape is wrong, a coordinate is not finite, or the scan has too
             many surfaces that are not upright, such as floors, or no scan so far is in order.
         """
-        xyz = _as_points(points)
+        xyz = checked_points(points, 0)
         method = self._validated(xyz.shape[1])
         xy = np.ascontiguousarray(xyz[:, :2])
         if len(xyz) and self._checked < CHECKED:
@@ -287,23 +285,3 @@ def walls_of_labels(xy: Floats, labels: Ints, sigma: float) -> WallMixture:
         walls[k, BEGIN], walls[k, END] = low, max(high, low + EXACT_M)
         walls[k, SHARE] = len(own) / len(xy)
     return WallMixture(walls, sigma, 0.0, scan_area(xy, sigma))
-
-
-def _as_points(points: ArrayLike) -> Floats:
-    """Return points as float64, (n, 2) or (n, 3); an empty list is an empty scan."""
-    refuse_masked(points, "points")
-    try:
-        xyz = np.asarray(points, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise RelmapError(f"points are not numbers: {error}") from error
-    if xyz.size == 0 and xyz.ndim == 1:
-        return np.empty((0, 3))
-    if xyz.ndim != 2 or xyz.shape[1] not in (2, 3):
-        raise RelmapError(f"points have shape {xyz.shape}; it must be (n, 2) or (n, 3)")
-    if not np.abs(xyz).max(initial=0.0) <= FARTHEST_M:
-        row = int(np.argmin((np.abs(xyz) <= FARTHEST_M).all(axis=1)))
-        raise RelmapError(
-            f"point {row} is {xyz[row].tolist()}; coordinates must be finite, and metres up to "
-            f"{FARTHEST_M:g}"
-        )
-    return xyz

@@ -26,10 +26,7 @@ middle to the largest: edges and lines have no normal."""
 
 
 def require_upright(xyz: Floats) -> None:
-    """Check that the surfaces in points (n, 3), metres, are upright.
-
-    Raises `RelmapError` if too many are not.
-    """
+    """Raise a `RelmapError` if too many surfaces in points (n, 3) are not upright."""
     share = tilted_share(xyz)
     if share > MOST_SHARE:
         raise RelmapError(

@@ -84,10 +84,7 @@ def _field(rng: np.random.Generator) -> FloorPlan:
 
 
 def _long_wall(rng: np.random.Generator) -> FloorPlan:
-    """Draw a long wall that stands alone, then panels.
-
-    Half way along it a robot sees nothing but a part of it, and none of its ends.
-    """
+    """Draw a long wall of which a robot half way along it sees no end, then panels."""
     loop = rounded(LONG_LOOP)
     way = np.hstack([loop[::4], np.roll(loop[::4], -1, axis=0)])
     placed = panels(LONG_FIELD, LONG_PANELS, rng, obstacles=np.vstack([way, LONG_WALL]))

@@ -16,10 +16,7 @@ Noise = Literal["gaussian", "uniform"]
 def draw_noise(
     noise: Noise, sigma: float, shape: tuple[int, ...], rng: np.random.Generator
 ) -> Floats:
-    """Draw independent errors with mean 0 and standard deviation `sigma`.
-
-    `shape`: shape of the result.
-    """
+    """Draw independent errors with mean 0 and standard deviation `sigma`."""
     if noise == "gaussian":
         return rng.normal(0.0, sigma, shape)
     half_width = np.sqrt(3) * sigma

@@ -107,10 +107,7 @@ def furnished(rng: np.random.Generator) -> FloorPlan:
 
 
 def oblique(rng: np.random.Generator) -> FloorPlan:
-    """Draw a building without right angles or parallel walls: a projective image of another.
-
-    Straight walls remain straight and connected.
-    """
+    """Draw a building without right angles or parallel walls: a projective image of another."""
     plan = building(rng)
     low, high = plan.loop.min(axis=0), plan.loop.max(axis=0)
     scale_m, shear = np.linalg.norm(high - low) / 2, rng.uniform(*SHEAR) * rng.choice([-1, 1])

@@ -90,10 +90,7 @@ class BuildingScan(Brief):
 
 @dataclass(frozen=True)
 class Scanner:
-    """A sensor with noise and number of points.
-
-    The attributes are the arguments of `relmap.simulation.simulate_building`.
-    """
+    """A sensor with noise and number of points; see `relmap.simulation.simulate_building`."""
 
     points: int
     sigma: float

@@ -6,7 +6,7 @@ Rays of the sensor end at the first face they hit; the noise is along the ray.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -14,10 +14,10 @@ from scipy.spatial.transform import Rotation
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.brief import Brief
-from relmap.core.errors import RelmapError
 from relmap.datasets.scans import poses_of
 from relmap.simulation.drive import lengths_along, places_along
 from relmap.simulation.house import House, house, moving_box
+from relmap.simulation.noise import check_arguments
 
 Sensor = Literal["lidar", "depth"]
 RINGS, BEAMS, HIGHEST_RAD, LOWEST_RAD = 32, 300, np.deg2rad(40.0), np.deg2rad(-40.0)
@@ -94,12 +94,12 @@ def simulate_storey(
     RelmapError
         If a setting is out of range.
     """
-    if sensor not in ("lidar", "depth"):
-        raise RelmapError(f"sensor is {sensor!r}; it must be 'lidar' or 'depth'")
-    if not 0 <= sigma < np.inf or iterations < 1:
-        raise RelmapError("sigma must be 0 or more, and iterations at least 1")
-    if storeys not in (1, 2) or moving < 0:
-        raise RelmapError("storeys must be 1 or 2, and moving 0 or more")
+    limits = [
+        (sensor in get_args(Sensor), f"sensor is {sensor!r}; it must be 'lidar' or 'depth'"),
+        (1 <= iterations <= 10**6, f"iterations is {iterations}; it must lie in [1, 1000000]"),
+        (storeys in (1, 2) and 0 <= moving <= 1000, "storeys must be 1 or 2, moving 0 to 1000"),
+    ]
+    check_arguments("gaussian", sigma, seed, *limits)
     rng, rooms = np.random.default_rng(seed), house(storeys)
     rays = _lidar_rays() if sensor == "lidar" else _camera_rays()
     poses = (_carried if storeys == 1 else _carried_upstairs)(iterations, sensor, rooms.stops)
@@ -125,10 +125,7 @@ def simulate_storey(
 
 
 class Squares:
-    """Squares of faces, and how many scans saw each.
-
-    `origin` (f, 3); `sides` (f, 2, 3): at right angles.
-    """
+    """Squares of faces, and how many scans saw each; `origin` (f, 3), `sides` (f, 2, 3)."""
 
     def __init__(self, origin: Floats, sides: Floats) -> None:
         self._origin, self._sides = origin, sides

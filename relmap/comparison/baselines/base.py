@@ -33,10 +33,7 @@ class Setup:
 
 
 class Baseline(ABC):
-    """A baseline; see `relmap.evaluation.feeding.Method`.
-
-    `dimension`: 2 for a planar world, else 3.
-    """
+    """A baseline in 2 or 3 dimensions; see `relmap.evaluation.feeding.Method`."""
 
     submaps: Sequence[Submap] = ()
 
@@ -116,10 +113,7 @@ class KnownBaseline(Baseline):
 
 
 class SolvedAtTheEnd(KnownBaseline):
-    """Collects all scans, and maps them at the end of the log.
-
-    `dimension`: 2 or 3.
-    """
+    """Collects all scans, and maps them at the end of the log."""
 
     def __init__(self, dimension: int) -> None:
         super().__init__(dimension)
@@ -170,11 +164,7 @@ class SolvedAtTheEnd(KnownBaseline):
 
 
 def fitted(points_robot: Floats, places: Floats) -> Pose | None:
-    """Return the pose that brings a scan closest to the map.
-
-    `points_robot`, `places` (n, d), metres: observations and the mapped positions of their
-    landmarks; d is 2 or 3. Returns None if they determine no rotation.
-    """
+    """Return the pose that brings points (n, d) closest to places (n, d); None if undetermined."""
     return fit_rigid(points_robot, places) if fixes_rotation(places) else None
 
 

@@ -105,10 +105,7 @@ class Factors:
 
 
 class Isam2(KnownBaseline):
-    """Smooths after every scan; a new pose is initialised by fitting its scan to the map.
-
-    `sigma_m`: standard deviation of each observed coordinate, metres.
-    """
+    """Smooths after every scan; a new pose is initialised by fitting its scan to the map."""
 
     def __init__(self, dimension: int, sigma_m: float) -> None:
         super().__init__(dimension)
@@ -162,10 +159,7 @@ class Isam2(KnownBaseline):
 
 
 class GtsamBatch(SolvedAtTheEnd):
-    """Solves once at the end of the log, initialised by frame-to-map averaging.
-
-    `sigma_m`: standard deviation of each observed coordinate, metres.
-    """
+    """Solves once at the end of the log, initialised by frame-to-map averaging."""
 
     def __init__(self, dimension: int, sigma_m: float) -> None:
         super().__init__(dimension)

@@ -27,10 +27,7 @@ ENOUGH = 200
 
 
 class KissIcp(Baseline):
-    """Registers each scan to a voxel map of earlier ones; no deskewing: a scan is instantaneous.
-
-    `range_m`: distance of the farthest observation, metres.
-    """
+    """Registers each scan to a voxel map of earlier ones; no deskewing: a scan is instantaneous."""
 
     def __init__(self, range_m: float) -> None:
         super().__init__()
@@ -52,10 +49,7 @@ class KissIcp(Baseline):
 
 
 class SmallGicp(Baseline):
-    """Chains registrations, each initialised with the previous motion (constant velocity).
-
-    `range_m`: distance of the farthest observation, metres.
-    """
+    """Chains registrations, each initialised with the previous motion (constant velocity)."""
 
     def __init__(self, range_m: float) -> None:
         super().__init__()

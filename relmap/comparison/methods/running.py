@@ -53,11 +53,7 @@ KB_PER_MB = 1024
 
 @dataclass(frozen=True, eq=False)
 class MethodRun:
-    """The results of a method.
-
-    `result`: for walls a `PlaneResult`; `figures`: `ACCURACY`, `PATH` and `COST`, None if one is
-    not available.
-    """
+    """The result of a method, and its `ACCURACY`, `PATH` and `COST`, None where not available."""
 
     result: Result
     figures: dict[str, float | None]
@@ -101,11 +97,7 @@ def run_method(
 def try_method(
     name: str, source: Source, association: Association, sigma_m: float | None
 ) -> tuple[MethodRun | None, str]:
-    """Run a method if possible; see `run_method`.
-
-    `source`: source of the data; `sigma_m`: noise passed to methods, metres. Returns `run`: None if
-    it failed. `note`: the reason; empty on success.
-    """
+    """Return what `run_method` does, or None, and the reason if it failed, else an empty text."""
     try:
         with silent_readers():  # the warnings were shown when the data were loaded first
             data = source.load()

@@ -23,10 +23,7 @@ THERE = "journal {} already exists: resume its run, or name another"
 
 
 def create_file(path: Path, layout: Layout, meta: dict[str, Any]) -> End:
-    """Create an empty journal atomically, and return its end.
-
-    Raises `RelmapError` if there is a file of that name, or it cannot be written.
-    """
+    """Create an empty journal atomically, and return its end; RelmapError if it cannot be done."""
     if path.exists():
         raise RelmapError(THERE.format(path))
     # Files left by a killed run beside a deleted journal would be taken for this one's.

@@ -145,10 +145,7 @@ class RecordedScan:
 
 @dataclass(frozen=True)
 class End:
-    """The end of a journal.
-
-    `scans`: number of scans; `checksum`: checksum of the whole content.
-    """
+    """The end of a journal: its number of scans, and the checksum of its whole content."""
 
     scans: int
     checksum: int

@@ -100,10 +100,7 @@ class JournalReader:
         self._connection.close()
 
     def scans(self) -> Iterator[RecordedScan]:
-        """Yield every scan in order.
-
-        Raises `RelmapError` if the journal is damaged; all scans before the damage were yielded.
-        """
+        """Yield every scan in order; RelmapError at the first damage."""
         self.read = self._before
         try:
             scans = self._rows(self.layout.scans, "scans", "iteration")

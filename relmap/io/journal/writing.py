@@ -69,10 +69,7 @@ class Journal:
 
     @classmethod
     def create(cls, path: Path, layout: Layout, meta: dict[str, Any]) -> Journal:
-        """Create a journal.
-
-        Raises `RelmapError` if there is a file of that name, or it cannot be written.
-        """
+        """Create a journal; RelmapError if the file exists, or cannot be written."""
         return cls(path, layout, create_file(path, layout, meta))
 
     @classmethod
@@ -98,10 +95,7 @@ class Journal:
         return self._waiting[-1].end if self._waiting else self._sure
 
     def ready(self) -> None:
-        """Check that more scans can be appended.
-
-        Raises `RelmapError` if earlier scans could not be written, and still cannot.
-        """
+        """Check that scans can be appended; RelmapError if earlier ones still cannot be written."""
         if self._failure is not None:
             self.flush()
 
@@ -163,10 +157,7 @@ class Journal:
             raise self._error(self._failure) from self._failure
 
     def close(self) -> None:
-        """Flush, and close the file.
-
-        Raises `RelmapError` as `flush` does.
-        """
+        """Flush, and close the file; RelmapError as for `flush`."""
         if self._connection is None:
             return
         try:

@@ -13,7 +13,7 @@ from relmap.core.columns import NORMAL
 from relmap.core.errors import RelmapError
 from relmap.io.files import atomic_write, write_tum
 from relmap.io.results import Result, read_result
-from relmap.io.tables import Kind, csv_text, read_table
+from relmap.io.tables import Kind, columns_text, read_table
 from relmap.planes.walls.table import PlaneTable
 
 PLANES = "planes.csv"
@@ -78,11 +78,9 @@ def write_planes(folder: Path, table: PlaneTable) -> None:
 
     Raises `RelmapError` if the file cannot be written.
     """
-    columns = {name: values.tolist() for name, values in table.columns().items()}
-    columns["nz"] = [0.0] * len(table)
-    columns["end0"], columns["end1"] = np.where(table.corner >= 0, CORNER, OPEN).T.tolist()
-    rows = zip(*(columns[name] for name in COLUMNS), strict=True)
-    atomic_write(folder / PLANES, csv_text(list(COLUMNS), rows))
+    ends = dict(zip(("end0", "end1"), np.where(table.corner >= 0, CORNER, OPEN).T, strict=True))
+    columns = table.columns() | ends | {"nz": np.zeros(len(table))}
+    atomic_write(folder / PLANES, columns_text({name: columns[name] for name in COLUMNS}))
 
 
 def write_submaps(folder: Path, submaps: Sequence[tuple[Floats, Floats]]) -> None:

@@ -104,10 +104,7 @@ class WallMixture:
 
 
 def wall_cost(n: int) -> float:
-    """Return the least gain in log likelihood that justifies a wall among n points (BIC).
-
-    Schwarz, "Estimating the dimension of a model", 1978.
-    """
+    """Return the penalty of a wall among n points (BIC; Schwarz, 1978), as log likelihood."""
     return 0.5 * PARAMETERS * math.log(max(n, 2))
 
 
@@ -120,10 +117,7 @@ def scan_area(xy: Floats, sigma: float) -> float:
 def maximise(
     mixture: WallMixture, xy: Floats, steps: int, held: bool = False, tolerance: float = TOLERANCE
 ) -> WallMixture:
-    """Return the mixture after some steps of EM, fewer if the likelihood has converged.
-
-    With `held` the ends of the walls are fixed.
-    """
+    """Return the mixture after EM, until it converges; if `held`, the ends of walls are fixed."""
     from relmap.segmentation.em.step_kernels import em_step
 
     walls, sigma, stray = mixture.walls.copy(), mixture.sigma, mixture.stray

@@ -30,7 +30,6 @@ BLUR = 0.5
 NEXT = 1.0 / BLUR
 """Extent of an end: up to the next beam, and not beyond."""
 
-
 _CELLS = 512
 """Cells of the tables below per standard deviation."""
 _GRID = np.arange(int(2 * REACH) * _CELLS + 2) / _CELLS - REACH

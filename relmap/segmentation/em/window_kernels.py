@@ -78,10 +78,7 @@ def _filled_run(filled: Bools, cell: int) -> tuple[int, int]:
 
 @helper
 def _run_about(xy: Floats, wall: Floats, seed: int, band: float, gap: float, member: Bools) -> int:
-    """Mark the points of a line's band that are connected to the seed; return their number.
-
-    Sets the ends of the line too.
-    """
+    """Mark the points of a line's band connected to the seed, set its ends; return their number."""
     n = len(xy)
     along, inside = np.empty(n), np.zeros(n, dtype=np.bool_)
     lowest, highest = np.inf, -np.inf

@@ -83,10 +83,7 @@ def _plane_of(moments: Floats, second: Floats, plane: Floats) -> float:
 def _grow(
     seed: int, region: int, plane: Floats, voxels: Connected, open_: Bools, label: Ints, queue: Ints
 ) -> int:
-    """Label the voxels connected to a seed that lie on a plane, and queue them; return how many.
-
-    None is `region` before the call.
-    """
+    """Label the voxels connected to a seed that lie on a plane, and queue them; return how many."""
     (_, reach, around, centre, normal), found, head = voxels, 1, 0
     label[seed] = region
     queue[0] = seed
