@@ -11,9 +11,11 @@ from __future__ import annotations
 from functools import cache
 from typing import Any, cast
 
+import numpy as np
 from llvmlite.ir import Undefined
 from numba.core import cgutils, ir, ir_utils, types
 from numba.core.lowering import Lower
+from numba.core.pythonapi import PythonAPI
 from numba.np import arrayobj
 
 _COUNTED = types.MemInfoPointer(types.voidptr)
@@ -24,8 +26,30 @@ def _has_count(models: Any, kind: Any) -> bool:
     return cast("bool", models[kind].contains_nrt_meminfo())
 
 
+class _Api(PythonAPI):
+    """Hands results to Python; by default the type of an array would be looked up for each."""
+
+    def get_env_manager(self, *parts: Any) -> Any:
+        self._constants = super().get_env_manager(*parts)
+        return self._constants
+
+    def serialize_object(self, obj: Any) -> Any:
+        return obj if obj is np.ndarray else super().serialize_object(obj)
+
+    def unserialize(self, structptr: Any) -> Any:
+        if structptr is np.ndarray:
+            return self._constants.read_const(self._constants.add_const(np.ndarray))
+        return super().unserialize(structptr)
+
+
 class ShortLower(Lower):
     """The step from typed code to LLVM; what is not overridden is as by default."""
+
+    def create_cpython_wrapper(self, release_gil: bool = False) -> None:
+        context = self.context
+        self.context = context.subtarget(get_python_api=lambda builder: _Api(context, builder))
+        super().create_cpython_wrapper(release_gil)
+        self.context = context
 
     def incref(self, typ: Any, val: Any) -> None:
         if _has_count(self.context.data_model_manager, typ):
