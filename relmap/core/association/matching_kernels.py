@@ -121,37 +121,6 @@ def two_nearest(points: Floats, query: Floats) -> tuple[float, float, int]:
 
 
 @helper
-def _columns(points: Floats) -> Floats:
-    """Return the coordinates (3, n) of points (n, d), z = 0 in the plane."""
-    columns = np.zeros((3, len(points)))
-    for i in range(len(points)):
-        for a in range(points.shape[1]):
-            columns[a, i] = points[i, a]
-    return columns
-
-
-@helper
-def _two_nearest_of(columns: Floats, query: Floats, squares: Floats) -> tuple[float, float, int]:
-    """Return what `two_nearest` does, for many queries of the same points, as columns (3, n).
-
-    The squared distances (n,) are written first: such a loop takes a third of the time.
-    """
-    xs, ys, zs, n = columns[0], columns[1], columns[2], len(squares)
-    x, y, z = query[0], query[1], query[2] if len(query) == 3 else 0.0
-    for i in range(n):
-        a, b, c = xs[i] - x, ys[i] - y, zs[i] - z
-        squares[i] = a * a + b * b + c * c
-    first, second, index = np.inf, np.inf, n
-    for i in range(n):
-        if squares[i] < second:
-            if squares[i] < first:
-                first, second, index = squares[i], first, i
-            else:
-                second = squares[i]
-    return first, second, index
-
-
-@helper
 def nearest_of_sample(
     points: Floats, expected: Floats, missed: Ints, most: int
 ) -> tuple[Ints, Ints, Floats, float]:
@@ -174,18 +143,16 @@ def nearest_of_sample(
         return latest[:0], latest[:0], np.empty(0), 0.0
     crowd = points if n >= n_latest else crowd[:n_latest]
     every = -(-len(crowd) // most)
-    neighbour, squares = np.empty(-(-len(crowd) // every)), np.empty(max(n, m))
-    columns = _columns(crowd)
+    neighbour = np.empty(-(-len(crowd) // every))
     for k in range(len(neighbour)):
-        own = _two_nearest_of(columns, crowd[k * every], squares[: len(crowd)])
-        neighbour[k] = np.sqrt(own[1])
+        neighbour[k] = np.sqrt(two_nearest(crowd, crowd[k * every])[1])
     spacing = smallest(neighbour, len(neighbour) // 2)
     every = -(-n_latest // most)
     k = -(-n_latest // every)
-    target, distance, columns = np.empty(k, dtype=np.int64), np.empty(k), _columns(points)
+    target, distance = np.empty(k, dtype=np.int64), np.empty(k)
     for i in range(k):
         latest[i] = latest[i * every]
-        first, _, target[i] = _two_nearest_of(columns, expected[latest[i]], squares[:n])
+        first, _, target[i] = two_nearest(points, expected[latest[i]])
         distance[i] = np.sqrt(first)
     return latest[:k], target, distance, spacing
 
