@@ -116,7 +116,8 @@ def enter_swings(
     for i in range(3):
         for j in range(3):
             scatter[i, j] = (trace if i == j else 0.0) - scatter[i, j]
-    spread, _ = inverse3(scatter)
+    spread = np.empty((3, 3))
+    inverse3(scatter, spread)
     xx, yy, zz = spread[0, 0], spread[1, 1], spread[2, 2]
     xy, xz, yz = 2 * spread[0, 1], 2 * spread[0, 2], 2 * spread[1, 2]
     for i in range(n):

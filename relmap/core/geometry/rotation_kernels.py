@@ -7,7 +7,7 @@ import numpy as np
 from relmap.core.arrays import Floats
 from relmap.core.geometry.alignment import DEGENERATE
 from relmap.core.linalg.compiling import helper
-from relmap.core.linalg.small_kernels import diagonalise, inverse3, product
+from relmap.core.linalg.small_kernels import diagonalise, enter_product, inverse3
 
 STEPS = 15
 """Newton steps before falling back to an eigenvector."""
@@ -26,15 +26,13 @@ def fixes(scatter: Floats, d: int) -> bool:
 
 
 @helper
-def turned_by(turn: Floats) -> Floats:
-    """Return the rotation (d, d) for an angle (1,) or a rotation vector (3,) (Rodrigues)."""
+def turn_by(turn: Floats, R: Floats) -> None:
+    """Write the rotation (d, d) for an angle (1,) or a rotation vector (3,) (Rodrigues)."""
     if len(turn) == 1:
-        R = np.empty((2, 2))
         R[0, 0] = R[1, 1] = np.cos(turn[0])
         R[1, 0] = np.sin(turn[0])
         R[0, 1] = -R[1, 0]
-        return R
-    R = np.empty((3, 3))
+        return
     square = turn[0] * turn[0] + turn[1] * turn[1] + turn[2] * turn[2]
     angle = np.sqrt(square)
     a = np.sin(angle) / angle if angle > 0 else 1.0
@@ -44,7 +42,6 @@ def turned_by(turn: Floats) -> Floats:
         R[i, i] = 1 - b * (turn[j] * turn[j] + turn[k] * turn[k])
         R[i, j] = b * turn[i] * turn[j] - a * turn[k]
         R[j, i] = b * turn[i] * turn[j] + a * turn[k]
-    return R
 
 
 @helper
@@ -77,26 +74,28 @@ def best_rotation(moment: Floats, guess: Floats) -> Floats:
     if it does not converge. The maximised trace has a single maximum, so the result does not depend
     on the guess.
     """
-    turn = np.empty(2 * len(guess) - 3)
+    R, turn = guess.copy(), np.empty(2 * len(guess) - 3)
     if len(guess) == 2:
         turn[0] = np.arctan2(moment[0, 1] - moment[1, 0], moment[0, 0] + moment[1, 1])
-        return turned_by(turn)
-    R, H = guess, np.empty((3, 3))
+        turn_by(turn, R)
+        return R
+    A, H, inverse = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     for _ in range(STEPS):
-        A = product(R, moment)
+        enter_product(R, moment, A)
         for i in range(3):
             for j in range(3):
                 H[i, j] = -(A[i, j] + A[j, i]) / 2
             H[i, i] += A[0, 0] + A[1, 1] + A[2, 2]
-        inverse, is_maximum = inverse3(H)
-        if not is_maximum:
+        if not inverse3(H, inverse):
             break
         largest = 0.0
         for i in range(3):
             turn[i] = inverse[i, 0] * (A[1, 2] - A[2, 1])
             turn[i] += inverse[i, 1] * (A[2, 0] - A[0, 2]) + inverse[i, 2] * (A[0, 1] - A[1, 0])
             largest = max(largest, abs(turn[i]))
-        R = product(turned_by(turn), R)
+        turn_by(turn, H)
+        enter_product(H, R, A)
+        R, A = A, R
         if largest < SETTLED:
             return R
     return _by_eigenvector(moment)

@@ -6,7 +6,7 @@ import numpy as np
 
 from relmap.core.arrays import Bools, Floats
 from relmap.core.geometry.fitting_kernels import fit_rows, keep_within, trimming_limit
-from relmap.core.geometry.rotation_kernels import turned_by
+from relmap.core.geometry.rotation_kernels import turn_by
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.small_kernels import factorise, identity, product, solve, square_of
 
@@ -28,7 +28,7 @@ def weighted_step(
     """
     n, d = source.shape
     q = 3 * d - 3
-    J, off, length = np.zeros((d, q)), np.empty(d), 0.0
+    J, off, turn, length = np.zeros((d, q)), np.empty(d), np.empty((d, d)), 0.0
     for a in range(d):
         J[a, q - d + a] = 1.0
     A, b = np.zeros((q, q)), np.zeros(q)
@@ -40,7 +40,7 @@ def weighted_step(
         A[a, a] += HELD * A[a, a] + 1e-300
     factorise(A)
     solve(A, b)
-    turn = turned_by(b[: q - d])
+    turn_by(b[: q - d], turn)
     turned = product(turn, R)
     for k in range(d * d):
         R[k // d, k % d] = turned[k // d, k % d]

@@ -60,19 +60,24 @@ def square_between(x: Floats, y: Floats, metric: Floats | None, k: int, apart: F
 def product(A: Floats, B: Floats) -> Floats:
     """Return the product (n, k) of two matrices (n, m) and (m, k)."""
     result = np.empty((len(A), B.shape[1]))
+    enter_product(A, B, result)
+    return result
+
+
+@helper
+def enter_product(A: Floats, B: Floats, result: Floats) -> None:
+    """Write the product (n, k) of two matrices (n, m) and (m, k)."""
     for i in range(len(A)):
         for j in range(B.shape[1]):
             entry = 0.0
             for k in range(len(B)):
                 entry += A[i, k] * B[k, j]
             result[i, j] = entry
-    return result
 
 
 @helper
-def inverse3(A: Floats) -> tuple[Floats, bool]:
-    """Return the inverse of a symmetric matrix (3, 3), and whether it is positive definite."""
-    inverse = np.empty((3, 3))
+def inverse3(A: Floats, inverse: Floats) -> bool:
+    """Write the inverse of a symmetric matrix (3, 3); return whether it is positive definite."""
     for i in range(3):
         for j in range(3):
             a, b, c, d = (j + 1) % 3, (j + 2) % 3, (i + 1) % 3, (i + 2) % 3
@@ -82,7 +87,7 @@ def inverse3(A: Floats) -> tuple[Floats, bool]:
     for i in range(3):
         for j in range(3):
             inverse[i, j] /= det if det != 0 else np.nan
-    return inverse, positive
+    return bool(positive)
 
 
 @helper
