@@ -88,11 +88,6 @@ class Numbered(Registration):
         return np.asarray(new)
 
 
-def extent_of(points: Floats) -> float:
-    """Return the longest side of the box around points (n, d)."""
-    return float(np.ptp(points, axis=0).max()) if len(points) else 0.0
-
-
 def middle(values: Floats) -> float:
     """Return the upper median of values (n,), much faster than `numpy.median`."""
     half = len(values) // 2

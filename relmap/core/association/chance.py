@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from relmap.core.arrays import Floats
-from relmap.core.association.base import extent_of
 from relmap.core.association.placement import Placement
 from relmap.core.association.scale import Scale
 from relmap.core.association.search import log_chance
+from relmap.core.geometry.alignment import extent_of
 
 ENOUGH = 3
 """Minimum number of matches: two distances agree by chance occasionally, three rarely."""

@@ -33,6 +33,7 @@ from relmap.core.association.scale import (
 )
 from relmap.core.association.search import fits_mirrored, search, settled
 from relmap.core.association.tracks import LiveTracks
+from relmap.core.geometry.alignment import extent_of
 
 NEAR_SHARE = 0.8
 """Fraction of the nearest neighbours that must agree to skip the wider search."""
@@ -132,7 +133,7 @@ class TrackPlacing(PatternPlacing):
         """Return whether tracks fit points (n, d) better than chance explains in any placement."""
         chance = self.chance.log(placement.n_agreeing, tracks.expected, points)
         if self.scale.is_blurred:
-            d, extent_m = points.shape[1], float(np.ptp(points, axis=0).max())
+            d, extent_m = points.shape[1], extent_of(points)
             chance = (2 * d - 3) * np.log(2 * np.pi) + self.chance.log_placements(d, extent_m)
             chance -= self.soft(tracks, points).fitted(placement.R, placement.t)[1]
         return bool(chance <= LOG_CHANCE)

@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.association.base import UNIDENTIFIED, extent_of
+from relmap.core.association.base import UNIDENTIFIED
+from relmap.core.geometry.alignment import extent_of
 
 PLENTY = 6
 """Minimum number of common landmarks to judge a scan."""

@@ -86,6 +86,13 @@ def place_each(R: Floats, t: Floats, at: Ints, points: Floats) -> Floats:
     return each_kernels.place_each(R, t, np.ascontiguousarray(at), points)
 
 
+def extent_of(points: Floats) -> float:
+    """Return the longest side of the box around points (n, d), 0 if there are none."""
+    from relmap.core.geometry import each_kernels
+
+    return each_kernels.extent_of(np.ascontiguousarray(points))
+
+
 def sums_each(values: Floats, at: Ints, n: int) -> Floats:
     """Sum values (k, ...) by set `at` (k,), 0 to n - 1; (n, ...)."""
     from relmap.core.geometry import each_kernels

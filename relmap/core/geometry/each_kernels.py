@@ -26,6 +26,18 @@ def place_each(R: Floats, t: Floats, at: Ints, points: Floats) -> Floats:
 
 
 @compiled
+def extent_of(points: Floats) -> float:
+    """Return the longest side of the box around points (n, d), 0 if there are none."""
+    longest = 0.0
+    for a in range(points.shape[1]):
+        low, high = np.inf, -np.inf
+        for i in range(len(points)):
+            low, high = min(low, points[i, a]), max(high, points[i, a])
+        longest = max(longest, high - low)
+    return longest
+
+
+@compiled
 def sums_each(values: Floats, at: Ints, n: int) -> Floats:
     """Return the sums (n, c) of values (k, c) by set `at` (k,), 0 to n - 1."""
     sums = np.zeros((n, values.shape[1]))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.core.geometry.alignment import fit_rigid_each, place_each
+from relmap.core.geometry.alignment import extent_of, fit_rigid_each, place_each
 
 OUTLIER = 7.0
 """Standard deviations beyond which a residual is down-weighted as an outlier."""
@@ -69,7 +69,7 @@ def fit_robust_each(
     Returns `R` (n, d, d); `t` (n, d); `fixed` (n,); `weight` (k,): weight of one observation; 1 if
     noise explains all residuals.
     """
-    size = float(np.ptp(target, axis=0).max()) if len(target) else 0.0
+    size = extent_of(target)
     least, root = max(EXACT * size, 1e-300), np.sqrt(counts)
 
     def apart() -> Floats:
