@@ -28,6 +28,8 @@ RIVAL, RIVAL_LESS_ONE = 0.9, 0.6
 second value holds if at most `FEW` planes match, or if the best one is a leap, and the rival misses
 one of them, which may be new or match by chance: three planes at right angles match any others."""
 FEW = 4
+MOST = 0.75
+"""If more than `BOX` planes match, a rival matches at least this fraction of their number."""
 APART_RAD, APART = np.deg2rad(8.0), 0.05
 """Tolerance of placements that are the same: rotation, and translation over the range."""
 CLOSE, SETTLES = 0.3, 0.85
@@ -152,6 +154,8 @@ def _is_near(chosen: Placed, other: Placed, expected: Pose, held: Held, reach_m:
 
 def _rivals(other: Placed, best: Placed, is_leap: bool = False) -> bool:
     """Return whether a placement is a rival of the best one."""
+    if best.n_planes > BOX and other.n_planes < MOST * best.n_planes:
+        return False
     doubtful = is_leap or best.n_planes <= FEW
     less = doubtful and other.n_planes >= best.n_planes - 1
     return other.share > (RIVAL_LESS_ONE if less else RIVAL) * best.share

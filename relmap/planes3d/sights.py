@@ -83,10 +83,11 @@ def is_tied_doubtfully(placed: Placed, part: Submap, other: Submap) -> bool:
     jumps = _jumps(other.poses[m], there, gap, part.seen[k].reach_m, part, other)
     if jumps and placed.n_planes < MANY_SHARED:
         return True
+    through = contradicted(part, other, placed.pose)
     if gap <= SOON:
-        return False
+        return through > THROUGH
     few = placed.share < SURFACES and placed.n_planes < PLANES * len(part)
-    return few or contradicted(part, other, placed.pose) > CONTRADICTED
+    return few or through > CONTRADICTED
 
 
 def fastest_m(part: Submap) -> float:
