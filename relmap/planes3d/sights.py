@@ -24,7 +24,8 @@ FEWEST = 40
 FACING = 0.3
 """Minimum cosine at which a surface is seen."""
 THROUGH = 0.1
-"""Largest fraction of its looks at the map in which a scan may see through: things move."""
+"""Largest fraction of its looks at the map in which a scan may see through, or submaps near in time
+at each other: things move."""
 FASTER = 2.0
 """A leap, or the step between submaps that are tied, is at most as many times the fastest step."""
 SEVERAL = 6
