@@ -12,7 +12,7 @@ from relmap import Plane3dMapper
 from relmap.core.arrays import Floats
 from relmap.evaluation.space_run import submap_row
 from relmap.planes3d.fitting import matched
-from relmap.planes3d.placing import Placed
+from relmap.planes3d.placing import Placed, is_rival
 from relmap.planes3d.sights import is_doubtful, is_tied_doubtfully, seen_through, with_ends
 from relmap.planes3d.submap import Submap
 from relmap.planes3d.table import plane_table
@@ -79,14 +79,16 @@ def passed(first: int, *walls: Floats) -> Submap:
 
 
 @pytest.mark.parametrize(
-    ("first", "screens", "doubtful"), [(9, 0, False), (9, 1, True), (5, 1, False)]
+    ("first", "screens", "doubtful"),
+    [(9, 0, False), (9, 1, True), (5, 1, False), (5, 4, True)],
 )
-def test_scans_that_see_through_another_submap_far_apart_in_time_are_not_tied_to_it(
+def test_scans_that_see_through_another_submap_are_not_tied_to_it_less_so_near_in_time(
     first: int, screens: int, doubtful: bool
 ) -> None:
     room = [wall(axis, at) for axis in range(3) for at in (-3.0, 3.0)]
     there = replace(placed(0.0, 0.9), match=np.arange(6))
-    part = passed(first, *room, *[wall(0, 2.0, (-1.5, 1.5))] * screens)
+    screen = [wall(axis, at, (-1.5, 1.5)) for axis in (0, 1) for at in (2.0, -2.0)]
+    part = passed(first, *room, *screen[:screens])
     assert is_tied_doubtfully(there, part, passed(0, *room)) is doubtful
 
 
@@ -115,6 +117,17 @@ def test_a_scan_that_sees_through_the_map_begins_a_submap() -> None:
     mapper = fed(Plane3dMapper(), (patches(*sides, screen) for _ in range(3)))
     mapper.update(patches(*sides))
     assert [len(part.iteration) for part in mapper.submaps] == [3, 1]
+
+
+@pytest.mark.parametrize(
+    ("best", "other", "rival"), [(18, 12, False), (18, 14, True), (8, 4, True)]
+)
+def test_of_many_planes_a_rival_matches_most(best: int, other: int, rival: bool) -> None:
+    first, second = (
+        Placed(STILL, ORIGIN, np.arange(count), share, None, False)
+        for count, share in ((best, 0.87), (other, 0.79))
+    )
+    assert is_rival(second, first) is rival
 
 
 def test_clutter_that_passed_for_a_plane_does_not_take_planes_within_it() -> None:

@@ -169,3 +169,13 @@ def test_a_panel_ends_where_scans_see_past_it() -> None:
     assert length_m[meets == ENDS].sum() > 0.9 * length_m[meets < 0].sum()
     for face in set(range(len(planes))) - {middle}:
         assert ENDS not in found[face].outline()[1]
+
+
+def test_the_only_plane_of_a_submap_may_end() -> None:
+    # Too few rays for a plane end behind it.
+    panel = rectangle([1.0, -0.5, -0.5], [0, 1, 0], [0, 0, 1])
+    beyond = np.random.default_rng(0).uniform([1.0, -0.9, -0.9], [1.0, 0.9, 0.9], (350, 3))
+    beyond = 3.0 * beyond[(np.abs(beyond[:, 1:]) > 0.55).any(axis=1)]
+    mapper = Plane3dMapper(PatchSegmenter(voxel_m=0.2, min_points=300))
+    assert mapper.update(np.concatenate([panel, beyond])).tolist() == [0]
+    assert (mapper.planes.meets[0] == ENDS).any()

@@ -65,3 +65,30 @@ def test_a_step_as_long_as_a_cupboard_is_deep_is_right(depth_m: float, step_m: f
     mapper.finish()
     assert len(mapper.submaps) == 1
     assert ate_m(mapper.trajectory, poses, planar=False) < 0.02
+
+
+def cupboards(seed: int) -> Floats:
+    """Return the faces (f, 3, 3) of a room with a row of unequal cupboards."""
+    rng, faces = np.random.default_rng(seed), box((-3.0, -3.0, 0.0), (3.0, 3.0, HEIGHT_M))
+    for y in -2.4 + 0.7 * np.arange(7):
+        depth, high = rng.uniform(0.2, 0.9), rng.uniform(0.5, 1.9)
+        faces += box((3.0 - depth, y, 0.0), (3.0, y + 0.7, high))
+    return np.array(faces)
+
+
+@pytest.mark.parametrize(("seed", "step_rad"), [(8, 0.12), (8, 0.2), (8, 0.28), (4, 0.12)])
+def test_a_row_of_parallel_fronts_does_not_break_a_run(seed: int, step_rad: float) -> None:
+    # Fronts, tops and sides match each other in many ways, more than the planes in between.
+    rng, mapper, faces = np.random.default_rng(0), Plane3dMapper(), cupboards(seed)
+    u, v = np.meshgrid(np.linspace(0.6, -0.6, 160), np.linspace(0.45, -0.45, 120))
+    rays = np.stack([np.ones_like(u), u, v], axis=-1).reshape(-1, 3)
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    poses = np.tile(np.eye(4), (3, 1, 1))
+    for k, pose in enumerate(poses):
+        pose[:3, :3] = Rotation.from_euler("zyx", [step_rad * k - 0.2, 0.15, 0.0]).as_matrix()
+        pose[:3, 3] = 0.0, 0.1 * k, 1.5 + 0.05 * k
+        range_m, _ = cast_rays(pose[:3, 3], rays @ pose[:3, :3].T, faces[:, 0], faces[:, 1:])
+        range_m += 0.003 * rng.standard_normal(len(range_m))
+        mapper.update(rays * range_m[:, None])
+    assert len(mapper.submaps) == 1
+    assert ate_m(mapper.trajectory, poses, False) < 0.01

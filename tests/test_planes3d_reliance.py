@@ -59,6 +59,24 @@ def test_the_step_of_two_scans_that_a_break_left_is_listed() -> None:
     assert unsure_steps(longer, is_broken=True) == {}
 
 
+def test_a_step_that_planes_leave_open_does_not_slide() -> None:
+    # No scan shows both ends of a corridor that is wider by 4 mm for the scans behind the break;
+    # its walls are not quite parallel, so that it would be as wide 0.8 m farther on.
+    part = Submap()
+    for k in range(8):
+        x, half, end = 0.1 * k, 2.0 + 0.002 * (k > 3), 3.0 if k < 4 else -3.0
+        sides = [wall(1, side * half) @ turned(side * 0.0025) for side in (1, -1)]
+        seen = patches(*(side - [x, 0.0, 0.0] for side in (*sides, wall(2, -2.0), wall(0, end))))
+        part.add(k, seen, (np.eye(3), np.array([x, 0.0, 0.0])), np.array([0, 1, 2, 3 + (k > 3)]))
+    part, _ = refined(part, 5)
+    assert np.diff(scene(part).t[:, 0]) == pytest.approx(0.1, abs=0.01)
+    assert 4 in part.weak
+
+
+def turned(yaw: float) -> Floats:
+    return Rotation.from_rotvec([0.0, 0.0, yaw]).as_matrix()
+
+
 def test_a_room_with_parallel_walls_is_not_fragile_but_a_corner_is() -> None:
     room_scan, _ = fragile_of(carried([0.0, 0.1], 3.0, -3.0))
     assert sorted(room_scan.tolist()) == [0, 0, 1, 1]  # across the single walls only

@@ -23,9 +23,9 @@ ALIKE_RAD = np.deg2rad(3.0)
 PARALLEL = np.cos(ALIKE_RAD)
 SAME_TURN = np.cos(np.deg2rad(6.0))
 """Rotations that differ by less are the same (cosine)."""
-LEADERS, PAIRS, TURNS, PER_TURN = 10, 18, 36, 4
-"""Number of largest planes of a scan that give hypotheses, of candidate matches per rotation, of
-rotations, and of translations per rotation."""
+LEADERS, TURNS, PER_TURN = 10, 36, 4
+"""Number of largest planes of a scan that give hypotheses, of rotations, and of translations per
+rotation."""
 FLAT_CORNER = 0.15
 """Minimum determinant of three normals that determine a translation."""
 OFF_M, OFF_SHARE = 4.0, 0.01
@@ -55,13 +55,11 @@ def motions(seen: Patches, there: Patches, held: Held) -> tuple[Floats, Floats]:
     from relmap.planes3d.hypothesis_kernels import best_ways, distinct_turns
 
     size, mine, others = importance(seen), leaders(seen), leaders(there, 2 * LEADERS)
-    # The largest first: if there are too many matches theirs are used.
-    mine = mine[np.argsort(-size[mine], kind="stable")]
     a, b, weight = seen.normal[mine], there.normal[others], size[mine]
     gate = OFF_M * seen.spread[mine, 2] + OFF_SHARE * np.linalg.norm(seen.centre[mine], axis=1)
     turns, found = distinct_turns(_turns(a, b), a, b, weight), list[tuple[Floats, Floats]]()
     for R in turns:
-        i, j = (each[:PAIRS] for each in np.nonzero((a @ R.T) @ b.T > PARALLEL))
+        i, j = np.nonzero((a @ R.T) @ b.T > PARALLEL)
         apart_m = 2 * float(np.median(gate[i])) if len(i) else 0.0
         off = there.offset[others[j]] - seen.offset[mine[i]]
         # Three matches determine a translation; two do together with the predicted position.

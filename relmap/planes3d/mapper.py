@@ -161,7 +161,7 @@ class Plane3dMapper(Mapped3d):
 
         Only the 12 largest submaps of at least three scans are tried. If the tie implies a jump,
         they must share twelve planes, and if they are far apart in time most of their planes or
-        surfaces, and hardly see through those of the other.
+        surfaces. They may see through few of those of the other, less if far apart in time.
         """
         failed: set[tuple[Span, Span]] = set()
         with self._guard.change(), one_thread():

@@ -28,6 +28,8 @@ RIVAL, RIVAL_LESS_ONE = 0.9, 0.6
 second value holds if at most `FEW` planes match, or if the best one is a leap, and the rival misses
 one of them, which may be new or match by chance: three planes at right angles match any others."""
 FEW = 4
+MOST = 0.75
+"""If more than `BOX` planes match, a rival matches at least this fraction of their number."""
 APART_RAD, APART = np.deg2rad(8.0), 0.05
 """Tolerance of placements that are the same: rotation, and translation over the range."""
 CLOSE, SETTLES = 0.3, 0.85
@@ -94,10 +96,10 @@ def place(seen: Patches, there: Surfaces, last: Pose | None, held: Held) -> Plac
     if last is not None and moved_m(first.pose, last, reach_m) > leap:
         # In a room that looks the same from two sides a leap may explain a scan better by chance.
         near = [other for other in best if moved_m(other.pose, last, reach_m) <= leap]
-        first = next((other for other in near if _rivals(other, first, True)), first)
+        first = next((other for other in near if is_rival(other, first, True)), first)
         if first is best[0] and first.share < SETTLES and first.n_planes <= BOX:
             return None
-    rivals = _distinct([other for other in best if _rivals(other, first)], seen)
+    rivals = _distinct([other for other in best if is_rival(other, first)], seen)
     if last is None:
         return first if len(rivals) == 1 else None
     return _closest(rivals, last[0], held, reach_m)
@@ -150,8 +152,10 @@ def _is_near(chosen: Placed, other: Placed, expected: Pose, held: Held, reach_m:
     return way_m > CLEARLY * other_m
 
 
-def _rivals(other: Placed, best: Placed, is_leap: bool = False) -> bool:
-    """Return whether a placement is a rival of the best one."""
+def is_rival(other: Placed, best: Placed, is_leap: bool = False) -> bool:
+    """Return whether a placement is a rival of the best one, which may be a leap."""
+    if not is_leap and best.n_planes > BOX and other.n_planes < MOST * best.n_planes:
+        return False
     doubtful = is_leap or best.n_planes <= FEW
     less = doubtful and other.n_planes >= best.n_planes - 1
     return other.share > (RIVAL_LESS_ONE if less else RIVAL) * best.share

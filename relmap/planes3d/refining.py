@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 from relmap.core.arrays import Bools, Floats
 from relmap.planes3d.adjustment import GAIN, PlaneAdjustment, Scene, Sightings
 from relmap.planes3d.certainty import plane_covariances, step_covariances, unreliable_steps
-from relmap.planes3d.fitting import SYSTEMATIC, WEAK, directed, distances
+from relmap.planes3d.fitting import OPEN, SYSTEMATIC, WEAK, directed, distances
 from relmap.planes3d.gathering import gathered
 from relmap.planes3d.sights import sights_of
 from relmap.planes3d.submap import Submap
@@ -37,6 +37,7 @@ def refined(part: Submap, number: int) -> tuple[Submap, dict[int, int]]:
     `number`: of the first of the landmarks that are found in the points of all scans together.
     Returns `name`: new numbers of landmarks that were joined to others.
     """
+    part.weak = _open_steps(part) | part.weak
     part, names = _settled(part, ROUGHLY)
     part.sights = sights_of(part)
     more = gathered(part, number)
@@ -90,6 +91,18 @@ def unsure_steps(part: Submap, is_broken: bool = False) -> dict[int, Floats]:
         unsure |= sd_m > UNSURE * reach_m
     unsure |= is_broken and len(part.iteration) <= UNCONFIRMED
     rows = np.flatnonzero(unsure).tolist()
+    return {part.iteration[k + 1]: directed(axes[k, :, 2]) for k in rows}
+
+
+def _open_steps(part: Submap) -> dict[int, Floats]:
+    """Return the iterations whose step planes leave open in some direction, and that direction.
+
+    Least squares would let all that follows slide along it.
+    """
+    covariance = step_covariances(sightings(part), scene(part), SYSTEMATIC)
+    variance, axes = np.linalg.eigh(covariance[:, 3:, 3:])
+    reach_m = np.array([each.reach_m for each in part.seen[1:]])
+    rows = np.flatnonzero(variance[:, 2] > (OPEN * reach_m) ** 2).tolist()
     return {part.iteration[k + 1]: directed(axes[k, :, 2]) for k in rows}
 
 

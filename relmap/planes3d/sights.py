@@ -24,7 +24,8 @@ FEWEST = 40
 FACING = 0.3
 """Minimum cosine at which a surface is seen."""
 THROUGH = 0.1
-"""Largest fraction of its looks at the map in which a scan may see through: things move."""
+"""Largest fraction of its looks at the map in which a scan may see through, or submaps near in time
+at each other: things move."""
 FASTER = 2.0
 """A leap, or the step between submaps that are tied, is at most as many times the fastest step."""
 SEVERAL = 6
@@ -83,10 +84,11 @@ def is_tied_doubtfully(placed: Placed, part: Submap, other: Submap) -> bool:
     jumps = _jumps(other.poses[m], there, gap, part.seen[k].reach_m, part, other)
     if jumps and placed.n_planes < MANY_SHARED:
         return True
+    through = contradicted(part, other, placed.pose)
     if gap <= SOON:
-        return False
+        return through > THROUGH
     few = placed.share < SURFACES and placed.n_planes < PLANES * len(part)
-    return few or contradicted(part, other, placed.pose) > CONTRADICTED
+    return few or through > CONTRADICTED
 
 
 def fastest_m(part: Submap) -> float:

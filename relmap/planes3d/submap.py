@@ -30,8 +30,8 @@ class Submap:
     poses : list of R (3, 3) and t (3,)
         ``T_submap_robot`` of each of its scans.
     weak : dict of int to (3,) float64
-        Iterations whose position planes determined poorly when they were placed, and the
-        direction, robot frame.
+        Iterations whose position planes determined poorly when they were placed, or whose step from
+        the scan before they leave open when `refine` begins, and the direction, robot frame.
     held : set of int
         Those of them for which constant motion was assumed in that direction.
     unsure : dict of int to (3,) float64

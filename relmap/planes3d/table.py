@@ -127,7 +127,10 @@ def _rows(part: Submap, rank: int, is_refined: bool) -> dict[str, Any]:
         "sd": planes.spread[order, 2],
         "area_m2": np.array([each.filled.sum() * each.size_m**2 for each in rasters]),
         "outline": [outline for outline, _ in outlines],
-        "meets": [np.where(meets >= 0, part.number[meets], meets) for _, meets in outlines],
+        # Negative values, of pieces that meet no plane, may be beyond the number of planes.
+        "meets": [
+            np.where(meets >= 0, part.number[np.maximum(meets, 0)], meets) for _, meets in outlines
+        ],
         "observations": np.bincount(landmark, minlength=len(part))[order],
         "first_iteration": first[order],
         "last_iteration": part.last[order],
