@@ -66,7 +66,10 @@ def test_few_beams_down_a_corridor_did_not_return(
     ends_m = 33 - 0.5 * np.arange(40.0)
     with np.errstate(divide="ignore"):
         sides_m = 1 / np.abs(np.sin(BEARINGS))
-    true = [np.minimum(sides_m, end_m / np.cos(BEARINGS)).round(2) for end_m in ends_m]
+    true = [
+        np.minimum(sides_m * (0.8 + 0.01 * end_m), end_m / np.cos(BEARINGS)).round(2)
+        for end_m in ends_m
+    ]
     assert [len(scan.points_robot) for scan in written(tmp_path, true).scans()] == 40 * [180]
     assert not caplog.messages
     none = [np.where(ranges < 25, ranges, 26) for ranges in true]

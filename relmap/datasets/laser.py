@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -163,7 +164,8 @@ def _repeated_m(every_m: Floats, ranges_m: list[Floats]) -> float:
 
     `every_m` (n,): the ranges of all scans.
     """
-    farthest_m = np.sort([ranges.max(initial=0.0) for ranges in ranges_m])
+    changed = [now for before, now in pairwise(ranges_m) if not np.array_equal(before, now)]
+    farthest_m = np.sort([ranges.max(initial=0.0) for ranges in changed])
     farthest_m = farthest_m[farthest_m > 0]
     if len(farthest_m) < REPEATED:
         return np.inf
