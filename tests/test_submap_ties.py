@@ -133,14 +133,18 @@ def test_a_corridor_is_placed_by_its_doors() -> None:
 
 
 @pytest.mark.parametrize(
-    ("walls", "ends", "n_maps"), [(14, 7, 2), (13, 9, 2), (16, 9, 2), (12, 10, 1), (30, 38, 1)]
+    ("walls", "ends", "n_maps", "n_hardly_contradicted"),
+    [(14, 7, 2, 2), (13, 9, 2, 1), (16, 9, 2, 2), (23, 13, 2, 1), (12, 10, 1, 1), (30, 38, 1, 1)],
 )
 def test_ends_that_coincide_by_chance_do_not_join(
-    monkeypatch: pytest.MonkeyPatch, walls: int, ends: int, n_maps: int
+    monkeypatch: pytest.MonkeyPatch, walls: int, ends: int, n_maps: int, n_hardly_contradicted: int
 ) -> None:
     """Numbers from simulated corridors with doors; wrong alignments were up to 54 m off."""
     monkeypatch.setattr(submap_ties, "coinciding_ends", lambda *_: (walls, ends))
-    assert len(tied_parts([part_of(0, ROOM, INSIDE), part_of(1, ROOM, INSIDE, True)])) == n_maps
+    same = [part_of(0, ROOM, INSIDE), part_of(1, ROOM, INSIDE, True)]
+    assert len(tied_parts(same)) == n_hardly_contradicted
+    monkeypatch.setattr(submap_ties, "HARDLY", -1.0)
+    assert len(tied_parts(same)) == n_maps
 
 
 def with_rooms(number: int, rooms: Sequence[tuple[Floats, Floats]], moved: bool = False) -> MapPart:

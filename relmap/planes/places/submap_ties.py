@@ -49,6 +49,8 @@ along two corridors with doors, and by how many standard deviations of a binomia
 must be more. A bend of a bare corridor has four walls, and looks like any other, as do crossings.
 Of 140 alignments of submaps in 23 logs and worlds, the 9 wrong ones by more than 5 m had too few
 such places."""
+HARDLY, LOW_SIGMAS = 0.01, 2.5
+"""The same if at most this fraction is contradicted."""
 SYMMETRIC = 0.02
 """Largest contradicted fraction if the robot must have been carried, or scans are missing, between
 submaps: a corridor round a building looks the same after half a turn (0.037 and more)."""
@@ -225,7 +227,8 @@ def unrivalled(part: MapPart, other: MapPart, also: Sequence[WallTie] = ()) -> S
     if not best.is_sure:
         return None
     walls, ends = coinciding_ends(other.ends, part.ends, best.tie)
-    by_chance = CHANCE * walls + SIGMAS * (CHANCE * (1 - CHANCE) * walls) ** 0.5
+    sigmas = SIGMAS if best.contradicted > HARDLY else LOW_SIGMAS
+    by_chance = CHANCE * walls + sigmas * (CHANCE * (1 - CHANCE) * walls) ** 0.5
     if walls < WALLS or ends < by_chance:
         return None
     rivals = (each.tie for each in others if each.support_m > RIVAL * best.support_m)
