@@ -216,6 +216,14 @@ def _in_space() -> dict[str, Reader]:
     found = {f"kitti-{name}": Reader(clouds, name, _scan_log("", "kitti-bin")) for name in clouds}
     for name in images:
         found[f"depth-{name}"] = Reader(images, name, _scan_log("", "depth-images"))
+    listed = {
+        "camera-intrinsics.txt": images["camera-intrinsics.txt"],
+        "depth.txt": b"# time file\n1.5 depth/1.5.png\n",
+        "depth/1.5.png": image.getvalue(),
+        "groundtruth.txt": b"1 0 0 0 0 0 0 1\n2 1 0 0 0 0 .6 .8\n",
+    }
+    for name in listed:
+        found[f"tum-{name}"] = Reader(listed, name, _scan_log("", "tum-rgbd"))
     return found
 
 

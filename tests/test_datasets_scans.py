@@ -27,7 +27,7 @@ from tests.scanlogs import CLOUD, CORRECTED, GRAPH, LASER, failure, npz, pcd, pl
 
 def test_formats_are_named() -> None:
     assert SCAN_FORMATS[:4] == ("scans-npz", "carmen-log", "mrpt-laser2d", "point-clouds")
-    assert SCAN_FORMATS[4:] == ("bag-scans", "kitti-bin", "depth-images")
+    assert SCAN_FORMATS[4:] == ("bag-scans", "kitti-bin", "depth-images", "tum-rgbd")
     assert len({dataset.description for dataset in SCAN_DATASETS}) == len(SCAN_DATASETS)
 
 

@@ -7,11 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 from PIL import Image
 
 from relmap.core.arrays import Floats
 from relmap.datasets import open_scans
+from relmap.evaluation.truth import read_truth
 from tests.logs import put
 from tests.scanlogs import failure, points_of
 
@@ -124,6 +126,63 @@ def test_damaged_depth_images_are_refused(
     assert wrong in failure(tmp_path)
 
 
+def tum(folder: Path, times: str = "3.5 2.5", lists: str = "depth.txt") -> Path:
+    (folder / "depth").mkdir(parents=True)
+    for time in times.split():
+        put(folder / "depth", png(DEPTH * np.uint16(5)), f"{time}.png")
+    rows = "".join(f"{time} depth/{time}.png\n" for time in times.split())
+    put(folder, K, "camera-intrinsics.txt")
+    return put(folder, f"# depth maps\n{rows}", lists).parent
+
+
+def test_depth_images_of_tum_in_the_order_of_their_times(tmp_path: Path) -> None:
+    put(tum(tmp_path / "a"), "2 0 0 7 0 0 0 1\n3 0 0 9 0 0 0 1\n", "groundtruth.txt")
+    log = open_scans(tmp_path / "a")
+    # As of 7-Scenes above; 65535, times five and cut to 16 bits, is a point here.
+    points = points_of(log)
+    assert [scan[:2] for scan in points] == [[[2.0, 0.0, 0.0], [1.0, -0.6, -0.1]]] * 2
+    assert log.stamps_s.tolist() == [2.5, 3.5]
+    assert log.poses is not None
+    assert (log.poses[0] @ [2.0, 0.0, 0.0, 1.0]).tolist() == [0, 0, 10, 1]  # the camera's z
+    assert np.isnan(log.poses[1]).all()
+    assert read_truth(tmp_path / "a", "planes3d").stamps_s.tolist() == [2.5]
+
+
+def test_associations_of_tum_in_either_order(tmp_path: Path) -> None:
+    folder = tum(tmp_path / "a", "1 2", "associations.txt")
+    put(folder, "1 rgb/1.png 1.25 depth/1.png\n2 depth/2.png 2.1 rgb/2.png\n", "associations.txt")
+    assert open_scans(folder).stamps_s.tolist() == [1.25, 2]
+
+
+def test_intrinsics_of_tum_by_the_name_or_with_a_warning(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    ahead = {}
+    for name in ("rgbd_dataset_freiburg3_desk", "desk"):
+        (tum(tmp_path / name) / "camera-intrinsics.txt").unlink()
+        ahead[name] = points_of(open_scans(tmp_path / name))[0][0]
+        assert ("intrinsics of the camera are unknown" in caplog.text) == (name == "desk")
+    right, down = np.array([320.1 - 4, 247.6 - 2]) / [535.4, 539.2] * 2
+    assert_allclose(ahead["rgbd_dataset_freiburg3_desk"], [2, right, down])
+    assert_allclose(ahead["desk"], [2, 315.5 / 525 * 2, 237.5 / 525 * 2])
+
+
+@pytest.mark.parametrize(
+    ("line", "wrong"),
+    [
+        ("1 rgb/1.png", "line 1: '1 rgb/1.png', expected a time and a name depth/*.png"),
+        ("x depth/1.png", "expected a time and a name depth/*.png"),
+        ("depth/1.png 1", "expected a time and a name depth/*.png"),
+        ("1 depth/../../1.png", "expected a time and a name depth/*.png"),
+        ("1 depth/0.png", "0.png: does not exist"),
+        ("# 1 depth/1.png", "lists no image"),
+    ],
+)
+def test_wrong_lists_of_tum_are_refused(tmp_path: Path, line: str, wrong: str) -> None:
+    put(tum(tmp_path / "a", "1"), line, "depth.txt")
+    assert wrong in failure(tmp_path / "a")
+
+
 @pytest.mark.parametrize(
     ("data", "wrong"),
     [
@@ -142,6 +201,7 @@ def test_damaged_clouds_of_kitti_are_refused(tmp_path: Path, data: bytes, wrong:
 def test_a_folder_without_clouds_is_refused(tmp_path: Path) -> None:
     assert "holds no .bin file" in failure(tmp_path, "kitti-bin")
     assert "holds no *.depth.png" in failure(tmp_path, "depth-images")
+    assert "holds no depth.txt or associations.txt" in failure(tmp_path, "tum-rgbd")
 
 
 def test_a_decoder_that_runs_out_of_memory_is_reported(

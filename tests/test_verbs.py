@@ -61,7 +61,7 @@ WITH_ODOMETRY = "laser/a.scans.csv.gz"
 def test_every_format_is_in_the_table() -> None:
     assert {name for name, _ in POINTS} == set(FORMATS)
     # Depth images show floors and tables: `test_planes3d_cli` maps them.
-    assert {name for name, _ in WALLS} | {"depth-images"} == set(SCAN_FORMATS)
+    assert {name for name, _ in WALLS} | {"depth-images", "tum-rgbd"} == set(SCAN_FORMATS)
 
 
 @pytest.mark.parametrize(("form", "source"), [*POINTS, *WALLS])

@@ -46,6 +46,7 @@ With --variant planes INPUT is a log of point scans, and walls are mapped:
                    (pip install 'relmap[bags]')
   kitti-bin        a folder of .bin files, float32 x, y, z and intensity, one for each scan
   depth-images     a folder of 16-bit depth images *.depth.png, with camera-intrinsics.txt
+  tum-rgbd         a folder of TUM RGB-D: depth.txt or associations.txt, and depth/*.png
 
 With --variant planes3d the same formats are read, but planes of any direction are mapped, and the
 sensor may move in all directions and tilt: clouds of a lidar or a depth camera. Of the options

@@ -34,6 +34,7 @@ from relmap.datasets.scans_npz import ScansNpz, write_scans_npz
 from relmap.datasets.slsjf import SlsjfSimulation
 from relmap.datasets.textfile import invalid, open_text, quoted, require_path, shown
 from relmap.datasets.trajectories import Relations, read_relations
+from relmap.datasets.tum_rgbd import TumRgbd
 from relmap.datasets.victoria_park import VictoriaPark
 
 __all__ = [
@@ -75,6 +76,7 @@ SCAN_DATASETS: tuple[Dataset[ScanLog], ...] = (
     BagScans(),
     KittiBin(),
     DepthImages(),
+    TumRgbd(),
 )
 """Every format of point scans, in the same order."""
 

@@ -50,17 +50,27 @@ class DepthImages:
         files = members_of(path, (DEPTH,)) if os.path.isdir(path) else []
         if not files:
             raise invalid(path, f"holds no *{DEPTH}, expected {self.description}")
-        K = _matrix(path / INTRINSICS, 3)
-        if not (K[0, 0] > 0 and K[1, 1] > 0):
-            raise invalid(path / INTRINSICS, "expected focal lengths above 0")
-        if K[1, 0] or (K[2] != [0, 0, 1]).any():
-            raise invalid(path / INTRINSICS, "expected rows fx s cx, 0 fy cy, 0 0 1")
+        K = read_intrinsics(path)
         stamps_s = np.arange(len(files), dtype=np.float64)
-        return ScanLog(3, stamps_s, lambda index: _points(files[index], K), _poses(files))
+        return ScanLog(3, stamps_s, lambda index: points_of(files[index], K), _poses(files))
 
 
-def _points(file: Path, K: Floats) -> Floats:
-    """Return the points (n, 3) of an image, metres."""
+def read_intrinsics(folder: Path) -> Floats:
+    """Return the matrix K (3, 3) of the camera of a folder, pixels; RelmapError if it is none."""
+    file = folder / INTRINSICS
+    K = _matrix(file, 3)
+    if not (K[0, 0] > 0 and K[1, 1] > 0):
+        raise invalid(file, "expected focal lengths above 0")
+    if K[1, 0] or (K[2] != [0, 0, 1]).any():
+        raise invalid(file, "expected rows fx s cx, 0 fy cy, 0 0 1")
+    return K
+
+
+def points_of(file: Path, K: Floats, unit_m: float = UNIT_M) -> Floats:
+    """Return the points (n, 3) of an image, metres, robot frame; `unit_m`: depth of a value of 1.
+
+    `K` (3, 3), pixels. Raises RelmapError if it is not a depth image.
+    """
     from PIL import Image  # installed with matplotlib
 
     try:
@@ -73,7 +83,7 @@ def _points(file: Path, K: Floats) -> Floats:
     if depth.ndim != 2 or depth.dtype == np.uint8:
         raise invalid(file, "is not a depth image, expected one channel of 16 bits")
     row, column = np.nonzero(~np.isin(depth, NO_READING))
-    z = depth[row, column] * UNIT_M
+    z = depth[row, column] * unit_m
     right = (EVERY * column - K[0, 2]) / K[0, 0] * z
     down = (EVERY * row - K[1, 2]) / K[1, 1] * z
     return np.column_stack([z, -right, -down])

@@ -82,7 +82,8 @@ class ScanLog(Brief):
         Returns the points (n, dimension) of the scan at an index in range(k); robot frame, metres.
         It raises RelmapError if a file of that scan is damaged.
     poses : (k, 4, 4) float64 or None
-        T_reference_robot of each scan: the reference poses of the log, exact or not.
+        T_reference_robot of each scan: the reference poses of the log, exact or not;
+        NaN if unknown.
     first_iteration : int
         Number of the first scan.
     sensor : SensorView

@@ -194,7 +194,8 @@ def _read_path(path: Path) -> Truth:
         raise RelmapError(f"{error}; to compare walls with, expected {expected}") from error
     if log.poses is None:
         raise invalid(path, "the log gives no poses, expected one that does")
-    return Truth(stamps_s=log.stamps_s, poses=log.poses)
+    known = np.isfinite(log.poses[:, 0, 0])
+    return Truth(stamps_s=log.stamps_s[known], poses=log.poses[known])
 
 
 def _read_data_set(path: Path) -> Truth:
