@@ -16,12 +16,7 @@ from relmap.core.refinement.chain.chain_solving import settled_chain
 from relmap.core.refinement.chain.chained import Chain, Chained, ChainProblem, Sigmas
 from relmap.core.refinement.condensing import NOWHERE, SegmentRows
 from relmap.core.refinement.joint import Refined, Spread, joint_rows
-from relmap.core.refinement.residuals import (
-    MergeResiduals,
-    SegmentResiduals,
-    merge_residuals,
-    segment_residuals,
-)
+from relmap.core.refinement.residuals import MergeResiduals, SegmentResiduals, residuals_of
 from relmap.core.refinement.settling import Settled, size_of
 from relmap.core.state.kept import KeptObservations
 from relmap.core.state.table import LandmarkState
@@ -248,15 +243,4 @@ def _residuals(
     chosen[landmarks] = True
     landmark, none = table.now(rows.landmark), np.zeros(len(table), dtype=bool)
     joint, start = joint_rows(rows, whole, chosen, landmark, none)
-    placed, at = start.placed, whole[joint.landmarks]
-    return (
-        segment_residuals(rows, joint, placed, at, noise_m),
-        merge_residuals(
-            joint.landmarks,
-            joint.landmark,
-            rows.landmark[joint.rows],
-            placed - at[joint.landmark],
-            joint.n_seen,
-            np.full(len(placed), noise_m**2),
-        ),
-    )
+    return residuals_of(rows, joint, start.placed, whole[joint.landmarks], noise_m)
