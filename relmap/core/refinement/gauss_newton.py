@@ -71,9 +71,9 @@ class Solution(Generic[State]):
 
     state: State
     weight: Floats
-    last: State | None
-    gain: float
-    converged: bool
+    last: State | None = None
+    gain: float = np.inf
+    converged: bool = False
 
 
 def weighted_squares(residual: Floats, weight: Floats) -> float:

@@ -20,9 +20,10 @@ from relmap.core.geometry.robust import fit_robust_each
 from relmap.core.map.pose import trajectory
 from relmap.core.refinement.condensing import LENGTH, SegmentRows
 from relmap.core.refinement.equations import Laid, SegmentProblem, segment_problem
+from relmap.core.refinement.gauss_newton import Solution
 from relmap.core.refinement.residuals import MergeResiduals, SegmentResiduals, residuals_of
 from relmap.core.refinement.rows import JointRows
-from relmap.core.refinement.settling import Settled, settle, size_of
+from relmap.core.refinement.settling import settle, size_of
 
 SURELY = 3.0
 """Standard deviations by which a variance must exceed another to count as larger."""
@@ -36,7 +37,7 @@ class Spread:
     """Computes the covariances of some landmarks, transformed and scaled (d, d)."""
 
     problem: Any
-    settled: Settled[Any]
+    settled: Solution[Any]
     chosen: Bools
     scale: Floats
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Generic, Protocol, TypeVar
+from dataclasses import replace
+from typing import Protocol, TypeVar
 
 import numpy as np
 
 from relmap.core.arrays import Floats
 from relmap.core.geometry.robust import EXACT, lenient, limit_of, robust_cost, strict
-from relmap.core.refinement.gauss_newton import SAME, WORSE, Problem, gauss_newton
+from relmap.core.refinement.gauss_newton import SAME, WORSE, Problem, Solution, gauss_newton
 
 Weights = Callable[[Floats, float], Floats]
 
@@ -36,22 +36,10 @@ class HasPositions(Protocol):
 State = TypeVar("State", bound=HasPositions)
 
 
-@dataclass(frozen=True, eq=False)
-class Settled(Generic[State]):
-    """Result of the robust joint least squares.
-
-    `state`: state of the problem, including the landmark positions. `weight` (n,): weight of one
-    observation of each row. `converged`: whether it converged. Otherwise the state is the best
-    found, possibly the initial one.
-    """
-
-    state: State
-    weight: Floats
-    converged: bool
-
-
-def settle(problem: Problem[State], start: State) -> Settled[State]:
+def settle(problem: Problem[State], start: State) -> Solution[State]:
     """Return the state of least robust cost, or the initial one if that is better.
+
+    It counts as converged if the last step gained little.
 
     The first weights come from the initial state: an unweighted solution could be pulled by a few
     wrong matches to where reweighting cannot recover. Lenient weights first distribute the drift
@@ -78,9 +66,8 @@ def settle(problem: Problem[State], start: State) -> Settled[State]:
     rounding = len(residual) * (EXACT * size) ** 2
     cost = robust_cost(problem.residuals(found.state), first)
     if not cost <= WORSE * robust_cost(residual, first) + rounding:
-        return Settled(start, strict(residual, first), converged=False)
-    converged = found.converged or found.gain <= WORTH_SAYING
-    return Settled(found.state, found.weight, converged)
+        return Solution(start, strict(residual, first))
+    return replace(found, converged=found.converged or found.gain <= WORTH_SAYING)
 
 
 def size_of(positions: Floats) -> float:
