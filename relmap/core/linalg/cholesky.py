@@ -148,21 +148,13 @@ class Pattern:
 
     def parts(self, inverse: Floats, chosen: Ints) -> Floats:
         """Return blocks (k, m, m) of the inverse over coupled unknowns (k, m)."""
-        return np.asarray(inverse[self._places(chosen)])
-
-    def lower(self, chosen: Ints) -> tuple[Ints, tuple[Ints, ...]]:
-        """Return where blocks (k, m, m) over unknowns (k, m) are stored, and the entries.
-
-        Only one of two symmetric entries is stored.
-        """
-        goes = chosen[:, :, None] >= chosen[:, None]
-        return self._places(chosen)[goes], np.nonzero(goes)
+        return np.asarray(inverse[self.places(chosen)])
 
     def add_diagonal(self, values: Floats, unknowns: Ints, value: float) -> None:
         """Add a value to the diagonal of a matrix (size,), at unknowns (n,)."""
         values[self._diagonal[unknowns]] += value
 
-    def _places(self, chosen: Ints) -> Ints:
+    def places(self, chosen: Ints) -> Ints:
         """Return the storage positions of entries (k, m, m) of blocks over unknowns (k, m)."""
         start, column_of, row_begin, rows, offset = self.layout
         earlier = np.minimum(chosen[:, :, None], chosen[:, None])

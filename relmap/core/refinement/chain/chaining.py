@@ -231,7 +231,7 @@ def _start(chain: Chain, poses: Floats, m: int) -> Chained:
     placed = np.einsum("nij,nj->ni", R[at], chain.points) + t[at]
     counts = np.bincount(chain.landmark, minlength=m)
     positions = sums_each(placed, chain.landmark, m) / counts[:, None]
-    return Chained(positions, R, t, np.zeros(2 + (3 if d == 3 else 1)))
+    return Chained(positions, R, t, np.zeros(2 * d - 1))
 
 
 def _residuals(
