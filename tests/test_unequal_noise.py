@@ -19,7 +19,7 @@ from relmap.core.association.estimated import LONGEST, EstimatedCovariances
 from relmap.core.association.metric import RayNoise, stretch_of
 from relmap.core.association.placement import trimmed_fit
 from relmap.core.association.reobservation.coinciding import compatible
-from relmap.core.state.weighed import WeighedObservations
+from relmap.core.state.kept import WeighedObservations
 from relmap.evaluation.metrics import majority_ids
 from relmap.simulation import World, WorldSpec, simulate_world
 from relmap.simulation.worlds import covariances_of

@@ -20,6 +20,7 @@ from relmap.core.association.reobservation.undoing import (
 )
 from relmap.core.gaps import bridge_gaps, is_bridged
 from relmap.core.mapper import RelativeMapper
+from relmap.core.refinement.chain.weighed import refine_weighed
 from relmap.core.refinement.condensing import SegmentRows
 from relmap.core.refinement.confirming import rebuild, seen_in
 from relmap.core.refinement.extending import extend_submaps
@@ -28,7 +29,6 @@ from relmap.core.refinement.joint import refine as refine_jointly
 from relmap.core.refinement.misread import take_off_misread
 from relmap.core.refinement.observations import observations_of
 from relmap.core.refinement.powers import refine_by_powers
-from relmap.core.refinement.weighed import refine_weighed
 from relmap.core.revisiting import gather, merge_in_place
 from relmap.core.state.store import ObservationStore
 from relmap.core.state.table import NONE

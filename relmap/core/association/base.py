@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from relmap.core.arrays import Bools, Floats, Ints
 
 if TYPE_CHECKING:
-    from relmap.core.state.weighed import WeighedObservations
+    from relmap.core.state.kept import WeighedObservations
 
 UNIDENTIFIED = -1
 """Marks an observation that belongs to no known landmark."""

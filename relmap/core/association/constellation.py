@@ -21,7 +21,7 @@ from relmap.core.association.registering import BLIND, TrackPlacing
 from relmap.core.association.scale import FEW, Scale, spacing_of
 from relmap.core.association.soft import likely_links
 from relmap.core.association.tracks import LiveTracks
-from relmap.core.state.weighed import WeighedObservations
+from relmap.core.state.kept import WeighedObservations
 
 CONTINUITY = 0.15
 """Largest displacement of a moving landmark in one iteration, in spacings."""

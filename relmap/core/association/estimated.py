@@ -6,7 +6,7 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association.metric import RayNoise
-from relmap.core.state.weighed import WeighedObservations
+from relmap.core.state.kept import WeighedObservations
 
 WAIT = 1000
 """Observations before it is decided whether the noise is unequal."""

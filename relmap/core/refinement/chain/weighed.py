@@ -17,7 +17,7 @@ from relmap.core.refinement.chain.chained import Chain, Chained, ChainProblem, S
 from relmap.core.refinement.joint import Refined, Spread
 from relmap.core.refinement.observations import observations_of
 from relmap.core.refinement.settling import settle
-from relmap.core.state.weighed import WeighedObservations
+from relmap.core.state.kept import WeighedObservations
 
 
 def refine_weighed(refined: Refined, weighed: WeighedObservations, of: Ints) -> Refined:
