@@ -75,7 +75,9 @@ def _judged(
     Those considered dynamic are solved for as static first: if they are at rest, the poses agree
     with them within the noise of odometry, and a robust solution leaves out those that are not.
     """
-    suspects = _suspects(engine)
+    # Groups of two or three landmarks underestimate the noise.
+    often = n_kept(engine) >= engine.config.group_after
+    suspects = np.flatnonzero(engine.table.dynamic & often)
     engine.table.dynamic[suspects] = False
     bridged, solved = _solved(engine, bridged, solve)
     moving = _moving(engine, solved, suspects)
@@ -91,14 +93,6 @@ def _solved(
     while has_ids and (joined := join_parts(bridged, solved)) is not None:
         bridged, solved = joined, solve(joined)
     return bridged, solved
-
-
-def _suspects(engine: RelativeMapper) -> Ints:
-    """Return the landmarks (k,) considered dynamic that were seen often enough to be judged again.
-
-    Groups of two or three landmarks underestimate the noise.
-    """
-    return np.flatnonzero(engine.table.dynamic & (n_kept(engine) >= engine.config.group_after))
 
 
 def _moving(engine: RelativeMapper, solved: list[Solved], suspects: Ints) -> Ints:

@@ -22,7 +22,7 @@ from relmap.core.gaps import bridge_gaps, is_bridged
 from relmap.core.mapper import RelativeMapper
 from relmap.core.refinement.chain.weighed import refine_weighed
 from relmap.core.refinement.condensing import SegmentRows
-from relmap.core.refinement.confirming import rebuild, seen_in
+from relmap.core.refinement.confirming import found_rest, seen_in
 from relmap.core.refinement.extending import extend_submaps
 from relmap.core.refinement.joint import CONFIRMED, Refined
 from relmap.core.refinement.joint import refine as refine_jointly
@@ -103,7 +103,8 @@ def _rebuild(engine: RelativeMapper) -> None:
     count = np.sum(table.submap != NONE)
     rows = engine.rows
     sure = seen_in(rows, CONFIRMED)
-    rebuild(engine.map, sure)
+    table.take_off_map(np.flatnonzero(table.submap != NONE))
+    found_rest(engine.map, sure)
     engine.refined = _refine_submaps(engine, sure, None)
     if extend_submaps(engine.map, sure):
         engine.refined = _refine_submaps(engine, sure, None)

@@ -19,7 +19,7 @@ from relmap.core.geometry.alignment import fit_rigid_each, place_each, sums_each
 from relmap.core.geometry.motions import derivatives, rotations
 from relmap.core.linalg.cholesky import Pattern
 from relmap.core.refinement.condensing import LENGTH
-from relmap.core.refinement.rows import JointRows, pattern_of, rows_of_each
+from relmap.core.refinement.rows import JointRows, pattern_of
 from relmap.core.refinement.schur import Elimination, Linearised, NormalEquations
 
 FLOPS_PER_OBSERVATION, FLOPS = 1.1e4, 8e8
@@ -216,7 +216,8 @@ class FreeLandmarks(SegmentProblem):
         self._fixed = len(rows.segments)
         self.pattern = pattern_of(rows.landmark[self._row], self._placement, 3 * d - 3)
         self._unknown = self.pattern.first[:, None] + np.arange(3 * d - 3)
-        begin, entry = rows_of_each(rows.landmark[self._row], len(rows.landmarks))
+        begin = np.append(0, np.cumsum(np.bincount(rows.landmark[self._row])))
+        entry = np.argsort(rows.landmark[self._row], kind="stable")
         scalar = (d * entry[:, None] + np.arange(d)).ravel()
         kept = np.repeat(self._unknown[self._placement], d, axis=0)
         every = np.arange(len(rows.landmarks))

@@ -53,12 +53,6 @@ class JointRows:
         return np.searchsorted(self.segment, np.arange(len(self.segments) + 1))
 
 
-def rows_of_each(landmark: Ints, n: int) -> tuple[Ints, Ints]:
-    """Return the first row of each of n landmarks (n + 1,) in a list of rows (k,)."""
-    counts = np.bincount(landmark, minlength=n)
-    return np.concatenate([[0], np.cumsum(counts)]), np.argsort(landmark, kind="stable")
-
-
 def pattern_of(body: Ints, kept: Ints, q: int) -> Pattern:
     """Return the pattern of the kept unknowns when bodies are eliminated.
 
