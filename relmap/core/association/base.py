@@ -101,3 +101,16 @@ def nearest(tree: cKDTree, points: Floats, rank: int = 1) -> tuple[Floats, Ints]
     """
     distance, index = tree.query(points, k=_RANKS[rank])
     return np.asarray(distance), np.asarray(index)
+
+
+def mutual(points: Floats, among: Floats, most_m: float) -> tuple[Ints, Ints]:
+    """Return the rows (k,) of points (n, d), and of others, that are nearest to each other.
+
+    `most_m`: largest distance, metres.
+    """
+    if not (len(points) and len(among)):
+        return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
+    distance, there = nearest(cKDTree(among), points)
+    back = nearest(cKDTree(points), among)[1][there[:, 0], 0]
+    own = np.flatnonzero((back == np.arange(len(points))) & (distance[:, 0] <= most_m))
+    return own, there[own, 0]
