@@ -15,8 +15,7 @@ from relmap import PointMapper
 from relmap.comparison.baselines.batch import Batch, batch_least_squares
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association import matching_kernels
-from relmap.core.association.estimated import LONGEST, EstimatedCovariances
-from relmap.core.association.metric import RayNoise, stretch_of
+from relmap.core.association.metric import LONGEST, EstimatedCovariances, RayNoise, stretch_of
 from relmap.core.association.placement import trimmed_fit
 from relmap.core.association.reobservation.coinciding import compatible
 from relmap.core.state.kept import WeighedObservations

@@ -16,9 +16,8 @@ from relmap.core.association.choice import DataAssociation
 from relmap.core.association.reobservation.merging import Merger
 from relmap.core.config import MapperConfig
 from relmap.core.grouping.averaging import Averaging
-from relmap.core.grouping.chart import PointChart
+from relmap.core.grouping.chart import PointChart, grow_group
 from relmap.core.grouping.completion import RelativeMap
-from relmap.core.grouping.growth import grow_group
 from relmap.core.grouping.levels import GroupLevels
 from relmap.core.keeping import keep_motion, keep_observations
 from relmap.core.map.globalmap import GlobalMap

@@ -11,12 +11,12 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.association.reobservation.coinciding import (
     CLEAR_SIGMAS,
     SIGMAS,
+    gathered,
     lying_together,
     neighbours_fit,
     seen_with_both,
     within,
 )
-from relmap.core.association.reobservation.gathering import gathered
 from relmap.core.association.reobservation.loops import TIED
 from relmap.core.association.reobservation.merging import merge_doubles
 from relmap.core.association.reobservation.revisits import TOLERANCE, RevisitFinder

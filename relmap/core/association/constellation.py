@@ -13,9 +13,8 @@ import numpy as np
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association.base import UNIDENTIFIED, Numbered, middle
 from relmap.core.association.chance import ENOUGH, Chance
-from relmap.core.association.estimated import EstimatedCovariances
 from relmap.core.association.guiding import OdometryGuide
-from relmap.core.association.metric import scaled, stretch_of
+from relmap.core.association.metric import EstimatedCovariances, scaled, stretch_of
 from relmap.core.association.placement import Placement
 from relmap.core.association.registering import BLIND, TrackPlacing
 from relmap.core.association.scale import FEW, Scale, spacing_of

@@ -7,10 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.grouping.chart import PointChart
+from relmap.core.grouping.chart import Group, PointChart
 from relmap.core.grouping.completion import RelativeMap, complete
 from relmap.core.grouping.dynamics import FEWEST, Bins, DynamicStatus, binned, n_log_n, rests
-from relmap.core.grouping.growth import Group
 from relmap.core.grouping.noise import NoiseEstimate, guess_noise
 from relmap.core.state.table import LandmarkState
 

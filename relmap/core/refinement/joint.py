@@ -20,10 +20,9 @@ from relmap.core.geometry.robust import fit_robust_each
 from relmap.core.map.pose import trajectory
 from relmap.core.refinement.condensing import LENGTH, SegmentRows
 from relmap.core.refinement.equations import Laid, SegmentProblem, segment_problem
-from relmap.core.refinement.gauss_newton import Solution
+from relmap.core.refinement.gauss_newton import Solution, settle, size_of
 from relmap.core.refinement.residuals import MergeResiduals, SegmentResiduals, residuals_of
 from relmap.core.refinement.rows import JointRows
-from relmap.core.refinement.settling import settle, size_of
 
 SURELY = 3.0
 """Standard deviations by which a variance must exceed another to count as larger."""

@@ -18,7 +18,7 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.linalg.cholesky import Pattern
 from relmap.core.refinement.gauss_newton import gauss_newton
 from relmap.core.refinement.schur import Elimination, Linearised, NormalEquations
-from relmap.planes.walls.equations import WallEquations, Walls
+from relmap.planes.walls.assembly import WallEquations, Walls
 
 MOST = 0.9
 ROUNDING = 1e-13

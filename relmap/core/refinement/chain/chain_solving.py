@@ -10,8 +10,7 @@ import numpy as np
 from relmap.core.arrays import Floats
 from relmap.core.geometry.robust import OUTLIER, huber, lenient, limit_of, robust_cost, strict
 from relmap.core.refinement.chain.chained import Chain, Chained, ChainProblem, Sigmas
-from relmap.core.refinement.gauss_newton import Solution, Weigh, gauss_newton
-from relmap.core.refinement.settling import FAINT, WORTH_SAYING
+from relmap.core.refinement.gauss_newton import FAINT, WORTH_SAYING, Solution, Weigh, gauss_newton
 
 TIMES, FEW_ROUNDS, ROUNDS = 15, 10, 50
 """Maximum number of rounds of estimating the noise and solving; steps of each, and of the last."""

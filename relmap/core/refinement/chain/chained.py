@@ -18,8 +18,8 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.motions import derivatives, rotations
 from relmap.core.linalg.cholesky import Pattern
 from relmap.core.refinement.equations import ROUNDING
+from relmap.core.refinement.gauss_newton import size_of
 from relmap.core.refinement.schur import NormalEquations
-from relmap.core.refinement.settling import size_of
 
 CONSTANT = 0.03
 """Prior standard deviation of the error of odometry's scale, and of the turn missed per metre."""

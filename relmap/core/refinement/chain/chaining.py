@@ -16,10 +16,9 @@ from relmap.core.refinement.chain.bridging import Bridged
 from relmap.core.refinement.chain.chain_solving import settled_chain
 from relmap.core.refinement.chain.chained import Chain, Chained, ChainProblem, Sigmas
 from relmap.core.refinement.condensing import NOWHERE, SegmentRows
-from relmap.core.refinement.gauss_newton import Solution
+from relmap.core.refinement.gauss_newton import Solution, size_of
 from relmap.core.refinement.joint import Refined, Spread, joint_rows
 from relmap.core.refinement.residuals import MergeResiduals, SegmentResiduals, residuals_of
-from relmap.core.refinement.settling import size_of
 from relmap.core.state.table import LandmarkState
 
 if TYPE_CHECKING:

@@ -14,9 +14,9 @@ import numpy as np
 from relmap.core.arrays import Ints
 from relmap.core.geometry.alignment import fit_rigid_each
 from relmap.core.refinement.chain.chained import Chain, Chained, ChainProblem, Sigmas
+from relmap.core.refinement.gauss_newton import settle
 from relmap.core.refinement.joint import Refined, Spread
 from relmap.core.refinement.observations import observations_of
-from relmap.core.refinement.settling import settle
 from relmap.core.state.kept import WeighedObservations
 
 
