@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 
 from relmap.core.arrays import Ints
 from relmap.core.linalg.cholesky import Pattern
-from relmap.core.refinement.rows import pattern_of
 
 Cliques = tuple[Pattern, list[Ints]]
 
@@ -104,7 +103,7 @@ def test_bodies_along_a_path_solve_and_invert_as_dense_matrices_do(
     place = rng.permutation(np.concatenate([np.arange(depth), rng.integers(0, depth, more)]))
     n, near = len(place), np.abs(place[:, None] - np.arange(depth)) <= 1
     body, kept = np.nonzero(near.T)
-    pattern = pattern_of(body, kept, q)
+    pattern = Pattern.of_pairs(np.full(n, q), body, kept)
     tied = np.kron(near @ near.T, np.ones((q, q), dtype=bool))
     dense = np.where(tied, rng.normal(size=(n * q,) * 2), 0.0)
     dense = dense + dense.T + 40 * (1 + more) / 7 * np.eye(n * q)

@@ -71,6 +71,15 @@ class Pattern:
 
         add_part(self.layout, unknowns, part, values, np.empty_like(self.layout[1]))
 
+    @classmethod
+    def of_pairs(cls, width: Ints, group: Ints, block: Ints) -> Pattern:
+        """Return the same for blocks that are coupled where they belong to one group.
+
+        `group`, `block` (n,): the pairs, in any order; some may occur several times.
+        """
+        cliques, member = np.divmod(np.unique(group * len(width) + block), len(width))
+        return cls.of_cliques(width, np.searchsorted(cliques, np.arange(cliques[-1] + 2)), member)
+
     def hold(self, values: Floats, share: float, least: float) -> None:
         """Damp every unknown: add a fraction of its diagonal entry, and at least a minimum.
 

@@ -19,7 +19,7 @@ from relmap.core.geometry.alignment import fit_rigid_each, place_each, sums_each
 from relmap.core.geometry.motions import derivatives, rotations
 from relmap.core.linalg.cholesky import Pattern
 from relmap.core.refinement.condensing import LENGTH
-from relmap.core.refinement.rows import JointRows, pattern_of
+from relmap.core.refinement.rows import JointRows
 from relmap.core.refinement.schur import Elimination, Linearised, NormalEquations
 
 FLOPS_PER_OBSERVATION, FLOPS = 1.1e4, 8e8
@@ -214,7 +214,8 @@ class FreeLandmarks(SegmentProblem):
         own_segment = np.full(len(own), len(rows.segments))
         self._placement = np.concatenate([rows.segment, own_segment])
         self._fixed = len(rows.segments)
-        self.pattern = pattern_of(rows.landmark[self._row], self._placement, 3 * d - 3)
+        width = np.full(self._fixed + 1, 3 * d - 3)
+        self.pattern = Pattern.of_pairs(width, rows.landmark[self._row], self._placement)
         self._unknown = self.pattern.first[:, None] + np.arange(3 * d - 3)
         begin = np.append(0, np.cumsum(np.bincount(rows.landmark[self._row])))
         entry = np.argsort(rows.landmark[self._row], kind="stable")
@@ -275,20 +276,15 @@ def segment_problem(
     `size`: size of the map, metres; `anchor` (segment, bit): the iteration whose placement defines
     the frame.
     """
-    flops, budget = exact_flops(rows), max(FLOPS, FLOPS_PER_OBSERVATION * rows.n_seen.sum())
+    d, budget = rows.points.shape[1], max(FLOPS, FLOPS_PER_OBSERVATION * rows.n_seen.sum())
+    pairs = np.full(len(rows.landmarks), d), rows.segment, rows.landmark
+    flops = 2 * LENGTH * (3 * d - 3) * float(np.sum((d * np.diff(rows.begin)) ** 2.0))
     if flops <= budget:
-        pattern = pattern_of(rows.segment, rows.landmark, rows.points.shape[1])
+        pattern = Pattern.of_pairs(*pairs)
         flops += pattern.flops
     if flops > budget:
         coarse = FreeLandmarks(rows, size, anchor)
         if flops > coarse.pattern.flops:
             return coarse
-        pattern = pattern_of(rows.segment, rows.landmark, rows.points.shape[1])
+        pattern = Pattern.of_pairs(*pairs)
     return FreePlacements(rows, size, pattern, anchor)
-
-
-def exact_flops(rows: JointRows) -> float:
-    """Return the approximate number of operations to eliminate all placements."""
-    d = rows.points.shape[1]
-    sizes = d * np.diff(rows.begin).astype(np.float64)
-    return float(2 * LENGTH * (3 * d - 3) * np.sum(sizes**2))

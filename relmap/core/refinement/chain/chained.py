@@ -293,11 +293,8 @@ def _angles(R: Floats) -> Floats:
 def _pattern(chain: Chain, moved: Ints, m: int, k: int, d: int, q: int) -> Pattern:
     """Return the pattern of landmarks, poses and constant errors, ordered for little fill-in."""
     width = np.concatenate([np.full(m, d), np.full(k, d + q), [q + 2]])
-    pairs = np.unique(chain.iteration * m + chain.landmark)
-    poses, counts = np.unique(pairs // m, return_counts=True)
-    scans = np.insert(pairs % m, np.cumsum(counts), m + poses)
-    steps = np.column_stack([m + moved, m + moved + 1, np.full(len(moved), m + k)]).ravel()
-    alone = np.arange(m + k + 1)
-    sizes = np.concatenate([counts + 1, np.full(len(moved), 3), np.ones_like(alone)])
-    begin = np.append(0, np.cumsum(sizes))
-    return Pattern.of_cliques(width, begin, np.concatenate([scans, steps, alone]))
+    every, o = np.arange(m + k + 1), len(moved)
+    group = [*[chain.iteration] * 2, *[k + np.arange(o)] * 3, k + o + every]
+    seen, steps = (chain.landmark, m + chain.iteration), (m + moved, m + moved + 1)
+    block = [*seen, *steps, np.full(o, m + k), every]
+    return Pattern.of_pairs(width, np.concatenate(group), np.concatenate(block))
