@@ -276,15 +276,21 @@ def segment_problem(
     `size`: size of the map, metres; `anchor` (segment, bit): the iteration whose placement defines
     the frame.
     """
-    d, budget = rows.points.shape[1], max(FLOPS, FLOPS_PER_OBSERVATION * rows.n_seen.sum())
-    pairs = np.full(len(rows.landmarks), d), rows.segment, rows.landmark
-    flops = 2 * LENGTH * (3 * d - 3) * float(np.sum((d * np.diff(rows.begin)) ** 2.0))
+    flops, budget = exact_flops(rows), max(FLOPS, FLOPS_PER_OBSERVATION * rows.n_seen.sum())
+    width = np.full(len(rows.landmarks), rows.points.shape[1])
     if flops <= budget:
-        pattern = Pattern.of_pairs(*pairs)
+        pattern = Pattern.of_pairs(width, rows.segment, rows.landmark)
         flops += pattern.flops
     if flops > budget:
         coarse = FreeLandmarks(rows, size, anchor)
         if flops > coarse.pattern.flops:
             return coarse
-        pattern = Pattern.of_pairs(*pairs)
+        pattern = Pattern.of_pairs(width, rows.segment, rows.landmark)
     return FreePlacements(rows, size, pattern, anchor)
+
+
+def exact_flops(rows: JointRows) -> float:
+    """Return the approximate number of operations to eliminate all placements."""
+    d = rows.points.shape[1]
+    sizes = d * np.diff(rows.begin).astype(np.float64)
+    return float(2 * LENGTH * (3 * d - 3) * np.sum(sizes**2))
