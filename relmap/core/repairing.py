@@ -254,8 +254,9 @@ def _refine(engine: RelativeMapper, to_the_last: bool = True) -> None:
     if bridge_gaps(engine, to_the_last):
         return
     kept = engine.store if to_the_last and engine.config.keep_observations else None
-    rows = engine.rows
-    engine.association.current.weigh_again(engine.weighed)
+    rows, estimated = engine.rows, engine.association.current.estimated
+    if estimated is not None:
+        estimated.weigh_again(engine.weighed)
     engine.refined = _refine_submaps(engine, rows, kept)
 
 

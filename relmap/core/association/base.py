@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from relmap.core.arrays import Bools, Floats, Ints
 
 if TYPE_CHECKING:
-    from relmap.core.state.kept import WeighedObservations
+    from relmap.core.association.metric import EstimatedCovariances
 
 UNIDENTIFIED = -1
 """Marks an observation that belongs to no known landmark."""
@@ -39,18 +39,15 @@ class Registration:
     def inform(self, motion: Floats | None, covariances: Floats | None) -> None:
         """Use the odometry (4, 4) into the next scan and its covariances (n, d, d), if known."""
 
-    def weigh_own(
-        self, landmarks: Ints, points_robot: Floats, iteration: int, weighed: WeighedObservations
-    ) -> None:
-        """Add observations without covariances to `weighed` if their noise is unequal."""
-
-    def weigh_again(self, weighed: WeighedObservations) -> None:
-        """Replace estimated covariances of all observations by the latest estimate."""
-
     @property
     def estimates_covariances(self) -> bool:
         """Whether the noise is unequal, and observations are weighted by its estimate."""
-        return False
+        return self.estimated is not None and self.estimated.is_in_use
+
+    @property
+    def estimated(self) -> EstimatedCovariances | None:
+        """Covariances of observations that come without any; None if they are not estimated."""
+        return None
 
     @property
     def is_blurred(self) -> bool:

@@ -197,12 +197,15 @@ class EstimatedCovariances:
 
     The first scans wait until there are enough residuals to decide; if the noise is isotropic and
     constant, nothing is kept of them.
+
+    `rays`: the noise, estimated meanwhile.
     """
 
     _is_unequal: bool | None
     STATE = "_waiting _is_unequal"
 
-    def __init__(self) -> None:
+    def __init__(self, rays: RayNoise) -> None:
+        self.rays = rays
         self._waiting = WeighedObservations()
         self._is_unequal = None
 
@@ -212,36 +215,31 @@ class EstimatedCovariances:
         return bool(self._is_unequal)
 
     def weigh(
-        self,
-        landmarks: Ints,
-        points: Floats,
-        iteration: int,
-        rays: RayNoise,
-        weighed: WeighedObservations,
+        self, landmarks: Ints, points: Floats, iteration: int, weighed: WeighedObservations
     ) -> None:
         """Add the observations of a scan to the weighted ones if the noise is unequal.
 
         `landmarks` (n,); `points` (n, d), robot frame, metres.
         """
         if self._is_unequal:
-            weighed.append(landmarks, points, rays.covariances(points), iteration)
+            weighed.append(landmarks, points, self.rays.covariances(points), iteration)
         elif self._is_unequal is None and len(points):
             unknown = np.zeros((*points.shape, points.shape[1]))
             self._waiting.append(landmarks, points, unknown, iteration)
-            if len(self._waiting) >= (LONGEST if rays.is_unequal is None else WAIT):
-                self._decide(rays, weighed)
+            if len(self._waiting) >= (LONGEST if self.rays.is_unequal is None else WAIT):
+                self._decide(weighed)
 
-    def weigh_again(self, rays: RayNoise, weighed: WeighedObservations) -> None:
+    def weigh_again(self, weighed: WeighedObservations) -> None:
         """Replace the covariances by those that are estimated now, from more residuals."""
         if self._is_unequal:
-            weighed.covariance[:] = rays.covariances(weighed.location)
+            weighed.covariance[:] = self.rays.covariances(weighed.location)
 
-    def _decide(self, rays: RayNoise, weighed: WeighedObservations) -> None:
+    def _decide(self, weighed: WeighedObservations) -> None:
         waiting, self._waiting = self._waiting, WeighedObservations()
-        self._is_unequal = bool(rays.is_unequal)
+        self._is_unequal = bool(self.rays.is_unequal)
         if not self._is_unequal:
             return
-        covariances = rays.covariances(waiting.location)
+        covariances = self.rays.covariances(waiting.location)
         for iteration in np.unique(waiting.iteration).tolist():
             rows = waiting.iteration == iteration
             weighed.append(
