@@ -87,7 +87,7 @@ def tie(engine: RelativeMapper) -> None:
     merger.sightings = Sightings(rows, engine.table)
     drift = local_drift(engine.table, rows, noise_m)
     for _ in tie_submaps(engine.map, noise_m, drift):
-        merge_doubles(merger, engine.merge, noise_m)
+        merge_doubles(engine)
     if is_bridged(engine):
         close_revisits(engine)
         merge_in_place(engine)
@@ -96,7 +96,7 @@ def tie(engine: RelativeMapper) -> None:
     else:
         _close_loops(engine, rows, noise_m, drift)
         if engine.refined:  # Before that, coinciding landmarks may be distinct.
-            merge_doubles(merger, engine.merge, noise_m)
+            merge_doubles(engine)
     merger.sightings = None
 
 
@@ -132,7 +132,7 @@ def _close_loops(engine: RelativeMapper, rows: SegmentRows, noise_m: float, drif
         if len(pairs) > CLEAR * len(loop.pairs):
             bend(engine.map, rows, pairs, loop.placement.R, loop.placement.t)
             engine.merge_pairs(pairs)
-            merge_doubles(engine.merger, engine.merge, engine.averaging.noise.sigma_m)
+            merge_doubles(engine)
 
 
 def find_again(engine: RelativeMapper) -> bool:

@@ -67,7 +67,7 @@ def refine(engine: RelativeMapper) -> None:
     elif association.is_known:
         more = _extend_by_ids(engine)
     elif not association.has_ids:
-        more = merge_doubles(engine.merger, engine.merge, engine.averaging.noise.sigma_m)
+        more = merge_doubles(engine)
     if more:
         _refine(engine)
     if association.is_known:
@@ -185,7 +185,7 @@ def _merge_coinciding(engine: RelativeMapper) -> bool:
     """Merge landmarks that coincide in the refined map; return whether there were any."""
     merger = engine.merger
     merger.sightings = Sightings(engine.rows, engine.table)
-    merged = merge_doubles(merger, engine.merge, engine.averaging.noise.sigma_m)
+    merged = merge_doubles(engine)
     merger.sightings = None
     return merged
 

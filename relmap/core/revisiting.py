@@ -117,7 +117,7 @@ def merge_doubles_in_place(engine: RelativeMapper) -> None:
         return engine.merge_pairs(pairs)
 
     if engine.refined:
-        merge_doubles(engine.merger, merge, noise_m)
+        merge_doubles(engine, merge)
 
 
 def merge_within_drift(engine: RelativeMapper) -> None:
