@@ -6,10 +6,16 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from relmap.core.arrays import Ints
+from relmap.core.arrays import Floats, Ints
 from relmap.core.linalg.cholesky import Pattern
+from relmap.core.linalg.cholesky_kernels import add_part
 
 Cliques = tuple[Pattern, list[Ints]]
+
+
+def add(pattern: Pattern, values: Floats, unknowns: Ints, part: Floats) -> None:
+    """Add a symmetric part (n, n) over coupled unknowns (n,), ascending, to a matrix."""
+    add_part(pattern.layout, unknowns, part, values, np.empty_like(pattern.layout[1]))
 
 
 def cliques_of(rng: np.random.Generator, blocks: int) -> Cliques:
@@ -37,7 +43,7 @@ def test_sums_of_cliques_are_solved_as_dense_matrices_are(seed: int, blocks: int
         root = rng.normal(size=(len(part), len(part)))
         own = root @ root.T + 0.1 * np.eye(len(part))
         dense[np.ix_(part, part)] += own
-        pattern.add(values, part, own)
+        add(pattern, values, part, own)
     pattern.hold(values, 0.5, 0.25)
     dense[np.diag_indices(n)] *= 1.5
     dense[np.diag_indices(n)] += 0.25
@@ -69,7 +75,7 @@ def test_a_path_is_eliminated_without_filling() -> None:
 def test_a_singular_pivot_leaves_its_unknown_unchanged() -> None:
     pattern = Pattern.of_cliques(np.array([2]), np.array([0, 1]), np.array([0]))
     values = np.zeros(pattern.size)
-    pattern.add(values, np.arange(2), np.ones((2, 2)))
+    add(pattern, values, np.arange(2), np.ones((2, 2)))
     pattern.factorise(values)
     np.testing.assert_allclose(pattern.solve(values, np.array([3.0, 3.0])), [3.0, 0.0], atol=1e-12)
 
@@ -84,7 +90,7 @@ def test_blocks_of_the_inverse() -> None:
         root = rng.normal(size=(len(own), len(own)))
         part = root @ root.T
         matrix[np.ix_(own, own)] += part
-        pattern.add(values, own, part)
+        add(pattern, values, own, part)
     chosen = np.array([[0, 3], [5, 3], [1, 4]])
     pattern.factorise(values)
     found = pattern.parts(pattern.inverse(values), chosen)
@@ -115,7 +121,7 @@ def test_bodies_along_a_path_solve_and_invert_as_dense_matrices_do(
     for together in near.T:
         at = np.flatnonzero(np.repeat(together, q))
         at = at[np.argsort(unknowns[at])]
-        pattern.add(values, unknowns[at], left[np.ix_(at, at)])
+        add(pattern, values, unknowns[at], left[np.ix_(at, at)])
         left[np.ix_(at, at)] = 0.0
     order = np.argsort(unknowns)
     right = rng.normal(size=n * q)

@@ -18,9 +18,6 @@ from relmap.core.arrays import Floats, Ints
 if TYPE_CHECKING:
     from relmap.core.linalg.cholesky_kernels import Layout
 
-STIFF = 1e9
-"""Diagonal entry of a fixed unknown, as a multiple of the other entries."""
-
 
 class Pattern:
     """Elimination order and sparsity pattern of the factor.
@@ -65,12 +62,6 @@ class Pattern:
         panel = len(column_of) * np.repeat(np.arange(len(start) - 1), np.diff(row_begin))
         return cls(first, (start, column_of, row_begin, np.sort(panel + rows) - panel, offset))
 
-    def add(self, values: Floats, unknowns: Ints, part: Floats) -> None:
-        """Add a symmetric part (n, n) over coupled unknowns (n,), ascending, to a matrix."""
-        from relmap.core.linalg.cholesky_kernels import add_part
-
-        add_part(self.layout, unknowns, part, values, np.empty_like(self.layout[1]))
-
     @classmethod
     def of_pairs(cls, width: Ints, group: Ints, block: Ints) -> Pattern:
         """Return the same for blocks that are coupled where they belong to one group.
@@ -92,15 +83,10 @@ class Pattern:
         """Return the largest diagonal entry of the matrix."""
         return float(values[self._diagonal].max())
 
-    def fix(self, values: Floats, node: int, q: int) -> None:
-        """Fix the q unknowns of a node at their current values."""
-        own = self._diagonal[self.first[node] : self.first[node] + q]
-        values[own] += STIFF * max(self.largest(values), 1.0)
-
     def factorise(self, values: Floats) -> None:
         """Replace a matrix by its Cholesky factor.
 
-        `values` (size,) is the matrix, positive definite, its lower triangle as `add` puts it. An
+        `values` (size,) is the matrix, positive definite, its lower triangle as `add_part` puts it. An
         unknown whose pivot is lost to rounding is fixed.
         """
         from relmap.core.linalg.cholesky_kernels import factorise

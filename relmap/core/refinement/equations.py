@@ -29,6 +29,8 @@ the view changes quickly."""
 HOLD = 1e-9, 1e-6
 """Damping of an unknown, as a fraction of its diagonal entry and in observations, so that poorly
 determined unknowns do not move far."""
+STIFF = 1e9
+"""Damping of a fixed unknown, relative to the largest diagonal entry."""
 BARELY = 1e-13
 """Regularisation against rounding, as a fraction of the entries of a matrix. A larger value would
 bias the covariances: many weak priors along a chain add up."""
@@ -234,7 +236,8 @@ class FreeLandmarks(SegmentProblem):
         return equations
 
     def _fix(self, matrix: Floats) -> None:
-        self.pattern.fix(matrix, self._fixed, self._unknown.shape[1])
+        stiff = STIFF * max(self.pattern.largest(matrix), 1.0)
+        self.pattern.add_diagonal(matrix, self._unknown[self._fixed], stiff)
 
     def _linearised(self, state: Laid, weight: Floats) -> tuple[Linearised, Floats]:
         """Return the residuals of the rows, some of them twice, and their weights."""
