@@ -86,8 +86,8 @@ class Pattern:
     def factorise(self, values: Floats) -> None:
         """Replace a matrix by its Cholesky factor.
 
-        `values` (size,) is the matrix, positive definite, its lower triangle as `add_part` puts it. An
-        unknown whose pivot is lost to rounding is fixed.
+        `values` (size,) is the matrix, positive definite, its lower triangle as `add_part` puts it.
+        An unknown whose pivot is lost to rounding is fixed.
         """
         from relmap.core.linalg.cholesky_kernels import factorise
 
