@@ -152,9 +152,11 @@ class Pattern:
     def places(self, chosen: Ints) -> Ints:
         """Return the storage positions of entries (k, m, m) of blocks over unknowns (k, m)."""
         start, column_of, row_begin, rows, offset = self.layout
-        earlier = np.minimum(chosen[:, :, None], chosen[:, None])
-        p, u = column_of[earlier], self.n_unknowns
+        u, found = self.n_unknowns, np.empty((*chosen.shape, chosen.shape[1]), dtype=np.int64)
         keys = np.repeat(np.arange(len(row_begin) - 1), np.diff(row_begin)) * u + rows
-        later = np.maximum(chosen[:, :, None], chosen[:, None])
-        row = np.searchsorted(keys, p * u + later) - row_begin[p]
-        return np.asarray(offset[p] + row * (start[p + 1] - start[p]) + earlier - start[p])
+        for k in range(chosen.shape[1]):  # a column at a time, to save memory
+            earlier, later = (of(chosen, chosen[:, k, None]) for of in (np.minimum, np.maximum))
+            p = column_of[earlier]
+            row = np.searchsorted(keys, p * u + later) - row_begin[p]
+            found[:, k] = offset[p] + row * (start[p + 1] - start[p]) + earlier - start[p]
+        return found
