@@ -6,11 +6,16 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from relmap.core.arrays import Ints
+from relmap.core.arrays import Floats, Ints
 from relmap.core.linalg.cholesky import Pattern
-from relmap.core.refinement.rows import pattern_of
+from relmap.core.linalg.cholesky_kernels import add_part
 
 Cliques = tuple[Pattern, list[Ints]]
+
+
+def add(pattern: Pattern, values: Floats, unknowns: Ints, part: Floats) -> None:
+    """Add a symmetric part (n, n) over coupled unknowns (n,), ascending, to a matrix."""
+    add_part(pattern.layout, unknowns, part, values, np.empty_like(pattern.layout[1]))
 
 
 def cliques_of(rng: np.random.Generator, blocks: int) -> Cliques:
@@ -38,7 +43,7 @@ def test_sums_of_cliques_are_solved_as_dense_matrices_are(seed: int, blocks: int
         root = rng.normal(size=(len(part), len(part)))
         own = root @ root.T + 0.1 * np.eye(len(part))
         dense[np.ix_(part, part)] += own
-        pattern.add(values, part, own)
+        add(pattern, values, part, own)
     pattern.hold(values, 0.5, 0.25)
     dense[np.diag_indices(n)] *= 1.5
     dense[np.diag_indices(n)] += 0.25
@@ -70,7 +75,7 @@ def test_a_path_is_eliminated_without_filling() -> None:
 def test_a_singular_pivot_leaves_its_unknown_unchanged() -> None:
     pattern = Pattern.of_cliques(np.array([2]), np.array([0, 1]), np.array([0]))
     values = np.zeros(pattern.size)
-    pattern.add(values, np.arange(2), np.ones((2, 2)))
+    add(pattern, values, np.arange(2), np.ones((2, 2)))
     pattern.factorise(values)
     np.testing.assert_allclose(pattern.solve(values, np.array([3.0, 3.0])), [3.0, 0.0], atol=1e-12)
 
@@ -85,7 +90,7 @@ def test_blocks_of_the_inverse() -> None:
         root = rng.normal(size=(len(own), len(own)))
         part = root @ root.T
         matrix[np.ix_(own, own)] += part
-        pattern.add(values, own, part)
+        add(pattern, values, own, part)
     chosen = np.array([[0, 3], [5, 3], [1, 4]])
     pattern.factorise(values)
     found = pattern.parts(pattern.inverse(values), chosen)
@@ -104,7 +109,7 @@ def test_bodies_along_a_path_solve_and_invert_as_dense_matrices_do(
     place = rng.permutation(np.concatenate([np.arange(depth), rng.integers(0, depth, more)]))
     n, near = len(place), np.abs(place[:, None] - np.arange(depth)) <= 1
     body, kept = np.nonzero(near.T)
-    pattern = pattern_of(body, kept, q)
+    pattern = Pattern.of_pairs(np.full(n, q), body, kept)
     tied = np.kron(near @ near.T, np.ones((q, q), dtype=bool))
     dense = np.where(tied, rng.normal(size=(n * q,) * 2), 0.0)
     dense = dense + dense.T + 40 * (1 + more) / 7 * np.eye(n * q)
@@ -116,7 +121,7 @@ def test_bodies_along_a_path_solve_and_invert_as_dense_matrices_do(
     for together in near.T:
         at = np.flatnonzero(np.repeat(together, q))
         at = at[np.argsort(unknowns[at])]
-        pattern.add(values, unknowns[at], left[np.ix_(at, at)])
+        add(pattern, values, unknowns[at], left[np.ix_(at, at)])
         left[np.ix_(at, at)] = 0.0
     order = np.argsort(unknowns)
     right = rng.normal(size=n * q)

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from relmap import PointMapper, RelmapError, range_bearing_covariances
 from relmap.cli import main
 from relmap.core.arrays import Floats
-from relmap.core.state.weighed import WeighedObservations
+from relmap.core.state.kept import WeighedObservations
 from relmap.datasets import ObservationLog, open_log, write_observation_csv
 from relmap.simulation.worlds import World, WorldSpec, simulate_world
 from tests.commands import load

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from relmap import PointMapper
 from relmap.core.arrays import Bools, Floats
-from relmap.core.grouping.dynamics import FEWEST, Binning, Bins
+from relmap.core.grouping.dynamics import FEWEST, Bins, binned
 from tests.worlds import finished, random_rotation, walk
 
 seeds = st.integers(0, 2**32 - 1)
@@ -51,7 +51,7 @@ def mixed(n: int, dynamic: float, d: int, seed: int, i: int = 40) -> tuple[Float
 
 
 def sorted_bins(block: Floats, priority: Floats | None = None) -> Bins:
-    return Binning(block, SIGMA).sort(np.zeros(len(block)) if priority is None else priority)
+    return binned(block, SIGMA, np.zeros(len(block)) if priority is None else priority)
 
 
 def wrong(bins: Bins, static: Bools) -> int:
@@ -111,7 +111,7 @@ def test_comparisons_are_never_more_than_n_log_n_as_in_figure_12(
 def test_comparisons_never_exceed_the_budget(d: int, allowed: int) -> None:
     for dynamic in (0.1, 0.5, 0.9):
         block, _ = mixed(40, dynamic, d, 0)
-        assert Binning(block, SIGMA).sort(np.zeros(40), allowed).n_comparisons <= allowed
+        assert binned(block, SIGMA, np.zeros(40), allowed).n_comparisons <= allowed
 
 
 @both_dimensions
@@ -179,7 +179,7 @@ def test_landmarks_hardly_seen_together_are_not_static(d: int) -> None:
 def test_without_noise_a_millimetre_of_motion_is_seen(d: int) -> None:
     world = at_rest(20, 10, d, np.random.default_rng(d))
     world[7, :, 0] += 1e-3 * np.arange(10)
-    assert sorted(Binning(world, 0.0).sort(np.zeros(20)).static.tolist()) == [
+    assert sorted(binned(world, 0.0, np.zeros(20)).static.tolist()) == [
         k for k in range(20) if k != 7
     ]
 

@@ -10,8 +10,8 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import sums_each
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.refinement import live
-from relmap.core.refinement.bodies import brought_together, moments_between
 from relmap.core.refinement.condensing import CondensedSegments
+from relmap.core.refinement.live import brought_together, moments_between
 from relmap.core.state.table import LandmarkState
 from relmap.simulation import FigureEight, simulate_figure_eight
 from tests.worlds import aligned_rmse, fed, limit_of, mapped, random_rotation, seen, walk

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from relmap.planes.linking import assignment_kernels
+from relmap.planes.linking import matching_kernels
 from relmap.planes.linking.placement import STILL, PlaneTracks, place
 from relmap.planes.scans.observation import checked_planes
 from tests.kernels import callable_here
@@ -14,7 +14,7 @@ from tests.worlds import turn
 
 def test_assignment_is_the_best_one() -> None:
     """Against scipy, for more rows than columns and fewer, with worthless pairs."""
-    assigned, rng = callable_here(assignment_kernels.assigned), np.random.default_rng(0)
+    assigned, rng = callable_here(matching_kernels.assigned), np.random.default_rng(0)
     for _ in range(300):
         n, m = rng.integers(1, 9, 2)
         worth = np.where(rng.random((n, m)) < 0.5, rng.random((n, m)), 0.0)

@@ -9,8 +9,7 @@ from scipy.optimize import least_squares
 from relmap.core.arrays import Floats
 from relmap.planes.refinement.closing import Loop, votes
 from relmap.planes.refinement.system import SPREAD, WallSystem, wall_residuals
-from relmap.planes.walls.assembly import WallNumbers, assemble
-from relmap.planes.walls.equations import WallEquations, Walls
+from relmap.planes.walls.assembly import WallEquations, WallNumbers, Walls, assemble
 from relmap.planes.walls.history import PlaneHistory
 from tests.tables import poses_along
 from tests.worlds import turn

@@ -13,7 +13,7 @@ from relmap import PlaneMapper
 from relmap.core.arrays import Floats
 from relmap.planes.refinement.system import WallSystem
 from relmap.planes.submaps.submap import disagreement, stitched
-from relmap.planes.walls.equations import Walls
+from relmap.planes.walls.assembly import Walls
 from relmap.simulation.visibility import seen_walls
 from tests.test_planes import CORRIDOR, ROOM, seen_from
 from tests.worlds import finished
@@ -150,7 +150,7 @@ def test_a_map_that_lowering_the_noise_tears_stays_as_refined(
 
 def test_steps_of_refinement_are_bounded() -> None:
     """A poorly connected part is not moved beyond the map."""
-    from relmap.planes.walls.equations import WallEquations
+    from relmap.planes.walls.assembly import WallEquations
 
     walls = np.array([[[4.0, -3.0], [4.0, 3.0]], [[4.0, 3.0], [-2.0, 3.0]]])
     n = 20

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from relmap.comparison.baselines.batch import Batch, batch_least_squares
 from relmap.core.arrays import Floats
 from relmap.core.refinement import equations as jointequations
-from relmap.core.refinement import settling
+from relmap.core.refinement import gauss_newton
 from relmap.core.refinement.condensing import CondensedSegments, SegmentRows
 from relmap.core.refinement.joint import Refined, refine
 from relmap.core.state.store import ObservationStore
@@ -106,7 +106,7 @@ def test_refinement_says_that_it_did_not_converge(d: int, monkeypatch: pytest.Mo
     world = whole(walk(d, 0, sigma=0.05, iterations=400))
     start = np.random.default_rng(0).permutation(world.landmarks)
     assert refined(world, start).converged
-    monkeypatch.setattr(settling, "ROUNDS", 3)
+    monkeypatch.setattr(gauss_newton, "ROUNDS", 3)
     found = refined(world, start)
     assert aligned_rmse(found.positions, world.landmarks) > 5.0
     assert not found.converged

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.testing import assert_array_equal
 
 from relmap.core.arrays import Floats
-from relmap.core.association.reobservation.gathering import gathered
+from relmap.core.association.reobservation.coinciding import gathered
 from relmap.core.refinement.chain.resting import at_rest, drifting
 
 N = 20

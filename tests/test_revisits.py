@@ -16,7 +16,7 @@ from relmap.core.geometry.robust import huber
 from relmap.core.motion_noise import MotionNoise
 from relmap.core.refinement.chain.chained import Chain, Chained, ChainProblem, Sigmas
 from relmap.core.refinement.chain.drift import Drift
-from relmap.core.refinement.settling import Settled
+from relmap.core.refinement.gauss_newton import Solution
 from relmap.core.revisiting import mergeable
 from relmap.core.state.table import LandmarkState
 from tests.worlds import turn
@@ -196,7 +196,7 @@ def test_a_lattice_that_drifted_by_a_period_is_ambiguous() -> None:
 def test_distances_vary_as_their_covariances_say() -> None:
     problem, state = straight_chain(12)
     weight = np.ones(len(problem.residuals(state)))
-    drift = Drift(problem, Settled(state, weight, True))
+    drift = Drift(problem, Solution(state, weight))
     pattern, matrix = problem.pattern, problem.equations(state, weight, True, 0.0).matrix
     pattern.factorise(matrix)
     every = np.array([pattern.solve(matrix, column) for column in np.eye(pattern.n_unknowns)])

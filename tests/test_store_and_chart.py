@@ -5,8 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from relmap.core.arrays import Floats
-from relmap.core.grouping.chart import PointChart
-from relmap.core.grouping.growth import grow_group
+from relmap.core.grouping.chart import PointChart, grow_group
 from relmap.core.state.store import ObservationStore
 
 visibility = st.integers(1, 8).flatmap(

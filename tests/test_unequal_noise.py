@@ -15,11 +15,10 @@ from relmap import PointMapper
 from relmap.comparison.baselines.batch import Batch, batch_least_squares
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association import matching_kernels
-from relmap.core.association.estimated import LONGEST, EstimatedCovariances
-from relmap.core.association.metric import RayNoise, stretch_of
+from relmap.core.association.metric import LONGEST, EstimatedCovariances, RayNoise, stretch_of
 from relmap.core.association.placement import trimmed_fit
 from relmap.core.association.reobservation.coinciding import compatible
-from relmap.core.state.weighed import WeighedObservations
+from relmap.core.state.kept import WeighedObservations
 from relmap.evaluation.metrics import majority_ids
 from relmap.simulation import World, WorldSpec, simulate_world
 from relmap.simulation.worlds import covariances_of
@@ -83,14 +82,15 @@ def test_noise_free_matches_give_no_metric() -> None:
 
 def test_observations_wait_for_the_estimate_no_longer_than_memory_allows() -> None:
     points, rays = np.random.default_rng(1).uniform(-9, 9, (100, 2)), RayNoise()
-    patient, hasty = EstimatedCovariances(), EstimatedCovariances()
+    unequal = rays_of("bearing", 2, np.random.default_rng(3))
+    patient, hasty = EstimatedCovariances(rays), EstimatedCovariances(unequal)
     weighed = [WeighedObservations(), WeighedObservations()]
     for k in range(LONGEST // 100):
-        patient.weigh(np.arange(100), points, k, rays, weighed[0])
-    unequal = rays_of("bearing", 2, np.random.default_rng(3))
+        patient.weigh(np.arange(100), points, k, weighed[0])
+    patient.rays = unequal
     for k in range(20):
-        patient.weigh(np.arange(100), points, k, unequal, weighed[0])
-        hasty.weigh(np.arange(100), points, k, unequal, weighed[1])
+        patient.weigh(np.arange(100), points, k, weighed[0])
+        hasty.weigh(np.arange(100), points, k, weighed[1])
     assert (patient.is_in_use, hasty.is_in_use) == (False, True)
     assert list(map(len, weighed)) == [0, 2000]
 

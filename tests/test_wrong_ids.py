@@ -17,7 +17,7 @@ from relmap.cli.program import app
 from relmap.core import repairing
 from relmap.core.arrays import Floats
 from relmap.core.geometry.alignment import fit_rigid
-from relmap.core.refinement import settling
+from relmap.core.refinement import gauss_newton
 from relmap.core.refinement.equations import Laid
 from relmap.core.refinement.gauss_newton import Problem, Solution
 from relmap.datasets import ObservationLog
@@ -204,7 +204,7 @@ def ruined(problem: Problem[Laid], state: Laid, *_: object, **__: object) -> Sol
 def test_a_map_that_least_squares_would_break_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     mapper = mapped(walk(3, 5, sigma=0.05).scans)
     before = mapper.map.positions
-    monkeypatch.setattr(settling, "gauss_newton", ruined)
+    monkeypatch.setattr(gauss_newton, "gauss_newton", ruined)
     mapper.refine()
     assert aligned_rmse(mapper.map.positions, before) < 1e-9
     assert not mapper.refined[0].converged
@@ -220,7 +220,7 @@ def test_the_command_line_reports_that_refinement_did_not_converge(
     mapping += ["--association", "known"]
     assert "converge" not in run.invoke(app, mapping).output
     assert load(tmp_path / "r/summary.json")["refinement"]["converged"]
-    monkeypatch.setattr(settling, "gauss_newton", ruined)
+    monkeypatch.setattr(gauss_newton, "gauss_newton", ruined)
     assert "WARNING: the refinement did not converge" in run.invoke(app, mapping).stdout
     assert not load(tmp_path / "r/summary.json")["refinement"]["converged"]
 

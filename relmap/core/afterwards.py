@@ -62,12 +62,6 @@ def finish(engine: RelativeMapper) -> None:
         extend_submaps(engine.map, engine.rows)
 
 
-def extend_by_the_rest(engine: RelativeMapper) -> None:
-    """Extend submaps by single observations with ids, if odometry given has placed nothing."""
-    if engine.association.is_known and len(engine.motions):
-        extend_submaps(engine.map, engine.rows)
-
-
 def found_late(engine: RelativeMapper, begin: int, end: int) -> None:
     """Start a submap from the stored iterations if no group placed any of them.
 
@@ -93,7 +87,7 @@ def tie(engine: RelativeMapper) -> None:
     merger.sightings = Sightings(rows, engine.table)
     drift = local_drift(engine.table, rows, noise_m)
     for _ in tie_submaps(engine.map, noise_m, drift):
-        merge_doubles(merger, engine.merge, noise_m)
+        merge_doubles(engine)
     if is_bridged(engine):
         close_revisits(engine)
         merge_in_place(engine)
@@ -102,16 +96,21 @@ def tie(engine: RelativeMapper) -> None:
     else:
         _close_loops(engine, rows, noise_m, drift)
         if engine.refined:  # Before that, coinciding landmarks may be distinct.
-            merge_doubles(merger, engine.merge, noise_m)
+            merge_doubles(engine)
     merger.sightings = None
 
 
-def tie_and_solve(engine: RelativeMapper) -> None:
-    """Tie, and with odometry solve the map again, as long as this merges enough.
+def complete(engine: RelativeMapper) -> None:
+    """Connect a map of points by odometry, and without ids tie what shows the same place.
 
-    Merging distributes the drift, which lets more landmarks coincide.
+    With odometry the map is then solved again, as long as ties merge enough: merging distributes
+    the drift, which lets more landmarks coincide. Landmarks that odometry placed are unmapped if
+    they have fewer observations than a group needs. If odometry places nothing, submaps are
+    extended by single observations with ids.
     """
-    more = True
+    if not bridge_gaps(engine) and engine.association.is_known and len(engine.motions):
+        extend_submaps(engine.map, engine.rows)
+    more = not engine.association.has_ids
     while more:
         before = extent(engine)[0]
         tie(engine)
@@ -119,6 +118,8 @@ def tie_and_solve(engine: RelativeMapper) -> None:
         more = is_bridged(engine) and before - after > FEW * mapped
         if is_bridged(engine) and before != after:
             bridge_gaps(engine)
+    if is_bridged(engine) and not engine.association.has_ids:
+        engine.table.take_off_map(np.flatnonzero(rarely_seen(engine)))
 
 
 def _close_loops(engine: RelativeMapper, rows: SegmentRows, noise_m: float, drift: float) -> None:
@@ -131,7 +132,7 @@ def _close_loops(engine: RelativeMapper, rows: SegmentRows, noise_m: float, drif
         if len(pairs) > CLEAR * len(loop.pairs):
             bend(engine.map, rows, pairs, loop.placement.R, loop.placement.t)
             engine.merge_pairs(pairs)
-            merge_doubles(engine.merger, engine.merge, engine.averaging.noise.sigma_m)
+            merge_doubles(engine)
 
 
 def find_again(engine: RelativeMapper) -> bool:
@@ -156,12 +157,6 @@ def find_again(engine: RelativeMapper) -> bool:
         found_rest(engine.map, sure, NEIGHBOURHOOD)
         extend_submaps(engine.map, rows, (table.submap == NONE) & ~table.dynamic)
     return joined
-
-
-def leave_out_rare(engine: RelativeMapper) -> None:
-    """Unmap landmarks that odometry placed but that have fewer observations than a group needs."""
-    if is_bridged(engine):
-        engine.table.take_off_map(np.flatnonzero(rarely_seen(engine)))
 
 
 def rarely_seen(engine: RelativeMapper) -> Bools:

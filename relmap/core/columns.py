@@ -1,8 +1,8 @@
-"""Tables of columns, displayed as text and HTML and converted to pandas."""
+"""Tables of columns and records of arrays: as text, as HTML, and for pandas."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sized
 from dataclasses import fields
 from html import escape
 from typing import Any
@@ -32,6 +32,8 @@ NAMES: dict[str, tuple[str, ...]] = {
 """Column names of some fields in the files of a result; the others use the field name."""
 SHOWN = 10
 """Rows shown in a notebook."""
+LONGEST = 60
+"""Maximum number of characters of a value that is shown in full."""
 
 
 class Table:
@@ -97,3 +99,24 @@ def _tally(status: NDArray[Any] | None) -> list[str]:
 
 def _cell(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, np.floating) else escape(str(value))
+
+
+class Brief:
+    """A dataclass whose text gives the shapes of its arrays; declare it with ``repr=False``."""
+
+    def __repr__(self) -> str:
+        entries: Any = fields(self)  # type: ignore[arg-type]  # of every subclass
+        values = ((entry.name, getattr(self, entry.name)) for entry in entries if entry.repr)
+        shown = [
+            f"{name}={_abbreviated(v)}" for name, v in values if v is not None and not callable(v)
+        ]
+        return f"{type(self).__name__}({', '.join(shown)})"
+
+
+def _abbreviated(value: Any) -> str:
+    if isinstance(value, np.ndarray):
+        return f"{value.shape} {value.dtype}"
+    text, name = repr(value), type(value).__name__
+    if len(text) <= LONGEST or isinstance(value, Brief):
+        return text
+    return f"{name} of {len(value)}" if isinstance(value, Sized) else f"{name}(...)"

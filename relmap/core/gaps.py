@@ -9,17 +9,12 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.mapper import RelativeMapper
-from relmap.core.motion_noise import MotionNoise
 from relmap.core.odometry import OdometryUse
 from relmap.core.refinement.chain.bridging import Bridged, bridge, measured_motions, noise_of
 from relmap.core.refinement.chain.chained import Sigmas
 from relmap.core.refinement.chain.chaining import PartSolver, Solved, join_parts
 from relmap.core.refinement.chain.resting import at_rest, placed_observations
-from relmap.core.refinement.condensing import SegmentRows
 from relmap.core.state.table import NONE
-
-AGAIN = 2
-"""Minimum number of observations of a landmark that constrains the poses."""
 
 
 def is_bridged(engine: RelativeMapper) -> bool:
@@ -64,7 +59,7 @@ def bridge_gaps(engine: RelativeMapper, to_the_last: bool = False, is_open: bool
     if not len(hanging):
         engine.odometry = use
         return False
-    solve = _solver(engine, rows, corrected, noise, sigmas, to_the_last, is_open).solve
+    solve = PartSolver(engine, rows, corrected, noise, sigmas, to_the_last, is_open).solve
     judges = to_the_last or not engine.refined
     solved = _judged(engine, bridged, solve) if judges else _solved(engine, bridged, solve)[1]
     numbers = _place(engine, solved)
@@ -80,7 +75,9 @@ def _judged(
     Those considered dynamic are solved for as static first: if they are at rest, the poses agree
     with them within the noise of odometry, and a robust solution leaves out those that are not.
     """
-    suspects = _suspects(engine)
+    # Groups of two or three landmarks underestimate the noise.
+    often = n_kept(engine) >= engine.config.group_after
+    suspects = np.flatnonzero(engine.table.dynamic & often)
     engine.table.dynamic[suspects] = False
     bridged, solved = _solved(engine, bridged, solve)
     moving = _moving(engine, solved, suspects)
@@ -96,46 +93,6 @@ def _solved(
     while has_ids and (joined := join_parts(bridged, solved)) is not None:
         bridged, solved = joined, solve(joined)
     return bridged, solved
-
-
-def _solver(
-    engine: RelativeMapper,
-    rows: SegmentRows,
-    corrected: Floats,
-    noise: MotionNoise,
-    sigmas: Sigmas | None,
-    to_the_last: bool,
-    is_open: bool,
-) -> PartSolver:
-    """Return the solver of the parts of a run; `corrected` is odometry without constant errors."""
-    mature = to_the_last and not engine.association.has_ids
-    roots = None
-    if len(engine.weighed) and not engine.association.current.estimates_covariances:
-        roots = np.linalg.inv(np.linalg.cholesky(engine.weighed.covariance))
-    return PartSolver(
-        engine.table,
-        rows,
-        engine.kept,
-        roots,
-        corrected,
-        noise,
-        engine.averaging.noise.sigma_m,
-        sigmas,
-        to_the_last,
-        engine.config.group_after // 2 if mature else AGAIN,
-        is_open,
-        engine.association.has_ids,
-        engine.map.kept_until,
-        engine.map.kept_anchor,
-    )
-
-
-def _suspects(engine: RelativeMapper) -> Ints:
-    """Return the landmarks (k,) considered dynamic that were seen often enough to be judged again.
-
-    Groups of two or three landmarks underestimate the noise.
-    """
-    return np.flatnonzero(engine.table.dynamic & (n_kept(engine) >= engine.config.group_after))
 
 
 def _moving(engine: RelativeMapper, solved: list[Solved], suspects: Ints) -> Ints:

@@ -28,10 +28,11 @@ def keep_observations(
     `found` (n,): their landmarks; the others as given to `RelativeMapper.update`.
     """
     iteration, named = engine.store.n_iterations - 1, found >= 0
+    estimated = engine.association.current.estimated
     if covariances is not None:
         engine.weighed.append(found[named], seen[named], covariances[named], iteration)
-    else:
-        engine.association.current.weigh_own(found, seen, iteration, engine.weighed)
+    elif estimated is not None:
+        estimated.weigh(found, seen, iteration, engine.weighed)
     if len(engine.motions) and named.any() and not engine.model.keeps_observations:
         engine.kept.append(found[named], seen[named], iteration)
 

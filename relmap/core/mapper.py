@@ -16,23 +16,21 @@ from relmap.core.association.choice import DataAssociation
 from relmap.core.association.reobservation.merging import Merger
 from relmap.core.config import MapperConfig
 from relmap.core.grouping.averaging import Averaging
-from relmap.core.grouping.chart import PointChart
+from relmap.core.grouping.chart import PointChart, grow_group
 from relmap.core.grouping.completion import RelativeMap
-from relmap.core.grouping.growth import grow_group
 from relmap.core.grouping.levels import GroupLevels
 from relmap.core.keeping import keep_motion, keep_observations
 from relmap.core.map.globalmap import GlobalMap
-from relmap.core.map.placing import Placing
+from relmap.core.map.placing import leave_out_moving, place
 from relmap.core.model import LandmarkModel
 from relmap.core.odometry import Motions, OdometryUse
 from relmap.core.refinement.condensing import CondensedSegments, SegmentRows
 from relmap.core.refinement.joint import Refined
 from relmap.core.refinement.live import LiveRefinement
-from relmap.core.state.kept import KeptObservations
+from relmap.core.state.kept import KeptObservations, WeighedObservations
 from relmap.core.state.schedule import GroupingSchedule
 from relmap.core.state.store import ObservationStore
 from relmap.core.state.table import LandmarkState
-from relmap.core.state.weighed import WeighedObservations
 from relmap.core.turns import take_turns
 
 
@@ -57,7 +55,6 @@ class RelativeMapper:
         self.averaging = Averaging(self.table, model.noise_spread)
         self.map = GlobalMap(self.table)
         self.levels = GroupLevels(self.table)
-        self.placing = Placing(self.store, self.schedule, self.map, self.levels)
         self.merger = Merger(self.table, model, config.group_after)
         self.segments = CondensedSegments()
         self.weighed = WeighedObservations()
@@ -117,7 +114,7 @@ class RelativeMapper:
             placed = self.map.align(submap, relative.landmarks, relative.positions, relative.n_used)
             if placed is not None:
                 sure = np.isfinite(placed[:, 0])
-                return self.placing.place(submap, level, placed[sure], relative.only(sure))
+                return place(self, submap, level, placed[sure], relative.only(sure))
         return np.empty(0, dtype=np.int64)
 
     def chart(self, seed: int) -> PointChart:
@@ -143,7 +140,7 @@ class RelativeMapper:
             average = self.model.average_in_basis(group.points_robot)  # Figs 1, 2 and 8
             if average is not None:
                 relative = self.averaging.completed(chart, group, average)
-        self.placing.leave_out_moving(chart.landmarks)
+        leave_out_moving(self, chart.landmarks)
         return relative
 
     def merge(self, placed: Ints) -> int:
@@ -158,13 +155,6 @@ class RelativeMapper:
             for part in (self.table, self.schedule, self.merger):
                 part.merge(new, old)
         return len(pairs)
-
-    def forget(self) -> bool:
-        """Condense observations that no group needs any more; return whether there were any."""
-        before = self.schedule.needed_from(self.store.n_iterations)
-        condensed = self.segments.condense(self.store, before, self.table.dynamic)
-        self.store.forget(min(before, self.segments.end))
-        return condensed
 
     @property
     def rows(self) -> SegmentRows:

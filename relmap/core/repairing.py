@@ -20,15 +20,15 @@ from relmap.core.association.reobservation.undoing import (
 )
 from relmap.core.gaps import bridge_gaps, is_bridged
 from relmap.core.mapper import RelativeMapper
+from relmap.core.refinement.chain.weighed import refine_weighed
 from relmap.core.refinement.condensing import SegmentRows
-from relmap.core.refinement.confirming import rebuild, seen_in
+from relmap.core.refinement.confirming import found_rest, seen_in
 from relmap.core.refinement.extending import extend_submaps
 from relmap.core.refinement.joint import CONFIRMED, Refined
 from relmap.core.refinement.joint import refine as refine_jointly
 from relmap.core.refinement.misread import take_off_misread
 from relmap.core.refinement.observations import observations_of
 from relmap.core.refinement.powers import refine_by_powers
-from relmap.core.refinement.weighed import refine_weighed
 from relmap.core.revisiting import gather, merge_in_place
 from relmap.core.state.store import ObservationStore
 from relmap.core.state.table import NONE
@@ -67,7 +67,7 @@ def refine(engine: RelativeMapper) -> None:
     elif association.is_known:
         more = _extend_by_ids(engine)
     elif not association.has_ids:
-        more = merge_doubles(engine.merger, engine.merge, engine.averaging.noise.sigma_m)
+        more = merge_doubles(engine)
     if more:
         _refine(engine)
     if association.is_known:
@@ -103,7 +103,8 @@ def _rebuild(engine: RelativeMapper) -> None:
     count = np.sum(table.submap != NONE)
     rows = engine.rows
     sure = seen_in(rows, CONFIRMED)
-    rebuild(engine.map, sure)
+    table.take_off_map(np.flatnonzero(table.submap != NONE))
+    found_rest(engine.map, sure)
     engine.refined = _refine_submaps(engine, sure, None)
     if extend_submaps(engine.map, sure):
         engine.refined = _refine_submaps(engine, sure, None)
@@ -184,7 +185,7 @@ def _merge_coinciding(engine: RelativeMapper) -> bool:
     """Merge landmarks that coincide in the refined map; return whether there were any."""
     merger = engine.merger
     merger.sightings = Sightings(engine.rows, engine.table)
-    merged = merge_doubles(merger, engine.merge, engine.averaging.noise.sigma_m)
+    merged = merge_doubles(engine)
     merger.sightings = None
     return merged
 
@@ -253,8 +254,9 @@ def _refine(engine: RelativeMapper, to_the_last: bool = True) -> None:
     if bridge_gaps(engine, to_the_last):
         return
     kept = engine.store if to_the_last and engine.config.keep_observations else None
-    rows = engine.rows
-    engine.association.current.weigh_again(engine.weighed)
+    rows, estimated = engine.rows, engine.association.current.estimated
+    if estimated is not None:
+        estimated.weigh_again(engine.weighed)
     engine.refined = _refine_submaps(engine, rows, kept)
 
 

@@ -7,16 +7,16 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.arrays import Floats, Ints
 from relmap.core.association.reobservation.coinciding import (
     CLEAR_SIGMAS,
     SIGMAS,
+    gathered,
     lying_together,
     neighbours_fit,
     seen_with_both,
     within,
 )
-from relmap.core.association.reobservation.gathering import gathered
 from relmap.core.association.reobservation.loops import TIED
 from relmap.core.association.reobservation.merging import merge_doubles
 from relmap.core.association.reobservation.revisits import TOLERANCE, RevisitFinder
@@ -117,7 +117,7 @@ def merge_doubles_in_place(engine: RelativeMapper) -> None:
         return engine.merge_pairs(pairs)
 
     if engine.refined:
-        merge_doubles(engine.merger, merge, noise_m)
+        merge_doubles(engine, merge)
 
 
 def merge_within_drift(engine: RelativeMapper) -> None:
@@ -185,10 +185,6 @@ class _Accuracy:
             unknown[refined.landmarks] = problem.unknown[refined.spread.chosen]
             self._parts.append((Drift(problem, refined.spread.settled), unknown))
 
-    def suffices(self, pairs: Ints) -> Bools:
-        """Return for which pairs (k, 2) of landmarks the map is accurate enough; (k,)."""
-        return self.sd_m(pairs) <= self.needed_m
-
     def sd_m(self, pairs: Ints) -> Floats:
         """Return the standard deviations (k,) of the distance of landmarks (k, 2), metres."""
         covariances = self.covariances(pairs)
@@ -223,21 +219,21 @@ def gather(engine: RelativeMapper) -> None:
     scans = [kept.iteration[rows] for _, rows in pieces]
     noise_m = max(refined.noise_m for refined in engine.refined)
     whole = own[gathered(middle, counts, scans, noise_m, spacing_of(table.position[mapped]))]
-    became = np.arange(len(table))
+    became, oldest = np.arange(len(table)), np.arange(len(table))
     became[own] = whole
     known, total = np.zeros(len(table), dtype=bool), np.zeros(len(table))
     np.logical_or.at(known, whole, mapped[own])
     np.add.at(total, whole, counts)
     # Landmarks may belong to a moving object if none of them was mapped.
     known |= at_rest(became[landmark], places, mapped) & (total >= engine.config.group_after)
-    oldest = np.arange(len(table))
     for one in own[np.argsort(-table.first[own], kind="stable")].tolist():
         oldest[became[one]] = one
     pairs = np.column_stack([own, oldest[whole]])
     pairs = pairs[known[whole] & (pairs[:, 0] != pairs[:, 1])]
     seen_in = np.zeros(len(table), dtype=np.int64)
     seen_in[own] = [iterations[len(iterations) // 2] for iterations in scans]
-    pairs = pairs[_Accuracy(engine, seen_in).suffices(pairs)]
+    accuracy = _Accuracy(engine, seen_in)
+    pairs = pairs[accuracy.sd_m(pairs) <= accuracy.needed_m]
     table.dynamic[pairs] = False
     table.take_off_map(np.unique(pairs))  # These have no position to average; they are solved for.
     engine.merge_pairs(pairs)

@@ -10,6 +10,7 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import fit_rigid
 from relmap.core.grouping.chart import PointChart
 from relmap.core.grouping.completion import RelativeMap
+from relmap.core.map.placing import be_done_with, needs_last_pass, next_last_pass, place
 from relmap.core.refinement.live import SLICE_EVERY
 
 if TYPE_CHECKING:
@@ -42,7 +43,7 @@ def _group_next(engine: RelativeMapper) -> bool:
 
 def _last_pass_next(engine: RelativeMapper) -> bool:
     """Run the last pass for landmarks that left, over the whole interval; return if any did."""
-    seed = engine.placing.next_last_pass()
+    seed = next_last_pass(engine)
     if seed is not None:
         last_pass(engine, seed)
     return seed is not None
@@ -50,7 +51,10 @@ def _last_pass_next(engine: RelativeMapper) -> bool:
 
 def _forget(engine: RelativeMapper) -> bool:
     """Condense and forget observations that no group needs; return whether there were any."""
-    return engine.forget()
+    before = engine.schedule.needed_from(engine.store.n_iterations)
+    condensed = engine.segments.condense(engine.store, before, engine.table.dynamic)
+    engine.store.forget(min(before, engine.segments.end))
+    return condensed
 
 
 def _refine_next(engine: RelativeMapper) -> bool:
@@ -87,7 +91,7 @@ def found_submap(engine: RelativeMapper, seed: int, level: int) -> None:
     first = placed_first(engine, engine.chart(seed))
     if first is not None:
         placed, relative = first
-        engine.placing.place(engine.map.new_submap(), level, placed, relative)
+        place(engine, engine.map.new_submap(), level, placed, relative)
 
 
 def placed_first(engine: RelativeMapper, chart: PointChart) -> tuple[Floats, RelativeMap] | None:
@@ -111,10 +115,10 @@ def placed_first(engine: RelativeMapper, chart: PointChart) -> tuple[Floats, Rel
 def last_pass(engine: RelativeMapper, seed: int) -> None:
     """Group a landmark over its whole interval, and try a last time to recognise it."""
     placed = np.empty(0, dtype=np.int64)
-    if engine.placing.needs_last_pass(np.array([seed]))[0]:
+    if needs_last_pass(engine, np.array([seed]))[0]:
         placed = engine.group(seed, 3)
     if engine.table.is_gone[seed]:
-        engine.placing.be_done_with(np.array([seed]))
+        be_done_with(engine, np.array([seed]))
     if len(placed):
         _merge_seen_again(engine, placed)
     engine.merger.leave(np.array([seed]))

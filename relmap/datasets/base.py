@@ -10,7 +10,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.core.brief import Brief
+from relmap.core.columns import Brief
 from relmap.core.errors import RelmapError
 
 Log = TypeVar("Log", covariant=True)

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.brief import Brief
+from relmap.core.columns import Brief
 from relmap.core.geometry.motions import rotations, transforms
 from relmap.datasets.base import common_range
 from relmap.datasets.textfile import invalid, shown

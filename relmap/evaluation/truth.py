@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.brief import Brief
+from relmap.core.columns import Brief
 from relmap.core.errors import RelmapError
 from relmap.datasets import Relations, open_scans
 from relmap.datasets.textfile import invalid, quoted, require_path

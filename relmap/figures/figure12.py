@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.core.grouping.dynamics import Binning
+from relmap.core.grouping.dynamics import binned
 from relmap.figures.base import Outcome, PaperFigure, Table, Watch, judged, n_log_n
 from relmap.plots.sheet import GREY, blank, finish, write_in_full
 from relmap.simulation import simulate_figure_eight
@@ -68,7 +68,7 @@ def sorted_worlds(sizes: tuple[int, ...], worlds: int, watch: Watch = iter) -> C
         for s, k in np.ndindex(shape[:2]):
             n = sizes[k]
             block, at_rest = block_of(n, SHARES[s], pool, static, seed)
-            bins = Binning(block, SIGMA_M).sort(np.zeros(n))
+            bins = binned(block, SIGMA_M, np.zeros(n))
             misplaced = np.sum(np.isin(np.arange(n), bins.static) != at_rest)
             counts[s, k, seed] = bins.n_comparisons
             right[s, k, seed] = misplaced <= max(1, MISPLACED * n)

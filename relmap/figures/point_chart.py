@@ -12,8 +12,7 @@ from relmap.core.arrays import Bools, Ints
 from relmap.core.association import Constellation
 from relmap.core.config import MapperConfig
 from relmap.core.errors import RelmapError
-from relmap.core.grouping.chart import PointChart
-from relmap.core.grouping.growth import grow_group
+from relmap.core.grouping.chart import PointChart, grow_group
 from relmap.core.state.store import ObservationStore
 from relmap.datasets.base import ObservationLog
 from relmap.simulation import simulate_figure_eight

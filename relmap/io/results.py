@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.core.brief import Brief
+from relmap.core.columns import Brief
 from relmap.core.errors import RelmapError
 from relmap.core.landmarks import LandmarkTable, Submap
 from relmap.datasets.textfile import invalid

@@ -87,10 +87,7 @@ class PlaneAdjustment:
         self._root = np.sqrt(information(seen, systematic))
         self._latest: tuple[Scene, Linearised] | None = None
         n_planes, stretch = int(seen.plane.max()) + 1, seen.scan // STRETCH
-        key = np.unique(stretch * n_planes + seen.plane)
-        clique, member = key // n_planes, key % n_planes
-        begin = np.searchsorted(clique, np.arange(clique[-1] + 2))
-        self.pattern = Pattern.of_cliques(np.full(n_planes, 3), begin, member)
+        self.pattern = Pattern.of_pairs(np.full(n_planes, 3), stretch, seen.plane)
         kept = self.pattern.first[seen.plane][:, None] + np.arange(3)
         poses = np.arange(int(seen.scan.max()) + 1)
         starts = 3 * np.searchsorted(seen.scan, np.append(poses, len(poses)))

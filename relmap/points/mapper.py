@@ -14,7 +14,6 @@ from relmap.core.association.placement import Placement
 from relmap.core.association.reobservation.recognition import PlaceFinder
 from relmap.core.config import MapperConfig
 from relmap.core.errors import RelmapError
-from relmap.core.gaps import bridge_gaps
 from relmap.core.geometry.motions import transforms
 from relmap.core.guard import reads_whole
 from relmap.core.linalg.threads import one_thread
@@ -182,11 +181,7 @@ class PointMapper(Mapper):
         if self.config.refine_live and not self.engine.refined:
             self.engine.live.complete()
             self.engine.merger.look_again()
-        if not bridge_gaps(self.engine):
-            afterwards.extend_by_the_rest(self.engine)
-        if not self.engine.association.has_ids:
-            afterwards.tie_and_solve(self.engine)
-            afterwards.leave_out_rare(self.engine)
+        afterwards.complete(self.engine)
 
     def localise(self, points: ArrayLike) -> Floats:
         """Localise a scan in the map, without changing the mapper.

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.brief import Brief
+from relmap.core.columns import Brief
 from relmap.core.errors import known_name
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.scans import poses_of

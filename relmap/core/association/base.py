@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from relmap.core.arrays import Bools, Floats, Ints
 
 if TYPE_CHECKING:
-    from relmap.core.state.weighed import WeighedObservations
+    from relmap.core.association.metric import EstimatedCovariances
 
 UNIDENTIFIED = -1
 """Marks an observation that belongs to no known landmark."""
@@ -39,18 +39,15 @@ class Registration:
     def inform(self, motion: Floats | None, covariances: Floats | None) -> None:
         """Use the odometry (4, 4) into the next scan and its covariances (n, d, d), if known."""
 
-    def weigh_own(
-        self, landmarks: Ints, points_robot: Floats, iteration: int, weighed: WeighedObservations
-    ) -> None:
-        """Add observations without covariances to `weighed` if their noise is unequal."""
-
-    def weigh_again(self, weighed: WeighedObservations) -> None:
-        """Replace estimated covariances of all observations by the latest estimate."""
-
     @property
     def estimates_covariances(self) -> bool:
         """Whether the noise is unequal, and observations are weighted by its estimate."""
-        return False
+        return self.estimated is not None and self.estimated.is_in_use
+
+    @property
+    def estimated(self) -> EstimatedCovariances | None:
+        """Covariances of observations that come without any; None if they are not estimated."""
+        return None
 
     @property
     def is_blurred(self) -> bool:
@@ -101,3 +98,16 @@ def nearest(tree: cKDTree, points: Floats, rank: int = 1) -> tuple[Floats, Ints]
     """
     distance, index = tree.query(points, k=_RANKS[rank])
     return np.asarray(distance), np.asarray(index)
+
+
+def mutual(points: Floats, among: Floats, most_m: float) -> tuple[Ints, Ints]:
+    """Return the rows (k,) of points (n, d), and of others, that are nearest to each other.
+
+    `most_m`: largest distance, metres.
+    """
+    if not (len(points) and len(among)):
+        return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
+    distance, there = nearest(cKDTree(among), points)
+    back = nearest(cKDTree(points), among)[1][there[:, 0], 0]
+    own = np.flatnonzero((back == np.arange(len(points))) & (distance[:, 0] <= most_m))
+    return own, there[own, 0]

@@ -13,15 +13,13 @@ import numpy as np
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association.base import UNIDENTIFIED, Numbered, middle
 from relmap.core.association.chance import ENOUGH, Chance
-from relmap.core.association.estimated import EstimatedCovariances
 from relmap.core.association.guiding import OdometryGuide
-from relmap.core.association.metric import scaled, stretch_of
+from relmap.core.association.metric import EstimatedCovariances, scaled, stretch_of
 from relmap.core.association.placement import Placement
 from relmap.core.association.registering import BLIND, TrackPlacing
 from relmap.core.association.scale import FEW, Scale, spacing_of
 from relmap.core.association.soft import likely_links
 from relmap.core.association.tracks import LiveTracks
-from relmap.core.state.weighed import WeighedObservations
 
 CONTINUITY = 0.15
 """Largest displacement of a moving landmark in one iteration, in spacings."""
@@ -61,7 +59,7 @@ class Constellation(Numbered):
         self._alone = []
         self._tracks_since = self._stray_since = None
         self._guide = OdometryGuide()
-        self._estimated = EstimatedCovariances()
+        self._estimated = EstimatedCovariances(self._scale.rays)
 
     def match(self, points_robot: Floats, ids: Ints | None) -> Ints:
         """Match points (n, d) to the live tracks; unmatched points are new landmarks."""
@@ -84,20 +82,10 @@ class Constellation(Numbered):
         self._guide.note(motion)
         self._scale.rays.given = covariances
 
-    def weigh_own(
-        self, landmarks: Ints, points_robot: Floats, iteration: int, weighed: WeighedObservations
-    ) -> None:
-        """Add observations without covariances to `weighed` if their noise is unequal."""
-        self._estimated.weigh(landmarks, points_robot, iteration, self._scale.rays, weighed)
-
-    def weigh_again(self, weighed: WeighedObservations) -> None:
-        """Replace estimated covariances of all observations by the latest estimate."""
-        self._estimated.weigh_again(self._scale.rays, weighed)
-
     @property
-    def estimates_covariances(self) -> bool:
-        """Whether the noise is unequal, and observations are weighted by its estimate."""
-        return self._estimated.is_in_use
+    def estimated(self) -> EstimatedCovariances:
+        """Covariances of observations that come without any."""
+        return self._estimated
 
     def expect(self, landmarks: Ints, points_robot: Floats) -> None:
         """Expect landmarks (n,) at points (n, d) in the next scan, and no others."""

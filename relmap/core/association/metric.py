@@ -12,6 +12,7 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association.base import middle
+from relmap.core.state.kept import WeighedObservations
 
 EVERY, SETTLED = 4, 150
 """Interval of updates, in scans, and number of first scans that are all used."""
@@ -42,6 +43,10 @@ TERMS = 3
 """Coefficients of the variance, a polynomial in the squared distance."""
 ROUNDS = 3
 """Rounds of reweighting the residuals by their variances."""
+WAIT = 1000
+"""Observations before it is decided whether the noise is unequal."""
+LONGEST = 20 * WAIT
+"""Observations after which the noise counts as equal if scans are too small to estimate it."""
 
 
 class RayNoise:
@@ -185,3 +190,58 @@ def scaled(metric: Floats | None, differences: Floats) -> Floats:
     if metric is None:
         return differences
     return np.asarray(np.einsum("nij,nj->ni", metric, differences))
+
+
+class EstimatedCovariances:
+    """Weights observations by the estimated noise if that differs by direction or distance.
+
+    The first scans wait until there are enough residuals to decide; if the noise is isotropic and
+    constant, nothing is kept of them.
+
+    `rays`: the noise, estimated meanwhile.
+    """
+
+    _is_unequal: bool | None
+    STATE = "_waiting _is_unequal"
+
+    def __init__(self, rays: RayNoise) -> None:
+        self.rays = rays
+        self._waiting = WeighedObservations()
+        self._is_unequal = None
+
+    @property
+    def is_in_use(self) -> bool:
+        """Whether the noise is unequal."""
+        return bool(self._is_unequal)
+
+    def weigh(
+        self, landmarks: Ints, points: Floats, iteration: int, weighed: WeighedObservations
+    ) -> None:
+        """Add the observations of a scan to the weighted ones if the noise is unequal.
+
+        `landmarks` (n,); `points` (n, d), robot frame, metres.
+        """
+        if self._is_unequal:
+            weighed.append(landmarks, points, self.rays.covariances(points), iteration)
+        elif self._is_unequal is None and len(points):
+            unknown = np.zeros((*points.shape, points.shape[1]))
+            self._waiting.append(landmarks, points, unknown, iteration)
+            if len(self._waiting) >= (LONGEST if self.rays.is_unequal is None else WAIT):
+                self._decide(weighed)
+
+    def weigh_again(self, weighed: WeighedObservations) -> None:
+        """Replace the covariances by those that are estimated now, from more residuals."""
+        if self._is_unequal:
+            weighed.covariance[:] = self.rays.covariances(weighed.location)
+
+    def _decide(self, weighed: WeighedObservations) -> None:
+        waiting, self._waiting = self._waiting, WeighedObservations()
+        self._is_unequal = bool(self.rays.is_unequal)
+        if not self._is_unequal:
+            return
+        covariances = self.rays.covariances(waiting.location)
+        for iteration in np.unique(waiting.iteration).tolist():
+            rows = waiting.iteration == iteration
+            weighed.append(
+                waiting.landmark[rows], waiting.location[rows], covariances[rows], iteration
+            )

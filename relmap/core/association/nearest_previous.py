@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.association.base import UNIDENTIFIED, Numbered, nearest
+from relmap.core.association.base import UNIDENTIFIED, Numbered, mutual, nearest
 
 
 class NearestPrevious(Numbered):
@@ -33,26 +33,16 @@ class NearestPrevious(Numbered):
     def match(self, points_robot: Floats, ids: Ints | None) -> Ints:
         """Match points (n, d) to the previous iteration; unmatched points are new landmarks."""
         landmarks = np.full(len(points_robot), UNIDENTIFIED)
-        if len(self._previous) and len(points_robot):
-            now, before = self._mutual_pairs(points_robot)
-            landmarks[now] = self._landmarks[before]
+        now, before = mutual(points_robot, self._previous, self._gate())
+        landmarks[now] = self._landmarks[before]
         self.number_new(landmarks)
         self._landmarks, self._previous = landmarks, points_robot
         return landmarks
 
-    def _mutual_pairs(self, points_robot: Floats) -> tuple[Ints, Ints]:
-        previous = cKDTree(self._previous)
-        distances, places = nearest(previous, points_robot)
-        distance, there = distances[:, 0], places[:, 0]
-        back = nearest(cKDTree(points_robot), self._previous)[1][:, 0]
-        mutual = back[there] == np.arange(len(points_robot))
-        now = np.flatnonzero(mutual & (distance <= self._gate(previous)))
-        return now, there[now]
-
-    def _gate(self, previous: cKDTree) -> float:
+    def _gate(self) -> float:
         if self._gate_m is not None:
             return self._gate_m
-        if previous.n < 2:
+        if len(self._previous) < 2:
             return np.inf
-        spacing = nearest(previous, self._previous, rank=2)[0][:, 1]
+        spacing = nearest(cKDTree(self._previous), self._previous, rank=2)[0][:, 1]
         return float(np.median(spacing)) / 2

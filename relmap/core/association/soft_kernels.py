@@ -6,23 +6,10 @@ import numpy as np
 
 from relmap.core.arrays import Bools, Floats
 from relmap.core.association.soft import BOUNDS, LEAST, ROUNDS, SETTLED, UNEXPLAINED
+from relmap.core.association.tracking_kernels import placed_at
 from relmap.core.geometry.weighted_kernels import weighted_step
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.small_kernels import square_between
-
-
-@helper
-def _placed(points: Floats, R: Floats, t: Floats) -> Floats:
-    """Return points (n, d) after placement."""
-    n, d = points.shape
-    placed = np.empty((n, d))
-    for i in range(n):
-        for a in range(d):
-            placed[i, a] = t[a]
-            for b in range(d):
-                placed[i, a] += R[a, b] * points[i, b]
-    return placed
-
 
 Terms = tuple[Floats, Floats, Floats, float, float]
 """Source, variance, target, density and furthest, see `soft_matches`."""
@@ -64,7 +51,7 @@ def soft_matches(
     """
     source, variance, target, density, furthest = terms
     (n, d), m = source.shape, len(target)
-    placed, apart, score = _placed(source, R, t), np.empty(d), 0.0
+    placed, apart, score = placed_at(source, R, t), np.empty(d), 0.0
     for j in range(m):
         total = 0.0
         for i in range(n):

@@ -15,7 +15,7 @@ Columns = tuple[Ints, Floats, Floats, Ints, Ints, Ints]
 
 
 @helper
-def _placed(points: Floats, R: Floats, t: Floats) -> Floats:
+def placed_at(points: Floats, R: Floats, t: Floats) -> Floats:
     """Return points (n, d) transformed by R (d, d) and t (d,)."""
     n, d = points.shape
     placed = np.empty((n, d))
@@ -32,13 +32,13 @@ def _placed(points: Floats, R: Floats, t: Floats) -> Floats:
 def carried(tracks: Columns, R: Floats, t: Floats) -> Columns:
     """Return the tracks in the frame of the next scan, at R (d, d) and t (d,) from theirs."""
     landmarks, expected, latest, missed, seen, restless = tracks
-    return landmarks, _placed(expected, R, t), _placed(latest, R, t), missed, seen, restless
+    return landmarks, placed_at(expected, R, t), placed_at(latest, R, t), missed, seen, restless
 
 
 @compiled
 def middle_step(points: Floats, R: Floats, t: Floats) -> float:
     """Return the upper median of the distances by which R and t move points (n, d)."""
-    moved, square = _placed(points, R, t), np.zeros(len(points))
+    moved, square = placed_at(points, R, t), np.zeros(len(points))
     for i in range(len(points)):
         for a in range(points.shape[1]):
             square[i] += (moved[i, a] - points[i, a]) ** 2

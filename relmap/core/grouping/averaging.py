@@ -7,10 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.grouping.chart import PointChart
+from relmap.core.grouping.chart import Group, PointChart
 from relmap.core.grouping.completion import RelativeMap, complete
-from relmap.core.grouping.dynamics import FEWEST, Binning, Bins, DynamicStatus, n_log_n, rests
-from relmap.core.grouping.growth import Group
+from relmap.core.grouping.dynamics import FEWEST, Bins, DynamicStatus, binned, n_log_n, rests
 from relmap.core.grouping.noise import NoiseEstimate, guess_noise
 from relmap.core.state.table import LandmarkState
 
@@ -93,13 +92,13 @@ class Averaging:
         """Return the rows of the chart that keep their distances and are not known to move."""
         self.n_comparisons = 0
         block, noise_m = chart.points_robot, self._tolerated_m
-        bins = Binning(block, noise_m).sort(weights) if np.isfinite(noise_m) else Bins([], 0)
+        bins = binned(block, noise_m, weights) if np.isfinite(noise_m) else Bins([], 0)
         self.n_comparisons += bins.n_comparisons
         known = weights[bins.static].sum() / max(weights.sum(), 1.0)
         if len(bins.static) < FEW * len(block) and known < FEW:
             guess_m = self._noise_spread * np.fmax(guess_noise(block), self.noise.least_m)
             if not guess_m <= noise_m:
-                guessed = Binning(block, guess_m).sort(weights)
+                guessed = binned(block, guess_m, weights)
                 self.n_comparisons += guessed.n_comparisons
                 if len(guessed.static) > len(bins.static):
                     self.noise.restart()
@@ -119,8 +118,8 @@ class Averaging:
         rest = np.flatnonzero(often & self._table.dynamic[chart.landmarks])
         together: list[Ints] = []
         while len(rest) > 1 and self.n_comparisons < allowed:
-            binning = Binning(chart.points_robot[rest], self._tolerated_m)
-            bins = binning.sort(np.zeros(len(rest)), allowed - self.n_comparisons)
+            block, none = chart.points_robot[rest], np.zeros(len(rest))
+            bins = binned(block, self._tolerated_m, none, allowed - self.n_comparisons)
             self.n_comparisons += bins.n_comparisons
             if not bins.members:
                 break

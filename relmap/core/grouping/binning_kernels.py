@@ -183,7 +183,7 @@ def counted(block: Floats) -> tuple[Ints, float]:
 def sort_into_bins(
     block: Floats, free: Bools, priority: Floats, limit: float, fewest: int, size: int, allowed: int
 ) -> tuple[Ints, int]:
-    """Sort free rows of a block (n, i, d) into bins; see `relmap.core.grouping.dynamics.Binning`.
+    """Sort free rows of a block (n, i, d) into bins; see `relmap.core.grouping.dynamics.binned`.
 
     Returns the bin of each row, -1 if in none, and the number of comparisons. `free` (n,) is
     changed.

@@ -83,7 +83,7 @@ def _descending(rows: Ints, values: Floats | Ints) -> Ints:
 def grown(
     block: Floats, candidates: Ints, counts: Ints, weights: Floats, fewest: tuple[int, int]
 ) -> tuple[Ints, Ints, Floats]:
-    """Grow a group from candidates (c,), rows of a block (n, i, d); see `growth.grow_group`.
+    """Grow a group from candidates (c,), rows of a block (n, i, d); see `chart.grow_group`.
 
     `counts`, `weights` (n,): common interval and weight in the map of each row; `fewest`: minimum
     number of members, and of mapped ones. Returns the members (g,), the columns (k,) of their

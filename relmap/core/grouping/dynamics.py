@@ -93,11 +93,6 @@ class DynamicStatus:
         return tested(columns, relative.landmarks, still, *seen, limits)
 
 
-def judge_at_last(table: LandmarkState, landmarks: Ints) -> None:
-    """Mark landmarks as dynamic that left the view unmapped and moved when last tested."""
-    table.dynamic[landmarks[table.restless[landmarks]]] = True
-
-
 def rests(relative: RelativeMap, noise_m: float) -> Bools:
     """Return which positions vary no more than noise explains; (n,).
 
@@ -109,46 +104,31 @@ def rests(relative: RelativeMap, noise_m: float) -> Bools:
     return steady(*of, noise_m, EXACT, LIMIT)
 
 
-class Binning:
-    """Sorts the landmarks of one block into bins.
+def binned(block: Floats, noise_m: float, priority: Floats, allowed: float | None = None) -> Bins:
+    """Sort the landmarks of a block into bins, until half of them, or of the priority, are in one.
+
+    Landmarks with too few observations, or that match no other, are in none.
 
     `block` (n, i, d), robot frame, metres: NaN where missing; `noise_m`: standard deviation of an
-    observed coordinate.
+    observed coordinate. `priority` (n,): bins are started from landmarks in descending priority.
+    `allowed`: maximum number of comparisons; by default n log2 n for the n landmarks with enough
+    observations.
     """
+    from relmap.core.grouping.binning_kernels import counted, sort_into_bins
 
-    def __init__(self, block: Floats, noise_m: float) -> None:
-        from relmap.core.grouping.binning_kernels import counted
-
-        n_seen, largest_m = counted(block)
-        self._block = block
-        self._often = n_seen >= FEWEST
-        self._limit = LIMIT * 2 * max(noise_m, _exact(largest_m, block.shape[2])) ** 2
-
-    def sort(self, priority: Floats, allowed: float | None = None) -> Bins:
-        """Sort landmarks into bins, until half of them, or of the priority, are in one.
-
-        Landmarks with too few observations, or that match no other, are in none.
-
-        `priority` (n,): bins are started from landmarks in descending priority. `allowed`: maximum
-        number of comparisons; by default n log2 n for the n landmarks with enough observations.
-        """
-        from relmap.core.grouping.binning_kernels import sort_into_bins
-
-        if allowed is None:
-            allowed = n_log_n(int(self._often.sum()))
-        bin_of, n_comparisons = sort_into_bins(
-            self._block, self._often.copy(), priority, self._limit, FEWEST, SAMPLE, int(allowed)
-        )
-        sizes = np.bincount(bin_of + 1)[1:]
-        bins = np.argsort(-sizes, kind="stable")
-        return Bins([np.flatnonzero(bin_of == number) for number in bins], n_comparisons)
+    n_seen, largest_m = counted(block)
+    often, exact_m = n_seen >= FEWEST, EXACT * float(np.sqrt(block.shape[2]) * largest_m)
+    if allowed is None:
+        allowed = n_log_n(int(often.sum()))
+    limit = LIMIT * 2 * max(noise_m, exact_m) ** 2
+    bin_of, n_comparisons = sort_into_bins(
+        block, often, priority, limit, FEWEST, SAMPLE, int(allowed)
+    )
+    sizes = np.bincount(bin_of + 1)[1:]
+    bins = np.argsort(-sizes, kind="stable")
+    return Bins([np.flatnonzero(bin_of == number) for number in bins], n_comparisons)
 
 
 def n_log_n(n: int) -> float:
     """Return n log2 n, the maximum number of comparisons among n landmarks."""
     return n * math.log2(max(n, 2))
-
-
-def _exact(largest_m: float, d: int) -> float:
-    """Return the deviation, metres, that rounding alone may cause, given the largest coordinate."""
-    return EXACT * float(np.sqrt(d) * largest_m)

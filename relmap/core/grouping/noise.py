@@ -52,7 +52,8 @@ class NoiseEstimate:
             return
         from relmap.core.grouping.averaging_kernels import steady_variance
 
-        typical = steady_variance(block, _chi_square_median(n - 1))
+        # The median of chi-square over its mean (Wilson and Hilferty, 1931).
+        typical = steady_variance(block, (1 - 2 / (9 * (n - 1))) ** 3)
         self._squares = FORGETTING * self._squares + typical * freedoms
         self._freedoms = FORGETTING * self._freedoms + freedoms
 
@@ -86,8 +87,3 @@ def guess_noise(block: Floats) -> float:
     if 2 * rigid.sum() < len(rigid):  # parts of one object, which are not informative
         variance = variance[~rigid]
     return float(np.sqrt(RAISED * np.quantile(variance, LOWEST) / 2))
-
-
-def _chi_square_median(freedoms: int) -> float:
-    """Return the median of chi-square over its mean (Wilson and Hilferty, 1931)."""
-    return float((1 - 2 / (9 * freedoms)) ** 3)

@@ -18,9 +18,6 @@ from relmap.core.arrays import Floats, Ints
 if TYPE_CHECKING:
     from relmap.core.linalg.cholesky_kernels import Layout
 
-STIFF = 1e9
-"""Diagonal entry of a fixed unknown, as a multiple of the other entries."""
-
 
 class Pattern:
     """Elimination order and sparsity pattern of the factor.
@@ -65,11 +62,14 @@ class Pattern:
         panel = len(column_of) * np.repeat(np.arange(len(start) - 1), np.diff(row_begin))
         return cls(first, (start, column_of, row_begin, np.sort(panel + rows) - panel, offset))
 
-    def add(self, values: Floats, unknowns: Ints, part: Floats) -> None:
-        """Add a symmetric part (n, n) over coupled unknowns (n,), ascending, to a matrix."""
-        from relmap.core.linalg.cholesky_kernels import add_part
+    @classmethod
+    def of_pairs(cls, width: Ints, group: Ints, block: Ints) -> Pattern:
+        """Return the same for blocks that are coupled where they belong to one group.
 
-        add_part(self.layout, unknowns, part, values, np.empty_like(self.layout[1]))
+        `group`, `block` (n,): the pairs, in any order; some may occur several times.
+        """
+        cliques, member = np.divmod(np.unique(group * len(width) + block), len(width))
+        return cls.of_cliques(width, np.searchsorted(cliques, np.arange(cliques[-1] + 2)), member)
 
     def hold(self, values: Floats, share: float, least: float) -> None:
         """Damp every unknown: add a fraction of its diagonal entry, and at least a minimum.
@@ -83,16 +83,11 @@ class Pattern:
         """Return the largest diagonal entry of the matrix."""
         return float(values[self._diagonal].max())
 
-    def fix(self, values: Floats, node: int, q: int) -> None:
-        """Fix the q unknowns of a node at their current values."""
-        own = self._diagonal[self.first[node] : self.first[node] + q]
-        values[own] += STIFF * max(self.largest(values), 1.0)
-
     def factorise(self, values: Floats) -> None:
         """Replace a matrix by its Cholesky factor.
 
-        `values` (size,) is the matrix, positive definite, its lower triangle as `add` puts it. An
-        unknown whose pivot is lost to rounding is fixed.
+        `values` (size,) is the matrix, positive definite, its lower triangle as `add_part` puts it.
+        An unknown whose pivot is lost to rounding is fixed.
         """
         from relmap.core.linalg.cholesky_kernels import factorise
 
@@ -148,26 +143,20 @@ class Pattern:
 
     def parts(self, inverse: Floats, chosen: Ints) -> Floats:
         """Return blocks (k, m, m) of the inverse over coupled unknowns (k, m)."""
-        return np.asarray(inverse[self._places(chosen)])
-
-    def lower(self, chosen: Ints) -> tuple[Ints, tuple[Ints, ...]]:
-        """Return where blocks (k, m, m) over unknowns (k, m) are stored, and the entries.
-
-        Only one of two symmetric entries is stored.
-        """
-        goes = chosen[:, :, None] >= chosen[:, None]
-        return self._places(chosen)[goes], np.nonzero(goes)
+        return np.asarray(inverse[self.places(chosen)])
 
     def add_diagonal(self, values: Floats, unknowns: Ints, value: float) -> None:
         """Add a value to the diagonal of a matrix (size,), at unknowns (n,)."""
         values[self._diagonal[unknowns]] += value
 
-    def _places(self, chosen: Ints) -> Ints:
+    def places(self, chosen: Ints) -> Ints:
         """Return the storage positions of entries (k, m, m) of blocks over unknowns (k, m)."""
         start, column_of, row_begin, rows, offset = self.layout
-        earlier = np.minimum(chosen[:, :, None], chosen[:, None])
-        p, u = column_of[earlier], self.n_unknowns
+        u, found = self.n_unknowns, np.empty((*chosen.shape, chosen.shape[1]), dtype=np.int64)
         keys = np.repeat(np.arange(len(row_begin) - 1), np.diff(row_begin)) * u + rows
-        later = np.maximum(chosen[:, :, None], chosen[:, None])
-        row = np.searchsorted(keys, p * u + later) - row_begin[p]
-        return np.asarray(offset[p] + row * (start[p + 1] - start[p]) + earlier - start[p])
+        for k in range(chosen.shape[1]):  # a column at a time, to save memory
+            earlier, later = (of(chosen, chosen[:, k, None]) for of in (np.minimum, np.maximum))
+            p = column_of[earlier]
+            row = np.searchsorted(keys, p * u + later) - row_begin[p]
+            found[:, k] = offset[p] + row * (start[p + 1] - start[p]) + earlier - start[p]
+        return found

@@ -284,3 +284,26 @@ def solve(layout: Layout, values: Floats, right: Floats) -> Floats:
             for b in range(c):
                 _add_multiple(wanted[b], -panel[c, b], wanted[c])
     return x
+
+
+@compiled
+def add_products(
+    jacobian: Floats, off: Floats, weight: Floats, places: Ints, values: Floats, pull: Floats
+) -> None:
+    """Add the products of Jacobians (n, r, q), with weights (n,), to a matrix.
+
+    `off` (n, r): residuals; `places` (n, q, q): where the products are stored in the matrix; none
+    are added if it is empty; `pull` (n, q): set to the products with the residuals.
+    """
+    n, r, q = jacobian.shape
+    for k in range(n):
+        for i in range(q):
+            pull[k, i] = 0.0
+            for a in range(r):
+                pull[k, i] += weight[k] * jacobian[k, a, i] * off[k, a]
+            if len(values):
+                for j in range(i + 1):
+                    product = 0.0
+                    for a in range(r):
+                        product += jacobian[k, a, i] * jacobian[k, a, j]
+                    values[places[k, i, j]] += weight[k] * product

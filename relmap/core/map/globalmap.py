@@ -120,15 +120,12 @@ class GlobalMap:
 
     def join(self, submap: int, landmarks: Ints, positions: Floats) -> None:
         """Join other submaps to one whose landmarks (g,) determine their relative pose."""
-        for other in self.submaps_of(landmarks):
-            if other != submap:
-                self._join(int(other), submap, landmarks, positions)
-
-    def _join(self, other: int, submap: int, landmarks: Ints, positions: Floats) -> None:
-        shared = self.table.submap[landmarks] == other
-        there = self.table.position[landmarks[shared]]
-        if fixes_rotation(there) and self.is_fixed(other, landmarks[shared]):
-            self.tie(other, submap, *fit_rigid(there, positions[shared]))
+        for other in self.submaps_of(landmarks).tolist():
+            shared = self.table.submap[landmarks] == other
+            there = self.table.position[landmarks[shared]]
+            determined = other != submap and fixes_rotation(there)
+            if determined and self.is_fixed(other, landmarks[shared]):
+                self.tie(other, submap, *fit_rigid(there, positions[shared]))
 
     def is_fixed(self, submap: int, shared: Ints) -> bool:
         """Return whether some landmarks determine the positions of their whole submap well."""

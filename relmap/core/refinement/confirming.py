@@ -31,16 +31,6 @@ def seen_in(rows: SegmentRows, at_least: int) -> SegmentRows:
     )
 
 
-def rebuild(global_map: GlobalMap, sure: SegmentRows) -> None:
-    """Build all submaps anew.
-
-    `sure`: confirmed rows of all iterations.
-    """
-    table = global_map.table
-    table.take_off_map(np.flatnonzero(table.submap != NONE))
-    found_rest(global_map, sure)
-
-
 def found_rest(global_map: GlobalMap, sure: SegmentRows, least: int = 0) -> None:
     """Start submaps, each from the segment with most unmapped landmarks, as long as there are many.
 

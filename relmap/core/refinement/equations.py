@@ -19,7 +19,7 @@ from relmap.core.geometry.alignment import fit_rigid_each, place_each, sums_each
 from relmap.core.geometry.motions import derivatives, rotations
 from relmap.core.linalg.cholesky import Pattern
 from relmap.core.refinement.condensing import LENGTH
-from relmap.core.refinement.rows import JointRows, pattern_of, rows_of_each
+from relmap.core.refinement.rows import JointRows
 from relmap.core.refinement.schur import Elimination, Linearised, NormalEquations
 
 FLOPS_PER_OBSERVATION, FLOPS = 1.1e4, 8e8
@@ -29,6 +29,8 @@ the view changes quickly."""
 HOLD = 1e-9, 1e-6
 """Damping of an unknown, as a fraction of its diagonal entry and in observations, so that poorly
 determined unknowns do not move far."""
+STIFF = 1e9
+"""Damping of a fixed unknown, relative to the largest diagonal entry."""
 BARELY = 1e-13
 """Regularisation against rounding, as a fraction of the entries of a matrix. A larger value would
 bias the covariances: many weak priors along a chain add up."""
@@ -214,9 +216,11 @@ class FreeLandmarks(SegmentProblem):
         own_segment = np.full(len(own), len(rows.segments))
         self._placement = np.concatenate([rows.segment, own_segment])
         self._fixed = len(rows.segments)
-        self.pattern = pattern_of(rows.landmark[self._row], self._placement, 3 * d - 3)
+        width = np.full(self._fixed + 1, 3 * d - 3)
+        self.pattern = Pattern.of_pairs(width, rows.landmark[self._row], self._placement)
         self._unknown = self.pattern.first[:, None] + np.arange(3 * d - 3)
-        begin, entry = rows_of_each(rows.landmark[self._row], len(rows.landmarks))
+        begin = np.append(0, np.cumsum(np.bincount(rows.landmark[self._row])))
+        entry = np.argsort(rows.landmark[self._row], kind="stable")
         scalar = (d * entry[:, None] + np.arange(d)).ravel()
         kept = np.repeat(self._unknown[self._placement], d, axis=0)
         every = np.arange(len(rows.landmarks))
@@ -232,7 +236,8 @@ class FreeLandmarks(SegmentProblem):
         return equations
 
     def _fix(self, matrix: Floats) -> None:
-        self.pattern.fix(matrix, self._fixed, self._unknown.shape[1])
+        stiff = STIFF * max(self.pattern.largest(matrix), 1.0)
+        self.pattern.add_diagonal(matrix, self._unknown[self._fixed], stiff)
 
     def _linearised(self, state: Laid, weight: Floats) -> tuple[Linearised, Floats]:
         """Return the residuals of the rows, some of them twice, and their weights."""
@@ -275,14 +280,15 @@ def segment_problem(
     the frame.
     """
     flops, budget = exact_flops(rows), max(FLOPS, FLOPS_PER_OBSERVATION * rows.n_seen.sum())
+    width = np.full(len(rows.landmarks), rows.points.shape[1])
     if flops <= budget:
-        pattern = pattern_of(rows.segment, rows.landmark, rows.points.shape[1])
+        pattern = Pattern.of_pairs(width, rows.segment, rows.landmark)
         flops += pattern.flops
     if flops > budget:
         coarse = FreeLandmarks(rows, size, anchor)
         if flops > coarse.pattern.flops:
             return coarse
-        pattern = pattern_of(rows.segment, rows.landmark, rows.points.shape[1])
+        pattern = Pattern.of_pairs(width, rows.segment, rows.landmark)
     return FreePlacements(rows, size, pattern, anchor)
 
 

@@ -14,20 +14,15 @@ from typing import Any
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.core.brief import Brief
+from relmap.core.columns import Brief
 from relmap.core.geometry.alignment import fit_rigid, fixes_rotation, place_each
 from relmap.core.geometry.robust import fit_robust_each
 from relmap.core.map.pose import trajectory
 from relmap.core.refinement.condensing import LENGTH, SegmentRows
 from relmap.core.refinement.equations import Laid, SegmentProblem, segment_problem
-from relmap.core.refinement.residuals import (
-    MergeResiduals,
-    SegmentResiduals,
-    merge_residuals,
-    segment_residuals,
-)
+from relmap.core.refinement.gauss_newton import Solution, settle, size_of
+from relmap.core.refinement.residuals import MergeResiduals, SegmentResiduals, residuals_of
 from relmap.core.refinement.rows import JointRows
-from relmap.core.refinement.settling import Settled, settle, size_of
 
 SURELY = 3.0
 """Standard deviations by which a variance must exceed another to count as larger."""
@@ -41,7 +36,7 @@ class Spread:
     """Computes the covariances of some landmarks, transformed and scaled (d, d)."""
 
     problem: Any
-    settled: Settled[Any]
+    settled: Solution[Any]
     chosen: Bools
     scale: Floats
 
@@ -144,15 +139,7 @@ def refine(
         (refined[mapped] - t) @ R,
         iteration,
         noise_m,
-        segment_residuals(rows, joint, (placed - t) @ R, (refined - t) @ R, noise_m),
-        merge_residuals(
-            joint.landmarks,
-            joint.landmark,
-            rows.landmark[joint.rows],
-            placed - refined[joint.landmark],
-            joint.n_seen,
-            np.full(len(placed), noise_m**2),
-        ),
+        *residuals_of(rows, joint, (placed - t) @ R, (refined - t) @ R, noise_m),
         Spread(problem, settled, mapped, noise_m * R),
         converged=settled.converged,
         n_outliers=int(joint.n_seen[weight < 1].sum()),

@@ -3,7 +3,8 @@
 A chain of groups is nearly optimal until landmarks are re-observed after a long time; the
 accumulated drift must then be distributed over the map. So when enough landmarks are back in view,
 one Gauss-Newton step is taken for the whole map. Condensed segments are merged into a bounded
-number of rigid bodies, which get longer with the run, so that the cost of a step is bounded.
+number of rigid bodies, which get longer with the run, so that the cost of a step is bounded. The
+landmarks that they share are eliminated.
 """
 
 from __future__ import annotations
@@ -11,14 +12,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import fit_rigid, place_each, sums_each
+from relmap.core.geometry.motions import derivatives, rotations
 from relmap.core.geometry.robust import fit_robust_each
 from relmap.core.linalg.threads import one_thread
 from relmap.core.map.globalmap import GlobalMap
-from relmap.core.refinement.bodies import brought_together
 from relmap.core.refinement.condensing import SEEN, CondensedSegments
+from relmap.core.refinement.equations import HOLD
 from relmap.core.refinement.rows import numbered
 from relmap.core.state.table import NONE
 
@@ -206,3 +209,64 @@ def laid_together(one: Body, other: Body) -> Body | None:
     total = np.bincount(of, weights=weight).astype(np.float64)
     means = sums_each(weight[:, None] * placed, of, len(landmark)) / total[:, None]
     return Body(landmark, means, total, one.n_segments + other.n_segments)
+
+
+def brought_together(points: Floats, weight: Floats, landmark: Ints, body: Ints) -> Floats:
+    """Return the points (n, d) of bodies after one Gauss-Newton step of their placements.
+
+    A landmark is at the weighted mean of its points. The first body is fixed. Since Jacobians are
+    linear in the points, sums of their products follow from second moments. A step that increases
+    the cost is not taken: without noise it would follow rounding errors.
+
+    `points` (n, d), map frame, metres; `weight` (n,); `landmark` (n,): 0 to m - 1; `body` (n,),
+    ascending: 0 to b - 1.
+    """
+    b, d, q = int(body[-1]) + 1, points.shape[1], 3 * points.shape[1] - 3
+    centre = sums_each(points, body, b) / np.bincount(body)[:, None]
+    away = points - centre[body]
+    total = np.bincount(landmark, weights=weight).astype(np.float64)
+    pull, cost = _pulls(points, weight, total, landmark)
+    columns = np.column_stack([away, np.ones(len(away))])  # the Jacobians are linear in them
+    constant = derivatives(np.zeros((1, d)))
+    by_step = np.concatenate([derivatives(np.eye(d)) - constant, constant])
+    force = sums_each(columns[:, :, None] * pull[:, None], body, b)
+    right = np.einsum("npa,pau->nu", force, by_step).ravel()
+    moments = moments_between(columns, weight, total, landmark, body)
+    products = np.einsum("pau,qav->pquv", by_step, by_step).reshape((d + 1) ** 2, q * q)
+    matrix = (moments.reshape(b * b, -1) @ products).reshape(b, b, q, q)
+    matrix = matrix.swapaxes(1, 2).reshape(b * q, b * q)
+    least = HOLD[1] + HOLD[0] * matrix.diagonal().max()
+    free = matrix[q:, q:] + least * np.eye(b * q - q)
+    steps = np.append(np.zeros(q), np.linalg.solve(free, right[q:])).reshape(b, q)
+    after = place_each(rotations(steps[:, :-d]), steps[:, -d:], body, away) + centre[body]
+    return after if _pulls(after, weight, total, landmark)[1] <= cost else points
+
+
+def _pulls(points: Floats, weight: Floats, total: Floats, landmark: Ints) -> tuple[Floats, float]:
+    """Return the weighted vectors (n, d) from points to the means of their landmarks.
+
+    Also the cost: the weighted sum of the squared distances.
+    """
+    means = sums_each(weight[:, None] * points, landmark, len(total)) / total[:, None]
+    apart = means[landmark] - points
+    pull = weight[:, None] * apart
+    return pull, float(np.sum(pull * apart))
+
+
+def moments_between(
+    columns: Floats, weight: Floats, total: Floats, landmark: Ints, body: Ints
+) -> Floats:
+    """Return second moments (b, b, q, q) of rows (n, q) between bodies, the landmarks eliminated.
+
+    `weight`, `landmark`, `body` (n,): of each row; `total` (m,): weight of each landmark.
+    """
+    b, q = int(body[-1]) + 1, columns.shape[1]
+    weighed = weight[:, None] * columns
+    at = np.repeat(landmark, q), (q * body[:, None] + np.arange(q)).ravel()
+    seen = csr_array((weighed.ravel(), at), shape=(len(total), b * q))
+    shared: Floats = (seen.T @ (seen / total[:, None])).toarray().reshape(b, q, b, q)
+    moments = -shared.swapaxes(1, 2)
+    moments[np.arange(b), np.arange(b)] += sums_each(
+        weighed[:, :, None] * columns[:, None], body, b
+    )
+    return moments

@@ -17,10 +17,10 @@ from scipy.special import gammaln
 
 from relmap.core.arrays import Floats
 from relmap.core.geometry.motions import derivatives, rotations
+from relmap.core.linalg.cholesky import Pattern
 from relmap.core.refinement.gauss_newton import gauss_newton
 from relmap.core.refinement.joint import Refined
 from relmap.core.refinement.observations import Observations
-from relmap.core.refinement.rows import pattern_of
 from relmap.core.refinement.schur import Elimination, Linearised, NormalEquations
 
 FIRST, LAST = 4, 16
@@ -97,7 +97,8 @@ class PowerProblem:
         d = seen.points.shape[1]
         self.seen, self.power, self._unit = seen, 2, 1.0
         self.freedoms = max(seen.points.size - d * n_landmarks, 1)
-        self.pattern = pattern_of(seen.iteration, seen.landmark, d)
+        width = np.full(n_landmarks, d)
+        self.pattern = Pattern.of_pairs(width, seen.iteration, seen.landmark)
         self._unknown = self.pattern.first[:, None] + np.arange(d)
         kept = np.repeat(self._unknown[seen.landmark], d, axis=0)
         rows, every = np.arange(seen.points.size), np.arange(len(seen.iterations))

@@ -41,25 +41,30 @@ class MergeResiduals:
     residual: Floats
 
 
-def segment_residuals(
+def residuals_of(
     rows: SegmentRows, joint: JointRows, placed: Floats, positions: Floats, noise_m: float
-) -> SegmentResiduals:
-    """Compare each segment's sum of squares with its expectation under noise alone.
+) -> tuple[SegmentResiduals, MergeResiduals]:
+    """Return the residuals of segments and merges.
 
-    Outliers are reported here, even if the refinement gives them little weight.
+    Of segments, each sum of squares is compared with its expectation under noise alone. Outliers
+    are reported here, even if the refinement gives them little weight.
 
     `placed` (n, d), map frame, metres: the rows, with each segment fitted to the map; `positions`
     (m, d), map frame, metres: the landmarks.
     """
-    d, s = placed.shape[1], len(joint.segments)
-    squares = joint.n_seen * np.sum((placed - positions[joint.landmark]) ** 2, axis=1)
+    (n, d), s = placed.shape, len(joint.segments)
+    off = placed - positions[joint.landmark]
+    squares = joint.n_seen * np.sum(off**2, axis=1)
     cost = np.bincount(joint.segment, squares, minlength=s)
     each = np.bincount(joint.landmark)
     freedoms = d * np.bincount(joint.segment, weights=1 - 1 / each[joint.landmark], minlength=s)
     expected = noise_m**2 * np.maximum(freedoms - (3 * d - 3), 1)
     ratio = np.divide(cost, expected, out=np.zeros(s), where=expected > 0)
     middle = sums_each(placed, joint.segment, s) / np.diff(joint.begin)[:, None]
-    return SegmentResiduals(rows.first_iteration[joint.segments], middle, np.sqrt(ratio))
+    segments = SegmentResiduals(rows.first_iteration[joint.segments], middle, np.sqrt(ratio))
+    number, variance = rows.landmark[joint.rows], np.full(n, noise_m**2)
+    merges = merge_residuals(joint.landmarks, joint.landmark, number, off, joint.n_seen, variance)
+    return segments, merges
 
 
 def merge_residuals(

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.linalg.cholesky import Pattern
 from relmap.core.refinement.condensing import SegmentRows
 
 
@@ -51,24 +50,6 @@ class JointRows:
     def begin(self) -> Ints:
         """First row of each segment, and the end of the last; (s + 1,)."""
         return np.searchsorted(self.segment, np.arange(len(self.segments) + 1))
-
-
-def rows_of_each(landmark: Ints, n: int) -> tuple[Ints, Ints]:
-    """Return the first row of each of n landmarks (n + 1,) in a list of rows (k,)."""
-    counts = np.bincount(landmark, minlength=n)
-    return np.concatenate([[0], np.cumsum(counts)]), np.argsort(landmark, kind="stable")
-
-
-def pattern_of(body: Ints, kept: Ints, q: int) -> Pattern:
-    """Return the pattern of the kept unknowns when bodies are eliminated.
-
-    `body`, `kept` (n,): the body and the kept block of each row: 0, 1, ... without gaps. `q`:
-    number of unknowns of each.
-    """
-    n = int(kept.max()) + 1
-    clique, member = np.divmod(np.unique(body * n + kept), n)
-    begin = np.searchsorted(clique, np.arange(clique[-1] + 2))
-    return Pattern.of_cliques(np.full(n, q), begin, member)
 
 
 def numbered(values: Ints) -> tuple[Ints, Ints]:

@@ -18,7 +18,7 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.linalg.cholesky import Pattern
 from relmap.core.refinement.gauss_newton import gauss_newton
 from relmap.core.refinement.schur import Elimination, Linearised, NormalEquations
-from relmap.planes.walls.equations import WallEquations, Walls
+from relmap.planes.walls.assembly import WallEquations, Walls
 
 MOST = 0.9
 ROUNDING = 1e-13
@@ -189,10 +189,7 @@ class WallSystem:
         seen = np.concatenate([given.wall, block[given.corner], meeting])
         both = given.odometry.both.T.ravel() // STRETCH
         at = np.concatenate([stretch, stretch[given.corner_row], both])
-        key = np.unique(at * len(width) + seen)
-        clique, member = key // len(width), key % len(width)
-        begin = np.searchsorted(clique, np.arange(clique[-1] + 2))
-        self.pattern = Pattern.of_cliques(width, begin, member)
+        self.pattern = Pattern.of_pairs(width, at, seen)
         first = self.pattern.first
         self._line, self._place = first[:n_walls], first[block] + place
         other = np.concatenate([self._line[given.wall] + 1] * 2 + [self._place[given.corner]])

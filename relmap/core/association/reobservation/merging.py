@@ -8,6 +8,7 @@ constellation, the mutual distances of several landmarks.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -20,6 +21,9 @@ from relmap.core.association.scale import spacing_of
 from relmap.core.geometry.spatialindex import SpatialIndex
 from relmap.core.model import LandmarkModel
 from relmap.core.state.table import NONE, LandmarkState
+
+if TYPE_CHECKING:
+    from relmap.core.mapper import RelativeMapper
 
 REACH = 0.35
 """Possible drift of the map, in spacings of its landmarks."""
@@ -216,20 +220,14 @@ class Merger:
             if not len(new):
                 return
         close = np.linalg.norm(positions[near] - positions[new], axis=1) <= self._index.cell_m
-        close &= self._may_be_earlier(near, new)
+        # Of the conditions of `_may_be` those that can be tested for many pairs at once.
+        close &= self._table.submap[near] == self._table.submap[new]
+        close &= self._table.last[near] <= self._table.last[new]
         found: dict[int, list[int]] = {}
         for one, old in zip(new[close].tolist(), near[close].tolist(), strict=True):
             if self._may_be(one, old):
                 found.setdefault(one, []).append(old)
         self._old_near.update((one, sorted(old)) for one, old in found.items())
-
-    def _may_be_earlier(self, old: Ints, new: Ints) -> Bools:
-        """Return which landmarks (k,) are of the same submap as others, and were last seen earlier.
-
-        Of the conditions of `_may_be` those that can be tested for many pairs at once.
-        """
-        submap, last = self._table.submap, self._table.last
-        return np.asarray((submap[old] == submap[new]) & (last[old] <= last[new]))
 
     def _may_be(self, new: int, old: int) -> bool:
         """Return whether a landmark may be an older one: same submap, and never seen with it."""
@@ -243,15 +241,14 @@ class Merger:
         return bool(later and not self._are_apart(new, old) and self._model.may_be(table, new, old))
 
 
-def merge_doubles(merger: Merger, merge: Callable[[Ints], int], noise_m: float) -> bool:
+def merge_doubles(engine: RelativeMapper, merge: Callable[[Ints], int] | None = None) -> bool:
     """Merge landmarks that coincide at their current positions; return whether there were any.
 
-    `merge`: merges landmarks (k,) with older ones and returns how many; `noise_m`: standard
-    deviation of an observed coordinate.
+    `merge`: merges landmarks (k,) with older ones and returns how many; by default as during a run.
     """
-    merged = 0
+    merger, merged, merge = engine.merger, 0, merge or engine.merge
     for _ in range(ROUNDS):
-        before, doubles = merged, merger.doubles(noise_m)
+        before, doubles = merged, merger.doubles(engine.averaging.noise.sigma_m)
         for there in merger.visits(doubles):
             merged += merge(there)
         if merged == before:

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.association.base import nearest
+from relmap.core.association.base import mutual, nearest
 from relmap.core.geometry.alignment import fit_rigid
 from relmap.core.geometry.motions import transforms
 
@@ -53,7 +53,7 @@ def paired(points: Floats, among: Floats, motion: Motion) -> tuple[Motion, Ints]
     near_m = SPACING * float(np.median(spacing))
     pairs = np.empty((0, 2), dtype=np.int64)
     for _ in range(ROUNDS):
-        pairs = _mutual(motion.apply(points), among, near_m)
+        pairs = np.column_stack(mutual(motion.apply(points), among, near_m))
         if len(pairs) <= len(motion.t):
             break
         source, target = points[pairs[:, 0]], among[pairs[:, 1]]
@@ -61,13 +61,3 @@ def paired(points: Floats, among: Floats, motion: Motion) -> tuple[Motion, Ints]
         off = np.linalg.norm(motion.apply(source) - target, axis=1)
         near_m = min(near_m, SIGMAS * max(float(np.sqrt(np.mean(off**2))), 1e-9))
     return motion, pairs
-
-
-def _mutual(points: Floats, among: Floats, near_m: float) -> Ints:
-    """Return pairs (k, 2) of mutual nearest neighbours within a distance."""
-    if not (len(points) and len(among)):
-        return np.empty((0, 2), dtype=np.int64)
-    distance, there = (found[:, 0] for found in nearest(cKDTree(among), points, 1))
-    back = nearest(cKDTree(points), among, 1)[1][:, 0]
-    own = np.flatnonzero((back[there] == np.arange(len(points))) & (distance <= near_m))
-    return np.column_stack([own, there[own]])

@@ -1,1 +1,1 @@
-"""Refinement with odometry: a chain of poses connects what landmarks alone leave apart."""
+"""Refinement by single observations: a chain of poses, which odometry connects if there is any."""

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
 from relmap.core.arrays import Floats
 from relmap.core.geometry.robust import OUTLIER, huber, lenient, limit_of, robust_cost, strict
 from relmap.core.refinement.chain.chained import Chain, Chained, ChainProblem, Sigmas
-from relmap.core.refinement.gauss_newton import Solution, Weigh, gauss_newton
-from relmap.core.refinement.settling import FAINT, WORTH_SAYING, Settled
+from relmap.core.refinement.gauss_newton import FAINT, WORTH_SAYING, Solution, Weigh, gauss_newton
 
 TIMES, FEW_ROUNDS, ROUNDS = 15, 10, 50
 """Maximum number of rounds of estimating the noise and solving; steps of each, and of the last."""
@@ -31,7 +31,7 @@ def settled_chain(
     to_the_last: bool,
     is_open: bool,
     has_ids: bool,
-) -> tuple[Settled[Chained], ChainProblem]:
+) -> tuple[Solution[Chained], ChainProblem]:
     """Solve for the map of least robust cost, and estimate the noise from its residuals.
 
     `step_sd`, tuple of (k - 1,): standard deviations of the distance and the turn of each step of
@@ -52,8 +52,8 @@ def settled_chain(
     if to_the_last:
         weigh = _weighing(problem, strict, OUTLIER)
         found = gauss_newton(problem, found.state, weigh, ROUNDS, unsure=FINE, faint=FAINT)
-    converged = found.converged or found.gain <= WORTH_SAYING
-    return Settled(found.state, found.weight, converged or not to_the_last), problem
+    converged = found.converged or found.gain <= WORTH_SAYING or not to_the_last
+    return replace(found, converged=converged), problem
 
 
 def _with_noise(

@@ -18,8 +18,8 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.motions import derivatives, rotations
 from relmap.core.linalg.cholesky import Pattern
 from relmap.core.refinement.equations import ROUNDING
+from relmap.core.refinement.gauss_newton import size_of
 from relmap.core.refinement.schur import NormalEquations
-from relmap.core.refinement.settling import size_of
 
 CONSTANT = 0.03
 """Prior standard deviation of the error of odometry's scale, and of the turn missed per metre."""
@@ -124,8 +124,8 @@ class ChainProblem:
         order = np.argsort(chain.landmark, kind="stable")
         begin, end = (np.searchsorted(chain.landmark[order], np.arange(m), of) for of in SIDES)
         self._base = chain.iteration[order][(begin + end) // 2]
-        self._at_seen = self.pattern.lower(self._of_seen)
-        self._at_moved = self.pattern.lower(self._of_moved)
+        self._at_seen = self.pattern.places(self._of_seen)
+        self._at_moved = self.pattern.places(self._of_moved)
 
     def with_noise(self, sigmas: Sigmas, positions: Floats) -> ChainProblem:
         """Return the problem with another noise; `positions` (m, d), metres: approximate."""
@@ -155,15 +155,15 @@ class ChainProblem:
         self, state: Chained, weight: Floats, with_matrix: bool, damping: float
     ) -> NormalEquations:
         """Return the normal equations of all unknowns."""
+        from relmap.core.linalg.cholesky_kernels import add_products
+
         pattern, right, cost = self.pattern, np.zeros(self.pattern.n_unknowns), 0.0
         matrix = np.zeros(pattern.size if with_matrix else 0)
         for rows, jacobian, unknowns, at, each in self._linearised(state, weight):
-            weighed = jacobian * each[:, None, None]
-            np.add.at(right, unknowns, -np.einsum("nri,nr->ni", weighed, rows))
+            pull = np.empty(unknowns.shape)
+            add_products(jacobian, rows, each, at, matrix, pull)
+            right -= np.bincount(unknowns.ravel(), pull.ravel(), minlength=len(right))
             cost += float(np.einsum("nr,nr,n->", rows, rows, each))
-            if with_matrix:
-                block = np.einsum("nri,nrj->nij", weighed, jacobian)
-                matrix += np.bincount(at[0], block[at[1]], minlength=pattern.size)
         right[self._constant] -= state.constant / CONSTANT**2
         if with_matrix:
             pattern.add_diagonal(matrix, self._constant, 1 / CONSTANT**2)
@@ -217,7 +217,7 @@ class ChainProblem:
         d = self.chain.points.shape[1]
         for rows, jacobian, unknowns, _, each in self._linearised(state, weight):
             covariance = self.pattern.parts(inverse, unknowns)
-            known = np.einsum("nri,nij,nrj->nr", jacobian, covariance, jacobian) * each[:, None]
+            known = np.sum((jacobian @ covariance) * jacobian, axis=2) * each[:, None]
             free = np.where(each[:, None] == 1, 1 - known, 0.0)
             squares = np.where(each[:, None] == 1, rows**2, 0.0)
             kinds = (
@@ -234,12 +234,12 @@ class ChainProblem:
 
     def _linearised(
         self, state: Chained, weight: Floats
-    ) -> list[tuple[Floats, Floats, Ints, tuple[Ints, tuple[Ints, ...]], Floats]]:
+    ) -> list[tuple[Floats, Floats, Ints, Ints, Floats]]:
         """Return residuals, Jacobians, unknowns, matrix positions and weights, of both kinds."""
         seen, way, turn = self.parts
-        left, by_landmark, away = self._left_of_seen(state)
-        by_pose = -(by_landmark @ derivatives(away))
-        jacobian = np.concatenate([by_pose, by_landmark], axis=2)
+        left, back, away = self._left_of_seen(state)
+        by_landmark = self._root @ back
+        jacobian = np.concatenate([-(by_landmark @ derivatives(away)), by_landmark], axis=2)
         found = [(left, jacobian, self._of_seen, self._at_seen, weight[seen])]
         off_way, off_turn, jacobian = self._left_of_odometry(state)
         off = np.concatenate([off_way, off_turn], axis=1)
@@ -248,7 +248,7 @@ class ChainProblem:
         return [*found, (off, jacobian, self._of_moved, self._at_moved, each)]
 
     def _left_of_seen(self, state: Chained) -> tuple[Floats, Floats, Floats]:
-        """Return the residuals (n, d) of observations, their Jacobian by the landmark, and rays.
+        """Return the residuals (n, d) of observations, the rotation to the robot frame, and rays.
 
         The rays (n, d) go from robot to landmark, map frame, metres.
         """
@@ -256,7 +256,7 @@ class ChainProblem:
         away = state.positions[self.chain.landmark] - state.t[at]
         back = np.swapaxes(state.R[at], 1, 2)
         off = np.einsum("nij,nj->ni", back, away) - self.chain.points
-        return np.einsum("nij,nj->ni", self._root, off), self._root @ back, away
+        return np.einsum("nij,nj->ni", self._root, off), back, away
 
     def _left_of_odometry(self, state: Chained) -> tuple[Floats, Floats, Floats]:
         """Return the residuals of distances (o, d) and turns (o, q), and their Jacobian."""
@@ -293,11 +293,8 @@ def _angles(R: Floats) -> Floats:
 def _pattern(chain: Chain, moved: Ints, m: int, k: int, d: int, q: int) -> Pattern:
     """Return the pattern of landmarks, poses and constant errors, ordered for little fill-in."""
     width = np.concatenate([np.full(m, d), np.full(k, d + q), [q + 2]])
-    pairs = np.unique(chain.iteration * m + chain.landmark)
-    poses, counts = np.unique(pairs // m, return_counts=True)
-    scans = np.insert(pairs % m, np.cumsum(counts), m + poses)
-    steps = np.column_stack([m + moved, m + moved + 1, np.full(len(moved), m + k)]).ravel()
-    alone = np.arange(m + k + 1)
-    sizes = np.concatenate([counts + 1, np.full(len(moved), 3), np.ones_like(alone)])
-    begin = np.append(0, np.cumsum(sizes))
-    return Pattern.of_cliques(width, begin, np.concatenate([scans, steps, alone]))
+    every, o = np.arange(m + k + 1), len(moved)
+    group = [*[chain.iteration] * 2, *[k + np.arange(o)] * 3, k + o + every]
+    seen, steps = (chain.landmark, m + chain.iteration), (m + moved, m + moved + 1)
+    block = [*seen, *steps, np.full(o, m + k), every]
+    return Pattern.of_pairs(width, np.concatenate(group), np.concatenate(block))

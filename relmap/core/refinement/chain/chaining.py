@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,19 +16,18 @@ from relmap.core.refinement.chain.bridging import Bridged
 from relmap.core.refinement.chain.chain_solving import settled_chain
 from relmap.core.refinement.chain.chained import Chain, Chained, ChainProblem, Sigmas
 from relmap.core.refinement.condensing import NOWHERE, SegmentRows
+from relmap.core.refinement.gauss_newton import Solution, size_of
 from relmap.core.refinement.joint import Refined, Spread, joint_rows
-from relmap.core.refinement.residuals import (
-    MergeResiduals,
-    SegmentResiduals,
-    merge_residuals,
-    segment_residuals,
-)
-from relmap.core.refinement.settling import Settled, size_of
-from relmap.core.state.kept import KeptObservations
+from relmap.core.refinement.residuals import MergeResiduals, SegmentResiduals, residuals_of
 from relmap.core.state.table import LandmarkState
+
+if TYPE_CHECKING:
+    from relmap.core.mapper import RelativeMapper
 
 ALIKE = 0.1
 """Largest median distance of the common landmarks of two joined parts, relative to their extent."""
+AGAIN = 2
+"""Minimum number of observations of a landmark that constrains the poses."""
 GUESS_M = 0.1
 """Noise of an observed coordinate if it is unknown."""
 DOUBT = 0.25
@@ -53,47 +53,20 @@ class Solved:
 class PartSolver:
     """Solves parts of a run by all observations and odometry.
 
-    Attributes
-    ----------
-    table : LandmarkState
-    rows : SegmentRows
-    kept : KeptObservations
-    roots : (n, d, d) float64, optional
-        Square roots of the information of each observation, if covariances are given.
-    motions : (k, 4, 4) float64
-        Odometry without its constant errors; NaN if unknown.
-    noise : MotionNoise
-    noise_m : float
-        Approximate noise of an observed coordinate; NaN if unknown.
-    sigmas : Sigmas, optional
-        Factors of these noises, if estimated before.
-    to_the_last : bool
-        Whether outliers are rejected and the cost is minimised until convergence.
-    fewest : int
-        Minimum number of observations of a landmark.
-    is_open : bool
-        Whether loops were found that the initial poses leave open.
-    has_ids : bool
-        Whether ids are given.  Then parts of the chain do not turn as a whole: wrong ids would turn
-        them, and the errors of MRCLAM's maps increased by half.
-    kept_until, kept_anchor : int
-        See `relmap.core.map.globalmap.GlobalMap`.
+    `rows`: of all iterations; `motions` (k, 4, 4): odometry without its constant errors, NaN if
+    unknown, of this noise; `sigmas`: factors of the noises, if estimated before; `to_the_last`:
+    whether outliers are rejected and the cost is minimised until convergence; `is_open`: whether
+    loops were found that the initial poses leave open. If ids are given, parts of the chain do not
+    turn as a whole: wrong ids would turn them, and the errors of MRCLAM's maps increased by half.
     """
 
-    table: LandmarkState
+    engine: RelativeMapper
     rows: SegmentRows
-    kept: KeptObservations
-    roots: Floats | None
     motions: Floats
     noise: MotionNoise
-    noise_m: float
     sigmas: Sigmas | None
     to_the_last: bool
-    fewest: int
     is_open: bool
-    has_ids: bool
-    kept_until: int
-    kept_anchor: int
 
     def solve(self, bridged: Bridged) -> list[Solved]:
         """Return the solved parts of a run from these initial poses.
@@ -102,8 +75,9 @@ class PartSolver:
         """
         found = (self._part(bridged, part) for part in np.unique(bridged.part).tolist())
         solved = [part for part in found if part is not None]
-        each, first = [part.refined.landmarks for part in solved], self.table.first
-        kept = np.array([np.sum(first[own] < self.kept_until) for own in each], dtype=np.int64)
+        each, first = [part.refined.landmarks for part in solved], self.engine.table.first
+        until = self.engine.map.kept_until
+        kept = np.array([np.sum(first[own] < until) for own in each], dtype=np.int64)
         order = order_of_submaps(kept, np.array([len(own) for own in each], dtype=np.int64))
         return [solved[k] for k in order.tolist()]
 
@@ -116,8 +90,9 @@ class PartSolver:
         anchor = self._anchor(chain, iterations)
         start = _start(chain, bridged.poses[iterations], len(landmarks))
         step_sd = self.noise.sigmas(chain.motion)
+        has_ids = self.engine.association.has_ids
         settled, problem = settled_chain(
-            chain, step_sd, start, anchor, self.sigmas, self.to_the_last, self.is_open, self.has_ids
+            chain, step_sd, start, anchor, self.sigmas, self.to_the_last, self.is_open, has_ids
         )
         refined, placed = self._refined(settled, problem, landmarks, iterations, anchor)
         way, turn = problem.parts[1:]
@@ -127,17 +102,20 @@ class PartSolver:
 
     def _chain(self, bridged: Bridged, part: int, iterations: Ints) -> tuple[Chain, Ints]:
         """Return the data of a part, and its landmarks (m,)."""
-        kept = self.kept
-        every = self.table.now(kept.landmark)
-        there = (bridged.part[kept.iteration] == part) & ~self.table.dynamic[every]
-        seen = np.bincount(every[there], kept.count[there], minlength=len(self.table))
-        often = seen >= self.fewest
+        engine, kept, table = self.engine, self.engine.kept, self.engine.table
+        every = table.now(kept.landmark)
+        there = (bridged.part[kept.iteration] == part) & ~table.dynamic[every]
+        seen = np.bincount(every[there], kept.count[there], minlength=len(table))
+        is_mature = self.to_the_last and not engine.association.has_ids
+        often = seen >= (engine.config.group_after // 2 if is_mature else AGAIN)
         chosen = np.flatnonzero(there & often[every])
         landmarks, of = np.unique(every[chosen], return_inverse=True)
-        points, sigma_m = kept.location[chosen], self._sigma_m
-        d = points.shape[1]
-        alike = np.sqrt(kept.count[chosen])[:, None, None] * (np.eye(d) / sigma_m)
-        root = alike if self.roots is None else self.roots[chosen]
+        points = kept.location[chosen]
+        if len(engine.weighed) and not engine.association.current.estimates_covariances:
+            root = np.linalg.inv(np.linalg.cholesky(engine.weighed.covariance[chosen]))
+        else:
+            alike = np.eye(points.shape[1]) / self._sigma_m
+            root = np.sqrt(kept.count[chosen])[:, None, None] * alike
         between = self.motions[iterations[1:]].copy()
         between[np.diff(iterations) != 1] = np.nan
         begin = np.searchsorted(iterations, kept.iteration[chosen])
@@ -145,12 +123,12 @@ class PartSolver:
 
     def _anchor(self, chain: Chain, iterations: Ints) -> int:
         """Return the row of the first iteration with an observation, from the kept anchor on."""
-        kept = np.flatnonzero(iterations[chain.iteration] >= self.kept_anchor)
+        kept = np.flatnonzero(iterations[chain.iteration] >= self.engine.map.kept_anchor)
         return int(chain.iteration[kept[0] if len(kept) else 0])
 
     def _refined(
         self,
-        settled: Settled[Chained],
+        settled: Solution[Chained],
         problem: ChainProblem,
         landmarks: Ints,
         iterations: Ints,
@@ -164,7 +142,7 @@ class PartSolver:
         placed[:, :d, :d], placed[:, :d, 3] = R.T @ state.R, (state.t - t) @ R
         self._carry_condensed(placed, iterations)
         positions, seen_m = (state.positions - t) @ R, self._sigma_m * problem.sigmas.seen
-        segments, merges = _residuals(self.rows, self.table, landmarks, positions, seen_m)
+        segments, merges = _residuals(self.rows, self.engine.table, landmarks, positions, seen_m)
         refined = Refined(
             landmarks,
             positions,
@@ -184,7 +162,7 @@ class PartSolver:
         Their segment was condensed before the first odometry, and moves with its first iteration.
         """
         segment = self.rows.iteration_segment[iterations]
-        is_condensed = (segment != NOWHERE) & ~np.isin(iterations, self.kept.iteration)
+        is_condensed = (segment != NOWHERE) & ~np.isin(iterations, self.engine.kept.iteration)
         own = np.flatnonzero(is_condensed)
         base = self.rows.base[segment[own]]
         at = np.searchsorted(iterations, base).clip(max=len(iterations) - 1)
@@ -194,7 +172,8 @@ class PartSolver:
 
     @property
     def _sigma_m(self) -> float:
-        return self.noise_m if np.isfinite(self.noise_m) and self.noise_m > 0 else GUESS_M
+        noise_m = self.engine.averaging.noise.sigma_m
+        return noise_m if np.isfinite(noise_m) and noise_m > 0 else GUESS_M
 
 
 def join_parts(bridged: Bridged, solved: Sequence[Solved]) -> Bridged | None:
@@ -235,7 +214,7 @@ def _start(chain: Chain, poses: Floats, m: int) -> Chained:
     placed = np.einsum("nij,nj->ni", R[at], chain.points) + t[at]
     counts = np.bincount(chain.landmark, minlength=m)
     positions = sums_each(placed, chain.landmark, m) / counts[:, None]
-    return Chained(positions, R, t, np.zeros(2 + (3 if d == 3 else 1)))
+    return Chained(positions, R, t, np.zeros(2 * d - 1))
 
 
 def _residuals(
@@ -248,15 +227,4 @@ def _residuals(
     chosen[landmarks] = True
     landmark, none = table.now(rows.landmark), np.zeros(len(table), dtype=bool)
     joint, start = joint_rows(rows, whole, chosen, landmark, none)
-    placed, at = start.placed, whole[joint.landmarks]
-    return (
-        segment_residuals(rows, joint, placed, at, noise_m),
-        merge_residuals(
-            joint.landmarks,
-            joint.landmark,
-            rows.landmark[joint.rows],
-            placed - at[joint.landmark],
-            joint.n_seen,
-            np.full(len(placed), noise_m**2),
-        ),
-    )
+    return residuals_of(rows, joint, start.placed, whole[joint.landmarks], noise_m)

@@ -9,7 +9,7 @@ import numpy as np
 from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.motions import derivatives
 from relmap.core.refinement.chain.chained import Chained, ChainProblem
-from relmap.core.refinement.settling import Settled
+from relmap.core.refinement.gauss_newton import Solution
 
 
 class Drift:
@@ -18,7 +18,7 @@ class Drift:
     It grows along the chain until a loop is closed, so it is computed from the whole covariance.
     """
 
-    def __init__(self, problem: ChainProblem, settled: Settled[Chained]) -> None:
+    def __init__(self, problem: ChainProblem, settled: Solution[Chained]) -> None:
         self.state = settled.state
         self._problem, pattern = problem, problem.pattern
         self._factor = problem.equations(self.state, settled.weight, True, 0.0).matrix

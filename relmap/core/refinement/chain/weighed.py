@@ -1,0 +1,58 @@
+"""Refinement by single observations, weighted by their given covariances.
+
+Observations with different, anisotropic noise cannot be summarised by segments. So they are kept,
+and the map refined by segments is the initial estimate. The problem is that of a chain of poses
+without odometry.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from relmap.core.arrays import Ints
+from relmap.core.geometry.alignment import fit_rigid_each
+from relmap.core.refinement.chain.chained import Chain, Chained, ChainProblem, Sigmas
+from relmap.core.refinement.gauss_newton import settle
+from relmap.core.refinement.joint import Refined, Spread
+from relmap.core.refinement.observations import observations_of
+from relmap.core.state.kept import WeighedObservations
+
+
+def refine_weighed(refined: Refined, weighed: WeighedObservations, of: Ints) -> Refined:
+    """Return the landmark positions by observations weighted with their covariances.
+
+    `refined`: the map refined by segments; `of` (k,): the landmark that each number stands for,
+    after merging.
+    """
+    seen, rows = observations_of(
+        weighed.location,
+        of[weighed.landmark],
+        weighed.iteration,
+        refined.landmarks,
+        refined.positions,
+    )
+    anchor = int(np.searchsorted(seen.iterations, refined.anchor_iteration))
+    counts = np.bincount(seen.landmark, minlength=len(refined.landmarks))
+    if anchor == len(seen.iterations) or not counts.all():
+        return refined
+    root = np.linalg.inv(np.linalg.cholesky(weighed.covariance[rows]))
+    there, weight = refined.positions[seen.landmark], np.sum(root**2, axis=(1, 2))
+    R, t, _ = fit_rigid_each(seen.points, there, weight, seen.iteration, len(seen.iterations))
+    d, none = seen.points.shape[1], np.full((len(t) - 1, 4, 4), np.nan)
+    chain = Chain(seen.points, seen.landmark, seen.iteration, root, none)
+    step_sd = none[:, 0, 0], none[:, 0, 0]
+    problem = ChainProblem(chain, step_sd, Sigmas(), refined.positions, anchor, turns_whole=False)
+    settled = settle(problem, Chained(refined.positions, R, t, np.zeros(2 * d - 1)))
+    state, explained = settled.state, settled.weight == 1
+    freedoms = max(problem.freedoms - d * np.sum(~explained), 1)
+    unit = np.sqrt(np.sum(problem.residuals(state)[explained] ** 2) / freedoms)
+    R, t = state.R[anchor], state.t[anchor]
+    every = np.ones(len(refined.landmarks), dtype=bool)
+    return replace(
+        refined,
+        positions=(state.positions - t) @ R,
+        spread=Spread(problem, settled, every, unit * R),
+        converged=settled.converged,
+    )
