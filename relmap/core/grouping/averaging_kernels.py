@@ -101,7 +101,9 @@ def place_iterations(
         )
         set_placement(R, t, i, turn, shift)
         if is_fixed:
-            guess = turn
+            for a in range(d):  # `guess = turn` would count references with each observation
+                for b in range(d):
+                    guess[a, b] = turn[a, b]
             enter_swings(own, means, float(n_fitted), scatter, swing)
             place(own, R, t, i, placed[p : p + len(own)])
             for j in range(len(own)):
