@@ -93,13 +93,14 @@ class Averaging:
         """Return the rows of the chart that keep their distances and are not known to move."""
         self.n_comparisons = 0
         block, noise_m = chart.points_robot, self._tolerated_m
-        bins = Binning(block, noise_m).sort(weights) if np.isfinite(noise_m) else Bins([], 0)
+        is_known = np.isfinite(noise_m)
+        bins = Binning(block, noise_m, chart.counted).sort(weights) if is_known else Bins([], 0)
         self.n_comparisons += bins.n_comparisons
         known = weights[bins.static].sum() / max(weights.sum(), 1.0)
         if len(bins.static) < FEW * len(block) and known < FEW:
             guess_m = self._noise_spread * np.fmax(guess_noise(block), self.noise.least_m)
             if not guess_m <= noise_m:
-                guessed = Binning(block, guess_m).sort(weights)
+                guessed = Binning(block, guess_m, chart.counted).sort(weights)
                 self.n_comparisons += guessed.n_comparisons
                 if len(guessed.static) > len(bins.static):
                     self.noise.restart()

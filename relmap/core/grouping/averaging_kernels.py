@@ -136,9 +136,9 @@ def _radial_variances(block: Floats, inner: Bools, variance: Floats) -> None:
         h += inner[k]
     share = 1.0 / h
     for k in range(g):
-        for i in range(m):
+        for i in range(m if inner[k] else 0):
             for a in range(d):
-                centre[i, a] += share * block[k, i, a] if inner[k] else 0.0
+                centre[i, a] += share * block[k, i, a]
     for k in range(g):
         mean, squares = 0.0, 0.0
         for i in range(m):

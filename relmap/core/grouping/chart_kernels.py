@@ -91,18 +91,23 @@ def grown(
     """
     c, m, d = len(candidates), block.shape[1], block.shape[2]
     rows = _descending(_descending(candidates, weights), counts)
-    common, n_common, shared, best, area = np.ones(m, dtype=np.bool_), m, 0, 0, 0
+    common, n_common, shared, best, area = np.empty(m, dtype=np.int64), m, 0, 0, 0
     columns, n_columns = np.empty(m, dtype=np.int64), 0
+    for i in range(m):
+        common[i] = i
     for j in range(c):
         shared += weights[rows[j]] > 0
-        for i in range(m):
-            if common[i] and np.isnan(block[rows[j], i, 0]):
-                common[i], n_common = False, n_common - 1
+        left = 0
+        for i in range(n_common):
+            if not np.isnan(block[rows[j], common[i], 0]):
+                common[left], left = common[i], left + 1
+        n_common = left
+        if c * n_common <= area:  # no larger one further down
+            break
         if j + 1 >= fewest[0] and shared >= fewest[1] and (j + 1) * n_common > area:
-            best, area, n_columns = j + 1, (j + 1) * n_common, 0
-            for i in range(m):
-                if common[i]:
-                    columns[n_columns], n_columns = i, n_columns + 1
+            best, area, n_columns = j + 1, (j + 1) * n_common, n_common
+            for i in range(n_common):
+                columns[i] = common[i]
     core = np.empty((best, n_columns, d))
     for j in range(best):
         for i in range(n_columns):

@@ -113,13 +113,15 @@ class Binning:
     """Sorts the landmarks of one block into bins.
 
     `block` (n, i, d), robot frame, metres: NaN where missing; `noise_m`: standard deviation of an
-    observed coordinate.
+    observed coordinate; `counted`: see `PointChart.counted`.
     """
 
-    def __init__(self, block: Floats, noise_m: float) -> None:
-        from relmap.core.grouping.binning_kernels import counted
+    def __init__(
+        self, block: Floats, noise_m: float, counted: tuple[Ints, float] | None = None
+    ) -> None:
+        from relmap.core.grouping import binning_kernels
 
-        n_seen, largest_m = counted(block)
+        n_seen, largest_m = counted or binning_kernels.counted(block)
         self._block = block
         self._often = n_seen >= FEWEST
         self._limit = LIMIT * 2 * max(noise_m, _exact(largest_m, block.shape[2])) ** 2
