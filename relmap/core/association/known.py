@@ -54,8 +54,11 @@ class KnownAssociation(Registration):
         self._number = _Numbers(self._labels)
 
     def labels_of(self, landmarks: Ints) -> Ints:
-        """Return the ids of landmarks (n,)."""
-        return self._labels.values[landmarks]
+        """Return the ids of landmarks (n,); `UNIDENTIFIED` stays."""
+        labels = landmarks.copy()
+        named = landmarks != UNIDENTIFIED
+        labels[named] = self._labels.values[landmarks[named]]
+        return labels
 
     def match(self, points_robot: Floats, ids: Ints | None) -> Ints:
         """Return the landmark of each id (n,).

@@ -74,6 +74,24 @@ def _by_iteration(block: Floats) -> tuple[Ints, Ints, Floats]:
     return n_seen, seen, points
 
 
+@helper
+def _enter_matches(
+    own: Floats, landmarks: Ints, reference: Floats, source: Floats, there: Floats
+) -> int:
+    """Write the points (k, d) of landmarks (k,) in a reference (n, d), and where; return how many.
+
+    The reference is NaN for other landmarks.
+    """
+    n, d = 0, own.shape[1]
+    for j in range(len(own)):
+        k = landmarks[j]
+        if not np.isnan(reference[k, 0]):
+            for a in range(d):
+                source[n, a], there[n, a] = own[j, a], reference[k, a]
+            n += 1
+    return n
+
+
 @compiled
 def place_iterations(
     block: Floats, reference: Floats
@@ -94,13 +112,8 @@ def place_iterations(
     for k in range(n):
         rows[k] = True
     for i in range(m):
-        n_fitted, own = 0, here[i, : n_seen[i]]
-        for j in range(n_seen[i]):
-            k = seen[i, j]
-            if not np.isnan(reference[k, 0]):
-                for a in range(d):
-                    source[n_fitted, a], there[n_fitted, a] = own[j, a], reference[k, a]
-                n_fitted += 1
+        own = here[i, : n_seen[i]]
+        n_fitted = _enter_matches(own, seen[i], reference, source, there)
         turn, shift, is_fixed, scatter, means = fit_rows(
             source[:n_fitted], there[:n_fitted], rows, guess
         )

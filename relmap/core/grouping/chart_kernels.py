@@ -73,6 +73,16 @@ def _descending(rows: Ints, values: Floats | Ints) -> Ints:
     return listed
 
 
+@helper
+def _still_common(block: Floats, row: int, common: Ints, n: int) -> int:
+    """Keep those of n columns of a block (n, i, d) that show a row; return how many."""
+    left = 0
+    for i in range(n):
+        if not np.isnan(block[row, common[i], 0]):
+            common[left], left = common[i], left + 1
+    return left
+
+
 @compiled
 def grown(
     block: Floats, candidates: Ints, counts: Ints, weights: Floats, fewest: tuple[int, int]
@@ -91,11 +101,7 @@ def grown(
         common[i] = i
     for j in range(c):
         shared += weights[rows[j]] > 0
-        left = 0
-        for i in range(n_common):
-            if not np.isnan(block[rows[j], common[i], 0]):
-                common[left], left = common[i], left + 1
-        n_common = left
+        n_common = _still_common(block, rows[j], common, n_common)
         if c * n_common <= area:  # no larger one further down
             break
         if j + 1 >= fewest[0] and shared >= fewest[1] and (j + 1) * n_common > area:
