@@ -1,0 +1,39 @@
+"""Moments of rigid bodies that share landmarks, compiled; see `bodies`."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from relmap.core.arrays import Floats, Ints
+from relmap.core.linalg.compiling import compiled
+
+
+@compiled
+def moments_between(
+    columns: Floats, weight: Floats, body: Ints, begin: Ints, order: Ints, n_bodies: int
+) -> Floats:
+    """Return second moments (b, b, q, q) of rows (n, q) between bodies, the landmarks eliminated.
+
+    `weight`, `body` (n,): of each row; `begin` (m + 1,), `order` (n,): the rows of each landmark,
+    see `rows.rows_of_each`.
+    """
+    q = columns.shape[1]
+    moments = np.zeros((n_bodies, n_bodies, q, q))
+    for k in range(len(begin) - 1):
+        total = 0.0
+        for r in range(begin[k], begin[k + 1]):
+            total += weight[order[r]]
+        for r in range(begin[k], begin[k + 1]):
+            i = order[r]
+            for s in range(begin[k], begin[k + 1]):
+                j = order[s]
+                share = weight[i] * ((1.0 if r == s else 0.0) - weight[j] / total)
+                for a in range(q if body[j] <= body[i] else 0):
+                    for c in range(q):
+                        moments[body[i], body[j], a, c] += share * columns[i, a] * columns[j, c]
+    for one in range(n_bodies):
+        for other in range(one):
+            for a in range(q):
+                for c in range(q):
+                    moments[other, one, c, a] = moments[one, other, a, c]
+    return moments
