@@ -5,7 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.linalg.compiling import compiled
+from relmap.core.linalg.compiling import compiled, helper
+
+
+@helper
+def _add_product(
+    columns: Floats, i: int, j: int, share: float, moments: Floats, body: Ints
+) -> None:
+    """Add the product of two rows (n, q), times a share, to the moment of their bodies."""
+    for a in range(columns.shape[1]):
+        for c in range(columns.shape[1]):
+            moments[body[i], body[j], a, c] += share * columns[i, a] * columns[j, c]
 
 
 @compiled
@@ -28,9 +38,8 @@ def moments_between(
             for s in range(begin[k], begin[k + 1]):
                 j = order[s]
                 share = weight[i] * ((1.0 if r == s else 0.0) - weight[j] / total)
-                for a in range(q if body[j] <= body[i] else 0):
-                    for c in range(q):
-                        moments[body[i], body[j], a, c] += share * columns[i, a] * columns[j, c]
+                if body[j] <= body[i]:
+                    _add_product(columns, i, j, share, moments, body)
     for one in range(n_bodies):
         for other in range(one):
             for a in range(q):
