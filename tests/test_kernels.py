@@ -17,7 +17,7 @@ from relmap.core.geometry import fitting_kernels, rotation_kernels
 from relmap.core.geometry.alignment import fit_rigid, rotation_of_moment
 from relmap.core.grouping import binning_kernels
 from relmap.core.grouping.averaging_kernels import steady_variance
-from relmap.core.grouping.chart_kernels import chart_block
+from relmap.core.grouping.chart_kernels import chart_block, seen_with
 from relmap.core.linalg import small_kernels
 from tests.kernels import callable_here
 from tests.worlds import random_rotation
@@ -289,7 +289,8 @@ def test_a_chart_shows_everything_seen_with_the_seed(
     for k, (a, b) in enumerate(pairwise(offsets.tolist())):
         points[a:b] = table[k, orders[k]]
     slots = np.full(n, -1)
-    members, columns, block = chart_block(landmarks, points, offsets, 0, slots)
+    members, columns = seen_with(landmarks, offsets, 0, slots)
+    block = chart_block(landmarks, points, offsets, members, columns, slots)
     when = np.flatnonzero(visible[:, 0])
     others = np.flatnonzero(visible[when, 1:].any(axis=0)) + 1
     assert members[0] == 0

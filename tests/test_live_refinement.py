@@ -11,7 +11,8 @@ from relmap.core.geometry.alignment import sums_each
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.refinement import live
 from relmap.core.refinement.condensing import CondensedSegments
-from relmap.core.refinement.live import brought_together, moments_between
+from relmap.core.refinement.live import brought_together
+from relmap.core.refinement.live_kernels import moments_between
 from relmap.core.state.table import LandmarkState
 from relmap.simulation import FigureEight, simulate_figure_eight
 from tests.worlds import aligned_rmse, fed, limit_of, mapped, random_rotation, seen, walk
@@ -128,8 +129,10 @@ def test_moments_of_bodies_are_those_of_a_dense_elimination() -> None:
     rng, n, b, m = np.random.default_rng(1), 300, 5, 50
     body, columns, weight = np.sort(rng.integers(0, b, n)), rng.normal(size=(n, 4)), rng.random(n)
     landmark = np.append(np.arange(m), rng.integers(0, m, n - m))  # some twice in a body
-    total = np.bincount(landmark, weights=weight).astype(np.float64)
-    found = moments_between(columns, weight, total, landmark, body)
+    total = np.bincount(landmark, weights=weight)
+    begin = np.append(0, np.cumsum(np.bincount(landmark, minlength=m)))
+    order = np.argsort(landmark, kind="stable")
+    found = moments_between(columns, weight, body, begin, order, b)
     of = np.zeros((n, m))
     of[np.arange(n), landmark] = weight
     reduced = np.diag(weight) - of / total @ of.T

@@ -119,11 +119,15 @@ def test_index_finds_all_that_is_near(seed: int, d: int) -> None:
     table.resize(60, 0, d)
     index = SpatialIndex(table, 2.0)
     index.add(np.arange(60), positions)
-    asked = rng.normal(0, 5, (10, d))
-    of, found = index.near(asked)
+    table.last[:] = rng.integers(0, 9, 60)
+    asked, before = rng.normal(0, 5, (10, d)), rng.integers(0, 10, 10)
+    of, found = index.near(asked, before)
     for k, position in enumerate(asked):
-        near = np.flatnonzero(np.linalg.norm(positions - position, axis=1) <= 2.0)
-        assert set(near.tolist()) <= set(found[of == k].tolist())
+        earlier = table.last < before[k]
+        near = np.linalg.norm(positions - position, axis=1) <= 2.0
+        own = found[of == k]
+        assert set(np.flatnonzero(near & earlier).tolist()) <= set(own.tolist())
+        assert earlier[own].all()
 
 
 def test_merged_landmarks_absorb_no_others() -> None:

@@ -87,6 +87,17 @@ def test_many_wrong_ids_leave_a_map(wrong: Wrong, seed: int, share: float) -> No
     assert len(mapper.map.positions) > (0.9 if share < 0.05 else 0.85) * len(truth)
 
 
+def test_rounding_contradicts_no_landmark() -> None:
+    rng = np.random.default_rng(25)
+    places, mapper = rng.uniform(-5, 5, (5, 2)), PointMapper()
+    for k in range(16):
+        c, s = np.cos(0.02 * k), np.sin(0.02 * k)
+        mapper.update((places - [0.1 * k, 0]) @ np.array([[c, -s], [s, c]]), np.arange(5))
+    mapper.finish()
+    mapper.refine()
+    assert mapper.map.landmark_ids.tolist() == [0, 1, 2, 3, 4]
+
+
 @pytest.mark.parametrize("seed", [0, 2])
 def test_ids_that_are_only_misread_name_no_landmark(seed: int) -> None:
     """Wrong ids are also those of landmarks that are never in view; seed 2 misreads one twice."""

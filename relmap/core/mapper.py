@@ -150,7 +150,9 @@ class RelativeMapper:
 
     def merge_pairs(self, pairs: Ints) -> int:
         """Merge each pair (k, 2) of a landmark and the older one that it is; return how many."""
-        are_distinct = 0 < len(np.unique(pairs)) == pairs.size
+        if not len(pairs):
+            return 0
+        are_distinct = len(np.unique(pairs)) == pairs.size
         for new, old in [pairs.T] if are_distinct else pairs[:, :, None]:
             for part in (self.table, self.schedule, self.merger):
                 part.merge(new, old)

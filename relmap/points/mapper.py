@@ -132,8 +132,7 @@ class PointMapper(Mapper):
         engine = self._engine
         labels = engine.update(points_robot, known, noise, motion)
         self._stamps.append(stamp_s, engine.store.n_iterations - 1)
-        seen = labels >= 0
-        labels[seen] = engine.association.current.labels_of(engine.table.now(labels[seen]))
+        labels = engine.association.current.labels_of(engine.table.now(labels))
         if self._journal is not None:
             self._journal.append(
                 points_robot, known, labels, noise, odometry=motion, stamp_s=stamp_s

@@ -29,7 +29,9 @@ class PointModel:
     def rows(self, seen: Floats, landmarks: Ints) -> Rows:
         """Return the stored columns of the identified points (n, d) of one scan."""
         known = landmarks >= 0
-        return {"landmark": landmarks[known], "location": seen[known]}
+        if not known.all():
+            landmarks, seen = landmarks[known], seen[known]
+        return {"landmark": landmarks, "location": seen}
 
     def points(self, rows: Rows) -> Shown:
         """Return the observed points unchanged."""

@@ -30,7 +30,7 @@ class Registration:
         raise NotImplementedError
 
     def labels_of(self, landmarks: Ints) -> Ints:
-        """Return the public labels of landmarks (n,): by default, their numbers."""
+        """Return the public labels of landmarks (n,): by default, their numbers; -1 stays."""
         return landmarks
 
     def expect(self, landmarks: Ints, points_robot: Floats) -> None:

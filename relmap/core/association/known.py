@@ -10,6 +10,21 @@ from relmap.core.association.rigidity import Rigidity
 from relmap.core.state.growing import GrowingArray
 
 
+class _Numbers(dict[int, int]):
+    """The number of each id, in the order of first observation; `labels`: the ids so far."""
+
+    def __init__(self, labels: GrowingArray[np.int64]) -> None:
+        super().__init__((label, k) for k, label in enumerate(labels.values.tolist()))
+        self._labels = labels
+
+    def __missing__(self, label: int) -> int:
+        if label < 0:
+            return UNIDENTIFIED
+        self[label] = len(self)
+        self._labels.append(label)
+        return self[label]
+
+
 class KnownAssociation(Registration):
     """Uses the given ids, except for geometrically impossible observations; see `Rigidity`.
 
@@ -27,7 +42,7 @@ class KnownAssociation(Registration):
         self._n_scans = 0
         self._rigidity = Rigidity()
         self._labels: GrowingArray[np.int64] = GrowingArray(np.int64)
-        self._number: dict[int, int] = {}
+        self._number = _Numbers(self._labels)
 
     @property
     def rejected(self) -> list[int]:
@@ -36,11 +51,14 @@ class KnownAssociation(Registration):
 
     def restored(self) -> None:
         """Look up the current ids."""
-        self._number = {label: k for k, label in enumerate(self._labels.values.tolist())}
+        self._number = _Numbers(self._labels)
 
     def labels_of(self, landmarks: Ints) -> Ints:
-        """Return the ids of landmarks (n,)."""
-        return self._labels.values[landmarks]
+        """Return the ids of landmarks (n,); `UNIDENTIFIED` stays."""
+        labels = landmarks.copy()
+        named = landmarks != UNIDENTIFIED
+        labels[named] = self._labels.values[landmarks[named]]
+        return labels
 
     def match(self, points_robot: Floats, ids: Ints | None) -> Ints:
         """Return the landmark of each id (n,).
@@ -50,11 +68,7 @@ class KnownAssociation(Registration):
         known = np.empty(0, dtype=np.int64) if ids is None else ids
         self._n_scans += 1
         given = self._checked(known, points_robot).tolist()
-        for one in given:
-            if one >= 0 and one not in self._number:
-                self._number[one] = len(self._number)
-                self._labels.append(one)
-        return np.array([self._number.get(one, UNIDENTIFIED) for one in given], dtype=np.int64)
+        return np.fromiter(map(self._number.__getitem__, given), np.int64, len(given))
 
     def _checked(self, ids: Ints, points_robot: Floats) -> Ints:
         """Return the ids (n,), replaced or `UNIDENTIFIED` for inconsistent observations.

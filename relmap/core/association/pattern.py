@@ -38,7 +38,7 @@ class PatternPlacing(LikelyPlacing):
         step_m = self._step_m(placement, tracks)
         if step_m <= SHORT * self.scale.spacing_m:
             return True
-        return step_m <= self.period_m(tracks, points) / 2
+        return step_m <= self.period_m(tracks, points, 2 * step_m) / 2
 
     def _step_m(self, placement: Placement, tracks: LiveTracks) -> float:
         """Return how far a placement moves half of the tracks; infinite if not of the last scan."""
@@ -81,7 +81,10 @@ class PatternPlacing(LikelyPlacing):
         is_best = best is None or near.n_agreeing >= best[0].n_agreeing - FEWER
         return near if is_best and self.chance.is_exceeded(near, here, there, 0) else None
 
-    def period_m(self, tracks: LiveTracks, points: Floats) -> float:
-        """Return the shortest period of tracks and points (n, d), metres; infinite without one."""
-        tolerance_m = self.scale.tolerance_m
-        return min(period_of(tracks.expected, tolerance_m), period_of(points, tolerance_m))
+    def period_m(self, tracks: LiveTracks, points: Floats, within_m: float = np.inf) -> float:
+        """Return the shortest period of tracks and points (n, d), metres; infinite without one.
+
+        `within_m`: only shorter ones are tried.
+        """
+        shown, tolerance_m = (tracks.expected, points), self.scale.tolerance_m
+        return min(period_of(each, tolerance_m, within_m) for each in shown)

@@ -61,8 +61,11 @@ class Scale:
         coarse = COARSE * self.spacing_m
         if self.noise_m is None:
             return coarse * self.wider
-        most = max(1.5 * coarse, min(FEW_SIGMAS * self.noise_m, WIDEST * self.spacing_m))
-        return min(max(SIGMAS * self.noise_m, EXACT * self.spacing_m), most)
+        wanted = max(SIGMAS * self.noise_m, EXACT * self.spacing_m)
+        if wanted <= 1.5 * coarse:
+            return wanted
+        few = min(FEW_SIGMAS * self.noise_m, WIDEST * self.spacing_m)
+        return min(wanted, max(1.5 * coarse, few))
 
     @property
     def is_sharp(self) -> bool:

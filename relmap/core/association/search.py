@@ -185,11 +185,13 @@ def fits_mirrored(
     return own is None or own[0].n_agreeing < least
 
 
-def period_of(points: Floats, tolerance_m: float) -> float:
+def period_of(points: Floats, tolerance_m: float, within_m: float = np.inf) -> float:
     """Return the distance after which points (n, d) repeat, metres; infinite if they do not.
 
     As trees in an orchard or lamps along a road do: nearest neighbours may agree a period away.
+    `within_m`: only shorter ones are tried.
     """
     from relmap.core.association.search_kernels import shortest_period
 
-    return float(shortest_period(points, tolerance_m, REPEATED, PATCH, CENTRES, NEIGHBOURS))
+    sizes = REPEATED, PATCH, CENTRES, NEIGHBOURS
+    return float(shortest_period(points, tolerance_m, within_m, *sizes))

@@ -232,17 +232,23 @@ def _patch(points: Floats, most: int) -> Floats:
 
 @compiled
 def shortest_period(
-    points: Floats, tolerance_m: float, share: float, most: int, centres: int, neighbours: int
+    points: Floats,
+    tolerance_m: float,
+    within_m: float,
+    share: float,
+    most: int,
+    centres: int,
+    neighbours: int,
 ) -> float:
     """Return the shortest shift that brings a share of a patch of points (n, d) onto others, m.
 
-    `most`: points of the patch, amid all. Shifts are those from each of its first points, the
-    `centres`, to its nearest neighbours. Infinite if there is none; shorter ones than twice the
-    tolerance bring points near themselves.
+    `within_m`: only shorter ones are tried; `most`: points of the patch, amid all. Shifts are those
+    from each of its first points, the `centres`, to its nearest neighbours. Infinite if there is
+    none; shorter ones than twice the tolerance bring points near themselves.
     """
     if len(points) <= 2:
         return np.inf
-    patch, shortest = _patch(points, most), np.inf
+    patch, shortest, limit = _patch(points, most), np.inf, within_m * within_m
     fewest = max(2.0, share * (len(patch) - 1))
     for c in range(min(centres, len(patch))):
         last = 4 * tolerance_m * tolerance_m
@@ -252,11 +258,11 @@ def shortest_period(
                 apart = _shifted(patch, c, c, c, j)
                 if last < apart < square:
                     to, square = j, apart
-            if to < 0 or square >= shortest:
+            if to < 0 or square >= limit:
                 break
             last = square
             if _repeats(patch, c, to, tolerance_m, fewest):
-                shortest = square
+                shortest = limit = square
     return float(np.sqrt(shortest))
 
 

@@ -72,17 +72,10 @@ def fit_rigid_each(
     each pair, 0 to n - 1; `n`: number of sets. Returns `R` (n, d, d); `t` (n, d); `fixed` (n,):
     whether the points of a set determine its rotation; otherwise R and t are undefined.
     """
-    from relmap.core.geometry.each_kernels import moments_each
+    from relmap.core.geometry.each_kernels import fit_each
 
-    (source_mean, target_mean), moment, scatter = moments_each(
-        np.ascontiguousarray(source),
-        np.ascontiguousarray(target),
-        np.minimum(weights, HEAVIEST),
-        np.ascontiguousarray(at),
-        n,
-    )
-    R, fixed = rotation_of_moment(moment), scatter_fixes_rotation(scatter)
-    return R, target_mean - np.einsum("nij,nj->ni", R, source_mean), fixed
+    source, target = np.ascontiguousarray(source), np.ascontiguousarray(target)
+    return fit_each(source, target, np.minimum(weights, HEAVIEST), np.ascontiguousarray(at), n)
 
 
 def place_each(R: Floats, t: Floats, at: Ints, points: Floats) -> Floats:
@@ -117,14 +110,8 @@ def fixes_rotation(points: Floats) -> bool:
     if len(points) < points.shape[1]:
         return False
     centred = points - points.mean(axis=0)
-    return bool(scatter_fixes_rotation(centred.T @ centred))
-
-
-def scatter_fixes_rotation(scatter: Floats) -> Bools:
-    """Return which scatter matrices (..., d, d) of centred points determine a rotation; (...,)."""
-    trace = np.trace(scatter, axis1=-2, axis2=-1)
-    if scatter.shape[-1] == 2:
-        return np.asarray(trace > 0)
+    scatter = centred.T @ centred
+    trace = scatter.trace()
     # The sum of the principal minors approximates the product of the two largest eigenvalues.
-    minors = (trace**2 - np.sum(scatter**2, axis=(-2, -1))) / 2
-    return np.asarray((trace > 0) & (minors > (DEGENERATE * trace) ** 2))
+    minors = (trace**2 - np.sum(scatter**2)) / 2
+    return bool(trace > 0 and (len(scatter) == 2 or minors > (DEGENERATE * trace) ** 2))

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from relmap.core.arrays import Floats, Ints
-from relmap.core.linalg.compiling import compiled
+from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.geometry.rotation_kernels import best_rotation, fixes
+from relmap.core.linalg.compiling import compiled, helper
+from relmap.core.linalg.small_kernels import identity
 
 
 @compiled
@@ -45,18 +47,18 @@ def sums_each(values: Floats, at: Ints, n: int) -> Floats:
     return sums
 
 
-@compiled
-def moments_each(
+@helper
+def _moments_each(
     source: Floats, target: Floats, weights: Floats, at: Ints, n: int
 ) -> tuple[Floats, Floats, Floats]:
-    """Return what fits of matched points (k, d) by set `at` (k,), 0 to n - 1, rest on.
+    """Return the weighted means (2, n, d) of source and target of sets of matched points (k, d).
 
-    The weighted means (2, n, d) of source and target, and about them the mean cross moments and
-    scatters of the source (n, d, d).
+    And about them the mean cross moments and scatters of the source (n, 3, 3), padded with zeros in
+    the plane.
     """
     k, d = source.shape
     total, means = np.zeros(n), np.zeros((2, n, d))
-    moment, scatter = np.zeros((n, d, d)), np.zeros((n, d, d))
+    moment, scatter = np.zeros((n, 3, 3)), np.zeros((n, 3, 3))
     for i in range(k):
         total[at[i]] += weights[i]
         for a in range(d):
@@ -74,3 +76,21 @@ def moments_each(
                 moment[m, a, b] += away * (target[i, b] - means[1, m, b])
                 scatter[m, a, b] += away * (source[i, b] - means[0, m, b])
     return means, moment, scatter
+
+
+@compiled
+def fit_each(
+    source: Floats, target: Floats, weights: Floats, at: Ints, n: int
+) -> tuple[Floats, Floats, Bools]:
+    """Fit sets `at` (k,), 0 to n - 1, of matched points (k, d); see `fit_rigid_each`."""
+    d = source.shape[1]
+    means, moment, scatter = _moments_each(source, target, weights, at, n)
+    R, t, fixed = np.empty((n, d, d)), np.empty((n, d)), np.empty(n, dtype=np.bool_)
+    for m in range(n):
+        turn, fixed[m] = best_rotation(moment[m], identity(d)), fixes(scatter[m], d)
+        for a in range(d):
+            t[m, a] = means[1, m, a]
+            for b in range(d):
+                R[m, a, b] = turn[a, b]
+                t[m, a] -= turn[a, b] * means[0, m, b]
+    return R, t, fixed

@@ -41,15 +41,17 @@ class SpatialIndex:
         if self._n > len(self._first):
             self._link(len(self._first))
 
-    def near(self, positions: Floats) -> tuple[Ints, Ints]:
+    def near(self, positions: Floats, before: Ints) -> tuple[Ints, Ints]:
         """Return pairs of a row of the positions (k, d) and a landmark, in the order of the rows.
 
-        All landmarks within a cell's side of a position are included, and some others.
+        All landmarks within a cell's side of a position that were last seen `before` (k,) an
+        iteration are included, and some others.
         """
         from relmap.core.geometry.spatialindex_kernels import near
 
-        following, key = self._table.next_in_cell, self._table.cell
-        return near(self._first, following, key, positions, self.cell_m)
+        of = self._table
+        grid = self._first, of.next_in_cell, of.cell, of.last
+        return near(grid, positions, self.cell_m, before)
 
     def holds(self, landmarks: Ints) -> Bools:
         """Return which landmarks (k,) are in the index."""

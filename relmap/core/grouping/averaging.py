@@ -92,13 +92,17 @@ class Averaging:
         """Return the rows of the chart that keep their distances and are not known to move."""
         self.n_comparisons = 0
         block, noise_m = chart.points_robot, self._tolerated_m
-        bins = binned(block, noise_m, weights) if np.isfinite(noise_m) else Bins([], 0)
+        bins = (
+            binned(block, noise_m, weights, counts=chart.counted)
+            if np.isfinite(noise_m)
+            else Bins([], 0)
+        )
         self.n_comparisons += bins.n_comparisons
         known = weights[bins.static].sum() / max(weights.sum(), 1.0)
         if len(bins.static) < FEW * len(block) and known < FEW:
             guess_m = self._noise_spread * np.fmax(guess_noise(block), self.noise.least_m)
             if not guess_m <= noise_m:
-                guessed = binned(block, guess_m, weights)
+                guessed = binned(block, guess_m, weights, counts=chart.counted)
                 self.n_comparisons += guessed.n_comparisons
                 if len(guessed.static) > len(bins.static):
                     self.noise.restart()

@@ -23,11 +23,15 @@ def place(points: Floats, R: Floats, t: Floats, i: int, placed: Floats) -> None:
 
 
 @helper
-def _averages(placed: Floats, of: Ints, counts: Ints, amplified: Floats, mean: Floats) -> Floats:
-    """Return the sums of squared deviations (n,) of places (p, d) of landmarks from their means.
+def _averages(
+    placed: Floats, seen: Ints, n_placed: Ints, counts: Ints, amplified: Floats, mean: Floats
+) -> Floats:
+    """Return the sums of squared deviations (n,) of the places of landmarks from their means.
 
-    Sums of places (n, d), and of amplified variances (n,), become means, given the counts (n,).
-    The largest deviation of each landmark is left out: one bad observation is not a motion.
+    `placed` (i, n, d), `seen` (i, n): the first `n_placed` (i,) of each iteration, and of which
+    landmarks they are. Sums of places (n, d), and of amplified variances (n,), become means, given
+    the counts (n,). The largest deviation of each landmark is left out: one bad observation is not
+    a motion.
     """
     n, d = mean.shape
     squares, largest = np.zeros(n), np.zeros(n)
@@ -35,13 +39,14 @@ def _averages(placed: Floats, of: Ints, counts: Ints, amplified: Floats, mean: F
         amplified[k] /= counts[k]
         for a in range(d):
             mean[k, a] /= counts[k]
-    for j in range(len(of)):
-        k, square = of[j], 0.0
-        for a in range(d):
-            apart = placed[j, a] - mean[k, a]
-            square += apart * apart
-        squares[k] += square
-        largest[k] = max(largest[k], square)
+    for i in range(len(placed)):
+        for j in range(n_placed[i]):
+            k, square = seen[i, j], 0.0
+            for a in range(d):
+                apart = placed[i, j, a] - mean[k, a]
+                square += apart * apart
+            squares[k] += square
+            largest[k] = max(largest[k], square)
     for k in range(n):
         squares[k] -= largest[k]
     return squares
@@ -69,6 +74,24 @@ def _by_iteration(block: Floats) -> tuple[Ints, Ints, Floats]:
     return n_seen, seen, points
 
 
+@helper
+def _enter_matches(
+    own: Floats, landmarks: Ints, reference: Floats, source: Floats, there: Floats
+) -> int:
+    """Write the points (k, d) of landmarks (k,) in a reference (n, d), and where; return how many.
+
+    The reference is NaN for other landmarks.
+    """
+    n, d = 0, own.shape[1]
+    for j in range(len(own)):
+        k = landmarks[j]
+        if not np.isnan(reference[k, 0]):
+            for a in range(d):
+                source[n, a], there[n, a] = own[j, a], reference[k, a]
+            n += 1
+    return n
+
+
 @compiled
 def place_iterations(
     block: Floats, reference: Floats
@@ -84,35 +107,34 @@ def place_iterations(
     counts = np.zeros(n, dtype=np.int64)
     n_seen, seen, here = _by_iteration(block)
     source, there, rows = np.empty((n, d)), np.empty((n, d)), np.empty(n, dtype=np.bool_)
-    placed, of, p = np.empty((n * m, d)), np.empty(n * m, dtype=np.int64), 0
-    mean, amplified, swing, guess = np.zeros((n, d)), np.zeros(n), np.empty(n), identity(d)
+    placed, mean, guess = np.empty((n, d)), np.zeros((n, d)), identity(d)
+    amplified, swing = np.zeros(n), np.empty(n)
     for k in range(n):
         rows[k] = True
     for i in range(m):
-        n_fitted, own = 0, here[i, : n_seen[i]]
-        for j in range(n_seen[i]):
-            k = seen[i, j]
-            if not np.isnan(reference[k, 0]):
-                for a in range(d):
-                    source[n_fitted, a], there[n_fitted, a] = own[j, a], reference[k, a]
-                n_fitted += 1
+        own = here[i, : n_seen[i]]
+        n_fitted = _enter_matches(own, seen[i], reference, source, there)
         turn, shift, is_fixed, scatter, means = fit_rows(
             source[:n_fitted], there[:n_fitted], rows, guess
         )
         set_placement(R, t, i, turn, shift)
         if is_fixed:
-            guess = turn
+            for a in range(d):  # `guess = turn` would count references with each observation
+                for b in range(d):
+                    guess[a, b] = turn[a, b]
             enter_swings(own, means, float(n_fitted), scatter, swing)
-            place(own, R, t, i, placed[p : p + len(own)])
+            place(own, R, t, i, placed)
             for j in range(len(own)):
-                k, of[p] = seen[i, j], seen[i, j]
+                k = seen[i, j]
                 used[k, i], counts[k] = True, counts[k] + 1
                 amplified[k] += swing[j]
                 amplified[k] += 1.0
                 for a in range(d):
-                    mean[k, a] += placed[p, a]
-                p += 1
-    variance = _averages(placed, of[:p], counts, amplified, mean)
+                    own[j, a] = placed[j, a]
+                    mean[k, a] += placed[j, a]
+        else:
+            n_seen[i] = 0
+    variance = _averages(here, seen, n_seen, counts, amplified, mean)
     for k in range(n):
         variance[k] = variance[k] / (d * (counts[k] - 2)) if counts[k] > 2 else np.nan
     return R, t, used, counts, mean, variance, amplified
@@ -127,9 +149,9 @@ def _radial_variances(block: Floats, inner: Bools, variance: Floats) -> None:
         h += inner[k]
     share = 1.0 / h
     for k in range(g):
-        for i in range(m):
+        for i in range(m if inner[k] else 0):
             for a in range(d):
-                centre[i, a] += share * block[k, i, a] if inner[k] else 0.0
+                centre[i, a] += share * block[k, i, a]
     for k in range(g):
         mean, squares = 0.0, 0.0
         for i in range(m):

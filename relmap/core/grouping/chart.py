@@ -20,21 +20,19 @@ class PointChart:
 
     `landmarks` (n,): the seed first, then all that were visible together with it at least once.
     `iterations` (i,), ascending: the iterations in which the seed was visible. `points_robot`
-    (n, i, d), robot frame, metres: observations; NaN where missing. `visible` (n, i); `variance`
-    (n,), square metres: variance of an observed coordinate, if covariances are given.
+    (n, i, d), robot frame, metres: observations; NaN where missing. `variance` (n,), square metres:
+    variance of an observed coordinate, if covariances are given.
     """
 
     landmarks: Ints
     iterations: Ints
     points_robot: Floats
-    visible: Bools
     variance: Floats | None = None
 
     @classmethod
     def around(cls, seed: int, store: ObservationStore, begin: int, end: int) -> PointChart:
         """Chart the landmarks visible with `seed` in iterations `begin` to `end` (Fig. 9)."""
-        landmarks, iterations, block = store.seen_with(seed, begin, end)
-        return cls(landmarks, iterations, block, np.isfinite(block[:, :, 0]))
+        return cls(*store.seen_with(seed, begin, end))
 
     def only(self, rows: Bools) -> PointChart:
         """Return the chart restricted to some of its landmarks, including the seed."""
@@ -42,14 +40,25 @@ class PointChart:
             self.landmarks[rows],
             self.iterations,
             self.points_robot[rows],
-            self.visible[rows],
             None if self.variance is None else self.variance[rows],
         )
 
     @cached_property
+    def visible(self) -> Bools:
+        """Which landmarks each iteration shows; (n, i)."""
+        return np.isfinite(self.points_robot[:, :, 0])
+
+    @cached_property
+    def counted(self) -> tuple[Ints, float]:
+        """The common intervals (n,), and the largest coordinate, metres."""
+        from relmap.core.grouping.binning_kernels import counted
+
+        return counted(self.points_robot)
+
+    @property
     def common_interval(self) -> Ints:
         """Number of iterations each landmark shares with the seed; (n,)."""
-        return np.asarray(self.visible.sum(axis=1))
+        return self.counted[0]
 
     def sorted_by_common_interval(self, rows: Ints, preference: Floats) -> Ints:
         """Return some rows (k,) sorted by descending common interval (Fig. 10).

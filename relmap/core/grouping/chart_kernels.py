@@ -9,11 +9,9 @@ from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import ordered
 
 
-@helper
-def _members_and_columns(
-    landmarks: Ints, offsets: Ints, seed: int, slots: Ints
-) -> tuple[Ints, Ints]:
-    """Return the landmarks seen with a seed, the seed first, and when; number them in the slots."""
+@compiled
+def seen_with(landmarks: Ints, offsets: Ints, seed: int, slots: Ints) -> tuple[Ints, Ints]:
+    """Return the landmarks seen with a seed, the seed first, and when; see `chart_block`."""
     columns, members = (
         np.empty(len(offsets) - 1, dtype=np.int64),
         np.empty(len(landmarks) + 1, dtype=np.int64),
@@ -30,33 +28,29 @@ def _members_and_columns(
             j += 1
             for row in range(offsets[i], offsets[i + 1]):
                 if slots[landmarks[row]] < 0:
-                    slots[landmarks[row]] = n
+                    slots[landmarks[row]] = 0
                     members[n] = landmarks[row]
                     n += 1
+    for k in range(n):
+        slots[members[k]] = -1
     return members[:n], columns[:j]
 
 
 @compiled
 def chart_block(
-    landmarks: Ints, points: Floats, offsets: Ints, seed: int, slots: Ints
-) -> tuple[Ints, Ints, Floats]:
-    """Chart the observations of the iterations in which a seed was seen.
+    landmarks: Ints, points: Floats, offsets: Ints, members: Ints, columns: Ints, slots: Ints
+) -> Floats:
+    """Chart the observations of members (n,) in some iterations.
 
     `landmarks` (k,); `points` (k, d): observations in order of iteration. `offsets` (i + 1,): first
-    observation of each iteration, and the end. `seed`: -1 for the observations of all iterations.
-    `slots` (m,): work space, one entry per landmark, all -1; restored on return. Returns
-    `landmarks` (n,): the seed, if any, then the others, ascending; `columns` (j,): iterations,
-    counted from the first; and `block` (n, j, d): NaN where missing.
+    observation of each iteration, and the end. `columns` (j,): iterations, counted from the first,
+    which show no other landmarks. `slots` (m,): work space, one entry per landmark, all -1;
+    restored on return. Returns the block (n, j, d): NaN where missing.
     """
-    members, columns = _members_and_columns(landmarks, offsets, seed, slots)
-    first = 1 if seed >= 0 else 0
-    others = members.copy()
-    order = ordered(members[first:])
-    for k in range(len(order)):
-        members[first + k] = others[first + order[k]]
-        slots[members[first + k]] = first + k
     block = np.empty((len(members), len(columns), points.shape[1]))
     block[:] = np.nan
+    for k in range(len(members)):
+        slots[members[k]] = k
     for column in range(len(columns)):
         i = columns[column]
         for row in range(offsets[i], offsets[i + 1]):
@@ -64,7 +58,7 @@ def chart_block(
                 block[slots[landmarks[row]], column, a] = points[row, a]
     for k in range(len(members)):
         slots[members[k]] = -1
-    return members, columns, block
+    return block
 
 
 @helper
@@ -79,6 +73,16 @@ def _descending(rows: Ints, values: Floats | Ints) -> Ints:
     return listed
 
 
+@helper
+def _still_common(block: Floats, row: int, common: Ints, n: int) -> int:
+    """Keep those of n columns of a block (n, i, d) that show a row; return how many."""
+    left = 0
+    for i in range(n):
+        if not np.isnan(block[row, common[i], 0]):
+            common[left], left = common[i], left + 1
+    return left
+
+
 @compiled
 def grown(
     block: Floats, candidates: Ints, counts: Ints, weights: Floats, fewest: tuple[int, int]
@@ -91,18 +95,19 @@ def grown(
     """
     c, m, d = len(candidates), block.shape[1], block.shape[2]
     rows = _descending(_descending(candidates, weights), counts)
-    common, n_common, shared, best, area = np.ones(m, dtype=np.bool_), m, 0, 0, 0
+    common, n_common, shared, best, area = np.empty(m, dtype=np.int64), m, 0, 0, 0
     columns, n_columns = np.empty(m, dtype=np.int64), 0
+    for i in range(m):
+        common[i] = i
     for j in range(c):
         shared += weights[rows[j]] > 0
-        for i in range(m):
-            if common[i] and np.isnan(block[rows[j], i, 0]):
-                common[i], n_common = False, n_common - 1
+        n_common = _still_common(block, rows[j], common, n_common)
+        if c * n_common <= area:  # no larger one further down
+            break
         if j + 1 >= fewest[0] and shared >= fewest[1] and (j + 1) * n_common > area:
-            best, area, n_columns = j + 1, (j + 1) * n_common, 0
-            for i in range(m):
-                if common[i]:
-                    columns[n_columns], n_columns = i, n_columns + 1
+            best, area, n_columns = j + 1, (j + 1) * n_common, n_common
+            for i in range(n_common):
+                columns[i] = common[i]
     core = np.empty((best, n_columns, d))
     for j in range(best):
         for i in range(n_columns):

@@ -104,7 +104,13 @@ def rests(relative: RelativeMap, noise_m: float) -> Bools:
     return steady(*of, noise_m, EXACT, LIMIT)
 
 
-def binned(block: Floats, noise_m: float, priority: Floats, allowed: float | None = None) -> Bins:
+def binned(
+    block: Floats,
+    noise_m: float,
+    priority: Floats,
+    allowed: float | None = None,
+    counts: tuple[Ints, float] | None = None,
+) -> Bins:
     """Sort the landmarks of a block into bins, until half of them, or of the priority, are in one.
 
     Landmarks with too few observations, or that match no other, are in none.
@@ -112,11 +118,11 @@ def binned(block: Floats, noise_m: float, priority: Floats, allowed: float | Non
     `block` (n, i, d), robot frame, metres: NaN where missing; `noise_m`: standard deviation of an
     observed coordinate. `priority` (n,): bins are started from landmarks in descending priority.
     `allowed`: maximum number of comparisons; by default n log2 n for the n landmarks with enough
-    observations.
+    observations. `counts`: see `PointChart.counted`; by default counted here.
     """
     from relmap.core.grouping.binning_kernels import counted, sort_into_bins
 
-    n_seen, largest_m = counted(block)
+    n_seen, largest_m = counts or counted(block)
     often, exact_m = n_seen >= FEWEST, EXACT * float(np.sqrt(block.shape[2]) * largest_m)
     if allowed is None:
         allowed = n_log_n(int(often.sum()))

@@ -81,17 +81,11 @@ class GlobalMap:
         submap, metres, or None if the members determine no rotation: NaN for landmarks whose
         position is poorly determined by the rotation.
         """
-        from relmap.core.geometry.fitting_kernels import swings
+        from relmap.core.map.aligning_kernels import aligned
 
-        in_map = self.weights_in(submap, landmarks)
-        weights = in_map * n_iterations / (in_map + n_iterations)
-        known, there = weights > 0, self.table.position[landmarks]
-        if not fixes_rotation(there[known]):
-            return None
-        R, t = fit_rigid(relative_map[known], there[known], weights[known])
-        placed = relative_map @ R.T + t
-        placed[~(swings(relative_map, known) <= LOOSE)] = np.nan
-        return placed
+        columns = self.table.position, self.table.weight, self.table.submap
+        placed, is_fixed = aligned(columns, submap, landmarks, relative_map, n_iterations, LOOSE)
+        return placed if is_fixed else None
 
     def new_submap(self) -> int:
         """Return the number of a new, empty submap."""

@@ -10,9 +10,9 @@ landmarks that they share are eliminated.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
-from scipy.sparse import csr_array
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import fit_rigid, place_each, sums_each
@@ -221,6 +221,8 @@ def brought_together(points: Floats, weight: Floats, landmark: Ints, body: Ints)
     `points` (n, d), map frame, metres; `weight` (n,); `landmark` (n,): 0 to m - 1; `body` (n,),
     ascending: 0 to b - 1.
     """
+    from relmap.core.refinement.live_kernels import moments_between
+
     b, d, q = int(body[-1]) + 1, points.shape[1], 3 * points.shape[1] - 3
     centre = sums_each(points, body, b) / np.bincount(body)[:, None]
     away = points - centre[body]
@@ -229,9 +231,11 @@ def brought_together(points: Floats, weight: Floats, landmark: Ints, body: Ints)
     columns = np.column_stack([away, np.ones(len(away))])  # the Jacobians are linear in them
     constant = derivatives(np.zeros((1, d)))
     by_step = np.concatenate([derivatives(np.eye(d)) - constant, constant])
-    force = sums_each(columns[:, :, None] * pull[:, None], body, b)
+    force = _products(columns, pull, body)
     right = np.einsum("npa,pau->nu", force, by_step).ravel()
-    moments = moments_between(columns, weight, total, landmark, body)
+    begin = np.append(0, np.cumsum(np.bincount(landmark)))
+    order = np.argsort(landmark, kind="stable")
+    moments = moments_between(columns, weight, body, begin, order, b)
     products = np.einsum("pau,qav->pquv", by_step, by_step).reshape((d + 1) ** 2, q * q)
     matrix = (moments.reshape(b * b, -1) @ products).reshape(b, b, q, q)
     matrix = matrix.swapaxes(1, 2).reshape(b * q, b * q)
@@ -253,20 +257,7 @@ def _pulls(points: Floats, weight: Floats, total: Floats, landmark: Ints) -> tup
     return pull, float(np.sum(pull * apart))
 
 
-def moments_between(
-    columns: Floats, weight: Floats, total: Floats, landmark: Ints, body: Ints
-) -> Floats:
-    """Return second moments (b, b, q, q) of rows (n, q) between bodies, the landmarks eliminated.
-
-    `weight`, `landmark`, `body` (n,): of each row; `total` (m,): weight of each landmark.
-    """
-    b, q = int(body[-1]) + 1, columns.shape[1]
-    weighed = weight[:, None] * columns
-    at = np.repeat(landmark, q), (q * body[:, None] + np.arange(q)).ravel()
-    seen = csr_array((weighed.ravel(), at), shape=(len(total), b * q))
-    shared: Floats = (seen.T @ (seen / total[:, None])).toarray().reshape(b, q, b, q)
-    moments = -shared.swapaxes(1, 2)
-    moments[np.arange(b), np.arange(b)] += sums_each(
-        weighed[:, :, None] * columns[:, None], body, b
-    )
-    return moments
+def _products(x: Floats, y: Floats, body: Ints) -> Floats:
+    """Return the sums (b, p, q) of the products of rows (n, p) and (n, q) of each body."""
+    begin = np.searchsorted(body, np.arange(int(body[-1]) + 2)).tolist()
+    return np.stack([x[i:j].T @ y[i:j] for i, j in pairwise(begin)])

@@ -10,6 +10,8 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.geometry.alignment import extent_of
+from relmap.core.geometry.robust import EXACT
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.refinement.condensing import SegmentRows
 from relmap.core.refinement.extending import lay
@@ -59,7 +61,7 @@ def _misread(
     of, n_seen = landmark[judged], rows.n_seen[judged]
     apart = np.linalg.norm(laid.placed[judged] - positions[of], axis=1)
     apart /= np.sqrt(laid.variance[judged])
-    limit = _limit(apart, of)
+    limit = max(_limit(apart, of), EXACT * extent_of(positions[of]))
     against = np.bincount(of, n_seen * (apart > limit))
     seen = np.bincount(of, n_seen, minlength=len(positions))
     support = seen[: len(against)] - against

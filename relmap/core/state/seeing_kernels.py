@@ -12,6 +12,21 @@ Columns = tuple[Ints, Ints, Ints, Bools, Ints]
 
 
 @compiled
+def enter(columns: tuple[Ints, Ints, Ints], tracks: Ints, iteration: int) -> Ints:
+    """Record that tracks (k,) are seen in this iteration; return the landmarks that they are.
+
+    `columns`, of the landmark table: landmark_of, track_end, track_observations.
+    """
+    landmark_of, track_end, track_observations = columns
+    landmarks = np.empty(len(tracks), dtype=np.int64)
+    for k in range(len(tracks)):
+        track_observations[tracks[k]] += track_end[tracks[k]] != iteration
+        track_end[tracks[k]] = iteration
+        landmarks[k] = landmark_of[tracks[k]]
+    return landmarks
+
+
+@compiled
 def see(
     columns: Columns, landmarks: Ints, in_view: Ints, iteration: int, max_missed: int
 ) -> tuple[Ints, Ints, Ints]:

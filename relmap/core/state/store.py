@@ -156,14 +156,15 @@ class ObservationStore:
         `landmarks` (n,): the seed, then the others, ascending, `iterations` (i,), ascending and
         `block` (n, i, d), robot frame, metres: NaN where missing.
         """
-        from relmap.core.grouping.chart_kernels import chart_block
+        from relmap.core.grouping.chart_kernels import chart_block, seen_with
 
         shown, offsets = self._shown(begin, end)
         seen = shown.landmarks if seed < 0 else self.now(shown.landmarks)
         self._slots.resize(max(seed, int(seen.max(initial=-1))) + 1, -1)
-        landmarks, columns, block = chart_block(
-            seen, shown.points_robot, offsets, seed, self._slots.values
-        )
+        slots = self._slots.values
+        landmarks, columns = seen_with(seen, offsets, seed, slots)
+        landmarks[seed >= 0 :].sort()  # several times as fast as a compiled loop
+        block = chart_block(seen, shown.points_robot, offsets, landmarks, columns, slots)
         return landmarks, columns + begin, block
 
     def _rows(self, begin: int, end: int) -> tuple[slice, Ints]:

@@ -172,10 +172,11 @@ class LandmarkState:
 
         Returns the landmarks after merging.
         """
+        from relmap.core.state.seeing_kernels import enter
+
         self.resize(int(landmarks.max(initial=-1)) + 1, iteration, points.shape[1])
-        self.track_end[landmarks] = iteration
-        self.track_observations[landmarks] += 1
-        return self.landmark_of[landmarks]
+        columns = self.landmark_of, self.track_end, self.track_observations
+        return enter(columns, landmarks, iteration)
 
     def now(self, landmarks: Ints) -> Ints:
         """Return the landmarks (any shape) after merging, given their numbers; -1 stays."""

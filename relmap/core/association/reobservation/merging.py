@@ -211,18 +211,15 @@ class Merger:
         """Search for older landmarks near new ones (k,)."""
         if self._index is None or not len(landmarks):
             return
-        positions = self._table.position
-        of, near = self._index.near(positions[landmarks])
+        positions, last = self._table.position, self._table.last[landmarks]
+        # Most are seen now too, and are not older ones.
+        before = last if self.sightings is None else last + 1
+        of, near = self._index.near(positions[landmarks], before)
+        if not len(near):
+            return
         new = landmarks[of]
-        if self.sightings is None:  # most are seen now too, and are not older ones
-            earlier = self._table.last[near] < self._table.last[new]
-            new, near = new[earlier], near[earlier]
-            if not len(new):
-                return
         close = np.linalg.norm(positions[near] - positions[new], axis=1) <= self._index.cell_m
-        # Of the conditions of `_may_be` those that can be tested for many pairs at once.
         close &= self._table.submap[near] == self._table.submap[new]
-        close &= self._table.last[near] <= self._table.last[new]
         found: dict[int, list[int]] = {}
         for one, old in zip(new[close].tolist(), near[close].tolist(), strict=True):
             if self._may_be(one, old):
