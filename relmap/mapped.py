@@ -18,7 +18,7 @@ from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup, Subma
 from relmap.core.mapper import RelativeMapper
 from relmap.core.odometry import OdometryUse
 from relmap.core.refinement.joint import Refined
-from relmap.core.scan import checked_labels
+from relmap.core.scan import checked_labels, checked_submap
 from relmap.core.stamps import Stamps
 from relmap.shown import Shown
 
@@ -162,6 +162,28 @@ class Mapped(Shown, ABC):
     def trajectory(self) -> Floats:
         """``T_map_robot`` of every iteration (k, 4, 4), for display; NaN where undetermined."""
         return readout.path(self.engine)
+
+    def trajectory_of(self, number: int) -> Floats:
+        """Return the poses of every iteration in a submap, for display.
+
+        Parameters
+        ----------
+        number : int
+            Index of the submap in `submaps`; 0 gives the `trajectory`.
+
+        Returns
+        -------
+        (k, 4, 4) float64
+            ``T_submap_robot``; NaN where the submap does not determine it. A scan that shows
+            landmarks of two submaps has a pose in both.
+
+        Raises
+        ------
+        RelmapError
+            If there is no such submap.
+        """
+        ranks = self.engine.map.ranks
+        return readout.path(self.engine, checked_submap(number, int(ranks.max(initial=-1)) + 1))
 
     @property
     def stamps_s(self) -> Floats:

@@ -19,9 +19,12 @@ def labels(engine: RelativeMapper) -> Ints:
     return engine.association.current.labels_of(np.arange(len(engine.table)))
 
 
-def mapped_positions(engine: RelativeMapper) -> Floats:
-    """Return the positions (n, d) in the map, map frame, metres; NaN for other submaps."""
-    return np.where(engine.map.ranks[:, None] == 0, engine.table.position, np.nan)
+def mapped_positions(engine: RelativeMapper, rank: int = 0) -> Floats:
+    """Return the positions (n, d) in a submap, in its frame, metres; NaN for other submaps.
+
+    `rank`: its index, 0 for the map itself.
+    """
+    return np.where(engine.map.ranks[:, None] == rank, engine.table.position, np.nan)
 
 
 def mapped_covariances(engine: RelativeMapper) -> Floats:
@@ -98,11 +101,14 @@ def mapped_groups(engine: RelativeMapper) -> list[MappedGroup]:
     return [replace(group, landmarks=called[of[group.landmarks]]) for group in engine.levels.groups]
 
 
-def path(engine: RelativeMapper) -> Floats:
-    """Return ``T_map_robot`` of every iteration (k, 4, 4); NaN where undetermined."""
+def path(engine: RelativeMapper, rank: int = 0) -> Floats:
+    """Return ``T_submap_robot`` of every iteration (k, 4, 4); NaN where undetermined.
+
+    `rank`: index of the submap, 0 for the map itself.
+    """
     if engine.odometry is not None and engine.odometry.is_used:
-        return engine.odometry.poses_in(engine.map.first)
-    positions = mapped_positions(engine)
+        return engine.odometry.poses_in(engine.map.numbered(rank))
+    positions = mapped_positions(engine, rank)
     noise_m = float(np.nan_to_num(engine.averaging.noise.sigma_m))
     return trajectory(engine.rows, positions, engine.table.landmark_of, noise_m)
 

@@ -28,7 +28,7 @@ from relmap.evaluation.feeding import (
 )
 from relmap.evaluation.space_run import result_in_space
 from relmap.evaluation.summary import completion, is_refined, summary_of
-from relmap.io.results import Result, Tracks, shifted
+from relmap.io.results import LEAST_SCANS, Result, SubmapPath, Tracks, shifted
 from relmap.planes import PlaneMapper
 from relmap.planes.walls.files import DrawnSubmap, PlaneResult
 from relmap.planes.walls.table import PlaneTable
@@ -36,8 +36,6 @@ from relmap.planes3d import Plane3dMapper
 from relmap.points import PointMapper
 from relmap.segmentation import PlaneSegmenter
 
-FEWEST_DRAWN = 10
-"""Minimum scans of a submap with separate files; smaller ones are only listed."""
 POINTS_DRAWN = 100_000
 """Maximum number of points in a picture of a submap."""
 
@@ -188,18 +186,24 @@ def result_of(
     if isinstance(method, Plane3dMapper):
         return result_in_space(method, log, labels)
     first, k = log.first_iteration, len(log)
-    poses, stamps_s = method.trajectory[first - offset :], stamps_of(log)
-    there = np.isfinite(poses).all(axis=(1, 2))
+    main, stamps_s = _path(method.trajectory[first - offset :], log), stamps_of(log)
+    others: tuple[SubmapPath, ...] = ()
+    if isinstance(method, PointMapper):
+        others = tuple(
+            _path(method.trajectory_of(number)[first - offset :], log)
+            for number in range(1, len(method.submaps))
+        )
     dimensions = 2 if isinstance(log, ScanLog) else log.points_robot.shape[1]
     scans = [first, first + k]
     result = Result(
         shifted(method.landmarks, offset),
         _tracks(method, log, labels, association),
-        stamps_s[there],
-        poses[there],
+        main.stamps_s,
+        main.poses,
         {"association": association, "dimensions": dimensions, "scans": scans},
         tuple(method.submaps),
-        first + np.flatnonzero(there),
+        main.iterations,
+        (main, *others),
     )
     if not isinstance(method, PlaneMapper):
         return result
@@ -208,9 +212,15 @@ def result_of(
     drawn = tuple(
         _drawn(method, number, every_s[slice(*submap.span)], offset, weak)
         for number, submap in enumerate(method.submaps)
-        if number == 0 or submap.n_scans >= FEWEST_DRAWN
+        if number == 0 or submap.n_scans >= LEAST_SCANS
     )
     return PlaneResult(**vars(result), planes=shifted(method.planes, offset), drawn=drawn)
+
+
+def _path(poses: Floats, log: Log) -> SubmapPath:
+    """Return the path in a submap, given poses (k, 4, 4) of each scan of the log or NaN."""
+    there = np.flatnonzero(np.isfinite(poses).all(axis=(1, 2)))
+    return SubmapPath(log.first_iteration + there, stamps_of(log)[there], poses[there])
 
 
 def _drawn(

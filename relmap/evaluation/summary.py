@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.landmarks import Submap
 from relmap.core.odometry import OdometryUse
 from relmap.core.refinement.joint import Refined
 from relmap.datasets.base import ObservationLog
@@ -46,7 +45,9 @@ def summary_of(
     counts["iterations_without_pose"] = len(log) - len(result.poses)
     summary: dict[str, Any] = {"versions": versions(), "counts": {"iterations": len(log)} | counts}
     begun = mapper.begun if isinstance(mapper, PlaneMapper) else ()
-    summary["submaps"] = [_submap_row(submap, offset, begun) for submap in result.submaps]
+    summary["submaps"] = [
+        _submap_row(result, number, offset, begun) for number in range(len(result.submaps))
+    ]
     summary["refinement"] = weakness(mapper.refined, offset)
     summary["association_trust"] = {
         "tied_scans": mapper.tied_share,
@@ -143,15 +144,19 @@ def _by_status(status: NDArray[np.str_], prefix: str = "") -> dict[str, int]:
     return {f"{prefix}{name}": int((status == name).sum()) for name in STATUS}
 
 
-def _submap_row(submap: Submap, offset: int, begun: Ints | tuple[()]) -> dict[str, Any]:
+def _submap_row(
+    result: Result, number: int, offset: int, begun: Ints | tuple[()]
+) -> dict[str, Any]:
+    submap = result.submaps[number]
     row: dict[str, Any] = {
         "landmarks": len(submap.landmark_ids),
         "iterations": [offset + submap.first_iteration, offset + submap.last_iteration],
     }
     if isinstance(submap, WallSubmap):
         scans, metres = submap.n_scans, submap.length_m(begun)
-        row |= {"scans": scans, "metres": metres, "refined": submap.refined}
-    return row
+        return row | {"scans": scans, "metres": metres, "refined": submap.refined}
+    path = result.paths[number]
+    return row | {"scans": len(path.poses), "metres": path.length_m}
 
 
 def steps_of(

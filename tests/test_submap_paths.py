@@ -1,0 +1,91 @@
+"""The path in each submap of a run of points that broke: its file, its summary, its view."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from relmap import PlaneMapper, PointMapper, RelmapError
+from relmap.cli import main
+from relmap.io.files import read_tum
+from tests.commands import load, unrendered
+from tests.test_report import numbers, views
+
+STEP_M = 0.1
+FIRST, SECOND, THIRD = 30, 16, 6
+"""Scans in each of three places."""
+GAP = 20
+"""Empty scans between two places."""
+
+
+def scans() -> list[np.ndarray]:
+    """Return three places, seen one after the other while the robot moves along x."""
+    random, found = np.random.default_rng(0), list[np.ndarray]()
+    for n in (FIRST, SECOND, THIRD):
+        landmarks = random.uniform(-8, 8, (12, 2))
+        found += [landmarks - [STEP_M * k, 0.0] for k in range(n)]
+        found += [np.empty((0, 2))] * GAP
+    return found[:-GAP]
+
+
+@pytest.fixture(scope="module")
+def mapper() -> PointMapper:
+    mapper = PointMapper()
+    for points in scans():
+        mapper.update(points)
+    mapper.finish()
+    mapper.refine()
+    return mapper
+
+
+def is_straight(poses: np.ndarray) -> bool:
+    """Return whether the poses (k, 4, 4) are those of a robot that moves along its x axis."""
+    expected = np.tile(np.eye(4), (len(poses), 1, 1))
+    expected[:, 0, 3] = STEP_M * np.arange(len(poses))
+    return np.allclose(poses, expected, atol=1e-6)
+
+
+def test_each_submap_has_a_path(mapper: PointMapper) -> None:
+    begin = [0, FIRST + GAP, FIRST + SECOND + 2 * GAP]
+    assert len(mapper.submaps) == 3
+    for number, submap in enumerate(mapper.submaps):
+        poses = mapper.trajectory_of(number)
+        known = np.flatnonzero(np.isfinite(poses[:, 0, 3]))
+        rank = begin.index(submap.first_iteration)
+        np.testing.assert_array_equal(known, begin[rank] + np.arange((FIRST, SECOND, THIRD)[rank]))
+        assert is_straight(poses[known])
+    np.testing.assert_array_equal(mapper.trajectory_of(0), mapper.trajectory)
+
+
+def test_a_submap_that_does_not_exist_is_an_error(mapper: PointMapper) -> None:
+    for number in (-1, 3):
+        with pytest.raises(RelmapError, match=f"no submap {number}: the map has 3"):
+            mapper.trajectory_of(number)
+    with pytest.raises(RelmapError, match="no submap 1: the map has 0"):
+        PlaneMapper().trajectory_of(1)
+    assert PlaneMapper().trajectory_of(0).shape == (0, 4, 4)
+
+
+@unrendered()
+def test_the_command_writes_the_paths_of_submaps(tmp_path: Path) -> None:
+    rows = [f"{k},{x!r},{y!r}" for k, each in enumerate(scans()) for x, y in each.tolist()]
+    log, out = tmp_path / "observations.csv", tmp_path / "result"
+    log.write_text("\n".join(["iteration,x,y", *rows]) + "\n")
+    assert main(["map", str(log), "-o", str(out)]) == 0
+    submaps = load(out / "summary.json")["submaps"]
+    assert sorted(each["scans"] for each in submaps) == [THIRD, SECOND, FIRST]
+    for each in submaps:
+        assert each["metres"] == pytest.approx(STEP_M * (each["scans"] - 1))
+    files = {path.name: len(read_tum(path)[0]) for path in out.glob("submap-*.tum")}
+    assert files == {
+        f"submap-{k}.tum": each["scans"]
+        for k, each in enumerate(submaps)
+        if k and each["scans"] >= 10
+    }
+    for view, each in zip(views((out / "report.html").read_text()), submaps, strict=True):
+        assert len(numbers(view["iterations"], "<i4")) == each["scans"]
+    # Mapped again in part, their files are out of date.
+    assert main(["map", str(log), "-o", str(out), "--scans", "0:20"]) == 0
+    assert not list(out.glob("submap-*.tum"))
