@@ -90,7 +90,7 @@ def evaluate_command(
     ] = None,
 ) -> None:
     """Evaluate a result; the help text explains the arguments."""
-    from relmap.planes.walls.files import PLANES
+    from relmap.io.results import PLANES
 
     if (folder / PLANES).exists() and log is not None:
         raise RelmapError("walls and planes have no ids: --log is for a map of points")

@@ -16,7 +16,6 @@ from relmap.cli.arguments import Association, read_config
 from relmap.cli.console import Counter, busy, tracked
 from relmap.cli.job import Job, journaled_labels
 from relmap.cli.job_log import log_of
-from relmap.cli.merge import SECOND
 from relmap.core.errors import RelmapError
 from relmap.datasets.own_table import OwnTable
 from relmap.datasets.scans import ScanLog
@@ -28,13 +27,10 @@ from relmap.evaluation.truth import Truth, read_truth
 from relmap.io import results
 from relmap.io.files import staged_folder
 from relmap.planes import PlaneMapper
-from relmap.planes.walls.files import PLANES, PlaneResult, submap_files
+from relmap.planes.walls.files import PlaneResult
 from relmap.plots.bench_recorder import BenchRecorder, frame_step
 from relmap.plots.live import LiveView
 from relmap.points import PointMapper
-
-BENCH_PNG = "bench.png"
-BENCH_GIF = "bench.gif"
 
 
 def map_input(source: Path, out: Path, association: Association = "nearest") -> Run:
@@ -52,7 +48,7 @@ def map_log(job: Job) -> tuple[Run, int]:
     out = job.at(job.out)
     _check_journal(job.journal, out)
     log = log_of(job)
-    with staged_folder(out, stale_files(out)) as staging:
+    with staged_folder(out, results.stale_files(out)) as staging:
         run = _mapped_into(staging, job, log)
         return run, len(list(staging.iterdir()))
 
@@ -63,7 +59,7 @@ def _check_journal(journal: Path | None, out: Path) -> None:
         return
     names = {results.LANDMARKS, results.TRACKS, results.TRAJECTORY, results.SUBMAPS}
     names |= {results.MAP_PLY, results.MAP_PNG, results.SUMMARY, results.MAPPER}
-    names |= {*stale_files(out)}
+    names |= {*results.stale_files(out)}
     if journal.name in names or journal.match("submap-*.tum"):
         raise RelmapError(
             f"journal {journal} would be overwritten by the result: give it another name"
@@ -162,14 +158,6 @@ def _about(job: Job, log: Log) -> dict[str, Any]:
     return about
 
 
-def stale_files(out: Path) -> list[str]:
-    """Return the files of an earlier result, also of walls, that become obsolete."""
-    from relmap.plots.report import REPORT
-
-    own = [results.EVALUATION, results.NAMES, PLANES, REPORT, BENCH_PNG, BENCH_GIF, SECOND]
-    return own + list(submap_files(out))
-
-
 def _write(folder: Path, run: Run, job: Job, names: Sequence[str] | None) -> None:
     from relmap.plots.of_mapper import write_pictures
 
@@ -200,11 +188,11 @@ def _draw_bench(folder: Path, bench: BenchRecorder, animate: bool) -> None:
     last = bench.last()
     if last is None:
         return
-    write_bench_png(folder / BENCH_PNG, last)
+    write_bench_png(folder / results.BENCH_PNG, last)
     if animate:
         n = len(bench.frames) + 1
         show = partial(tracked, total=n, what="drawing")
-        write_bench_gif(folder / BENCH_GIF, [*bench.frames, last], show)
+        write_bench_gif(folder / results.BENCH_GIF, [*bench.frames, last], show)
 
 
 def _truth_beside(source: Path) -> Truth | None:

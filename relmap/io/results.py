@@ -32,6 +32,11 @@ SUMMARY = "summary.json"
 MAPPER = "mapper.npz"
 EVALUATION = "evaluation.json"
 NAMES = "names.csv"
+PLANES = "planes.csv"
+REPORT = "report.html"
+BENCH_PNG = "bench.png"
+BENCH_GIF = "bench.gif"
+SECOND = "trajectory-2.tum"
 
 OPTIONAL = ("submap", "moving_bin")
 """Columns that may be missing in results of other programs and earlier versions."""
@@ -178,6 +183,15 @@ def write_result(folder: Path, result: Result) -> None:
             write_tum(folder / f"submap-{number}.tum", path.stamps_s, path.poses)
     atomic_write(folder / MAP_PLY, ply_text(table.position[result.mapped]))
     atomic_write(folder / SUMMARY, json_text(result.summary))
+
+
+def stale_files(folder: Path) -> list[str]:
+    """Return the files of an earlier result of any kind that a new one may not replace."""
+    own = [EVALUATION, NAMES, PLANES, REPORT, BENCH_PNG, BENCH_GIF, SECOND]
+    try:
+        return own + sorted(path.name for path in folder.glob("submap-*.tum"))
+    except OSError:  # a folder cannot have this name: the error is reported on writing
+        return own
 
 
 def ply_text(

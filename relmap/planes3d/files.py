@@ -12,13 +12,12 @@ from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.columns import AXES, NORMAL
 from relmap.core.errors import RelmapError
 from relmap.io.files import atomic_write
-from relmap.io.results import MAP_PLY, Result, read_result
+from relmap.io.results import MAP_PLY, PLANES, Result, read_result
 from relmap.io.tables import Kind, columns_text, read_table
 from relmap.planes3d.outlines import surfaces_of
 from relmap.planes3d.submap import Submap
 from relmap.planes3d.table import Plane3dTable
 
-PLANES = "planes.csv"
 SDS = "sd", "sd_normal", "sd_centre"
 COLUMNS: dict[str, Kind] = {
     "plane": "int",

@@ -12,11 +12,10 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.columns import NORMAL
 from relmap.core.errors import RelmapError
 from relmap.io.files import atomic_write, write_tum
-from relmap.io.results import Result, read_result
+from relmap.io.results import PLANES, Result, read_result
 from relmap.io.tables import Kind, columns_text, read_table
 from relmap.planes.walls.table import PlaneTable
 
-PLANES = "planes.csv"
 CORNER, OPEN = "corner", "open"
 ENDS = "x0", "y0", "x1", "y1"
 
@@ -94,14 +93,6 @@ def write_submaps(folder: Path, submaps: Sequence[tuple[Floats, Floats]]) -> Non
         own = np.isfinite(stamps_s)
         if own.any():
             write_tum(folder / f"submap-{number}.tum", stamps_s[own], poses[own])
-
-
-def submap_files(folder: Path) -> list[str]:
-    """Return the names of the submap files in a folder."""
-    try:
-        return sorted(path.name for path in folder.glob("submap-*.tum"))
-    except OSError:  # a folder cannot have this name: the error is reported on writing
-        return []
 
 
 def read_planes(folder: Path) -> PlaneTable:
