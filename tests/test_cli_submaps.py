@@ -122,6 +122,8 @@ def test_time_is_reported_in_whole_and_readable(result: Path) -> None:
     timing = load(result / "summary.json")["timing"]
     assert 0.0 < timing["segmentation_share"] < 1.0
     assert timing["scan_median_ms"] >= max(timing["median_ms"], timing["segmentation_median_ms"])
+    stages = ("reading_s", "segmentation_s", "mapping_s", "finish_s")
+    assert sum(timing[stage] for stage in stages) + timing["refine_ms"] / 1e3 < timing["total_s"]
     assert each(102.3) == "median 102 ms each"
     assert each(5512.0) == "median 5.5 s each"
     assert each(0.256) == "median 0.26 ms each"

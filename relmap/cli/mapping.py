@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, closing
 from functools import partial
 from pathlib import Path
+from time import monotonic
 from typing import Any, cast
 
 import numpy as np
@@ -25,7 +26,7 @@ from relmap.evaluation.saved import write_tables
 from relmap.evaluation.sources import recognised_format
 from relmap.evaluation.truth import Truth, read_truth
 from relmap.io import results
-from relmap.io.files import staged_folder
+from relmap.io.files import atomic_write, staged_folder
 from relmap.planes import PlaneMapper
 from relmap.planes.walls.files import PlaneResult
 from relmap.plots.bench_recorder import BenchRecorder, frame_step
@@ -45,11 +46,13 @@ def map_log(job: Job) -> tuple[Run, int]:
     Returns `n_files`: number of files written. Raises `RelmapError` if an argument or the log is
     invalid, or the folder cannot be written; an earlier result in it is then unchanged.
     """
-    out = job.at(job.out)
+    began, out = monotonic(), job.at(job.out)
     _check_journal(job.journal, out)
     log = log_of(job)
     with staged_folder(out, results.stale_files(out)) as staging:
-        run = _mapped_into(staging, job, log)
+        run = _mapped_into(staging, job, log, began)
+        run.result.summary["timing"]["total_s"] = monotonic() - began
+        atomic_write(staging / results.SUMMARY, results.json_text(run.result.summary))
         return run, len(list(staging.iterdir()))
 
 
@@ -66,8 +69,11 @@ def _check_journal(journal: Path | None, out: Path) -> None:
         )
 
 
-def _mapped_into(folder: Path, job: Job, log: Log) -> Run:
-    """Map a log, and write results and pictures into an existing folder."""
+def _mapped_into(folder: Path, job: Job, log: Log, began: float) -> Run:
+    """Map a log, and write results and pictures into an existing folder.
+
+    `began`: time on `monotonic` at which the log was opened.
+    """
     seen, about = journaled_labels(job, log), _about(job, log)
     with ExitStack() as afterwards:
         counter = afterwards.enter_context(closing(Counter("mapping")))
@@ -87,6 +93,7 @@ def _mapped_into(folder: Path, job: Job, log: Log) -> Run:
             counter.close()
             afterwards.enter_context(busy("refining and writing"))
 
+        opened_s = monotonic() - began
         run = run_mapper(
             mapper,
             log,
@@ -99,6 +106,7 @@ def _mapped_into(folder: Path, job: Job, log: Log) -> Run:
             job.odometry == "auto",
             counter,
         )
+        run.result.summary["timing"]["reading_s"] += opened_s
         if view is not None:
             view.show(mapper)
         if job.onto is not None:

@@ -11,7 +11,7 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.landmarks import LandmarkTable
 from relmap.core.landmarks import Submap as LandmarkSubmap
 from relmap.evaluation.feeding import Log, stamps_of
-from relmap.evaluation.summary import steps_of
+from relmap.evaluation.summary import by_status, steps_of
 from relmap.io.results import SubmapPath, Tracks, shifted
 from relmap.planes3d import Plane3dMapper
 from relmap.planes3d.files import Plane3dResult
@@ -49,7 +49,7 @@ def result_in_space(mapper: Plane3dMapper, log: Log, labels: Sequence[Ints]) -> 
             "iterations": len(log),
             "observations": len(named),
             "planes": len(table.plane),
-            "planes_static": int((table.status == "static").sum()),
+            **by_status(table.status, "planes_"),
             "iterations_without_pose": len(log) - len(main.poses),
         },
         "submaps": [submap_row(part, first) for part in parts],

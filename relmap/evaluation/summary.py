@@ -125,7 +125,7 @@ def _counts(result: Result, log: ObservationLog | ScanLog) -> dict[str, int]:
         "landmarks": len(table.landmark),
         "mapped": int(result.mapped.sum()),
         "moving_bins": len(np.unique(table.moving_bin[table.moving_bin >= 0])),
-        **_by_status(table.status),
+        **by_status(table.status),
     }
 
 
@@ -135,12 +135,13 @@ def _counts_of_walls(result: PlaneResult) -> dict[str, int]:
         "observations": len(result.tracks.row),
         "planes": len(planes.plane),
         "corners": len(corners.landmark),
-        **_by_status(planes.status, "planes_"),
-        **_by_status(corners.status, "corners_"),
+        **by_status(planes.status, "planes_"),
+        **by_status(corners.status, "corners_"),
     }
 
 
-def _by_status(status: NDArray[np.str_], prefix: str = "") -> dict[str, int]:
+def by_status(status: NDArray[np.str_], prefix: str = "") -> dict[str, int]:
+    """Return the number of landmarks (n,) of each status, by its name with a prefix."""
     return {f"{prefix}{name}": int((status == name).sum()) for name in STATUS}
 
 
@@ -260,7 +261,8 @@ def _timing(fed: Fed, segmented: bool) -> dict[str, float | None]:
             "segmentation_share": float(prepare_s.sum() / total_s.sum()) if len(total_s) else None,
             "scan_median_ms": _median_ms(total_s),
         }
-    stages_s = {"mapping_s": fed.durations_s[:, 1].sum(), "finish_s": fed.finish_s}
+    mapping_s = fed.durations_s[:, 1].sum()
+    stages_s = {"reading_s": fed.reading_s, "mapping_s": mapping_s, "finish_s": fed.finish_s}
     if segmented:
         stages_s["segmentation_s"] = prepare_s.sum()
     stages = {stage: float(seconds) for stage, seconds in stages_s.items()}
