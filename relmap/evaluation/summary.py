@@ -64,7 +64,8 @@ def summary_of(
             (own.poses, own.first_iteration + np.arange(len(own.poses))) for own in mapper.submaps
         ]
         steps = steps_of(paths, np.append(mapper.weak_links, mapper.begun), view_rad)
-        return summary | {"weak_links": weak, "steps": steps}
+        free = mapper.weak_directions.tolist()
+        return summary | {"weak_links": weak, "weak_directions": free, "steps": steps}
     if summary["refinement"] is not None:
         engine = mapper.engine
         # With odometry, one landmark in a scan may be enough for a map, but not for a segment.
