@@ -110,7 +110,7 @@ def test_a_result_that_is_only_read_is_not_overwritten(place: Path, refused: Che
         assert "give another folder" in refused("merge", "truth", "out", "-o", out)
 
 
-@pytest.mark.parametrize("name", ["landmarks.csv", "bench.gif", "submap-3.tum"])
+@pytest.mark.parametrize("name", ["landmarks.csv", "bench.gif", "submap-3.tum", "submap-3.csv"])
 def test_a_journal_among_the_results_has_another_name(refused: Check, name: str) -> None:
     said = refused("map", "log.csv", "-o", "new", "--journal", f"truth/../new/{name}")
     assert "give it another name" in said

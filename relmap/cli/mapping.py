@@ -63,7 +63,7 @@ def _check_journal(journal: Path | None, out: Path) -> None:
     names = {results.LANDMARKS, results.TRACKS, results.TRAJECTORY, results.SUBMAPS}
     names |= {results.MAP_PLY, results.MAP_PNG, results.SUMMARY, results.MAPPER}
     names |= {*results.stale_files(out)}
-    if journal.name in names or journal.match("submap-*.tum"):
+    if journal.name in names or any(map(journal.match, results.OF_SUBMAPS)):
         raise RelmapError(
             f"journal {journal} would be overwritten by the result: give it another name"
         )

@@ -64,7 +64,7 @@ def write_tables(folder: Path, result: Result) -> None:
         write_parts(folder, result)
     elif isinstance(result, PlaneResult):
         write_planes(folder, result.planes)
-        write_submaps(folder, [(each.stamps_s, each.poses) for each in result.drawn])
+        write_submaps(folder, result.drawn)
 
 
 def save_results(mapper: AnyMapper, folder: Path, pictures: Any) -> None:

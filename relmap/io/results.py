@@ -37,6 +37,7 @@ REPORT = "report.html"
 BENCH_PNG = "bench.png"
 BENCH_GIF = "bench.gif"
 SECOND = "trajectory-2.tum"
+OF_SUBMAPS = "submap-*.tum", "submap-*.csv"
 
 OPTIONAL = ("submap", "moving_bin")
 """Columns that may be missing in results of other programs and earlier versions."""
@@ -189,7 +190,7 @@ def stale_files(folder: Path) -> list[str]:
     """Return the files of an earlier result of any kind that a new one may not replace."""
     own = [EVALUATION, NAMES, PLANES, REPORT, BENCH_PNG, BENCH_GIF, SECOND]
     try:
-        return own + sorted(path.name for path in folder.glob("submap-*.tum"))
+        return own + sorted(path.name for kind in OF_SUBMAPS for path in folder.glob(kind))
     except OSError:  # a folder cannot have this name: the error is reported on writing
         return own
 

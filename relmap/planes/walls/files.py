@@ -72,27 +72,28 @@ class PlaneResult(Result):
         return True
 
 
-def write_planes(folder: Path, table: PlaneTable) -> None:
-    """Write ``planes.csv`` into an existing folder.
+def write_planes(folder: Path, table: PlaneTable, name: str = PLANES) -> None:
+    """Write walls as ``planes.csv``, or a file of another name, into an existing folder.
 
     Raises `RelmapError` if the file cannot be written.
     """
     ends = dict(zip(("end0", "end1"), np.where(table.corner >= 0, CORNER, OPEN).T, strict=True))
     columns = table.columns() | ends | {"nz": np.zeros(len(table))}
-    atomic_write(folder / PLANES, columns_text({name: columns[name] for name in COLUMNS}))
+    atomic_write(folder / name, columns_text({column: columns[column] for column in COLUMNS}))
 
 
-def write_submaps(folder: Path, submaps: Sequence[tuple[Floats, Floats]]) -> None:
-    """Write times (k,) and poses (k, 4, 4) of all submaps except the first: ``submap-K.tum``.
+def write_submaps(folder: Path, submaps: Sequence[DrawnSubmap]) -> None:
+    """Write walls and path of all submaps except the first: ``submap-K.csv``, ``submap-K.tum``.
 
-    Scans of earlier logs, whose times are NaN, are left out.
+    Scans of earlier logs, whose times are NaN, are left out of the path.
 
     Raises `RelmapError` if a file cannot be written.
     """
-    for number, (stamps_s, poses) in enumerate(submaps[1:], start=1):
-        own = np.isfinite(stamps_s)
+    for number, submap in enumerate(submaps[1:], start=1):
+        write_planes(folder, submap.planes, f"submap-{number}.csv")
+        own = np.isfinite(submap.stamps_s)
         if own.any():
-            write_tum(folder / f"submap-{number}.tum", stamps_s[own], poses[own])
+            write_tum(folder / f"submap-{number}.tum", submap.stamps_s[own], submap.poses[own])
 
 
 def read_planes(folder: Path) -> PlaneTable:
