@@ -69,11 +69,16 @@ def test_a_submap_that_does_not_exist_is_an_error(mapper: PointMapper) -> None:
 
 
 @unrendered()
-def test_the_command_writes_the_paths_of_submaps(tmp_path: Path) -> None:
+def test_the_command_writes_the_paths_of_submaps(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     rows = [f"{k},{x!r},{y!r}" for k, each in enumerate(scans()) for x, y in each.tolist()]
     log, out = tmp_path / "observations.csv", tmp_path / "result"
     log.write_text("\n".join(["iteration,x,y", *rows]) + "\n")
     assert main(["map", str(log), "-o", str(out)]) == 0
+    placed = f"{FIRST} of {FIRST + SECOND + THIRD + 2 * GAP} scans have a pose"
+    apart = f"; 2 submaps could not be connected to the map, in which {placed}"
+    assert apart in capsys.readouterr().out
     submaps = load(out / "summary.json")["submaps"]
     assert sorted(each["scans"] for each in submaps) == [THIRD, SECOND, FIRST]
     for each in submaps:

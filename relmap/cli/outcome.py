@@ -60,7 +60,7 @@ def report(job: Job) -> None:
         message += (
             f"{counts['mapped']} of {counts['landmarks']} landmarks{often(run.result)} mapped from "
             f"{counts['observations']} observations in {iterations} iterations, "
-            f"{each(timing['median_ms'])}{took}{untied(len(run.result.submaps) - 1)}"
+            f"{each(timing['median_ms'])}{took}{untied(counts, len(run.result.submaps) - 1)}"
             f"{'' if counts['mapped'] else NOTHING}{doubted(summary)}{overruled(summary)}{hanging}"
             f"{doubtful(summary['refinement'], summary['association_trust']['contradicting'])}"
         )
@@ -202,11 +202,13 @@ def on_odometry(odometry: dict[str, Any] | None) -> str:
     return message
 
 
-def untied(submaps: int) -> str:
-    """Return the number of separate submaps of a map, as the end of a message."""
+def untied(counts: dict[str, int], submaps: int) -> str:
+    """Return the number of separate submaps of a map of points, as the end of a message."""
     if submaps < 1:
         return ""
-    return f"; {submaps} submap{'s' if submaps > 1 else ''} could not be connected to the map"
+    placed = counts["iterations"] - counts["iterations_without_pose"]
+    apart = f"; {counted(submaps, 'submap')} could not be connected to the map"
+    return f"{apart}, in which {placed} of {counted(counts['iterations'])} have a pose"
 
 
 def doubtful(refinement: dict[str, Any] | None, contradicting: float | None) -> str:
