@@ -18,7 +18,7 @@ from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup, Subma
 from relmap.core.mapper import RelativeMapper
 from relmap.core.odometry import OdometryUse
 from relmap.core.refinement.joint import Refined
-from relmap.core.scan import checked_labels, checked_submap
+from relmap.core.scan import checked_labels
 from relmap.core.stamps import Stamps
 from relmap.shown import Shown
 
@@ -163,27 +163,13 @@ class Mapped(Shown, ABC):
         """``T_map_robot`` of every iteration (k, 4, 4), for display; NaN where undetermined."""
         return readout.path(self.engine)
 
-    def trajectory_of(self, number: int) -> Floats:
-        """Return the poses of every iteration in a submap, for display.
+    @property
+    def paths(self) -> list[tuple[Ints, Floats]]:
+        """Of each of the `submaps`: the iterations (p,) with a pose in it, and these (p, 4, 4).
 
-        Parameters
-        ----------
-        number : int
-            Index of the submap in `submaps`; 0 gives the `trajectory`.
-
-        Returns
-        -------
-        (k, 4, 4) float64
-            ``T_submap_robot``; NaN where the submap does not determine it. A scan that shows
-            landmarks of two submaps has a pose in both.
-
-        Raises
-        ------
-        RelmapError
-            If there is no such submap.
+        The poses are ``T_submap_robot``. A scan that shows points of two submaps has one in both.
         """
-        ranks = self.engine.map.ranks
-        return readout.path(self.engine, checked_submap(number, int(ranks.max(initial=-1)) + 1))
+        return readout.paths(self.engine)
 
     @property
     def stamps_s(self) -> Floats:

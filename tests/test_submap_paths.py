@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from relmap import PlaneMapper, PointMapper, RelmapError
+from relmap import PlaneMapper, PointMapper
 from relmap.cli import main
 from relmap.io.files import read_tum
 from tests.commands import load, unrendered
@@ -48,24 +48,20 @@ def is_straight(poses: np.ndarray) -> bool:
 
 
 def test_each_submap_has_a_path(mapper: PointMapper) -> None:
-    begin = [0, FIRST + GAP, FIRST + SECOND + 2 * GAP]
+    begins = {0: FIRST, FIRST + GAP: SECOND, FIRST + SECOND + 2 * GAP: THIRD}
     assert len(mapper.submaps) == 3
-    for number, submap in enumerate(mapper.submaps):
-        poses = mapper.trajectory_of(number)
-        known = np.flatnonzero(np.isfinite(poses[:, 0, 3]))
-        rank = begin.index(submap.first_iteration)
-        np.testing.assert_array_equal(known, begin[rank] + np.arange((FIRST, SECOND, THIRD)[rank]))
-        assert is_straight(poses[known])
-    np.testing.assert_array_equal(mapper.trajectory_of(0), mapper.trajectory)
+    for submap, (iterations, poses) in zip(mapper.submaps, mapper.paths, strict=True):
+        begin = submap.first_iteration
+        np.testing.assert_array_equal(iterations, begin + np.arange(begins[begin]))
+        assert is_straight(poses)
+    first, poses = mapper.paths[0]
+    known = np.isfinite(mapper.trajectory[:, 0, 0])
+    np.testing.assert_array_equal(np.flatnonzero(known), first)
+    np.testing.assert_array_equal(mapper.trajectory[known], poses)
 
 
-def test_a_submap_that_does_not_exist_is_an_error(mapper: PointMapper) -> None:
-    for number in (-1, 3):
-        with pytest.raises(RelmapError, match=f"no submap {number}: the map has 3"):
-            mapper.trajectory_of(number)
-    with pytest.raises(RelmapError, match="no submap 1: the map has 0"):
-        PlaneMapper().trajectory_of(1)
-    assert PlaneMapper().trajectory_of(0).shape == (0, 4, 4)
+def test_nothing_has_no_path() -> None:
+    assert PointMapper().paths == PlaneMapper().paths == []
 
 
 @unrendered()

@@ -156,13 +156,3 @@ def checked_labels(labels: ArrayLike, handed_out: Ints) -> Ints:
     if len(strange):
         raise RelmapError(f"labels holds {strange[0]}, which no update has returned")
     return array.astype(np.int64)
-
-
-def checked_submap(number: int, n_submaps: int) -> int:
-    """Return the index of a submap after checking that it exists; 0 always does.
-
-    Raises `RelmapError` otherwise.
-    """
-    if not 0 <= number < max(n_submaps, 1):
-        raise RelmapError(f"there is no submap {number}: the map has {n_submaps}")
-    return number

@@ -186,24 +186,20 @@ def result_of(
     if isinstance(method, Plane3dMapper):
         return result_in_space(method, log, labels)
     first, k = log.first_iteration, len(log)
-    main, stamps_s = _path(method.trajectory[first - offset :], log), stamps_of(log)
-    others: tuple[SubmapPath, ...] = ()
-    if isinstance(method, PointMapper):
-        others = tuple(
-            _path(method.trajectory_of(number)[first - offset :], log)
-            for number in range(1, len(method.submaps))
-        )
+    poses, stamps_s = method.trajectory[first - offset :], stamps_of(log)
+    there = np.flatnonzero(np.isfinite(poses).all(axis=(1, 2)))
+    paths = method.paths if isinstance(method, PointMapper) else []
     dimensions = 2 if isinstance(log, ScanLog) else log.points_robot.shape[1]
     scans = [first, first + k]
     result = Result(
         shifted(method.landmarks, offset),
         _tracks(method, log, labels, association),
-        main.stamps_s,
-        main.poses,
+        stamps_s[there],
+        poses[there],
         {"association": association, "dimensions": dimensions, "scans": scans},
         tuple(method.submaps),
-        main.iterations,
-        (main, *others),
+        first + there,
+        tuple(_path(offset + iterations, poses, log) for iterations, poses in paths),
     )
     if not isinstance(method, PlaneMapper):
         return result
@@ -217,10 +213,11 @@ def result_of(
     return PlaneResult(**vars(result), planes=shifted(method.planes, offset), drawn=drawn)
 
 
-def _path(poses: Floats, log: Log) -> SubmapPath:
-    """Return the path in a submap, given poses (k, 4, 4) of each scan of the log or NaN."""
-    there = np.flatnonzero(np.isfinite(poses).all(axis=(1, 2)))
-    return SubmapPath(log.first_iteration + there, stamps_of(log)[there], poses[there])
+def _path(iterations: Ints, poses: Floats, log: Log) -> SubmapPath:
+    """Return the part of the path in a submap, (p,) and (p, 4, 4), of the scans of the log."""
+    own = iterations >= log.first_iteration
+    scans = iterations[own]
+    return SubmapPath(scans, stamps_of(log)[scans - log.first_iteration], poses[own])
 
 
 def _drawn(

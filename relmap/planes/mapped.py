@@ -9,7 +9,6 @@ from relmap.core.guard import reads_whole
 from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup
 from relmap.core.odometry import OdometryUse
 from relmap.core.refinement.joint import Refined
-from relmap.core.scan import checked_submap
 from relmap.mapper import Mapper
 from relmap.planes.linking.registration import PlaneRegistration
 from relmap.planes.refinement.refining import odometry_left_out, on_odometry
@@ -158,31 +157,19 @@ class MappedWalls(Mapper):
     @property
     def trajectory(self) -> Floats:
         """``T_map_robot`` of every iteration (k, 4, 4), for display; NaN outside the map."""
-        return self.trajectory_of(0)
-
-    def trajectory_of(self, number: int) -> Floats:
-        """Return the poses of every iteration in a submap, for display.
-
-        Parameters
-        ----------
-        number : int
-            Index of the submap in `submaps`; 0 gives the `trajectory`.
-
-        Returns
-        -------
-        (k, 4, 4) float64
-            ``T_submap_robot``; NaN outside the submap.
-
-        Raises
-        ------
-        RelmapError
-            If there is no such submap.
-        """
         history, submaps = self.history, self.submaps
-        number = checked_submap(number, len(submaps))
         if not submaps:
             return np.full((history.n_iterations, 4, 4), np.nan)
-        return among_all(submaps[number].poses, submaps[number].span, history)
+        return among_all(submaps[0].poses, submaps[0].span, history)
+
+    @property
+    def paths(self) -> list[tuple[Ints, Floats]]:
+        """Of each of the `submaps`: the iterations (p,) in it, and their poses (p, 4, 4)."""
+        known = [np.flatnonzero(np.isfinite(each.poses[:, 0, 3])) for each in self.submaps]
+        return [
+            (each.first_iteration + rows, each.poses[rows])
+            for each, rows in zip(self.submaps, known, strict=True)
+        ]
 
     @property
     def weak_links(self) -> Ints:

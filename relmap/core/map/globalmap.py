@@ -53,11 +53,7 @@ class GlobalMap:
     @property
     def first(self) -> int:
         """Number of the submap that is the map, or `NONE` if there is none."""
-        return self.numbered(0)
-
-    def numbered(self, rank: int) -> int:
-        """Return the number of the submap with an index in `ranks`, or `NONE`."""
-        return int(self.table.submap[self.ranks == rank].max(initial=NONE))
+        return int(self.table.submap[self.ranks == 0].max(initial=NONE))
 
     def submaps_of(self, landmarks: Ints, at_least: int = 1) -> Ints:
         """Return the submaps that contain enough of the landmarks, the oldest first."""
