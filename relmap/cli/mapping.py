@@ -26,7 +26,7 @@ from relmap.evaluation.saved import write_tables
 from relmap.evaluation.sources import recognised_format
 from relmap.evaluation.truth import Truth, read_truth
 from relmap.io import results
-from relmap.io.files import atomic_write, staged_folder
+from relmap.io.files import staged_folder
 from relmap.planes import PlaneMapper
 from relmap.planes.walls.files import PlaneResult
 from relmap.plots.bench_recorder import BenchRecorder, frame_step
@@ -52,7 +52,7 @@ def map_log(job: Job) -> tuple[Run, int]:
     with staged_folder(out, results.stale_files(out)) as staging:
         run = _mapped_into(staging, job, log, began)
         run.result.summary["timing"]["total_s"] = monotonic() - began
-        atomic_write(staging / results.SUMMARY, results.json_text(run.result.summary))
+        write_tables(staging, run.result)
         return run, len(list(staging.iterdir()))
 
 
@@ -70,7 +70,7 @@ def _check_journal(journal: Path | None, out: Path) -> None:
 
 
 def _mapped_into(folder: Path, job: Job, log: Log, began: float) -> Run:
-    """Map a log, and write results and pictures into an existing folder.
+    """Map a log, and write pictures and the state into an existing folder.
 
     `began`: time on `monotonic` at which the log was opened.
     """
@@ -174,7 +174,6 @@ def _write(folder: Path, run: Run, job: Job, names: Sequence[str] | None) -> Non
             f"{job.source}: no wall was found in any scan; expected scans of upright walls, metres "
             "(for planes of any direction: --variant planes3d)"
         )
-    write_tables(folder, run.result)
     if names and job.association == "known":
         results.write_names(folder, dict(enumerate(names)))
     write_pictures(folder, run.result, run.groups, job.command, job.source.name)
