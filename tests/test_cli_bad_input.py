@@ -177,7 +177,7 @@ def test_full_disk(refused: Check, monkeypatch: pytest.MonkeyPatch) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(os, "fsync", full)
-    assert "out/landmarks.csv: No space left" in refused("map", "log.csv", "-o", "out")
+    assert "out/map.png: No space left" in refused("map", "log.csv", "-o", "out")
     assert "No space left" in refused("evaluate", "out", "--truth", "truth")
     options = ["--iterations", "5", "--density", "4"]
     assert "No space left" in refused("simulate", "figure-eight", "-o", "new/one", *options)
