@@ -15,7 +15,7 @@ import json
 import sys
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -24,12 +24,24 @@ from relmap.comparison.methods.registry import find_method
 from relmap.comparison.methods.running import run_method
 from relmap.evaluation.feeding import Association
 from relmap.evaluation.sources import BuildingSource, EightSource, Source
+from relmap.simulation import WorldSpec, simulate_world
 
 BASELINE = Path(__file__).with_name("gate_baseline.json")
 SEEDS = range(5)
 REPEATS = 3
 ACCURATE, TIMED = 0.03, 0.35
 """Relative tolerances of accuracy and time."""
+WORLDS = (
+    "streets",
+    "corridor",
+    "line",
+    "clumps",
+    "columns",
+    "stairs",
+    "missed-spurious",
+    "turns-40",
+)
+"""Worlds of `worlds.py`."""
 OURS, LIVE, EKF, PLAIN = "relmap-points", "relmap-points-live", "ekf-mrpt", "frame-to-map"
 
 
@@ -97,6 +109,21 @@ def corner_ratio() -> float:
     return pair[0] / pair[1]
 
 
+@cache
+def worlds() -> list[dict[str, float]]:
+    """Return the figures of worlds that are hard to associate, mapped without ids."""
+    from worlds import WORLDS as SPECS
+    from worlds import judge
+
+    specs = [WorldSpec(**SPECS[name], seed=0) for name in WORLDS]
+    return [judge(simulate_world(spec), with_covariances=False) for spec in specs]
+
+
+def worst_world(name: str, worst: Callable[[Iterable[float]], float], of: str = "") -> float:
+    """Return the worst figure of all worlds, divided by another one of the world if given."""
+    return worst(found[name] / (found[of] if of else 1.0) for found in worlds())
+
+
 FIGURES: dict[str, tuple] = {
     "landmark error, refined over batch": ("lower", ACCURATE, error_ratio, OURS, "batch"),
     "landmark error, live over batch": ("lower", ACCURATE, error_ratio, LIVE, "batch"),
@@ -108,6 +135,13 @@ FIGURES: dict[str, tuple] = {
     "landmarks per true one without ids, worst seed": (
         "lower", ACCURATE, worst_without_ids, "landmarks_per_true", max
     ),
+    "worlds without ids, error over batch, worst submap": (
+        "lower", 0.1, worst_world, "worst", max
+    ),
+    "worlds without ids, purity over the limit, worst": (
+        "higher", 0.005, worst_world, "purity", min, "oracle"
+    ),
+    "worlds without ids, landmarks mapped, worst": ("higher", 0.02, worst_world, "mapped", min),
     "corner error, refined over the paper's recipe": ("lower", 0.2, corner_ratio),
     "time of an iteration, median, relmap over frame-to-map": (
         "lower", TIMED, time_ratio, OURS, PLAIN, "median_ms"

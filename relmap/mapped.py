@@ -164,6 +164,14 @@ class Mapped(Shown, ABC):
         return readout.path(self.engine)
 
     @property
+    def paths(self) -> list[tuple[Ints, Floats]]:
+        """Of each of the `submaps`: the iterations (p,) with a pose in it, and these (p, 4, 4).
+
+        The poses are ``T_submap_robot``. A scan that shows points of two submaps has one in both.
+        """
+        return readout.paths(self.engine)
+
+    @property
     def stamps_s(self) -> Floats:
         """Time of each iteration (k,), seconds, as given to `update`; NaN where none was given."""
         return self._stamps.of(self.n_iterations)

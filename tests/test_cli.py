@@ -109,17 +109,21 @@ def test_summary(world: Path, result: Path) -> None:
     assert counts["observations"] == len(table(world / "observations.csv"))
     assert counts["landmarks"] == len(landmarks)
     assert counts["mapped"] == sum(row["x"] != "" for row in landmarks)
-    assert list(summary["timing"]) == [
+    assert {*summary["timing"]} == {
         "median_ms",
         "p95_ms",
         "first_100_median_ms",
         "last_100_median_ms",
         "refine_ms",
+        "reading_s",
         "mapping_s",
         "finish_s",
-    ]
+        "total_s",
+    }
     assert all(value > 0 for value in summary["timing"].values())
     assert summary["timing"]["mapping_s"] >= 60e-3 * summary["timing"]["median_ms"] / 2
+    stages_s = [summary["timing"][stage] for stage in ("reading_s", "mapping_s", "finish_s")]
+    assert sum(stages_s) + summary["timing"]["refine_ms"] / 1e3 < summary["timing"]["total_s"]
 
 
 def test_ply_holds_the_mapped_landmarks(result: Path) -> None:

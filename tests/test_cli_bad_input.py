@@ -110,7 +110,7 @@ def test_a_result_that_is_only_read_is_not_overwritten(place: Path, refused: Che
         assert "give another folder" in refused("merge", "truth", "out", "-o", out)
 
 
-@pytest.mark.parametrize("name", ["landmarks.csv", "bench.gif", "submap-3.tum"])
+@pytest.mark.parametrize("name", ["landmarks.csv", "bench.gif", "submap-3.tum", "submap-3.csv"])
 def test_a_journal_among_the_results_has_another_name(refused: Check, name: str) -> None:
     said = refused("map", "log.csv", "-o", "new", "--journal", f"truth/../new/{name}")
     assert "give it another name" in said
@@ -177,7 +177,7 @@ def test_full_disk(refused: Check, monkeypatch: pytest.MonkeyPatch) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(os, "fsync", full)
-    assert "out/landmarks.csv: No space left" in refused("map", "log.csv", "-o", "out")
+    assert "out/map.png: No space left" in refused("map", "log.csv", "-o", "out")
     assert "No space left" in refused("evaluate", "out", "--truth", "truth")
     options = ["--iterations", "5", "--density", "4"]
     assert "No space left" in refused("simulate", "figure-eight", "-o", "new/one", *options)

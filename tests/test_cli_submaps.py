@@ -12,7 +12,7 @@ from relmap.cli import main
 from relmap.cli.outcome import each
 from relmap.io.files import read_tum
 from relmap.planes.walls.files import read_planes
-from tests.commands import load, unrendered
+from tests.commands import load, table, unrendered
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +71,7 @@ def test_files_line_and_picture_report_submaps(
     # Mapped again in part, the file of the other submap is out of date.
     again = ["map", str(broken), "-o", str(out), "--variant", "planes", "--scans", "0:25"]
     assert main(again) == 0
-    assert not (out / "submap-1.tum").exists()
+    assert not list(out.glob("submap-*"))
     with Image.open(out / "map.png") as image:
         assert image.size != two
 
@@ -86,6 +86,16 @@ def test_no_advice_where_the_largest_submap_is_all_but_whole(
     said = capsys.readouterr().out
     assert "broke into 2 submaps" in said
     assert "More overlap" not in said
+
+
+def test_the_walls_of_each_submap_are_written(result: Path) -> None:
+    first, second = (table(result / name) for name in ("planes.csv", "submap-1.csv"))
+    assert list(first[0]) == list(second[0])
+    mapped = [[row for row in each if row["status"] == "static"] for each in (first, second)]
+    assert min(map(len, mapped)) >= 5
+    assert not {row["plane"] for row in mapped[0]} & {row["plane"] for row in mapped[1]}
+    begin, end = load(result / "summary.json")["submaps"][1]["iterations"]
+    assert all(begin <= int(row["first_iteration"]) <= end for row in mapped[1])
 
 
 def test_corners_are_counted_alike_everywhere(result: Path) -> None:
@@ -122,6 +132,8 @@ def test_time_is_reported_in_whole_and_readable(result: Path) -> None:
     timing = load(result / "summary.json")["timing"]
     assert 0.0 < timing["segmentation_share"] < 1.0
     assert timing["scan_median_ms"] >= max(timing["median_ms"], timing["segmentation_median_ms"])
+    stages = ("reading_s", "segmentation_s", "mapping_s", "finish_s")
+    assert sum(timing[stage] for stage in stages) + timing["refine_ms"] / 1e3 < timing["total_s"]
     assert each(102.3) == "median 102 ms each"
     assert each(5512.0) == "median 5.5 s each"
     assert each(0.256) == "median 0.26 ms each"

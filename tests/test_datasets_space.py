@@ -13,6 +13,7 @@ from PIL import Image
 
 from relmap.core.arrays import Floats
 from relmap.datasets import open_scans
+from relmap.datasets.trajectories import read_trajectory
 from relmap.evaluation.truth import read_truth
 from tests.logs import put
 from tests.scanlogs import failure, points_of
@@ -65,6 +66,29 @@ def test_poses_of_kitti(tmp_path: Path) -> None:
     assert "pose 1 has no rotation" in failure(tmp_path)
     put(tmp_path, "1 0 0 5 0 1 0 6 0 0 1 7\n", "poses.txt")
     assert "1 poses, expected one for each of 2 clouds" in failure(tmp_path)
+
+
+@pytest.mark.parametrize("inner", ["", "velodyne"])
+def test_times_of_kitti(tmp_path: Path, inner: str, caplog: pytest.LogCaptureFixture) -> None:
+    (tmp_path / inner).mkdir(exist_ok=True)
+    for number in range(3):
+        put(tmp_path / inner, kitti(CLOUD * (number + 1)), f"{number}.bin")
+    put(tmp_path, "0.0e+00\n1.5e+00\n2.0e+00\n9.0e+00\n", "times.txt")
+    pose = "1 0 0 {} 0 1 0 0 0 0 1 0\n"
+    put(tmp_path, "".join(map(pose.format, range(4))), "poses.txt")
+    assert open_scans(tmp_path).stamps_s.tolist() == [0.0, 1.5, 2.0]
+    assert read_trajectory(tmp_path / "poses.txt")[0].tolist() == [0.0, 1.5, 2.0, 9.0]
+    put(tmp_path, "0\n2.5\n2.0\n", "times.txt")
+    log = open_scans(tmp_path)
+    assert "out of order" in caplog.text
+    assert log.stamps_s.tolist() == [0.0, 2.0, 2.5]
+    assert points_of(log) == [(CLOUD[SEEN] * k).tolist() for k in (1, 3, 2)]
+    assert log.poses is not None
+    assert log.poses[:, 0, 3].tolist() == [0, 2, 1]
+    assert log.numbers is not None
+    assert log.numbers.tolist() == [0, 2, 1]
+    put(tmp_path, "0\n1\n", "times.txt")
+    assert "times.txt: 2 times, expected one for each of 3 clouds" in failure(tmp_path)
 
 
 def test_a_file_of_position_and_quaternion_for_each_cloud(tmp_path: Path) -> None:

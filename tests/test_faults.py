@@ -289,11 +289,14 @@ def test_the_summary_names_rejected_iterations(tmp_path: Path) -> None:
         assert summary["rejected_observations"] == {"count": 0, "rows": []}
 
 
-def test_the_result_names_overruled_observations(tmp_path: Path) -> None:
+def test_the_result_names_overruled_observations(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     log = swapped_in(LOG, AT)
     write_observation_csv(tmp_path / "observations.csv", log)
     source, out = str(tmp_path / "observations.csv"), tmp_path / "r"
     assert main(["map", source, "-o", str(out), "--association", "known"]) == 0
+    assert "; overruled ids: of 2 observations" in capsys.readouterr().out
     first = int(np.searchsorted(log.iteration, AT))
     summary = load(out / "summary.json")
     assert summary["rejected_observations"] == {"count": 2, "rows": [first, first + 1]}

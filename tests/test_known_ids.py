@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from relmap import PointMapper
-from relmap.cli.outcome import doubtful
+from relmap.cli.outcome import doubtful, overruled
 from relmap.comparison.baselines.batch import Batch, batch_least_squares
 from relmap.core.arrays import Floats, Ints
 from relmap.datasets import ObservationLog
@@ -127,3 +127,18 @@ def test_many_wrong_ids_give_a_warning(contradicting: float | None, expected: st
     for given in (refinement, None):
         message = doubtful(given, contradicting)
         assert (expected in message) if expected else not message
+
+
+@pytest.mark.parametrize(
+    ("rows", "scans", "expected"),
+    [
+        (0, 0, ""),
+        (1, 0, "; overruled ids: of 1 observation"),
+        (102, 2, "; overruled ids: of 102 observations, of all in 2 scans"),
+        (0, 1, "; overruled ids: of all in 1 scan"),
+    ],
+)
+def test_overruled_ids_are_said(rows: int, scans: int, expected: str) -> None:
+    counts = {"rejected_observations": {"count": rows}, "rejected_iterations": {"count": scans}}
+    assert overruled({"association": "known", **counts}) == expected
+    assert overruled({"association": "nearest", **counts}) == ""

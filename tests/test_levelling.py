@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from relmap import RelmapError
 from relmap.cli import main
 from relmap.datasets import write_scans_npz
 from relmap.datasets.scans import ScanLog
@@ -47,6 +50,25 @@ def test_what_shows_no_walls_has_no_level_scan() -> None:
     assert len(level_scan(floor, PatchSegmenter())) == 0
     anything = np.random.default_rng(1).uniform(-4, 4, (300, 3))
     assert len(level_scan(anything, PatchSegmenter())) == 0
+
+
+def test_a_given_vertical_levels_what_shows_none() -> None:
+    """One wall, 3 m ahead, of which a sensor that is rolled by 30 degrees sees a slanted part."""
+    y, z = np.meshgrid(np.arange(-2.0, 2.0, 0.05), np.arange(-1.0, 1.0, 0.05))
+    upright = np.column_stack([np.full(y.size, 3.0), y.ravel(), z.ravel()])
+    rolled = Rotation.from_euler("x", 30, degrees=True)
+    cloud = rolled.inv().apply(upright)
+    assert len(level_scan(cloud, PatchSegmenter())) == 0
+    up = 9.81 * rolled.inv().apply([0.0, 0.0, 1.0])
+    points = level_scan(cloud, PatchSegmenter(), up)
+    assert np.abs(points[:, 0] - 3.0).max() < 1e-9
+    assert np.ptp(points[:, 1]) > 3.8
+
+
+@pytest.mark.parametrize("up", [[0, 0, 0], [1, 0], [1.0, 0.01, 0], [0, np.nan, 1], "up"])
+def test_a_vertical_that_is_none_is_an_error(up: Any) -> None:
+    with pytest.raises(RelmapError, match=r"up (is|must be)"):
+        level_scan(np.ones((100, 3)), PatchSegmenter(), up)
 
 
 @pytest.mark.parametrize("has_floor", [True, False])

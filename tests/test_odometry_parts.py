@@ -132,6 +132,12 @@ def assert_same_part(mapper: PointMapper, in_first: bool, end: int) -> None:
     members = np.isin(mapper.landmarks.landmark, mapper.map.landmark_ids)
     assert ((mapper.landmarks.first_iteration[members] < end) == in_first).all()
     assert_array_equal(mapper.submaps[0].landmark_ids, mapper.map.landmark_ids)
+    for number, (scans, poses) in enumerate(mapper.paths):
+        assert ((scans < end) == (in_first == (number == 0))).all()
+        assert len(scans) > 70
+        if number == 0:
+            assert_array_equal(scans, known)
+            assert_array_equal(poses, mapper.trajectory[known])
     for refined, submap in zip(mapper.refined, mapper.submaps, strict=True):
         assert len(refined.landmarks) == len(submap.landmark_ids)
     assert mapper.refined[0].anchor_iteration in known

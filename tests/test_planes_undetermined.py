@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from relmap.planes import PlaneMapper
 from relmap.planes.linking.registration import PlaneRegistration
-from relmap.planes.submaps.doubtful import undetermined_steps
+from relmap.planes.submaps.doubtful import free_directions, undetermined_steps
 from tests.worlds import turn
 
 FAR = np.array([[6.0, -0.8], [6.8, 0.0], [7.0, 1.0]])
@@ -83,6 +83,24 @@ def test_an_arc_at_the_end_of_the_range_determines_no_step(refine: bool) -> None
 def test_a_wall_that_is_bent_determines_no_step_along_it() -> None:
     """Its bends are crossing walls with corners, which the beams confirm."""
     assert mapped(BENT).weak_links.tolist() == list(range(1, 12))
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.7])
+def test_the_open_direction_is_that_of_the_corridor(yaw: float) -> None:
+    """Without doors, and both ends out of view; the robot is turned by some angle."""
+    mapper = PlaneMapper()
+    walls = np.array([[[-6.0, -1.5], [6.0, -1.5]], [[6.0, 1.5], [-6.0, 1.5]]])
+    mapper.update(SimpleNamespace(ends=walls @ turn(yaw), end_type=[["view", "view"]] * 2))
+    (free,) = free_directions(mapper.history)
+    np.testing.assert_allclose(np.abs(turn(yaw) @ free[1:]), [1.0, 0.0], atol=1e-3)
+
+
+def test_each_weak_link_has_a_direction() -> None:
+    bent, room = mapped(BENT), mapped(FAR, NEAR)
+    assert bent.weak_directions.shape == (len(bent.weak_links), 2) == (11, 2)
+    np.testing.assert_allclose(np.linalg.norm(bent.weak_directions, axis=1), 1)
+    assert np.abs(bent.weak_directions[:, 0]).min() > 0.9  # along the wall, but for its bends
+    assert room.weak_directions.shape == (0, 2)
 
 
 @pytest.mark.parametrize(("away_m", "weak"), [(0.0, []), (20.0, [LEAP + 1])])

@@ -19,6 +19,7 @@ from relmap.core.columns import Table
 from relmap.core.landmarks import LandmarkMap
 from relmap.evaluation.run import run_mapper
 from relmap.evaluation.sources import truth_of
+from relmap.planes.walls.files import PlaneResult, read_any
 from relmap.simulation import building_scene, simulate_building, simulate_figure_eight
 from tests.commands import load, names, table
 from tests.everyformat import Mapped
@@ -137,6 +138,19 @@ def test_other_objects_than_logs_are_not_mapped() -> None:
     frame: Any = {"x": [1.0]}
     with pytest.raises(RelmapError, match="got a dict, expected a log"):
         relmap.map_log(frame)
+
+
+def test_saved_results_replace_those_of_another_kind(
+    points: PointMapper, walls: PlaneMapper, tmp_path: Path
+) -> None:
+    """Nothing is left of them that would be read as part of the new one."""
+    walls.save_results(tmp_path)
+    for name in ("evaluation.json", "names.csv", "submap-1.tum"):
+        (tmp_path / name).write_text("of the walls")
+    points.save_results(tmp_path)
+    points.save_results(tmp_path / "new")
+    assert set(names(tmp_path)) == {*names(tmp_path / "new"), "new"}
+    assert not isinstance(read_any(tmp_path), PlaneResult)
 
 
 def test_mappers_of_nothing_are_saved(tmp_path: Path) -> None:

@@ -16,6 +16,13 @@ if TYPE_CHECKING:
     from relmap.evaluation.evaluate import Evaluation
     from relmap.io.results import Result
 
+NEVER_KNOWN: dict[str, tuple[str, ...]] = {
+    "points": (),
+    "planes": ("purity",),
+    "planes3d": ("coverage", "landmarks_per_true", "purity"),
+}
+"""Figures of a variant that no truth provides: null in the file, and not in the table."""
+
 HELP = """Compare a result with the truth.
 
 DIR is a folder that 'relmap map' wrote.  It prints a table and writes DIR/evaluation.json.
@@ -90,7 +97,7 @@ def evaluate_command(
     ] = None,
 ) -> None:
     """Evaluate a result; the help text explains the arguments."""
-    from relmap.planes.walls.files import PLANES
+    from relmap.io.results import PLANES
 
     if (folder / PLANES).exists() and log is not None:
         raise RelmapError("walls and planes have no ids: --log is for a map of points")
@@ -108,13 +115,13 @@ def evaluate_command(
 def rows_of(*evaluations: Evaluation) -> list[tuple[str, ...]]:
     """Return the rows of a table of evaluations of one variant: names, and figures of each."""
     available = evaluations[0].as_dict()
-    walls = evaluations[0].variant == "planes"
+    variant = evaluations[0].variant
     rows = [
         (name, *(figure(getattr(each, key)) for each in evaluations))
         for key, name in FIGURES.items()
-        if key in available and not (walls and key == "purity")
+        if key in available and key not in NEVER_KNOWN[variant]
     ]
-    if walls:
+    if variant == "planes":
         rows.insert(1, ("false corners", *(_false_corners(each.counts) for each in evaluations)))
     return rows
 

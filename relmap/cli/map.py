@@ -55,7 +55,8 @@ below it takes --voxel, --scans, --format, --topic, --journal, --no-refine, --li
 It writes DIR/landmarks.csv, tracks.csv.gz, trajectory.tum, map.ply, map.png, report.html (an
 interactive page with the map and a replay of the run), submaps.csv, summary.json and mapper.npz,
 the saved state, of walls and planes also planes.csv, and of walls bench.png: the last scan, its
-planes, the map and its groups; with --animate the whole run as bench.gif. Ctrl-C ends the mapping
+planes, the map and its groups; with --animate the whole run as bench.gif. The path in each separate
+submap of at least ten scans is in submap-K.tum, its walls in submap-K.csv. Ctrl-C ends the mapping
 early and writes the map so far; pressed again it exits at once.
 
 \b

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, closing
 from functools import partial
 from pathlib import Path
+from time import monotonic
 from typing import Any, cast
 
 import numpy as np
@@ -16,7 +17,6 @@ from relmap.cli.arguments import Association, read_config
 from relmap.cli.console import Counter, busy, tracked
 from relmap.cli.job import Job, journaled_labels
 from relmap.cli.job_log import log_of
-from relmap.cli.merge import SECOND
 from relmap.core.errors import RelmapError
 from relmap.datasets.own_table import OwnTable
 from relmap.datasets.scans import ScanLog
@@ -28,13 +28,10 @@ from relmap.evaluation.truth import Truth, read_truth
 from relmap.io import results
 from relmap.io.files import staged_folder
 from relmap.planes import PlaneMapper
-from relmap.planes.walls.files import PLANES, PlaneResult, submap_files
+from relmap.planes.walls.files import PlaneResult
 from relmap.plots.bench_recorder import BenchRecorder, frame_step
 from relmap.plots.live import LiveView
 from relmap.points import PointMapper
-
-BENCH_PNG = "bench.png"
-BENCH_GIF = "bench.gif"
 
 
 def map_input(source: Path, out: Path, association: Association = "nearest") -> Run:
@@ -49,11 +46,13 @@ def map_log(job: Job) -> tuple[Run, int]:
     Returns `n_files`: number of files written. Raises `RelmapError` if an argument or the log is
     invalid, or the folder cannot be written; an earlier result in it is then unchanged.
     """
-    out = job.at(job.out)
+    began, out = monotonic(), job.at(job.out)
     _check_journal(job.journal, out)
     log = log_of(job)
-    with staged_folder(out, stale_files(out)) as staging:
-        run = _mapped_into(staging, job, log)
+    with staged_folder(out, results.stale_files(out)) as staging:
+        run = _mapped_into(staging, job, log, began)
+        run.result.summary["timing"]["total_s"] = monotonic() - began
+        write_tables(staging, run.result)
         return run, len(list(staging.iterdir()))
 
 
@@ -63,15 +62,18 @@ def _check_journal(journal: Path | None, out: Path) -> None:
         return
     names = {results.LANDMARKS, results.TRACKS, results.TRAJECTORY, results.SUBMAPS}
     names |= {results.MAP_PLY, results.MAP_PNG, results.SUMMARY, results.MAPPER}
-    names |= {*stale_files(out)}
-    if journal.name in names or journal.match("submap-*.tum"):
+    names |= {*results.stale_files(out)}
+    if journal.name in names or any(map(journal.match, results.OF_SUBMAPS)):
         raise RelmapError(
             f"journal {journal} would be overwritten by the result: give it another name"
         )
 
 
-def _mapped_into(folder: Path, job: Job, log: Log) -> Run:
-    """Map a log, and write results and pictures into an existing folder."""
+def _mapped_into(folder: Path, job: Job, log: Log, began: float) -> Run:
+    """Map a log, and write pictures and the state into an existing folder.
+
+    `began`: time on `monotonic` at which the log was opened.
+    """
     seen, about = journaled_labels(job, log), _about(job, log)
     with ExitStack() as afterwards:
         counter = afterwards.enter_context(closing(Counter("mapping")))
@@ -91,6 +93,7 @@ def _mapped_into(folder: Path, job: Job, log: Log) -> Run:
             counter.close()
             afterwards.enter_context(busy("refining and writing"))
 
+        opened_s = monotonic() - began
         run = run_mapper(
             mapper,
             log,
@@ -103,6 +106,7 @@ def _mapped_into(folder: Path, job: Job, log: Log) -> Run:
             job.odometry == "auto",
             counter,
         )
+        run.result.summary["timing"]["reading_s"] += opened_s
         if view is not None:
             view.show(mapper)
         if job.onto is not None:
@@ -162,14 +166,6 @@ def _about(job: Job, log: Log) -> dict[str, Any]:
     return about
 
 
-def stale_files(out: Path) -> list[str]:
-    """Return the files of an earlier result, also of walls, that become obsolete."""
-    from relmap.plots.report import REPORT
-
-    own = [results.EVALUATION, results.NAMES, PLANES, REPORT, BENCH_PNG, BENCH_GIF, SECOND]
-    return own + list(submap_files(out))
-
-
 def _write(folder: Path, run: Run, job: Job, names: Sequence[str] | None) -> None:
     from relmap.plots.of_mapper import write_pictures
 
@@ -178,7 +174,6 @@ def _write(folder: Path, run: Run, job: Job, names: Sequence[str] | None) -> Non
             f"{job.source}: no wall was found in any scan; expected scans of upright walls, metres "
             "(for planes of any direction: --variant planes3d)"
         )
-    write_tables(folder, run.result)
     if names and job.association == "known":
         results.write_names(folder, dict(enumerate(names)))
     write_pictures(folder, run.result, run.groups, job.command, job.source.name)
@@ -200,11 +195,11 @@ def _draw_bench(folder: Path, bench: BenchRecorder, animate: bool) -> None:
     last = bench.last()
     if last is None:
         return
-    write_bench_png(folder / BENCH_PNG, last)
+    write_bench_png(folder / results.BENCH_PNG, last)
     if animate:
         n = len(bench.frames) + 1
         show = partial(tracked, total=n, what="drawing")
-        write_bench_gif(folder / BENCH_GIF, [*bench.frames, last], show)
+        write_bench_gif(folder / results.BENCH_GIF, [*bench.frames, last], show)
 
 
 def _truth_beside(source: Path) -> Truth | None:

@@ -13,8 +13,6 @@ from relmap.cli.console import busy
 if TYPE_CHECKING:
     from relmap.io.results import Result
 
-SECOND = "trajectory-2.tum"
-
 HELP = """Combine the maps of two result folders.
 
 Both are maps of points or of walls; their logs are not needed. B is aligned to A by common
@@ -39,9 +37,8 @@ def merge_command(
     """Merge two maps; the help text explains the arguments."""
     import numpy as np
 
-    from relmap.cli.mapping import stale_files
     from relmap.io.files import staged_folder, write_tum
-    from relmap.io.results import MAP_PNG, MAPPER, write_names, write_result
+    from relmap.io.results import MAP_PNG, MAPPER, SECOND, stale_files, write_names, write_result
     from relmap.merging.results import merge_results
     from relmap.planes.walls.files import PlaneResult, write_planes
     from relmap.plots.planes import write_planes_png

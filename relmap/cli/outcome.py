@@ -60,8 +60,8 @@ def report(job: Job) -> None:
         message += (
             f"{counts['mapped']} of {counts['landmarks']} landmarks{often(run.result)} mapped from "
             f"{counts['observations']} observations in {iterations} iterations, "
-            f"{each(timing['median_ms'])}{took}{untied(len(run.result.submaps) - 1)}"
-            f"{'' if counts['mapped'] else NOTHING}{doubted(summary['association_trust'])}{hanging}"
+            f"{each(timing['median_ms'])}{took}{untied(counts, len(run.result.submaps) - 1)}"
+            f"{'' if counts['mapped'] else NOTHING}{doubted(summary)}{overruled(summary)}{hanging}"
             f"{doubtful(summary['refinement'], summary['association_trust']['contradicting'])}"
         )
     typer.echo(message)
@@ -141,9 +141,9 @@ def broken(summary: dict[str, Any]) -> str:
     return f"{parts}: the largest, of {of}, is the map"
 
 
-def counted(scans: int) -> str:
-    """Return a number of scans as part of a message."""
-    return f"{scans} scan{'' if scans == 1 else 's'}"
+def counted(n: int, what: str = "scan") -> str:
+    """Return a number of scans, or others, as part of a message."""
+    return f"{n} {what}{'' if n == 1 else 's'}"
 
 
 def advice(summary: dict[str, Any]) -> str:
@@ -163,8 +163,9 @@ def advice(summary: dict[str, Any]) -> str:
     )
 
 
-def doubted(trust: dict[str, Any]) -> str:
+def doubted(summary: dict[str, Any]) -> str:
     """Return the reliability of the association, as the end of a message."""
+    trust = summary["association_trust"]
     tied, unique, undone = (trust[key] for key in ("tied_scans", "unique_scans", "undone_merges"))
     message = ""
     if tied is not None and min(tied, unique) < 1:
@@ -173,6 +174,16 @@ def doubted(trust: dict[str, Any]) -> str:
             f"with more matches than expected by chance"
         )
     return message + (f"; {undone} merge{'s' if undone > 1 else ''} undone" if undone else "")
+
+
+def overruled(summary: dict[str, Any]) -> str:
+    """Return how many given ids were overruled, as the end of a message."""
+    if summary["association"] != "known":
+        return ""
+    rows, scans = (summary[f"rejected_{name}"]["count"] for name in ("observations", "iterations"))
+    of = [f"of {counted(rows, 'observation')}"] * (rows > 0)
+    of += [f"of all in {counted(scans)}"] * (scans > 0)
+    return f"; overruled ids: {', '.join(of)}" if of else ""
 
 
 def on_odometry(odometry: dict[str, Any] | None) -> str:
@@ -191,11 +202,13 @@ def on_odometry(odometry: dict[str, Any] | None) -> str:
     return message
 
 
-def untied(submaps: int) -> str:
-    """Return the number of separate submaps of a map, as the end of a message."""
+def untied(counts: dict[str, int], submaps: int) -> str:
+    """Return the number of separate submaps of a map of points, as the end of a message."""
     if submaps < 1:
         return ""
-    return f"; {submaps} submap{'s' if submaps > 1 else ''} could not be connected to the map"
+    placed = counts["iterations"] - counts["iterations_without_pose"]
+    apart = f"; {counted(submaps, 'submap')} could not be connected to the map"
+    return f"{apart}, in which {placed} of {counted(counts['iterations'])} have a pose"
 
 
 def doubtful(refinement: dict[str, Any] | None, contradicting: float | None) -> str:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup, Submap, in_space
-from relmap.core.map.pose import trajectory
+from relmap.core.map.pose import known_poses, trajectory
 from relmap.core.mapper import RelativeMapper
 from relmap.core.state.table import NONE, LandmarkState
 
@@ -103,8 +104,31 @@ def path(engine: RelativeMapper) -> Floats:
     if engine.odometry is not None and engine.odometry.is_used:
         return engine.odometry.poses_in(engine.map.first)
     positions = mapped_positions(engine)
-    noise_m = float(np.nan_to_num(engine.averaging.noise.sigma_m))
-    return trajectory(engine.rows, positions, engine.table.landmark_of, noise_m)
+    return trajectory(engine.rows, positions, engine.table.landmark_of, _noise_m(engine))
+
+
+def paths(engine: RelativeMapper) -> list[tuple[Ints, Floats]]:
+    """Return the iterations (p,) with a pose in each submap, and the poses (p, 4, 4)."""
+    ranks, of, found = engine.map.ranks, engine.table.landmark_of, list[tuple[Ints, Floats]]()
+    n_submaps = int(ranks.max(initial=NONE)) + 1
+    if engine.odometry is not None and engine.odometry.is_used:
+        for rank in range(n_submaps):
+            number = int(engine.table.submap[ranks == rank][0])
+            inside = np.flatnonzero(engine.odometry.submap == number)
+            found.append((inside, engine.odometry.poses[inside]))
+        return found
+    rows = engine.rows
+    rank_of = ranks[of[rows.landmark]]
+    order = np.argsort(rank_of, kind="stable")
+    begins = np.searchsorted(rank_of[order], np.arange(n_submaps + 1))
+    for begin, end in pairwise(begins.tolist()):
+        own = rows.only(order[begin:end])
+        found.append(known_poses(own, engine.table.position, of, _noise_m(engine)))
+    return found
+
+
+def _noise_m(engine: RelativeMapper) -> float:
+    return float(np.nan_to_num(engine.averaging.noise.sigma_m))
 
 
 def _moving_bins(table: LandmarkState, status: NDArray[np.str_], called: Ints) -> Ints:

@@ -5,6 +5,7 @@ are sorted by the numbers in their names. Reference poses are a file ``poses.txt
 or in the parent folder, with the upper three rows of T_reference_robot in each line; or a folder
 ``poses`` beside the folder of clouds, with a text file of the same name for each scan, with
 position and quaternion: x, y, z, qx, qy, qz, qw (as in PlaneSLAM, A. Dai et al., 2022, for AirSim).
+Times are a file ``times.txt`` in the places of ``poses.txt``, with the seconds in each line.
 """
 
 from __future__ import annotations
@@ -16,16 +17,23 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from relmap.core.arrays import Floats
+from relmap.core.arrays import Floats, Ints
+from relmap.core.stamps import MAX_S
 from relmap.datasets.assembly import MAX_COORDINATE_M
 from relmap.datasets.cloud_file import MAX_BYTES
 from relmap.datasets.foreign import is_kitti
 from relmap.datasets.headers import numbered_files
 from relmap.datasets.number_rows import finite_numbers, read_rows
-from relmap.datasets.scans import ScanLog, poses_of, require_rotations
+from relmap.datasets.scans import (
+    ScanLog,
+    in_time_order,
+    numbers_of,
+    poses_of,
+    require_rotations,
+)
 from relmap.datasets.textfile import invalid, numbered_lines, unreadable
 
-POSES, POSES_FOLDER = "poses.txt", "poses"
+POSES, POSES_FOLDER, TIMES = "poses.txt", "poses", "times.txt"
 FOLDERS = ("", "lidar", "velodyne", "velodyne_points/data")
 """Subfolder of the clouds."""
 
@@ -48,8 +56,15 @@ class KittiBin:
         files = _files(path)
         if not files:
             raise invalid(path, f"holds no .bin file, expected {self.description}")
-        stamps_s = np.arange(len(files), dtype=np.float64)
-        return ScanLog(3, stamps_s, lambda index: _read_cloud(files[index]), _poses(files))
+        order, stamps_s = _times(files)
+        in_order, poses = [files[index] for index in order.tolist()], _poses(files)
+        return ScanLog(
+            3,
+            stamps_s,
+            lambda index: _read_cloud(in_order[index]),
+            None if poses is None else poses[order],
+            numbers=numbers_of(order),
+        )
 
 
 def _files(path: Path) -> list[Path]:
@@ -76,16 +91,34 @@ def _read_cloud(file: Path) -> Floats:
     return points
 
 
+def _times(files: list[Path]) -> tuple[Ints, Floats]:
+    """Return the order of the clouds in time, and their times; their numbers without times."""
+    file = _beside(files, TIMES)
+    if file is None:
+        return np.arange(len(files)), np.arange(len(files), dtype=np.float64)
+    return in_time_order(file, _one_each(file, read_times(file), files, "times"))
+
+
+def _beside(files: list[Path], name: str) -> Path | None:
+    """Return the file of this name beside the clouds or in the parent folder, if there is one."""
+    folder = files[0].parent
+    return next((path / name for path in (folder, folder.parent) if (path / name).is_file()), None)
+
+
+def _one_each(file: Path, values: Floats, files: list[Path], what: str) -> Floats:
+    """Return the values in a file that are of the clouds; RelmapError if they are too few."""
+    if len(values) < len(files):
+        problem = f"{len(values)} {what}, expected one for each of {len(files)} clouds"
+        raise invalid(file, problem)
+    return values[: len(files)]
+
+
 def _poses(files: list[Path]) -> Floats | None:
     """Return T_reference_robot (k, 4, 4) of each scan; None without reference poses."""
+    file = _beside(files, POSES)
+    if file is not None:
+        return _one_each(file, read_poses(file), files, "poses")
     folder = files[0].parent
-    for file in (folder / POSES, folder.parent / POSES):
-        if file.is_file():
-            poses = read_poses(file)
-            if len(poses) < len(files):
-                problem = f"{len(poses)} poses, expected one for each of {len(files)} clouds"
-                raise invalid(file, problem)
-            return poses[: len(files)]
     each = [folder.parent / POSES_FOLDER / f"{file.stem}.txt" for file in files]
     if not each[0].is_file():
         return None
@@ -101,6 +134,11 @@ def read_poses(file: Path) -> Floats:
     poses[:, :3] = rows.reshape(-1, 3, 4)
     require_rotations(file, poses)
     return poses
+
+
+def read_times(file: Path) -> Floats:
+    """Return the times (k,) in a file with the seconds in each line."""
+    return np.asarray(read_rows(file, [MAX_S], "time", "one number: seconds").values[:, 0])
 
 
 def _seven(file: Path) -> Floats:

@@ -37,7 +37,7 @@ class MrptLaser:
     """Reads one log, or a folder with exactly one."""
 
     name = "mrpt-laser2d"
-    description = "MRPT's laser scans with the header t_s,gt_x,gt_y,gt_theta,...,r0,r1,..."
+    description = "MRPT's laser scans with the header t_s,gt_x,...,r0,r1,..."
 
     def recognises(self, path: Path) -> bool:
         """Return whether the header is that of such a log."""

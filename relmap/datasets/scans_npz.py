@@ -52,7 +52,7 @@ class ScansNpz:
     """Reads ``scans.npz``, or a folder that contains it."""
 
     name = "scans-npz"
-    description = f"{FILE_NAME} with points (n, d), iteration (n,) and stamps_s (iterations,)"
+    description = f"{FILE_NAME} with points, iteration and stamps_s"
 
     def recognises(self, path: Path) -> bool:
         """Return whether it is a zip file with arrays, as .npz files are, or a damaged one.

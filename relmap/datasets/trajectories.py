@@ -22,13 +22,12 @@ from scipy.spatial.transform import Rotation
 from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
-from relmap.datasets.kitti_bin import read_poses
+from relmap.datasets.kitti_bin import TIMES, read_poses, read_times
 from relmap.datasets.number_rows import finite_numbers, read_rows
 from relmap.datasets.odometry import read_tum
 from relmap.datasets.scans import poses_of
 from relmap.datasets.textfile import invalid, numbered_lines, shown
 
-TIMES = "times.txt"
 _TUM, _KITTI = 8, 12
 _RELATION = "t1 t2 x y z roll pitch yaw"
 _RELATION_LIMITS = (1e12, 1e12, *[MAX_COORDINATE_M] * 6)
@@ -64,7 +63,7 @@ def _times_of(path: Path, n_poses: int) -> Floats:
     times = path.with_name(TIMES)
     if not os.path.isfile(times):
         return np.arange(n_poses, dtype=np.float64)
-    stamps_s = read_rows(times, [1e12], "time", "one number: seconds").values[:, 0]
+    stamps_s = read_times(times)
     if len(stamps_s) != n_poses:
         raise invalid(times, f"{len(stamps_s)} times, expected {n_poses} as in {shown(path.name)}")
     return stamps_s

@@ -43,7 +43,7 @@ class TumRgbd:
     """Reads a folder of depth images in the layout of TUM RGB-D."""
 
     name = "tum-rgbd"
-    description = "a folder with depth.txt and depth/*.png"
+    description = "a folder with depth.txt"
 
     def recognises(self, path: Path) -> bool:
         """Return whether it is a folder with a list of images in ``depth``."""

@@ -84,8 +84,6 @@ class Evaluation:
     def as_dict(self) -> dict[str, Any]:
         """Return the figures of the variant by name, JSON serialisable."""
         others = [name for kind in ONLY if kind != self.variant for name in ONLY[kind]]
-        if self.variant == "planes3d":
-            others += ["coverage", "landmarks_per_true", "purity"]
         left_out = (*others, "variant")
         return {name: value for name, value in asdict(self).items() if name not in left_out}
 

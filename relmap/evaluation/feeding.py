@@ -68,11 +68,12 @@ class Fed:
     """Labels and times of a run of a log through a method.
 
     `labels`, list of (n,): of each scan; `durations_s` (k, 2): times of preparation (segmentation)
-    and mapping of each scan, seconds.
+    and mapping of each scan, seconds; `reading_s`: time that the log took to provide the scans.
     """
 
     labels: list[Ints]
     durations_s: Floats
+    reading_s: float
     finish_s: float
     refine_s: float
 
@@ -105,13 +106,11 @@ def feed(
         raise RelmapError(f"a Plane3dMapper {problem}")
     if known and getattr(log, "ids", None) is None:
         raise RelmapError("association known needs a log with ids, and this one has none")
-    scans: Iterable[Any] = ()
-    first = log.first_iteration
-    if n_seen < len(log):
-        scans = log.between(first + n_seen, first + len(log)).scans()
+    first, end = log.first_iteration, log.first_iteration + len(log)
+    scans = log.between(first + n_seen, end).scans() if n_seen < len(log) else iter(())
     prepare, stamps_s = preparation(method, log, segmenter), _new_stamps(method, log, n_seen)
     labels: list[Ints] = []
-    durations_s = []
+    times_s = [[0.0, 0.0, clock()]]  # of each scan: when it was there, prepared, and mapped
     for scan in through(scans):
         began = clock()
         seen = prepare(scan.points_robot)
@@ -121,7 +120,7 @@ def feed(
         if stamps_s is not None:
             more["stamp_s"] = stamps_s[scan.iteration - first]
         labels.append(method.update(seen, **more))
-        durations_s.append([between - began, clock() - between])
+        times_s.append([began, between, clock()])
         if progress is not None:
             progress(n_seen + len(labels), len(log))
     over = clock()
@@ -129,8 +128,9 @@ def feed(
     finished = clock()
     if refine and isinstance(method, AnyMapper):
         method.refine()
-    durations = np.array(durations_s).reshape(-1, 2)
-    return Fed(labels, durations, finished - over, clock() - finished)
+    times = np.array(times_s)
+    reading_s = float(np.sum(times[1:, 0] - times[:-1, 2]))
+    return Fed(labels, np.diff(times[1:]), reading_s, finished - over, clock() - finished)
 
 
 def _known_of(

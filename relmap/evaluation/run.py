@@ -28,7 +28,7 @@ from relmap.evaluation.feeding import (
 )
 from relmap.evaluation.space_run import result_in_space
 from relmap.evaluation.summary import completion, is_refined, summary_of
-from relmap.io.results import Result, Tracks, shifted
+from relmap.io.results import LEAST_SCANS, Result, SubmapPath, Tracks, shifted
 from relmap.planes import PlaneMapper
 from relmap.planes.walls.files import DrawnSubmap, PlaneResult
 from relmap.planes.walls.table import PlaneTable
@@ -36,8 +36,6 @@ from relmap.planes3d import Plane3dMapper
 from relmap.points import PointMapper
 from relmap.segmentation import PlaneSegmenter
 
-FEWEST_DRAWN = 10
-"""Minimum scans of a submap with separate files; smaller ones are only listed."""
 POINTS_DRAWN = 100_000
 """Maximum number of points in a picture of a submap."""
 
@@ -189,7 +187,8 @@ def result_of(
         return result_in_space(method, log, labels)
     first, k = log.first_iteration, len(log)
     poses, stamps_s = method.trajectory[first - offset :], stamps_of(log)
-    there = np.isfinite(poses).all(axis=(1, 2))
+    there = np.flatnonzero(np.isfinite(poses).all(axis=(1, 2)))
+    paths = method.paths if isinstance(method, PointMapper) else []
     dimensions = 2 if isinstance(log, ScanLog) else log.points_robot.shape[1]
     scans = [first, first + k]
     result = Result(
@@ -199,7 +198,8 @@ def result_of(
         poses[there],
         {"association": association, "dimensions": dimensions, "scans": scans},
         tuple(method.submaps),
-        first + np.flatnonzero(there),
+        first + there,
+        tuple(_path(offset + iterations, poses, log) for iterations, poses in paths),
     )
     if not isinstance(method, PlaneMapper):
         return result
@@ -208,9 +208,16 @@ def result_of(
     drawn = tuple(
         _drawn(method, number, every_s[slice(*submap.span)], offset, weak)
         for number, submap in enumerate(method.submaps)
-        if number == 0 or submap.n_scans >= FEWEST_DRAWN
+        if number == 0 or submap.n_scans >= LEAST_SCANS
     )
     return PlaneResult(**vars(result), planes=shifted(method.planes, offset), drawn=drawn)
+
+
+def _path(iterations: Ints, poses: Floats, log: Log) -> SubmapPath:
+    """Return the part of the path in a submap, (p,) and (p, 4, 4), of the scans of the log."""
+    own = iterations >= log.first_iteration
+    scans = iterations[own]
+    return SubmapPath(scans, stamps_of(log)[scans - log.first_iteration], poses[own])
 
 
 def _drawn(

@@ -15,7 +15,7 @@ from relmap.evaluation.run import result_of
 from relmap.evaluation.space_run import VARIANT, result_in_space
 from relmap.evaluation.summary import is_refined, summary_of
 from relmap.io.files import staged_folder
-from relmap.io.results import MAPPER, Result, write_result
+from relmap.io.results import MAPPER, Result, stale_files, write_result
 from relmap.planes import PlaneMapper
 from relmap.planes.walls.files import PlaneResult, write_planes, write_submaps
 from relmap.planes3d import Plane3dMapper
@@ -64,7 +64,7 @@ def write_tables(folder: Path, result: Result) -> None:
         write_parts(folder, result)
     elif isinstance(result, PlaneResult):
         write_planes(folder, result.planes)
-        write_submaps(folder, [(each.stamps_s, each.poses) for each in result.drawn])
+        write_submaps(folder, result.drawn)
 
 
 def save_results(mapper: AnyMapper, folder: Path, pictures: Any) -> None:
@@ -72,7 +72,7 @@ def save_results(mapper: AnyMapper, folder: Path, pictures: Any) -> None:
 
     Raises `RelmapError` if the folder cannot be written.
     """
-    with staged_folder(folder) as staging:
+    with staged_folder(folder, stale_files(folder)) as staging:
         result = result_of_mapper(mapper)
         write_tables(staging, result)
         command = f"{type(mapper).__name__}.save_results"

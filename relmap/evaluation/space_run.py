@@ -11,8 +11,8 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.landmarks import LandmarkTable
 from relmap.core.landmarks import Submap as LandmarkSubmap
 from relmap.evaluation.feeding import Log, stamps_of
-from relmap.evaluation.summary import steps_of
-from relmap.io.results import Tracks, shifted
+from relmap.evaluation.summary import by_status, steps_of
+from relmap.io.results import SubmapPath, Tracks, shifted
 from relmap.planes3d import Plane3dMapper
 from relmap.planes3d.files import Plane3dResult
 from relmap.planes3d.submap import Submap
@@ -20,6 +20,7 @@ from relmap.planes3d.table import Plane3dTable, is_mapped
 from relmap.recorded import versions
 
 VARIANT = "planes3d"
+NOWHERE = SubmapPath(np.empty(0, dtype=np.int64), np.empty(0), np.empty((0, 4, 4)))
 
 
 def result_in_space(mapper: Plane3dMapper, log: Log, labels: Sequence[Ints]) -> Plane3dResult:
@@ -27,15 +28,18 @@ def result_in_space(mapper: Plane3dMapper, log: Log, labels: Sequence[Ints]) -> 
     first = log.first_iteration
     table = shifted(mapper.planes, first)
     parts, times_s = mapper.submaps, stamps_of(log)
-    paths = [(times_s[part.iteration], part.trajectory) for part in parts]
+    own = [np.array(part.iteration, dtype=np.int64) for part in parts]
+    paths = [
+        SubmapPath(first + scans, times_s[scans], part.trajectory)
+        for scans, part in zip(own, parts, strict=True)
+    ]
+    main = paths[0] if paths else NOWHERE
     counts = np.array([len(each) for each in labels], dtype=np.int64)
     rows = np.concatenate([*map(np.arange, counts), np.empty(0, np.int64)])
     named = mapper.landmarks_of(np.concatenate([*labels, np.empty(0, np.int64)]))
     tracks = Tracks(first + np.repeat(np.arange(len(counts)), counts), rows, named)
-    stamps_s, poses = paths[0] if paths else (np.empty(0), np.empty((0, 4, 4)))
     weak = mapper.weak_links
     path = [span for part in parts for span in consecutive(part)]
-    own = np.array(parts[0].iteration if parts else [], dtype=np.int64)
     summary = {
         "association": "nearest",
         "dimensions": 3,
@@ -45,8 +49,8 @@ def result_in_space(mapper: Plane3dMapper, log: Log, labels: Sequence[Ints]) -> 
             "iterations": len(log),
             "observations": len(named),
             "planes": len(table.plane),
-            "planes_static": int((table.status == "static").sum()),
-            "iterations_without_pose": len(log) - len(poses),
+            **by_status(table.status, "planes_"),
+            "iterations_without_pose": len(log) - len(main.poses),
         },
         "submaps": [submap_row(part, first) for part in parts],
         "steps": steps_of(path, np.array([*weak], dtype=np.int64)),
@@ -56,15 +60,15 @@ def result_in_space(mapper: Plane3dMapper, log: Log, labels: Sequence[Ints]) -> 
     return Plane3dResult(
         _landmarks(table),
         tracks,
-        stamps_s,
-        poses,
+        main.stamps_s,
+        main.poses,
         summary,
         tuple(_submap(part) for part in parts),
-        iterations=first + own,
+        iterations=main.iterations,
         planes=table,
         parts=tuple(parts),
         paths=tuple(paths),
-        weak=np.flatnonzero(np.isin(own, list(weak))),
+        weak=np.flatnonzero(np.isin(main.iterations - first, list(weak))),
     )
 
 

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.landmarks import Submap
 from relmap.core.odometry import OdometryUse
 from relmap.core.refinement.joint import Refined
 from relmap.datasets.base import ObservationLog
@@ -46,7 +45,9 @@ def summary_of(
     counts["iterations_without_pose"] = len(log) - len(result.poses)
     summary: dict[str, Any] = {"versions": versions(), "counts": {"iterations": len(log)} | counts}
     begun = mapper.begun if isinstance(mapper, PlaneMapper) else ()
-    summary["submaps"] = [_submap_row(submap, offset, begun) for submap in result.submaps]
+    summary["submaps"] = [
+        _submap_row(result, number, offset, begun) for number in range(len(result.submaps))
+    ]
     summary["refinement"] = weakness(mapper.refined, offset)
     summary["association_trust"] = {
         "tied_scans": mapper.tied_share,
@@ -63,7 +64,8 @@ def summary_of(
             (own.poses, own.first_iteration + np.arange(len(own.poses))) for own in mapper.submaps
         ]
         steps = steps_of(paths, np.append(mapper.weak_links, mapper.begun), view_rad)
-        return summary | {"weak_links": weak, "steps": steps}
+        free = mapper.weak_directions.tolist()
+        return summary | {"weak_links": weak, "weak_directions": free, "steps": steps}
     if summary["refinement"] is not None:
         engine = mapper.engine
         # With odometry, one landmark in a scan may be enough for a map, but not for a segment.
@@ -124,7 +126,7 @@ def _counts(result: Result, log: ObservationLog | ScanLog) -> dict[str, int]:
         "landmarks": len(table.landmark),
         "mapped": int(result.mapped.sum()),
         "moving_bins": len(np.unique(table.moving_bin[table.moving_bin >= 0])),
-        **_by_status(table.status),
+        **by_status(table.status),
     }
 
 
@@ -134,24 +136,29 @@ def _counts_of_walls(result: PlaneResult) -> dict[str, int]:
         "observations": len(result.tracks.row),
         "planes": len(planes.plane),
         "corners": len(corners.landmark),
-        **_by_status(planes.status, "planes_"),
-        **_by_status(corners.status, "corners_"),
+        **by_status(planes.status, "planes_"),
+        **by_status(corners.status, "corners_"),
     }
 
 
-def _by_status(status: NDArray[np.str_], prefix: str = "") -> dict[str, int]:
+def by_status(status: NDArray[np.str_], prefix: str = "") -> dict[str, int]:
+    """Return the number of landmarks (n,) of each status, by its name with a prefix."""
     return {f"{prefix}{name}": int((status == name).sum()) for name in STATUS}
 
 
-def _submap_row(submap: Submap, offset: int, begun: Ints | tuple[()]) -> dict[str, Any]:
+def _submap_row(
+    result: Result, number: int, offset: int, begun: Ints | tuple[()]
+) -> dict[str, Any]:
+    submap = result.submaps[number]
     row: dict[str, Any] = {
         "landmarks": len(submap.landmark_ids),
         "iterations": [offset + submap.first_iteration, offset + submap.last_iteration],
     }
     if isinstance(submap, WallSubmap):
         scans, metres = submap.n_scans, submap.length_m(begun)
-        row |= {"scans": scans, "metres": metres, "refined": submap.refined}
-    return row
+        return row | {"scans": scans, "metres": metres, "refined": submap.refined}
+    path = result.paths[number]
+    return row | {"scans": len(path.poses), "metres": path.length_m}
 
 
 def steps_of(
@@ -255,7 +262,8 @@ def _timing(fed: Fed, segmented: bool) -> dict[str, float | None]:
             "segmentation_share": float(prepare_s.sum() / total_s.sum()) if len(total_s) else None,
             "scan_median_ms": _median_ms(total_s),
         }
-    stages_s = {"mapping_s": fed.durations_s[:, 1].sum(), "finish_s": fed.finish_s}
+    mapping_s = fed.durations_s[:, 1].sum()
+    stages_s = {"reading_s": fed.reading_s, "mapping_s": mapping_s, "finish_s": fed.finish_s}
     if segmented:
         stages_s["segmentation_s"] = prepare_s.sum()
     stages = {stage: float(seconds) for stage, seconds in stages_s.items()}

@@ -8,7 +8,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -32,6 +32,12 @@ SUMMARY = "summary.json"
 MAPPER = "mapper.npz"
 EVALUATION = "evaluation.json"
 NAMES = "names.csv"
+PLANES = "planes.csv"
+REPORT = "report.html"
+BENCH_PNG = "bench.png"
+BENCH_GIF = "bench.gif"
+SECOND = "trajectory-2.tum"
+OF_SUBMAPS = "submap-*.tum", "submap-*.csv"
 
 OPTIONAL = ("submap", "moving_bin")
 """Columns that may be missing in results of other programs and earlier versions."""
@@ -43,6 +49,8 @@ LANDMARK_COLUMNS: dict[str, Kind] = {
     **dict.fromkeys(OPTIONAL, "int"),
 }
 SUBMAP_COLUMNS = ("submap", "landmark", "x", "y", "z")
+LEAST_SCANS = 10
+"""Minimum scans of a submap with a separate file; smaller ones are only listed."""
 REJECTED = "rejected_id"
 NONE: Ints = np.empty(0, dtype=np.int64)
 TRACK_COLUMNS: dict[str, Kind] = dict.fromkeys(("iteration", "row", "landmark", REJECTED), "int")
@@ -69,6 +77,24 @@ class Tracks(Brief):
     rejected_id: Ints | None = None
 
 
+class SubmapPath(NamedTuple):
+    """The path in a submap.
+
+    `iterations` (k,): iteration numbers of the log; `stamps_s` (k,): times, or iteration numbers if
+    the log has no clock; `poses` (k, 4, 4): ``T_submap_robot``.
+    """
+
+    iterations: Ints
+    stamps_s: Floats
+    poses: Floats
+
+    @property
+    def length_m(self) -> float:
+        """Length of the steps between consecutive iterations, metres."""
+        steps_m = np.linalg.norm(np.diff(self.poses[:, :3, 3], axis=0), axis=1)
+        return float(steps_m[np.diff(self.iterations) == 1].sum())
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Result(Brief):
     """A finished run, as stored in the result folder.
@@ -88,6 +114,8 @@ class Result(Brief):
         The submaps, the map itself first; empty for a result read from files.
     iterations : (p,) int64 or None
         Iteration number of each pose; None for a result read from files.
+    paths : tuple of SubmapPath
+        Of each submap of points or of planes in space; empty for a result read from files.
     """
 
     landmarks: LandmarkTable
@@ -97,6 +125,7 @@ class Result(Brief):
     summary: dict[str, Any]
     submaps: tuple[Submap, ...] = ()
     iterations: Ints | None = None
+    paths: tuple[SubmapPath, ...] = ()
 
     @property
     def planar(self) -> bool:
@@ -150,8 +179,20 @@ def write_result(folder: Path, result: Result) -> None:
     ]
     atomic_write(folder / SUBMAPS, csv_text(SUBMAP_COLUMNS, rows))
     write_tum(folder / TRAJECTORY, result.stamps_s, result.poses)
+    for number, path in enumerate(result.paths[1:], start=1):
+        if len(path.poses) >= LEAST_SCANS:
+            write_tum(folder / f"submap-{number}.tum", path.stamps_s, path.poses)
     atomic_write(folder / MAP_PLY, ply_text(table.position[result.mapped]))
     atomic_write(folder / SUMMARY, json_text(result.summary))
+
+
+def stale_files(folder: Path) -> list[str]:
+    """Return the files of an earlier result of any kind that a new one may not replace."""
+    own = [EVALUATION, NAMES, PLANES, REPORT, BENCH_PNG, BENCH_GIF, SECOND]
+    try:
+        return own + sorted(path.name for kind in OF_SUBMAPS for path in folder.glob(kind))
+    except OSError:  # a folder cannot have this name: the error is reported on writing
+        return own
 
 
 def ply_text(

@@ -14,7 +14,7 @@ from relmap.planes.linking.registration import PlaneRegistration
 from relmap.planes.refinement.refining import odometry_left_out, on_odometry
 from relmap.planes.refinement.solving import corner_covariances, refined_walls
 from relmap.planes.scans.beams import PlacedBeams
-from relmap.planes.submaps.doubtful import undetermined_steps
+from relmap.planes.submaps.doubtful import free_directions, undetermined_steps
 from relmap.planes.submaps.grouped_map import GroupedMap, KeptFrame
 from relmap.planes.submaps.submap import WallSubmap, among_all
 from relmap.planes.walls.assembly import Assembled, WallNumbers
@@ -163,6 +163,15 @@ class MappedWalls(Mapper):
         return among_all(submaps[0].poses, submaps[0].span, history)
 
     @property
+    def paths(self) -> list[tuple[Ints, Floats]]:
+        """Of each of the `submaps`: the iterations (p,) in it, and their poses (p, 4, 4)."""
+        known = [np.flatnonzero(np.isfinite(each.poses[:, 0, 3])) for each in self.submaps]
+        return [
+            (each.first_iteration + rows, each.poses[rows])
+            for each, rows in zip(self.submaps, known, strict=True)
+        ]
+
+    @property
     def weak_links(self) -> Ints:
         """Iterations (k,) whose motion since the previous one is not fully determined.
 
@@ -173,6 +182,14 @@ class MappedWalls(Mapper):
         if self._weak is None or self._weak[0] is not state:
             self._weak = state, undetermined_steps(state[0], self.history, self._planes.links)
         return self._weak[1].copy()
+
+    @property
+    def weak_directions(self) -> Floats:
+        """Directions (k, 2), robot frame, that the walls determine least in each of `weak_links`.
+
+        Unit vectors; along a corridor without doors that of the corridor.
+        """
+        return free_directions(self.history)[self.weak_links, 1:]
 
     @property
     def begun(self) -> Ints:

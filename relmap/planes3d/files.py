@@ -11,17 +11,14 @@ import numpy as np
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.columns import AXES, NORMAL
 from relmap.core.errors import RelmapError
-from relmap.io.files import atomic_write, write_tum
-from relmap.io.results import MAP_PLY, Result, read_result
+from relmap.io.files import atomic_write
+from relmap.io.results import MAP_PLY, PLANES, Result, read_result
 from relmap.io.tables import Kind, columns_text, read_table
 from relmap.planes3d.outlines import surfaces_of
 from relmap.planes3d.submap import Submap
 from relmap.planes3d.table import Plane3dTable
 
-PLANES = "planes.csv"
 SDS = "sd", "sd_normal", "sd_centre"
-LEAST_SCANS = 10
-"""Minimum scans of a submap with a separate file."""
 COLUMNS: dict[str, Kind] = {
     "plane": "int",
     **dict.fromkeys((*NORMAL, "offset", *AXES, *SDS, "area_m2"), "float or empty"),
@@ -48,20 +45,17 @@ class Plane3dResult(Result):
         Iterations are numbered as in the log.
     parts : tuple of Submap
         The submaps, the map itself first; empty for a result read from files.
-    paths : tuple of (k,) and (k, 4, 4) float64
-        Times and poses of each submap.
     weak : (w,) int64
         Indices in `poses` of the scans that are poorly determined in some direction.
     """
 
     planes: Plane3dTable
     parts: tuple[Submap, ...] = ()
-    paths: tuple[tuple[Floats, Floats], ...] = ()
     weak: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
 
 
 def write_parts(folder: Path, result: Plane3dResult) -> None:
-    """Write the planes, the mesh and the paths of other submaps into an existing folder.
+    """Write the planes and the mesh into an existing folder.
 
     Outlines are written as ``x y z;x y z;...``, the planes that meet them as ``k;k;...``. Raises
     `RelmapError` if a file cannot be written.
@@ -73,9 +67,6 @@ def write_parts(folder: Path, result: Plane3dResult) -> None:
     columns = table.columns() | dict(ragged)
     atomic_write(folder / PLANES, columns_text({name: columns[name] for name in COLUMNS}))
     write_mesh(folder, next(iter(result.parts), None), table.plane[table.status == "static"])
-    for number, (stamps_s, poses) in enumerate(result.paths[1:], start=1):
-        if len(poses) >= LEAST_SCANS:
-            write_tum(folder / f"submap-{number}.tum", stamps_s, poses)
 
 
 def read_result3d(folder: Path) -> Plane3dResult:

@@ -11,12 +11,12 @@ from relmap.core.arrays import Ints
 from relmap.evaluation.feeding import AnyMapper
 from relmap.evaluation.saved import result_of_mapper
 from relmap.io.files import atomic_write
-from relmap.io.results import MAP_PNG, Result
+from relmap.io.results import MAP_PNG, REPORT, Result
 from relmap.planes.walls.files import PlaneResult
 from relmap.planes3d import Plane3dMapper
 from relmap.planes3d.files import Plane3dResult
 from relmap.plots.planes import plot_planes, plot_planes3d, plot_submaps
-from relmap.plots.report import REPORT, report_page
+from relmap.plots.report import report_page
 from relmap.plots.run import plot_run
 from relmap.plots.sheet import write_png
 

@@ -14,7 +14,6 @@ from relmap.planes3d.files import Plane3dResult
 from relmap.plots.html import document, table
 from relmap.plots.report_data import views_of
 
-REPORT = "report.html"
 LISTED = 12
 """Maximum number of submaps listed."""
 UNSAFE = {ord(c): f"\\u{ord(c):04x}" for c in "<>&\u2028\u2029"}

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.landmarks import Submap
-from relmap.io.results import Result
+from relmap.io.results import LEAST_SCANS, Result, SubmapPath
 from relmap.planes.walls.files import DrawnSubmap, PlaneResult
 from relmap.planes.walls.table import PlaneTable
-from relmap.planes3d.files import LEAST_SCANS, Plane3dResult
+from relmap.planes3d.files import Plane3dResult
 from relmap.planes3d.table import Plane3dTable, is_mapped
 from relmap.plots.path import jumps
 from relmap.plots.planes import upward
@@ -39,11 +39,14 @@ def views_of(result: Result) -> list[View]:
     if isinstance(result, Plane3dResult):
         return [
             _view_of_planes(result, rank)
-            for rank, (_, poses) in enumerate(result.paths)
-            if rank == 0 or len(poses) >= LEAST_SCANS
+            for rank, path in enumerate(result.paths)
+            if rank == 0 or len(path.poses) >= LEAST_SCANS
         ]
-    others = enumerate(result.submaps[1:], start=1)
-    return [_view_of_points(result), *(_view_of_submap(k, s, result.planar) for k, s in others)]
+    others = zip(result.submaps[1:], result.paths[1:], strict=True)
+    return [
+        _view_of_points(result),
+        *(_view_of_submap(k, *other, result.planar) for k, other in enumerate(others, start=1)),
+    ]
 
 
 def _view_of_walls(number: int, submap: DrawnSubmap, every: int) -> View:
@@ -66,8 +69,7 @@ def _view_of_walls(number: int, submap: DrawnSubmap, every: int) -> View:
 
 def _view_of_planes(result: Plane3dResult, rank: int) -> View:
     """Return the edges of the planes of a submap, with its floor level."""
-    planes, (stamps_s, poses) = result.planes, result.paths[rank]
-    iterations = result.summary["scans"][0] + np.array(result.parts[rank].iteration)
+    planes, (iterations, stamps_s, poses) = result.planes, result.paths[rank]
     part, own = result.parts[rank], np.flatnonzero(planes.submap == rank)
     rows = own[is_mapped(part)[np.argsort(part.number, kind="stable")]].tolist()
     level = np.eye(4)
@@ -106,12 +108,16 @@ def _view_of_points(result: Result) -> View:
     }
 
 
-def _view_of_submap(number: int, submap: Submap, planar: bool) -> View:
-    at = submap.positions[:, : 2 if planar else 3]
+def _view_of_submap(number: int, submap: Submap, path: SubmapPath, planar: bool) -> View:
+    axes = 2 if planar else 3
+    at = submap.positions[:, :axes]
     return {
-        **_framed(number, f"{len(at)} landmarks", at, at[:0]),
+        **_framed(
+            number, f"{len(path.poses)} poses, {len(at)} landmarks", at, path.poses[:, :axes, 3]
+        ),
         "dots": _packed(at, "<f4"),
         "dotNames": _packed(submap.landmark_ids, "<i8"),
+        **_path(*path, axes),
     }
 
 

@@ -24,32 +24,48 @@ def trajectory(rows: SegmentRows, positions_map: Floats, of: Ints, noise_m: floa
     residuals within a segment are not explained by a small motion. The fit is robust to a few wrong
     matches.
 
+    `rows`, `positions_map`, `of`, `noise_m`: as for `known_poses`. Returns (n_iterations, 4, 4):
+    ``T_map_robot``; NaN if unknown.
+    """
+    poses = np.full((len(rows.iteration_segment), 4, 4), np.nan)
+    at, known = known_poses(rows, positions_map, of, noise_m)
+    poses[at] = known
+    return poses
+
+
+def known_poses(
+    rows: SegmentRows, positions_map: Floats, of: Ints, noise_m: float = 0.0
+) -> tuple[Ints, Floats]:
+    """Return the iterations (p,), ascending, with a pose, and the poses (p, 4, 4).
+
     `rows`: rows of all iterations; `positions_map` (m, d), map frame, metres: NaN for unmapped
     landmarks; `of` (m,): the landmark that each number stands for, after merging; `noise_m`:
-    standard deviation of an observed coordinate. Returns
-    (n_iterations, 4, 4): ``T_map_robot``; NaN if the mapped landmarks in view do not determine a
-    pose, as two side by side or those nearly on a line in space, or contradict each other.
+    standard deviation of an observed coordinate. There is no pose if the mapped landmarks in view
+    do not determine it, as two side by side or those nearly on a line in space, or contradict each
+    other.
     """
-    n, d = len(rows.iteration_segment), rows.points.shape[1]
-    poses = np.full((n, 4, 4), np.nan)
-    if not np.isfinite(positions_map).any():
-        return poses
+    d = rows.points.shape[1]
     there = positions_map[of[rows.landmark]]
     mapped = np.isfinite(there).all(axis=1)
     seen = (rows.visible[mapped, None] >> np.arange(LENGTH)) & 1 > 0
     row, bit = np.nonzero(seen)
     row = np.flatnonzero(mapped)[row]
-    at = rows.first_iteration[rows.segment[row]] + bit
-    ones = np.ones(len(row))
+    scan = rows.first_iteration[rows.segment[row]] + bit
+    seen_in = np.bincount(scan, minlength=len(rows.iteration_segment)) > 0
+    scans, at = np.flatnonzero(seen_in), (np.cumsum(seen_in) - 1)[scan]
+    n, ones = len(scans), np.ones(len(row))
+    if not n:
+        return scans, np.empty((0, 4, 4))
     R, t, fixed, weight = fit_robust_each(rows.points[row], there[row], ones, at, n)
     used = weight > ABSURD
     fixed &= np.bincount(at[used], minlength=n) >= d
     fixed &= _turn_sd(there[row[used]], at[used], n, noise_m) <= LOOSE_RAD
-    fixed &= rows.iteration_segment != NOWHERE
-    poses[fixed] = np.eye(4)
-    poses[fixed, :d, :d] = R[fixed] @ rows.R[fixed]
-    poses[fixed, :d, 3] = np.einsum("nij,nj->ni", R[fixed], rows.t[fixed]) + t[fixed]
-    return poses
+    fixed &= rows.iteration_segment[scans] != NOWHERE
+    known, R, t = scans[fixed], R[fixed], t[fixed]
+    poses = np.tile(np.eye(4), (len(known), 1, 1))
+    poses[:, :d, :d] = R @ rows.R[known]
+    poses[:, :d, 3] = np.einsum("nij,nj->ni", R, rows.t[known]) + t
+    return known, poses
 
 
 def _turn_sd(points: Floats, at: Ints, n: int, noise_m: float) -> Floats:

@@ -11,7 +11,7 @@ positions and the visibility.
 from __future__ import annotations
 
 from copy import deepcopy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,6 +68,11 @@ class SegmentRows:
     iteration_segment: Ints
     R: Floats
     t: Floats
+
+    def only(self, kept: Ints) -> SegmentRows:
+        """Return some of the rows (k,), by ascending segment, and all segments and iterations."""
+        names = "landmark", "segment", "points", "visible"
+        return replace(self, **{name: getattr(self, name)[kept] for name in names})
 
     @property
     def n_seen(self) -> Ints:

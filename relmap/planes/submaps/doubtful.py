@@ -67,7 +67,7 @@ def undetermined_steps(
         return np.setdiff1d(history.weak_links, links.begun)
     weak = np.zeros(history.n_iterations, dtype=np.bool_)
     weak[history.weak_links] = True
-    free, least = _free_directions(history), np.where(weak, CLEARLY, EXCLUDED)
+    free, least = free_directions(history), np.where(weak, CLEARLY, EXCLUDED)
     before, after, steps = _steps(submaps)
     gap = (after - before)[:, None]
     to_usual = _around(steps[:, 1:] / gap) * gap - steps[:, 1:]
@@ -118,7 +118,7 @@ def unsupported_links(history: PlaneHistory, links: LinkRecord) -> Ints:
     if _have_odometry(links):
         return np.empty(0, dtype=np.int64)
     tied = 1 + np.flatnonzero((np.diff(history.submap) == 0) & (history.submap[1:] >= 0))
-    free, found = _free_directions(history), list[int]()
+    free, found = free_directions(history), list[int]()
     steps = inverse(history.motion[tied])
     to_usual = (_around(steps[:, 1:]) - steps[:, 1:]).swapaxes(0, 1)
     for k in np.flatnonzero(_unusual(tied, history) & ~np.isinf(links.evidence[tied])).tolist():
@@ -174,7 +174,7 @@ def _excluded(step: Floats, changes: Floats, earlier: Beams, later: Beams) -> fl
     return excluded if clear else min(excluded, 0.0)
 
 
-def _free_directions(history: PlaneHistory) -> Floats:
+def free_directions(history: PlaneHistory) -> Floats:
     """Return the motion of each scan (i, 3) that walls determine least: rotation, x, y.
 
     By the walls in common with the scan before, or all if there are none. The translation is 1 m.

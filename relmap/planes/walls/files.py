@@ -12,11 +12,10 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.columns import NORMAL
 from relmap.core.errors import RelmapError
 from relmap.io.files import atomic_write, write_tum
-from relmap.io.results import Result, read_result
+from relmap.io.results import PLANES, Result, read_result
 from relmap.io.tables import Kind, columns_text, read_table
 from relmap.planes.walls.table import PlaneTable
 
-PLANES = "planes.csv"
 CORNER, OPEN = "corner", "open"
 ENDS = "x0", "y0", "x1", "y1"
 
@@ -73,35 +72,28 @@ class PlaneResult(Result):
         return True
 
 
-def write_planes(folder: Path, table: PlaneTable) -> None:
-    """Write ``planes.csv`` into an existing folder.
+def write_planes(folder: Path, table: PlaneTable, name: str = PLANES) -> None:
+    """Write walls as ``planes.csv``, or a file of another name, into an existing folder.
 
     Raises `RelmapError` if the file cannot be written.
     """
     ends = dict(zip(("end0", "end1"), np.where(table.corner >= 0, CORNER, OPEN).T, strict=True))
     columns = table.columns() | ends | {"nz": np.zeros(len(table))}
-    atomic_write(folder / PLANES, columns_text({name: columns[name] for name in COLUMNS}))
+    atomic_write(folder / name, columns_text({column: columns[column] for column in COLUMNS}))
 
 
-def write_submaps(folder: Path, submaps: Sequence[tuple[Floats, Floats]]) -> None:
-    """Write times (k,) and poses (k, 4, 4) of all submaps except the first: ``submap-K.tum``.
+def write_submaps(folder: Path, submaps: Sequence[DrawnSubmap]) -> None:
+    """Write walls and path of all submaps except the first: ``submap-K.csv``, ``submap-K.tum``.
 
-    Scans of earlier logs, whose times are NaN, are left out.
+    Scans of earlier logs, whose times are NaN, are left out of the path.
 
     Raises `RelmapError` if a file cannot be written.
     """
-    for number, (stamps_s, poses) in enumerate(submaps[1:], start=1):
-        own = np.isfinite(stamps_s)
+    for number, submap in enumerate(submaps[1:], start=1):
+        write_planes(folder, submap.planes, f"submap-{number}.csv")
+        own = np.isfinite(submap.stamps_s)
         if own.any():
-            write_tum(folder / f"submap-{number}.tum", stamps_s[own], poses[own])
-
-
-def submap_files(folder: Path) -> list[str]:
-    """Return the names of the submap files in a folder."""
-    try:
-        return sorted(path.name for path in folder.glob("submap-*.tum"))
-    except OSError:  # a folder cannot have this name: the error is reported on writing
-        return []
+            write_tum(folder / f"submap-{number}.tum", submap.stamps_s[own], submap.poses[own])
 
 
 def read_planes(folder: Path) -> PlaneTable:

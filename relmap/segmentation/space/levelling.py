@@ -7,8 +7,11 @@ the normal of floor and ceiling, and the common axis of the walls.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from relmap.core.arrays import Floats, Ints
+from relmap.core.errors import RelmapError
+from relmap.core.scan import numbers
 from relmap.segmentation.space.patches import Patches
 from relmap.segmentation.space.segmenter import PatchSegmenter
 
@@ -20,6 +23,8 @@ ALIKE, UPRIGHT = np.sin(np.deg2rad(4.0)), np.sin(np.deg2rad(10.0))
 """Deviation of level and upright planes that determine the vertical, and of walls that are kept."""
 LEAST = 0.5
 """Minimum fraction of the surface that is level or upright."""
+AHEAD = np.cos(np.deg2rad(1.0))
+"""A given vertical is at least this far from the x axis (cosine)."""
 ROUNDS = 3
 """Refinements of the vertical."""
 BEAMS = 720
@@ -51,29 +56,49 @@ def vertical(patches: Patches) -> Floats | None:
     return np.asarray(up)
 
 
-def level_scan(points: Floats, segmenter: PatchSegmenter) -> Floats:
+def level_scan(points: Floats, segmenter: PatchSegmenter, up: ArrayLike | None = None) -> Floats:
     """Reduce a cloud to a level 2-D scan of its walls.
 
     Parameters
     ----------
     points : (n, 3) float64, sensor frame, metres
     segmenter : PatchSegmenter
+    up : (3,) array, sensor frame, optional
+        The vertical, of any length, as an IMU gives it; estimated from the planes by default.
 
     Returns
     -------
     (b, 2) float64, metres
         Level frame with its origin at the sensor: x ahead, y left. In each of 720 directions a
         point of the farthest wall, from right to left. Empty without a vertical.
+
+    Raises
+    ------
+    RelmapError
+        If a coordinate is not finite, or `up` is not a direction, or is that of the x axis.
     """
+    given = None if up is None else _checked_up(up)
     patches = segmenter.fit(points).patches_
-    up = vertical(patches) if len(patches) else None
-    if up is None:
+    axis = vertical(patches) if given is None and len(patches) else given
+    if axis is None:
         return NOTHING
-    walls = np.append(np.abs(patches.normal @ up) < UPRIGHT, False)
+    walls = np.append(np.abs(patches.normal @ axis) < UPRIGHT, False)
     rows = np.flatnonzero(walls[segmenter.labels_])
-    x = np.array([1.0, 0.0, 0.0]) - up[0] * up
-    axes = np.stack([x / np.linalg.norm(x), np.cross(up, x) / np.linalg.norm(x)])
+    x = np.array([1.0, 0.0, 0.0]) - axis[0] * axis
+    axes = np.stack([x / np.linalg.norm(x), np.cross(axis, x) / np.linalg.norm(x)])
     return _beams(points[rows] @ axes.T, segmenter.labels_[rows])
+
+
+def _checked_up(up: ArrayLike) -> Floats:
+    """Return a direction (3,) as a unit vector; RelmapError if it is none, or the x axis."""
+    given = numbers(up, "up", "(3,) numbers")
+    length = np.linalg.norm(given)
+    if given.shape != (3,) or not 0 < length < np.inf or abs(given[0]) > AHEAD * length:
+        raise RelmapError(
+            f"up is {given.tolist()}; it must be a direction (3,) in the frame of the sensor, at "
+            "least a degree off its x axis"
+        )
+    return np.asarray(given / length)
 
 
 def _candidates(normal: Floats) -> Floats:
