@@ -160,7 +160,7 @@ def test_steps_of_refinement_are_bounded() -> None:
     none = np.empty(0, dtype=np.int64)
     iteration = np.repeat(np.arange(n), 2)
     given = WallEquations(
-        iteration, np.tile([0, 1], n), ends, np.full(2 * n, 0.01), none, none, none, np.empty(0)
+        iteration, np.tile([0, 1], n), ends, np.full(2 * n, 0.01), *[none] * 3, *[np.empty(0)] * 2
     )
     state = Walls(
         np.zeros(n),
