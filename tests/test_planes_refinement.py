@@ -8,6 +8,7 @@ from scipy.optimize import least_squares
 
 from relmap.core.arrays import Floats
 from relmap.planes.refinement.closing import Loop, votes
+from relmap.planes.refinement.solving import refined_to_the_noise
 from relmap.planes.refinement.system import SPREAD, WallSystem, wall_residuals
 from relmap.planes.walls.assembly import WallEquations, WallNumbers, Walls, assemble
 from relmap.planes.walls.history import PlaneHistory
@@ -41,6 +42,7 @@ def make_room() -> tuple[WallEquations, Walls]:
         np.where(wall[row] == 0, 1, 0),
         wall[row],
         rng.uniform(0.02, 0.05, len(row)),
+        np.zeros(len(row)),
     )
     along = ends[:, 1] - ends[:, 0]
     angle = np.arctan2(along[:, 0], -along[:, 1])
@@ -170,3 +172,7 @@ def test_a_corner_is_known_to_the_distance_between_the_points_there() -> None:
     expected_m = np.hypot(0.01, 0.5 * apart_m)
     np.testing.assert_allclose(sd[:, corner == 0][:, 0], expected_m, rtol=1e-3)
     np.testing.assert_allclose(sd[:, corner != 0], 0.01, rtol=1e-3)
+    # However accurate the walls are, the beams are as far apart.
+    sd = refined_to_the_noise(assembled, 0.0).given.corner_sd.reshape(n, 3)
+    assert (sd[:, corner == 0][:, 0] >= 0.499 * apart_m).all()
+    assert (sd[:, corner != 0] < 0.001).all()

@@ -159,9 +159,8 @@ def test_steps_of_refinement_are_bounded() -> None:
     ends[1::2, 1] = ends[1::2, 0] + np.array([1e-7, 3e-3])
     none = np.empty(0, dtype=np.int64)
     iteration = np.repeat(np.arange(n), 2)
-    given = WallEquations(
-        iteration, np.tile([0, 1], n), ends, np.full(2 * n, 0.01), none, none, none, np.empty(0)
-    )
+    wall, sd, no_sd = np.tile([0, 1], n), np.full(2 * n, 0.01), np.empty(0)
+    given = WallEquations(iteration, wall, ends, sd, none, none, none, no_sd, no_sd)
     state = Walls(
         np.zeros(n),
         np.column_stack([np.linspace(0.0, 500.0, n), np.zeros(n)]),

@@ -183,6 +183,7 @@ def _of_pieces(walls: Assembled, pieces: Pieces, of: Ints, numbers: Ints) -> Ass
         corner_end=given.corner_end[at_end],
         corner=given.corner[at_end],
         corner_sd=given.corner_sd[at_end],
+        missed_m=given.missed_m[at_end],
     )
     lines = replace(
         state, centre=state.centre[wall], angle=state.angle[wall], across=state.across[wall]

@@ -58,7 +58,8 @@ def refined_to_the_noise(assembled: Assembled, held: float) -> Assembled:
     system = WallSystem(given, held)
     while share * FLAT_M > max(assembled.typical_m, EXACT_M):
         share *= SHARPER
-        lower = replace(given, sd=share * given.sd, corner_sd=share * given.corner_sd)
+        corner_sd = np.maximum(share * given.corner_sd, given.missed_m)
+        lower = replace(given, sd=share * given.sd, corner_sd=corner_sd)
         best = _solved(system, replace(best, given=lower), (SHARPLY,), by_scan=False)
     return best
 

@@ -35,7 +35,8 @@ class WallEquations:
     deviation of the distance to a wall at its middle. `corner_row` (k,): row of the wall of each
     observed corner. `corner_end` (k,): 0 for the right end, 1 for the left one. `corner` (k,):
     corner number; each belongs to one wall. `corner_sd` (k,), metres: standard deviation along the
-    wall. `odometry`: used where walls alone do not determine the motion.
+    wall, of which `missed_m` (k,) is due to the distance between beams. `odometry`: used where
+    walls alone do not determine the motion.
     """
 
     iteration: Ints
@@ -46,6 +47,7 @@ class WallEquations:
     corner_end: Ints
     corner: Ints
     corner_sd: Floats
+    missed_m: Floats
     odometry: MotionFactors = field(default_factory=MotionFactors)
 
     @property
@@ -141,11 +143,12 @@ class Assembled:
         corners, corner = np.unique(given.corner[seen], return_inverse=True)
         row = np.cumsum(kept) - 1
         observed = given.iteration[kept], wall, given.ends[kept], given.sd[kept]
-        ends = row[given.corner_row[seen]], given.corner_end[seen], corner, given.corner_sd[seen]
+        ends = row[given.corner_row[seen]], given.corner_end[seen], corner
+        sds = given.corner_sd[seen], given.missed_m[seen]
         lines = state.centre[walls], state.angle[walls], state.across[walls]
         return replace(
             self,
-            given=WallEquations(*observed, *ends, given.odometry),
+            given=WallEquations(*observed, *ends, *sds, given.odometry),
             state=Walls(state.yaw, state.t, *lines, state.along[corners]),
             walls=self.walls[walls],
             corners=self.corners[corners],
@@ -186,9 +189,10 @@ def assemble(
     sd = np.hypot(history.sd[rows], FLAT_M)
     ends = history.ends[rows]
     corner_sd = np.hypot(BLUNT * history.sd[rows][row], SHARP_M)
-    corner_sd = np.hypot(corner_sd, _missed_m(iteration, ends, history.spacing_rad)[row, end])
+    missed_m = _missed_m(iteration, ends, history.spacing_rad)[row, end]
+    corner_sd = np.hypot(corner_sd, missed_m)
     motions = history.factors(iterations)
-    given = WallEquations(iteration, wall, ends, sd, row, end, corner, corner_sd, motions)
+    given = WallEquations(iteration, wall, ends, sd, row, end, corner, corner_sd, missed_m, motions)
     state = laid_out(given, poses[iterations])
     typical = float(np.median(history.sd[rows]))
     every = np.arange(len(numbers.corner_of))
