@@ -14,7 +14,7 @@ from relmap.core.arrays import Floats, Ints
 from relmap.planes import mapper as planes_mapper
 from relmap.planes.places import submap_ties
 from relmap.planes.places.submap_ties import MapPart, tied_parts
-from relmap.planes.places.wall_tie import WallPoints
+from relmap.planes.places.wall_tie import WallPoints, WallTie
 from relmap.planes.places.wall_tie_kernels import fit
 from relmap.planes.scans.beams import PlacedBeams
 from relmap.planes.submaps.submap import WallSubmap, torn_in
@@ -25,6 +25,8 @@ from tests.worlds import ate_m
 
 ROOM = np.array([[0.0, 0.0], [6.0, 0.0], [6.0, 3.0], [4.0, 3.0], [4.0, 4.0], [0.0, 4.0]])
 """A room with a niche, without symmetry."""
+OBLIQUE = np.array([[0.02, 0.03], [7.0, -1.1], [9.5, 3.2], [6.1, 7.3], [3.1, 5.2], [-1.5, 6.1]])
+"""A room whose walls fit no other ones at all."""
 R, T = np.array([[0.6, -0.8], [0.8, 0.6]]), np.array([7.0, -3.0])
 
 
@@ -141,10 +143,26 @@ def test_ends_that_coincide_by_chance_do_not_join(
 ) -> None:
     """Numbers from simulated corridors with doors; wrong alignments were up to 54 m off."""
     monkeypatch.setattr(submap_ties, "coinciding_ends", lambda *_: (walls, ends))
-    same = [part_of(0, ROOM, INSIDE), part_of(1, ROOM, INSIDE, True)]
+    same = [part_of(0, OBLIQUE, INSIDE), part_of(1, OBLIQUE, INSIDE, True)]
     assert len(tied_parts(same)) == n_hardly_contradicted
     monkeypatch.setattr(submap_ties, "HARDLY", -1.0)
     assert len(tied_parts(same)) == n_maps
+
+
+def test_fewer_ends_suffice_only_where_no_other_alignment_is_supported(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A simulated corridor was joined 45 m off, by five ends at six walls."""
+
+    def ends_of(_: Floats, __: Floats, tie: WallTie) -> tuple[int, int]:
+        return 13, 9 if np.abs(tie.t - T).max() < 0.1 else 0
+
+    monkeypatch.setattr(submap_ties, "coinciding_ends", ends_of)
+    uneven = corridor_past(np.cumsum(np.random.default_rng(0).uniform(1.2, 2.6, 30)))
+    sensors = np.column_stack([np.arange(2.0, 59, 4), np.ones(15)])
+    for corners, inside, n_maps in ((OBLIQUE, INSIDE, 1), (uneven, sensors, 2)):
+        parts = [part_of(k, corners, inside, moved=bool(k)) for k in range(2)]
+        assert len(tied_parts(parts)) == n_maps
 
 
 def with_rooms(number: int, rooms: Sequence[tuple[Floats, Floats]], moved: bool = False) -> MapPart:

@@ -50,7 +50,8 @@ must be more. A bend of a bare corridor has four walls, and looks like any other
 Of 140 alignments of submaps in 23 logs and worlds, the 9 wrong ones by more than 5 m had too few
 such places."""
 HARDLY, LOW_SIGMAS = 0.01, 2.5
-"""The same if at most this fraction is contradicted."""
+"""The same if at most this fraction is contradicted, and of no other alignment a support remains:
+where corridors look alike, wrong ones are supported too."""
 SYMMETRIC = 0.02
 """Largest contradicted fraction if the robot must have been carried, or scans are missing, between
 submaps: a corridor round a building looks the same after half a turn (0.037 and more)."""
@@ -227,13 +228,14 @@ def unrivalled(part: MapPart, other: MapPart, also: Sequence[WallTie] = ()) -> S
     if not best.is_sure:
         return None
     walls, ends = coinciding_ends(other.ends, part.ends, best.tie)
-    sigmas = SIGMAS if best.contradicted > HARDLY else LOW_SIGMAS
+    elsewhere = [each for each in others if not _alike(best.tie, each.tie, other.ends)]
+    alone = best.contradicted <= HARDLY and all(each.support_m <= 0 for each in elsewhere)
+    sigmas = LOW_SIGMAS if alone else SIGMAS
     by_chance = CHANCE * walls + sigmas * (CHANCE * (1 - CHANCE) * walls) ** 0.5
     if walls < WALLS or ends < by_chance:
         return None
-    rivals = (each.tie for each in others if each.support_m > RIVAL * best.support_m)
-    elsewhere = (tie for tie in rivals if not _alike(best.tie, tie, other.ends))
-    if any(coinciding_ends(other.ends, part.ends, tie)[1] > RIVAL * ends for tie in elsewhere):
+    rivals = (each.tie for each in elsewhere if each.support_m > RIVAL * best.support_m)
+    if any(coinciding_ends(other.ends, part.ends, tie)[1] > RIVAL * ends for tie in rivals):
         return None
     if best.contradicted > SYMMETRIC and part.jumps_to(other, best.tie):
         return None
