@@ -190,12 +190,13 @@ def _bench(job: Job, log: Log, n_seen: int) -> BenchRecorder | None:
 
 
 def _draw_bench(folder: Path, bench: BenchRecorder, animate: bool) -> None:
-    from relmap.plots.bench import write_bench_gif, write_bench_png
+    from relmap.plots.bench import plot_bench, write_bench_gif
+    from relmap.plots.sheet import write_png
 
     last = bench.last()
     if last is None:
         return
-    write_bench_png(folder / results.BENCH_PNG, last)
+    write_png(folder / results.BENCH_PNG, plot_bench, last)
     if animate:
         n = len(bench.frames) + 1
         show = partial(tracked, total=n, what="drawing")

@@ -190,7 +190,7 @@ def make_figure(
     except (RelmapError, RuntimeError, np.linalg.LinAlgError) as error:
         return Made(figure, None, "failed: " + " ".join(str(error).split())[:200])
     picture = folder / f"{figure.stem}.png"
-    write_png(picture, lambda: figure.draw(found))
+    write_png(picture, figure.draw, found)
     outcome.table.write(picture.with_suffix(".csv"))
     for ending, write in outcome.more.items():
         write(folder / f"{figure.stem}{ending}")

@@ -36,7 +36,7 @@ def write_pictures(
     folder: Path, result: Result, groups: Sequence[Ints], command: str, name: str
 ) -> None:
     """Write ``map.png`` and ``report.html``, see `plot_run` and `report_page`, into a folder."""
-    write_png(folder / MAP_PNG, lambda: plot_result(result, groups))
+    write_png(folder / MAP_PNG, plot_result, result, groups)
     atomic_write(folder / REPORT, report_page(result, command, name))
 
 
