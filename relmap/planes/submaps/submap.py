@@ -129,14 +129,19 @@ class WallSubmap(Submap):
         return self.first_iteration, self.last_iteration + 1
 
     @property
+    def known(self) -> Ints:
+        """Rows (n,) of `poses` of its scans."""
+        return np.flatnonzero(np.isfinite(self.poses[:, 0, 3]))
+
+    @property
     def n_scans(self) -> int:
         """Number of scans in it."""
-        return int(np.isfinite(self.poses[:, 0, 3]).sum())
+        return len(self.known)
 
     @property
     def path(self) -> Floats:
         """Number of each of its scans, and the position of the robot (n, 3)."""
-        known = np.flatnonzero(np.isfinite(self.poses[:, 0, 3]))
+        known = self.known
         return np.column_stack([self.first_iteration + known, self.poses[known, :2, 3]])
 
     def length_m(self, begun: Ints | tuple[()] = ()) -> float:
