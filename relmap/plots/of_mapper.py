@@ -1,4 +1,4 @@
-"""Pictures of the map of a mapper of any kind."""
+"""Pictures and result folder of a mapper of any kind."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from matplotlib.figure import Figure
 
 from relmap.core.arrays import Ints
 from relmap.evaluation.feeding import AnyMapper
-from relmap.evaluation.saved import result_of_mapper
-from relmap.io.files import atomic_write
-from relmap.io.results import MAP_PNG, REPORT, Result
+from relmap.evaluation.saved import result_of_mapper, write_tables
+from relmap.io.files import atomic_write, staged_folder
+from relmap.io.results import MAP_PNG, MAPPER, REPORT, Result, stale_files
 from relmap.planes.walls.files import PlaneResult
 from relmap.planes3d import Plane3dMapper
 from relmap.planes3d.files import Plane3dResult
@@ -24,6 +24,16 @@ from relmap.plots.sheet import write_png
 def plot_mapper(mapper: AnyMapper) -> Figure:
     """Draw the map of a mapper: landmarks; of walls each submap in a panel; planes in space."""
     return plot_result(result_of_mapper(mapper), groups_of(mapper))
+
+
+def save_results(mapper: AnyMapper, folder: Path) -> None:
+    """Write a mapper's result into a folder; RelmapError if the folder cannot be written."""
+    with staged_folder(folder, stale_files(folder)) as staging:
+        result = result_of_mapper(mapper)
+        write_tables(staging, result)
+        command = f"{type(mapper).__name__}.save_results"
+        write_pictures(staging, result, groups_of(mapper), command, "a run")
+        mapper.save(staging / MAPPER)
 
 
 def groups_of(mapper: AnyMapper) -> list[Ints]:
