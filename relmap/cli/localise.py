@@ -52,7 +52,7 @@ def localise_command(
     topic: args.Topics = None,
 ) -> None:
     """Localise scans; the help text explains the arguments."""
-    from relmap.cli.job_log import doubt_unit, level_if_needed
+    from relmap.cli.job import doubt_unit, level_if_needed
     from relmap.evaluation.sources import read_log
     from relmap.io.files import staged_folder
     from relmap.io.results import MAPPER

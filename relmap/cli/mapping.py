@@ -15,8 +15,7 @@ import typer
 
 from relmap.cli.arguments import Association, read_config
 from relmap.cli.console import Counter, busy, tracked
-from relmap.cli.job import Job, journaled_labels
-from relmap.cli.job_log import log_of
+from relmap.cli.job import Job, journaled_labels, log_of
 from relmap.core.errors import RelmapError
 from relmap.datasets.own_table import OwnTable
 from relmap.datasets.scans import ScanLog
