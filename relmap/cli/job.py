@@ -199,7 +199,10 @@ def log_of(job: Job) -> Log:
     if job.variant == "planes3d" and job.odometry == "auto" and log.odometry is not None:
         typer.echo(f"relmap: {source}: planes3d does not use the odometry of the log", err=True)
     doubt_unit(source, log)
-    log = _level(job, log) if job.association == "known" else _each_once(job, _level(job, log))
+    if job.level != "none" and job.segmenter not in SPATIAL:
+        log = level_if_needed(job.source, log)
+    if job.association == "nearest":
+        log = _each_once(job, log)
     if job.sigmas is None:
         return log
     assert isinstance(log, ObservationLog)
@@ -237,13 +240,6 @@ def doubt_unit(source: Path, log: Log) -> None:
             "median: coordinates must be in metres",
             err=True,
         )
-
-
-def _level(job: Job, log: Log) -> Log:
-    """Return a log levelled if requested and needed."""
-    if job.level == "none" or job.segmenter in SPATIAL:
-        return log
-    return level_if_needed(job.source, log)
 
 
 def level_if_needed(source: Path, log: Log) -> Log:

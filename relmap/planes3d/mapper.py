@@ -218,7 +218,7 @@ class Plane3dMapper(Mapped3d):
     def _placed(self, seen: Patches, iteration: int) -> Placed | None:
         """Return the placement of a scan in the last submap; its matches are landmark numbers."""
         part = self._submaps[-1]
-        chosen = np.flatnonzero(part.recent(iteration, self.max_missed))
+        chosen = np.flatnonzero(part.last >= iteration - 1 - self.max_missed)
         if not len(chosen):
             return None
         planes, gap = part.planes(chosen), iteration - part.iteration[-1]
