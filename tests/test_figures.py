@@ -251,7 +251,7 @@ def test_curves_end_at_the_errors_of_the_maps(monkeypatch: pytest.MonkeyPatch) -
     off = mapper.map.positions @ R.T + t - there
     curve = data["flat"][figure16.SHAPED]
     assert curve.iteration.tolist() == [99]
-    assert np.median(curve.rmse_m[:, -1]) == pytest.approx(np.sqrt((off**2).sum(axis=1).mean()))
+    assert curve.end_m == pytest.approx(np.sqrt((off**2).sum(axis=1).mean()))
     assert data["Gaussian"][figure16.PAPER].iteration.tolist() == list(range(9, 100, 10))
 
 

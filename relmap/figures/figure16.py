@@ -47,6 +47,11 @@ class Curve:
     iteration: Ints
     rmse_m: Floats
 
+    @property
+    def end_m(self) -> float:
+        """Error at the end, median of the seeds, metres."""
+        return float(np.median(self.rmse_m[:, -1]))
+
 
 ErrorCurves = Mapping[str, Mapping[str, Curve]]
 """Curves by noise and method, in drawing order."""
