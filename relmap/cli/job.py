@@ -132,7 +132,7 @@ class Job:
         """Return the location of a path of the job."""
         return self.folder / path if self.resumed else path
 
-    def mapper(self, after: Callable[[Any], object] | None = None) -> AnyMapper:
+    def mapper(self, after: Callable[[Any], object] | None) -> AnyMapper:
         """Return the mapper to start or to continue with; `after` as for `Mapper.resume`."""
         kind = MAPPERS[self.variant]
         if self.resumed and self.journal is not None:

@@ -33,7 +33,7 @@ from relmap.plots.live import LiveView
 from relmap.points import PointMapper
 
 
-def map_input(source: Path, out: Path, association: Association = "nearest") -> Run:
+def map_input(source: Path, out: Path, association: Association) -> Run:
     """Map a log of points into a result folder with the usual settings; see `map_log`."""
     job = Job(source=source, out=out, settings=read_config(None), association=association)
     return map_log(job)[0]

@@ -136,7 +136,7 @@ def _draw(out: Path, cells: Sequence[Cell], rows: Sequence[Finished]) -> None:
     from relmap.plots.comparison import SweepRow, plot_sweep
     from relmap.plots.sheet import write_png
 
-    keys = [key for key in varying(list(cells)) if key != "method"]
+    keys = varying(cells)
     along = next((key for key in keys if not isinstance(getattr(cells[0], key), str)), None)
     others = [key for key in keys if key != along]
     drawn = [
@@ -154,7 +154,7 @@ def _print_medians(cells: Sequence[Cell], finished: Sequence[Finished]) -> None:
     """Print the medians over the seeds, one row per combination of the other keys."""
     from relmap.comparison.sweep_spec import varying
 
-    keys = [key for key in varying(list(cells)) if key != "method"]
+    keys = varying(cells)
     rows: dict[tuple[Any, ...], list[Finished]] = {}
     for cell, done in zip(cells, finished, strict=True):
         rows.setdefault((*(getattr(cell, key) for key in keys), cell.method), []).append(done)

@@ -139,7 +139,7 @@ def _judged_by_place(
     return {"landmark_rmse_m": metrics.rms(errors)}, counts, [note]
 
 
-def overlay(result: Result, truth: Truth, log: ObservationLog | None = None) -> Overlay | None:
+def overlay(result: Result, truth: Truth, log: ObservationLog | None) -> Overlay | None:
     """Transform the truth into the map frame, or without a map into that of the path.
 
     `log`: the log that was mapped. Returns None if no ids match landmarks, and the paths share

@@ -175,7 +175,7 @@ def check_data(figures: Sequence[PaperFigure[Any]], data: Path | None) -> None:
 
 
 def make_figure(
-    figure: PaperFigure[Any], folder: Path, quick: bool, data: Path | None, watch: Watch = iter
+    figure: PaperFigure[Any], folder: Path, quick: bool, data: Path | None, watch: Watch
 ) -> Made:
     """Run a figure and write its picture and data; if the run fails, the note gives the reason.
 
