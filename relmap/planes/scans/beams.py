@@ -184,7 +184,7 @@ class BeamStore:
     def of(self, scan: int, ends: Floats, given: GivenBeams | None = None) -> Beams:
         """Return the beams of a laser scan, by the ends of its walls (m, 2, 2).
 
-        None if they are not ordered, as for a cloud. `given`: of a scan that is not added yet.
+        None of them if they are not ordered, as for a cloud. `given`: of a scan not yet added.
         """
         known = self._recent.get(scan)
         if known is not None and known[0] == ends.tobytes() and given is None:
