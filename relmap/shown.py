@@ -10,7 +10,7 @@ from typing import Any
 from relmap.core.guard import reads_whole
 
 # Plots and results are layers above the mappers and are imported by name only when used.
-RESULTS, PICTURES = "relmap.evaluation.saved", "relmap.plots.of_mapper"
+RESULTS = "relmap.plots.of_mapper"
 
 
 @reads_whole()
@@ -24,7 +24,7 @@ class Shown:
         -------
         matplotlib.figure.Figure
         """
-        return import_module(PICTURES).plot_mapper(self)
+        return import_module(RESULTS).plot_mapper(self)
 
     def save_results(self, folder: PathLike[str] | str) -> None:
         """Write the files that `relmap map` writes of a map, except the tracks, into a folder.
@@ -42,4 +42,4 @@ class Shown:
         RelmapError
             If the folder cannot be written; an earlier result in it is then left unchanged.
         """
-        import_module(RESULTS).save_results(self, Path(folder), import_module(PICTURES))
+        import_module(RESULTS).save_results(self, Path(folder))

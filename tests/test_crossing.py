@@ -11,11 +11,17 @@ import pytest
 
 from relmap.core.arrays import Ints
 from relmap.core.errors import RelmapError
-from relmap.evaluation.surface_points import METHODS, Method, VariantRun, scan_surface_points
+from relmap.evaluation.surface_points import (
+    METHODS,
+    Method,
+    VariantRun,
+    scan_surface_points,
+    wall_points,
+)
 from relmap.figures import figure07, figure_crossing
-from relmap.figures.figure07 import run_noisy_maps
+from relmap.figures.figure07 import NOISE
 from relmap.figures.figure_crossing import Crossing, run_crossing
-from relmap.plots.variants import BothMaps
+from relmap.plots.variants import BothMaps, both_maps
 from relmap.simulation import simulate_building
 
 BUILDING = simulate_building(points=1, sigma=0.0, iterations=8, seed=5)
@@ -168,7 +174,7 @@ def test_every_method_is_run_on_every_cell() -> None:
 
 @pytest.fixture(scope="module")
 def maps() -> BothMaps:
-    return run_noisy_maps(0.25, iterations=12, seed=0)
+    return both_maps(wall_points(0.25, NOISE, 0, 12))
 
 
 def test_planes_hold_where_points_do_not(maps: BothMaps) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from relmap.cli import main
 from relmap.datasets import write_observation_csv, write_scans_npz
@@ -109,7 +110,7 @@ def test_the_animation_of_a_resumed_run_is_whole(
         shown.append([row for frame in frames for row in frame.rows()])
 
     monkeypatch.setattr(plots_bench, "write_bench_gif", show)
-    monkeypatch.setattr(plots_bench, "write_bench_png", lambda *_: None)
+    monkeypatch.setattr(plots_bench, "plot_bench", lambda *_: Figure())
     monkeypatch.chdir(tmp_path)
     points = [scan.points for scan in simulate_building(seed=0, points=100, iterations=12).scans]
     write_scans_npz(tmp_path / "scans.npz", points, np.arange(12.0))

@@ -16,8 +16,8 @@ from relmap.core.landmarks import LandmarkMap
 from relmap.evaluation.landmarks import Overlay
 from relmap.io.results import Result
 from relmap.plots.path import broken_at_gaps, broken_at_jumps
-from relmap.plots.run import plot_localised, plot_run, write_map_png
-from relmap.plots.sheet import Sheet, limits_of
+from relmap.plots.run import plot_localised, plot_run
+from relmap.plots.sheet import Sheet, limits_of, write_png
 from tests.somerun import make_result
 
 
@@ -92,7 +92,7 @@ def test_only_a_part_of_very_many_groups_is_shown() -> None:
 @pytest.mark.parametrize("n", [0, 1, 2, 7400])
 def test_any_number_of_landmarks(tmp_path: Path, n: int) -> None:
     result = make_result(n)
-    write_map_png(tmp_path / "map.png", result, truth=make_truth(result))
+    write_png(tmp_path / "map.png", plot_run, result, truth=make_truth(result))
     with Image.open(tmp_path / "map.png") as image:
         assert min(image.size) > 500
         assert max(image.size) < 3000
@@ -101,7 +101,7 @@ def test_any_number_of_landmarks(tmp_path: Path, n: int) -> None:
 def test_nothing_at_all_is_still_a_picture(tmp_path: Path) -> None:
     result = make_result(0)
     empty = Result(result.landmarks, result.tracks, np.empty(0), np.empty((0, 4, 4)), {})
-    write_map_png(tmp_path / "map.png", empty)
+    write_png(tmp_path / "map.png", plot_run, empty)
     assert (tmp_path / "map.png").stat().st_size > 0
     noted = [text.get_text() for text in plot_run(empty).axes[0].texts]
     assert noted == ["nothing is mapped"]
@@ -112,14 +112,14 @@ def test_nothing_at_all_is_still_a_picture(tmp_path: Path) -> None:
 def test_landmarks_of_one_sd_or_none(tmp_path: Path, sd: float) -> None:
     result = make_result(5)
     result.landmarks.sd[:] = sd
-    write_map_png(tmp_path / "map.png", result)
+    write_png(tmp_path / "map.png", plot_run, result)
 
 
 def test_same_run_same_bytes_whatever_the_style(tmp_path: Path) -> None:
     result = make_result(10)
-    write_map_png(tmp_path / "a.png", result)
+    write_png(tmp_path / "a.png", plot_run, result)
     with mpl.rc_context({"axes.facecolor": "black", "savefig.dpi": 50}):
-        write_map_png(tmp_path / "b.png", result)
+        write_png(tmp_path / "b.png", plot_run, result)
         assert mpl.rcParams["axes.facecolor"] == "black"
     content = (tmp_path / "a.png").read_bytes()
     assert content == (tmp_path / "b.png").read_bytes()
@@ -129,7 +129,7 @@ def test_same_run_same_bytes_whatever_the_style(tmp_path: Path) -> None:
 
 def test_no_state_of_pyplot_is_touched(tmp_path: Path) -> None:
     before = "matplotlib.pyplot" in sys.modules
-    write_map_png(tmp_path / "a.png", make_result(3))
+    write_png(tmp_path / "a.png", plot_run, make_result(3))
     assert ("matplotlib.pyplot" in sys.modules) == before
 
 

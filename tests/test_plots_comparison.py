@@ -17,9 +17,9 @@ from relmap.plots.comparison import (
     plot_errors,
     plot_sweep,
     shared_scale,
-    write_sweep_png,
 )
 from relmap.plots.run import plot_run
+from relmap.plots.sheet import write_png
 from tests.somerun import make_result
 
 
@@ -86,8 +86,8 @@ def test_a_sweep_without_numbers_is_a_comparison_of_medians() -> None:
 def test_an_empty_sweep_is_still_a_picture(
     tmp_path: Path, figures: dict[str, float | None]
 ) -> None:
-    write_sweep_png(tmp_path / "a.png", [SweepRow("relmap", 0.1, figures)], "noise [m]")
-    write_sweep_png(tmp_path / "b.png", [SweepRow("relmap", None, figures)], "")
+    write_png(tmp_path / "a.png", plot_sweep, [SweepRow("relmap", 0.1, figures)], "noise [m]")
+    write_png(tmp_path / "b.png", plot_sweep, [SweepRow("relmap", None, figures)], "")
 
 
 def errors_of(off_m: float) -> Overlay:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -107,14 +106,14 @@ def _map_of(result: Result) -> dict[str, NDArray[Any]]:
 
 def draw(folder: Path, rows: Iterable[Compared], data: Data[Log], title: str) -> None:
     """Draw the comparison, and the map or the errors of every method that ran."""
-    from relmap.plots.comparison import shared_scale, write_comparison_png, write_errors_png
+    from relmap.plots.comparison import plot_comparison, plot_errors, shared_scale
     from relmap.plots.of_mapper import plot_result
-    from relmap.plots.run import write_map_png
+    from relmap.plots.run import plot_run
     from relmap.plots.sheet import write_png
 
     ran = [(row.method, row.run) for row in rows if row.run is not None]
     figures = [(name, run.figures) for name, run in ran]
-    write_comparison_png(folder / "comparison.png", figures, title)
+    write_png(folder / "comparison.png", plot_comparison, figures, title)
     overlays = {name: _overlay(run.result, data) for name, run in ran}
     scale = shared_scale([each for each in overlays.values() if each])
     for name, run in ran:
@@ -122,11 +121,11 @@ def draw(folder: Path, rows: Iterable[Compared], data: Data[Log], title: str) ->
         if isinstance(run.result, PlaneResult):
             _draw_walls(picture, run.result, data, name)
         elif isinstance(run.result, Plane3dResult):
-            write_png(picture, partial(plot_result, run.result))
+            write_png(picture, plot_result, run.result)
         elif truth is not None:
-            write_errors_png(picture, run.result, truth, scale, _titled(name, run))
+            write_png(picture, plot_errors, run.result, truth, scale, _titled(name, run))
         else:
-            write_map_png(picture, run.result, title=name)
+            write_png(picture, plot_run, run.result, title=name)
 
 
 def _titled(name: str, run: MethodRun) -> str:
@@ -145,8 +144,9 @@ def _overlay(result: Result, data: Data[Log]) -> Overlay | None:
 
 
 def _draw_walls(picture: Path, result: PlaneResult, data: Data[Log], name: str) -> None:
-    from relmap.plots.planes import write_planes_png
+    from relmap.plots.planes import plot_planes
+    from relmap.plots.sheet import write_png
 
     matched = match_walls(result, data.truth) if data.truth else None
     known = (data.truth, matched) if data.truth and matched else None
-    write_planes_png(picture, result.planes, result.poses, known, name)
+    write_png(picture, plot_planes, result.planes, result.poses, known, name)

@@ -84,7 +84,8 @@ def _draw(folder: Path, out: Path, run: Run, evaluation: Evaluation) -> None:
     from relmap.evaluation.landmarks import overlay
     from relmap.evaluation.truth import read_truth
     from relmap.io.results import MAP_PNG
-    from relmap.plots.run import write_map_png
+    from relmap.plots.run import plot_run
+    from relmap.plots.sheet import write_png
 
     truth = overlay(run.result, read_truth(out), find_log(run.result, out, None))
     counts = run.result.summary["counts"]
@@ -92,19 +93,20 @@ def _draw(folder: Path, out: Path, run: Run, evaluation: Evaluation) -> None:
         f"{counts['mapped']} of {counts['landmarks']} landmarks mapped, "
         f"RMSE {figure(evaluation.landmark_rmse_m)} m"
     )
-    write_map_png(folder / MAP_PNG, run.result, run.groups, truth, title)
+    write_png(folder / MAP_PNG, plot_run, run.result, run.groups, truth, title)
 
 
 def _both_variants(out: Path, name: str, noise: float, seed: int) -> str:
     """Map the same scans as planes and as points; return their section of the page."""
     from relmap.evaluation.surface_points import wall_points
-    from relmap.plots.variants import both_maps, write_both_png
+    from relmap.plots.sheet import write_png
+    from relmap.plots.variants import both_maps, plot_both
 
     with busy("mapping the building as planes and as points"):
         maps = both_maps(wall_points(SPACING_M, noise, seed, ITERATIONS))
     sigma_m, picture = maps.planes.run.sigma, f"building-{name}-noise.png"
     title = f"the same scans of a building as planes and as points, noise {sigma_m:g} m"
-    write_both_png(out / picture, maps, title)
+    write_png(out / picture, plot_both, maps, title)
     runs = maps.planes.run, maps.points.run
     header = ("metric", "planes", "points")
     rows = [

@@ -147,7 +147,8 @@ def evaluate_folder(folder: Path, truth: Path, log: Path | None = None) -> Evalu
     from relmap.io.results import EVALUATION, MAP_PNG, json_text
     from relmap.planes.walls.files import PlaneResult, read_any
     from relmap.planes3d.files import read_result3d
-    from relmap.plots.planes import write_planes_png
+    from relmap.plots.planes import plot_planes
+    from relmap.plots.sheet import write_png
 
     result = read_any(folder)
     walls = isinstance(result, PlaneResult)
@@ -160,7 +161,8 @@ def evaluate_folder(folder: Path, truth: Path, log: Path | None = None) -> Evalu
     with staged_folder(folder) as staging:
         atomic_write(staging / EVALUATION, json_text(evaluation.as_dict()))
         if isinstance(result, PlaneResult) and (matched := match_walls(result, known)):
-            write_planes_png(staging / MAP_PNG, result.planes, result.poses, (known, matched))
+            shown = result.planes, result.poses, (known, matched)
+            write_png(staging / MAP_PNG, plot_planes, *shown)
     return evaluation
 
 

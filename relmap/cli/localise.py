@@ -52,7 +52,7 @@ def localise_command(
     topic: args.Topics = None,
 ) -> None:
     """Localise scans; the help text explains the arguments."""
-    from relmap.cli.job_log import doubt_unit, level_if_needed
+    from relmap.cli.job import doubt_unit, level_if_needed
     from relmap.evaluation.sources import read_log
     from relmap.io.files import staged_folder
     from relmap.io.results import MAPPER
@@ -102,7 +102,8 @@ def _write(folder: Path, mapper: PointMapper | PlaneMapper, log: Log, places: li
     from relmap.io.files import write_tum
     from relmap.io.results import MAP_PNG, TRAJECTORY
     from relmap.planes import PlaneMapper
-    from relmap.plots.run import write_localised_png
+    from relmap.plots.run import plot_localised
+    from relmap.plots.sheet import write_png
 
     poses = np.array([place.T_map_robot for place in places]).reshape(-1, 4, 4)
     found = np.isfinite(poses[:, 0, 0])
@@ -112,4 +113,4 @@ def _write(folder: Path, mapper: PointMapper | PlaneMapper, log: Log, places: li
         table = mapper.planes
         planar, ends = True, table.ends[table.status == "static"]
     drawn = np.flatnonzero(found), poses[found], len(log)
-    write_localised_png(folder / MAP_PNG, mapper.map, planar, *drawn, ends)
+    write_png(folder / MAP_PNG, plot_localised, mapper.map, planar, *drawn, ends)

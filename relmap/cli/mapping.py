@@ -15,8 +15,7 @@ import typer
 
 from relmap.cli.arguments import Association, read_config
 from relmap.cli.console import Counter, busy, tracked
-from relmap.cli.job import Job, journaled_labels
-from relmap.cli.job_log import log_of
+from relmap.cli.job import Job, journaled_labels, log_of
 from relmap.core.errors import RelmapError
 from relmap.datasets.own_table import OwnTable
 from relmap.datasets.scans import ScanLog
@@ -34,7 +33,7 @@ from relmap.plots.live import LiveView
 from relmap.points import PointMapper
 
 
-def map_input(source: Path, out: Path, association: Association = "nearest") -> Run:
+def map_input(source: Path, out: Path, association: Association) -> Run:
     """Map a log of points into a result folder with the usual settings; see `map_log`."""
     job = Job(source=source, out=out, settings=read_config(None), association=association)
     return map_log(job)[0]
@@ -190,12 +189,13 @@ def _bench(job: Job, log: Log, n_seen: int) -> BenchRecorder | None:
 
 
 def _draw_bench(folder: Path, bench: BenchRecorder, animate: bool) -> None:
-    from relmap.plots.bench import write_bench_gif, write_bench_png
+    from relmap.plots.bench import plot_bench, write_bench_gif
+    from relmap.plots.sheet import write_png
 
     last = bench.last()
     if last is None:
         return
-    write_bench_png(folder / results.BENCH_PNG, last)
+    write_png(folder / results.BENCH_PNG, plot_bench, last)
     if animate:
         n = len(bench.frames) + 1
         show = partial(tracked, total=n, what="drawing")

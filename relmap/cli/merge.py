@@ -41,8 +41,9 @@ def merge_command(
     from relmap.io.results import MAP_PNG, MAPPER, SECOND, stale_files, write_names, write_result
     from relmap.merging.results import merge_results
     from relmap.planes.walls.files import PlaneResult, write_planes
-    from relmap.plots.planes import write_planes_png
-    from relmap.plots.run import write_map_png
+    from relmap.plots.planes import plot_planes
+    from relmap.plots.run import plot_run
+    from relmap.plots.sheet import write_png
 
     refuse_to_write_into(out, one, other)
     with busy("merging"):
@@ -56,9 +57,9 @@ def merge_command(
             if isinstance(result, PlaneResult):
                 write_planes(staging, result.planes)
                 both = np.concatenate([result.poses, merged.poses])
-                write_planes_png(staging / MAP_PNG, result.planes, both)
+                write_png(staging / MAP_PNG, plot_planes, result.planes, both)
             else:
-                write_map_png(staging / MAP_PNG, result)
+                write_png(staging / MAP_PNG, plot_run, result)
             n_files = len(list(staging.iterdir()))
     typer.echo(f"wrote {n_files} files to {out}: {_said(result)}")
 

@@ -50,7 +50,8 @@ def write_points(folder: Path, log: ObservationLog, truth: Truth) -> str:
 
 def write_building(folder: Path, building: Building) -> None:
     """Write a drive past walls into an existing folder, with a picture."""
-    from relmap.plots.planes import write_building_png
+    from relmap.plots.planes import plot_building
+    from relmap.plots.sheet import write_png
 
     truth = folder / "truth"
     truth.mkdir()
@@ -64,7 +65,7 @@ def write_building(folder: Path, building: Building) -> None:
     table = dict(zip(names, (*columns, *building.seen_extents().T), strict=True))
     atomic_write(truth / "planes.csv", columns_text(table))
     write_tum(truth / "trajectory.tum", building.stamps_s, building.trajectory)
-    write_building_png(folder / "building.png", building)
+    write_png(folder / "building.png", plot_building, building)
 
 
 def write_storey(folder: Path, storey: Storey) -> None:

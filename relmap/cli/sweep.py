@@ -133,9 +133,10 @@ def _write(out: Path, cells: Sequence[Cell], rows: Sequence[Finished]) -> None:
 def _draw(out: Path, cells: Sequence[Cell], rows: Sequence[Finished]) -> None:
     """Draw the errors over the first varied number, a line for each of the others."""
     from relmap.comparison.sweep_spec import varying
-    from relmap.plots.comparison import SweepRow, write_sweep_png
+    from relmap.plots.comparison import SweepRow, plot_sweep
+    from relmap.plots.sheet import write_png
 
-    keys = [key for key in varying(list(cells)) if key != "method"]
+    keys = varying(cells)
     along = next((key for key in keys if not isinstance(getattr(cells[0], key), str)), None)
     others = [key for key in keys if key != along]
     drawn = [
@@ -146,14 +147,14 @@ def _draw(out: Path, cells: Sequence[Cell], rows: Sequence[Finished]) -> None:
         )
         for cell, done in zip(cells, rows, strict=True)
     ]
-    write_sweep_png(out / "sweep.png", drawn, AXES.get(along or "", along or ""))
+    write_png(out / "sweep.png", plot_sweep, drawn, AXES.get(along or "", along or ""))
 
 
 def _print_medians(cells: Sequence[Cell], finished: Sequence[Finished]) -> None:
     """Print the medians over the seeds, one row per combination of the other keys."""
     from relmap.comparison.sweep_spec import varying
 
-    keys = [key for key in varying(list(cells)) if key != "method"]
+    keys = varying(cells)
     rows: dict[tuple[Any, ...], list[Finished]] = {}
     for cell, done in zip(cells, finished, strict=True):
         rows.setdefault((*(getattr(cell, key) for key in keys), cell.method), []).append(done)

@@ -127,7 +127,7 @@ def _run_and_send(
 
 
 def landmark_error_curve(
-    method: Method, log: ObservationLog, truth: Truth, every: int = 10
+    method: Method, log: ObservationLog, truth: Truth, every: int
 ) -> tuple[Ints, Floats]:
     """Return the landmark error over the iterations of a log with known ids (Fig. 16).
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -133,7 +133,7 @@ def _value(key: str, kind: type, value: Any) -> Any:
     return value
 
 
-def varying(cells: list[Cell]) -> list[str]:
-    """Return the keys, except seed, in which cells differ."""
-    others = [key for key in KEYS if key != "seed"]
+def varying(cells: Sequence[Cell]) -> list[str]:
+    """Return the keys, except seed and method, in which cells differ."""
+    others = [key for key in KEYS if key not in ("seed", "method")]
     return [key for key in others if len({getattr(cell, key) for cell in cells}) > 1]

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-import numpy as np
-
 from relmap.datasets.base import ObservationLog
 from relmap.evaluation import metrics
 from relmap.evaluation.landmarks import judge_landmarks
-from relmap.evaluation.relations import AT_SCANS_S, relation_errors
+from relmap.evaluation.relations import AT_SCANS_S, RelationErrors, relation_errors
 from relmap.evaluation.space import judge_planes
 from relmap.evaluation.truth import Judged, Truth
 from relmap.evaluation.walls import MatchedCorners, judge_corners, judge_walls, match_corners
@@ -133,7 +131,7 @@ def evaluate(result: Result, truth: Truth, log: ObservationLog | None = None) ->
         common = f"{len(mine)} of {len(result.stamps_s)} poses have the times of true ones"
         notes.append(f"no RPE: {common}, and other true poses lie between them")
     relation = relation_errors(result.stamps_s, result.poses, truth.relations)
-    notes += _relation_notes(result, truth)
+    notes += _relation_notes(result, truth, relation)
     return Evaluation(
         **figures,
         ate_m=metrics.ate(poses, true_poses, result.planar),
@@ -146,14 +144,11 @@ def evaluate(result: Result, truth: Truth, log: ObservationLog | None = None) ->
     )
 
 
-def _relation_notes(result: Result, truth: Truth) -> list[str]:
+def _relation_notes(result: Result, truth: Truth, every: RelationErrors | None) -> list[str]:
     """Return what the figures of checked relations do not say: how many there are, and where."""
-    every, at_scans = (
-        relation_errors(result.stamps_s, result.poses, truth.relations, near_s)
-        for near_s in (np.inf, AT_SCANS_S)
-    )
     if every is None:
         return ["no checked relation lies within the times of the result"] * bool(truth.relations)
+    at_scans = relation_errors(result.stamps_s, result.poses, truth.relations, AT_SCANS_S)
     n = at_scans.n if at_scans else 0
     error = f": {at_scans.shift_m:.3f} m, {at_scans.turn_rad:.4f} rad" if at_scans else ""
     which = f"{n} of {every.n} checked relations have both ends within {AT_SCANS_S} s of scans"

@@ -24,14 +24,13 @@ ELSEWHERE = 10.0
 class Identified:
     """Labelled observations and their true landmarks.
 
-    `landmark` (n,): label in the result; `true_id` (n,): negative if unknown; `iteration` (n,);
-    `seen_id`, `seen_iteration` (s,): all observations of the mapped iterations, including those
-    without a label.
+    `landmark` (n,): label in the result; `true_id` (n,): negative if unknown; `seen_id`,
+    `seen_iteration` (s,): all observations of the mapped iterations, including those without a
+    label.
     """
 
     landmark: Ints
     true_id: Ints
-    iteration: Ints
     seen_id: Ints
     seen_iteration: Ints
 
@@ -139,7 +138,7 @@ def _judged_by_place(
     return {"landmark_rmse_m": metrics.rms(errors)}, counts, [note]
 
 
-def overlay(result: Result, truth: Truth, log: ObservationLog | None = None) -> Overlay | None:
+def overlay(result: Result, truth: Truth, log: ObservationLog | None) -> Overlay | None:
     """Transform the truth into the map frame, or without a map into that of the path.
 
     `log`: the log that was mapped. Returns None if no ids match landmarks, and the paths share
@@ -169,10 +168,9 @@ def identify(result: Result, log: ObservationLog | None) -> Identified | None:
     if log is None or log.ids is None:
         if result.summary.get("association") != "known":
             return None
-        seen = (tracks.landmark, tracks.iteration)
-        return Identified(tracks.landmark, tracks.landmark, tracks.iteration, *seen)
+        return Identified(tracks.landmark, tracks.landmark, tracks.landmark, tracks.iteration)
     at = metrics.positions_of(log.rows, tracks.row)
-    return Identified(tracks.landmark, log.ids[at], tracks.iteration, log.ids, log.iteration)
+    return Identified(tracks.landmark, log.ids[at], log.ids, log.iteration)
 
 
 def mapped_part(result: Result, log: ObservationLog) -> ObservationLog:

@@ -225,7 +225,7 @@ def _drawn(
 ) -> DrawnSubmap:
     """Return a submap for files and pictures."""
     submap = mapper.submaps[number]
-    known = np.flatnonzero(np.isfinite(submap.poses[:, 0, 3]))
+    known = submap.known
     beams = mapper.beams_of(number, POINTS_DRAWN)
     weak = np.searchsorted(known, np.intersect1d(weak_links - submap.span[0], known))
     return DrawnSubmap(

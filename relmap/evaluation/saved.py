@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -14,8 +13,7 @@ from relmap.evaluation.feeding import AnyMapper, Association, Log
 from relmap.evaluation.run import result_of
 from relmap.evaluation.space_run import VARIANT, result_in_space
 from relmap.evaluation.summary import is_refined, summary_of
-from relmap.io.files import staged_folder
-from relmap.io.results import MAPPER, Result, stale_files, write_result
+from relmap.io.results import Result, write_result
 from relmap.planes import PlaneMapper
 from relmap.planes.walls.files import PlaneResult, write_planes, write_submaps
 from relmap.planes3d import Plane3dMapper
@@ -65,16 +63,3 @@ def write_tables(folder: Path, result: Result) -> None:
     elif isinstance(result, PlaneResult):
         write_planes(folder, result.planes)
         write_submaps(folder, result.drawn)
-
-
-def save_results(mapper: AnyMapper, folder: Path, pictures: Any) -> None:
-    """Write a mapper's result into a folder, with the pictures that `relmap.plots.of_mapper` draws.
-
-    Raises `RelmapError` if the folder cannot be written.
-    """
-    with staged_folder(folder, stale_files(folder)) as staging:
-        result = result_of_mapper(mapper)
-        write_tables(staging, result)
-        command = f"{type(mapper).__name__}.save_results"
-        pictures.write_pictures(staging, result, pictures.groups_of(mapper), command, "a run")
-        mapper.save(staging / MAPPER)

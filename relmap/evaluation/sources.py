@@ -63,9 +63,7 @@ class EightSource:
 
     def load(self) -> Data[ObservationLog]:
         """Simulate it."""
-        world = simulate_figure_eight(
-            self.density, self.iterations, self.noise, self.sigma, self.dynamic, self.seed
-        )
+        world = simulate_figure_eight(**vars(self))
         return Data(world.log, truth_of(world))
 
     @property
@@ -89,9 +87,7 @@ class BuildingSource:
 
     def load(self) -> Data[ScanLog]:
         """Simulate it."""
-        building = simulate_building(
-            sigma=self.sigma, noise=self.noise, iterations=self.iterations, seed=self.seed
-        )
+        building = simulate_building(**vars(self))
         return Data(log_of(building), truth_of(building))
 
     @property

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 from relmap.evaluation.evaluate import Evaluation, evaluate
@@ -21,13 +20,8 @@ COVERED = 0.8
 TITLE = "Figure 5: the test bench"
 
 
-@dataclass(frozen=True, eq=False)
-class Bench:
-    """A run on the test bench: pictures, the last one at the end, and figures of merit."""
-
-    frames: list[BenchFrame]
-    n_scans: int
-    found: Evaluation
+Bench = tuple[list[BenchFrame], int, Evaluation]
+"""Pictures of a run, the last one at the end, the number of scans, and figures of merit."""
 
 
 def _run(quick: bool, data: Path | None, watch: Watch) -> Bench:
@@ -47,20 +41,20 @@ def _run(quick: bool, data: Path | None, watch: Watch) -> Bench:
     )
     last = recorder.last()
     assert last is not None
-    return Bench([*recorder.frames, last], len(log), evaluate(run.result, truth))
+    return [*recorder.frames, last], len(log), evaluate(run.result, truth)
 
 
 def _judge(bench: Bench) -> Outcome:
-    last = bench.frames[-1]
-    rmse_m, coverage = bench.found.corner_rmse_m, bench.found.coverage or 0.0
+    frames, n_scans, found = bench
+    rmse_m, coverage = found.corner_rmse_m, found.coverage or 0.0
     corners = "no corner" if rmse_m is None else f"corners to {rmse_m:.3f} m"
     return Outcome(
-        Table(COLUMNS, list(last.rows())),
+        Table(COLUMNS, list(frames[-1].rows())),
         float("nan") if rmse_m is None else rmse_m,
-        f"{len(last.walls)} walls after {bench.n_scans} scans, {corners} (RMSE; noise of points "
+        f"{len(frames[-1].walls)} walls after {n_scans} scans, {corners} (RMSE; noise of points "
         f"{SIGMA_M} m), {coverage:.0%} of the corners seen ten times mapped.",
         judged(rmse_m is not None and rmse_m < SIGMA_M, coverage >= COVERED),
-        {".gif": lambda path: write_bench_gif(path, bench.frames, title=TITLE)},
+        {".gif": lambda path: write_bench_gif(path, frames, title=TITLE)},
     )
 
 
@@ -78,5 +72,5 @@ FIGURE = PaperFigure(
     unit="RMSE of the corners in m",
     run=_run,
     judge=_judge,
-    draw=lambda bench: plot_bench(bench.frames[-1], TITLE),
+    draw=lambda bench: plot_bench(bench[0][-1], TITLE),
 )

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from matplotlib.figure import Figure
 
 from relmap.evaluation.surface_points import HALF, wall_points
-from relmap.figures.base import Outcome, PaperFigure, Table, judged
+from relmap.figures.base import Outcome, PaperFigure, Table, Watch, judged
 from relmap.plots.bench_recorder import COLUMNS, rows_of
 from relmap.plots.variants import BothMaps, both_maps, plot_both
 
@@ -16,14 +18,9 @@ NOISE = 0.3
 """Sigma over the spacing: points are no longer distinguishable from one scan to the next."""
 
 
-def run_noisy_maps(
-    spacing_m: float = SPACING_M, seed: int = 0, iterations: int | None = None
-) -> BothMaps:
-    """Map fixed points on the walls of a building as planes, and as points.
-
-    `spacing_m`: of the points on the walls, metres. `iterations`: scans; one loop if omitted.
-    """
-    return both_maps(wall_points(spacing_m, NOISE, seed, iterations))
+def _run(quick: bool, data: Path | None, watch: Watch) -> BothMaps:
+    """Map fixed points on the walls of a building as planes, and as points."""
+    return both_maps(wall_points(SPACING_M, NOISE, 0, QUICK_ITERATIONS if quick else None))
 
 
 def _judge(maps: BothMaps) -> Outcome:
@@ -65,7 +62,7 @@ FIGURE = PaperFigure(
         f"{HALF:.0%} of them are, or they are {MUCH:g} times as far off; partly where one holds"
     ),
     unit="RMSE of the corners in m",
-    run=lambda quick, data, watch: run_noisy_maps(iterations=QUICK_ITERATIONS if quick else None),
+    run=_run,
     judge=_judge,
     draw=_plot,
 )

@@ -175,7 +175,7 @@ def check_data(figures: Sequence[PaperFigure[Any]], data: Path | None) -> None:
 
 
 def make_figure(
-    figure: PaperFigure[Any], folder: Path, quick: bool, data: Path | None, watch: Watch = iter
+    figure: PaperFigure[Any], folder: Path, quick: bool, data: Path | None, watch: Watch
 ) -> Made:
     """Run a figure and write its picture and data; if the run fails, the note gives the reason.
 
@@ -190,7 +190,7 @@ def make_figure(
     except (RelmapError, RuntimeError, np.linalg.LinAlgError) as error:
         return Made(figure, None, "failed: " + " ".join(str(error).split())[:200])
     picture = folder / f"{figure.stem}.png"
-    write_png(picture, lambda: figure.draw(found))
+    write_png(picture, figure.draw, found)
     outcome.table.write(picture.with_suffix(".csv"))
     for ending, write in outcome.more.items():
         write(folder / f"{figure.stem}{ending}")

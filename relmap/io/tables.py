@@ -47,11 +47,6 @@ def compressed(text: str) -> bytes:
     return gzip.compress(text.encode(), compresslevel=5, mtime=0)
 
 
-def number(value: float) -> str:
-    """Return the shortest text that reads back as the same float; NaN gives an empty text."""
-    return "" if value != value else repr(float(value))
-
-
 def csv_text(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     """Return a table as CSV text; floats in full precision, NaN and None as empty cells."""
     lines = [header, *(map(_cell, row) for row in rows)]
@@ -59,9 +54,10 @@ def csv_text(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
 
 
 def _cell(value: object) -> str:
-    if value is None:
+    """Return the shortest text that reads back as the same value; empty for None and NaN."""
+    if value is None or value != value:
         return ""
-    return number(value) if isinstance(value, float) else str(value)
+    return repr(float(value)) if isinstance(value, float) else str(value)
 
 
 def columns_text(columns: Mapping[str, NDArray[Any]]) -> str:

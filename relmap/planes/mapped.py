@@ -165,11 +165,8 @@ class MappedWalls(Mapper):
     @property
     def paths(self) -> list[tuple[Ints, Floats]]:
         """Of each of the `submaps`: the iterations (p,) in it, and their poses (p, 4, 4)."""
-        known = [np.flatnonzero(np.isfinite(each.poses[:, 0, 3])) for each in self.submaps]
-        return [
-            (each.first_iteration + rows, each.poses[rows])
-            for each, rows in zip(self.submaps, known, strict=True)
-        ]
+        own = self.submaps
+        return [(each.first_iteration + each.known, each.poses[each.known]) for each in own]
 
     @property
     def weak_links(self) -> Ints:

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
-from relmap.planes.motions import wrapped
+from relmap.planes.motions import inverse, then, wrapped
 from relmap.planes.walls.history import PlaneHistory
 
 FEWEST = 3
@@ -95,23 +95,13 @@ def pairwise_map(history: PlaneHistory, n_planes: int) -> Floats:
 def _chained(
     relations: dict[tuple[int, int], Relation], order: Ints, before: Ints, size: Floats
 ) -> Floats:
-    midpoint, angle = np.full((len(size), 2), np.nan), np.zeros(len(size))
-    midpoint[order[0]] = 0.0
+    pose = np.full((len(size), 3), np.nan)  # of the walls: angle and midpoint
+    pose[order[0]] = 0.0
     for b in order[1:].tolist():
         a = int(before[b])
-        forward = (a, b) in relations
-        relation = relations[(a, b) if forward else (b, a)]
-        if forward:
-            angle[b] = angle[a] + relation.turn
-            midpoint[b] = midpoint[a] + _turned(angle[a], relation.offset)
-        else:
-            angle[b] = angle[a] - relation.turn
-            midpoint[b] = midpoint[a] - _turned(angle[b], relation.offset)
-    along = np.column_stack([np.sin(angle), -np.cos(angle)])
+        relation = relations.get((a, b)) or relations[b, a]
+        step = np.array([relation.turn, *relation.offset])
+        pose[b] = then(step if (a, b) in relations else inverse(step), pose[a])
+    along = np.column_stack([np.sin(pose[:, 0]), -np.cos(pose[:, 0])])
     half = size[:, None] / 2 * along
-    return np.stack([midpoint - half, midpoint + half], axis=1)
-
-
-def _turned(angle: float, v: Floats) -> Floats:
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([c * v[0] - s * v[1], s * v[0] + c * v[1]])
+    return np.stack([pose[:, 1:] - half, pose[:, 1:] + half], axis=1)

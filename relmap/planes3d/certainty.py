@@ -160,25 +160,19 @@ def fragile(
     return np.concatenate([scan[lost], scan[displaced]]), along
 
 
-def changes(place: Floats, iteration: Ints) -> Floats:
-    """Return by how much each step (p - 1, 3) differs from the mean of those before and after.
-
-    `place` (p, 3), `iteration` (p,): of the scans. Steps are per iteration.
-    """
-    return _unlike(np.diff(place, axis=0), iteration)
-
-
 def turn_changes(R: Floats, iteration: Ints) -> Floats:
     """Return by how much each rotation (p - 1, 3) differs from those before and after, radians.
 
     `R` (p, 3, 3): of the scans; see `changes`. Rotation vectors are along the axes of the scans.
     """
-    turn = Rotation.from_matrix(R[:-1].transpose(0, 2, 1) @ R[1:]).as_rotvec()
-    return _unlike(turn, iteration)
+    return changes(Rotation.from_matrix(R[:-1].transpose(0, 2, 1) @ R[1:]).as_rotvec(), iteration)
 
 
-def _unlike(step: Floats, iteration: Ints) -> Floats:
-    """Return by how much steps (p - 1, 3) differ from the mean of those before and after."""
+def changes(step: Floats, iteration: Ints) -> Floats:
+    """Return by how much steps (p - 1, 3) differ from the mean of those before and after.
+
+    Per iteration; `iteration` (p,): of the scans.
+    """
     step = step / np.diff(iteration)[:, None]
     if len(step) < 2:
         return np.zeros_like(step)
@@ -195,7 +189,7 @@ def unreliable_steps(
     iterations (p,) of the scans.
     """
     scan, along = fragile(seen, scene, systematic, reach_m)
-    change = changes(scene.t, iteration)
+    change = changes(np.diff(scene.t, axis=0), iteration)
     size_m = np.linalg.norm(change, axis=1)
     usual_m = float(np.median(size_m))
     jerk_m = JERK * usual_m if len(change) >= SEVERAL else 0.0

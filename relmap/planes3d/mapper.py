@@ -13,8 +13,8 @@ from relmap.core.arrays import Ints
 from relmap.core.errors import RelmapError
 from relmap.core.guard import reads_whole
 from relmap.core.linalg.threads import one_thread
+from relmap.planes3d.files import checked_patches, journaled, of_journal
 from relmap.planes3d.hypotheses import Held
-from relmap.planes3d.journaled import checked_patches, journaled, of_journal
 from relmap.planes3d.mapped import Mapped3d
 from relmap.planes3d.placing import Placed, place
 from relmap.planes3d.refining import refined, unsure_steps
@@ -218,7 +218,7 @@ class Plane3dMapper(Mapped3d):
     def _placed(self, seen: Patches, iteration: int) -> Placed | None:
         """Return the placement of a scan in the last submap; its matches are landmark numbers."""
         part = self._submaps[-1]
-        chosen = np.flatnonzero(part.recent(iteration, self.max_missed))
+        chosen = np.flatnonzero(part.last >= iteration - 1 - self.max_missed)
         if not len(chosen):
             return None
         planes, gap = part.planes(chosen), iteration - part.iteration[-1]

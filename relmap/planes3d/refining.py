@@ -75,8 +75,7 @@ def unsure_steps(part: Submap, is_broken: bool = False) -> dict[int, Floats]:
 
     Each has the direction (3,) in which the translation is least certain, sensor frame.
     """
-    share = SYSTEMATIC if part.share is None else part.share
-    seen, state = sightings(part), scene(part)
+    seen, state, share = _observed(part)
     covariance = step_covariances(seen, state, share)
     turn_m2 = np.linalg.eigvalsh(covariance[:, :3, :3])[:, 2]
     way_m2, axes = np.linalg.eigh(covariance[:, 3:, 3:])
@@ -108,8 +107,12 @@ def _open_steps(part: Submap) -> dict[int, Floats]:
 
 def covariances_of(part: Submap) -> Floats:
     """Return the covariances (l, 4, 4) of the planes of a submap, see `plane_covariances`."""
-    share = SYSTEMATIC if part.share is None else part.share
-    return plane_covariances(sightings(part), scene(part), share)
+    return plane_covariances(*_observed(part))
+
+
+def _observed(part: Submap) -> tuple[Sightings, Scene, float]:
+    """Return observations, poses and planes of a submap, and its error common to points."""
+    return sightings(part), scene(part), SYSTEMATIC if part.share is None else part.share
 
 
 def sightings(part: Submap) -> Sightings:
@@ -131,8 +134,7 @@ def scene(part: Submap) -> Scene:
 
 def _adjusted(part: Submap, least_gain: float) -> Submap:
     """Return a submap adjusted by least squares; `least_gain`: see `PlaneAdjustment.solve`."""
-    seen, state = sightings(part), scene(part)
-    share = SYSTEMATIC if part.share is None else part.share
+    seen, state, share = _observed(part)
     free = {part.iteration.index(k): part.weak[k] for k in sorted(part.weak)}
     problem = PlaneAdjustment(seen, share, free)
     state = problem.solve(state, least_gain)

@@ -225,10 +225,6 @@ class Submap:
         of = np.concatenate([np.empty(0, dtype=np.int64), *(-1 - each for _, each, _ in rims)])
         return replace(self.planes(np.arange(len(self))), rim=points, rim_patch=of)
 
-    def recent(self, iteration: int, max_missed: int) -> Bools:
-        """Return which landmarks (l,) an iteration may continue; see `Plane3dMapper`."""
-        return np.asarray(self.last >= iteration - 1 - max_missed)
-
     def again(self, poses: list[Pose], name: dict[int, int]) -> Submap:
         """Return the submap with other poses, and with landmarks renamed by number."""
         number = np.array([name.get(k, k) for k in self.number.tolist()], dtype=np.int64)

@@ -17,7 +17,7 @@ from PIL import Image
 from relmap.core.errors import RelmapError
 from relmap.plots.bench_recorder import BenchFrame
 from relmap.plots.planes import CORNER, draw_true_walls, draw_walls
-from relmap.plots.sheet import GREY, INK, RED, Limits, blank, draw_limits, finish, limits_of, to_png
+from relmap.plots.sheet import GREY, INK, RED, Limits, blank, draw_limits, finish, limits_of
 
 TITLE = "the test bench"
 ROBOT_FRAME = ", robot frame"
@@ -150,6 +150,3 @@ def _draw_groups(axes: Axes, frame: BenchFrame) -> None:
     axes.plot([], [], color=RED, linewidth=0.9, label="group, from its centre to its walls")
     _draw_map(axes, frame)
     _name(axes, "the map with group connectivity")
-
-
-write_bench_png = to_png(plot_bench)

@@ -79,8 +79,8 @@ class BenchRecorder:
         self,
         mapper: PlaneMapper | None,
         segmenter: PlaneSegmenter,
-        truth: Truth | None = None,
-        every: int = 0,
+        truth: Truth | None,
+        every: int,
         view: SensorView | None = None,
         before_s: Iterable[float] = (),
     ) -> None:
@@ -91,7 +91,7 @@ class BenchRecorder:
         self._scan: PointScan | None = None
         self.frames: list[BenchFrame] = []
 
-    def follow(self, mapper: PlaneMapper, n_before: int = 0) -> None:
+    def follow(self, mapper: PlaneMapper, n_before: int) -> None:
         """Record a mapper that has processed scans of earlier logs, whose times are unknown."""
         self.mapper = mapper
         self._stamps_s += [math.nan] * n_before

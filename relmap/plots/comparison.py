@@ -23,7 +23,6 @@ from relmap.plots.sheet import (
     blank,
     finish,
     legend_below,
-    to_png,
     write_in_full,
 )
 
@@ -85,9 +84,6 @@ def _draw_errors(axes: Axes, rows: Sequence[tuple[str, Figures]], key: str) -> N
         axes.text(value * 1.2, row, f"{value:.3g}", va="center", fontsize=7)
 
 
-write_comparison_png = to_png(plot_comparison)
-
-
 @dataclass(frozen=True, eq=False)
 class SweepRow:
     """One experiment.
@@ -142,9 +138,6 @@ def _medians(rows: Sequence[SweepRow]) -> Figures:
     return found
 
 
-write_sweep_png = to_png(plot_sweep)
-
-
 def shared_scale(overlays: Sequence[Overlay]) -> float:
     """Return the common factor by which the errors of all methods are enlarged: 1, 2, 5, 10, ..."""
     pairs = [each.errors_map for each in overlays if len(each.errors_map)]
@@ -193,6 +186,3 @@ def plot_errors(result: Result, truth: Overlay, scale: float, title: str) -> Fig
 
 def _extent(places: Floats) -> float:
     return float(np.ptp(places, axis=0).max()) if len(places) else 0.0
-
-
-write_errors_png = to_png(plot_errors)

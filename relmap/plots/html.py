@@ -25,7 +25,7 @@ POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-s
 """Content security policy: nothing outside the page may be loaded."""
 
 
-def document(title: str, body: Iterable[str], style: str = "") -> str:
+def document(title: str, body: Iterable[str], style: str) -> str:
     """Return a page.
 
     `title`: plain text; `body`: HTML; `style`: added to `STYLE`.

@@ -1,4 +1,4 @@
-"""Pictures of the map of a mapper of any kind."""
+"""Pictures and result folder of a mapper of any kind."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from matplotlib.figure import Figure
 
 from relmap.core.arrays import Ints
 from relmap.evaluation.feeding import AnyMapper
-from relmap.evaluation.saved import result_of_mapper
-from relmap.io.files import atomic_write
-from relmap.io.results import MAP_PNG, REPORT, Result
+from relmap.evaluation.saved import result_of_mapper, write_tables
+from relmap.io.files import atomic_write, staged_folder
+from relmap.io.results import MAP_PNG, MAPPER, REPORT, Result, stale_files
 from relmap.planes.walls.files import PlaneResult
 from relmap.planes3d import Plane3dMapper
 from relmap.planes3d.files import Plane3dResult
@@ -26,6 +26,16 @@ def plot_mapper(mapper: AnyMapper) -> Figure:
     return plot_result(result_of_mapper(mapper), groups_of(mapper))
 
 
+def save_results(mapper: AnyMapper, folder: Path) -> None:
+    """Write a mapper's result into a folder; RelmapError if the folder cannot be written."""
+    with staged_folder(folder, stale_files(folder)) as staging:
+        result = result_of_mapper(mapper)
+        write_tables(staging, result)
+        command = f"{type(mapper).__name__}.save_results"
+        write_pictures(staging, result, groups_of(mapper), command, "a run")
+        mapper.save(staging / MAPPER)
+
+
 def groups_of(mapper: AnyMapper) -> list[Ints]:
     """Return the labels of the landmarks of each group, if a mapper has groups."""
     groups = [] if isinstance(mapper, Plane3dMapper) else mapper.groups
@@ -36,7 +46,7 @@ def write_pictures(
     folder: Path, result: Result, groups: Sequence[Ints], command: str, name: str
 ) -> None:
     """Write ``map.png`` and ``report.html``, see `plot_run` and `report_page`, into a folder."""
-    write_png(folder / MAP_PNG, lambda: plot_result(result, groups))
+    write_png(folder / MAP_PNG, plot_result, result, groups)
     atomic_write(folder / REPORT, report_page(result, command, name))
 
 

@@ -33,7 +33,6 @@ from relmap.plots.sheet import (
     legend_below,
     limits_of,
     note_empty,
-    to_png,
 )
 from relmap.simulation import Building
 
@@ -181,10 +180,6 @@ def draw_walls(
 def draw_true_walls(axes: Axes, ends: Floats) -> None:
     """Draw true walls (m, 2, 2) as thin lines, below those of the map."""
     draw_walls(axes, ends, "true wall", TRUE_WALL, width=1.0, zorder=4.0)
-
-
-write_planes_png = to_png(plot_planes)
-write_building_png = to_png(plot_building)
 
 
 def _draw_box(space: Any, low: Floats, high: Floats) -> None:

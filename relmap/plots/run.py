@@ -18,7 +18,7 @@ from relmap.evaluation.landmarks import Overlay
 from relmap.io.results import Result
 from relmap.plots.path import broken_at_gaps, broken_at_jumps
 from relmap.plots.planes import draw_walls
-from relmap.plots.sheet import BLUE, INK, RED, Sheet, note_empty, to_png
+from relmap.plots.sheet import BLUE, INK, RED, Sheet, note_empty
 
 GROUP = "#7f7f7f"
 ODOMETRY = "#8e44ad"
@@ -183,9 +183,6 @@ def _draw_truth(axes: Axes, truth: Overlay, pair: list[int]) -> None:
         axes.plot(*path.T, "--", color=RED, linewidth=0.8, zorder=2, label="true path")
 
 
-write_map_png = to_png(plot_run)
-
-
 def plot_localised(
     landmarks: LandmarkMap,
     planar: bool,
@@ -215,6 +212,3 @@ def plot_localised(
         axes.plot(*path.T, ".-", label="localised scan", **style)
     sheet.finish(f"{len(scan)} of {n_scans} scans localised in a map of {what}")
     return sheet.figure
-
-
-write_localised_png = to_png(plot_localised)

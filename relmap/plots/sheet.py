@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Concatenate, ParamSpec
+from typing import Any, ParamSpec
 
 import matplotlib as mpl
 import numpy as np
@@ -161,24 +161,16 @@ class Sheet:
         self.figure.draw_without_rendering()
 
 
-def write_png(path: Path, draw: Callable[[], Figure]) -> None:
+def write_png(path: Path, draw: Callable[P, Figure], *args: P.args, **kwargs: P.kwargs) -> None:
     """Draw a figure into a PNG file, in matplotlib's default style.
 
     The same drawing gives the same bytes.
 
-    `draw`: returns the figure. Raises `RelmapError` if the file cannot be written.
+    `draw`: returns the figure, given the other arguments. Raises `RelmapError` if the file cannot
+    be written.
     """
     with mpl.rc_context():
         mpl.rcdefaults()
         picture = BytesIO()
-        draw().savefig(picture, metadata={"Software": None})
+        draw(*args, **kwargs).savefig(picture, metadata={"Software": None})
     atomic_write(path, picture.getvalue())
-
-
-def to_png(draw: Callable[P, Figure]) -> Callable[Concatenate[Path, P], None]:
-    """Return a function of a path and the arguments of `draw`; see `write_png`."""
-
-    def write(path: Path, /, *args: P.args, **kwargs: P.kwargs) -> None:
-        write_png(path, lambda: draw(*args, **kwargs))
-
-    return write

@@ -16,7 +16,7 @@ from relmap.io.results import Result
 from relmap.planes.walls.files import PlaneResult
 from relmap.plots.path import broken_at_gaps, fit_to_truth
 from relmap.plots.planes import WALL, draw_true_walls, draw_walls
-from relmap.plots.sheet import GREY, blank, draw_limits, finish, limits_of, to_png
+from relmap.plots.sheet import GREY, blank, draw_limits, finish, limits_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +103,3 @@ def _draw_points(axes: Axes, points: Floats) -> None:
     box = {"facecolor": "white", "edgecolor": "none"}
     style: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 11, "zorder": 10}
     axes.text(0.5, 0.5, said, transform=axes.transAxes, bbox=box, **style)
-
-
-write_both_png = to_png(plot_both)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from relmap.comparison.baselines.base import KnownBaseline, Pose, SolvedAtTheEnd, fitted, map_of
-from relmap.comparison.baselines.frames import FrameToMap, frame_to_map
+from relmap.comparison.baselines.frames import frame_to_map
 from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.motions import transforms
 from relmap.core.landmarks import LandmarkMap
@@ -172,15 +172,11 @@ class GtsamBatch(SolvedAtTheEnd):
             return start.map
         for label, place in zip(labels, start.map.positions[:, : self._d], strict=True):
             factors.add_landmark(label, place)
-        self._add_scans(log, start)
-        found = factors.gtsam.LevenbergMarquardtOptimizer(factors.graph, factors.values).optimize()
-        return map_of({label: factors.landmark(found, label) for label in labels})
-
-    def _add_scans(self, log: ObservationLog, start: FrameToMap) -> None:
-        """Add the scans that frame-to-map averaging could place."""
-        d, labels = self._d, start.map.landmark_ids
+        d = self._d
         for k, (scan, T) in enumerate(zip(log.scans(), start.trajectory, strict=True)):
-            if np.isfinite(T).all() and scan.ids is not None:
+            if np.isfinite(T).all() and scan.ids is not None:  # as averaging could place it
                 mapped = np.isin(scan.ids, labels)
                 seen, points = scan.ids[mapped].tolist(), scan.points_robot[mapped]
-                self._factors.add_scan(k, (T[:d, :d], T[:d, 3]), points, seen)
+                factors.add_scan(k, (T[:d, :d], T[:d, 3]), points, seen)
+        found = factors.gtsam.LevenbergMarquardtOptimizer(factors.graph, factors.values).optimize()
+        return map_of({label: factors.landmark(found, label) for label in labels})

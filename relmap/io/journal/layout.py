@@ -11,7 +11,7 @@ of the tables.
 ``scans``
     One row per update: ``iteration`` from 0, ``rows`` in ``observations``, ``known`` (1 if it has
     ids), ``checksum``; and in bytes, of planes ``beams``, see `relmap.planes.scans.beams`, and of
-    planes3d ``cells``, see `relmap.planes3d.journaled`.
+    planes3d ``cells``, see `relmap.planes3d.files`.
 ``observations``
     One row per observation in the order of ``iteration`` and ``row``, as given to the mapper. For
     points ``x``, ``y``, ``z`` in the robot frame, metres, ``z`` null in a planar world, ``id`` null

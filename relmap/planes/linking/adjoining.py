@@ -49,13 +49,6 @@ class Break:
     earlier: Ints
     later: Ints
 
-    @classmethod
-    def before(cls, scan: int, scans: Scans, submaps: Ints) -> Break:
-        """Return the break before a scan, given the submap of each."""
-        own, there = np.arange(max(scan - SIDE, 0), scan), np.arange(scan, len(submaps))[:SIDE]
-        own, there = own[submaps[own] == submaps[scan - 1]], there[submaps[there] == submaps[scan]]
-        return cls(scans, own, there)
-
     def link(self, most_m: float, most_rad: float) -> Link | None:
         """Return the link across the break if one is certain, given the bounds of the motion."""
         motions, walls = self._candidates(most_m, most_rad)
@@ -132,7 +125,9 @@ def tied_across(scans: Scans, submaps: Ints, scan: int) -> Link | None:
     """Return the link into the first scan of a submap from the one before, if one is certain."""
     if scans.expected(scan - 1, scan) is not None or not scans.of_one_run(scan - 1, scan):
         return None
-    return Break.before(scan, scans, submaps).link(*usual_bounds(scans, submaps))
+    own, there = np.arange(max(scan - SIDE, 0), scan), np.arange(scan, len(submaps))[:SIDE]
+    own, there = own[submaps[own] == submaps[scan - 1]], there[submaps[there] == submaps[scan]]
+    return Break(scans, own, there).link(*usual_bounds(scans, submaps))
 
 
 def usual_bounds(scans: Scans, submaps: Ints) -> tuple[float, float]:

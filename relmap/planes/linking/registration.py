@@ -181,13 +181,13 @@ class PlaneRegistration(Registration):
         untyped = np.zeros(types.shape, dtype=np.bool_)
         np.logical_or.at(untyped, wall, unknown)
         kind = np.where(unknown & (types[wall] == STATIC), CORNER, kind)
-        found = compared_ends(iteration[same], wall[same], ends[same], sd[same], kind[same])
-        moving = found.moving & ~found.static & untyped[found.walls]
-        static = found.static & untyped[found.walls]
-        before = types[found.walls]
-        types[found.walls] = np.where(static, STATIC, np.where(moving, MOVING, before))
+        seen = (each[same] for each in (iteration, wall, ends, sd, kind))
+        walls, static, moving = compared_ends(*seen)
+        moving &= ~static & untyped[walls]
+        static &= untyped[walls]
+        types[walls] = np.where(static, STATIC, np.where(moving, MOVING, types[walls]))
         for k, end in np.argwhere(moving).tolist():
-            self._name(found.walls[k], end, NO_CORNER)
+            self._name(walls[k], end, NO_CORNER)
 
     def _name(self, wall: int, end: int, corner: int) -> None:
         """Record the corner that an end of a wall was throughout the last interval."""

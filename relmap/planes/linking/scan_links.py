@@ -102,7 +102,7 @@ class ScanLinks(LinkRecord):
         every, recent = self._views(seen), usual_motion(self.motions, self.measured)
         views = [*islice(every, VERIFYING)]
         if views:
-            beams = self.beams.of_next(seen.beams, seen.ends)
+            beams = self.beams.of(len(self), seen.ends, seen.beams)
             if len(self) in FIRST or len(self) % AGAIN == 0:
                 self._at_rest = share_at_rest(self._scans, self._known()[0], LATELY) > OFTEN
             firm = not self._at_rest
@@ -119,7 +119,7 @@ class ScanLinks(LinkRecord):
         """Return the motion by odometry alone; None if observations contradict it."""
         views = [*islice(self._views(seen), VERIFYING)]
         if views:
-            beams = self.beams.of_next(seen.beams, seen.ends)
+            beams = self.beams.of(len(self), seen.ends, seen.beams)
             recent_motion = usual_motion(self.motions, self.measured)
             return Search(tracks, seen, beams, views, recent_motion, expected).bridged(expected)
         (motion,), (match,) = settled(tracks, seen, [expected.motion])

@@ -126,10 +126,10 @@ class LocatingMapper(MappedWalls):
         run, links = self._onto, self._planes.links
         if run is None:
             return
-        for tie in run.ties(links):
-            before = run.before.carried_on(links.motions[: tie.first])
-            into = from_matrices((np.linalg.inv(tie.T_map_first) @ before)[None])[0]
-            self._planes.links.attach(tie.first, into, run.before.scan, tie.same)
+        for first, T_map_first, same in run.ties(links):
+            before = run.before.carried_on(links.motions[:first])
+            into = from_matrices((np.linalg.inv(T_map_first) @ before)[None])[0]
+            links.attach(first, into, run.before.scan, same)
         self._onto = None
 
     def _segmented(self, points: Any) -> Any:

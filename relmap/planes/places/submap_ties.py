@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
+from relmap.core.geometry.motions import rotations
 from relmap.planes.linking.links import JUMP, JUMP_M
 from relmap.planes.places.wall_tie import (
     ALIKE_M,
@@ -248,9 +249,7 @@ def _turned(part: MapPart, other: MapPart, tie: WallTie) -> Iterator[WallTie]:
     begin, end = part.ends[coinciding(other.ends, part.ends, tie)[:, 1]].transpose(1, 0, 2)
     along, middle = end - begin, (begin + end) / 2
     centre = np.linalg.lstsq(along, (along * middle).sum(axis=1))[0]
-    for angle in TURNS_RAD.tolist():
-        c, s = np.cos(angle), np.sin(angle)
-        turn = np.array([[c, -s], [s, c]])
+    for turn in rotations(TURNS_RAD[:, None]):
         yield replace(tie, R=turn @ tie.R, t=turn @ (tie.t - centre) + centre)
 
 

@@ -11,7 +11,6 @@ agree along a stretch of the path, and no other placement of the submap is suppo
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -152,7 +151,7 @@ class MapOfBefore:
         if not submaps:
             return cls(table, WallFinder(np.empty((0, 2, 2))), -1, np.eye(4))
         own = submaps[0]
-        known = int(np.flatnonzero(np.isfinite(own.poses[:, 0, 3]))[-1])
+        known = int(own.known[-1])
         finder = WallFinder(table.ends[table.status == "static"])
         return cls(table, finder, own.first_iteration + known, own.poses[known])
 
@@ -179,19 +178,6 @@ class MapOfBefore:
         z_extent = self.table.z_extent[rows]
         walls = PlaneObservation.of(ends, kind, np.zeros(len(rows)), z_extent)
         return PlaneTracks.of_scan(self.table.plane[rows], walls)
-
-
-class Tie(NamedTuple):
-    """The placement of a submap of a log in the map.
-
-    `scan`, `first`: the scan at which it was found, and its first one; `T_map_first` (4, 4): pose
-    of the latter; `same` (k, 2): numbers of the same wall: in the map, and in the log.
-    """
-
-    scan: int
-    first: int
-    T_map_first: Floats
-    same: Ints
 
 
 @dataclass(frozen=True, eq=False)
@@ -274,8 +260,12 @@ class RunOnto:
         self._poses.append(self._pose)
         self._places.append(self.before.finder.places(seen))
 
-    def ties(self, links: ScanLinks) -> list[Tie]:
-        """Return the ties of the submaps of the log whose place in the map is certain."""
+    def ties(self, links: ScanLinks) -> list[tuple[int, Floats, Ints]]:
+        """Return the placements of the submaps of the log whose place in the map is certain.
+
+        Of each its first scan; ``T_map_robot`` (4, 4) of that; and the numbers (k, 2) of the same
+        wall: in the map, and in the log.
+        """
         scan = np.array(self._scan, dtype=np.int64)
         submap, found = links.submaps[scan], []
         for own in np.unique(submap).tolist():
@@ -291,7 +281,7 @@ class RunOnto:
             T_map_first = T_map_robot
             for step in matrices(links.motions[first + 1 : at + 1])[::-1]:
                 T_map_first = T_map_first @ step
-            found.append(Tie(at, first, T_map_first, self._same(at, T_map_robot, links)))
+            found.append((first, T_map_first, self._same(at, T_map_robot, links)))
         return found
 
     def _same(self, scan: int, T_map_robot: Floats, links: ScanLinks) -> Ints:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.geometry.motions import transforms
+from relmap.core.geometry.motions import rotations, transforms
 from relmap.core.state.table import NONE
 
 SAMPLE_M = 0.1
@@ -150,8 +150,8 @@ def wall_ties(ends: Floats, others: Floats) -> list[WallTie]:
     return sorted(judged, key=lambda tie: -tie.length_m)
 
 
-def _turns(points: WallPoints, among: WallPoints) -> list[float]:
-    """Return the rotations that align most fronts with the directions of others."""
+def _turns(points: WallPoints, among: WallPoints) -> Floats:
+    """Return the rotations (k, 2, 2) that align most fronts with the directions of others."""
     bins = round(2 * np.pi / BIN_RAD)
     from scipy.ndimage import maximum_filter1d
 
@@ -164,7 +164,7 @@ def _turns(points: WallPoints, among: WallPoints) -> list[float]:
     score += np.roll(score, 1) + np.roll(score, -1)
     peaks = score == maximum_filter1d(score, round(2 * APART_RAD / BIN_RAD) + 1, mode="wrap")
     order = np.argsort(-np.where(peaks, score, -1.0), kind="stable")[:TURNS]
-    return [float(k * BIN_RAD) for k in order if peaks[k]]
+    return rotations(BIN_RAD * order[peaks[order], None])
 
 
 def _guesses(points: WallPoints, among: WallPoints) -> Iterator[WallTie]:
@@ -176,9 +176,7 @@ def _guesses(points: WallPoints, among: WallPoints) -> Iterator[WallTie]:
     base = among.at.min(axis=0)
     there, _ = _cells(among, base, 1)
     begin = np.searchsorted(there[:, 0], np.arange(DIRECTIONS + 1))
-    for turn in _turns(points, among):
-        c, s = np.cos(turn), np.sin(turn)
-        R = np.array([[c, -s], [s, c]])
+    for R in _turns(points, among):
         turned = points.moved(R, np.zeros(2))
         low = turned.at.min(axis=0)
         here, counts = _cells(turned, low, 0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -86,7 +86,7 @@ def stretches_of(
     none = np.zeros(first[-1], dtype=np.int64)
     blank = Stretches(base, normal, along, low, first, np.cumsum(change), none, none)
     hits, against = _crossed(blank, beams.placed(poses, span, MOST_BEAMS)[:2])
-    return Stretches(base, normal, along, low, first, blank.seen, hits, against)
+    return replace(blank, hits=hits, against=against)
 
 
 def _crossed(walls: Stretches, beams: tuple[Floats, Floats]) -> tuple[Ints, Ints]:

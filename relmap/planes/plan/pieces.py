@@ -6,13 +6,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.planes.plan.evidence import Stretches
 from relmap.planes.walls.assembly import Assembled
+from relmap.planes.walls.history import first_of
 from relmap.planes.walls.joining import CORNER_M
 
 SHORTEST_M = 0.12
@@ -152,10 +151,8 @@ def without_clutter(pieces: Pieces, walls: Stretches) -> Pieces:
     if not n:
         return pieces
     ends = pieces.ends(walls).reshape(-1, 2)
-    near = cKDTree(ends).query_pairs(MEETING_M, output_type="ndarray") // 2
-    graph = coo_array((np.ones(len(near)), (near[:, 0], near[:, 1])), shape=(n, n))
-    n_parts, part = connected_components(graph, directed=False)
+    part = first_of(n, cKDTree(ends).query_pairs(MEETING_M, output_type="ndarray") // 2)
     whole = (pieces.corner >= 0).all(axis=1) | (np.bincount(part)[part] > FEW)
-    clutter = np.ones(n_parts, dtype=np.bool_)
+    clutter = np.ones(n, dtype=np.bool_)
     clutter[part[pieces.length_m >= np.where(whole, ALONE_M, IN_PART_M)]] = False
     return pieces.only(~clutter[part])

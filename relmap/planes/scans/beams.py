@@ -181,32 +181,25 @@ class BeamStore:
         same = (np.diff(scan[order]) == 0) & self._in_order.values[scan[order][1:]]
         return float(np.median(np.diff(bearing[order])[same])) if same.any() else 0.0
 
-    def of(self, scan: int, ends: Floats) -> Beams:
-        """Return the beams of a laser scan, given the ends of its walls (m, 2, 2).
+    def of(self, scan: int, ends: Floats, given: GivenBeams | None = None) -> Beams:
+        """Return the beams of a laser scan, by the ends of its walls (m, 2, 2).
 
-        None if they are not ordered, as for a cloud.
+        None of them if they are not ordered, as for a cloud. `given`: of a scan not yet added.
         """
         known = self._recent.get(scan)
-        if known is not None and known[0] == ends.tobytes():
+        if known is not None and known[0] == ends.tobytes() and given is None:
             return known[1]
-        return self._remembered(scan, self.given(scan), ends)
+        found = Beams.of(given or self.given(scan), ends)
+        self._recent[scan] = ends.tobytes(), found
+        if len(self._recent) > RECENT:
+            del self._recent[next(iter(self._recent))]
+        return found
 
     def given(self, scan: int) -> GivenBeams:
         """Return the beams of a laser scan as given; none if they are not ordered."""
         begin, end = self._offsets.values[scan : scan + 2].tolist()
         end = end if self._in_order.values[scan] else begin
         return GivenBeams(self._points.values[begin:end], self._origins.values[scan], True)
-
-    def of_next(self, given: GivenBeams, ends: Floats) -> Beams:
-        """Return the beams of the laser scan that is added next, given the ends of its walls."""
-        return self._remembered(len(self._in_order), given, ends)
-
-    def _remembered(self, scan: int, given: GivenBeams, ends: Floats) -> Beams:
-        found = Beams.of(given, ends)
-        self._recent[scan] = ends.tobytes(), found
-        if len(self._recent) > RECENT:
-            del self._recent[next(iter(self._recent))]
-        return found
 
     def placed(self, poses: Floats, span: tuple[int, int], most: int) -> PlacedBeams:
         """Return start and end points of the beams of some scans, by their poses.

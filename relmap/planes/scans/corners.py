@@ -8,8 +8,6 @@ decides. A typed corner that moves is left to the engine's motion detection.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,27 +26,15 @@ WITNESSES = 2
 number."""
 
 
-@dataclass(frozen=True, eq=False)
-class ComparedEnds:
-    """Results of an interval for the ends of walls.
-
-    `walls` (w,), ascending. `static`, `moving` (w, 2): for the right and the left end; both false
-    if unknown.
-    """
-
-    walls: Ints
-    static: Bools
-    moving: Bools
-
-
 def compared_ends(
     iteration: Ints, wall: Ints, ends: Floats, sd: Floats, kind: NDArray[np.int8]
-) -> ComparedEnds:
+) -> tuple[Ints, Bools, Bools]:
     """Test the ends of all walls seen in an interval; an end whose kind changed is unknown.
 
     `iteration`, `wall` (n,): iteration and wall of each observation; `ends` (n, 2, 2), robot frame,
     metres; `sd` (n,), metres: standard deviations of the distances; `kind` (n, 2): `CUT`, `CORNER`
-    or `UNKNOWN`.
+    or `UNKNOWN`. Returns `walls` (w,), ascending; `static`, `moving` (w, 2): of the right and the
+    left end; both false if unknown.
     """
     from relmap.planes.scans.corner_kernels import relative_deviations
 
@@ -70,4 +56,4 @@ def compared_ends(
             known = np.isfinite(off[:, e]) & typed
             apart = off[:, e] > np.maximum(MOVES * noise, MOVES_M)[:, None]
             moving[k, e] = known.sum() >= WITNESSES and apart[known].all()
-    return ComparedEnds(walls, static, moving)
+    return walls, static, moving

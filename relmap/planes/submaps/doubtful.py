@@ -90,7 +90,7 @@ def _steps(submaps: Sequence[WallSubmap]) -> tuple[Ints, Ints, Floats]:
     """
     found, steps = [np.empty((2, 0), dtype=np.int64)], [np.empty((0, 3))]
     for submap in submaps:
-        rows = np.flatnonzero(np.isfinite(submap.poses[:, 0, 3]))
+        rows = submap.known
         found.append(submap.first_iteration + np.array([rows[:-1], rows[1:]]))
         T = np.linalg.inv(submap.poses[rows[:-1]]) @ submap.poses[rows[1:]]
         steps.append(from_matrices(T))

@@ -35,7 +35,7 @@ class KeptFrame:
         """Return the frame of the first submap; None without submaps."""
         if not submaps:
             return None
-        row = int(np.flatnonzero(np.isfinite(submaps[0].poses[:, 0, 3]))[0])
+        row = int(submaps[0].known[0])
         return cls(submaps[0].first_iteration + row, submaps[0].poses[row], begun_at)
 
     def moved(self, poses: Floats, span: tuple[int, int]) -> Floats:

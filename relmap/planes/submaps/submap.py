@@ -129,14 +129,19 @@ class WallSubmap(Submap):
         return self.first_iteration, self.last_iteration + 1
 
     @property
+    def known(self) -> Ints:
+        """Rows (n,) of `poses` of its scans."""
+        return np.flatnonzero(np.isfinite(self.poses[:, 0, 3]))
+
+    @property
     def n_scans(self) -> int:
         """Number of scans in it."""
-        return int(np.isfinite(self.poses[:, 0, 3]).sum())
+        return len(self.known)
 
     @property
     def path(self) -> Floats:
         """Number of each of its scans, and the position of the robot (n, 3)."""
-        known = np.flatnonzero(np.isfinite(self.poses[:, 0, 3]))
+        known = self.known
         return np.column_stack([self.first_iteration + known, self.poses[known, :2, 3]])
 
     def length_m(self, begun: Ints | tuple[()] = ()) -> float:
@@ -185,7 +190,8 @@ def torn_in(submaps: Sequence[WallSubmap], history: PlaneHistory) -> Ints:
     torn = [np.empty(0, dtype=np.int64)]
     for submap in submaps:
         begin, end = submap.span
-        torn.append(begin + torn_links(submap.poses, history.motion[begin:end]))
+        way_m, turn = deviations(submap.poses, history.motion[begin:end])
+        torn.append(begin + 1 + np.flatnonzero((way_m > APART_M) | (turn > APART_RAD)))
         torn.append(submap.torn)
     return np.unique(np.concatenate(torn))
 
@@ -206,21 +212,11 @@ def disagreement(poses: Floats, motions: Floats) -> tuple[int, float]:
     return n_torn, float(off_m[~torn].sum() / max(len(off_m) - n_torn, 1))
 
 
-def torn_links(poses: Floats, motions: Floats) -> Ints:
-    """Return the scans (t,) before which a path deviates from its links.
-
-    `poses` (k, 4, 4); `motions` (k, 3): yaw, x, y from the previous robot frame to that of each
-    iteration.
-    """
-    way_m, turn = deviations(poses, motions)
-    return 1 + np.flatnonzero((way_m > APART_M) | (turn > APART_RAD))
-
-
 def deviations(poses: Floats, motions: Floats) -> tuple[Floats, Floats]:
     """Return how far the steps of a path are off its links (k - 1,), metres and radians.
 
     Across a few lost scans, the motions from the scan before to the one after are composed. NaN
-    where unknown; the arguments are those of `torn_links`.
+    where unknown; the arguments are those of `disagreement`.
     """
     motions, before = motions[1:].copy(), poses[:-1].copy()
     known = np.flatnonzero(np.isfinite(poses[:, 0, 0]))
