@@ -47,7 +47,7 @@ def test_wrong_odometry_is_left_out_and_named(spoil: Any) -> None:
         mapper.refine()
     assert len(other.submaps) == len(plain.submaps) == 1
     before_m, after_m = (ate_m(mapper.trajectory, poses) for mapper in (plain, other))
-    assert after_m < 1.2 * before_m
+    assert after_m < max(1.2 * before_m, 0.01)  # or the noise of a range
     assert len(use_of(other).left_out) > 2
 
 
