@@ -100,7 +100,7 @@ def test_a_mapper_can_be_stored_at_any_time() -> None:
 
 def stepped(points: Floats, landmark: Ints, body: Ints) -> Floats:
     placed = brought_together(points, np.ones(len(points)), landmark, body)
-    return sums_each(placed, landmark, landmark.max() + 1) / np.bincount(landmark)[:, None]
+    return sums_each(placed, landmark, int(landmark.max()) + 1) / np.bincount(landmark)[:, None]
 
 
 def test_a_step_brings_displaced_bodies_together() -> None:

@@ -159,7 +159,8 @@ def _beside(points: Floats, own: Floats, reach_m: float) -> Ints:
     off = np.abs(points @ plane[:3] - plane[3])
     most = KNOWN_SD * np.sqrt(np.mean((own @ plane[:3] - plane[3]) ** 2))
     rows = np.flatnonzero(off <= most + ROUNDING * np.abs(own).max())
-    return rows[cKDTree(own).query(points[rows], distance_upper_bound=reach_m)[0] < np.inf]
+    near = cKDTree(own).query(points[rows], distance_upper_bound=reach_m)[0] < np.inf
+    return np.asarray(rows[near])
 
 
 def _is_plane(points: Floats, scan: Ints, size_m: float) -> bool:
