@@ -23,6 +23,7 @@ import sys
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from importlib import import_module
 from multiprocessing import get_context
 from tempfile import TemporaryDirectory
 from time import perf_counter, process_time
@@ -31,13 +32,15 @@ import numpy as np
 from shared.runs import mapped
 from shared.tables import table
 
-from relmap import PointMapper
+from relmap import PlaneMapper, PointMapper
 from relmap.comparison.baselines.frames import FrameToMap
 from relmap.comparison.baselines.icp import KissIcp
 from relmap.core.arrays import Floats
 from relmap.datasets.base import ObservationLog, Scan
+from relmap.evaluation.feeding import feed
 from relmap.evaluation.metrics import ate
-from relmap.simulation import simulate_figure_eight
+from relmap.evaluation.sources import log_of
+from relmap.simulation import simulate_building, simulate_figure_eight
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 DENSITIES = (23, 92, 367, 918)
@@ -152,11 +155,22 @@ def use_cache(folder: str) -> None:
     os.environ["NUMBA_CACHE_DIR"] = folder
 
 
-def whole_run(log: ObservationLog) -> Floats:
-    """Map a log both ways, and refine it; return the time it took, of clock and processor, s."""
+def points() -> Callable[[], object]:
+    """Return what maps a log with ids and without, and refines it."""
+    log = simulate_figure_eight(density=50, iterations=120, dynamic=0.2).log
+    return lambda: [mapped(log, known) for known in (False, True)]
+
+
+def walls() -> Callable[[], object]:
+    """Return what maps scans of a laser, and refines the map."""
+    log = log_of(simulate_building(361, sigma=0.01, sampling="laser", iterations=120))
+    return lambda: feed(PlaneMapper(), log, "nearest", refine=True)
+
+
+def timed(run: Callable[[], object]) -> Floats:
+    """Return the time of a run, of clock and processor, s."""
     began = clocks()
-    for known in (False, True):
-        mapped(log, known)
+    run()
     return clocks() - began
 
 
@@ -164,31 +178,27 @@ def clocks() -> Floats:
     return np.array([perf_counter(), process_time()])
 
 
-def first_run() -> tuple[Floats, Floats]:
-    """Return how long numba takes to load and how much longer a first run takes, as `whole_run`."""
-    log = small_world()
-    began = clocks()
-    import numba  # noqa: F401
-
-    loaded = clocks() - began
-    first = whole_run(log)
-    return loaded, first - whole_run(log)
-
-
-def small_world() -> ObservationLog:
-    return simulate_figure_eight(density=50, iterations=120, dynamic=0.2).log
+def first_run(kind: Callable[[], Callable[[], object]]) -> tuple[Floats, Floats]:
+    """Return how long numba takes to load and how much longer a first run takes, as `timed`."""
+    run = kind()
+    loaded = timed(lambda: import_module("numba"))
+    first = timed(run)
+    return loaded, first - timed(run)
 
 
 def print_compiling() -> None:
     rows = []
-    with TemporaryDirectory() as folder:
-        for cache in ("cold", "warm"):
-            with ProcessPoolExecutor(1, get_context("spawn"), use_cache, (folder,)) as pool:
-                measured = pool.submit(first_run).result()
-            times = (f"{clock:.2f} ({processor:.2f})" for clock, processor in measured)
-            rows.append([cache, *times])
-    title = "Compiling: both associations, merging and refining; clock (processor) time, s"
-    table(title, ["cache", "numba loads", "first run takes longer by"], rows)
+    for kind in points, walls:
+        with TemporaryDirectory() as folder:
+            for cache in ("cold", "warm"):
+                with ProcessPoolExecutor(1, get_context("spawn"), use_cache, (folder,)) as pool:
+                    measured = pool.submit(first_run, kind).result()
+                times = (f"{clock:.2f} ({processor:.2f})" for clock, processor in measured)
+                rows.append([kind.__name__, cache, *times])
+    title = (
+        "Compiling: a map of points with ids and without, or of walls; clock (processor) time, s"
+    )
+    table(title, ["landmarks", "cache", "numba loads", "first run takes longer by"], rows)
 
 
 if __name__ == "__main__":

@@ -16,6 +16,7 @@ from typing import Any, cast
 import numba
 import numpy as np
 import pytest
+from numba.core import event
 from numba.core.compiler import Flags
 from numba.core.runtime import nrt
 
@@ -228,11 +229,43 @@ def test_other_versions_of_numba_compile_with_their_own_steps(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(numba, "version_info", SimpleNamespace(short=(0, 99)))
-    monkeypatch.setitem(sys.modules, "relmap.core.linalg.lowering", None)
+    for name in ("lowering", "resolving"):
+        monkeypatch.setitem(sys.modules, f"relmap.core.linalg.{name}", None)
     other = runpy.run_path(compiler.__file__)["KernelCompiler"]
     here, there = (np.ones((4, 4)), np.zeros(4, bool)), (np.ones((4, 4)), np.zeros(4, bool))
     one = afresh(lambda rows, flags: (rows[1:, 0] + 2 * rows[0, 1:])[flags[1:].argmin()], other)
     assert one(*here) == one.py_func(*there)
+
+
+def made(n: int) -> tuple[Any, ...]:
+    empty = np.empty((n, 2), dtype=np.int64)
+    empty[:] = 3
+    flags, none = np.ones(n, dtype=np.bool_), np.empty(n, np.uint8)[:0]
+    return (
+        empty,
+        flags,
+        none,
+        np.zeros(n),
+        np.zeros((n, 1, 2), np.bool_),
+        np.ones((2, n), dtype=float),
+    )
+
+
+def test_new_arrays_are_made_without_compiling_functions_of_numba() -> None:
+    here = afresh(made)
+    with cast("Any", event).install_recorder("numba:compile") as recorded:
+        found = here(3)
+    names = [one.data["dispatcher"].py_func.__qualname__ for _, one in recorded.buffer]
+    assert not [name for name in names if name.startswith("ol_np_")]
+    for one, other in zip(made(3), found, strict=True):
+        assert one.dtype == other.dtype
+        np.testing.assert_array_equal(one, other)
+
+
+def test_a_part_that_fails_ends_its_caller_too() -> None:
+    part: Any = helper(lambda n: np.empty(n))
+    with pytest.raises(ValueError, match="negative"):
+        afresh(lambda n: len(part(n)) + 1)(-1)
 
 
 def test_a_helper_is_compiled_once_whatever_constants_it_gets() -> None:

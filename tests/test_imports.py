@@ -84,7 +84,8 @@ LIGHT = (
 KERNELS = "kernels"
 """How the names of modules end whose loops are compiled; they are imported where they are used."""
 COMPILING = {
-    f"relmap.core.linalg.{name}" for name in ("caching", "compiler", "compiling", "lowering")
+    f"relmap.core.linalg.{name}"
+    for name in ("caching", "compiler", "compiling", "lowering", "resolving")
 }
 
 

@@ -219,9 +219,11 @@ def _patch(points: Floats, most: int) -> Floats:
     n, d = points.shape
     apart, k = np.zeros(n), min(n, most)
     for a in range(d):
-        centre = points[:, a].mean()
+        total = 0.0
         for i in range(n):
-            apart[i] += (points[i, a] - centre) ** 2
+            total += points[i, a]
+        for i in range(n):
+            apart[i] += (points[i, a] - total / n) ** 2
     last, near, count = smallest(apart.copy(), k - 1), np.empty(k, dtype=np.int64), 0
     for is_last in (False, True):
         for i in range(n):

@@ -18,7 +18,7 @@ import numpy as np
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.registry import CPUDispatcher
 
-_COMPILER = "caching.py", "compiler.py", "compiling.py", "lowering.py"
+_COMPILER = "caching.py", "compiler.py", "compiling.py", "lowering.py", "resolving.py"
 
 
 def keep_by_content(dispatcher: Any, options: str) -> None:

@@ -17,7 +17,21 @@ from numba.core.lowering import Lower
 IS_KNOWN = (0, 61) <= numba.version_info.short <= (0, 68)
 """Whether the tests have passed with this version of numba. Others use their own code, which takes
 longer."""
-
+_NEEDLESS = {
+    "IRProcessing",
+    "WithLifting",
+    "InlineClosureLikes",
+    "RewriteDynamicRaises",
+    "MakeFunctionToJitFunction",
+    "InlineInlinables",
+    "FindLiterallyCalls",
+    "LiteralUnroll",
+    "LiteralPropagationSubPipelinePass",
+    "InlineOverloads",
+    "NopythonRewrites",
+    "DumpParforDiagnostics",
+}
+"""Steps for what loops do not contain, such as closures and array arithmetic."""
 
 _DEFAULTS = {name: option.default for name, option in Flags.options.items()}
 
@@ -136,11 +150,16 @@ class KernelCompiler(CompilerBase):
     lowering: Any = _AsKernel
 
     def define_pipelines(self) -> list[Any]:
-        """Return numba's steps, with the code of loops."""
+        """Return numba's steps, less the needless ones and with the code of loops."""
+        if IS_KNOWN:
+            from relmap.core.linalg.resolving import Resolved
+
+            self.state.typingctx = Resolved(self.state.typingctx)
         passes = DefaultPassBuilder.define_nopython_pipeline(self.state)
         passes.passes = [
             (self.lowering if one is typed_passes.NativeLowering else one, name)
             for one, name in passes.passes
+            if not (IS_KNOWN and one.__name__ in _NEEDLESS)
         ]
         passes.finalize()
         return [passes]

@@ -7,8 +7,7 @@ imported where they are used.
 Compile time depends on the number and length of functions. A scalar loop takes about 0.01 s,
 whereas a slice assignment, `np.full`, `np.sort`, `np.dot` and array arithmetic take 0.1 to 0.2 s
 each, and assigning an array to part of another 2 s, for the message if the shapes differ: use a
-loop. Each form of a call counts: `np.empty(n, dtype=kind)` beside `np.empty(n, kind)` takes twice
-as long.
+loop. `np.empty`, `np.zeros` and `np.ones` are made in place (`resolving.py`).
 """
 
 from __future__ import annotations

@@ -8,17 +8,19 @@ of an array, 110 for a loop and a dozen to count a reference, of which nearly al
 
 from __future__ import annotations
 
+from copy import copy
 from functools import cache
 from typing import Any, cast
 
 import numpy as np
 from llvmlite.ir import Undefined
 from numba.core import cgutils, ir, ir_utils, types
+from numba.core.callconv import CPUCallConv
+from numba.core.cpu import CPUContext
 from numba.core.lowering import Lower
 from numba.core.pythonapi import PythonAPI
+from numba.core.runtime.context import NRTContext
 from numba.np import arrayobj
-
-_COUNTED = types.MemInfoPointer(types.voidptr)
 
 
 @cache
@@ -42,8 +44,48 @@ class _Api(PythonAPI):
         return super().unserialize(structptr)
 
 
+class _Counts(NRTContext):
+    """Counts references; by default every part of an array would be read to find its count."""
+
+    def get_meminfos(self, builder: Any, ty: Any, val: Any) -> Any:
+        models = self._context.data_model_manager
+        if not _has_count(models, ty):
+            return []
+        if isinstance(ty, types.Array):
+            return [(ty, models[ty].get(builder, val, "meminfo"))]
+        return super().get_meminfos(builder, ty, val)
+
+
+class _Calls(CPUCallConv):
+    """Calls of compiled functions; by default each would ask whether it is inside of a `try`."""
+
+    def return_status_propagate(self, builder: Any, status: Any) -> None:
+        builder.store(status.excinfoptr, self._get_excinfo_argument(builder.function))
+        builder.ret(status.code)
+
+
+class _Context(CPUContext):
+    """What the code of numba's functions is written with."""
+
+    @property
+    def call_conv(self) -> Any:
+        return _Calls(self)
+
+    def get_returned_value(self, builder: Any, ty: Any, val: Any) -> Any:
+        return val if isinstance(ty, types.Array) else super().get_returned_value(builder, ty, val)
+
+    def get_return_value(self, builder: Any, ty: Any, val: Any) -> Any:
+        return val if isinstance(ty, types.Array) else super().get_return_value(builder, ty, val)
+
+
 class ShortLower(Lower):
     """The step from typed code to LLVM; what is not overridden is as by default."""
+
+    def __init__(self, context: Any, *parts: Any, **named: Any) -> None:
+        shorter = copy(context)
+        shorter.__class__ = _Context
+        shorter.nrt = _Counts(shorter, context.enable_nrt)
+        super().__init__(shorter, *parts, **named)
 
     def create_cpython_wrapper(self, release_gil: bool = False) -> None:
         context = self.context
@@ -51,21 +93,17 @@ class ShortLower(Lower):
         super().create_cpython_wrapper(release_gil)
         self.context = context
 
-    def incref(self, typ: Any, val: Any) -> None:
-        if _has_count(self.context.data_model_manager, typ):
-            super().incref(*self._counted(typ, val))
-
-    def decref(self, typ: Any, val: Any) -> None:
-        if _has_count(self.context.data_model_manager, typ):
-            super().decref(*self._counted(typ, val))
-
-    def _counted(self, kind: Any, value: Any) -> tuple[Any, Any]:
-        is_array = isinstance(kind, types.Array)
-        return (_COUNTED, self._part(kind, value, "meminfo")) if is_array else (kind, value)
-
     def delvar(self, name: str) -> None:
         if _has_count(self.context.data_model_manager, self.typeof(name)):
             super().delvar(name)
+
+    def storevar(self, value: Any, name: str, argidx: Any = None) -> None:
+        kind = self.typeof(name)
+        if name in self._singly_assigned_vars or _has_count(self.context.data_model_manager, kind):
+            super().storevar(value, name, argidx)
+        else:
+            self._alloca_var(name, kind)
+            self.builder.store(value, self.getvar(name))
 
     def alloca_lltype(self, name: str, lltype: Any, datamodel: Any = None) -> Any:
         return cgutils.alloca_once(self.builder, lltype, name=name, zfill=False)
@@ -124,7 +162,21 @@ class ShortLower(Lower):
             part = self._part(self.typeof(expr.value.name), pair, expr.op.removeprefix("pair_"))
             self.incref(resty, part)
             return part
+        if expr.op == "getattr":
+            kind = self.typeof(expr.value.name)
+            if isinstance(kind, types.Array) and expr.attr == "shape":
+                return self._part(kind, self.loadvar(expr.value.name), "shape")
+            if isinstance(kind, types.Module) and isinstance(resty, types.Function):
+                return self.context.get_dummy_value()
         return super().lower_expr(resty, expr)
+
+    def _lower_call_normal(self, function: Any, expr: Any, signature: Any) -> Any:
+        if getattr(function, "typing_key", None) is len and isinstance(
+            signature.args[0], types.Array
+        ):
+            shape = self._part(signature.args[0], self.loadvar(expr.args[0].name), "shape")
+            return self.builder.extract_value(shape, 0)
+        return super()._lower_call_normal(function, expr, signature)
 
     def _is_range_by_one(self, variable: Any) -> bool:
         if self.typeof(variable.name) != types.range_state64_type:
