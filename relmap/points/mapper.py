@@ -142,9 +142,10 @@ class PointMapper(Mapper):
     @property
     def _has_covariances(self) -> bool | None:
         """Whether covariances are given with observations; None before the first one."""
-        if len(self._engine.weighed):
-            return not self._engine.association.current.estimates_covariances
-        return False if len(self._engine.table) else None
+        engine = self._engine
+        are_estimated = engine.association.current.estimates_covariances
+        given = len(engine.kept.covariance) > 0 and not are_estimated
+        return given if len(engine.table) else None
 
     @property
     def rejected_observations(self) -> Ints:
