@@ -14,7 +14,6 @@ from scipy.spatial.transform import Rotation
 from relmap import PointMapper, RelmapError, range_bearing_covariances
 from relmap.cli import main
 from relmap.core.arrays import Floats
-from relmap.core.state.kept import WeighedObservations
 from relmap.datasets import ObservationLog, open_log, write_observation_csv
 from relmap.simulation.worlds import World, WorldSpec, simulate_world
 from tests.commands import load
@@ -162,7 +161,6 @@ def test_journal_and_saved_state_keep_covariances(tmp_path: Path, dimension: int
     loaded = PointMapper.load(tmp_path / "saved.npz")
     positions = []
     for each in (mapper, resumed, loaded):
-        assert isinstance(each.engine.weighed, WeighedObservations)
         for (ids, points), covariances in zip(scans[60:], noise[60:], strict=True):
             each.update(points, ids, covariances)
         each.finish()
@@ -172,7 +170,7 @@ def test_journal_and_saved_state_keep_covariances(tmp_path: Path, dimension: int
     np.testing.assert_array_equal(positions[1], positions[0])
     np.testing.assert_array_equal(positions[2], positions[0])
     again = PointMapper.resume(tmp_path / "journal")
-    np.testing.assert_array_equal(again.engine.weighed.covariance, mapper.engine.weighed.covariance)
+    np.testing.assert_array_equal(again.engine.kept.covariance, mapper.engine.kept.covariance)
     again.close()
 
 

@@ -14,7 +14,8 @@ from relmap.core.refinement.condensing import CondensedSegments
 from relmap.core.refinement.live import brought_together
 from relmap.core.refinement.live_kernels import moments_between
 from relmap.core.state.table import LandmarkState
-from relmap.simulation import FigureEight, simulate_figure_eight
+from relmap.evaluation.metrics import majority_ids
+from relmap.simulation import FigureEight, WorldSpec, simulate_figure_eight, simulate_world
 from tests.worlds import aligned_rmse, fed, limit_of, mapped, random_rotation, seen, walk
 
 
@@ -50,6 +51,18 @@ def test_finishing_spreads_what_has_drifted_since_the_last_step() -> None:
         ratios.append(finished / live_error(mapper, world))
     assert np.median(ratios) < 1.1
     assert max(ratios) < 1.5
+
+
+def test_finishing_spreads_the_drift_that_late_loops_reveal() -> None:
+    world, mapper, errors = simulate_world(WorldSpec(space=True, seed=1)), PointMapper(), []
+    labels = [mapper.update(scan.points_robot) for scan in world.log.scans()]
+    for end in (mapper.finish, mapper.refine):
+        end()
+        now = mapper.landmarks_of(np.concatenate(labels))
+        true_of = dict(zip(*majority_ids(now, world.true_ids)[:2], strict=True))
+        there = world.landmarks_map[[true_of[one] for one in mapper.map.landmark_ids.tolist()]]
+        errors.append(aligned_rmse(mapper.map.positions, there))
+    assert errors[0] < 5 * errors[1]
 
 
 def test_a_step_costs_no_more_in_a_long_run(monkeypatch: pytest.MonkeyPatch) -> None:

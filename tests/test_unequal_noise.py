@@ -15,10 +15,9 @@ from relmap import PointMapper
 from relmap.comparison.baselines.batch import Batch, batch_least_squares
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association import matching_kernels
-from relmap.core.association.metric import LONGEST, EstimatedCovariances, RayNoise, stretch_of
+from relmap.core.association.metric import LONGEST, WAIT, RayNoise, stretch_of
 from relmap.core.association.placement import trimmed_fit
 from relmap.core.association.reobservation.coinciding import compatible
-from relmap.core.state.kept import WeighedObservations
 from relmap.evaluation.metrics import majority_ids
 from relmap.simulation import World, WorldSpec, simulate_world
 from relmap.simulation.worlds import covariances_of
@@ -81,18 +80,22 @@ def test_noise_free_matches_give_no_metric() -> None:
 
 
 def test_observations_wait_for_the_estimate_no_longer_than_memory_allows() -> None:
-    points, rays = np.random.default_rng(1).uniform(-9, 9, (100, 2)), RayNoise()
-    unequal = rays_of("bearing", 2, np.random.default_rng(3))
-    patient, hasty = EstimatedCovariances(rays), EstimatedCovariances(unequal)
-    weighed = [WeighedObservations(), WeighedObservations()]
-    for k in range(LONGEST // 100):
-        patient.weigh(np.arange(100), points, k, weighed[0])
-    patient.rays = unequal
-    for k in range(20):
-        patient.weigh(np.arange(100), points, k, weighed[0])
-        hasty.weigh(np.arange(100), points, k, weighed[1])
-    assert (patient.is_in_use, hasty.is_in_use) == (False, True)
-    assert list(map(len, weighed)) == [0, 2000]
+    rays, unequal = RayNoise(), rays_of("bearing", 2, np.random.default_rng(3))
+    for n, weighs, weighs_unequal in ((WAIT - 1, None, None), (WAIT, None, True)):
+        rays.decide(n)
+        unequal.decide(n)
+        assert (rays.weighs, unequal.weighs) == (weighs, weighs_unequal)
+    rays.decide(LONGEST)
+    assert rays.weighs is False
+
+
+def test_no_observation_is_kept_once_the_noise_is_known_to_be_isotropic() -> None:
+    log, mapper, kept = simulate_world(WorldSpec(seed=3)).log, PointMapper(), []
+    for scan in log.scans():
+        mapper.update(scan.points_robot)
+        kept.append(len(mapper.engine.kept))
+    assert WAIT / 2 < max(kept) < 2 * WAIT
+    assert kept[-1] == 0
 
 
 def random_metric(n: int, d: int, rng: np.random.Generator) -> Array:

@@ -1,4 +1,4 @@
-"""What a run with odometry or with known noise keeps beside the observation store."""
+"""What a run with odometry, or with unequal noise, keeps beside the observation store."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.refinement.condensing import seen_from_first
+from relmap.core.state.kept import KeptObservations
 
 if TYPE_CHECKING:
     from relmap.core.mapper import RelativeMapper
@@ -15,7 +16,8 @@ if TYPE_CHECKING:
 
 def keep_motion(engine: RelativeMapper, odometry: Floats | None) -> None:
     """Keep the odometry (4, 4) into the next scan, if any, before the scan is registered."""
-    if odometry is not None and not len(engine.motions) and not engine.model.keeps_observations:
+    begins = odometry is not None and not len(engine.motions) and not len(engine.kept)
+    if begins and not engine.model.keeps_observations:
         _keep_earlier(engine)
     engine.motions.append(odometry, engine.store.n_iterations)
 
@@ -25,16 +27,52 @@ def keep_observations(
 ) -> None:
     """Keep what refinement needs of each observation of the scan that was stored last.
 
+    The first scans are kept until it is known whether the noise is unequal.
+
     `found` (n,): their landmarks; the others as given to `RelativeMapper.update`.
     """
-    iteration, named = engine.store.n_iterations - 1, found >= 0
-    estimated = engine.association.current.estimated
-    if covariances is not None:
-        engine.weighed.append(found[named], seen[named], covariances[named], iteration)
-    elif estimated is not None:
-        estimated.weigh(found, seen, iteration, engine.weighed)
-    if len(engine.motions) and named.any() and not engine.model.keeps_observations:
-        engine.kept.append(found[named], seen[named], iteration)
+    named, moves = found >= 0, len(engine.motions) > 0
+    if engine.model.keeps_observations or not named.any():
+        return
+    rays = engine.association.current.estimated if covariances is None else None
+    if rays is not None and rays.weighs:
+        covariances = rays.covariances(seen)
+    waits = rays is not None and rays.weighs is None
+    if moves or waits or covariances is not None:
+        noise = None if covariances is None else covariances[named]
+        engine.kept.append(found[named], seen[named], engine.store.n_iterations - 1, noise)
+    if rays is not None and waits:
+        rays.decide(len(engine.kept))
+        weigh_by_estimate(engine)
+        if rays.weighs is False and not moves:
+            engine.kept = KeptObservations()
+
+
+def weigh_by_estimate(engine: RelativeMapper) -> None:
+    """Weight the kept observations by the noise as estimated now, if it is unequal."""
+    rays = engine.association.current.estimated
+    if rays is not None and rays.weighs:
+        engine.kept.weigh(rays.covariances(engine.kept.location))
+
+
+def variances_of(engine: RelativeMapper, landmarks: Ints, begin: int) -> Floats | None:
+    """Return the mean variance (k,) of a coordinate of landmarks (k,) seen from an iteration on.
+
+    Square metres; None if observations are unweighted.
+    """
+    kept = engine.kept
+    rows = slice(int(np.searchsorted(kept.iteration, begin)), len(kept))
+    covariances = kept.covariance[rows]
+    if not len(kept.covariance):
+        return None
+    order = np.argsort(landmarks)
+    seen = engine.table.now(kept.landmark[rows])
+    at = np.searchsorted(landmarks[order], seen).clip(0, len(landmarks) - 1)
+    own = landmarks[order][at] == seen
+    each = np.trace(covariances[own], axis1=1, axis2=2) / covariances.shape[1]
+    at = order[at[own]]
+    counts, total = (np.bincount(at, by, len(landmarks)) for by in (None, each))
+    return np.asarray(total / np.maximum(counts, 1))
 
 
 def _keep_earlier(engine: RelativeMapper) -> None:
@@ -43,14 +81,10 @@ def _keep_earlier(engine: RelativeMapper) -> None:
     Of the forgotten ones the condensed segments are kept, each as a scan that the first of its
     iterations made: otherwise the landmarks seen only before would not be in the map.
     """
-    weighed, kept = engine.weighed, engine.kept
-    if len(weighed) and not engine.association.current.estimates_covariances:
-        ones = np.ones(len(weighed))
-        kept.begin_with(weighed.landmark, weighed.location, weighed.iteration, ones)
-        return
-    condensed = engine.segments.rows
+    kept, condensed = engine.kept, engine.segments.rows
     if len(condensed.landmark):
-        kept.begin_with(*seen_from_first(condensed))
+        landmark, location, iteration, count = seen_from_first(condensed)
+        kept.append(landmark, location, iteration, count=count)
     for i in range(engine.store.first_iteration, engine.store.n_iterations):
         landmarks = engine.store.column("landmark")[engine.store.rows(i)]  # Before merging.
         if len(landmarks):

@@ -19,7 +19,7 @@ from relmap.core.grouping.averaging import Averaging
 from relmap.core.grouping.chart import PointChart, grow_group
 from relmap.core.grouping.completion import RelativeMap
 from relmap.core.grouping.levels import GroupLevels
-from relmap.core.keeping import keep_motion, keep_observations
+from relmap.core.keeping import keep_motion, keep_observations, variances_of
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.map.placing import leave_out_moving, place
 from relmap.core.model import LandmarkModel
@@ -27,7 +27,7 @@ from relmap.core.odometry import Motions, OdometryUse
 from relmap.core.refinement.condensing import CondensedSegments, SegmentRows
 from relmap.core.refinement.joint import Refined
 from relmap.core.refinement.live import LiveRefinement
-from relmap.core.state.kept import KeptObservations, WeighedObservations
+from relmap.core.state.kept import KeptObservations
 from relmap.core.state.schedule import GroupingSchedule
 from relmap.core.state.store import ObservationStore
 from relmap.core.state.table import LandmarkState
@@ -41,7 +41,7 @@ class RelativeMapper:
     odometry: OdometryUse | None
     STATE = (
         "landmarks=table association observations=store schedule averaging map groups=levels "
-        "merger segments weighed motions kept odometry live refined"
+        "merger segments motions kept odometry live refined"
     )
 
     def __init__(self, model: LandmarkModel, config: MapperConfig) -> None:
@@ -57,7 +57,6 @@ class RelativeMapper:
         self.levels = GroupLevels(self.table)
         self.merger = Merger(self.table, model, config.group_after)
         self.segments = CondensedSegments()
-        self.weighed = WeighedObservations()
         self.motions, self.kept = Motions(), KeptObservations()
         self.odometry = None
         self.live = LiveRefinement(self.segments, self.map)
@@ -121,10 +120,8 @@ class RelativeMapper:
         """Chart the landmarks seen together with one in its current interval (Figs 9, 10)."""
         begin = max(self.table.begin[seed], self.store.first_iteration)
         chart = PointChart.around(seed, self.store, begin, self.store.n_iterations)
-        if not len(self.weighed):
-            return chart
-        of = chart.landmarks, begin, self.store.n_iterations, self.table.landmark_of
-        return replace(chart, variance=self.weighed.variances(*of))
+        variance = variances_of(self, chart.landmarks, begin)
+        return chart if variance is None else replace(chart, variance=variance)
 
     def relative_map(
         self, chart: PointChart, weights: Floats, min_shared: int

@@ -19,6 +19,7 @@ from relmap.core.association.reobservation.undoing import (
     places_of,
 )
 from relmap.core.gaps import bridge_gaps, is_bridged
+from relmap.core.keeping import weigh_by_estimate
 from relmap.core.mapper import RelativeMapper
 from relmap.core.refinement.chain.weighed import refine_weighed
 from relmap.core.refinement.condensing import SegmentRows
@@ -254,10 +255,8 @@ def _refine(engine: RelativeMapper, to_the_last: bool = True) -> None:
     if bridge_gaps(engine, to_the_last):
         return
     kept = engine.store if to_the_last and engine.config.keep_observations else None
-    rows, estimated = engine.rows, engine.association.current.estimated
-    if estimated is not None:
-        estimated.weigh_again(engine.weighed)
-    engine.refined = _refine_submaps(engine, rows, kept)
+    weigh_by_estimate(engine)
+    engine.refined = _refine_submaps(engine, engine.rows, kept)
 
 
 def _refine_submaps(
@@ -274,8 +273,8 @@ def _refine_submaps(
     for submap in np.unique(submaps[submaps != NONE]):
         chosen, since = submaps == submap, engine.map.kept_anchor
         refined = refine_jointly(rows, table.position, chosen, of, others, since)
-        if refined is not None and len(engine.weighed):
-            refined = refine_weighed(refined, engine.weighed, of)
+        if refined is not None and len(engine.kept.covariance):
+            refined = refine_weighed(refined, engine.kept, of)
         elif refined is not None and kept is not None:
             points, (seen, when) = kept.points(0, end), kept.seen(0, end)
             own = refined.landmarks, refined.positions

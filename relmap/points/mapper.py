@@ -142,9 +142,10 @@ class PointMapper(Mapper):
     @property
     def _has_covariances(self) -> bool | None:
         """Whether covariances are given with observations; None before the first one."""
-        if len(self._engine.weighed):
-            return not self._engine.association.current.estimates_covariances
-        return False if len(self._engine.table) else None
+        engine = self._engine
+        are_estimated = engine.association.current.estimates_covariances
+        given = len(engine.kept.covariance) > 0 and not are_estimated
+        return given if len(engine.table) else None
 
     @property
     def rejected_observations(self) -> Ints:
@@ -177,10 +178,14 @@ class PointMapper(Mapper):
 
     def _finish(self) -> None:
         super()._finish()
-        if self.config.refine_live and not self.engine.refined:
-            self.engine.live.complete()
-            self.engine.merger.look_again()
-        afterwards.complete(self.engine)
+        engine, before = self.engine, afterwards.extent(self.engine)
+        if self.config.refine_live and not engine.refined:
+            engine.live.complete()
+            engine.merger.look_again()
+        afterwards.complete(engine)
+        is_live = self.config.refine_live and not engine.refined
+        if is_live and afterwards.extent(engine) != before:  # Loops that are closed now.
+            engine.live.complete()
 
     def localise(self, points: ArrayLike) -> Floats:
         """Localise a scan in the map, without changing the mapper.

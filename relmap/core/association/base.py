@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from relmap.core.arrays import Bools, Floats, Ints
 
 if TYPE_CHECKING:
-    from relmap.core.association.metric import EstimatedCovariances
+    from relmap.core.association.metric import RayNoise
 
 UNIDENTIFIED = -1
 """Marks an observation that belongs to no known landmark."""
@@ -42,11 +42,11 @@ class Registration:
     @property
     def estimates_covariances(self) -> bool:
         """Whether the noise is unequal, and observations are weighted by its estimate."""
-        return self.estimated is not None and self.estimated.is_in_use
+        return self.estimated is not None and bool(self.estimated.weighs)
 
     @property
-    def estimated(self) -> EstimatedCovariances | None:
-        """Covariances of observations that come without any; None if they are not estimated."""
+    def estimated(self) -> RayNoise | None:
+        """Noise of observations that come without covariances; None if it is not estimated."""
         return None
 
     @property

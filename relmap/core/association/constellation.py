@@ -14,7 +14,7 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.association.base import UNIDENTIFIED, Numbered, middle
 from relmap.core.association.chance import ENOUGH, Chance
 from relmap.core.association.guiding import OdometryGuide
-from relmap.core.association.metric import EstimatedCovariances, scaled, stretch_of
+from relmap.core.association.metric import RayNoise, scaled, stretch_of
 from relmap.core.association.placement import Placement
 from relmap.core.association.registering import BLIND, TrackPlacing
 from relmap.core.association.scale import FEW, Scale, spacing_of
@@ -46,7 +46,7 @@ class Constellation(Numbered):
     _stray_since: int | None
     STATE = (
         "n_landmarks _tracks _stray _scale _idle _n_scans _n_empty _n_open _n_unique _alone "
-        "_tracks_since _stray_since _guide _estimated"
+        "_tracks_since _stray_since _guide"
     )
 
     def __init__(self, max_missed: int) -> None:
@@ -59,7 +59,6 @@ class Constellation(Numbered):
         self._alone = []
         self._tracks_since = self._stray_since = None
         self._guide = OdometryGuide()
-        self._estimated = EstimatedCovariances(self._scale.rays)
 
     def match(self, points_robot: Floats, ids: Ints | None) -> Ints:
         """Match points (n, d) to the live tracks; unmatched points are new landmarks."""
@@ -83,9 +82,9 @@ class Constellation(Numbered):
         self._scale.rays.given = covariances
 
     @property
-    def estimated(self) -> EstimatedCovariances:
-        """Covariances of observations that come without any."""
-        return self._estimated
+    def estimated(self) -> RayNoise:
+        """Noise of observations that come without covariances."""
+        return self._scale.rays
 
     def expect(self, landmarks: Ints, points_robot: Floats) -> None:
         """Expect landmarks (n,) at points (n, d) in the next scan, and no others."""

@@ -12,7 +12,6 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association.base import middle
-from relmap.core.state.kept import WeighedObservations
 
 EVERY, SETTLED = 4, 150
 """Interval of updates, in scans, and number of first scans that are all used."""
@@ -56,11 +55,13 @@ class RayNoise:
     first term, bearing noise the second, the depth noise of a stereo camera the third.
 
     `given` (n, d, d): covariances of the current scan, robot frame, square metres; they replace the
-    estimate.
+    estimate. `weighs`: whether the refinement weights observations by the estimate; None before it
+    is decided, once and for all.
     """
 
     _is_unequal: bool | None
-    STATE = "_squares _n_scans _coefficients _unit_m _is_unequal"
+    weighs: bool | None
+    STATE = "_squares _n_scans _coefficients _unit_m _is_unequal weighs"
 
     def __init__(self) -> None:
         self.given: Floats | None = None
@@ -68,7 +69,7 @@ class RayNoise:
         self._n_scans = 0
         self._coefficients = np.zeros((2, TERMS))
         self._unit_m = 0.0
-        self._is_unequal = None
+        self._is_unequal = self.weighs = None
 
     @property
     def is_unequal(self) -> bool | None:
@@ -127,6 +128,12 @@ class RayNoise:
         sigma = np.minimum(sigma, WORST * middle(sigma.max(axis=1)))
         scale = np.exp(np.mean(np.log(sigma))) / sigma
         return np.asarray((vectors * scale[:, None]) @ np.swapaxes(vectors, 1, 2))
+
+    def decide(self, n_observations: int) -> None:
+        """Decide after enough observations whether they are weighted by the estimate."""
+        enough = LONGEST if self._is_unequal is None else WAIT
+        if self.weighs is None and n_observations >= enough:
+            self.weighs = bool(self._is_unequal)
 
     def covariances(self, points: Floats) -> Floats:
         """Return estimated covariances (n, d, d) of points (n, d), robot frame, square metres."""
@@ -190,58 +197,3 @@ def scaled(metric: Floats | None, differences: Floats) -> Floats:
     if metric is None:
         return differences
     return np.asarray(np.einsum("nij,nj->ni", metric, differences))
-
-
-class EstimatedCovariances:
-    """Weights observations by the estimated noise if that differs by direction or distance.
-
-    The first scans wait until there are enough residuals to decide; if the noise is isotropic and
-    constant, nothing is kept of them.
-
-    `rays`: the noise, estimated meanwhile.
-    """
-
-    _is_unequal: bool | None
-    STATE = "_waiting _is_unequal"
-
-    def __init__(self, rays: RayNoise) -> None:
-        self.rays = rays
-        self._waiting = WeighedObservations()
-        self._is_unequal = None
-
-    @property
-    def is_in_use(self) -> bool:
-        """Whether the noise is unequal."""
-        return bool(self._is_unequal)
-
-    def weigh(
-        self, landmarks: Ints, points: Floats, iteration: int, weighed: WeighedObservations
-    ) -> None:
-        """Add the observations of a scan to the weighted ones if the noise is unequal.
-
-        `landmarks` (n,); `points` (n, d), robot frame, metres.
-        """
-        if self._is_unequal:
-            weighed.append(landmarks, points, self.rays.covariances(points), iteration)
-        elif self._is_unequal is None and len(points):
-            unknown = np.zeros((*points.shape, points.shape[1]))
-            self._waiting.append(landmarks, points, unknown, iteration)
-            if len(self._waiting) >= (LONGEST if self.rays.is_unequal is None else WAIT):
-                self._decide(weighed)
-
-    def weigh_again(self, weighed: WeighedObservations) -> None:
-        """Replace the covariances by those that are estimated now, from more residuals."""
-        if self._is_unequal:
-            weighed.covariance[:] = self.rays.covariances(weighed.location)
-
-    def _decide(self, weighed: WeighedObservations) -> None:
-        waiting, self._waiting = self._waiting, WeighedObservations()
-        self._is_unequal = bool(self.rays.is_unequal)
-        if not self._is_unequal:
-            return
-        covariances = self.rays.covariances(waiting.location)
-        for iteration in np.unique(waiting.iteration).tolist():
-            rows = waiting.iteration == iteration
-            weighed.append(
-                waiting.landmark[rows], waiting.location[rows], covariances[rows], iteration
-            )

@@ -8,24 +8,55 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.state.growing import GrowingArray
 
 
-class SingleObservations:
-    """Observations one by one, by the number under which they were made."""
+class KeptObservations:
+    """Every observation of a run with odometry, with covariances, or with unequal noise.
+
+    Scans with too few landmarks to be condensed count too.  An observation takes 40 bytes in the
+    plane and 48 in space, and its covariance another 32 or 72.  Observations that
+    were condensed before the first odometry are means of `count` of them.
+    """
+
+    STATE = "_landmark _location _iteration _count _covariance"
 
     def __init__(self) -> None:
         self._landmark: GrowingArray[np.int64] = GrowingArray(np.int64)
         self._location: GrowingArray[np.float64] = GrowingArray(np.float64, (0,))
         self._iteration: GrowingArray[np.int64] = GrowingArray(np.int64)
+        self._count: GrowingArray[np.float64] = GrowingArray(np.float64)
+        self._covariance: GrowingArray[np.float64] = GrowingArray(np.float64, (0, 0))
 
     def __len__(self) -> int:
         """Return the number of observations."""
         return len(self._landmark)
 
-    def _add(self, landmark: Ints, location: Floats, iteration: int) -> None:
+    def append(
+        self,
+        landmark: Ints,
+        location: Floats,
+        iteration: int | Ints,
+        covariance: Floats | None = None,
+        count: float | Floats = 1.0,
+    ) -> None:
+        """Add n observations.
+
+        `landmark` (n,): before merging, so that a merge can be undone; `location` (n, d), robot
+        frame, metres; `iteration` (n,), or of all; `covariance` (n, d, d), square metres; `count`
+        (n,), or of all: number of observations of which each is the mean.
+        """
         if not len(self):
-            self._location = GrowingArray(np.float64, location.shape[1:])
+            d = location.shape[1]
+            self._location = GrowingArray(np.float64, (d,))
+            self._covariance = GrowingArray(np.float64, (d, d))
         self._landmark.extend(landmark)
         self._location.extend(location)
-        self._iteration.resize(len(self._landmark), iteration)
+        self._iteration.extend(np.broadcast_to(iteration, len(landmark)))
+        self._count.extend(np.broadcast_to(count, len(landmark)))
+        if covariance is not None:
+            self._covariance.extend(covariance)
+
+    def weigh(self, covariance: Floats) -> None:
+        """Replace the covariances of all n observations by others (n, d, d), square metres."""
+        self._covariance.hold(covariance)
 
     @property
     def landmark(self) -> Ints:
@@ -42,81 +73,12 @@ class SingleObservations:
         """Position of each observation (n, d), robot frame, metres."""
         return self._location.values
 
-
-class KeptObservations(SingleObservations):
-    """Every observation of a run with odometry.
-
-    Scans with too few landmarks to be condensed count too.  An observation takes 40 bytes in the
-    plane and 48 in space.  Observations that were condensed before the first odometry are means of
-    `count` of them.
-    """
-
-    STATE = "_landmark _location _iteration _count"
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._count: GrowingArray[np.float64] = GrowingArray(np.float64)
-
     @property
     def count(self) -> Floats:
         """Number of observations (n,) of which each is the mean."""
         return self._count.values
 
-    def append(self, landmark: Ints, location: Floats, iteration: int) -> None:
-        """Add n observations of landmarks (n,) at (n, d), robot frame, metres."""
-        self._add(landmark, location, iteration)
-        self._count.resize(len(self), 1.0)
-
-    def begin_with(self, landmark: Ints, location: Floats, iteration: Ints, count: Floats) -> None:
-        """Replace all by n earlier observations; the arguments are the columns."""
-        self._landmark.hold(landmark)
-        self._location.hold(location)
-        self._iteration.hold(iteration)
-        self._count.hold(count)
-
-
-class WeighedObservations(SingleObservations):
-    """Every observation of a run that comes with covariances; empty in other runs.
-
-    Segments cannot represent covariances that differ between observations.  An observation takes
-    72 bytes in the plane and 112 in space.
-    """
-
-    STATE = "_landmark _location _covariance _iteration"
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._covariance: GrowingArray[np.float64] = GrowingArray(np.float64, (0, 0))
-
-    def append(self, landmark: Ints, location: Floats, covariance: Floats, iteration: int) -> None:
-        """Add n observations of landmarks (n,) at (n, d), robot frame, metres.
-
-        `landmark` (n,): before merging, so that a merge can be undone; `location` (n, d), robot
-        frame, metres; `covariance` (n, d, d), square metres.
-        """
-        if not len(self):
-            self._covariance = GrowingArray(np.float64, covariance.shape[1:])
-        self._add(landmark, location, iteration)
-        self._covariance.extend(covariance)
-
-    def variances(self, landmarks: Ints, begin: int, end: int, landmark_of: Ints) -> Floats:
-        """Return the mean variance (k,) of a coordinate of landmarks (k,), square metres.
-
-        `landmarks` (k,): seen in iterations `begin` to `end`; `landmark_of` (m,): the landmark that
-        each number stands for, after merging.
-        """
-        rows = slice(*np.searchsorted(self.iteration, [begin, end]))
-        order = np.argsort(landmarks)
-        seen = landmark_of[self.landmark[rows]]
-        at = np.searchsorted(landmarks[order], seen).clip(0, len(landmarks) - 1)
-        own = landmarks[order][at] == seen
-        each = np.trace(self.covariance[rows][own], axis1=1, axis2=2) / self.location.shape[1]
-        at = order[at[own]]
-        counts = np.bincount(at, minlength=len(landmarks))
-        total = np.bincount(at, each, minlength=len(landmarks))
-        return np.asarray(total / np.maximum(counts, 1))
-
     @property
     def covariance(self) -> Floats:
-        """Covariance of each observation (n, d, d), robot frame, square metres."""
+        """Covariance of each observation (n, d, d), square metres; empty if unknown."""
         return self._covariance.values

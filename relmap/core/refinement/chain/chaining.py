@@ -111,8 +111,8 @@ class PartSolver:
         chosen = np.flatnonzero(there & often[every])
         landmarks, of = np.unique(every[chosen], return_inverse=True)
         points = kept.location[chosen]
-        if len(engine.weighed) and not engine.association.current.estimates_covariances:
-            root = np.linalg.inv(np.linalg.cholesky(engine.weighed.covariance[chosen]))
+        if len(kept.covariance) and not engine.association.current.estimates_covariances:
+            root = np.linalg.inv(np.linalg.cholesky(kept.covariance[chosen]))
         else:
             alike = np.eye(points.shape[1]) / self._sigma_m
             root = np.sqrt(kept.count[chosen])[:, None, None] * alike

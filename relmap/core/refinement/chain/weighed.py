@@ -17,27 +17,22 @@ from relmap.core.refinement.chain.chained import Chain, Chained, ChainProblem, S
 from relmap.core.refinement.gauss_newton import settle
 from relmap.core.refinement.joint import Refined, Spread
 from relmap.core.refinement.observations import observations_of
-from relmap.core.state.kept import WeighedObservations
+from relmap.core.state.kept import KeptObservations
 
 
-def refine_weighed(refined: Refined, weighed: WeighedObservations, of: Ints) -> Refined:
+def refine_weighed(refined: Refined, kept: KeptObservations, of: Ints) -> Refined:
     """Return the landmark positions by observations weighted with their covariances.
 
     `refined`: the map refined by segments; `of` (k,): the landmark that each number stands for,
     after merging.
     """
-    seen, rows = observations_of(
-        weighed.location,
-        of[weighed.landmark],
-        weighed.iteration,
-        refined.landmarks,
-        refined.positions,
-    )
+    own = refined.landmarks, refined.positions
+    seen, rows = observations_of(kept.location, of[kept.landmark], kept.iteration, *own)
     anchor = int(np.searchsorted(seen.iterations, refined.anchor_iteration))
     counts = np.bincount(seen.landmark, minlength=len(refined.landmarks))
     if anchor == len(seen.iterations) or not counts.all():
         return refined
-    root = np.linalg.inv(np.linalg.cholesky(weighed.covariance[rows]))
+    root = np.linalg.inv(np.linalg.cholesky(kept.covariance[rows]))
     there, weight = refined.positions[seen.landmark], np.sum(root**2, axis=(1, 2))
     R, t, _ = fit_rigid_each(seen.points, there, weight, seen.iteration, len(seen.iterations))
     d, none = seen.points.shape[1], np.full((len(t) - 1, 4, 4), np.nan)
