@@ -24,9 +24,7 @@ def derivatives(away: Floats) -> Floats:
 def rotations(turns: Floats) -> Floats:
     """Return the rotations (n, d, d) for angles (n, 1) or rotation vectors (n, 3)."""
     if turns.shape[1] == 3:
-        # SciPy 1.15 refuses empty arrays.
-        every = Rotation.from_rotvec(turns).as_matrix() if len(turns) else np.empty((0, 3, 3))
-        return np.asarray(every)
+        return np.asarray(Rotation.from_rotvec(turns).as_matrix())
     cos, sin = np.cos(turns[:, 0]), np.sin(turns[:, 0])
     return np.stack([np.stack([cos, -sin], axis=1), np.stack([sin, cos], axis=1)], axis=1)
 

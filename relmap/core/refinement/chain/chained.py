@@ -104,7 +104,7 @@ class ChainProblem:
         motion = chain.motion[self.moved]
         self._t, R = motion[:, :d, 3], motion[:, :3, :3]
         self._way = np.linalg.norm(self._t, axis=1)
-        turn = Rotation.from_matrix(R).as_rotvec() if len(R) else np.empty((0, 3))
+        turn = Rotation.from_matrix(R).as_rotvec()
         self._turn = turn if d == 3 else turn[:, 2:]
         self._set_noise(sigmas, positions)
         n_tied = len(np.unique(np.concatenate([chain.iteration, self.moved, self.moved + 1])))
@@ -286,7 +286,7 @@ class ChainProblem:
 def _angles(R: Floats) -> Floats:
     """Return the angles (n, 1) or rotation vectors (n, 3) of rotations (n, d, d)."""
     if R.shape[1] == 3:
-        return np.asarray(Rotation.from_matrix(R).as_rotvec()) if len(R) else np.empty((0, 3))
+        return np.asarray(Rotation.from_matrix(R).as_rotvec())
     return np.arctan2(R[:, 1, 0], R[:, 0, 0])[:, None]
 
 
