@@ -25,10 +25,13 @@ ELSEWHERE = np.array(
 """Another room, which no motion lays onto the first."""
 
 
-def drive(mapper: PlaneMapper, scans: int, walls: Floats = ROOM) -> None:
+def drive(mapper: PlaneMapper, scans: int, walls: Floats = ROOM, noise_m: float = 0.0) -> None:
     """Go a little ahead in a room."""
     for k in range(scans):
-        mapper.update(seen_from(-1.5 + 0.05 * k, 0.0, 0.01 * k, walls, half_view=1.5))
+        seen = seen_from(-1.5 + 0.05 * k, 0.0, 0.01 * k, walls, half_view=1.5)
+        one = np.ones(len(seen.ends))
+        about = {"ends": seen.ends, "end_type": seen.end_type, "noise": noise_m * one}
+        mapper.update(SimpleNamespace(**about, n_points=one))
 
 
 def test_a_scan_that_nothing_supports_begins_a_submap() -> None:
@@ -128,24 +131,45 @@ def test_a_map_that_refining_tears_stays_as_chained(monkeypatch: pytest.MonkeyPa
     assert [submap.refined for submap in mapper.submaps] == [False]
 
 
-def test_a_map_that_lowering_the_noise_tears_stays_as_refined(
-    monkeypatch: pytest.MonkeyPatch,
+def test_a_map_that_settles_late_is_refined(monkeypatch: pytest.MonkeyPatch) -> None:
+    from relmap.planes.refinement import refined_map
+    from relmap.planes.refinement.solving import LAST, refined
+
+    last = list[bool]()
+
+    def late(assembled: Any, rounds: Any, held: float) -> Any:
+        best = refined(assembled, rounds, held)
+        last.append(rounds == (LAST,) and held == 0)
+        return replace(best, settled=best.settled and sum(last) > 1)
+
+    monkeypatch.setattr(refined_map, "refined", late)
+    mapper = PlaneMapper()
+    drive(mapper, 30)
+    mapper.finish()
+    mapper.refine()
+    assert [submap.refined for submap in mapper.submaps] == [True]
+    assert sum(last) == 2
+
+
+@pytest.mark.parametrize(("every", "off_m"), [(1, 800.0), (2, 0.002)], ids=["torn", "off-links"])
+def test_a_map_that_lowering_the_noise_bends_stays_as_refined(
+    monkeypatch: pytest.MonkeyPatch, every: int, off_m: float
 ) -> None:
     from relmap.planes.refinement import refined_map
 
-    def torn(assembled: Any, _: float) -> Any:
+    def bent(assembled: Any, _: float) -> Any:
         state = replace(assembled.state, t=assembled.state.t.copy())
-        state.t[10:] += 800.0
+        state.t[10::every] += off_m
         return replace(assembled, state=state)
 
-    monkeypatch.setattr(refined_map, "refined_to_the_noise", torn)
+    monkeypatch.setattr(refined_map, "refined_to_the_noise", bent)
     mapper = PlaneMapper()
-    drive(mapper, 30)
+    drive(mapper, 30, noise_m=0.003)
     mapper.finish()
     chained = mapper.trajectory
     mapper.refine()
     assert [submap.refined for submap in mapper.submaps] == [True]
-    np.testing.assert_allclose(mapper.trajectory, chained, atol=0.01)
+    np.testing.assert_allclose(mapper.trajectory, chained, atol=0.001)
 
 
 def test_steps_of_refinement_are_bounded() -> None:
