@@ -106,7 +106,8 @@ def straightened(
 def at_the_noise(found: WallSubmap, history: PlaneHistory) -> WallSubmap:
     """Return a refined map solved at the accuracy of the observations, unless that is worse.
 
-    Then ends of walls, seen from afar, would outweigh the links.
+    Or if it bends: then ends of walls, seen from afar, outweigh the links. Where it is torn, it
+    shows that something is wrong.
     """
     assert found.assembled is not None
     motions = history.motion[slice(*found.span)]
@@ -116,7 +117,8 @@ def at_the_noise(found: WallSubmap, history: PlaneHistory) -> WallSubmap:
         if best is found.assembled:
             break
         again = _refined(best, found.span, history)
-        if _better(again, found, history) and disagreement(again.poses, motions)[1] <= most_m:
+        is_bent = disagreement(again.poses, motions)[1] > most_m
+        if _better(again, found, history) and (len(torn_in([again], history)) or not is_bent):
             return again
     return found
 
