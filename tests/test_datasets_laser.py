@@ -43,6 +43,32 @@ def test_full_scale_counts_only_where_it_is_reached(tmp_path: Path) -> None:
     assert len(points_of(open_scans(put(tmp_path, text, "a.log")))[1]) == 2
 
 
+@pytest.mark.parametrize(
+    ("n", "first_deg", "last_deg", "warns"),
+    [
+        (180, -90, 89, 0),
+        (361, -90, 90, 0),
+        (401, -50, 50, 0),
+        (400, -50, 49.75, 0),
+        (541, -90, 90, 1),
+    ],
+)
+def test_the_view_of_a_laser_by_its_number_of_beams(
+    tmp_path: Path,
+    caplog: pytest.LogCaptureFixture,
+    n: int,
+    first_deg: float,
+    last_deg: float,
+    warns: int,
+) -> None:
+    log = open_scans(put(tmp_path, f"FLASER {n} {'1 ' * n}1 2 0 1 2 0 4.5 host 9\n", "a.log"))
+    (scan,) = log.scans()
+    bearings_deg = np.rad2deg(np.arctan2(*scan.points_robot.T[1::-1]))
+    np.testing.assert_allclose(bearings_deg[[0, -1]], [first_deg, last_deg])
+    assert len(caplog.messages) == warns
+    assert all(f"{n} beams are taken to cover 180 degrees" in one for one in caplog.messages)
+
+
 def test_graph_log(tmp_path: Path) -> None:
     path = tmp_path / "a.log.gz"
     path.write_bytes(gzip.compress(GRAPH.encode()))

@@ -1,8 +1,9 @@
 """2-D laser scans in the two kinds of CARMEN text log, ``.log`` or ``.log.gz``.
 
 * ``FLASER n r1..rn x y theta odom_x odom_y odom_theta t host t_logger``: the beams spread over 180
-  degrees, from right to left. The robot frame is the LASER's: x, y, theta is its pose, after SLAM
-  the corrected one. With even n, the last beam, at 90 degrees to the left, is missing.
+  degrees, from right to left, or over 100 degrees if there are 400 or 401, as a SICK LMS has. The
+  robot frame is the LASER's: x, y, theta is its pose, after SLAM the corrected one. With even n,
+  the last beam on the left is missing.
 * ``ROBOTLASER1 type start_angle fov resolution max_range accuracy remission n r1..rn m v1..vm
   laser_x laser_y laser_theta robot_x robot_y robot_theta tv rv 3 safeties t host t_logger``. The
   robot frame is the robot's. A graph log has ``VERTEX2 id x y theta``, the optimised pose, before
@@ -16,6 +17,7 @@ N. Roy and S. Thrun, IROS 2003.
 
 from __future__ import annotations
 
+import logging
 import math
 import os
 import re
@@ -36,9 +38,16 @@ from relmap.datasets.number_rows import NumberRows, finite_numbers
 from relmap.datasets.scans import ScanLog, in_time_order, numbers_of, planar_poses
 from relmap.datasets.textfile import invalid, numbered_lines, quoted, shown
 
+_LOG = logging.getLogger(__name__)
+
 FULL_SCALES_M = (32.767, 51.16, 81.91)
 """A SICK LMS reports missing returns and other failures as the last steps of its scale."""
 ERROR_STEPS_M = 0.12
+
+VIEWS_DEG = {401: 100.0}
+"""Field of view of a ``FLASER`` line by the odd number of beams, if it is not `USUAL_DEG`."""
+USUAL_DEG, FINEST_DEG = 180.0, 0.25
+"""The usual field of view, and the resolution of which that of a SICK LMS is a multiple."""
 
 _HALLMARKS = {"FLASER", "ROBOTLASER1", "PARAM", "ODOM", "VERTEX2", "RLASER", "SYNC", "NEFF"}
 _MOST_BEAMS = 10_000
@@ -121,6 +130,8 @@ def _log(path: Path, scans: list[_Scan], vertices: Floats, hints: Hints) -> Scan
     hints = hints.moving([speed for scan in scans for speed in scan.speeds])
     # The frame of FLASER lines is that of the laser; they have no speeds.
     odometry, reason = odometry_of(poses, counted, hints, of_laser=not scans[0].speeds)
+    if not scans[0].speeds:
+        _warn_of_view(path, len(scans[0].ranges_m))
     largest = max(float(scan.ranges_m.max()) for scan in scans)
     tops = [scale - ERROR_STEPS_M for scale in FULL_SCALES_M]
     full = [top for top in tops if top <= largest <= top + ERROR_STEPS_M]
@@ -137,13 +148,25 @@ def _lines(path: Path) -> Iterator[_Line]:
             yield _Line(path, number, cells)
 
 
+def _warn_of_view(path: Path, n: int) -> None:
+    """Warn if a number of beams is not that of a laser with the usual field of view."""
+    steps = n - n % 2
+    if steps and steps + 1 not in VIEWS_DEG and USUAL_DEG / FINEST_DEG % steps:
+        _LOG.warning(
+            "%s: FLASER lines do not give the field of view: %d beams are taken to cover %.0f "
+            "degrees; otherwise give ROBOTLASER1 lines or scans.npz",
+            *(shown(path), n, USUAL_DEG),
+        )
+
+
 def _flaser(line: _Line) -> _Scan:
     n = line.count(1)
     values = line.numbers(line.cells[2:-2], n + 7, n + 11, slice(n))
-    step = math.pi / (n if n % 2 == 0 else max(n - 1, 1))
+    steps = max(n - n % 2, 1)
+    view_rad = math.radians(VIEWS_DEG.get(steps + 1, USUAL_DEG))
     return _Scan(
         line.ranges(values[:n]),
-        -math.pi / 2 + step * np.arange(n, dtype=np.float64),
+        -view_rad / 2 + view_rad / steps * np.arange(n, dtype=np.float64),
         [0.0, 0.0, 0.0],
         values[n : n + 3],
         values[n + 3 : n + 6],
