@@ -54,7 +54,9 @@ def compare_into(
                 atomic_write(staging / f"map-{row.method}.csv", columns_text(_map_of(found)))
         with busy("drawing"):
             draw(staging, rows, data, source.about)
-    _print_rows(f"{source.about}; association {association}", rows)
+    unused = association == "nearest" and data.ids is not None
+    ids = ", the ids of the log are not used" if unused else ""
+    _print_rows(f"{source.about}; association {association}{ids}", rows)
     return rows
 
 
@@ -75,7 +77,7 @@ def _compared(
 
 
 def _print_rows(title: str, rows: Sequence[Compared]) -> None:
-    """Print the table, followed by the methods that did not run."""
+    """Print the table, followed by the notes, also on the methods that did not run."""
     ran = [(row.method, row.run.figures) for row in rows if row.run is not None]
     columns = dict(COLUMNS)
     if any(figures["corner_rmse_m"] is not None for _, figures in ran):
@@ -89,8 +91,8 @@ def _print_rows(title: str, rows: Sequence[Compared]) -> None:
     ]
     print_table(title, ["method", *columns], cells)
     for row in rows:
-        if row.run is None:
-            typer.echo(f"{row.method}: {row.note}")
+        for note in [row.note] if row.run is None else row.run.notes:
+            typer.echo(f"{row.method}: {note}")
 
 
 def _map_of(result: Result) -> dict[str, NDArray[Any]]:

@@ -7,6 +7,7 @@ from typing import Any
 
 from relmap.datasets.base import ObservationLog
 from relmap.evaluation import metrics
+from relmap.evaluation.judged_path import judge_path
 from relmap.evaluation.landmarks import judge_landmarks
 from relmap.evaluation.relations import AT_SCANS_S, RelationErrors, relation_errors
 from relmap.evaluation.space import judge_planes
@@ -54,7 +55,7 @@ class Evaluation:
     counts : dict
         Counts behind the figures: `false_corners` are mapped corners without a true one.
     notes : tuple of str
-        Reasons for figures missing despite this truth.
+        Reasons for figures missing despite this truth, and what the others leave out.
     variant : "points", "planes" or "planes3d"
         The mapped variant.
     """
@@ -124,18 +125,13 @@ def evaluate(result: Result, truth: Truth, log: ObservationLog | None = None) ->
         figures = dict(judge_planes(result.planes, truth.faces, poses, true_poses))
     else:
         figures, counts, notes = judge_landmarks(result, truth, log, len(mine))
-    rpe_m = metrics.rpe(poses, true_poses, other)
-    if len(truth.stamps_s) and not len(mine):
-        notes.append(metrics.no_common_times(result.stamps_s, truth.stamps_s))
-    elif len(mine) > 1 and rpe_m is None:
-        common = f"{len(mine)} of {len(result.stamps_s)} poses have the times of true ones"
-        notes.append(f"no RPE: {common}, and other true poses lie between them")
+    of_path, reasons = judge_path(result, truth)
+    notes += reasons
     relation = relation_errors(result.stamps_s, result.poses, truth.relations)
     notes += _relation_notes(result, truth, relation)
     return Evaluation(
         **figures,
-        ate_m=metrics.ate(poses, true_poses, result.planar),
-        rpe_m=rpe_m,
+        **of_path,
         relation_m=relation.shift_m if relation else None,
         relation_rad=relation.turn_rad if relation else None,
         counts=counts,

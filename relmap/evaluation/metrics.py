@@ -38,16 +38,6 @@ def positions_of(keys: Ints, wanted: Ints) -> NDArray[np.intp]:
     return np.where(keys[at] == wanted, at, -1)
 
 
-def no_common_times(found_s: Floats, true_s: Floats) -> str:
-    """Return the note that no pose of the result has the time of a true one."""
-    found, true = (
-        f"{stamps_s.min():.10g} to {stamps_s.max():.10g} s" if len(stamps_s) else "none"
-        for stamps_s in (found_s, true_s)
-    )
-    note = "no ATE and no RPE: no pose of the result has the time of a true one"
-    return f"{note} ({found}, true: {true})"
-
-
 def rms(errors: Floats) -> float | None:
     """Return the root mean square of the lengths of error vectors (n, d); None if n is 0."""
     if not len(errors):

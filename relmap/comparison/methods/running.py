@@ -53,10 +53,14 @@ KB_PER_MB = 1024
 
 @dataclass(frozen=True, eq=False)
 class MethodRun:
-    """The result of a method, and its `ACCURACY`, `PATH` and `COST`, None where not available."""
+    """The result of a method, and its `ACCURACY`, `PATH` and `COST`, None where not available.
+
+    `notes`: those of its `Evaluation`.
+    """
 
     result: Result
     figures: dict[str, float | None]
+    notes: tuple[str, ...] = ()
 
 
 def run_method(
@@ -81,7 +85,8 @@ def run_method(
         peak_kb = _kibibytes("VmHWM")
         result = result_of(method, log, fed.labels, association, first)
         path_coverage = len(result.poses) / len(log) if len(log) else None
-        figures = {**_accuracy(result, data), "path_coverage": path_coverage}
+        accuracy, notes = _accuracy(result, data)
+        figures = {**accuracy, "path_coverage": path_coverage}
         durations_s = fed.durations_s.sum(axis=1)
         times = timing_of(durations_s)
         figures |= {
@@ -91,7 +96,7 @@ def run_method(
             "total_s": float(durations_s.sum()) + fed.finish_s + fed.refine_s,
             "memory_mb": max(peak_kb - before_kb, 0) / KB_PER_MB if peak_kb and before_kb else None,
         }
-        return MethodRun(result, figures)
+        return MethodRun(result, figures, notes)
 
 
 def try_method(
@@ -127,21 +132,21 @@ def _reach(points: Floats) -> float:
     return float(np.linalg.norm(points, axis=1).max(initial=1.0))
 
 
-def _accuracy(result: Result, data: Data[Log]) -> dict[str, float | None]:
+def _accuracy(result: Result, data: Data[Log]) -> tuple[dict[str, float | None], tuple[str, ...]]:
     """Compare a result with the truth; a method without a map has no map figures."""
     figures: dict[str, float | None] = dict.fromkeys((*ACCURACY, *PATH))
     if data.truth is None:
-        return figures
+        return figures, ()
     log = data.log if isinstance(data.log, ObservationLog) else None
     found = evaluate(result, data.truth, log)
     figures |= {name: getattr(found, name, None) for name in figures}
     if isinstance(result, PlaneResult):
-        return figures | {"matched": found.counts.get("matched_corners")}
+        return figures | {"matched": found.counts.get("matched_corners")}, found.notes
     if isinstance(result, Plane3dResult) or not result.mapped.any():
-        return figures | dict.fromkeys(OF_A_MAP)
+        return figures | dict.fromkeys(OF_A_MAP), found.notes
     often = match_landmarks(result, data.truth, identify(result, log), often=True)
     figures["matched"] = found.counts.get("matched_landmarks")
-    return figures | {"often_rmse_m": often.rmse_m if often else None}
+    return figures | {"often_rmse_m": often.rmse_m if often else None}, found.notes
 
 
 def _reset_peak() -> int | None:
