@@ -47,6 +47,8 @@ NOTED = {
 NEAR_M, FAR_M = 0.1, 100.0
 """Half of the points of a scan are farther than the first and nearer than the second, as those of
 2-D lasers and most of a lidar are: other coordinates are hardly metres."""
+FAR_LANDMARKS_M = 1000.0
+"""Half of the landmarks of a scan are nearer."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -229,17 +231,26 @@ def _named_as_in_map(source: Path, log: ObservationLog, onto: Path) -> Observati
 
 
 def doubt_unit(source: Path, log: Log) -> None:
-    """Warn of point scans that are hardly in metres: the map would be as good, in their unit."""
-    if not isinstance(log, ScanLog):
-        return
+    """Warn of scans that are hardly in metres: the map would be as good, in their unit."""
     scans = (scan.points_robot for scan in log.scans() if len(scan.points_robot))
     middle_m = float(np.median(np.linalg.norm(next(scans, np.ones((1, 3))), axis=1)))
-    if not NEAR_M < middle_m < FAR_M:
+    near_m, far_m = (NEAR_M, FAR_M) if isinstance(log, ScanLog) else (0.0, FAR_LANDMARKS_M)
+    if not near_m <= middle_m < far_m:
         typer.echo(
-            f"relmap: {source}: the points of the first scan are {middle_m:.3g} m away in the "
-            "median: coordinates must be in metres",
+            f"relmap: {source}: the points of the first scan are {float(f'{middle_m:.3g}'):g} m "
+            "away in the median: coordinates must be in metres",
             err=True,
         )
+
+
+def require_dimension(source: Path | str, log: Log, mapper: AnyMapper, result: Path | str) -> None:
+    """Raise a `RelmapError` if landmarks are in space and a map is planar, or the reverse."""
+    if not isinstance(mapper, PointMapper) or not isinstance(log, ObservationLog):
+        return
+    kind = {2: "planar", 3: "in space"}
+    seen, mapped = log.points_robot.shape[1], mapper.engine.store.dimension
+    if seen != mapped in kind:
+        raise RelmapError(f"the log {source} is {kind[seen]}, the map {result} {kind[mapped]}")
 
 
 def level_if_needed(source: Path, log: Log) -> Log:

@@ -52,7 +52,7 @@ def localise_command(
     topic: args.Topics = None,
 ) -> None:
     """Localise scans; the help text explains the arguments."""
-    from relmap.cli.job import doubt_unit, level_if_needed
+    from relmap.cli.job import doubt_unit, level_if_needed, require_dimension
     from relmap.evaluation.sources import read_log
     from relmap.io.files import staged_folder
     from relmap.io.results import MAPPER
@@ -69,6 +69,7 @@ def localise_command(
     log = read_log(source, variant, log_format, scans, columns, tuple(topic or ()))
     if isinstance(mapper, PlaneMapper):
         args.refuse(not (mapper.planes.status == "static").any(), f"{result}: {NO_WALL}")
+    require_dimension(source, log, mapper, result)
     doubt_unit(source, log)
     log = level_if_needed(source, log)
     with staged_folder(out) as staging:

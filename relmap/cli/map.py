@@ -68,6 +68,8 @@ Examples:
   relmap map hall -o result --variant planes3d
 """
 
+WIDEST_RAD = 0.5
+"""Larger standard deviations of an angle are hardly in radians."""
 FOR_WALLS = "--level and --segmenter require --variant planes"
 
 
@@ -263,6 +265,8 @@ def _sigmas(
     args.refuse(one, "--range-sigma and --bearing-sigma must be given together")
     for name, sigma in given.items():
         args.refuse(not 0 < sigma < float("inf"), f"{name} is {sigma}; it must be above 0")
+        wide = name != names[0] and sigma >= WIDEST_RAD
+        args.refuse(wide, f"{name} is {sigma}; it must be below {WIDEST_RAD} radians")
     return tuple(given.values()) or None
 
 

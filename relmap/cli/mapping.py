@@ -15,7 +15,7 @@ import typer
 
 from relmap.cli.arguments import Association, read_config
 from relmap.cli.console import Counter, busy, tracked
-from relmap.cli.job import Job, journaled_labels, log_of
+from relmap.cli.job import Job, journaled_labels, log_of, require_dimension
 from relmap.core.errors import RelmapError
 from relmap.datasets.own_table import OwnTable
 from relmap.datasets.scans import ScanLog
@@ -46,7 +46,7 @@ def map_log(job: Job) -> tuple[Run, int]:
     invalid, or the folder cannot be written; an earlier result in it is then unchanged.
     """
     began, out = monotonic(), job.at(job.out)
-    _check_journal(job.journal, out)
+    _keep_inputs(job, out)
     log = log_of(job)
     with staged_folder(out, results.stale_files(out)) as staging:
         run = _mapped_into(staging, job, log, began)
@@ -55,17 +55,17 @@ def map_log(job: Job) -> tuple[Run, int]:
         return run, len(list(staging.iterdir()))
 
 
-def _check_journal(journal: Path | None, out: Path) -> None:
-    """Raise an error if the run would overwrite or remove its own journal."""
-    if journal is None or os.path.realpath(journal.parent) != os.path.realpath(out):
-        return
+def _keep_inputs(job: Job, out: Path) -> None:
+    """Raise an error if the run would overwrite or remove its own log or journal."""
     names = {results.LANDMARKS, results.TRACKS, results.TRAJECTORY, results.SUBMAPS}
     names |= {results.MAP_PLY, results.MAP_PNG, results.SUMMARY, results.MAPPER}
     names |= {*results.stale_files(out)}
-    if journal.name in names or any(map(journal.match, results.OF_SUBMAPS)):
-        raise RelmapError(
-            f"journal {journal} would be overwritten by the result: give it another name"
-        )
+    for kind, path in (("log", job.at(job.source)), ("journal", job.journal)):
+        if path is None or os.path.realpath(path.parent) != os.path.realpath(out):
+            continue
+        if path.name in names or any(map(path.match, results.OF_SUBMAPS)):
+            other = "give it another name" if kind == "journal" else "write to another folder"
+            raise RelmapError(f"{kind} {path} would be overwritten by the result: {other}")
 
 
 def _mapped_into(folder: Path, job: Job, log: Log, began: float) -> Run:
@@ -121,6 +121,7 @@ def _taken_up(
     mapper: AnyMapper, log: Log, scans: Iterable[Any], about: dict[str, Any]
 ) -> Iterator[Any]:
     """Yield scans, and add them to an existing map from the first one localised there."""
+    require_dimension(about["input"], log, mapper, about["onto"])
     prepare, tied = preparation(mapper, log), False
     for scan in scans:
         if not tied and isinstance(mapper, PlaneMapper):

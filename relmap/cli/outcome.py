@@ -5,11 +5,13 @@ from __future__ import annotations
 from time import monotonic
 from typing import Any
 
+import numpy as np
 import typer
 
 from relmap.cli.console import INTERRUPTED, lasting
 from relmap.cli.job import Job
 from relmap.cli.mapping import map_log
+from relmap.core.arrays import Floats
 from relmap.io.results import Result
 
 OFTEN = 10
@@ -20,6 +22,8 @@ WHOLE = 0.9
 """Minimum fraction of the scans in the largest submap of an unbroken run."""
 CONTRADICTED = 0.1
 """Noise, as a fraction of the distance of the landmarks, that no sensor of landmarks has."""
+STILL_SCANS, STILL_M, STILL_RAD = 10, 0.1, 0.05
+"""Fewest scans that show that a robot stood still, and the largest error of its poses then."""
 MISREAD = 0.04
 """Fraction of the observations contradicting their ids above which a map may be wrong: of 49
 simulated ones one of 12 with 2 % wrong ids was, 3 of 13 with 5 %, 5 of 14 with 10 %, 8 of 10 with
@@ -43,28 +47,28 @@ def report(job: Job) -> None:
     took = f", {lasting(monotonic() - began)} in all"
     summary = run.result.summary
     counts, timing = summary["counts"], summary["timing"]
-    iterations = counts["iterations"]
-    begun = f"stopped after {iterations} of {summary['input_iterations']}: "
+    iterations = counted(counts["iterations"], "iteration")
+    begun = f"stopped after {counts['iterations']} of {summary['input_iterations']}: "
     message = f"{begun if summary['interrupted'] else ''}wrote {n_files} files to {job.out}: "
-    hanging = on_odometry(summary.get("odometry"))
+    hanging, warning = on_odometry(summary.get("odometry")), ""
     if job.variant == "planes3d":
-        planes = f"{counts['planes_static']} planes mapped in {iterations} iterations"
+        planes = f"{counts['planes_static']} planes mapped in {iterations}"
         message += f"{planes}, {each(timing['scan_median_ms'])}{took}{in_space(summary)}"
     elif job.variant == "planes":
         message += (
             f"{counts['planes_static']} walls with {counts['corners_static']} corners mapped in "
-            f"{iterations} iterations, {each(timing['scan_median_ms'])}{took}{hanging}"
+            f"{iterations}, {each(timing['scan_median_ms'])}{took}{hanging}"
             f"{torn(summary, job.refine)}"
         )
     else:
         message += (
             f"{counts['mapped']} of {counts['landmarks']} landmarks{often(run.result)} mapped from "
-            f"{counts['observations']} observations in {iterations} iterations, "
+            f"{counts['observations']} observations in {iterations}, "
             f"{each(timing['median_ms'])}{took}{untied(counts, len(run.result.submaps) - 1)}"
             f"{'' if counts['mapped'] else NOTHING}{doubted(summary)}{overruled(summary)}{hanging}"
-            f"{doubtful(summary['refinement'], summary['association_trust']['contradicting'])}"
         )
-    typer.echo(message)
+        warning = doubtful(summary["refinement"], summary["association_trust"]["contradicting"])
+    typer.echo(f"{message}{still(run.result.poses)}{warning}")
     if job.onto and job.association == "nearest" and summary["tied_at"] is None:
         typer.echo(
             f"the log could not be localised in the map of {job.onto}: it forms a separate submap"
@@ -73,6 +77,18 @@ def report(job: Job) -> None:
         if job.journal is not None:
             typer.echo(f"'relmap resume {job.journal}' continues it")
         raise typer.Exit(INTERRUPTED)
+
+
+def still(poses: Floats) -> str:
+    """Return that the robot stood still, as the end of a message: a log may be in a fixed frame."""
+    off_m = np.linalg.norm(poses[:, :3, 3] - poses[:1, :3, 3], axis=1)
+    turned = np.linalg.norm(poses[:, :3, :3] - poses[:1, :3, :3], axis=(1, 2)) / np.sqrt(2)
+    if len(poses) < STILL_SCANS or off_m.max() > STILL_M or turned.max() > STILL_RAD:
+        return ""
+    return (
+        f"; in the map the robot moves less than {STILL_M} m: if it did move, the observations are "
+        "not in its frame"
+    )
 
 
 def often(result: Result) -> str:
@@ -191,7 +207,10 @@ def on_odometry(odometry: dict[str, Any] | None) -> str:
     if odometry is None:
         return ""
     if odometry["wrong_throughout"]:
-        return "; odometry contradicts the observations and was not used"
+        return (
+            "; odometry contradicts the observations and was not used (it must be in metres and "
+            "radians, turns to the left positive)"
+        )
     alone, left_out = (odometry[key]["count"] for key in ("tied_by_it_alone", "left_out"))
     linked = "is" if alone == 1 else "are"
     message = f"; {counted(alone)} {linked} linked by odometry alone" if alone else ""

@@ -219,6 +219,11 @@ def _chosen(path: Path, there: list[str], columns: Mapping[str, str]) -> dict[st
         problem = f"no column {missing[0]}" if missing else f"two columns {several[0]}"
         names_there = listed([*map(quoted, there)])
         raise invalid(path, f"{problem}, expected one; there are {names_there}")
+    places = [wanted[axis] for axis in "xyz" if axis in wanted]
+    twice = [quoted(theirs) for theirs in places if places.count(theirs) > 1]
+    if twice:
+        expected = "expected another name for each of x, y and z"
+        raise invalid(path, f"columns: {twice[0]} would be two coordinates, {expected}")
     others = [quoted(name) for name in there if name not in wanted.values()]
     if others:
         _LOG.warning("%s: other columns are ignored: %s", shown(path), listed(others))
