@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -162,3 +163,10 @@ def test_headings_of_the_picture_are_inside_of_it() -> None:
     figure.draw_without_rendering()  # as when it is saved
     for axes in figure.axes:
         assert axes.title.get_window_extent().y1 < figure.bbox.y1
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["path of the sensor"]
+    marked = plot_planes3d(planes, part.trajectory, np.arange(2.0), np.arange(1))
+    assert "pose partly undetermined" in [t.get_text() for t in marked.legends[0].get_texts()]
+    space: Any = figure.axes[0]
+    for axis in (space.xaxis, space.yaxis):
+        numbers = [label.get_window_extent() for label in axis.get_ticklabels()]
+        assert not any(axis.label.get_window_extent().overlaps(number) for number in numbers)

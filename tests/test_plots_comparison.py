@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -108,6 +109,15 @@ def test_errors_are_enlarged_alike_and_far_ones_cut() -> None:
         assert lengths.max() < 0.13 * np.ptp(overlay.landmarks_map, axis=0).max()
         assert label in [line.get_label() for line in axes.get_lines()]
     np.testing.assert_allclose(lengths, lengths[0])
+
+
+def test_arrows_end_inside_of_the_picture() -> None:
+    result = make_result(20, True)
+    still = replace(result, poses=result.poses[10:11], stamps_s=result.stamps_s[:1])
+    (axes,) = plot_errors(still, errors_of(3.0), 20.0, "a").axes
+    (quiver,) = (c for c in axes.collections if isinstance(c, Quiver))
+    tips = quiver.XY + np.column_stack([quiver.U, quiver.V])
+    assert tips[:, 0].max() < axes.get_xlim()[1]
 
 
 def test_without_errors_nothing_is_enlarged() -> None:

@@ -177,6 +177,12 @@ def test_bench_has_the_four_panels_of_the_paper(bench: BenchRecorder) -> None:
     assert titles[3] == "the map with group connectivity"
 
 
+def test_bench_says_that_the_scan_is_not_in_the_map(bench: BenchRecorder) -> None:
+    apart = replace(last_frame(bench), T_world_robot=np.full((4, 4), np.nan))
+    said = "mapped walls over the true ones; this scan is in another submap"
+    assert plot_bench(apart).axes[0].get_title() == said
+
+
 def test_bench_calls_itself_a_figure_of_the_paper_only_there(bench: BenchRecorder) -> None:
     assert plot_bench(last_frame(bench)).get_suptitle() == "the test bench, iteration 39"
     in_paper = plot_bench(last_frame(bench), "Figure 5: the test bench").get_suptitle()

@@ -33,9 +33,11 @@ def test_a_floor_plan_shows_points_start_end_and_weak_links() -> None:
 def test_each_submap_has_its_own_panel() -> None:
     figure = plot_submaps([drawn_submap([]), drawn_submap([2])], 3)
     assert [axes.get_title().partition(":")[0] for axes in figure.axes] == ["map", "submap 1"]
-    assert figure.get_suptitle() == "3 separate submaps, 1 of a few scans not drawn"
+    said = "3 separate submaps, each in its own frame, 1 of a few scans not drawn"
+    assert figure.get_suptitle() == said
+    assert {(axes.get_xlabel(), axes.get_ylabel()) for axes in figure.axes} == {("x [m]", "y [m]")}
     labels = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert labels.count("weak link") == 1
+    assert labels.count("weak link") == labels.count("point of a scan") == 1
 
 
 def test_path_among_walls_is_broken_where_it_leaps() -> None:

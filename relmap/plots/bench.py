@@ -107,7 +107,9 @@ def _draw_mapped(axes: Axes, frame: BenchFrame) -> None:
         draw_true_walls(axes, frame.true_walls)
     _draw_map(axes, frame)
     axes.plot(*frame.path.T, color=GREY, linewidth=0.9, zorder=2, label="path")
-    _name(axes, "mapped walls over the true ones" if known else "mapped walls")
+    elsewhere = len(frame.walls) > 0 and not np.isfinite(frame.T_world_robot).all()
+    title = "mapped walls over the true ones" if known else "mapped walls"
+    _name(axes, f"{title}; this scan is in another submap" if elsewhere else title)
 
 
 def _draw_map(axes: Axes, frame: BenchFrame) -> None:

@@ -81,7 +81,8 @@ def _draw_errors(axes: Axes, rows: Sequence[tuple[str, Figures]], key: str) -> N
             continue
         colour = BLUE if method.startswith(OURS) else ORANGE
         axes.plot(value, row, "o", color=colour, markersize=6)
-        axes.text(value * 1.2, row, f"{value:.3g}", va="center", fontsize=7)
+        beside: dict[str, Any] = {"xytext": (7, 0), "textcoords": "offset points"}
+        axes.annotate(f"{value:.3g}", (value, row), va="center", fontsize=7, **beside)
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,12 +157,12 @@ def plot_errors(result: Result, truth: Overlay, scale: float, title: str) -> Fig
     `shared_scale`.
     """
     way = np.concatenate([result.poses[:, :3, 3], truth.path_map])
-    sheet = Sheet(truth.landmarks_map, way, result.planar)
     true = truth.errors_map[:, 1]
     arrow = scale * (truth.errors_map[:, 0] - true)
     length, most = np.linalg.norm(arrow, axis=1), LONGEST * _extent(truth.landmarks_map)
     beyond = length > most
     arrow[beyond] *= (most / length[beyond])[:, None]
+    sheet = Sheet(np.concatenate([truth.landmarks_map, true + arrow]), way, result.planar)
     style: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "width": 0.003}
     for axes, pair in sheet.views:
         axes.plot(

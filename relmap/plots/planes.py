@@ -40,8 +40,8 @@ WALL = BLUE
 CORNER = "#0b7a3b"
 PATH = "#7f7f7f"
 POINT = "#b4b4b4"
-FINE, DOT, FINE_DPI = 1.1, 1.6, 240
-"""Line width of a wall, and size of a corner, slightly larger."""
+FINE, DOT, FINE_DPI = 1.1, 2.8, 240
+"""Line width of a wall, and size of a corner, larger so that it is seen."""
 PANEL_IN = 3.4
 RIM_M = 0.8
 """Margin around a panel."""
@@ -49,6 +49,8 @@ TRUE_WALL = "#e0a800"
 """As in the paper: the true map in yellow, the computed one in blue (Fig. 7)."""
 LIGHT = np.array([0.3, 0.5, 0.81])
 """Direction of a light: planes facing it are brighter."""
+LABEL_PT = 12.0
+"""Distance of labels from an axis in space, beyond its numbers."""
 TICKS = 8
 """Number of ticks along the longest side of a box, in space."""
 
@@ -72,11 +74,13 @@ def plot_submaps(submaps: Sequence[DrawnSubmap], n_submaps: int) -> Figure:
         axes.set_title(
             f"{name}: {len(submap.poses)} scans, {n_walls} walls, {n_corners} corners", fontsize=8
         )
+        axes.set_xlabel("x [m]", fontsize=7)
+        axes.set_ylabel("y [m]", fontsize=7)
         axes.grid(color=PALE, linewidth=0.5)
         axes.tick_params(labelsize=6)
     left = n_submaps - len(submaps)
     also = f", {left} of a few scans not drawn" if left else ""
-    figure.suptitle(f"{n_submaps} separate submaps{also}", fontsize=11)
+    figure.suptitle(f"{n_submaps} separate submaps, each in its own frame{also}", fontsize=11)
     legend_below(figure, 4, *figure.axes)
     return figure
 
@@ -94,6 +98,7 @@ def _draw_submap(axes: Axes, submap: DrawnSubmap) -> tuple[int, int]:
     """Draw the floor plan over the scan points; return the number of walls and corners."""
     points, at = submap.points, submap.poses[:, :2, 3]
     axes.plot(*points.T, ",", color=POINT, zorder=1.5, rasterized=True)
+    axes.plot([], [], ".", color=POINT, label="point of a scan")
     counts = _draw_map(axes, submap.planes, submap.poses)
     if not counts[0]:
         note_empty(axes)
@@ -189,6 +194,7 @@ def _draw_box(space: Any, low: Floats, high: Floats) -> None:
     space.set(zlim=(low[2], high[2]), zlabel="z [m]", box_aspect=size)
     for axis, share in zip("xyz", size / size.max(), strict=True):
         space.locator_params(axis=axis, nbins=max(round(TICKS * float(share)), 2))
+    space.xaxis.labelpad = space.yaxis.labelpad = LABEL_PT
 
 
 def plot_planes3d(table: Plane3dTable, poses: Floats, stamps_s: Floats, weak: Ints) -> Figure:
@@ -223,7 +229,8 @@ def plot_planes3d(table: Plane3dTable, poses: Floats, stamps_s: Floats, weak: In
     style: dict[str, Any] = {"edgecolors": "k", "linewidths": 0.5, "alpha": 0.45}
     above.add_collection(PolyCollection(flat, facecolors=colours[order], **style))
     above.plot(*path[:, :2].T, color=BLUE, linewidth=1.5, label="path of the sensor")
-    above.plot(*way[weak, :2].T, "o", color=RED, markersize=4, label="pose partly undetermined")
+    if len(weak):
+        above.plot(*way[weak, :2].T, "o", color=RED, markersize=4, label="pose partly undetermined")
     draw_limits(above, (low[:2], high[:2]))
     finish(above, "from above", "x [m]", "y [m]")
     legend_below(figure, 2, above)
