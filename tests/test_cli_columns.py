@@ -87,7 +87,7 @@ def test_a_comparison_reports_ignored_columns_once(
     command = ["compare", "seen.csv", "--methods", "relmap-points", "-o", "compared"]
     assert main([*command, "--columns", NAMES]) == 0
     assert caplog.messages == ["seen.csv: other columns are ignored: 'score'"]
-    assert "ignored" not in capfd.readouterr().err
+    assert capfd.readouterr().err.count("ignored") == 1  # the process of the method is silent
 
 
 @pytest.mark.parametrize(

@@ -95,3 +95,10 @@ def test_a_single_iteration_is_singular(capsys: pytest.CaptureFixture[str]) -> N
     log("seen.csv")
     assert main(["map", "seen.csv", "-o", "out", "--scans", "0:1"]) == 0
     assert "20 observations in 1 iteration, " in capsys.readouterr().out
+
+
+def test_warnings_begin_as_all_messages_do(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("table.csv").write_text("iteration,x,y,score\n0,1,2,3\n")
+    assert main(["map", "table.csv", "-o", "out", "--columns", "x=x"]) == 0
+    said = "\nrelmap: table.csv: other columns are ignored: 'score'\n"
+    assert said in f"\n{capsys.readouterr().err}"

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import importlib.util
+import logging
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from relmap.comparison.baselines.base import Setup
 from relmap.comparison.baselines.frames import FrameToFrame
 from relmap.comparison.compare import landmark_error_curve
 from relmap.comparison.methods.registry import (
@@ -202,3 +204,18 @@ def test_planar_worlds(name: str) -> None:
         assert (run.figures["landmark_rmse_m"] or 9) < 0.05
     assert (run.figures["rpe_m"] or 9) < 0.1
     assert np.allclose(run.result.poses[:, 2, 3], 0.0, atol=1e-6 if run.figures["matched"] else 1.0)
+
+
+def test_what_a_method_says_of_its_warm_up_is_not_shown(
+    eight: Landmarks, caplog: pytest.LogCaptureFixture
+) -> None:
+    info, made = find_method("relmap-points-live"), []
+
+    def make(setup: Setup) -> object:
+        made.append(setup)
+        logging.getLogger("relmap.core").warning("made %d", len(made))
+        return info.make(setup)
+
+    run_method(replace(info, make=make), eight, "known")
+    assert len(made) == 2
+    assert caplog.messages == ["made 2"]

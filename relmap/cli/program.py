@@ -123,7 +123,7 @@ def run(arguments: Sequence[str]) -> int:
 
 
 class _Stderr(logging.Handler):
-    """Reports that the library is compiling."""
+    """Reports the warnings of the library, and that it is compiling."""
 
     def emit(self, record: logging.LogRecord) -> None:
         """Write one line."""
@@ -133,10 +133,10 @@ class _Stderr(logging.Handler):
 def _announce() -> None:
     # matplotlib warns in several lines if it cannot write into the home folder, but works.
     logging.getLogger("matplotlib").setLevel(logging.ERROR)
-    log = logging.getLogger("relmap.core.linalg.compiling")
+    logging.getLogger("relmap.core.linalg.compiling").setLevel(logging.INFO)
+    log = logging.getLogger("relmap")
     if not any(isinstance(handler, _Stderr) for handler in log.handlers):
         log.addHandler(_Stderr())
-        log.setLevel(logging.INFO)
 
 
 def _complain(message: str) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import signal
 import threading
 from collections.abc import Iterator, Sequence
@@ -123,6 +124,7 @@ def _deaf_to_interrupts() -> Iterator[None]:
 def _run_and_send(
     sender: Connection, name: str, source: Source, association: Association, sigma_m: float | None
 ) -> None:
+    logging.basicConfig(format=f"relmap: {name}: %(message)s")
     sender.send(Compared(name, *try_method(name, source, association, sigma_m)))
 
 

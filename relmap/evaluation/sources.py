@@ -122,7 +122,7 @@ class FileSource:
         data = Data[Log](log, None)
         if truth is None:
             return data
-        with silent_readers() if truth.resolve() == self.path.resolve() else nullcontext():
+        with silent() if truth.resolve() == self.path.resolve() else nullcontext():
             judged = "planes3d" if data.kind == "clouds" else variant
             return replace(data, truth=read_truth(truth, judged))
 
@@ -155,9 +155,9 @@ Source = EightSource | BuildingSource | FileSource
 
 
 @contextmanager
-def silent_readers() -> Iterator[None]:
-    """Suppress warnings about data that are read again: they were shown the first time."""
-    log = logging.getLogger("relmap.datasets")
+def silent(name: str = "relmap.datasets") -> Iterator[None]:
+    """Suppress warnings, as those about data that are read again: they were shown before."""
+    log = logging.getLogger(name)
     before = log.level
     log.setLevel(logging.ERROR)
     try:

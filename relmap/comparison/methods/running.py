@@ -20,7 +20,7 @@ from relmap.evaluation.evaluate import evaluate
 from relmap.evaluation.feeding import Association, Log, feed
 from relmap.evaluation.landmarks import identify, match_landmarks
 from relmap.evaluation.run import result_of
-from relmap.evaluation.sources import Data, Source, silent_readers
+from relmap.evaluation.sources import Data, Source, silent
 from relmap.evaluation.summary import timing_of
 from relmap.io.results import Result
 from relmap.planes.walls.files import PlaneResult
@@ -78,7 +78,8 @@ def run_method(
     with threadpool_limits(1):
         if len(log):
             begin = log.between(first, first + WARM_UP[data.kind])
-            feed(info.make(setup), begin, association, info.refine, clock=process_time)
+            with silent("relmap"):  # the result is not used
+                feed(info.make(setup), begin, association, info.refine, clock=process_time)
         method = info.make(setup)
         before_kb = _reset_peak()
         fed = feed(method, log, association, info.refine, clock=process_time)
@@ -104,7 +105,7 @@ def try_method(
 ) -> tuple[MethodRun | None, str]:
     """Return what `run_method` does, or None, and the reason if it failed, else an empty text."""
     try:
-        with silent_readers():  # the warnings were shown when the data were loaded first
+        with silent():  # the warnings were shown when the data were loaded first
             data = source.load()
         return run_method(find_method(name), data, association, sigma_m), ""
     except (RelmapError, RuntimeError, ImportError, np.linalg.LinAlgError) as error:
