@@ -164,7 +164,8 @@ def test_headings_of_the_picture_are_inside_of_it() -> None:
     for axes in figure.axes:
         assert axes.title.get_window_extent().y1 < figure.bbox.y1
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["path of the sensor"]
-    marked = plot_planes3d(planes, part.trajectory, np.arange(2.0), np.arange(1))
+    marked = plot_planes3d(planes, part.trajectory, np.arange(2.0), np.arange(1), 3)
+    assert marked.axes[0].get_title() == "the first of 3 submaps: 3 planes, 2 scans"
     assert "pose partly undetermined" in [t.get_text() for t in marked.legends[0].get_texts()]
     space: Any = figure.axes[0]
     for axis in (space.xaxis, space.yaxis):

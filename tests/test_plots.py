@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import matplotlib as mpl
@@ -12,7 +13,7 @@ import pytest
 from matplotlib.figure import Figure
 from PIL import Image
 
-from relmap.core.landmarks import LandmarkMap
+from relmap.core.landmarks import LandmarkMap, Submap
 from relmap.evaluation.landmarks import Overlay
 from relmap.io.results import Result
 from relmap.plots.path import broken_at_gaps, broken_at_jumps
@@ -69,6 +70,9 @@ def test_everything_is_named_in_the_legend() -> None:
 def test_title() -> None:
     assert plot_run(make_result(3)).axes[0].get_title() == "3 of 3 landmarks mapped"
     assert plot_run(make_result(3), title="mine").axes[0].get_title() == "mine"
+    part = Submap(np.arange(3), np.zeros((3, 3)), 0, 9)
+    title = plot_run(replace(make_result(3), submaps=(part, part))).axes[0].get_title()
+    assert title == "the first of 2 submaps: 3 of 3 landmarks mapped"
 
 
 @pytest.mark.parametrize("size", [(31, 20), (30, 18), (20, 40), (5, 3)])

@@ -44,13 +44,14 @@ With --variant planes INPUT is a log of point scans, and walls are mapped:
   point-clouds     a folder of .pcd or .ply files, one per scan
   bag-scans        a bag of ROS 1 or 2, or an MCAP file, with LaserScan or PointCloud2
                    (pip install 'relmap[bags]')
-  kitti-bin        a folder of .bin files, float32 x, y, z and intensity, one for each scan
+  kitti-bin        a folder of .bin files, float32 x, y, z and reflectance, one for each scan
   depth-images     a folder of 16-bit depth images *.depth.png, with camera-intrinsics.txt
   tum-rgbd         a folder of TUM RGB-D: depth.txt or associations.txt, and depth/*.png
 
 With --variant planes3d the same formats are read, but planes of any direction are mapped, and the
 sensor may move in all directions and tilt: clouds of a lidar or a depth camera. Of the options
-below it takes --voxel, --scans, --format, --topic, --journal, --no-refine, --live and --live-file.
+below it takes --voxel, --scans, --format, --topic, --journal, --no-refine, --odometry none, --live
+and --live-file.
 
 It writes DIR/landmarks.csv, tracks.csv.gz, trajectory.tum, map.ply, map.png, report.html (an
 interactive page with the map and a replay of the run), submaps.csv, summary.json and mapper.npz,

@@ -17,8 +17,8 @@ HELP = """Combine the maps of two result folders.
 
 Both are maps of points or of walls; their logs are not needed. B is aligned to A by common
 landmarks with the same relative locations, or by coinciding walls. It is an error if there is no
-alignment, or more than one. If a run broke into submaps, only the map is merged. It writes into C
-the files of 'relmap map' except mapper.npz, report.html and bench.png; tracks.csv.gz is empty,
+alignment, or more than one. If a run broke into submaps, only the map is merged. It writes into
+DIR the files of 'relmap map' except mapper.npz, report.html and bench.png; tracks.csv.gz is empty,
 trajectory.tum is the path of A, and trajectory-2.tum that of B in the same frame. In landmarks.csv
 and planes.csv the iterations of B follow those of A. Landmarks keep their ids, if both have been
 mapped with ids; an id of B that means another landmark in A gets a new number.

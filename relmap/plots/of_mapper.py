@@ -53,7 +53,8 @@ def write_pictures(
 def plot_result(result: Result, groups: Sequence[Ints] = ()) -> Figure:
     """Draw the map of a result; `groups` as for `write_pictures`."""
     if isinstance(result, Plane3dResult):
-        return plot_planes3d(result.planes, result.poses, result.stamps_s, result.weak)
+        path = result.poses, result.stamps_s, result.weak
+        return plot_planes3d(result.planes, *path, len(result.parts))
     if isinstance(result, PlaneResult):
         if not result.drawn:
             return plot_planes(result.planes, result.poses)

@@ -30,6 +30,7 @@ from relmap.plots.sheet import (
     blank,
     draw_limits,
     finish,
+    first_of,
     legend_below,
     limits_of,
     note_empty,
@@ -89,8 +90,7 @@ def _plot_submap(submap: DrawnSubmap, n_submaps: int) -> Figure:
     planes, poses = submap.planes, submap.poses
     sheet = _sheet(planes.ends[planes.status == "static"].reshape(-1, 2), poses)
     n_walls, n_corners = _draw_submap(sheet.views[0][0], submap)
-    apart = f"the first of {n_submaps} submaps: " if n_submaps > 1 else ""
-    sheet.finish(f"{apart}{n_walls} walls, {n_corners} corners, {len(poses)} poses")
+    sheet.finish(f"{first_of(n_submaps)}{n_walls} walls, {n_corners} corners, {len(poses)} poses")
     return sheet.figure
 
 
@@ -197,11 +197,14 @@ def _draw_box(space: Any, low: Floats, high: Floats) -> None:
     space.xaxis.labelpad = space.yaxis.labelpad = LABEL_PT
 
 
-def plot_planes3d(table: Plane3dTable, poses: Floats, stamps_s: Floats, weak: Ints) -> Figure:
+def plot_planes3d(
+    table: Plane3dTable, poses: Floats, stamps_s: Floats, weak: Ints, n_submaps: int = 1
+) -> Figure:
     """Draw the outlines of mapped planes and the path of the sensor.
 
     `poses` (k, 4, 4): ``T_map_sensor``. `stamps_s` (k,): their times; the path is interrupted in
     gaps. `weak` (w,): indices in `poses` of poses that are partly undetermined; marked.
+    `n_submaps`: number of submaps, of which the first is drawn.
     """
     static = np.flatnonzero(table.status == "static").tolist()
     rows = [k for k in static if len(table.outline[k]) > 2]
@@ -235,7 +238,9 @@ def plot_planes3d(table: Plane3dTable, poses: Floats, stamps_s: Floats, weak: In
     finish(above, "from above", "x [m]", "y [m]")
     legend_below(figure, 2, above)
     # The layout does not know how high the box is.
-    space.set_title(f"{len(rows)} planes, {len(way)} scans", fontsize=10, y=1.0)
+    space.set_title(
+        f"{first_of(n_submaps)}{len(rows)} planes, {len(way)} scans", fontsize=10, y=1.0
+    )
     # With a fixed aspect the layout is right only from the second drawing on.
     figure.draw_without_rendering()
     return figure

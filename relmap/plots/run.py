@@ -18,7 +18,7 @@ from relmap.evaluation.landmarks import Overlay
 from relmap.io.results import Result
 from relmap.plots.path import broken_at_gaps, broken_at_jumps
 from relmap.plots.planes import draw_walls
-from relmap.plots.sheet import BLUE, INK, RED, Sheet, note_empty
+from relmap.plots.sheet import BLUE, INK, RED, Sheet, first_of, note_empty
 
 GROUP = "#7f7f7f"
 ODOMETRY = "#8e44ad"
@@ -60,9 +60,8 @@ def plot_run(
     mapped, known = len(positions), len(result.landmarks.landmark)
     if not mapped:
         note_empty(sheet.views[0][0])
-    apart = len(result.submaps) - 1
-    submaps = f", {apart} separate submaps" if apart > 0 else ""
-    sheet.finish(title or f"{mapped} of {known} landmarks mapped{submaps}")
+    which = first_of(len(result.submaps))
+    sheet.finish(title or f"{which}{mapped} of {known} landmarks mapped")
     return sheet.figure
 
 

@@ -86,6 +86,11 @@ def limits_of(places: Floats, way: Floats, rim_m: float = 0.0) -> Limits:
     return way.min(axis=0) - rim_m, way.max(axis=0) + rim_m
 
 
+def first_of(n_submaps: int) -> str:
+    """Return the beginning of a title of the map alone: that it is one of several submaps."""
+    return f"the first of {n_submaps} submaps: " if n_submaps > 1 else ""
+
+
 def note_empty(axes: Axes) -> None:
     """Write into a panel that nothing is mapped."""
     style: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 14, "color": RED}
