@@ -13,8 +13,9 @@ from relmap.core.arrays import Floats
 from relmap.core.geometry.motions import transforms
 from relmap.evaluation.evaluate import Evaluation, evaluate
 from relmap.evaluation.truth import Truth
-from relmap.io.files import write_tum
+from relmap.io.files import read_tum, write_tum
 from relmap.io.results import Result
+from tests.commands import load
 from tests.somerun import make_result
 
 K = 60
@@ -108,6 +109,26 @@ def test_a_path_in_millimetres_is_noticed() -> None:
     truth[:, :3, 3] *= 1000
     (note,) = judged(drive(), SECONDS, truth).notes
     assert note.startswith("the true path is 1000 times as large as that of the result")
+
+
+@pytest.mark.usefixtures("in_process", "unrendered")
+def test_planes_in_space_are_not_judged_in_the_axes_of_a_camera(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["simulate", "storey", "-o", "rooms", "--iterations", "10"]) == 0
+    assert main(["map", "rooms", "-o", "out", "--variant", "planes3d"]) == 0
+    path = tmp_path / "rooms" / "truth" / "trajectory.tum"
+    assert main(["evaluate", "out", "--truth", "rooms"]) == 0
+    right = load(tmp_path / "out" / "evaluation.json")
+    assert right["plane_recall"] > 0.9
+    stamps_s, poses = read_tum(path)
+    write_tum(path, stamps_s, poses @ CAMERA)
+    assert main(["evaluate", "out", "--truth", "rooms"]) == 0
+    turned = load(tmp_path / "out" / "evaluation.json")
+    assert turned["plane_recall"] is turned["plane_precision"] is turned["rpe_m"] is None
+    assert turned["ate_m"] == pytest.approx(right["ate_m"])
+    assert "no plane recall, precision and RMSE" in capsys.readouterr().out
 
 
 @pytest.mark.usefixtures("in_process", "unrendered")

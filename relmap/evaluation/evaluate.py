@@ -7,7 +7,7 @@ from typing import Any
 
 from relmap.datasets.base import ObservationLog
 from relmap.evaluation import metrics
-from relmap.evaluation.judged_path import judge_path
+from relmap.evaluation.judged_path import OTHER_AXES, judge_path
 from relmap.evaluation.landmarks import judge_landmarks
 from relmap.evaluation.relations import AT_SCANS_S, RelationErrors, relation_errors
 from relmap.evaluation.space import judge_planes
@@ -110,6 +110,7 @@ def evaluate(result: Result, truth: Truth, log: ObservationLog | None = None) ->
     """
     mine, other = metrics.match_stamps(result.stamps_s, truth.stamps_s)
     poses, true_poses = result.poses[mine], truth.poses[other]
+    of_path, reasons = judge_path(result, truth)
     figures: dict[str, Any] = {}
     counts: dict[str, int] = {"poses": len(mine)}
     notes: list[str] = []
@@ -122,10 +123,13 @@ def evaluate(result: Result, truth: Truth, log: ObservationLog | None = None) ->
         figures |= judge_walls(result.planes, truth, poses, true_poses, motion)
     elif isinstance(result, Plane3dResult):
         variant = "planes3d"
-        figures = dict(judge_planes(result.planes, truth.faces, poses, true_poses))
+        turned = any(reason.startswith(OTHER_AXES) for reason in reasons)
+        faces = None if turned else truth.faces
+        figures = dict(judge_planes(result.planes, faces, poses, true_poses))
+        if faces is not truth.faces:
+            notes.append("no plane recall, precision and RMSE: true poses align the planes")
     else:
         figures, counts, notes = judge_landmarks(result, truth, log, len(mine))
-    of_path, reasons = judge_path(result, truth)
     notes += reasons
     relation = relation_errors(result.stamps_s, result.poses, truth.relations)
     notes += _relation_notes(result, truth, relation)

@@ -10,18 +10,19 @@ from relmap.evaluation import metrics
 from relmap.evaluation.truth import Truth
 from relmap.io.results import Result
 
+OTHER_AXES = "no RPE: the poses of the truth have other axes"
+"""Beginning of the note that says so."""
 FEWEST = 3
 """Poses that leave an error after alignment."""
 PART = 0.5
 """Fraction of the poses below which it is said that errors are of these only."""
 UNEXPLAINED = 0.7
-"""Largest error with other axes, relative to the error without, that shows that axes differ."""
+"""Largest error with other axes, relative to the error without, that shows that axes differ; of
+few steps less, as a turn explains some of any."""
 TURNED_RAD = np.deg2rad(20.0)
 """Smallest angle between the steps in different axes: a smaller one may be an error of the map."""
 UNIT = 100.0
 """Ratio of the sizes of two paths that only different units explain."""
-STEPS = 10
-"""Fewest steps that show the axes of the truth."""
 
 
 def judge_path(result: Result, truth: Truth) -> tuple[dict[str, float | None], list[str]]:
@@ -109,7 +110,7 @@ def _rpe(
     lengths = np.linalg.norm(moved, axis=1) @ np.linalg.norm(truly, axis=1)
     alike = (moved * truly).sum() >= np.cos(TURNED_RAD) * lengths
     assert turned_m is not None
-    if len(step) < STEPS or alike or turned_m >= UNEXPLAINED * rpe_m:
+    if alike or turned_m >= UNEXPLAINED * (1 - 3 / len(step)) * rpe_m:
         return rpe_m, []
-    axes = "the poses of the truth have other axes than those of the result"
-    return None, [f"no RPE: {axes}, as those of a camera; with these turned it is {turned_m:.4f} m"]
+    which = "than those of the result, as those of a camera"
+    return None, [f"{OTHER_AXES} {which}; with these turned it is {turned_m:.4f} m"]
