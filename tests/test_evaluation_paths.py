@@ -70,7 +70,7 @@ def test_a_path_in_the_frame_of_a_camera_gives_no_planar_error() -> None:
 
 
 @pytest.mark.parametrize("scale", [1.0, 0.0])
-@pytest.mark.parametrize("sigma_m", [0.001, 0.05, 1.0])
+@pytest.mark.parametrize("sigma_m", [0.0, 0.001, 0.05, 1.0])
 @pytest.mark.parametrize("dimensions", [2, 3])
 def test_errors_of_the_map_are_not_taken_for_other_axes(
     scale: float, sigma_m: float, dimensions: int

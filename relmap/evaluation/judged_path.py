@@ -21,6 +21,8 @@ UNEXPLAINED = 0.7
 few steps less, as a turn explains some of any."""
 TURNED_RAD = np.deg2rad(20.0)
 """Smallest angle between the steps in different axes: a smaller one may be an error of the map."""
+ROUNDING_M = 1e-6
+"""Errors below this may be due to rounding."""
 UNIT = 100.0
 """Ratio of the sizes of two paths that only different units explain."""
 
@@ -88,7 +90,9 @@ def _ate(poses: Floats, true_poses: Floats, planar: bool) -> tuple[float | None,
     """Return the ATE; for a path in the plane None, and a note, if the true plane is another."""
     ate_m = metrics.ate(poses, true_poses, planar)
     in_space_m = metrics.ate(poses, true_poses, False)
-    if not planar or ate_m is None or in_space_m is None or in_space_m >= UNEXPLAINED * ate_m:
+    if not planar or ate_m is None or in_space_m is None:
+        return ate_m, []
+    if in_space_m >= UNEXPLAINED * ate_m or ate_m < ROUNDING_M:
         return ate_m, []
     why = "the true path lies in another plane than that of x and y, as in the axes of a camera"
     return None, [f"no ATE: {why}; aligned in space it is {in_space_m:.4f} m"]
