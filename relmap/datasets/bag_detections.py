@@ -11,7 +11,6 @@ A message is an iteration. Points are in space, in the robot's frame (`relmap.da
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,7 +26,7 @@ from relmap.datasets.base import ObservationLog
 from relmap.datasets.observation_csv import COLUMNS
 from relmap.datasets.own_table import Ids, log_of
 from relmap.datasets.scans import in_time_order, numbers_of
-from relmap.datasets.textfile import shown
+from relmap.datasets.textfile import shown, warn
 
 BOXES = "vision_msgs/msg/Detection3DArray"
 MARKERS = "visualization_msgs/msg/MarkerArray"
@@ -36,7 +35,6 @@ POSES = "geometry_msgs/msg/PoseArray"
 DETECTIONS = (BOXES, MARKERS, TAGS, POSES)
 
 _ADDED = 0
-_LOG = logging.getLogger(__name__)
 _USED = [column for column in COLUMNS if column.name in ("iteration", "x", "y", "z", "id")]
 
 
@@ -82,7 +80,7 @@ def _read(bag: Bag, topic: str, mounting: Mounting) -> tuple[ObservationLog, str
     if not rows:
         raise RelmapError(f"{where} holds no detection, expected some")
     if classes:
-        _LOG.warning("%s: ids come twice in a message: they are classes, not used", where)
+        warn(where, "ids come twice in a message: they are classes, not used")
     return _log(bag.path, np.array(rows), stamps, None if classes else ids), frame
 
 

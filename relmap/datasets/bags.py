@@ -6,7 +6,6 @@ warning.
 
 from __future__ import annotations
 
-import logging
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -17,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Self
 from relmap.core.errors import RelmapError
 from relmap.datasets.foreign import BAGS, foreign_at
 from relmap.datasets.headers import members_of
-from relmap.datasets.textfile import invalid, listed, quoted, shown
+from relmap.datasets.textfile import invalid, listed, quoted, shown, warn
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
@@ -25,7 +24,6 @@ if TYPE_CHECKING:
     from relmap.datasets.bag_salvage import Found
 
 _ENDINGS = (".bag", ".db3", ".mcap")
-_LOG = logging.getLogger(__name__)
 
 
 def is_bag(path: Path) -> bool:
@@ -152,7 +150,7 @@ class Bag:
 
     def _warn(self, error: BaseException, n: int) -> None:
         reason = quoted(str(error) or type(error).__name__)
-        _LOG.warning("%s: damaged (%s): only the first %d messages", shown(self.path), reason, n)
+        warn(self.path, f"damaged ({reason}): only the first {n} messages")
 
     def chosen(self, types: Sequence[str], topics: Sequence[str], what: str) -> str:
         """Return the only topic of given types, among the named ones or all.

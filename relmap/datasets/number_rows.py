@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 from array import array
 from collections.abc import Iterable, Sequence
@@ -13,9 +12,8 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
-from relmap.datasets.textfile import invalid, numbered_lines, quoted, shown
+from relmap.datasets.textfile import invalid, numbered_lines, quoted, warn
 
-_LOG = logging.getLogger(__name__)
 MAX_LISTED = 1 << 24
 """Maximum number of values in such rows: some two million poses."""
 
@@ -84,9 +82,8 @@ def read_rows(
 
 def warn_unsorted(path: Path, stamps_s: Floats, what: str) -> None:
     """Log a warning if rows that are used in order of time (n,) are not in it."""
-    late = int((np.diff(stamps_s) < 0).sum())
-    if late:
-        _LOG.warning("%s: %d %s out of order: all are sorted by time", shown(path), late, what)
+    if late := int((np.diff(stamps_s) < 0).sum()):
+        warn(path, f"{late} {what} out of order: all are sorted by time")
 
 
 class NumberRows:

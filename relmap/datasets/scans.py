@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,9 +13,8 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.columns import Brief
 from relmap.core.geometry.motions import rotations, transforms
 from relmap.datasets.base import common_range
-from relmap.datasets.textfile import invalid, shown
+from relmap.datasets.textfile import invalid, warn
 
-_LOG = logging.getLogger(__name__)
 _ROUNDING = 1e-2
 """Tolerance of products of the rows of a rotation, for rounded files."""
 
@@ -183,12 +181,12 @@ def in_time_order(path: Path, stamps_s: Floats) -> tuple[Ints, Floats]:
     """
     late = int((stamps_s < np.maximum.accumulate(stamps_s)).sum())
     if late:
-        _LOG.warning("%s: %d scans out of order: all are sorted by time", shown(path), late)
+        warn(path, f"{late} scans out of order: all are sorted by time")
     order = np.argsort(stamps_s, kind="stable")
     ascending = stamps_s[order]
     if (np.diff(ascending) > 0).all():
         return order, ascending
-    _LOG.warning("%s: times repeat: the scans are numbered instead", shown(path))
+    warn(path, "times repeat: the scans are numbered instead")
     return order, np.arange(len(stamps_s), dtype=np.float64)
 
 

@@ -13,7 +13,6 @@ warning.
 
 from __future__ import annotations
 
-import logging
 from pathlib import Path
 
 import numpy as np
@@ -23,9 +22,8 @@ from relmap.datasets.depth_images import INTRINSICS, T_CAMERA_ROBOT, points_of, 
 from relmap.datasets.number_rows import finite_numbers
 from relmap.datasets.odometry import poses_at, read_tum
 from relmap.datasets.scans import ScanLog, in_time_order, numbers_of
-from relmap.datasets.textfile import invalid, numbered_lines, quoted, shown
+from relmap.datasets.textfile import invalid, numbered_lines, quoted, warn
 
-_LOG = logging.getLogger(__name__)
 LISTS = ("depth.txt", "associations.txt", "association.txt", "associate.txt")
 """Files that list the images; the first one found is read."""
 DEPTH, TRUTH = "depth/", "groundtruth.txt"
@@ -96,10 +94,8 @@ def _intrinsics(path: Path) -> Floats:
     name = path.resolve().name
     known = next((each for word, each in PUBLISHED.items() if word in name), None)
     if known is None:
-        problem = (
-            "the intrinsics of the camera are unknown, those recommended by TUM RGB-D are used"
-        )
-        _LOG.warning("%s: %s; if they differ, write %s", shown(path), problem, INTRINSICS)
+        used = "the intrinsics of the camera are unknown, those recommended by TUM RGB-D are used"
+        warn(path, f"{used}; if they differ, write {INTRINSICS}")
     fx, fy, cx, cy = known or RECOMMENDED
     return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 

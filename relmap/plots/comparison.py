@@ -180,8 +180,7 @@ def plot_errors(result: Result, truth: Overlay, scale: float, title: str) -> Fig
             if of.any():
                 axes.quiver(*true[of][:, pair].T, *arrow[of][:, pair].T, color=colour, **style)
                 axes.plot([], [], color=colour, label=name)
-    sheet.finish(title)
-    return sheet.figure
+    return sheet.finish(title)
 
 
 def _extent(places: Floats) -> float:
