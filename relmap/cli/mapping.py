@@ -20,8 +20,7 @@ from relmap.core.errors import RelmapError
 from relmap.datasets.own_table import OwnTable
 from relmap.datasets.scans import ScanLog
 from relmap.evaluation.feeding import AnyMapper, Log, preparation, segmenter_for
-from relmap.evaluation.run import Run, run_mapper
-from relmap.evaluation.saved import write_tables
+from relmap.evaluation.run import Run, run_mapper, write_tables
 from relmap.evaluation.sources import recognised_format
 from relmap.evaluation.truth import Truth, read_truth
 from relmap.io import results
