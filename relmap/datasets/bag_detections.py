@@ -12,6 +12,7 @@ A message is an iteration. Points are in space, in the robot's frame (`relmap.da
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -52,7 +53,7 @@ class BagDetections:
 
     def load(self, path: Path) -> ObservationLog:
         """Read the log, with ids if the messages have them."""
-        with bag_errors(path), Bag(path) as bag:
+        with bag_errors(path), closing(Bag(path)) as bag:
             topic = bag.chosen(DETECTIONS, self.topics, "detections")
             driven = Driven(bag, self.topics)
             log, frame = _read(bag, topic, Mounting(bag, driven.base))

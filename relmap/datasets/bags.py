@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 from relmap.core.errors import RelmapError
 from relmap.datasets.foreign import BAGS, foreign_at
@@ -43,7 +43,7 @@ def topics_in(path: Path, types: Iterable[str]) -> list[str] | None:
     if not is_bag(path) or not can_read():
         return None
     try:
-        with Bag(path) as bag:
+        with closing(Bag(path)) as bag:
             return bag.topics_of(types)
     except RelmapError:
         return None
@@ -92,14 +92,6 @@ class Bag:
             raise reason
         self.types = {found.topic: found.type for found in self._found}
         self._damage = reason
-
-    def __enter__(self) -> Self:
-        """Return itself."""
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        """Close it."""
-        self.close()
 
     def close(self) -> None:
         """Close its files, if they are open."""

@@ -190,6 +190,18 @@ def in_time_order(path: Path, stamps_s: Floats) -> tuple[Ints, Floats]:
     return order, np.arange(len(stamps_s), dtype=np.float64)
 
 
+def sorted_by_time(path: Path, log: ScanLog, stamps_s: Floats) -> ScanLog:
+    """Return a log with given times (k,) of its scans, in the order of `in_time_order`."""
+    order, ascending = in_time_order(path, stamps_s)
+    return replace(
+        log,
+        stamps_s=ascending,
+        points_of=lambda index: log.points_of(int(order[index])),
+        poses=None if log.poses is None else log.poses[order],
+        numbers=numbers_of(order),
+    )
+
+
 def numbers_of(order: Ints) -> Ints | None:
     """Return the numbers of scans in the source, given their order (k,); None if it is the same."""
     return order if (np.diff(order) < 0).any() else None

@@ -13,6 +13,7 @@ warning.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,7 @@ from relmap.core.arrays import Floats
 from relmap.datasets.depth_images import INTRINSICS, T_CAMERA_ROBOT, points_of, read_intrinsics
 from relmap.datasets.number_rows import finite_numbers
 from relmap.datasets.odometry import poses_at, read_tum
-from relmap.datasets.scans import ScanLog, in_time_order, numbers_of
+from relmap.datasets.scans import ScanLog, sorted_by_time
 from relmap.datasets.textfile import invalid, numbered_lines, quoted, warn
 
 LISTS = ("depth.txt", "associations.txt", "association.txt", "associate.txt")
@@ -53,15 +54,10 @@ class TumRgbd:
         if file is None:
             raise invalid(path, f"holds no {LISTS[0]} or {LISTS[1]}, expected {self.description}")
         stamps_s, names = _images(file)
-        order, stamps_s = in_time_order(path, stamps_s)
-        files = [path / names[index] for index in order]
         K = _intrinsics(path)
-        poses = _poses(path / TRUTH, stamps_s)
-
-        def points(index: int) -> Floats:
-            return points_of(files[index], K, UNIT_M)
-
-        return ScanLog(3, stamps_s, points, poses, numbers=numbers_of(order))
+        whole = ScanLog(3, stamps_s, lambda index: points_of(path / names[index], K, UNIT_M))
+        log = sorted_by_time(path, whole, stamps_s)
+        return replace(log, poses=_poses(path / TRUTH, log.stamps_s))
 
 
 def _list_of(path: Path) -> Path | None:
