@@ -86,7 +86,7 @@ FIGURES = {
 }
 
 
-def evaluate_command(
+def command(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="The result folder.")],
     truth: Annotated[Path, typer.Option(metavar="TRUTH", help="The truth, as above.")],
     log: Annotated[

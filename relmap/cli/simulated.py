@@ -99,9 +99,9 @@ def write_odometry(
         motion = odometry.slipping(motion, SLIPS, rng)
     elif fault == "reversed":
         motion = odometry.backward(motion)
-    elif fault == "stale" and stamps_s is None:
-        motion = odometry.stale(motion, np.arange(float(len(poses))), LATE_ITERATIONS)
-    elif fault == "stale" and stamps_s is not None:
-        motion = odometry.stale(motion, stamps_s, LATE_S)
+    elif fault == "stale":
+        iterations = np.arange(float(len(poses)))
+        clock = (iterations, LATE_ITERATIONS) if stamps_s is None else (stamps_s, LATE_S)
+        motion = odometry.stale(motion, *clock)
     write_odometry_csv(folder / "odometry.csv", motion)
     return 1

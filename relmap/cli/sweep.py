@@ -58,7 +58,7 @@ MEDIANS = ("RMSE", "of", "cover", "ATE", "RPE", "ms", "mean")
 """Columns of `relmap compare` whose medians are printed."""
 
 
-def sweep_command(
+def command(
     spec: Annotated[Path, typer.Argument(metavar="SPEC", help="What to run: a TOML file.")],
     out: Out,
     workers: Annotated[

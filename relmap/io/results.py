@@ -166,9 +166,7 @@ def write_result(folder: Path, result: Result) -> None:
     `RelmapError` if a file cannot be written.
     """
     table, tracks = result.landmarks, vars(result.tracks)
-    places = dict(zip("xyz", table.position.T, strict=True))
-    columns = {name: (vars(table) | places)[name] for name in LANDMARK_COLUMNS}
-    atomic_write(folder / LANDMARKS, columns_text(columns))
+    atomic_write(folder / LANDMARKS, columns_text(table.columns()))
     labels = {name: tracks[name] for name in TRACK_COLUMNS if tracks[name] is not None}
     atomic_write(folder / TRACKS, compressed(columns_text(labels)))
     # Landmarks not connected to the map, each in the frame of its submap.
