@@ -50,10 +50,7 @@ def topics_in(path: Path, types: Iterable[str]) -> list[str] | None:
 
 
 class Bag:
-    """An open bag; any error is raised as RelmapError.
-
-    `types`: the message type of each topic, with its ROS 2 name.
-    """
+    """An open bag, with the ROS 2 name of the type of each topic; any error is a RelmapError."""
 
     def __init__(self, path: Path) -> None:
         if not can_read():

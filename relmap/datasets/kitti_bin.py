@@ -90,8 +90,7 @@ def _beside(files: list[Path], name: str) -> Path | None:
 def _one_each(file: Path, values: Floats, files: list[Path], what: str) -> Floats:
     """Return the values in a file that are of the clouds; RelmapError if they are too few."""
     if len(values) < len(files):
-        problem = f"{len(values)} {what}, expected one for each of {len(files)} clouds"
-        raise invalid(file, problem)
+        raise invalid(file, f"{len(values)} {what}, expected one for each of {len(files)} clouds")
     return values[: len(files)]
 
 

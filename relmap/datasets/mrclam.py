@@ -174,8 +174,5 @@ def _robots(path: Path) -> dict[int, Path]:
 
 def _file(folder: Path, robot: int, kind: str) -> Path | None:
     """Return a file of a robot, plain or gzipped, if it exists."""
-    for end in ("", ".gz"):
-        file = folder / f"Robot{robot}_{kind}.dat{end}"
-        if os.path.isfile(file):
-            return file
-    return None
+    files = (folder / f"Robot{robot}_{kind}.dat{end}" for end in ("", ".gz"))
+    return next(filter(os.path.isfile, files), None)

@@ -20,8 +20,7 @@ MAX_LISTED = 1 << 24
 
 def too_many(path: Path, line: int, most: int) -> RelmapError:
     """Return the error for a file with more numbers than the memory limit."""
-    problem = f"more than {most} numbers, expected at most that"
-    return invalid(path, f"line {line}: {problem}")
+    return invalid(path, f"line {line}: more than {most} numbers, expected at most that")
 
 
 def parse_number(cell: str) -> float:

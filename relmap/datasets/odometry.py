@@ -74,8 +74,7 @@ def path_of(odometry: Floats) -> Floats:
 
 def moved_frame(odometry: Floats, T_robot_other: Floats) -> Floats:
     """Return the motions (k, 4, 4) of a frame (4, 4) fixed on the robot."""
-    back = relative(T_robot_other, np.eye(4))
-    return np.asarray(back @ odometry @ T_robot_other)
+    return np.asarray(relative(T_robot_other, np.eye(4)) @ odometry @ T_robot_other)
 
 
 def driven(

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from relmap.core.arrays import Floats, Ints
 from relmap.core.columns import Brief
 from relmap.core.geometry.motions import rotations, transforms
-from relmap.datasets.base import common_range
+from relmap.datasets.base import common_range, some_of
 from relmap.datasets.textfile import invalid, warn
 
 _ROUNDING = 1e-2
@@ -123,12 +123,9 @@ class ScanLog(Brief):
         rows = slice(skip, stop - self.first_iteration)
         return replace(
             self,
-            stamps_s=self.stamps_s[rows],
             points_of=lambda index: points_of(skip + index),
-            poses=None if self.poses is None else self.poses[rows],
-            odometry=None if self.odometry is None else self.odometry[rows],
-            numbers=None if self.numbers is None else self.numbers[rows],
             first_iteration=first,
+            **some_of(self, ("stamps_s", "poses", "odometry", "numbers"), rows),
         )
 
 
@@ -164,8 +161,9 @@ def require_rotations(file: Path, poses: Floats) -> None:
     off = np.abs(R @ R.swapaxes(1, 2) - np.eye(3)).max(axis=(1, 2))
     wrong = np.flatnonzero(~(off <= _ROUNDING) | (np.linalg.det(R) < 0))
     if len(wrong):
-        problem = f"pose {wrong[0]} has no rotation, expected orthogonal rows of length 1"
-        raise invalid(file, problem)
+        raise invalid(
+            file, f"pose {wrong[0]} has no rotation, expected orthogonal rows of length 1"
+        )
 
 
 def planar_poses(x: Floats, y: Floats, yaw: Floats) -> Floats:

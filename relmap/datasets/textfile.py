@@ -169,8 +169,8 @@ def require_utf8(path: Path, number: int, line: str) -> None:
         line.encode()
     except UnicodeEncodeError as error:
         byte = ord(line[error.start]) & 0xFF
-        problem = f"line {number}: byte 0x{byte:02x} is not UTF-8"
-        raise invalid(path, f"{problem}, expected UTF-8 text") from error
+        problem = f"line {number}: byte 0x{byte:02x} is not UTF-8, expected UTF-8 text"
+        raise invalid(path, problem) from error
 
 
 def why_not_written(error: Exception) -> str:
