@@ -28,10 +28,7 @@ LATE_S, LATE_ITERATIONS = 0.5, 3.0
 def write_figure_eight(
     out: Path, source: EightSource, errors: Wheels | None = None, fault: Fault | None = None
 ) -> str:
-    """Simulate the figure eight into a folder and return a line with counts.
-
-    Raises `RelmapError` if a parameter is out of range or the folder cannot be written.
-    """
+    """Simulate the figure eight into a folder and return a line with counts."""
     with staged_folder(out) as staging, busy("simulating"):
         data = source.load()
         assert data.truth is not None

@@ -216,10 +216,7 @@ def result_of(
 
 
 def write_tables(folder: Path, result: Result) -> None:
-    """Write the files of a result, except the pictures, into an existing folder.
-
-    Raises `RelmapError` if a file cannot be written.
-    """
+    """Write the files of a result, except the pictures; RelmapError if one cannot be written."""
     write_result(folder, result)
     if isinstance(result, Plane3dResult):
         write_parts(folder, result)

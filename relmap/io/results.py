@@ -160,10 +160,9 @@ def read_names(folder: Path) -> dict[int, str] | None:
 
 
 def write_result(folder: Path, result: Result) -> None:
-    """Write the files of a result folder, except the picture.
+    """Write the files of a result, except the picture, into an existing folder.
 
-    `folder`: an existing folder; see `relmap.io.files.staged_folder` for all or nothing. Raises
-    `RelmapError` if a file cannot be written.
+    See `relmap.io.files.staged_folder` for all or nothing.
     """
     table, tracks = result.landmarks, vars(result.tracks)
     atomic_write(folder / LANDMARKS, columns_text(table.columns()))

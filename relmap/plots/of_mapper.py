@@ -44,10 +44,7 @@ def save_results(mapper: AnyMapper, folder: Path) -> None:
 
 
 def result_of_mapper(mapper: AnyMapper) -> Result:
-    """Return the result of a mapper, without tracks.
-
-    For walls it is a `PlaneResult`, for planes in space a `Plane3dResult`.
-    """
+    """Return the result of a mapper, of the class for its kind of landmarks, without tracks."""
     walls, n = isinstance(mapper, PlaneMapper), mapper.n_iterations
     none = np.empty(0, dtype=np.int64)
     times_s = mapper.stamps_s

@@ -54,10 +54,7 @@ TICKS = 8
 
 
 def plot_submaps(submaps: Sequence[DrawnSubmap], n_submaps: int) -> Figure:
-    """Draw the walls and paths of submaps, each in its own frame and panel.
-
-    `submaps`: submaps to draw, the map itself first; `n_submaps`: number of submaps.
-    """
+    """Draw walls and paths of some submaps, the map itself first, each in its frame and panel."""
     if len(submaps) < 2:
         return _plot_submap(submaps[0], n_submaps)
     columns = int(np.ceil(np.sqrt(len(submaps))))

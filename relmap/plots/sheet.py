@@ -153,8 +153,7 @@ class Sheet:
             columns = 3 if max(map(len, labels)) < 45 else 2
             rows = -(-len(labels) // columns)
             self.figure.set_figheight(self.figure.get_figheight() + LEGEND_ROW_IN * (rows - 1))
-            legend = legend_below(self.figure, columns, axes)
-            for handle in legend.legend_handles:
+            for handle in legend_below(self.figure, columns, axes).legend_handles:
                 if isinstance(handle, PathCollection):
                     handle.set_sizes([24.0])
         # With a fixed aspect the layout is right only from the second drawing on.
