@@ -115,7 +115,7 @@ class CarmenLog:
             elif kind == "VERTEX2":
                 vertices.add(line.numbers(line.cells[2:], 3, 5), line.number)
             else:
-                hints = hints.seen(line.cells)
+                hints.see(line.cells)
         if not scans:
             raise invalid(path, f"holds no scan, expected {self.description}")
         return _log(path, scans, vertices.values, hints)
@@ -127,7 +127,7 @@ def _log(path: Path, scans: list[_Scan], vertices: Floats, hints: Hints) -> Scan
     order, stamps_s = in_time_order(path, np.array([scan.stamp_s for scan in scans]))
     scans, poses = [scans[index] for index in order], poses[order]
     counted = planar_poses(*np.array([scan.counted for scan in scans]).T)
-    hints = hints.moving([speed for scan in scans for speed in scan.speeds])
+    hints.see_speeds(speed for scan in scans for speed in scan.speeds)
     # The frame of FLASER lines is that of the laser; they have no speeds.
     odometry, reason = odometry_of(poses, counted, hints, of_laser=not scans[0].speeds)
     if not scans[0].speeds:
@@ -219,10 +219,7 @@ class _Line:
     def numbers(
         self, cells: list[str], count: int, words: int, ranges: slice = slice(0)
     ) -> list[float]:
-        """Return `count` finite numbers from a line with the given number of words.
-
-        `ranges`: which of them are ranges.
-        """
+        """Return `count` finite numbers, those in `ranges` ranges, of a line of `words` words."""
         values = finite_numbers(cells)
         if len(self.cells) < words:
             raise self.wrong(self.cells, f": cut off after {len(self.cells)} of {words} fields")

@@ -62,8 +62,7 @@ def plot_run(
         note_empty(sheet.views[0][0])
     apart = len(result.submaps) - 1
     submaps = f", {apart} separate submaps" if apart > 0 else ""
-    sheet.finish(title or f"{mapped} of {known} landmarks mapped{submaps}")
-    return sheet.figure
+    return sheet.finish(title or f"{mapped} of {known} landmarks mapped{submaps}")
 
 
 def _marker_area(n: int) -> float:
@@ -210,5 +209,4 @@ def plot_localised(
         path = broken_at_gaps(scan.astype(np.float64), at)[:, pair]
         style: dict[str, Any] = {"color": BLUE, "markersize": 2.5, "linewidth": 0.7}
         axes.plot(*path.T, ".-", label="localised scan", **style)
-    sheet.finish(f"{len(scan)} of {n_scans} scans localised in a map of {what}")
-    return sheet.figure
+    return sheet.finish(f"{len(scan)} of {n_scans} scans localised in a map of {what}")
