@@ -17,7 +17,6 @@ N. Roy and S. Thrun, IROS 2003.
 
 from __future__ import annotations
 
-import logging
 import math
 import os
 import re
@@ -36,9 +35,7 @@ from relmap.datasets.headers import members_of
 from relmap.datasets.laser import Beams, laser_scans, require_memory
 from relmap.datasets.number_rows import NumberRows, finite_numbers
 from relmap.datasets.scans import ScanLog, in_time_order, numbers_of, planar_poses
-from relmap.datasets.textfile import invalid, numbered_lines, quoted, shown
-
-_LOG = logging.getLogger(__name__)
+from relmap.datasets.textfile import invalid, numbered_lines, quoted, shown, warn
 
 FULL_SCALES_M = (32.767, 51.16, 81.91)
 """A SICK LMS reports missing returns and other failures as the last steps of its scale."""
@@ -152,11 +149,9 @@ def _warn_of_view(path: Path, n: int) -> None:
     """Warn if a number of beams is not that of a laser with the usual field of view."""
     steps = n - n % 2
     if steps and steps + 1 not in VIEWS_DEG and USUAL_DEG / FINEST_DEG % steps:
-        _LOG.warning(
-            "%s: FLASER lines do not give the field of view: %d beams are taken to cover %.0f "
-            "degrees; otherwise give ROBOTLASER1 lines or scans.npz",
-            *(shown(path), n, USUAL_DEG),
-        )
+        assumed = f"{n} beams are taken to cover {USUAL_DEG:.0f} degrees"
+        advice = "otherwise give ROBOTLASER1 lines or scans.npz"
+        warn(path, f"FLASER lines do not give the field of view: {assumed}; {advice}")
 
 
 def _flaser(line: _Line) -> _Scan:
