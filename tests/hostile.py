@@ -21,11 +21,12 @@ from scipy.io import savemat
 from relmap.cli.arguments import read_config
 from relmap.cli.evaluate import evaluate_folder, find_log
 from relmap.cli.mapping import map_input
-from relmap.comparison.sweep_spec import read_spec
+from relmap.comparison.sweep_spec import cells_of
 from relmap.core.arrays import Floats
 from relmap.datasets import open_log, open_scans, read_relations
 from relmap.evaluation import evaluate as evaluation
 from relmap.evaluation.truth import read_truth
+from relmap.io.files import read_toml
 from relmap.io.results import json_text
 from relmap.mapper import Mapper
 from relmap.planes.walls.files import PlaneResult, read_any
@@ -304,7 +305,7 @@ def readers() -> dict[str, Reader]:
         "mrpt-laser2d": Reader({"a": LASER.encode()}, "a", _scan_log("a", "mrpt-laser2d")),
         "relations": Reader({"a": RELATIONS.encode()}, "a", lambda f: read_relations(f / "a")),
         "config": Reader({"a": CONFIG.encode()}, "a", lambda f: read_config(f / "a")),
-        "sweep": Reader({"a": SWEEP.encode()}, "a", lambda f: read_spec(f / "a")),
+        "sweep": Reader({"a": SWEEP.encode()}, "a", lambda f: read_toml(f / "a", cells_of)),
         "state": Reader(mapped, "mapper.npz", lambda f: Mapper.load(f / "mapper.npz")),
     }
     for name, content in {"corrected": CORRECTED, "graph": GRAPH}.items():

@@ -12,7 +12,7 @@ from relmap import RelmapError
 from relmap.core.arrays import Floats
 from relmap.simulation import Building, BuildingScan, simulate_building
 from relmap.simulation.floor_plan import World, make_floor_plan
-from relmap.simulation.sensor import seen_extents
+from relmap.simulation.sensor import LASER
 from relmap.simulation.shapes import FloorPlan, wall_distances
 from relmap.simulation.things import glass_ranges, round_ranges, walking
 from relmap.simulation.visibility import SeenWalls
@@ -265,7 +265,9 @@ def test_the_seen_extent_of_a_wall_is_given() -> None:
 
     few = [scan(0.0, 4.0, 4)] * 20  # too few points each
     wide, narrow, other = [scan(1.0, 3.0, 50)] * 9, [scan(1.5, 3.5, 50)], [scan(0.5, 1.2, 9)]
-    told = seen_extents(walls, np.tile(np.eye(4), (31, 1, 1)), [*few, *wide, *narrow, *other])
+    scans, poses = [*few, *wide, *narrow, *other], np.tile(np.eye(4), (31, 1, 1))
+    run = Building(walls, np.zeros(2, dtype=bool), poses, np.arange(31.0), scans, LASER)
+    told = run.seen_extents()
     assert told[0] == pytest.approx([1.0, 3.0], abs=0.051)  # in ten scans the one or the other
     assert np.isnan(told[1]).all()
 

@@ -119,7 +119,7 @@ _Iterations = Annotated[
 ]
 
 
-def compare_command(
+def command(
     out: args.Out,
     source: _Source = None,
     simulate: _Simulate = None,

@@ -24,7 +24,7 @@ from relmap.evaluation.sources import Data, Source
 from relmap.io.files import atomic_write, staged_folder, write_tum
 from relmap.io.results import Result
 from relmap.io.tables import columns_text, csv_text
-from relmap.planes.walls.files import PlaneResult
+from relmap.planes.walls.files import ENDS, PlaneResult
 from relmap.planes3d.files import Plane3dResult
 
 
@@ -97,13 +97,12 @@ def _print_rows(title: str, rows: Sequence[Compared]) -> None:
 
 def _map_of(result: Result) -> dict[str, NDArray[Any]]:
     """Return the columns of a map: landmarks, or the ends of walls."""
+    table, mapped = result.landmarks.columns(), result.mapped
+    names: tuple[str, ...] = ("landmark", "x", "y", "z")
     if isinstance(result, PlaneResult):
+        table, names = result.planes.columns(), ("plane", *ENDS)
         mapped = result.planes.status == "static"
-        corners = result.planes.ends[mapped].reshape(-1, 4).T
-        ends = zip(("x0", "y0", "x1", "y1"), corners, strict=True)
-        return {"plane": result.planes.plane[mapped], **dict(ends)}
-    places = zip("xyz", result.landmarks.position[result.mapped].T, strict=True)
-    return {"landmark": result.landmarks.landmark[result.mapped], **dict(places)}
+    return {name: table[name][mapped] for name in names}
 
 
 def draw(folder: Path, rows: Iterable[Compared], data: Data[Log], title: str) -> None:

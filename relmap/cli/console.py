@@ -171,10 +171,7 @@ def print_table(title: str, header: Sequence[str], rows: Iterable[Sequence[str]]
 
 
 def figure(value: float | None, kind: str = "") -> str:
-    """Return a figure in readable form.
-
-    `kind`: "count", "share" or "time", if not an error or ratio.
-    """
+    """Return a figure in readable form: an error or ratio, or a "count", "share" or "time"."""
     if value is None:
         return "-"
     if kind == "count" or (kind == "time" and value >= 100):

@@ -44,7 +44,7 @@ NOISES = {"little": 0.05, "much": 0.3}
 Rows = Sequence[Sequence[str]]
 
 
-def demo_command(out: Out = Path("relmap-demo"), seed: Seed = 0) -> None:
+def command(out: Out = Path("relmap-demo"), seed: Seed = 0) -> None:
     """Run the demonstration; the help text explains the arguments."""
     from relmap.io.files import atomic_write
     from relmap.plots.html import document

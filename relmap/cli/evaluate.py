@@ -86,7 +86,7 @@ FIGURES = {
 }
 
 
-def evaluate_command(
+def command(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="The result folder.")],
     truth: Annotated[Path, typer.Option(metavar="TRUTH", help="The truth, as above.")],
     log: Annotated[
@@ -135,11 +135,7 @@ def _false_corners(counts: dict[str, int]) -> str:
 
 
 def evaluate_folder(folder: Path, truth: Path, log: Path | None = None) -> Evaluation:
-    """Evaluate a result folder and write its ``evaluation.json``; draw walls over the true ones.
-
-    Raises `RelmapError` if the result, the truth or the log is invalid, or the file cannot be
-    written.
-    """
+    """Evaluate a result folder and write its ``evaluation.json``; draw walls over the true ones."""
     from relmap.evaluation.evaluate import evaluate, match_walls
     from relmap.evaluation.space_run import VARIANT
     from relmap.evaluation.truth import read_truth
@@ -167,10 +163,7 @@ def evaluate_folder(folder: Path, truth: Path, log: Path | None = None) -> Evalu
 
 
 def find_log(result: Result, truth: Path, log: Path | None) -> ObservationLog | None:
-    """Return the mapped log: the given one, from its original path, or beside the truth.
-
-    Raises `RelmapError` if the log given cannot be read.
-    """
+    """Return the mapped log: the given one, from its original path, or beside the truth."""
     from relmap.datasets import open_log
     from relmap.datasets.observation_csv import FILE_NAMES
     from relmap.evaluation.landmarks import mapped_part

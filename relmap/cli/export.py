@@ -36,7 +36,7 @@ Examples:
 """
 
 
-def export_command(
+def command(
     result: Annotated[Path, typer.Argument(metavar="RESULT", help="The result folder.")],
     to: Annotated[Target, typer.Option("--to", help="The format.")],
     out: Annotated[

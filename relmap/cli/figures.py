@@ -42,7 +42,7 @@ Examples:
 """
 
 
-def figures_command(
+def command(
     out: Out,
     numbers: Annotated[
         list[str] | None,

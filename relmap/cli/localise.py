@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -37,10 +37,8 @@ ALIKE = (
     "a place outside the map that looks like one inside is taken for it"
 )
 
-NO_WALL = "the map has no wall, so no scan can be found in it, expected a map with walls"
 
-
-def localise_command(
+def command(
     source: args.Log,
     result: Annotated[
         Path, typer.Option("--map", metavar="RESULT", help="The result folder with the map.")
@@ -68,12 +66,16 @@ def localise_command(
     args.refuse(of_table, "--columns applies only to tables of landmarks")
     log = read_log(source, variant, log_format, scans, columns, tuple(topic or ()))
     if isinstance(mapper, PlaneMapper):
-        args.refuse(not (mapper.planes.status == "static").any(), f"{result}: {NO_WALL}")
+        args.refuse(
+            not (mapper.planes.status == "static").any(),
+            f"{result}: the map has no wall, so no scan can be found in it, expected a map with "
+            "walls",
+        )
     require_dimension(source, log, mapper, result)
     doubt_unit(source, log)
     log = level_if_needed(source, log)
     with staged_folder(out) as staging:
-        places = list(_places(mapper, log))
+        places = _places(mapper, log)
         _write(staging, mapper, log, places)
     found, several = (sum(place.n_places == n for place in places) for n in (1, 2))
     message = f"found {found} of {len(log)} scans in the map"
@@ -84,15 +86,14 @@ def localise_command(
         typer.echo(ALIKE)
 
 
-def _places(mapper: PointMapper | PlaneMapper, log: Log) -> Iterator[Place]:
+def _places(mapper: PointMapper | PlaneMapper, log: Log) -> list[Place]:
     from relmap.evaluation.feeding import preparation
     from relmap.planes import PlaneMapper
 
     prepare, walls = preparation(mapper, log), isinstance(mapper, PlaneMapper)
     scans: Iterable[Any] = tracked(log.scans(), len(log), "localising")
-    for scan in scans:
-        points = scan.points_robot
-        yield mapper.locate(prepare(points), **({"beams": points} if walls else {}))
+    seen = (scan.points_robot for scan in scans)
+    return [mapper.locate(prepare(p), **({"beams": p} if walls else {})) for p in seen]
 
 
 def _write(folder: Path, mapper: PointMapper | PlaneMapper, log: Log, places: list[Place]) -> None:

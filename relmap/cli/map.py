@@ -71,10 +71,9 @@ Examples:
 
 WIDEST_RAD = 0.5
 """Larger standard deviations of an angle are hardly in radians."""
-FOR_WALLS = "--level and --segmenter require --variant planes"
 
 
-def map_command(
+def command(
     source: args.Log,
     out: args.Out,
     variant: Annotated[
@@ -202,7 +201,8 @@ def map_command(
     """Map a log; the help text explains the arguments."""
     planes, known = variant == "planes", association == "known"
     sigmas = _sigmas(planes, range_sigma, bearing_sigma, elevation_sigma)
-    args.refuse((level or segmenter) and not planes, FOR_WALLS)
+    message = "--level and --segmenter require --variant planes"
+    args.refuse((level or segmenter) and not planes, message)
     others = (known, registration, config, onto, animate, columns, sigmas)
     _check_space(variant, voxel, any(others))
     args.refuse(columns and (planes or log_format), "--columns applies only to tables of landmarks")

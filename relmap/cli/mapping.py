@@ -20,8 +20,7 @@ from relmap.core.errors import RelmapError
 from relmap.datasets.own_table import OwnTable
 from relmap.datasets.scans import ScanLog
 from relmap.evaluation.feeding import AnyMapper, Log, preparation, segmenter_for
-from relmap.evaluation.run import Run, run_mapper
-from relmap.evaluation.saved import write_tables
+from relmap.evaluation.run import Run, run_mapper, write_tables
 from relmap.evaluation.sources import recognised_format
 from relmap.evaluation.truth import Truth, read_truth
 from relmap.io import results
@@ -69,10 +68,7 @@ def _keep_inputs(job: Job, out: Path) -> None:
 
 
 def _mapped_into(folder: Path, job: Job, log: Log, began: float) -> Run:
-    """Map a log, and write pictures and the state into an existing folder.
-
-    `began`: time on `monotonic` at which the log was opened.
-    """
+    """Map a log opened at `began`, and write pictures and the state into an existing folder."""
     seen, about = journaled_labels(job, log), _about(job, log)
     with ExitStack() as afterwards:
         counter = afterwards.enter_context(closing(Counter("mapping")))
@@ -198,8 +194,7 @@ def _draw_bench(folder: Path, bench: BenchRecorder, animate: bool) -> None:
         return
     write_png(folder / results.BENCH_PNG, plot_bench, last)
     if animate:
-        n = len(bench.frames) + 1
-        show = partial(tracked, total=n, what="drawing")
+        show = partial(tracked, total=len(bench.frames) + 1, what="drawing")
         write_bench_gif(folder / results.BENCH_GIF, [*bench.frames, last], show)
 
 

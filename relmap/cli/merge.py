@@ -29,7 +29,7 @@ Example:
 """
 
 
-def merge_command(
+def command(
     one: Annotated[Path, typer.Argument(metavar="A", help="The result that keeps its frame.")],
     other: Annotated[Path, typer.Argument(metavar="B", help="The result that is added.")],
     out: Out,

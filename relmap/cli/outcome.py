@@ -109,10 +109,7 @@ def each(median_ms: float | None) -> str:
 
 
 def torn(summary: dict[str, Any], refine: bool) -> str:
-    """Return the submaps of a run of walls, and its weak links: the end of a message.
-
-    `refine`: whether to refine was asked.
-    """
+    """Return the submaps of walls, refined if asked, and weak links: the end of a message."""
     usable = [submap for submap in summary["submaps"] if submap["scans"] >= FEWEST]
     failed = sum(not submap["refined"] for submap in usable) if refine else 0
     message = ""

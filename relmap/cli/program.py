@@ -55,16 +55,8 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 app.add_typer(simulate.app, name="simulate")
-app.command("map", help=map.HELP)(map.map_command)
-app.command("resume", help=resume.HELP)(resume.resume_command)
-app.command("localise", help=localise.HELP)(localise.localise_command)
-app.command("evaluate", help=evaluate.HELP)(evaluate.evaluate_command)
-app.command("merge", help=merge.HELP)(merge.merge_command)
-app.command("export", help=export.HELP)(export.export_command)
-app.command("compare", help=compare.HELP)(compare.compare_command)
-app.command("sweep", help=sweep.HELP)(sweep.sweep_command)
-app.command("figures", help=figures.HELP)(figures.figures_command)
-app.command("demo", help=demo.HELP)(demo.demo_command)
+for verb in (map, resume, localise, evaluate, merge, export, compare, sweep, figures, demo):
+    app.command(verb.__name__.rpartition(".")[2], help=verb.HELP)(verb.command)
 
 
 def _print_version(wanted: bool) -> None:

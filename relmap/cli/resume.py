@@ -23,7 +23,7 @@ Examples:
 """
 
 
-def resume_command(
+def command(
     journal: Annotated[Path, typer.Argument(metavar="FILE", help="The journal.")],
     out: Annotated[
         Path | None,

@@ -28,10 +28,7 @@ LATE_S, LATE_ITERATIONS = 0.5, 3.0
 def write_figure_eight(
     out: Path, source: EightSource, errors: Wheels | None = None, fault: Fault | None = None
 ) -> str:
-    """Simulate the figure eight into a folder and return a line with counts.
-
-    Raises `RelmapError` if a parameter is out of range or the folder cannot be written.
-    """
+    """Simulate the figure eight into a folder and return a line with counts."""
     with staged_folder(out) as staging, busy("simulating"):
         data = source.load()
         assert data.truth is not None
@@ -99,9 +96,9 @@ def write_odometry(
         motion = odometry.slipping(motion, SLIPS, rng)
     elif fault == "reversed":
         motion = odometry.backward(motion)
-    elif fault == "stale" and stamps_s is None:
-        motion = odometry.stale(motion, np.arange(float(len(poses))), LATE_ITERATIONS)
-    elif fault == "stale" and stamps_s is not None:
-        motion = odometry.stale(motion, stamps_s, LATE_S)
+    elif fault == "stale":
+        iterations = np.arange(float(len(poses)))
+        clock = (iterations, LATE_ITERATIONS) if stamps_s is None else (stamps_s, LATE_S)
+        motion = odometry.stale(motion, *clock)
     write_odometry_csv(folder / "odometry.csv", motion)
     return 1

@@ -58,7 +58,7 @@ MEDIANS = ("RMSE", "of", "cover", "ATE", "RPE", "ms", "mean")
 """Columns of `relmap compare` whose medians are printed."""
 
 
-def sweep_command(
+def command(
     spec: Annotated[Path, typer.Argument(metavar="SPEC", help="What to run: a TOML file.")],
     out: Out,
     workers: Annotated[
@@ -70,12 +70,13 @@ def sweep_command(
     ] = None,
 ) -> None:
     """Sweep; the help text explains the arguments."""
-    from relmap.comparison.sweep_spec import read_spec
+    from relmap.comparison.sweep_spec import cells_of
+    from relmap.io.files import read_toml
 
     refuse(workers is not None and workers < 1, f"--workers is {workers}; it must be 1 or more")
     both = workers is not None and dask is not None
     refuse(both, "--workers applies to this machine; with --dask the cluster has its own")
-    cells = read_spec(spec)
+    cells = read_toml(spec, cells_of)
     finished = _sweep_into(out, cells, -1 if workers is None else workers, dask)
     _print_medians(cells, finished)
     notes = {f"{c.method}: {f.note}" for c, f in zip(cells, finished, strict=True) if f.note}

@@ -51,10 +51,7 @@ def run_cell(cell: Cell) -> Finished:
 
 
 class CellStore:
-    """The finished cells of a sweep, one small file each.
-
-    `folder`: folder of the sweep; created if missing. Raises `RelmapError` if it cannot be created.
-    """
+    """The finished cells of a sweep, one small file each; RelmapError if no folder can be made."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder / CELLS

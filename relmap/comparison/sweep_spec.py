@@ -8,14 +8,12 @@ import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, fields
-from pathlib import Path
 from typing import Any, get_args
 
 from relmap.comparison.methods.registry import check_method, find_method
 from relmap.core.errors import RelmapError, brief, known_name
 from relmap.evaluation.feeding import Association
 from relmap.evaluation.sources import BuildingSource, EightSource, Source
-from relmap.io.files import read_toml
 from relmap.simulation.noise import Noise
 
 MOST_CELLS = 1_000_000
@@ -65,11 +63,6 @@ class Cell:
 
 KEYS = tuple(field.name for field in fields(Cell))
 _DEFAULTS: dict[str, Any] = asdict(Cell())
-
-
-def read_spec(path: Path) -> list[Cell]:
-    """Read a sweep's file; RelmapError if it is not TOML, or as for `cells_of`."""
-    return read_toml(path, cells_of)
 
 
 def cells_of(spec: Mapping[str, Any]) -> list[Cell]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +10,7 @@ from relmap.core.arrays import Floats, Ints
 from relmap.datasets.base import MAX_ITERATION, ObservationLog
 from relmap.datasets.scans import in_time_order
 from relmap.datasets.table import MAX_EXACT_INTEGER, Column, Table
-from relmap.datasets.textfile import shown
+from relmap.datasets.textfile import warn
 
 MAX_COORDINATE_M = 1e9
 """Upper limit of a coordinate, larger than the range of any sensor."""
@@ -21,8 +20,6 @@ MAX_EMPTY_ITERATIONS = 1_000_000
 
 FEWEST_STRIDES = 5
 """Minimum number of iterations with rows, all a multiple apart, for a warning."""
-
-_LOG = logging.getLogger(__name__)
 
 
 def iteration_column(name: str) -> Column:
@@ -113,13 +110,9 @@ def _warn_of_stride(table: Table, numbers: Ints) -> None:
     """Warn if all iterations (n,) with rows are multiples apart, such as 0, 10, 20."""
     stride = int(np.gcd.reduce(np.diff(numbers))) if len(numbers) >= FEWEST_STRIDES else 1
     if stride > 1:
-        first = ", ".join(map(str, numbers[:3]))
-        _LOG.warning(
-            "%s: iterations are numbered %s, ...: those between count as scans in which nothing "
-            "was seen; if there were none, number the scans one by one",
-            shown(table.path),
-            first,
-        )
+        found = f"iterations are numbered {', '.join(map(str, numbers[:3]))}, ...: those between"
+        advice = "if there were none, number the scans one by one"
+        warn(table.path, f"{found} count as scans in which nothing was seen; {advice}")
 
 
 def _check_unique(table: Table, iteration: Ints, ids: Ints) -> None:

@@ -11,8 +11,8 @@ A message is an iteration. Points are in space, in the robot's frame (`relmap.da
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,7 @@ from relmap.datasets.base import ObservationLog
 from relmap.datasets.observation_csv import COLUMNS
 from relmap.datasets.own_table import Ids, log_of
 from relmap.datasets.scans import in_time_order, numbers_of
-from relmap.datasets.textfile import shown
+from relmap.datasets.textfile import shown, warn
 
 BOXES = "vision_msgs/msg/Detection3DArray"
 MARKERS = "visualization_msgs/msg/MarkerArray"
@@ -36,7 +36,6 @@ POSES = "geometry_msgs/msg/PoseArray"
 DETECTIONS = (BOXES, MARKERS, TAGS, POSES)
 
 _ADDED = 0
-_LOG = logging.getLogger(__name__)
 _USED = [column for column in COLUMNS if column.name in ("iteration", "x", "y", "z", "id")]
 
 
@@ -54,7 +53,7 @@ class BagDetections:
 
     def load(self, path: Path) -> ObservationLog:
         """Read the log, with ids if the messages have them."""
-        with bag_errors(path), Bag(path) as bag:
+        with bag_errors(path), closing(Bag(path)) as bag:
             topic = bag.chosen(DETECTIONS, self.topics, "detections")
             driven = Driven(bag, self.topics)
             log, frame = _read(bag, topic, Mounting(bag, driven.base))
@@ -82,7 +81,7 @@ def _read(bag: Bag, topic: str, mounting: Mounting) -> tuple[ObservationLog, str
     if not rows:
         raise RelmapError(f"{where} holds no detection, expected some")
     if classes:
-        _LOG.warning("%s: ids come twice in a message: they are classes, not used", where)
+        warn(where, "ids come twice in a message: they are classes, not used")
     return _log(bag.path, np.array(rows), stamps, None if classes else ids), frame
 
 

@@ -6,7 +6,6 @@ otherwise the last frame they lead to; without transforms it is the sensor frame
 
 from __future__ import annotations
 
-import logging
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,7 @@ from relmap.core.errors import RelmapError
 from relmap.datasets.bags import Bag
 from relmap.datasets.odometry import motions_at
 from relmap.datasets.scans import poses_of
-from relmap.datasets.textfile import quoted, shown
+from relmap.datasets.textfile import quoted, shown, warn
 
 ODOMETRY = ("nav_msgs/msg/Odometry",)
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
@@ -29,8 +28,6 @@ CORRECTED_FRAMES = ("map", "world", "earth")
 NO_ODOMETRY = "its odometry is in a map frame, whose poses are corrected"
 STILL = 1e-6
 """Largest variation of a static transform."""
-
-_LOG = logging.getLogger(__name__)
 
 
 def stamp_s(t: int, message: Any) -> float:
@@ -125,10 +122,6 @@ class Driven:
         if not len(self._poses):
             return None
         if self.base is not None and frame != self.base:
-            _LOG.warning(
-                "%s: no static transform from %s to %s: they are treated as one frame",
-                shown(where),
-                quoted(frame),
-                quoted(self.base),
-            )
+            both = f"from {quoted(frame)} to {quoted(self.base)}"
+            warn(where, f"no static transform {both}: they are treated as one frame")
         return motions_at(where, self._stamps_s, self._poses, stamps_s)

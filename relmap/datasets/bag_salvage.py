@@ -53,10 +53,7 @@ class Found:
 
 
 def salvaged(files: Sequence[Path]) -> tuple[list[Found], Typestore]:
-    """Return all messages before the damage, and their types.
-
-    `files`: files of ROS 1 (``.bag``), MCAP (``.mcap``) or ROS 2 (``.db3``).
-    """
+    """Return all messages before the damage, and their types; see `bags` for the files."""
     from rosbags.typesys import Stores, get_typestore
 
     found: list[Found] = []

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import weakref
 from collections import Counter
+from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,7 @@ from relmap.datasets.bag_detections import DETECTIONS
 from relmap.datasets.bag_frames import Driven, Mounting, stamp_s
 from relmap.datasets.bags import Bag, bag_errors, is_bag, topics_in
 from relmap.datasets.laser import Beams, laser_scans, require_memory
-from relmap.datasets.scans import ScanLog, in_time_order, numbers_of
+from relmap.datasets.scans import ScanLog, in_time_order, numbers_of, sorted_by_time
 from relmap.datasets.textfile import invalid, shown
 
 LASER, CLOUD = "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/PointCloud2"
@@ -49,7 +50,7 @@ class BagScans:
 
     def load(self, path: Path) -> ScanLog:
         """Read the log; clouds are read lazily."""
-        with bag_errors(path), Bag(path) as bag:
+        with bag_errors(path), closing(Bag(path)) as bag:
             topic = bag.chosen((LASER, CLOUD), self.topics, "LaserScan or PointCloud2")
             driven = Driven(bag, self.topics)
             mounting = Mounting(bag, driven.base)
@@ -105,20 +106,19 @@ def _clouds(bag: Bag, topic: str, mounting: Mounting) -> tuple[ScanLog, str]:
         stamps.append(stamp_s(t, message))
     if not stamps:
         raise invalid(bag.path, f"topic {topic} holds no cloud, expected some")
-    order, stamps_s = in_time_order(bag.path, np.array(stamps))
-
+    stamps_s = np.array(stamps)
     reopened: list[Bag] = []
 
     def points_of(index: int) -> Floats:
         if not reopened:
             reopened.append(Bag(bag.path))
             weakref.finalize(points_of, reopened[0].close)
-        t, nth, T = places[order[index]]
+        t, nth, T = places[index]
         with bag_errors(bag.path):
             points = cloud_points(reopened[0].message_at(topic, t, nth), shown(bag.path))
         return np.asarray(points @ T[:3, :3].T + T[:3, 3])
 
-    return ScanLog(3, stamps_s, points_of, numbers=numbers_of(order)), frame
+    return sorted_by_time(bag.path, ScanLog(3, stamps_s, points_of), stamps_s), frame
 
 
 def cloud_points(message: Any, where: str) -> Floats:

@@ -6,18 +6,17 @@ warning.
 
 from __future__ import annotations
 
-import logging
 import os
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 from relmap.core.errors import RelmapError
 from relmap.datasets.foreign import BAGS, foreign_at
 from relmap.datasets.headers import members_of
-from relmap.datasets.textfile import invalid, listed, quoted, shown
+from relmap.datasets.textfile import invalid, listed, quoted, shown, warn
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
@@ -25,7 +24,6 @@ if TYPE_CHECKING:
     from relmap.datasets.bag_salvage import Found
 
 _ENDINGS = (".bag", ".db3", ".mcap")
-_LOG = logging.getLogger(__name__)
 
 
 def is_bag(path: Path) -> bool:
@@ -45,17 +43,14 @@ def topics_in(path: Path, types: Iterable[str]) -> list[str] | None:
     if not is_bag(path) or not can_read():
         return None
     try:
-        with Bag(path) as bag:
+        with closing(Bag(path)) as bag:
             return bag.topics_of(types)
     except RelmapError:
         return None
 
 
 class Bag:
-    """An open bag; any error is raised as RelmapError.
-
-    `types`: the message type of each topic, with its ROS 2 name.
-    """
+    """An open bag, with the ROS 2 name of the type of each topic; any error is a RelmapError."""
 
     def __init__(self, path: Path) -> None:
         if not can_read():
@@ -94,14 +89,6 @@ class Bag:
             raise reason
         self.types = {found.topic: found.type for found in self._found}
         self._damage = reason
-
-    def __enter__(self) -> Self:
-        """Return itself."""
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        """Close it."""
-        self.close()
 
     def close(self) -> None:
         """Close its files, if they are open."""
@@ -152,7 +139,7 @@ class Bag:
 
     def _warn(self, error: BaseException, n: int) -> None:
         reason = quoted(str(error) or type(error).__name__)
-        _LOG.warning("%s: damaged (%s): only the first %d messages", shown(self.path), reason, n)
+        warn(self.path, f"damaged ({reason}): only the first {n} messages")
 
     def chosen(self, types: Sequence[str], topics: Sequence[str], what: str) -> str:
         """Return the only topic of given types, among the named ones or all.

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
@@ -24,6 +24,12 @@ def common_range(begin: int, end: int, first: int, last: int) -> tuple[int, int]
     if max(begin, first) >= min(end, last):
         raise RelmapError(f"scans {begin}:{end} are empty: the log covers {first}:{last}")
     return max(begin, first), min(end, last)
+
+
+def some_of(log: Any, names: Iterable[str], rows: Ints | Bools | slice) -> dict[str, Any]:
+    """Return some rows of those columns, named by `names`, that a log has."""
+    columns = {name: getattr(log, name) for name in names}
+    return {name: values[rows] for name, values in columns.items() if values is not None}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -130,14 +136,8 @@ class ObservationLog(Brief):
         first, last = common_range(begin, end, self.first_iteration, self.end_iteration)
         rows = slice(*np.searchsorted(self.iteration, [first, last]))
         steps = slice(first - self.first_iteration, last - self.first_iteration)
-        return replace(
-            self.only(rows),
-            first_iteration=first,
-            end_iteration=last,
-            stamps_s=None if self.stamps_s is None else self.stamps_s[steps],
-            odometry=None if self.odometry is None else self.odometry[steps],
-            numbers=None if self.numbers is None else self.numbers[steps],
-        )
+        by_iteration = some_of(self, ("stamps_s", "odometry", "numbers"), steps)
+        return replace(self.only(rows), first_iteration=first, end_iteration=last, **by_iteration)
 
     def each_once(self) -> ObservationLog:
         """Return the log without points that repeat another one of their scan exactly."""
@@ -148,14 +148,8 @@ class ObservationLog(Brief):
 
     def only(self, rows: Ints | Bools | slice) -> ObservationLog:
         """Return the log with some of its rows, given by index or chosen (n,)."""
-        return replace(
-            self,
-            points_robot=self.points_robot[rows],
-            iteration=self.iteration[rows],
-            rows=self.rows[rows],
-            ids=None if self.ids is None else self.ids[rows],
-            covariances=None if self.covariances is None else self.covariances[rows],
-        )
+        columns = ("points_robot", "iteration", "rows", "ids", "covariances")
+        return replace(self, **some_of(self, columns, rows))
 
 
 class Dataset(Protocol[Log]):

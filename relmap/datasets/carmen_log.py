@@ -17,7 +17,6 @@ N. Roy and S. Thrun, IROS 2003.
 
 from __future__ import annotations
 
-import logging
 import math
 import os
 import re
@@ -36,9 +35,7 @@ from relmap.datasets.headers import members_of
 from relmap.datasets.laser import Beams, laser_scans, require_memory
 from relmap.datasets.number_rows import NumberRows, finite_numbers
 from relmap.datasets.scans import ScanLog, in_time_order, numbers_of, planar_poses
-from relmap.datasets.textfile import invalid, numbered_lines, quoted, shown
-
-_LOG = logging.getLogger(__name__)
+from relmap.datasets.textfile import invalid, numbered_lines, quoted, shown, warn
 
 FULL_SCALES_M = (32.767, 51.16, 81.91)
 """A SICK LMS reports missing returns and other failures as the last steps of its scale."""
@@ -115,7 +112,7 @@ class CarmenLog:
             elif kind == "VERTEX2":
                 vertices.add(line.numbers(line.cells[2:], 3, 5), line.number)
             else:
-                hints = hints.seen(line.cells)
+                hints.see(line.cells)
         if not scans:
             raise invalid(path, f"holds no scan, expected {self.description}")
         return _log(path, scans, vertices.values, hints)
@@ -127,7 +124,7 @@ def _log(path: Path, scans: list[_Scan], vertices: Floats, hints: Hints) -> Scan
     order, stamps_s = in_time_order(path, np.array([scan.stamp_s for scan in scans]))
     scans, poses = [scans[index] for index in order], poses[order]
     counted = planar_poses(*np.array([scan.counted for scan in scans]).T)
-    hints = hints.moving([speed for scan in scans for speed in scan.speeds])
+    hints.see_speeds(speed for scan in scans for speed in scan.speeds)
     # The frame of FLASER lines is that of the laser; they have no speeds.
     odometry, reason = odometry_of(poses, counted, hints, of_laser=not scans[0].speeds)
     if not scans[0].speeds:
@@ -152,11 +149,9 @@ def _warn_of_view(path: Path, n: int) -> None:
     """Warn if a number of beams is not that of a laser with the usual field of view."""
     steps = n - n % 2
     if steps and steps + 1 not in VIEWS_DEG and USUAL_DEG / FINEST_DEG % steps:
-        _LOG.warning(
-            "%s: FLASER lines do not give the field of view: %d beams are taken to cover %.0f "
-            "degrees; otherwise give ROBOTLASER1 lines or scans.npz",
-            *(shown(path), n, USUAL_DEG),
-        )
+        assumed = f"{n} beams are taken to cover {USUAL_DEG:.0f} degrees"
+        advice = "otherwise give ROBOTLASER1 lines or scans.npz"
+        warn(path, f"FLASER lines do not give the field of view: {assumed}; {advice}")
 
 
 def _flaser(line: _Line) -> _Scan:
@@ -219,10 +214,7 @@ class _Line:
     def numbers(
         self, cells: list[str], count: int, words: int, ranges: slice = slice(0)
     ) -> list[float]:
-        """Return `count` finite numbers from a line with the given number of words.
-
-        `ranges`: which of them are ranges.
-        """
+        """Return `count` finite numbers, those in `ranges` ranges, of a line of `words` words."""
         values = finite_numbers(cells)
         if len(self.cells) < words:
             raise self.wrong(self.cells, f": cut off after {len(self.cells)} of {words} fields")

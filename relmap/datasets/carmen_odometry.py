@@ -12,8 +12,8 @@ a map that used it would use the solution. So a pose counts as odometry only wit
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -28,7 +28,7 @@ SAME, MOST = 10 * FIXED, 0.9
 """Fraction of poses that must agree this well for two paths to be equal; some are rounded."""
 
 
-@dataclass(frozen=True)
+@dataclass
 class Hints:
     """Hints from the lines between the scans.
 
@@ -40,19 +40,18 @@ class Hints:
     moved: bool = False
     offset_m: float | None = None
 
-    def seen(self, cells: list[str]) -> Hints:
-        """Return the hints updated by another line of any kind."""
-        if cells[0] == "NEFF":
-            return replace(self, filtered=True)
+    def see(self, cells: list[str]) -> None:
+        """Take in another line of any kind."""
+        self.filtered |= cells[0] == "NEFF"
         if cells[0] == "ODOM":
-            return self.moving(finite_numbers(cells[4:6]))
+            self.see_speeds(finite_numbers(cells[4:6]))
         offset = finite_numbers(cells[2:3]) if cells[:2] == ["PARAM", OFFSET] else []
-        return replace(self, offset_m=offset[0]) if offset and abs(offset[0]) < 100 else self
+        if offset and abs(offset[0]) < 100:
+            self.offset_m = offset[0]
 
-    def moving(self, speeds: Sequence[float]) -> Hints:
-        """Return the hints updated by speeds, forward and angular."""
-        there = self.moved or any(abs(speed) > FIXED for speed in speeds)
-        return replace(self, moved=there) if there != self.moved else self
+    def see_speeds(self, speeds: Iterable[float]) -> None:
+        """Take in speeds, forward and angular."""
+        self.moved |= any(abs(speed) > FIXED for speed in speeds)
 
 
 def odometry_of(

@@ -17,20 +17,14 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from relmap.core.arrays import Floats, Ints
+from relmap.core.arrays import Floats
 from relmap.core.stamps import MAX_S
 from relmap.datasets.assembly import MAX_COORDINATE_M
 from relmap.datasets.cloud_file import MAX_BYTES
 from relmap.datasets.foreign import is_kitti
 from relmap.datasets.headers import numbered_files
 from relmap.datasets.number_rows import finite_numbers, read_rows
-from relmap.datasets.scans import (
-    ScanLog,
-    in_time_order,
-    numbers_of,
-    poses_of,
-    require_rotations,
-)
+from relmap.datasets.scans import ScanLog, poses_of, require_rotations, sorted_by_time
 from relmap.datasets.textfile import invalid, numbered_lines, unreadable
 
 POSES, POSES_FOLDER, TIMES = "poses.txt", "poses", "times.txt"
@@ -56,15 +50,11 @@ class KittiBin:
         files = _files(path)
         if not files:
             raise invalid(path, f"holds no .bin file, expected {self.description}")
-        order, stamps_s = _times(files)
-        in_order, poses = [files[index] for index in order.tolist()], _poses(files)
-        return ScanLog(
-            3,
-            stamps_s,
-            lambda index: _read_cloud(in_order[index]),
-            None if poses is None else poses[order],
-            numbers=numbers_of(order),
-        )
+        numbers, times = np.arange(len(files), dtype=np.float64), _beside(files, TIMES)
+        log = ScanLog(3, numbers, lambda index: _read_cloud(files[index]), _poses(files))
+        if times is None:
+            return log
+        return sorted_by_time(times, log, _one_each(times, read_times(times), files, "times"))
 
 
 def _files(path: Path) -> list[Path]:
@@ -91,14 +81,6 @@ def _read_cloud(file: Path) -> Floats:
     return points
 
 
-def _times(files: list[Path]) -> tuple[Ints, Floats]:
-    """Return the order of the clouds in time, and their times; their numbers without times."""
-    file = _beside(files, TIMES)
-    if file is None:
-        return np.arange(len(files)), np.arange(len(files), dtype=np.float64)
-    return in_time_order(file, _one_each(file, read_times(file), files, "times"))
-
-
 def _beside(files: list[Path], name: str) -> Path | None:
     """Return the file of this name beside the clouds or in the parent folder, if there is one."""
     folder = files[0].parent
@@ -108,8 +90,7 @@ def _beside(files: list[Path], name: str) -> Path | None:
 def _one_each(file: Path, values: Floats, files: list[Path], what: str) -> Floats:
     """Return the values in a file that are of the clouds; RelmapError if they are too few."""
     if len(values) < len(files):
-        problem = f"{len(values)} {what}, expected one for each of {len(files)} clouds"
-        raise invalid(file, problem)
+        raise invalid(file, f"{len(values)} {what}, expected one for each of {len(files)} clouds")
     return values[: len(files)]
 
 

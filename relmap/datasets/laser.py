@@ -6,7 +6,6 @@ cable or the edge of its cover.
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -17,9 +16,8 @@ import numpy as np
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.datasets.scans import ScanLog, SensorView, stored_scans
-from relmap.datasets.textfile import shown
+from relmap.datasets.textfile import warn
 
-_LOG = logging.getLogger(__name__)
 MAX_BEAMS, MAX_SCANS = 1 << 24, 1 << 18
 """Maximum number of beams and scans of a laser log: some fifty thousand scans of 360 beams."""
 FIXED = 1e-3
@@ -83,7 +81,7 @@ def laser_scans(
     ranges_m = [scan.ranges_m for scan in scans]
     below = sum(int((ranges < 0).sum()) for ranges in ranges_m)
     if below:
-        _LOG.warning("%s: %d ranges below 0 are treated as no return", shown(path), below)
+        warn(path, f"{below} ranges below 0 are treated as no return")
     usable, limit_m = usable_beams(path, ranges_m, [scan.bearings_rad for scan in scans], limit_m)
     points = []
     for scan, there in zip(scans, usable, strict=True):
@@ -144,7 +142,11 @@ def no_return_m(path: Path, ranges_m: list[Floats], bearings_rad: list[Floats]) 
             for ranges, bearings in zip(ranges_m, bearings_rad, strict=True)
         )
         if wide >= fewest:
-            _warn_of_no_return(path, float(np.mean(every[:-1] >= least_m)), least_m, most_m)
+            exact = least_m >= most_m * (1 - SAME)
+            before = "" if exact else f"or at most {most_m - least_m:.2g} m before it, "
+            beams = f"{100 * np.mean(every[:-1] >= least_m):.3g} % of the beams end"
+            at = f"at the largest range, {most_m:.4g} m, {before}and are treated as no return"
+            warn(path, f"{beams} {at}")
             return least_m
     return np.inf
 
@@ -176,18 +178,6 @@ def _repeated_m(every_m: Floats, ranges_m: list[Floats]) -> float:
     same = np.count_nonzero(np.abs(every_m - same_m) <= SAME * same_m)
     others = np.count_nonzero(every_m >= same_m - JITTER_M) - same
     return same_m if counts[most] >= REPEATED and same >= PEAK * others else np.inf
-
-
-def _warn_of_no_return(path: Path, share: float, least_m: float, most_m: float) -> None:
-    """Warn of the share of beams from the least range up to the largest."""
-    exact = least_m >= most_m * (1 - SAME)
-    _LOG.warning(
-        "%s: %.3g %% of the beams end at the largest range, %.4g m, %sand are treated as no return",
-        shown(path),
-        100 * share,
-        most_m,
-        "" if exact else f"or at most {most_m - least_m:.2g} m before it, ",
-    )
 
 
 def _widest_rad(chosen: Bools, bearings_rad: Floats) -> float:
@@ -224,8 +214,7 @@ def on_robot(path: Path, ranges_m: list[Floats], bearings_rad: list[Floats]) -> 
     beams = zip(ranges_m, direction, strict=True)
     own = [(ranges > 0) & (ranges <= limit_m[where]) for ranges, where in beams]
     if share := np.concatenate(own).mean():
-        message = "%s: %.3g %% of the beams end on the robot itself and are left out"
-        _LOG.warning(message, shown(path), 100 * share)
+        warn(path, f"{100 * share:.3g} % of the beams end on the robot itself and are left out")
     return own
 
 

@@ -17,7 +17,6 @@ from the last image of one to the first of the next; a file of measurements is t
 
 from __future__ import annotations
 
-import logging
 import os
 import re
 from dataclasses import replace
@@ -34,7 +33,7 @@ from relmap.datasets.number_rows import read_rows, warn_unsorted
 from relmap.datasets.odometry import driven, poses_at
 from relmap.datasets.scans import planar_poses
 from relmap.datasets.table import MAX_EXACT_INTEGER
-from relmap.datasets.textfile import invalid, shown
+from relmap.datasets.textfile import invalid, warn
 
 BARCODES, LANDMARKS = "Barcodes.dat", "Landmark_Groundtruth.dat"
 ROBOTS = 5
@@ -42,7 +41,6 @@ ROBOTS = 5
 APART_S = 100_000.0
 """Offset between the times of two robots of one log: more than a day."""
 
-_LOG = logging.getLogger(__name__)
 MOST_ROBOTS = 99
 _NAME = re.compile(r"Robot([1-9]\d?)_(Measurement|Odometry|Groundtruth)\.dat(\.gz)?$")
 _TIME, _ANGLE, _SPEED = 1e12, 1e6, 1e3
@@ -88,7 +86,7 @@ def _drive(robot: int, file: Path, subjects: dict[int, int]) -> tuple[Observatio
     measured[:, 1] = [subjects.get(int(code), -1) for code in measured[:, 1]]
     warn_unsorted(file, measured[:, 0], "measurements")
     if unknown := int((measured[:, 1] < 0).sum()):
-        _LOG.warning("%s: %d unknown bar codes are left out", shown(file), unknown)
+        warn(file, f"{unknown} unknown bar codes are left out")
     rows = np.flatnonzero(measured[:, 1] > ROBOTS)
     rows = rows[np.lexsort((rows, measured[rows, 1], measured[rows, 0]))]
     same = (np.diff(measured[rows, :2], axis=0) == 0).all(axis=1)
@@ -176,8 +174,5 @@ def _robots(path: Path) -> dict[int, Path]:
 
 def _file(folder: Path, robot: int, kind: str) -> Path | None:
     """Return a file of a robot, plain or gzipped, if it exists."""
-    for end in ("", ".gz"):
-        file = folder / f"Robot{robot}_{kind}.dat{end}"
-        if os.path.isfile(file):
-            return file
-    return None
+    files = (folder / f"Robot{robot}_{kind}.dat{end}" for end in ("", ".gz"))
+    return next(filter(os.path.isfile, files), None)

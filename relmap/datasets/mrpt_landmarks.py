@@ -73,8 +73,7 @@ class MrptLandmarks:
         """Return whether the header is that of an MRPT landmark log, or almost."""
         if os.path.isdir(path):
             return bool(tables_with(path, _HALLMARK))
-        found = columns_of(path)
-        return not found.isdisjoint({"yaw_rad", "pitch_rad"})
+        return not columns_of(path).isdisjoint({"yaw_rad", "pitch_rad"})
 
     def load(self, path: Path) -> ObservationLog:
         """Read the log: points in the robot frame, with two columns if the world is planar.

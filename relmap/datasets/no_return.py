@@ -5,7 +5,6 @@ They would be a surface that moves with the sensor. `laser` treats the beams of 
 
 from __future__ import annotations
 
-import logging
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,9 +14,8 @@ from relmap.core.arrays import Bools, Floats
 from relmap.core.errors import RelmapError
 from relmap.datasets.laser import SAME, WIDE_SCANS
 from relmap.datasets.scans import ScanLog
-from relmap.datasets.textfile import shown
+from relmap.datasets.textfile import warn
 
-_LOG = logging.getLogger(__name__)
 SCANS = 20
 """Number of scans, spread over the log, that are searched for such points."""
 SHARE, LEAST = 0.01, 30
@@ -42,12 +40,9 @@ def without_no_return(path: Path, log: ScanLog) -> ScanLog:
     there = [(r >= least_m) & (r <= most_m) for r in ranges_m]
     if sum(map(_did_not_return, scans, there)) < WIDE_SCANS:
         return log
-    _LOG.warning(
-        "%s: %.3g %% of the points are at the largest range, %.4g m, and are treated as no return",
-        shown(path),
-        100 * float(np.mean([np.mean(one) for one in there])),
-        float(np.median(same_m)),
-    )
+    share = f"{100 * np.mean([np.mean(one) for one in there]):.3g} % of the points are"
+    at = f"at the largest range, {np.median(same_m):.4g} m, and are treated as no return"
+    warn(path, f"{share} {at}")
 
     def points_of(index: int) -> Floats:
         points = log.points_of(index)

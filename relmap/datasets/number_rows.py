@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 from array import array
 from collections.abc import Iterable, Sequence
@@ -13,17 +12,15 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
-from relmap.datasets.textfile import invalid, numbered_lines, quoted, shown
+from relmap.datasets.textfile import invalid, numbered_lines, quoted, warn
 
-_LOG = logging.getLogger(__name__)
 MAX_LISTED = 1 << 24
 """Maximum number of values in such rows: some two million poses."""
 
 
 def too_many(path: Path, line: int, most: int) -> RelmapError:
     """Return the error for a file with more numbers than the memory limit."""
-    problem = f"more than {most} numbers, expected at most that"
-    return invalid(path, f"line {line}: {problem}")
+    return invalid(path, f"line {line}: more than {most} numbers, expected at most that")
 
 
 def parse_number(cell: str) -> float:
@@ -84,9 +81,8 @@ def read_rows(
 
 def warn_unsorted(path: Path, stamps_s: Floats, what: str) -> None:
     """Log a warning if rows that are used in order of time (n,) are not in it."""
-    late = int((np.diff(stamps_s) < 0).sum())
-    if late:
-        _LOG.warning("%s: %d %s out of order: all are sorted by time", shown(path), late, what)
+    if late := int((np.diff(stamps_s) < 0).sum()):
+        warn(path, f"{late} {what} out of order: all are sorted by time")
 
 
 class NumberRows:

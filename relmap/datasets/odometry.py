@@ -12,7 +12,6 @@ Motions come from the log itself or from a file beside it:
 
 from __future__ import annotations
 
-import logging
 import math
 import os
 from dataclasses import replace
@@ -30,7 +29,7 @@ from relmap.datasets.headers import file_beside
 from relmap.datasets.number_rows import read_rows
 from relmap.datasets.scans import ScanLog, planar_poses, poses_of
 from relmap.datasets.table import Column, Table, read_table
-from relmap.datasets.textfile import invalid, replacing, shown
+from relmap.datasets.textfile import invalid, replacing, warn
 
 TABLES, TRAJECTORY = ("odometry.csv", "odometry.csv.gz"), "odometry.tum"
 """Names of the odometry files beside a log."""
@@ -46,7 +45,6 @@ LEAST_GAP_S = 2.0
 
 Log = TypeVar("Log", ObservationLog, ScanLog)
 
-_LOG = logging.getLogger(__name__)
 _PLANAR, _SPATIAL = ("x", "y", "yaw"), ("x", "y", "z", "qx", "qy", "qz", "qw")
 _COLUMNS = (
     iteration_column("iteration"),
@@ -76,8 +74,7 @@ def path_of(odometry: Floats) -> Floats:
 
 def moved_frame(odometry: Floats, T_robot_other: Floats) -> Floats:
     """Return the motions (k, 4, 4) of a frame (4, 4) fixed on the robot."""
-    back = relative(T_robot_other, np.eye(4))
-    return np.asarray(back @ odometry @ T_robot_other)
+    return np.asarray(relative(T_robot_other, np.eye(4)) @ odometry @ T_robot_other)
 
 
 def driven(
@@ -104,7 +101,7 @@ def driven(
     poses = planar_poses(x, y, yaw[before] + rest[:, 2])
     gap = np.append(step > max(GAP * usual, LEAST_GAP_S), False)
     if gap.any():
-        _LOG.warning("%s: %d gaps: the motion across them is unknown", shown(file), gap.sum())
+        warn(file, f"{gap.sum()} gaps: the motion across them is unknown")
     poses[~known | (gap[before] & (at_s > stamps_s[before]))] = np.nan
     found = motions(poses)
     part = (np.cumsum(gap) - gap)[before]
@@ -167,11 +164,7 @@ def _read_motions(file: Path, log: ObservationLog | ScanLog) -> Floats:
     lost = moved & np.isfinite(found[:, 0, 0])
     found[moved] = np.nan
     if lost.any():
-        _LOG.warning(
-            "%s: %d motions are not used: sorted by time, their scans follow others",
-            shown(file),
-            lost.sum(),
-        )
+        warn(file, f"{lost.sum()} motions are not used: sorted by time, their scans follow others")
     return found
 
 
@@ -234,12 +227,8 @@ def motions_at(file: Path, stamps_s: Floats, poses: Floats, at_s: Floats) -> Flo
     n_poses = int(np.sum((stamps_s >= at_s.min()) & (stamps_s <= at_s.max())))
     n_scans = int(np.isfinite(there[:, 0, 0]).sum())
     if n_poses < RARE * n_scans:
-        _LOG.warning(
-            "%s: %d poses for %d scans: the motions between are interpolated, and less accurate",
-            shown(file),
-            n_poses,
-            n_scans,
-        )
+        few = f"{n_poses} poses for {n_scans} scans"
+        warn(file, f"{few}: the motions between are interpolated, and less accurate")
     return motions(there)
 
 

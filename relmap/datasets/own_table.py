@@ -8,7 +8,6 @@ are ignored, with a warning. Times may replace iteration numbers; ids may be tex
 from __future__ import annotations
 
 import csv
-import logging
 import math
 from array import array
 from collections.abc import Iterable, Iterator, Mapping
@@ -27,13 +26,12 @@ from relmap.datasets.headers import read_head
 from relmap.datasets.number_rows import parse_number, too_many
 from relmap.datasets.observation_csv import COLUMNS, log_of_table
 from relmap.datasets.table import MAX_EXACT_INTEGER, MAX_NUMBERS, Column, checked_table
-from relmap.datasets.textfile import invalid, listed, open_text, quoted, require_utf8, shown
+from relmap.datasets.textfile import invalid, listed, open_text, quoted, require_utf8, shown, warn
 
 MAX_NAME = 200
 """Maximum number of characters of a text id."""
 
 BY_NAME = {column.name: column for column in COLUMNS}
-_LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -226,7 +224,7 @@ def _chosen(path: Path, there: list[str], columns: Mapping[str, str]) -> dict[st
         raise invalid(path, f"columns: {twice[0]} would be two coordinates, {expected}")
     others = [quoted(name) for name in there if name not in wanted.values()]
     if others:
-        _LOG.warning("%s: other columns are ignored: %s", shown(path), listed(others))
+        warn(path, f"other columns are ignored: {listed(others)}")
     return wanted
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import re
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from relmap.core.arrays import Floats
 from relmap.datasets.cloud_file import is_cloud, read_cloud
 from relmap.datasets.headers import numbered_files, numbers_in_name
 from relmap.datasets.number_rows import read_rows
-from relmap.datasets.scans import ScanLog, in_time_order, numbers_of, require_rotations
+from relmap.datasets.scans import ScanLog, require_rotations, sorted_by_time
 from relmap.datasets.textfile import invalid, shown
 
 POSES_FILE = "alidarPose.csv"
@@ -45,14 +46,12 @@ class PointClouds:
         files = numbered_files(path, _NAME) if os.path.isdir(path) else [path]
         if not files:
             raise invalid(path, f"holds no cloud, expected {self.description}")
-        stamps_s, poses, numbers = np.arange(len(files), dtype=np.float64), None, None
-        poses_file = files[0].with_name(POSES_FILE)
-        if poses_file.is_file():
-            stamps_s, poses = _read_poses(poses_file, files)
-            order, stamps_s = in_time_order(poses_file, stamps_s)
-            files, poses = [files[index] for index in order], poses[order]
-            numbers = numbers_of(order)
-        return ScanLog(3, stamps_s, lambda index: read_cloud(files[index]), poses, numbers=numbers)
+        numbers, poses_file = np.arange(len(files), dtype=float), files[0].with_name(POSES_FILE)
+        log = ScanLog(3, numbers, lambda index: read_cloud(files[index]))
+        if not poses_file.is_file():
+            return log
+        stamps_s, poses = _read_poses(poses_file, files)
+        return sorted_by_time(poses_file, replace(log, poses=poses), stamps_s)
 
 
 def _read_poses(file: Path, clouds: list[Path]) -> tuple[Floats, Floats]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,10 +12,9 @@ from scipy.spatial.transform import Rotation
 from relmap.core.arrays import Floats, Ints
 from relmap.core.columns import Brief
 from relmap.core.geometry.motions import rotations, transforms
-from relmap.datasets.base import common_range
-from relmap.datasets.textfile import invalid, shown
+from relmap.datasets.base import common_range, some_of
+from relmap.datasets.textfile import invalid, warn
 
-_LOG = logging.getLogger(__name__)
 _ROUNDING = 1e-2
 """Tolerance of products of the rows of a rotation, for rounded files."""
 
@@ -125,12 +123,9 @@ class ScanLog(Brief):
         rows = slice(skip, stop - self.first_iteration)
         return replace(
             self,
-            stamps_s=self.stamps_s[rows],
             points_of=lambda index: points_of(skip + index),
-            poses=None if self.poses is None else self.poses[rows],
-            odometry=None if self.odometry is None else self.odometry[rows],
-            numbers=None if self.numbers is None else self.numbers[rows],
             first_iteration=first,
+            **some_of(self, ("stamps_s", "poses", "odometry", "numbers"), rows),
         )
 
 
@@ -166,8 +161,9 @@ def require_rotations(file: Path, poses: Floats) -> None:
     off = np.abs(R @ R.swapaxes(1, 2) - np.eye(3)).max(axis=(1, 2))
     wrong = np.flatnonzero(~(off <= _ROUNDING) | (np.linalg.det(R) < 0))
     if len(wrong):
-        problem = f"pose {wrong[0]} has no rotation, expected orthogonal rows of length 1"
-        raise invalid(file, problem)
+        raise invalid(
+            file, f"pose {wrong[0]} has no rotation, expected orthogonal rows of length 1"
+        )
 
 
 def planar_poses(x: Floats, y: Floats, yaw: Floats) -> Floats:
@@ -183,13 +179,25 @@ def in_time_order(path: Path, stamps_s: Floats) -> tuple[Ints, Floats]:
     """
     late = int((stamps_s < np.maximum.accumulate(stamps_s)).sum())
     if late:
-        _LOG.warning("%s: %d scans out of order: all are sorted by time", shown(path), late)
+        warn(path, f"{late} scans out of order: all are sorted by time")
     order = np.argsort(stamps_s, kind="stable")
     ascending = stamps_s[order]
     if (np.diff(ascending) > 0).all():
         return order, ascending
-    _LOG.warning("%s: times repeat: the scans are numbered instead", shown(path))
+    warn(path, "times repeat: the scans are numbered instead")
     return order, np.arange(len(stamps_s), dtype=np.float64)
+
+
+def sorted_by_time(path: Path, log: ScanLog, stamps_s: Floats) -> ScanLog:
+    """Return a log with given times (k,) of its scans, in the order of `in_time_order`."""
+    order, ascending = in_time_order(path, stamps_s)
+    return replace(
+        log,
+        stamps_s=ascending,
+        points_of=lambda index: log.points_of(int(order[index])),
+        poses=None if log.poses is None else log.poses[order],
+        numbers=numbers_of(order),
+    )
 
 
 def numbers_of(order: Ints) -> Ints | None:

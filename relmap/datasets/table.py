@@ -69,8 +69,7 @@ class Table:
 
     def fail(self, row: int, name: str, problem: str) -> NoReturn:
         """Raise a RelmapError with file, line and field of a 0-based row."""
-        where = f"{self.place} {self.lines[row]}, field {name}"
-        raise invalid(self.path, f"{where}: {problem}")
+        raise invalid(self.path, f"{self.place} {self.lines[row]}, field {name}: {problem}")
 
 
 def read_table(path: Path, columns: Sequence[Column], advice: str = "") -> Table:
@@ -103,10 +102,7 @@ def read_table(path: Path, columns: Sequence[Column], advice: str = "") -> Table
 def checked_table(
     path: Path, columns: Sequence[Column], values: Floats, lines: Ints, place: str = "line"
 ) -> Table:
-    """Make a validated table of numbers (n, columns) from a file other than CSV.
-
-    See `Table` for lines and place.
-    """
+    """Make a validated `Table` of numbers (n, columns) from a file other than CSV."""
     by_name = {column.name: values[:, k].copy() for k, column in enumerate(columns)}
     table = Table(path, (), by_name, lines, place)
     for row, k, problem in _first_outside(values, columns):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import io
+import logging
 import os
 import stat
 import zlib
@@ -27,6 +28,7 @@ MAX_LINES = 10_000_000
 MAX_LINE_BYTES = 1 << 16
 """Maximum length of a line of a table."""
 
+_LOG = logging.getLogger("relmap.datasets")
 _GZIP_MAGIC = b"\x1f\x8b"
 _SHOWN_CHARACTERS = 60
 _LISTED = 12
@@ -54,6 +56,11 @@ def listed(texts: Sequence[str], comma: str = ", ") -> str:
 def invalid(path: Path | str, problem: str) -> RelmapError:
     """Return the error for a file or folder whose content cannot be used."""
     return RelmapError(f"{shown(path)}: {problem}")
+
+
+def warn(path: Path | str, problem: str) -> None:
+    """Log a warning about a file or folder that is read in spite of a problem."""
+    _LOG.warning("%s: %s", shown(path), problem)
 
 
 def require_path(path: Path) -> int:
@@ -162,8 +169,8 @@ def require_utf8(path: Path, number: int, line: str) -> None:
         line.encode()
     except UnicodeEncodeError as error:
         byte = ord(line[error.start]) & 0xFF
-        problem = f"line {number}: byte 0x{byte:02x} is not UTF-8"
-        raise invalid(path, f"{problem}, expected UTF-8 text") from error
+        problem = f"line {number}: byte 0x{byte:02x} is not UTF-8, expected UTF-8 text"
+        raise invalid(path, problem) from error
 
 
 def why_not_written(error: Exception) -> str:

@@ -13,7 +13,7 @@ warning.
 
 from __future__ import annotations
 
-import logging
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,10 +22,9 @@ from relmap.core.arrays import Floats
 from relmap.datasets.depth_images import INTRINSICS, T_CAMERA_ROBOT, points_of, read_intrinsics
 from relmap.datasets.number_rows import finite_numbers
 from relmap.datasets.odometry import poses_at, read_tum
-from relmap.datasets.scans import ScanLog, in_time_order, numbers_of
-from relmap.datasets.textfile import invalid, numbered_lines, quoted, shown
+from relmap.datasets.scans import ScanLog, sorted_by_time
+from relmap.datasets.textfile import invalid, numbered_lines, quoted, warn
 
-_LOG = logging.getLogger(__name__)
 LISTS = ("depth.txt", "associations.txt", "association.txt", "associate.txt")
 """Files that list the images; the first one found is read."""
 DEPTH, TRUTH = "depth/", "groundtruth.txt"
@@ -55,15 +54,10 @@ class TumRgbd:
         if file is None:
             raise invalid(path, f"holds no {LISTS[0]} or {LISTS[1]}, expected {self.description}")
         stamps_s, names = _images(file)
-        order, stamps_s = in_time_order(path, stamps_s)
-        files = [path / names[index] for index in order]
         K = _intrinsics(path)
-        poses = _poses(path / TRUTH, stamps_s)
-
-        def points(index: int) -> Floats:
-            return points_of(files[index], K, UNIT_M)
-
-        return ScanLog(3, stamps_s, points, poses, numbers=numbers_of(order))
+        whole = ScanLog(3, stamps_s, lambda index: points_of(path / names[index], K, UNIT_M))
+        log = sorted_by_time(path, whole, stamps_s)
+        return replace(log, poses=_poses(path / TRUTH, log.stamps_s))
 
 
 def _list_of(path: Path) -> Path | None:
@@ -96,10 +90,8 @@ def _intrinsics(path: Path) -> Floats:
     name = path.resolve().name
     known = next((each for word, each in PUBLISHED.items() if word in name), None)
     if known is None:
-        problem = (
-            "the intrinsics of the camera are unknown, those recommended by TUM RGB-D are used"
-        )
-        _LOG.warning("%s: %s; if they differ, write %s", shown(path), problem, INTRINSICS)
+        used = "the intrinsics of the camera are unknown, those recommended by TUM RGB-D are used"
+        warn(path, f"{used}; if they differ, write {INTRINSICS}")
     fx, fy, cx, cy = known or RECOMMENDED
     return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 

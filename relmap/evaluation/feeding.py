@@ -100,10 +100,8 @@ def feed(
     """
     known = association == "known"
     if isinstance(method, Plane3dMapper) and (known or method.n_iterations > n_seen):
-        problem = (
-            "has no known association" if known else "maps one log; this one has mapped another"
-        )
-        raise RelmapError(f"a Plane3dMapper {problem}")
+        why = "has no known association" if known else "maps one log; this one has mapped another"
+        raise RelmapError(f"a Plane3dMapper {why}")
     if known and getattr(log, "ids", None) is None:
         raise RelmapError("association known needs a log with ids, and this one has none")
     first, end = log.first_iteration, log.first_iteration + len(log)

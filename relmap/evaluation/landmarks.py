@@ -145,8 +145,7 @@ def overlay(result: Result, truth: Truth, log: ObservationLog | None) -> Overlay
     fewer than three instants. Raises `RelmapError` if the log is not the one that was mapped.
     """
     if result.mapped.any():
-        matched = match_landmarks(result, truth, identify(result, log))
-        if matched is None:
+        if (matched := match_landmarks(result, truth, identify(result, log))) is None:
             return None
         R, t = matched.R, matched.t
         pairs = np.stack([matched.position, (matched.truth - t) @ R], axis=1)

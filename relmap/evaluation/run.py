@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,11 +29,12 @@ from relmap.evaluation.feeding import (
 )
 from relmap.evaluation.space_run import result_in_space
 from relmap.evaluation.summary import completion, is_refined, summary_of
-from relmap.io.results import LEAST_SCANS, Result, SubmapPath, Tracks, shifted
+from relmap.io.results import LEAST_SCANS, Result, SubmapPath, Tracks, shifted, write_result
 from relmap.planes import PlaneMapper
-from relmap.planes.walls.files import DrawnSubmap, PlaneResult
+from relmap.planes.walls.files import DrawnSubmap, PlaneResult, write_planes, write_submaps
 from relmap.planes.walls.table import PlaneTable
 from relmap.planes3d import Plane3dMapper
+from relmap.planes3d.files import Plane3dResult, write_parts
 from relmap.points import PointMapper
 from relmap.segmentation import PlaneSegmenter
 
@@ -211,6 +213,16 @@ def result_of(
         if number == 0 or submap.n_scans >= LEAST_SCANS
     )
     return PlaneResult(**vars(result), planes=shifted(method.planes, offset), drawn=drawn)
+
+
+def write_tables(folder: Path, result: Result) -> None:
+    """Write the files of a result, except the pictures; RelmapError if one cannot be written."""
+    write_result(folder, result)
+    if isinstance(result, Plane3dResult):
+        write_parts(folder, result)
+    elif isinstance(result, PlaneResult):
+        write_planes(folder, result.planes)
+        write_submaps(folder, result.drawn)
 
 
 def _path(iterations: Ints, poses: Floats, log: Log) -> SubmapPath:

@@ -55,14 +55,12 @@ def judge_planes(
     off, own = [np.empty(0)], []
     for k in rows:
         points = surface_points(table, k) @ R.T + t
-        normal = R @ table.normal[k]
-        found, face = _true_plane(points, normal, faces)
+        found, face = _true_plane(points, R @ table.normal[k], faces)
         own.append(found)
         if found >= 0:
             corner, true_normal = faces.corners[face, 0], _normals(faces.corners)[face]
             off.append((table.outline[k] @ R.T + t - corner) @ true_normal)
-    seen = np.bincount(faces.plane, faces.seen_m2)
-    due = np.flatnonzero(seen >= LEAST_M2)
+    due = np.flatnonzero(np.bincount(faces.plane, faces.seen_m2) >= LEAST_M2)
     distance = np.concatenate(off)
     return figures | {
         "plane_recall": float(np.isin(due, own).mean()) if len(due) else None,

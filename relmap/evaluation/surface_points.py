@@ -171,5 +171,4 @@ def map_of(method: Method, seen: SurfacePoints) -> tuple[Result, VariantRun]:
         rmse_m = found.landmark_rmse_m
     about = (method, seen.spacing_m, seen.noise, seen.sigma, seen.seed)
     matched = found.counts["matched_poses"] / len(seen.scans)
-    row = VariantRun(*about, rmse_m, found.coverage or 0.0, found.ate_m, matched)
-    return run.result, row
+    return run.result, VariantRun(*about, rmse_m, found.coverage or 0.0, found.ate_m, matched)

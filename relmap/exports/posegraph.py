@@ -64,8 +64,7 @@ def _sights(content: MapContent, seen: Sightings, tag: str) -> Iterator[str]:
 def _pose(T: Floats, planar: bool) -> str:
     if planar:
         return _numbers([T[0, 3], T[1, 3], np.arctan2(T[1, 0], T[0, 0])])
-    turn = Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True)
-    return _numbers([*T[:3, 3], *turn])
+    return _numbers([*T[:3, 3], *Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True)])
 
 
 def _upper(information: Floats) -> str:

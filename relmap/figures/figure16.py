@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from copy import deepcopy
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -92,8 +93,7 @@ def error_curves(seeds: int, iterations: int, watch: Watch = iter) -> ErrorCurve
     """
     found: dict[tuple[str, str], list[Floats]] = {}
     at: dict[str, Ints] = {}
-    cells = [(noise, seed) for noise in NOISES for seed in range(seeds)]
-    for noise, seed in watch(cells):
+    for noise, seed in watch([*product(NOISES, range(seeds))]):
         world = EightSource(25.0, iterations, NOISES[noise], SIGMA_M, seed=seed).load()
         assert world.truth is not None
         for name, (make, every) in METHODS.items():

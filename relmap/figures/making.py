@@ -71,10 +71,7 @@ NO_DATA = "needs the Victoria Park data: give their folder with --data PATH"
 
 @dataclass(frozen=True, eq=False)
 class Made:
-    """A figure with its outcome, or None with the reason in `note`.
-
-    `files` are the names of the written files, including the picture.
-    """
+    """A figure with its outcome, or None with the reason in `note`, and its written files."""
 
     figure: PaperFigure[Any]
     outcome: Outcome | None
@@ -160,11 +157,7 @@ def chosen_figures(names: Sequence[str]) -> list[PaperFigure[Any]]:
 
 
 def check_data(figures: Sequence[PaperFigure[Any]], data: Path | None) -> None:
-    """Check, before anything is run, that the real data can be used.
-
-    `figures`: figures to run; `data`: path of the real data. Raises `RelmapError` if the data are
-    missing, damaged or not used, or nothing can be run without them.
-    """
+    """Raise RelmapError if real data are damaged or not used, or nothing can be run without."""
     names = [figure.name for figure in figures]
     if data is not None:
         if NEEDS_DATA not in names:
@@ -177,11 +170,7 @@ def check_data(figures: Sequence[PaperFigure[Any]], data: Path | None) -> None:
 def make_figure(
     figure: PaperFigure[Any], folder: Path, quick: bool, data: Path | None, watch: Watch
 ) -> Made:
-    """Run a figure and write its picture and data; if the run fails, the note gives the reason.
-
-    `folder`: output folder; `quick`, `data`, `watch`: as for `PaperFigure.run`. Raises
-    `RelmapError` if a file cannot be written.
-    """
+    """Run a figure and write its picture and data; if the run fails, the note gives the reason."""
     if data is None and figure.name == NEEDS_DATA:
         return Made(figure, None, NO_DATA)
     try:
@@ -199,11 +188,7 @@ def make_figure(
 
 
 def write_page(folder: Path, made: Sequence[Made], quick: bool) -> None:
-    """Write the page, index.html, and the table of verdicts, verdicts.csv.
-
-    `made`: results of `make_figure`; `quick`: whether the runs were small. Raises `RelmapError` if
-    a file cannot be written.
-    """
+    """Write the page, index.html, and the table of verdicts, verdicts.csv."""
     done = [(each.figure.name, each.outcome) for each in made if each.outcome is not None]
     rows = [(name, found.value, found.verdict, found.ours) for name, found in done]
     Table(("figure", "value", "verdict", "finding"), rows).write(folder / "verdicts.csv")

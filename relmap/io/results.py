@@ -160,15 +160,12 @@ def read_names(folder: Path) -> dict[int, str] | None:
 
 
 def write_result(folder: Path, result: Result) -> None:
-    """Write the files of a result folder, except the picture.
+    """Write the files of a result, except the picture, into an existing folder.
 
-    `folder`: an existing folder; see `relmap.io.files.staged_folder` for all or nothing. Raises
-    `RelmapError` if a file cannot be written.
+    See `relmap.io.files.staged_folder` for all or nothing.
     """
     table, tracks = result.landmarks, vars(result.tracks)
-    places = dict(zip("xyz", table.position.T, strict=True))
-    columns = {name: (vars(table) | places)[name] for name in LANDMARK_COLUMNS}
-    atomic_write(folder / LANDMARKS, columns_text(columns))
+    atomic_write(folder / LANDMARKS, columns_text(table.columns()))
     labels = {name: tracks[name] for name in TRACK_COLUMNS if tracks[name] is not None}
     atomic_write(folder / TRACKS, compressed(columns_text(labels)))
     # Landmarks not connected to the map, each in the frame of its submap.

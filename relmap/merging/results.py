@@ -18,6 +18,7 @@ from relmap.core.landmarks import LandmarkTable
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.state.table import LandmarkState
 from relmap.evaluation.metrics import positions_of
+from relmap.evaluation.summary import by_status
 from relmap.io.results import Result, Tracks, read_names, shifted
 from relmap.merging.tables import joined, joined_walls, moved
 from relmap.planes.places.wall_tie import ACROSS, LEAST_M, RIVAL, wall_ties
@@ -27,7 +28,6 @@ from relmap.recorded import versions
 
 Record = dict[str, Any]
 NOTHING = np.empty(0, dtype=np.int64)
-STATUS = ("static", "dynamic", "unmapped")
 OTHER_UNITS = 20.0
 """Ratio of the lengths of their walls above which two maps are not in the same units."""
 Texts = Mapping[int, str] | None
@@ -193,16 +193,14 @@ def _of_walls(result: Result, planes: PlaneTable) -> PlaneResult:
         status=np.where(gone, "unmapped", table.status),
         submap=np.where(there, 0, -1),
     )
-    counts = {f"planes_{kind}": int((planes.status == kind).sum()) for kind in STATUS}
-    counts |= {f"corners_{kind}": int((table.status == kind).sum()) for kind in STATUS}
+    counts = by_status(planes.status, "planes_") | by_status(table.status, "corners_")
     summary = result.summary | {"counts": counts}
     return PlaneResult(**vars(replace(result, landmarks=table, summary=summary)), planes=planes)
 
 
 def _summary(a: Result, b: Result, table: LandmarkTable, record: Record) -> Record:
     mapped = int(np.isfinite(table.position[:, 0]).sum())
-    counts = {"landmarks": len(table.landmark), "mapped": mapped}
-    counts |= {kind: int((table.status == kind).sum()) for kind in STATUS}
+    counts = {"landmarks": len(table.landmark), "mapped": mapped, **by_status(table.status)}
     about = {name: a.summary.get(name) for name in ("variant", "association", "dimensions")}
     if b.summary.get("association") != about["association"]:
         about["association"] = "nearest"

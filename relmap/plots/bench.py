@@ -40,10 +40,7 @@ def write_bench_gif(
     progress: Callable[[Sequence[BenchFrame]], Iterable[BenchFrame]] | None = None,
     title: str = TITLE,
 ) -> None:
-    """Draw an animation of the bench into a GIF file.
-
-    `progress`: wraps the frames, to show progress. Raises `RelmapError` if there is no frame.
-    """
+    """Draw an animation of the bench into a GIF file; RelmapError if there is no frame."""
     if not frames:
         raise RelmapError("an animation needs at least one scan")
     limits = _limits_of(frames)

@@ -45,10 +45,7 @@ STEPS = (1.0, 2.0, 5.0)
 
 
 def plot_comparison(rows: Sequence[tuple[str, Figures]], title: str) -> Figure:
-    """Draw the errors of map and path, and the run time, of every method.
-
-    `rows`, sequence of (str, mapping): name and figures of each method, from top to bottom.
-    """
+    """Draw the errors of map and path, and the run time, of every method, from top to bottom."""
     walls = any(f.get("corner_rmse_m") for _, f in rows)
     panels = [
         *((key, PANELS[key]) for key in ("corner_rmse_m" if walls else "often_rmse_m", "ate_m")),
@@ -99,10 +96,7 @@ class SweepRow:
 
 
 def plot_sweep(rows: Sequence[SweepRow], along: str) -> Figure:
-    """Draw the errors of all experiments as dots, with a line of medians for each name.
-
-    `along`: label of the varied parameter.
-    """
+    """Draw all experiments as dots over what `along` says, and a line of medians for each name."""
     names = list(dict.fromkeys(row.name for row in rows))
     if any(row.at is None for row in rows):
         medians = [(name, _medians([r for r in rows if r.name == name])) for name in names]
@@ -181,8 +175,7 @@ def plot_errors(result: Result, truth: Overlay, scale: float, title: str) -> Fig
             if of.any():
                 axes.quiver(*true[of][:, pair].T, *arrow[of][:, pair].T, color=colour, **style)
                 axes.plot([], [], color=colour, label=name)
-    sheet.finish(title)
-    return sheet.figure
+    return sheet.finish(title)
 
 
 def _extent(places: Floats) -> float:

@@ -26,10 +26,7 @@ POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-s
 
 
 def document(title: str, body: Iterable[str], style: str) -> str:
-    """Return a page.
-
-    `title`: plain text; `body`: HTML; `style`: added to `STYLE`.
-    """
+    """Return a page with a title in plain text and a body in HTML; `style` is added to `STYLE`."""
     parts = [
         "<!DOCTYPE html>",
         '<html lang="en"><head><meta charset="utf-8">',

@@ -97,13 +97,11 @@ class LiveView:
         self._stream.disconnect()
 
     def _points(self, name: str, places: Floats) -> None:
-        """Show points (n, d)."""
         kind = self._rerun.Points2D if places.shape[1] == 2 else self._rerun.Points3D
         shown = kind(places.astype(np.float32), colors=COLOURS[name], radii=RADIUS_M)
         self._stream.log(name, shown)
 
     def _lines(self, name: str, ways: list[Floats], d: int) -> None:
-        """Show polylines, each (k, d)."""
         kind = self._rerun.LineStrips2D if d == 2 else self._rerun.LineStrips3D
         shown = [way.astype(np.float32) for way in ways if len(way)]
         self._stream.log(

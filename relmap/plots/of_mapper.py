@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 from matplotlib.figure import Figure
 
 from relmap.core.arrays import Ints
-from relmap.evaluation.feeding import AnyMapper
-from relmap.evaluation.saved import result_of_mapper, write_tables
+from relmap.datasets.base import ObservationLog
+from relmap.datasets.scans import stored_scans
+from relmap.evaluation.feeding import AnyMapper, Association, Log
+from relmap.evaluation.run import result_of, write_tables
+from relmap.evaluation.space_run import VARIANT, result_in_space
+from relmap.evaluation.summary import is_refined, summary_of
 from relmap.io.files import atomic_write, staged_folder
 from relmap.io.results import MAP_PNG, MAPPER, REPORT, Result, stale_files
+from relmap.planes import PlaneMapper
 from relmap.planes.walls.files import PlaneResult
 from relmap.planes3d import Plane3dMapper
 from relmap.planes3d.files import Plane3dResult
@@ -34,6 +41,32 @@ def save_results(mapper: AnyMapper, folder: Path) -> None:
         command = f"{type(mapper).__name__}.save_results"
         write_pictures(staging, result, groups_of(mapper), command, "a run")
         mapper.save(staging / MAPPER)
+
+
+def result_of_mapper(mapper: AnyMapper) -> Result:
+    """Return the result of a mapper, of the class for its kind of landmarks, without tracks."""
+    walls, n = isinstance(mapper, PlaneMapper), mapper.n_iterations
+    none = np.empty(0, dtype=np.int64)
+    times_s = mapper.stamps_s
+    if np.isnan(times_s).any():
+        times_s = np.arange(float(n))
+    log: Log = stored_scans(np.empty((0, 2)), np.zeros(n + 1, dtype=np.int64), times_s)
+    if isinstance(mapper, Plane3dMapper):
+        result: Result = result_in_space(mapper, log, [none] * n)
+        variant, found = VARIANT, result.summary
+    else:
+        variant = "planes" if walls else "points"
+        association: Association = "known" if mapper.engine.association.has_ids else "nearest"
+        if not walls:
+            points = np.empty((0, max(mapper.engine.store.dimension, 2)))
+            log = ObservationLog(points, none, none, 0, n, stamps_s=times_s)
+        result = result_of(mapper, log, [none] * n, association, 0)
+        found = result.summary | summary_of(mapper, result, log, 0, len(mapper.groups))
+    for name in ("observations", "iterations_without_observation"):  # the log is not known
+        found["counts"].pop(name, None)
+    about = {"variant": variant, "configuration": mapper.settings}
+    more = {"interrupted": False, "refined": is_refined(mapper)}
+    return replace(result, summary=about | found | more)
 
 
 def groups_of(mapper: AnyMapper) -> list[Ints]:

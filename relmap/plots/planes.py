@@ -57,10 +57,7 @@ TICKS = 8
 
 
 def plot_submaps(submaps: Sequence[DrawnSubmap], n_submaps: int) -> Figure:
-    """Draw the walls and paths of submaps, each in its own frame and panel.
-
-    `submaps`: submaps to draw, the map itself first; `n_submaps`: number of submaps.
-    """
+    """Draw walls and paths of some submaps, the map itself first, each in its frame and panel."""
     if len(submaps) < 2:
         return _plot_submap(submaps[0], n_submaps)
     columns = int(np.ceil(np.sqrt(len(submaps))))
@@ -90,8 +87,8 @@ def _plot_submap(submap: DrawnSubmap, n_submaps: int) -> Figure:
     planes, poses = submap.planes, submap.poses
     sheet = _sheet(planes.ends[planes.status == "static"].reshape(-1, 2), poses)
     n_walls, n_corners = _draw_submap(sheet.views[0][0], submap)
-    sheet.finish(f"{first_of(n_submaps)}{n_walls} walls, {n_corners} corners, {len(poses)} poses")
-    return sheet.figure
+    counts = f"{n_walls} walls, {n_corners} corners, {len(poses)} poses"
+    return sheet.finish(first_of(n_submaps) + counts)
 
 
 def _draw_submap(axes: Axes, submap: DrawnSubmap) -> tuple[int, int]:
@@ -148,8 +145,7 @@ def plot_planes(
     if truth is not None:
         draw_true_walls(axes, true_ends)
     n_walls, n_corners = _draw_map(axes, planes, poses)
-    sheet.finish(title or f"{n_walls} walls, {n_corners} corners, {len(poses)} poses")
-    return sheet.figure
+    return sheet.finish(title or f"{n_walls} walls, {n_corners} corners, {len(poses)} poses")
 
 
 def plot_building(building: Building) -> Figure:
@@ -164,8 +160,7 @@ def plot_building(building: Building) -> Figure:
     axes.plot(*way[:, :2].T, color=BLUE, linewidth=1.2, zorder=4, label="path of the robot")
     axes.plot(*way[0, :2], "o", color=BLUE, markersize=5, zorder=5, label="start", linestyle="")
     axes.plot(*seen[:, :2].T, ".", color=RED, markersize=0.8, zorder=2, label="first scan")
-    sheet.finish(f"{len(ends)} sides of walls, {len(building.scans)} scans")
-    return sheet.figure
+    return sheet.finish(f"{len(ends)} sides of walls, {len(building.scans)} scans")
 
 
 def draw_walls(

@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.landmarks import Submap
 from relmap.io.results import LEAST_SCANS, Result, SubmapPath
 from relmap.planes.walls.files import DrawnSubmap, PlaneResult
 from relmap.planes.walls.table import PlaneTable
@@ -157,8 +156,11 @@ def views_of(result: Result) -> list[View]:
         ]
     others = zip(result.submaps[1:], result.paths[1:], strict=True)
     return [
-        _view_of_points(result),
-        *(_view_of_submap(k, *other, result.planar) for k, other in enumerate(others, start=1)),
+        _view_of_map(result),
+        *(
+            _view_of_points(k, submap.positions, submap.landmark_ids, path, result.planar)
+            for k, (submap, path) in enumerate(others, start=1)
+        ),
     ]
 
 
@@ -201,35 +203,31 @@ def _view_of_planes(result: Plane3dResult, rank: int) -> View:
     }
 
 
-def _view_of_points(result: Result) -> View:
-    table, kept, axes = result.landmarks, result.mapped, 2 if result.planar else 3
-    at, iterations = table.position[kept][:, :axes], result.iterations
+def _view_of_map(result: Result) -> View:
+    table, kept, iterations = result.landmarks, result.mapped, result.iterations
     assert iterations is not None
-    caption = f"{len(result.poses)} poses, {len(at)} landmarks"
-    return {
-        **_framed(0, caption, at, result.poses[:, :axes, 3]),
-        "dots": _packed(at, "<f4"),
-        "dotNames": _packed(table.landmark[kept], "<i8"),
+    path = SubmapPath(iterations, result.stamps_s, result.poses)
+    view = _view_of_points(0, table.position[kept], table.landmark[kept], path, result.planar)
+    return view | {
         "dotSeen": _packed(table.observations[kept], "<i4"),
         "dotFirst": _packed(np.searchsorted(iterations, table.first_iteration[kept]), "<i4"),
-        **_path(iterations, result.stamps_s, result.poses, axes),
         "rings": [
-            {"name": name, "at": _packed(at[:, :axes], "<f4")}
+            {"name": name, "at": _packed(at[:, : view["axes"]], "<f4")}
             for name, at in weak_places(result).items()
             if len(at)
         ],
     }
 
 
-def _view_of_submap(number: int, submap: Submap, path: SubmapPath, planar: bool) -> View:
+def _view_of_points(
+    number: int, places: Floats, labels: Ints, path: SubmapPath, planar: bool
+) -> View:
     axes = 2 if planar else 3
-    at = submap.positions[:, :axes]
+    caption = f"{len(path.poses)} poses, {len(places)} landmarks"
     return {
-        **_framed(
-            number, f"{len(path.poses)} poses, {len(at)} landmarks", at, path.poses[:, :axes, 3]
-        ),
-        "dots": _packed(at, "<f4"),
-        "dotNames": _packed(submap.landmark_ids, "<i8"),
+        **_framed(number, caption, places[:, :axes], path.poses[:, :axes, 3]),
+        "dots": _packed(places[:, :axes], "<f4"),
+        "dotNames": _packed(labels, "<i8"),
         **_path(*path, axes),
     }
 

@@ -61,8 +61,7 @@ def plot_run(
     if not mapped:
         note_empty(sheet.views[0][0])
     which = first_of(len(result.submaps))
-    sheet.finish(title or f"{which}{mapped} of {known} landmarks mapped")
-    return sheet.figure
+    return sheet.finish(title or f"{which}{mapped} of {known} landmarks mapped")
 
 
 def _marker_area(n: int) -> float:
@@ -209,5 +208,4 @@ def plot_localised(
         path = broken_at_gaps(scan.astype(np.float64), at)[:, pair]
         style: dict[str, Any] = {"color": BLUE, "markersize": 2.5, "linewidth": 0.7}
         axes.plot(*path.T, ".-", label="localised scan", **style)
-    sheet.finish(f"{len(scan)} of {n_scans} scans localised in a map of {what}")
-    return sheet.figure
+    return sheet.finish(f"{len(scan)} of {n_scans} scans localised in a map of {what}")

@@ -148,8 +148,8 @@ class Sheet:
             bar.ax.yaxis.set_major_formatter(plain)
             bar.ax.yaxis.set_minor_formatter(plain)
 
-    def finish(self, title: str) -> None:
-        """Put the title above the views and the legend below them."""
+    def finish(self, title: str) -> Figure:
+        """Put the title above the views and the legend below them, and return the figure."""
         axes = self.views[0][0]
         outside = f" ({self._outside} far outside not shown)" if self._outside else ""
         axes.set_title(title + outside, fontsize=11, parse_math=False)
@@ -158,12 +158,12 @@ class Sheet:
             columns = 3 if max(map(len, labels)) < 45 else 2
             rows = -(-len(labels) // columns)
             self.figure.set_figheight(self.figure.get_figheight() + LEGEND_ROW_IN * (rows - 1))
-            legend = legend_below(self.figure, columns, axes)
-            for handle in legend.legend_handles:
+            for handle in legend_below(self.figure, columns, axes).legend_handles:
                 if isinstance(handle, PathCollection):
                     handle.set_sizes([24.0])
         # With a fixed aspect the layout is right only from the second drawing on.
         self.figure.draw_without_rendering()
+        return self.figure
 
 
 def write_png(path: Path, draw: Callable[P, Figure], *args: P.args, **kwargs: P.kwargs) -> None:

@@ -17,15 +17,7 @@ from relmap.datasets.scans import planar_poses
 from relmap.simulation.drive import STEP_M, drive_round
 from relmap.simulation.floor_plan import World, make_floor_plan, make_moving
 from relmap.simulation.noise import Noise, check_arguments
-from relmap.simulation.sensor import (
-    BuildingScan,
-    Sampling,
-    Scanner,
-    Sensor,
-    seen_extents,
-    sensor_of,
-    times_seen,
-)
+from relmap.simulation.sensor import BuildingScan, Sampling, Scanner, Sensor, sensor_of
 from relmap.simulation.shapes import CLEARANCE_M, FloorPlan, wall_distances
 from relmap.simulation.things import Things, walking
 from relmap.simulation.visibility import seen_walls
@@ -33,6 +25,11 @@ from relmap.simulation.visibility import seen_walls
 SENSOR_HEIGHT_M = 1.0
 STEP_S = 0.2
 """Interval between scans, in which the robot moves `STEP_M`."""
+OFTEN, POINTS, CELL_M = 10, 5, 0.05
+"""Number of scans, and of points in each, for a place of a wall to count as seen; and
+resolution."""
+STRAIGHT, CHORD_M, SAME_M = np.cos(np.deg2rad(5.0)), 0.2, 1e-6
+"""Walls shorter than this that continue this straight (cosine) form no corner."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -66,15 +63,45 @@ class Building(Brief):
 
         An end where the wall continues, as in a curve, does not count.
         """
-        return times_seen(self.walls, self.scans)
+        counts = np.zeros((len(self.walls), 3), dtype=np.int64)
+        for scan in self.scans:
+            corner = scan.seen.end_type == "corner"
+            counts[np.unique(scan.seen.wall), 0] += 1
+            # No two stretches of a wall share a true end.
+            counts[scan.seen.wall[corner[:, 0]], 1] += 1
+            counts[scan.seen.wall[corner[:, 1]], 2] += 1
+        ends = self.walls[:, :4].reshape(-1, 2, 2)
+        along = ends[:, 1] - ends[:, 0]
+        length_m = np.linalg.norm(along, axis=1)
+        along /= length_m[:, None]
+        follows = np.linalg.norm(ends[:, None, 1] - ends[None, :, 0], axis=2) < SAME_M
+        follows &= np.minimum(length_m[:, None], length_m) < CHORD_M
+        follows &= along @ along.T > STRAIGHT
+        counts[follows.any(axis=0), 1] = 0
+        counts[follows.any(axis=1), 2] = 0
+        return counts
 
     def seen_extents(self) -> Floats:
         """Return the extent (w, 2) of each wall that was seen in ten scans by five points each.
 
         Metres from its first end; NaN if it was not seen, or moves.
         """
-        extents = seen_extents(self.walls, self.trajectory, self.scans)
-        return np.where(self.moving[:, None], np.nan, extents)
+        first, along = self.walls[:, :2], self.walls[:, 2:4] - self.walls[:, :2]
+        length_m = np.linalg.norm(along, axis=1)
+        covered = [np.zeros(int(np.ceil(length / CELL_M)) + 1, np.int64) for length in length_m]
+        for pose, scan in zip(self.trajectory, self.scans, strict=True):
+            wall = scan.wall
+            at = scan.points[:, :2] @ pose[:2, :2].T + pose[:2, 3] - first[wall]
+            t_m = np.clip((at * along[wall]).sum(axis=1) / length_m[wall], 0.0, length_m[wall])
+            for k in np.flatnonzero(np.bincount(wall[wall >= 0]) >= POINTS).tolist():
+                own = t_m[wall == k]
+                covered[k][round(own.min() / CELL_M) : round(own.max() / CELL_M) + 1] += 1
+        extents = np.full((len(self.walls), 2), np.nan)
+        for k, count in enumerate(covered):
+            often = np.flatnonzero(count >= OFTEN)
+            if len(often) and not self.moving[k]:
+                extents[k] = np.minimum(often[[0, -1]] * CELL_M, length_m[k])
+        return extents
 
 
 def simulate_building(

@@ -224,5 +224,4 @@ def _carried_upstairs(iterations: int, sensor: Sensor, stops: Floats) -> Floats:
 
 
 def _poses(place: Floats, yaw: Floats, pitch: Floats, roll: Floats) -> Floats:
-    """Return ``T_map_sensor`` (k, 4, 4)."""
     return poses_of(Rotation.from_euler("ZYX", np.column_stack([yaw, pitch, roll])), place)

@@ -116,9 +116,8 @@ def _gauss_newton(
 def _block_columns(blocks: Floats, column: Ints, n_columns: int) -> sparse.csr_array:
     """Return the sparse matrix with block i (d, q) in block row i and block column `column[i]`."""
     n, d, q = blocks.shape
-    columns = np.repeat((column[:, None] * q + np.arange(q))[:, None], d, axis=1)
-    rows = np.arange(0, n * d * q + 1, q)
-    return sparse.csr_array((blocks.ravel(), columns.ravel(), rows), shape=(n * d, n_columns * q))
+    whole = sparse.bsr_array((blocks, column, np.arange(n + 1)), shape=(n * d, n_columns * q))
+    return whole.tocsr()
 
 
 def least_squares_map(log: ObservationLog) -> LandmarkMap:

@@ -51,10 +51,7 @@ class EkfConfig:
 
 
 class Ekf(KnownBaseline):
-    """EKF SLAM with known association; the map frame is that of the robot in the first iteration.
-
-    `dimension`: 2 or 3.
-    """
+    """EKF SLAM with known association; the map frame is the robot's in the first iteration."""
 
     def __init__(self, dimension: int, config: EkfConfig) -> None:
         super().__init__(dimension)

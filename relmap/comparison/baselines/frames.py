@@ -18,8 +18,6 @@ class FrameToMap(KnownBaseline):
     Each landmark is the mean of all its observations so far, each transformed by the pose of its
     scan; all mapped landmarks in a scan have equal weight in the fit. A scan whose mapped landmarks
     determine no pose is left out, as are observations that `KnownAssociation` rejects.
-
-    `dimension`: 2 or 3.
     """
 
     def __init__(self, dimension: int = 3) -> None:
@@ -72,8 +70,6 @@ class FrameToFrame(KnownBaseline):
 
     A landmark is the mean of its observations, each transformed by the chained pose of its scan. A
     scan that shares too little with the last placed one is left out.
-
-    `dimension`: 2 or 3.
     """
 
     def __init__(self, dimension: int) -> None:

@@ -53,10 +53,7 @@ class PaperPointMapper(PointMapper):
 
 
 class PaperPlaneMapper(PlaneMapper):
-    """Maps walls by the paper's recipe of pairs (Figs 1, 2 and 4).
-
-    Walls are associated as in `PlaneMapper`.
-    """
+    """Maps walls, associated as in `PlaneMapper`, by the recipe of pairs of Figs 1, 2 and 4."""
 
     @property
     def planes(self) -> PlaneTable:

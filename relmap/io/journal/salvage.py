@@ -7,7 +7,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from relmap.core.errors import RelmapError
-from relmap.io.journal.file import BESIDE, create_file, remove, stated_size
+from relmap.io.journal.file import BESIDE, remove, stated_size
 from relmap.io.journal.reading import JournalReader
 from relmap.io.journal.writing import Journal
 
@@ -69,7 +69,7 @@ def _recover(damaged: Path, whole: Path) -> int:
     """Write the scans before the damage to a journal; return their number."""
     with JournalReader(damaged) as reader:
         remove(whole)
-        journal = Journal(whole, reader.layout, create_file(whole, reader.layout, reader.meta))
+        journal = Journal.create(whole, reader.layout, reader.meta)
         try:
             for scan in reader.scans():
                 for call in reader.calls.get(journal.n_scans, []):
