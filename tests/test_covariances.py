@@ -253,7 +253,7 @@ def test_the_command_line_weighs_observations(tmp_path: Path) -> None:
         (["--bearing-sigma", "0.1"], "must be given together"),
         (["--range-sigma", "0", "--bearing-sigma", "0.1"], "above 0"),
         (["--range-sigma", "nan", "--bearing-sigma", "0.1"], "above 0"),
-        (["--range-sigma", "1", "--bearing-sigma", "1", "--elevation-sigma", "1"], "planar"),
+        (["--range-sigma", "1", "--bearing-sigma", ".1", "--elevation-sigma", ".1"], "planar"),
         (["--range-sigma", "1", "--bearing-sigma", "1", "--variant", "planes"], "walls"),
     ],
 )
