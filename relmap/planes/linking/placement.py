@@ -151,6 +151,7 @@ def place(
     too few for a jump.
     """
     from relmap.planes.linking.guess_kernels import implied
+    from relmap.planes.linking.matching_kernels import settled as compiled_settled
 
     motions, matches = settled(tracks, seen, [before, STILL])
     best, still = zip(motions, matches, strict=True)
@@ -161,7 +162,7 @@ def place(
     if best[1].score < CONTENT * possible:
         motions = implied(tracks.arrays, seen.arrays)
         motions = motions[np.abs(motions[:, 0]) < REACH_RAD]
-        scores = [match.score for match in settled(tracks, seen, motions, 0)[1]]
+        scores = compiled_settled(tracks.arrays, seen.arrays, motions, 0)[2]
         likely = motions[np.argsort(scores)[::-1][:GUESSES]]
         for found in zip(*settled(tracks, seen, likely), strict=True):
             jumps = [
