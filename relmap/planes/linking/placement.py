@@ -200,7 +200,7 @@ def settled(
     found = matching_kernels.settled(tracks.arrays, seen.arrays, starts, rounds)
     motions, track_of, scores = found
     matches = list[Match]()
-    for own, score in zip(track_of, scores.tolist(), strict=True):
-        walls = np.flatnonzero(own >= 0)
+    for own, known, score in zip(track_of, track_of >= 0, scores.tolist(), strict=True):
+        walls = known.nonzero()[0]
         matches.append(Match(own[walls], walls, score))
     return motions, matches

@@ -119,7 +119,7 @@ def _squared_nearest(x: float, y: float, lines: Floats, i: int) -> float:
 
 @helper
 def _beam_from(ranks: Floats, rank: float, i: int) -> int:
-    """Return the first beam whose rank (n,) is no less than one, searched from beam i on."""
+    """Return the first beam whose rank (n,) is at least a given one, searched from beam i on."""
     while i < len(ranks) and ranks[i] < rank:
         i += 1
     while i > 0 and ranks[i - 1] >= rank:

@@ -132,14 +132,17 @@ def unsupported_links(history: PlaneHistory, links: LinkRecord) -> Ints:
 
 def _unusual(tied: Ints, history: PlaneHistory) -> Bools:
     """Return which links into scans (k,), ascending, differ from those around them."""
-    off_m, moved = np.zeros(len(tied)), history.motion[:, 1:]
-    for k, scan in enumerate(tied.tolist()):
-        near = tied[max(k - BESIDE, 0) : k + BESIDE + 1]
-        near = near[(near != scan) & (np.abs(near - scan) <= BESIDE)]
-        near = near[history.submap[near] == history.submap[scan]]
-        if len(near):
-            off_m[k] = np.hypot(*(moved[scan] - np.median(moved[near], axis=0)))
-    return off_m > UNUSUAL_M
+    near = tied[:, None] + [*range(-BESIDE, 0), *range(1, BESIDE + 1)]
+    known = np.isin(near, tied)
+    near = np.where(known, near, 0)
+    known &= history.submap[near] == history.submap[tied][:, None]
+    moved = np.sort(np.where(known[..., None], history.motion[near, 1:], np.inf), axis=1)
+    n = known.sum(axis=1)
+    row, middle = np.flatnonzero(n), n[n > 0]
+    usual = (moved[row, (middle - 1) // 2] + moved[row, middle // 2]) / 2
+    unusual = np.zeros(len(tied), dtype=np.bool_)
+    unusual[row] = np.hypot(*(history.motion[tied[row], 1:] - usual).T) > UNUSUAL_M
+    return unusual
 
 
 def _have_odometry(links: LinkRecord) -> bool:

@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.arrays import Bools, Floats, Ints, median
 from relmap.segmentation.em.mixture import WallMixture
 from relmap.segmentation.noise import FLOOR_M
 from relmap.segmentation.wall import BEGIN, END, PX, PY, UX, UY
@@ -57,7 +57,7 @@ class LaserScan:
     @cached_property
     def step_rad(self) -> float:
         """The angle from one beam to the next, positive to the left."""
-        return _median(self.bearing[1:] - self.bearing[:-1]) if len(self.xy) > 1 else 0.0
+        return median(self.bearing[1:] - self.bearing[:-1]) if len(self.xy) > 1 else 0.0
 
     @cached_property
     def noise_m(self) -> float:
@@ -101,7 +101,7 @@ def beam_noise(xy: Floats) -> float:
     if len(xy) < 5:
         return FLOOR_M
     turn = np.abs(np.diff(np.arctan2(xy[:, 1], xy[:, 0])))
-    apart_m, every = _median(np.hypot(xy[:, 0], xy[:, 1])) * _median(turn), 1
+    apart_m, every = median(np.hypot(xy[:, 0], xy[:, 1])) * median(turn), 1
     sigma, chord = _noise_of(off_chords(np.ascontiguousarray(xy))), CLOSE
     while len(xy) >= 2 * every * LEAST and 2 * every * apart_m < chord * sigma:
         every, chord = 2 * every, CHORD
@@ -111,12 +111,6 @@ def beam_noise(xy: Floats) -> float:
             break
         sigma = found
     return sigma
-
-
-def _median(values: Floats) -> float:
-    """Return the median of values (n,), at least one; for a scan, much faster than numpy's."""
-    ordered, n = np.sort(values), len(values)
-    return float(ordered[(n - 1) // 2] + ordered[n // 2]) / 2
 
 
 def _noise_of(off_m: float) -> float:
