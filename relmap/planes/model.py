@@ -92,18 +92,16 @@ class WallModel:
         """
         return np.asarray(landmarks % 2 == 0)
 
-    def may_be(self, table: LandmarkState, new: int, old: int) -> bool:
-        """Return whether a corner may be an older one: same end, and a wall with its direction."""
-        ends = self._walls.wall_end
-        if (ends[new // 2] - ends[old // 2]) % 2:
-            return False
-        submaps = self._walls.submap_of(np.array([new, old]) // 2)
-        if submaps[0] != submaps[1]:
-            return False
+    def may_be(self, table: LandmarkState, new: Ints, old: Ints) -> Bools:
+        """Return which corners (n,) may be older ones: same end, and a wall with its direction."""
+        ends, one, other = self._walls.wall_end, new // 2, old // 2
+        same = (ends[one] % 2 == ends[other] % 2) & (
+            self._walls.submap_of(one) == self._walls.submap_of(other)
+        )
         positions = table.position
         a, b = positions[new + 1] - positions[new], positions[old + 1] - positions[old]
-        # An unmapped midpoint is not informative.
-        return not a @ b < TURN * np.sqrt((a @ a) * (b @ b))
+        turned = (a * b).sum(axis=1) < TURN * np.sqrt((a**2).sum(axis=1) * (b**2).sum(axis=1))
+        return np.asarray(same & ~turned)  # an unmapped midpoint is not informative
 
 
 def relative_map(block: Floats) -> Floats | None:
