@@ -14,6 +14,6 @@ Bools = np.ndarray[tuple[Any, ...], np.dtype[np.bool_]]
 
 
 def median(values: Floats) -> float:
-    """Return the median of values (n,), at least one; for a few hundred a tenth of numpy's time."""
+    """Return the median of values (n,), at least one; for a few hundred a fifth of numpy's time."""
     ordered, n = np.sort(values), len(values)
     return float(ordered[(n - 1) // 2] + ordered[n // 2]) / 2

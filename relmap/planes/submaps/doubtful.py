@@ -164,7 +164,9 @@ def _changes(step: Floats, free: Floats, to_usual: Floats) -> Floats:
     far = np.hypot(*to_usual.T) > FREE_M
     (turn, x, y), c, s = free, np.cos(step[0]), np.sin(step[0])
     way = np.array([turn, c * x - s * y, s * x + c * y])  # in the frame of the earlier scan
-    return np.vstack([BOTH_M * way, np.pad(to_usual, [(0, 0), (1, 0)])[far]])
+    usual = np.zeros((2, 3))
+    usual[:, 1:] = to_usual
+    return np.vstack([BOTH_M * way, usual[far]])
 
 
 def _excluded(step: Floats, changes: Floats, earlier: Beams, later: Beams) -> float:
