@@ -84,8 +84,8 @@ class SignModel:
     def is_compared(self, landmarks: Ints) -> Bools:
         return np.asarray(landmarks % 2 == 0)
 
-    def may_be(self, table: LandmarkState, new: int, old: int) -> bool:
-        return True
+    def may_be(self, table: LandmarkState, new: Ints, old: Ints) -> Bools:
+        return np.ones(len(new), dtype=bool)
 
 
 def test_signs_are_mapped_by_the_engine_as_it_is() -> None:

@@ -77,8 +77,8 @@ class LandmarkModel(Protocol):
         """Return which points (n,) are compared with older ones when they are re-observed."""
         ...
 
-    def may_be(self, table: LandmarkState, new: int, old: int) -> bool:
-        """Return whether a point may be an older one, judged by everything except its position."""
+    def may_be(self, table: LandmarkState, new: Ints, old: Ints) -> Bools:
+        """Return which points (n,) may be older ones (n,), judged by all but their positions."""
         ...
 
     @property

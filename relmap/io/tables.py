@@ -8,6 +8,7 @@ import math
 import sys
 from array import array
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any, Literal
 
@@ -49,8 +50,11 @@ def compressed(text: str) -> bytes:
 
 def csv_text(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     """Return a table as CSV text; floats in full precision, NaN and None as empty cells."""
-    lines = [header, *(map(_cell, row) for row in rows)]
-    return "\n".join(map(",".join, lines)) + "\n"
+    return _text(header, (map(_cell, row) for row in rows))
+
+
+def _text(header: Sequence[str], rows: Iterable[Iterable[str]]) -> str:
+    return "\n".join(map(",".join, chain([header], rows))) + "\n"
 
 
 def _cell(value: object) -> str:
@@ -62,8 +66,11 @@ def _cell(value: object) -> str:
 
 def columns_text(columns: Mapping[str, NDArray[Any]]) -> str:
     """Return columns (n,) as CSV text, see `csv_text`."""
-    cells = (column.tolist() for column in columns.values())
-    return csv_text(list(columns), zip(*cells, strict=True))
+    cells = (
+        map(str if column.dtype.kind in "iu" else _cell, column.tolist())
+        for column in columns.values()
+    )
+    return _text(list(columns), zip(*cells, strict=True))
 
 
 def read_table(

@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.arrays import Bools, Floats, Ints, median
 from relmap.core.config import MapperConfig
 from relmap.core.geometry.alignment import fixes_rotation
 from relmap.core.state.store import Rows, Shown
@@ -83,7 +83,7 @@ class WallModel:
 
         A corner and its midpoint keep their distance, and so do corners where two walls meet.
         """
-        return BLUNT * float(np.median(rows["sd"])) if len(rows["sd"]) else 0.0
+        return BLUNT * median(rows["sd"]) if len(rows["sd"]) else 0.0
 
     def is_compared(self, landmarks: Ints) -> Bools:
         """Return which points (n,) are compared with older ones: corners.
@@ -92,16 +92,16 @@ class WallModel:
         """
         return np.asarray(landmarks % 2 == 0)
 
-    def may_be(self, table: LandmarkState, new: int, old: int) -> bool:
-        """Return whether a corner may be an older one: same end, and a wall with its direction."""
-        corners = np.array([new, old]) // 2
-        ends, submaps = self._walls.wall_end[corners], self._walls.submap_of(corners)
-        if ends[0] % 2 != ends[1] % 2 or submaps[0] != submaps[1]:
-            return False
+    def may_be(self, table: LandmarkState, new: Ints, old: Ints) -> Bools:
+        """Return which corners (n,) may be older ones: same end, and a wall with its direction."""
+        ends, one, other = self._walls.wall_end, new // 2, old // 2
+        same = (ends[one] % 2 == ends[other] % 2) & (
+            self._walls.submap_of(one) == self._walls.submap_of(other)
+        )
         positions = table.position
         a, b = positions[new + 1] - positions[new], positions[old + 1] - positions[old]
-        # An unmapped midpoint is not informative.
-        return not a @ b < TURN * np.sqrt((a @ a) * (b @ b))
+        turned = (a * b).sum(axis=1) < TURN * np.sqrt((a**2).sum(axis=1) * (b**2).sum(axis=1))
+        return np.asarray(same & ~turned)  # an unmapped midpoint is not informative
 
 
 def relative_map(block: Floats) -> Floats | None:

@@ -64,6 +64,6 @@ class PointModel:
         """Return which points (n,) are compared with older ones: all of them."""
         return np.ones(len(landmarks), dtype=bool)
 
-    def may_be(self, table: LandmarkState, new: int, old: int) -> bool:
-        """Return that any point may be an older one."""
-        return True
+    def may_be(self, table: LandmarkState, new: Ints, old: Ints) -> Bools:
+        """Return which points (n,) may be older ones (n,): all of them."""
+        return np.ones(len(new), dtype=bool)

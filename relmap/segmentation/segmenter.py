@@ -196,7 +196,8 @@ class PlaneSegmenter:
         from relmap.segmentation.scanline import lines
 
         if method == "scanlines":
-            once = np.append(True, (xy[1:] != xy[:-1]).any(axis=1))
+            other = xy[1:] != xy[:-1]
+            once = np.append(True, other[:, 0] | other[:, 1])
             every, xy = np.cumsum(once) - 1, xy[once]
             scan = lines.LaserScan(xy)
             mixture, labels = lines.scan_walls(scan, self.noise)

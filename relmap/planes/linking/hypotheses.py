@@ -141,11 +141,11 @@ class Hypotheses:
 def _two_back(last: Layer, found: Candidates, looked_at: Bools, judge: Judge) -> Floats:
     """Return the evidence of the scan two before for each motion and hypothesis; (h, k)."""
     weight = np.zeros(looked_at.shape)
-    known = np.isfinite(last.motion[:, 0])
-    unique, which = np.unique(last.motion[known], axis=0, return_inverse=True)
-    rows = np.flatnonzero(known)
-    for u, motion in enumerate(unique):
-        own = rows[which.ravel() == u]
+    same: dict[bytes, list[int]] = {}
+    for row in np.flatnonzero(np.isfinite(last.motion[:, 0])).tolist():
+        same.setdefault(last.motion[row].tobytes(), []).append(row)
+    for own in same.values():
+        motion = last.motion[own[0]]
         for k in np.flatnonzero(looked_at[own].any(axis=0)).tolist():
             evidence, contradict, stays = judge(then(motion, found.motions[k]))
             weight[own, k] = BEFORE * np.clip(evidence, LOWEST, HIGHEST)

@@ -151,6 +151,7 @@ def place(
     too few for a jump.
     """
     from relmap.planes.linking.guess_kernels import implied
+    from relmap.planes.linking.matching_kernels import settled as compiled_settled
 
     motions, matches = settled(tracks, seen, [before, STILL])
     best, still = zip(motions, matches, strict=True)
@@ -161,7 +162,7 @@ def place(
     if best[1].score < CONTENT * possible:
         motions = implied(tracks.arrays, seen.arrays)
         motions = motions[np.abs(motions[:, 0]) < REACH_RAD]
-        scores = [match.score for match in settled(tracks, seen, motions, 0)[1]]
+        scores = compiled_settled(tracks.arrays, seen.arrays, motions, 0)[2]
         likely = motions[np.argsort(scores)[::-1][:GUESSES]]
         for found in zip(*settled(tracks, seen, likely), strict=True):
             jumps = [
@@ -199,7 +200,7 @@ def settled(
     found = matching_kernels.settled(tracks.arrays, seen.arrays, starts, rounds)
     motions, track_of, scores = found
     matches = list[Match]()
-    for own, score in zip(track_of, scores.tolist(), strict=True):
-        walls = np.flatnonzero(own >= 0)
+    for own, known, score in zip(track_of, track_of >= 0, scores.tolist(), strict=True):
+        walls = known.nonzero()[0]
         matches.append(Match(own[walls], walls, score))
     return motions, matches

@@ -105,8 +105,9 @@ class PlaneRegistration(Registration):
         self._type.resize(self.n_planes, UNTYPED)
         self._since.resize(self.n_planes, len(self.links))
         self._test_ends()
-        begun = PlaneTracks.begun(walls[new], seen.only(new))
-        tracks = begun if tracks is None else tracks.joined(begun)
+        if tracks is None or n_new:
+            begun = PlaneTracks.begun(walls[new], seen.only(new))
+            tracks = begun if tracks is None else tracks.joined(begun)
         tracks = tracks.kept(tracks.missed <= self._max_missed)
         self._tracks = tracks if len(tracks) else None
         self._see_corners(tracks, seen, walls)

@@ -279,11 +279,9 @@ def share_at_rest(scans: Scans, is_tied: Bools, most: int = LINKS) -> float:
         between = slice(later - apart + 1, later + 1)
         if not is_tied[between].all():
             continue
-        points, _, loose = scans.beams.given(later - apart).by_bearing
-        given = scans.beams.given(later)
-        if loose.any() and len(given.points):
-            found, bearings, _ = given.by_bearing
-            motion, seen = motion_over(scans.motions[between]), (found, bearings, given.origin)
-            stays, goes = seen_again(points[loose], seen, motion)
+        before, given = (scans.beams.given(scan) for scan in (later - apart, later))
+        if before.loose.any() and len(given.points):
+            motion, seen = motion_over(scans.motions[between]), (*given.by_bearing, given.origin)
+            stays, goes = seen_again(before.by_bearing[0][before.loose], seen, motion)
             there, gone = there + stays, gone + goes
     return there / (there + gone + UNKNOWN)

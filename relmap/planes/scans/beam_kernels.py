@@ -118,6 +118,16 @@ def _squared_nearest(x: float, y: float, lines: Floats, i: int) -> float:
 
 
 @helper
+def _beam_from(ranks: Floats, rank: float, i: int) -> int:
+    """Return the first beam whose rank (n,) is at least a given one, searched from beam i on."""
+    while i < len(ranks) and ranks[i] < rank:
+        i += 1
+    while i > 0 and ranks[i - 1] >= rank:
+        i -= 1
+    return i
+
+
+@helper
 def _compare(
     seen: Fan,
     other: Fan,
@@ -135,31 +145,34 @@ def _compare(
     get the contribution of each point: 0.5 to 1, -1 and 0; those out of view stay NaN.
     """
     _, origin, _, loose, lines, ranks = seen
+    points, _, solid, apart, _, _ = other
     c, s, n, i = math.cos(motion[0]), math.sin(motion[0]), len(ranks), 0
-    for k in range(0, len(other[0]), step):
-        if firm and other[3][k]:
+    agree, against, undecided, unseen, near = sums[0], 0, 0, 0, near_m * near_m
+    for k in range(0, len(points), step):
+        if firm and apart[k]:
             continue
-        x = c * other[0][k, 0] - s * other[0][k, 1] + motion[1]
-        y = s * other[0][k, 0] + c * other[0][k, 1] + motion[2]
+        x = c * points[k, 0] - s * points[k, 1] + motion[1]
+        y = s * points[k, 0] + c * points[k, 1] + motion[2]
         dx, dy = x - origin[0], y - origin[1]
-        rank = _rank(dx, dy)
-        while i < n and ranks[i] < rank:  # bearings change slowly from beam to beam
-            i += 1
-        while i > 0 and ranks[i - 1] >= rank:
-            i -= 1
+        i = _beam_from(ranks, _rank(dx, dy), i)  # bearings change slowly from beam to beam
         if i == 0 or i == n or lines[i, 5] < 0:
-            sums[3] += 1
+            unseen += 1
             continue
-        off, kind, value = _squared_nearest(x, y, lines, i), 2, 0.0
-        if off < near_m * near_m:
-            kind, value = 0, 1 - 0.5 * off / (near_m * near_m)
-        elif math.sqrt(dx * dx + dy * dy) < lines[i, 5] - 2 * near_m:
-            kind, value = (1, -1.0) if other[2][k] else (2, 0.0)
-        elif firm and loose[i] and loose[i - 1]:
-            kind, value = 3, np.nan
-        sums[kind] += value if kind == 0 else 1.0
+        off = _squared_nearest(x, y, lines, i)
+        # Branches would be mispredicted for many points, which takes longer than the arithmetic.
+        is_near, value = off < near, 1 - 0.5 * off / near
+        passed = math.sqrt(dx * dx + dy * dy) < lines[i, 5] - 2 * near_m
+        is_against = (not is_near) & passed & solid[k]
+        is_out = (not is_near) & (not passed) & firm & loose[i] & loose[i - 1]
+        agree += value if is_near else 0.0
+        against += is_against
+        unseen += is_out
+        undecided += not (is_near | is_against | is_out)
         if len(values) > 0:
-            values[k] = value
+            rest = np.nan if is_out else (-1.0 if is_against else 0.0)
+            values[k] = value if is_near else rest
+    sums[0], sums[1], sums[2] = agree, sums[1] + against, sums[2] + undecided
+    sums[3] += unseen
 
 
 @helper

@@ -53,8 +53,8 @@ class Beams:
         """Return the beams of a scan, some of them on walls by ends (m, 2, 2)."""
         from relmap.planes.scans.loose_kernels import on_walls
 
-        points, bearings, loose = given.by_bearing
-        return cls(points, bearings, given.origin, on_walls(points, ends, NEAR_M), loose)
+        points, bearings = given.by_bearing
+        return cls(points, bearings, given.origin, on_walls(points, ends, NEAR_M), given.loose)
 
     def __len__(self) -> int:
         """Return the number of beams."""
@@ -111,16 +111,19 @@ class GivenBeams:
         return cls(points[::every, :2].astype(np.float32), origin, points.shape[1] == 2)
 
     @cached_property
-    def by_bearing(self) -> tuple[Floats, Floats, Bools]:
-        """Points (n, 2) by bearing from the sensor, bearings, and which are on loose objects."""
-        from relmap.planes.scans.loose_kernels import free_standing
-
+    def by_bearing(self) -> tuple[Floats, Floats]:
+        """Points (n, 2) by bearing from the sensor, and bearings."""
         points = self.points.astype(np.float64)
         bearings = np.arctan2(points[:, 1] - self.origin[1], points[:, 0] - self.origin[0])
         order = np.argsort(bearings, kind="stable")
-        points, bearings = points[order], bearings[order]
-        loose = free_standing(points, bearings, self.origin)
-        return points, bearings, loose
+        return points[order], bearings[order]
+
+    @cached_property
+    def loose(self) -> Bools:
+        """Which points by bearing (n,) are on loose objects."""
+        from relmap.planes.scans.loose_kernels import free_standing
+
+        return free_standing(*self.by_bearing, self.origin)
 
     def to_bytes(self) -> bytes:
         """Return the values stored in a journal: order flag, origin and points."""
@@ -263,5 +266,4 @@ def on_loose_things(ends: Floats, given: GivenBeams) -> Bools:
         return np.zeros(len(ends), dtype=np.bool_)
     from relmap.planes.scans.loose_kernels import loose_walls
 
-    points, _, loose = given.by_bearing
-    return loose_walls(points, loose, ends)
+    return loose_walls(given.by_bearing[0], given.loose, ends)

@@ -132,14 +132,17 @@ def unsupported_links(history: PlaneHistory, links: LinkRecord) -> Ints:
 
 def _unusual(tied: Ints, history: PlaneHistory) -> Bools:
     """Return which links into scans (k,), ascending, differ from those around them."""
-    off_m, moved = np.zeros(len(tied)), history.motion[:, 1:]
-    for k, scan in enumerate(tied.tolist()):
-        near = tied[max(k - BESIDE, 0) : k + BESIDE + 1]
-        near = near[(near != scan) & (np.abs(near - scan) <= BESIDE)]
-        near = near[history.submap[near] == history.submap[scan]]
-        if len(near):
-            off_m[k] = np.hypot(*(moved[scan] - np.median(moved[near], axis=0)))
-    return off_m > UNUSUAL_M
+    near = tied[:, None] + [*range(-BESIDE, 0), *range(1, BESIDE + 1)]
+    known = np.isin(near, tied)
+    near = np.where(known, near, 0)
+    known &= history.submap[near] == history.submap[tied][:, None]
+    moved = np.sort(np.where(known[..., None], history.motion[near, 1:], np.inf), axis=1)
+    n = known.sum(axis=1)
+    row, middle = np.flatnonzero(n), n[n > 0]
+    usual = (moved[row, (middle - 1) // 2] + moved[row, middle // 2]) / 2
+    unusual = np.zeros(len(tied), dtype=np.bool_)
+    unusual[row] = np.hypot(*(history.motion[tied[row], 1:] - usual).T) > UNUSUAL_M
+    return unusual
 
 
 def _have_odometry(links: LinkRecord) -> bool:
@@ -161,7 +164,9 @@ def _changes(step: Floats, free: Floats, to_usual: Floats) -> Floats:
     far = np.hypot(*to_usual.T) > FREE_M
     (turn, x, y), c, s = free, np.cos(step[0]), np.sin(step[0])
     way = np.array([turn, c * x - s * y, s * x + c * y])  # in the frame of the earlier scan
-    return np.vstack([BOTH_M * way, np.pad(to_usual, [(0, 0), (1, 0)])[far]])
+    usual = np.zeros((2, 3))
+    usual[:, 1:] = to_usual
+    return np.vstack([BOTH_M * way, usual[far]])
 
 
 def _excluded(step: Floats, changes: Floats, earlier: Beams, later: Beams) -> float:

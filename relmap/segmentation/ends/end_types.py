@@ -86,13 +86,12 @@ def type_ends(
 
 def _hidden(bearing: Floats, far: Floats, turn: Floats, spread: Floats) -> Bools:
     """Return which ends (m, 2) are next to the edge of a nearer wall that extends beyond them."""
-    hidden = np.zeros(far.shape, dtype=np.bool_)
-    for end in (0, 1):
-        edge = 1 - end  # a wall beyond the right end shows its left end there
-        apart = np.abs(bearing[:, end, None] - bearing[None, :, edge])
-        close = apart < turn[:, end, None] + turn[None, :, edge]
-        margin = SURE * np.hypot(spread[:, end, None], spread[None, :, edge]) + 5 * SLACK_M
-        nearer = far[None, :, edge] < far[:, end, None] - margin
-        np.fill_diagonal(nearer, False)
-        hidden[:, end] = (close & nearer).any(axis=1)
-    return hidden
+    # A wall beyond the right end shows its left end there.
+    (own, edge), (own_m, edge_m), (turn, slack), (sd, edge_sd) = (
+        (each.T[:, :, None], each.T[::-1, None]) for each in (bearing, far, turn, spread)
+    )
+    close = np.abs(own - edge) < turn + slack
+    hidden = close & (edge_m < own_m - (SURE * np.hypot(sd, edge_sd) + 5 * SLACK_M))
+    itself = np.arange(len(far))
+    hidden[:, itself, itself] = False
+    return np.asarray(hidden.any(axis=2).T)

@@ -111,18 +111,6 @@ def breaks(xy: Floats, turn: Floats, free: Floats, sigma: float) -> Bools:
     return broken
 
 
-@compiled
-def range_breaks(xy: Floats, sigma: float) -> Ints:
-    """Return after which points (n,) the next beam hits something else: 1, else 0."""
-    broken = np.zeros(len(xy), dtype=np.int64)
-    if len(xy) > 1:
-        turn = turns(xy)
-        found, limit = breaks(xy, turn, turn, sigma), SKIPPED * median(turn.copy())
-        for i in range(len(turn)):
-            broken[i] = found[i] and turn[i] < limit
-    return broken
-
-
 @helper
 def _split_at(xy: Floats, first: int, last: int, sigma: float) -> int:
     """Return where points first to last (excluded) bend most; -1 if one line fits them."""
@@ -151,10 +139,10 @@ def _scatter(xy: Floats, first: int, last: int) -> float:
 
 
 @helper
-def _shift_breaks(xy: Floats, broken: Bools, pieces: list[tuple[int, int]]) -> None:
+def _shift_breaks(xy: Floats, broken: Bools, pieces: Ints) -> None:
     """Assign each point beside a bend to the nearer line."""
     for k in range(len(pieces) - 1):
-        (a, b), (c, d) = pieces[k], pieces[k + 1]
+        a, b, c, d = pieces[k, 0], pieces[k, 1], pieces[k + 1, 0], pieces[k + 1, 1]
         if b != c or broken[b - 1] or b - a < 4 or d - c < 4:
             continue
         left, right = _fit(xy, a, b - 1), _fit(xy, c + 1, d)
@@ -163,25 +151,29 @@ def _shift_breaks(xy: Floats, broken: Bools, pieces: list[tuple[int, int]]) -> N
         if b == c:
             while d - b > 3 and _off(xy, b, left) < _off(xy, b, right):
                 b += 1
-        pieces[k], pieces[k + 1] = (a, b), (b, d)
+        pieces[k, 1] = pieces[k + 1, 0] = b
 
 
 @helper
-def _straight(
-    xy: Floats, first: int, last: int, sigma: float, pieces: list[tuple[int, int]]
-) -> None:
-    """Split points first to last (excluded) where they bend, and add the pieces in order."""
-    waiting = [(first, last)]
-    while len(waiting) > 0:
-        a, b = waiting.pop()
-        if b - a < 3:
+def _straight(xy: Floats, first: int, last: int, sigma: float, pieces: Ints, n: int) -> int:
+    """Split points first to last (excluded) where they bend; add the pieces after n others.
+
+    Returns the number of all pieces.
+    """
+    ends, waiting = np.empty(last - first, dtype=np.int64), 1  # of parts, the next one last
+    ends[0] = last
+    while waiting > 0:
+        end = ends[waiting - 1]
+        at = _split_at(xy, first, end, sigma) if end - first >= 3 else -1
+        if at >= 0:
+            ends[waiting] = at
+            waiting += 1
             continue
-        at = _split_at(xy, a, b, sigma)
-        if at < 0:
-            pieces.append((a, b))
-        else:
-            waiting.append((at, b))
-            waiting.append((a, at))
+        if end - first >= 3:
+            pieces[n, 0], pieces[n, 1] = first, end
+            n += 1
+        first, waiting = end, waiting - 1
+    return n
 
 
 @helper
@@ -208,18 +200,19 @@ def _open_between(xy: Floats, turn: Floats, b: int, c: int, sigma: float) -> boo
 
 
 @helper
-def _join(xy: Floats, turn: Floats, pieces: list[tuple[int, int]], sigma: float) -> None:
-    """Join neighbours that one line fits."""
+def _join(xy: Floats, turn: Floats, pieces: Ints, sigma: float) -> int:
+    """Join neighbours that one line fits; return the number of pieces left, the first ones."""
     k = 0
-    while k < len(pieces) - 1:
-        (a, b), (c, d) = pieces[k], pieces[k + 1]
+    for other in range(1, len(pieces)):
+        a, b, c, d = pieces[k, 0], pieces[k, 1], pieces[other, 0], pieces[other, 1]
         fits = c - b <= STRAYS and _scatter(xy, a, d) < LIMIT * sigma**2 * (d - a)
         fits = fits and not _open_between(xy, turn, b, c, sigma)
         if fits and _split_at(xy, a, d, 1.5 * sigma) < 0:
-            pieces[k] = (a, d)
-            pieces.pop(k + 1)
+            pieces[k, 1] = d
         else:
             k += 1
+            pieces[k, 0], pieces[k, 1] = c, d
+    return min(k + 1, len(pieces))
 
 
 @helper
@@ -236,41 +229,32 @@ def _by_chance(xy: Floats, first: int, last: int, sigma: float) -> float:
 
 
 @compiled
-def line_pieces(xy: Floats, beam: Ints, sigma: float) -> Ints:
+def line_pieces(xy: Floats, beam: Ints, sigma: float) -> tuple[Ints, Floats]:
     """Return the straight pieces (m, 2) of a scan: first point, and one after the last.
 
-    Pieces that are probable by chance are left out. `beam` are the numbers (n,) of the points
-    before specks were left out.
+    Also returns the walls (m, WALL) through them. Pieces that are probable by chance are left out.
+    `beam` are the numbers (n,) of the points before specks were left out.
     """
-    if len(xy) < 3:
-        return np.empty((0, 2), dtype=np.int64)
-    pieces = [(0, 0)][:0]
-    turn, start = turns(xy), 0
-    usual, free = median(turn.copy()), turn.copy()
-    for i in range(len(turn)):
-        free[i] -= (beam[i + 1] - beam[i] - 1) * usual
-    broken = breaks(xy, turn, free, sigma)
-    for i in range(len(xy)):
-        if broken[i] or i == len(xy) - 1:
-            _straight(xy, start, i + 1, sigma, pieces)
-            start = i + 1
-    _shift_breaks(xy, broken, pieces)
-    _join(xy, free, pieces, sigma)
-    kept, n = np.empty((len(pieces), 2), dtype=np.int64), 0
-    for a, b in pieces:
+    pieces, n, start = np.empty((len(xy), 2), dtype=np.int64), 0, 0
+    if len(xy) >= 3:
+        turn = turns(xy)
+        usual, free = median(turn.copy()), turn.copy()
+        for i in range(len(turn)):
+            free[i] -= (beam[i + 1] - beam[i] - 1) * usual
+        broken = breaks(xy, turn, free, sigma)
+        for i in range(len(xy)):
+            if broken[i] or i == len(xy) - 1:
+                n, start = _straight(xy, start, i + 1, sigma, pieces, n), i + 1
+        _shift_breaks(xy, broken, pieces[:n])
+        n = _join(xy, free, pieces[:n], sigma)
+    walls, m = np.zeros((n, WALL)), 0
+    for k in range(n):
+        a, b = pieces[k, 0], pieces[k, 1]
         if _by_chance(xy, a, b, sigma) < CHANCE:
-            kept[n, 0], kept[n, 1] = a, b
-            n += 1
-    return kept[:n]
-
-
-@compiled
-def piece_walls(xy: Floats, pieces: Ints) -> Floats:
-    """Return the walls (m, WALL) through pieces (m, 2) of a scan."""
-    walls = np.zeros((len(pieces), WALL))
-    for k in range(len(pieces)):
-        wall = _fit(xy, pieces[k, 0], pieces[k, 1])
-        for i in range(WALL):
-            walls[k, i] = wall[i]
-        walls[k, SHARE] = (pieces[k, 1] - pieces[k, 0]) / len(xy)
-    return walls
+            wall = _fit(xy, a, b)
+            for i in range(WALL):
+                walls[m, i] = wall[i]
+            walls[m, SHARE] = (b - a) / len(xy)
+            pieces[m, 0], pieces[m, 1] = a, b
+            m += 1
+    return pieces[:m], walls[:m]

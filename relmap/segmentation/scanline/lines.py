@@ -13,8 +13,8 @@ from functools import cached_property
 
 import numpy as np
 
-from relmap.core.arrays import Bools, Floats, Ints
-from relmap.segmentation.em.mixture import WallMixture, scan_area
+from relmap.core.arrays import Bools, Floats, Ints, median
+from relmap.segmentation.em.mixture import WallMixture
 from relmap.segmentation.noise import FLOOR_M
 from relmap.segmentation.wall import BEGIN, END, PX, PY, UX, UY
 
@@ -22,11 +22,6 @@ MEDIAN = 0.6745
 """Median of the magnitude of normal noise, in standard deviations."""
 MANY = 1 / 12
 """Fraction of beams on small isolated objects above which the scan shows clutter."""
-BOWED, EXPLAINED = 2.0, 0.4
-"""Bow of the pieces of a curve, in standard deviations, and allowed difference between turn and
-bow."""
-NEXT = 2
-"""Largest difference of point numbers between the end of a piece and the start of the next."""
 CLOSE, CHORD = 1.5, 3.0
 """Length of the chords from which the noise is estimated, in standard deviations, below which they
 are made longer, and up to which."""
@@ -62,13 +57,23 @@ class LaserScan:
     @cached_property
     def step_rad(self) -> float:
         """The angle from one beam to the next, positive to the left."""
-        step = np.sort(self.bearing[1:] - self.bearing[:-1])
-        return float(step[(len(step) - 1) // 2] + step[len(step) // 2]) / 2 if len(step) else 0.0
+        return median(self.bearing[1:] - self.bearing[:-1]) if len(self.xy) > 1 else 0.0
 
     @cached_property
     def noise_m(self) -> float:
         """The noise; see `beam_noise`."""
         return beam_noise(self.xy)
+
+    @cached_property
+    def marks(self) -> tuple[Bools, Bools]:
+        """Which points are specks, and after which ones the next beam hits something else; (n,)."""
+        return self.marks_at(self.noise_m)
+
+    def marks_at(self, noise_m: float) -> tuple[Bools, Bools]:
+        """Return the same for a given noise, metres."""
+        from relmap.segmentation.scanline.speck_kernels import specks_and_breaks
+
+        return specks_and_breaks(self.xy, max(noise_m, NOISE_AT_LEAST_M))
 
 
 def is_ordered(xy: Floats) -> bool:
@@ -96,7 +101,7 @@ def beam_noise(xy: Floats) -> float:
     if len(xy) < 5:
         return FLOOR_M
     turn = np.abs(np.diff(np.arctan2(xy[:, 1], xy[:, 0])))
-    apart_m, every = float(np.median(np.hypot(*xy.T)) * np.median(turn)), 1
+    apart_m, every = median(np.hypot(xy[:, 0], xy[:, 1])) * median(turn), 1
     sigma, chord = _noise_of(off_chords(np.ascontiguousarray(xy))), CLOSE
     while len(xy) >= 2 * every * LEAST and 2 * every * apart_m < chord * sigma:
         every, chord = 2 * every, CHORD
@@ -118,35 +123,31 @@ def scan_walls(scan: LaserScan, noise: float | None) -> tuple[WallMixture, Ints]
 
     `noise`: metres; None: estimated.
     """
-    from relmap.segmentation.scanline.beam_kernels import line_pieces, piece_walls
+    from relmap.segmentation.scanline.beam_kernels import line_pieces
 
     xy = scan.xy
     sigma = scan.noise_m if noise is None else max(noise, FLOOR_M)
-    solid = _beyond_clutter(xy, max(sigma, NOISE_AT_LEAST_M))
+    solid = _beyond_clutter(scan.marks[0] if noise is None else scan.marks_at(sigma)[0])
     own = np.ascontiguousarray(xy[solid])
     if noise is None and len(own) < len(xy):
         sigma = beam_noise(own)
-    pieces = line_pieces(own, solid, max(sigma, NOISE_AT_LEAST_M))
-    walls = piece_walls(own, pieces)
+    pieces, walls = line_pieces(own, solid, max(sigma, NOISE_AT_LEAST_M))
     kept = walls[:, END] - walls[:, BEGIN] > NOISE_AT_LEAST_M
     walls, pieces = walls[kept], pieces[kept]
     labels = np.full(len(xy), -1)
     for k, (first, last) in enumerate(pieces.tolist()):
         labels[solid[first:last]] = k
-    area, beam = scan_area(xy, sigma), abs(scan.step_rad)
-    return WallMixture(walls, sigma, 0.0, area, beam=beam), labels
+    # Without stray points the area over which they would lie does not matter.
+    return WallMixture(walls, sigma, stray=0.0, area=1.0, beam=abs(scan.step_rad)), labels
 
 
-def _beyond_clutter(xy: Floats, sigma: float) -> Ints:
-    """Return the remaining points (k,) without specks; all points if specks are few.
+def _beyond_clutter(speck: Bools) -> Ints:
+    """Return the remaining points (k,) without specks (n,); all points if specks are few.
 
     Otherwise an object in front of a wall, such as a door jamb, is a valid landmark.
     """
-    from relmap.segmentation.scanline.speck_kernels import specks
-
-    speck = specks(np.ascontiguousarray(xy), sigma)
     alone = speck[1:-1] & ~speck[:-2] & ~speck[2:]
-    return (~speck | (np.count_nonzero(alone) < MANY * len(xy))).nonzero()[0]
+    return (~speck | (np.count_nonzero(alone) < MANY * len(speck))).nonzero()[0]
 
 
 def first_and_last(labels: Ints) -> tuple[Ints, Ints]:
@@ -184,15 +185,12 @@ def hidden_ends(scan: LaserScan, bounds: tuple[Ints, Ints]) -> Bools:
 
     A few beams suffice: a wall at a grazing angle may be undetected but still hides others.
     """
-    from relmap.segmentation.scanline.beam_kernels import range_breaks
-
-    xy, (first, last) = scan.xy, bounds
-    broken = range_breaks(xy, max(scan.noise_m, NOISE_AT_LEAST_M))
+    xy, (first, last), broken = scan.xy, bounds, scan.marks[1]
     radius = np.hypot(xy[:, 0], xy[:, 1])
     right, left = np.maximum(first - 1, 0), np.minimum(last + 1, len(xy) - 1)
     hidden = [
-        (broken[right] > 0) & (radius[right] < radius[first]) & (first > 0),
-        (broken[last] > 0) & (radius[left] < radius[last]),
+        broken[right] & (radius[right] < radius[first]) & (first > 0),
+        broken[last] & (radius[left] < radius[last]),
     ]
     return np.array(hidden).T
 
@@ -202,36 +200,7 @@ def on_curves(mixture: WallMixture, xy: Floats, labels: Ints, bounds: tuple[Ints
 
     Where a curve is cut into straight pieces depends on the point of view.
     """
-    (ux, uy), swing = mixture.walls[:, UX : UY + 1].T, _swings(mixture, xy, labels)
-    x, y = ux[:-1] * ux[1:] + uy[:-1] * uy[1:], ux[:-1] * uy[1:]
-    turn = np.arctan2(y - uy[:-1] * ux[1:], x)
-    first, last = bounds
-    goes_on = (first[1:] - last[:-1] <= NEXT) & (swing[:-1] * turn > 0) & (swing[1:] * turn > 0)
-    goes_on &= np.abs(turn - swing[:-1] - swing[1:]) < EXPLAINED * np.abs(turn)
-    curved = np.zeros((len(swing), 2), dtype=np.bool_)
-    curved[1:, 0] = curved[:-1, 1] = goes_on
-    return curved
+    from relmap.segmentation.scanline.curve_kernels import curved_ends
 
-
-def _swings(mixture: WallMixture, xy: Floats, labels: Ints) -> Floats:
-    """Return the turn of each wall (k,) from its middle to its end, radians; 0 if uncertain."""
-    walls, own = mixture.walls, (labels >= 0).nonzero()[0]
-    of, n = labels[own], len(walls)
-    x, y = (xy[own] - walls[of, :2]).T
-    place = x * walls[of, UX] + y * walls[of, UY]
-    off = y * walls[of, UX] - x * walls[of, UY]
-
-    def total(values: Floats) -> Floats:
-        return np.asarray(np.bincount(of, values, minlength=n), dtype=np.float64)
-
-    count = np.bincount(of, minlength=n)
-    place -= (total(place) / count)[of]
-    # Difference between a parabola and its line, and the part of it in the residuals.
-    squares = place**2
-    total_squares = total(squares)
-    slope, level = total(place**3) / total_squares, total_squares / count
-    bend = squares - slope[of] * place - level[of]
-    weight = np.maximum(total(bend**2), 1e-12)
-    bow, sd = total(off * bend) / weight, max(mixture.sigma, NOISE_AT_LEAST_M) / np.sqrt(weight)
-    sure = (np.abs(bow) > BOWED * sd) & (count > 3)
-    return np.asarray(np.where(sure, bow * (walls[:, END] - walls[:, BEGIN]), 0.0))
+    sigma = max(mixture.sigma, NOISE_AT_LEAST_M)
+    return curved_ends(mixture.walls, xy, labels, np.array(bounds), sigma)

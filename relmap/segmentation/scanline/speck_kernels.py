@@ -9,7 +9,7 @@ import numpy as np
 from relmap.core.arrays import Bools, Floats
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import median
-from relmap.segmentation.scanline.beam_kernels import OFF, STRAYS, breaks, radii, turns
+from relmap.segmentation.scanline.beam_kernels import OFF, SKIPPED, STRAYS, breaks, radii, turns
 
 EVEN = 1.5
 """Factor by which points on a surface may be farther apart than the nearer of the adjacent ones."""
@@ -54,11 +54,14 @@ def _close_specks(xy: Floats, sigma: float, found: Bools) -> None:
 
 
 @compiled
-def specks(xy: Floats, sigma: float) -> Bools:
-    """Return which points (n,) are specks in front of a surface that continues beside them."""
+def specks_and_breaks(xy: Floats, sigma: float) -> tuple[Bools, Bools]:
+    """Return which points (n,) are specks in front of a surface that continues beside them.
+
+    Also returns after which points the next beam hits something else.
+    """
     n, found = len(xy), np.zeros(len(xy), dtype=np.bool_)
     if n < 3:
-        return found
+        return found, found.copy()
     turn, radius = turns(xy), radii(xy)
     broken, usual, i = breaks(xy, turn, turn, sigma), median(turn.copy()), 0
     while i < n - 1:
@@ -76,4 +79,6 @@ def specks(xy: Floats, sigma: float) -> Bools:
                 j = i + 1
         i = j
     _close_specks(xy, sigma, found)
-    return found
+    for i in range(n - 1):
+        broken[i] = broken[i] and turn[i] < SKIPPED * usual
+    return found, broken

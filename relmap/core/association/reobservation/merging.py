@@ -99,9 +99,8 @@ class Merger:
             max(self._index.cell_m, tolerance_m), output_type="ndarray"
         )
         found: dict[int, list[int]] = {}
-        for new, old in sorted(mapped[np.vstack([near, near[:, ::-1]])].tolist()):
-            if self._may_be(new, old):
-                found.setdefault(new, []).append(old)
+        for new, old in sorted(self._possible(mapped[np.vstack([near, near[:, ::-1]])])):
+            found.setdefault(new, []).append(old)
         self._old_near.update(found)
         return np.array(list(found), dtype=np.int64)
 
@@ -136,12 +135,9 @@ class Merger:
         self._ask(ask)
         if not self._old_near:
             return np.empty((0, 2), dtype=np.int64)
-        pairs = [
-            (new, old)
-            for new in landmarks.tolist()
-            for old in self._old_near.get(new, ())
-            if self._may_be(new, old)
-        ]
+        near = self._old_near
+        pairs = [(new, old) for new in landmarks.tolist() for old in near.get(new, ())]
+        pairs = self._possible(np.array(pairs)) if pairs else pairs
         if not pairs or self._index is None:
             return np.empty((0, 2), dtype=np.int64)
         spread_m = self._model.position_spread * noise_m
@@ -221,21 +217,28 @@ class Merger:
         close = np.linalg.norm(positions[near] - positions[new], axis=1) <= self._index.cell_m
         close &= self._table.submap[near] == self._table.submap[new]
         found: dict[int, list[int]] = {}
-        for one, old in zip(new[close].tolist(), near[close].tolist(), strict=True):
-            if self._may_be(one, old):
-                found.setdefault(one, []).append(old)
+        for one, old in self._possible(np.column_stack([new[close], near[close]])):
+            found.setdefault(one, []).append(old)
         self._old_near.update((one, sorted(old)) for one, old in found.items())
 
-    def _may_be(self, new: int, old: int) -> bool:
-        """Return whether a landmark may be an older one: same submap, and never seen with it."""
+    def _possible(self, pairs: Ints) -> list[tuple[int, int]]:
+        """Return pairs (k, 2) of a landmark and an older one that may be the same.
+
+        They are in one submap, and were never seen together.
+        """
+        table, (new, old) = self._table, pairs.T
+        fits = (table.submap[old] == table.submap[new]) & (table.submap[new] != NONE)
+        fits[fits] = self._model.may_be(table, new[fits], old[fits])
+        found = zip(new[fits].tolist(), old[fits].tolist(), strict=True)
+        return [pair for pair in found if self._is_later(*pair) and not self._are_apart(*pair)]
+
+    def _is_later(self, new: int, old: int) -> bool:
         table = self._table
-        if not table.submap[old] == table.submap[new] != NONE:
-            return False
         later = table.is_later(new, old)
         if not later and self.sightings is not None:
             order = (table.last[old], old) < (table.last[new], new)
             later = order and not self.sightings.together(new, old, RARELY)
-        return bool(later and not self._are_apart(new, old) and self._model.may_be(table, new, old))
+        return bool(later)
 
 
 def merge_doubles(engine: RelativeMapper, merge: Callable[[Ints], int] | None = None) -> bool:
