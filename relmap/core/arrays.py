@@ -1,4 +1,4 @@
-"""Short names for array types; docstrings give shapes and units. And a median of few values."""
+"""Short names for array types; docstrings give shapes and units."""
 
 from __future__ import annotations
 
@@ -11,9 +11,3 @@ Floats = np.ndarray[tuple[Any, ...], np.dtype[np.float64]]
 Singles = np.ndarray[tuple[Any, ...], np.dtype[np.float32]]
 Ints = np.ndarray[tuple[Any, ...], np.dtype[np.int64]]
 Bools = np.ndarray[tuple[Any, ...], np.dtype[np.bool_]]
-
-
-def median(values: Floats) -> float:
-    """Return the median of values (n,), at least one; for a few hundred a fifth of numpy's time."""
-    ordered, n = np.sort(values), len(values)
-    return float(ordered[(n - 1) // 2] + ordered[n // 2]) / 2

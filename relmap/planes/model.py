@@ -6,9 +6,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from relmap.core.arrays import Bools, Floats, Ints, median
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.config import MapperConfig
 from relmap.core.geometry.alignment import fixes_rotation
+from relmap.core.geometry.robust import median
 from relmap.core.state.store import Rows, Shown
 from relmap.core.state.table import LandmarkState
 from relmap.planes.linking.registration import PlaneRegistration

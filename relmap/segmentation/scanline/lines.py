@@ -13,7 +13,8 @@ from functools import cached_property
 
 import numpy as np
 
-from relmap.core.arrays import Bools, Floats, Ints, median
+from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.geometry.robust import median
 from relmap.segmentation.em.mixture import WallMixture
 from relmap.segmentation.noise import FLOOR_M
 from relmap.segmentation.wall import BEGIN, END, PX, PY, UX, UY
