@@ -18,6 +18,7 @@ from relmap.planes3d.sights import is_doubtful, is_tied_doubtfully, seen_through
 from relmap.planes3d.submap import Submap
 from relmap.planes3d.table import plane_table
 from relmap.plots.planes import plot_planes3d
+from relmap.simulation.storey import simulate_storey
 from tests.test_planes3d_covariances import part_of, patches, wall
 from tests.worlds import fed
 
@@ -171,3 +172,18 @@ def test_headings_of_the_picture_are_inside_of_it() -> None:
     for axis in (space.xaxis, space.yaxis):
         numbers = [label.get_window_extent() for label in axis.get_ticklabels()]
         assert not any(axis.label.get_window_extent().overlaps(number) for number in numbers)
+
+
+@pytest.mark.parametrize("seed", [33, 39, 41])
+def test_a_scan_does_not_follow_a_box_that_moves_before_a_wall(seed: int) -> None:
+    # A box that is nearer, and so more accurate, than the wall behind it.
+    world = simulate_storey("depth", 0.005, 30, seed, moving=2)
+    mapper = Plane3dMapper()
+    for scan in world.scans:
+        mapper.update(scan)
+    for part in mapper.submaps:
+        steps, truly = (
+            np.linalg.inv(path[:-1]) @ path[1:]
+            for path in (part.trajectory, world.trajectory[part.iteration])
+        )
+        assert np.linalg.norm((steps - truly)[:, :3, 3], axis=1).max(initial=0.0) < 0.1

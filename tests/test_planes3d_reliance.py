@@ -30,6 +30,22 @@ def test_a_jump_that_one_wall_implies_is_listed(walls_m: tuple[float, ...]) -> N
     assert sorted(unsure_steps(part)) == ([3, 4] if len(walls_m) == 1 else [])
 
 
+def test_steps_by_a_landmark_that_moves_steadily_are_listed() -> None:
+    # Both ends of a room are seen before and after, and something that moves in between.
+    part = Submap()
+    for k in range(16):
+        x, moves = 0.1 * k + 0.3 * min(max(k - 5, 0), 5), 5 < k < 11
+        across = [wall(0, 3.0 - x)] if moves else [wall(0, 9.0 - x), wall(0, -6.0 - x)]
+        number = np.array([4, 0, 1] if moves else [2, 3, 0, 1])
+        part.add(
+            k,
+            patches(*across, wall(1, 2.0), wall(2, -2.0)),
+            (np.eye(3), np.array([x, 0.0, 0.0])),
+            number,
+        )
+    assert set(unsure_steps(refined(part, 5)[0])) >= {7, 8, 9, 10}
+
+
 def test_a_jump_on_a_smooth_path_is_listed_whatever_implies_it() -> None:
     way_m = [0.1 * k + (0.3 if k > 4 else 0.0) for k in range(9)]
     part, _ = refined(carried(way_m, 3.0, -3.0), 4)
@@ -78,15 +94,15 @@ def turned(yaw: float) -> Floats:
 
 
 def test_a_room_with_parallel_walls_is_not_fragile_but_a_corner_is() -> None:
-    room_scan, _ = fragile_of(carried([0.0, 0.1], 3.0, -3.0))
+    room_scan, *_ = fragile_of(carried([0.0, 0.1], 3.0, -3.0))
     assert sorted(room_scan.tolist()) == [0, 0, 1, 1]  # across the single walls only
     for way_m in np.linspace(0.05, 0.4, 8):
-        corner_scan, along = fragile_of(carried([0.0, way_m], 3.0))
+        corner_scan, _, along = fragile_of(carried([0.0, way_m], 3.0))
         assert sorted(corner_scan.tolist()) == [0, 0, 0, 1, 1, 1]
         assert np.sort(np.abs(along).argmax(axis=1)).tolist() == [0, 0, 1, 1, 2, 2]
 
 
-def fragile_of(part: Submap) -> tuple[Ints, Floats]:
+def fragile_of(part: Submap) -> tuple[Ints, Ints, Floats]:
     reach_m = np.array([each.reach_m for each in part.seen])
     return fragile(sightings(part), scene(part), 0.0, reach_m)
 

@@ -27,6 +27,8 @@ range, above which a scan depends on it."""
 UNSTEADY, UNUSUAL = 0.02, 1.5
 """Difference of an unsteady step from those before and after, as a fraction of the range, and as a
 multiple of the median."""
+NEARBY = 8
+"""Maximum number of steps between one that depends on a landmark and others it is compared with."""
 JERK, SEVERAL = 8.0, 6
 """A step that differs by this multiple of the median from those before and after is unreliable
 whatever it depends on; of fewer steps than the second value, one that is unsteady."""
@@ -127,12 +129,12 @@ def _inverse(matrix: Floats, fixed: int) -> Floats:
 
 def fragile(
     seen: Sightings, scene: Scene, systematic: float, reach_m: Floats
-) -> tuple[Ints, Floats]:
+) -> tuple[Ints, Ints, Floats]:
     """Return scans that would be elsewhere, or anywhere, without one landmark: (f,).
 
     `scene`: the poses (p) and planes on which the observations agree; `systematic`: see
-    `PlaneAdjustment`; `reach_m` (p,): range of the scans. Returns also the direction (f, 3) in
-    which each depends on that landmark, map frame. A scan may occur several times.
+    `PlaneAdjustment`; `reach_m` (p,): range of the scans. Returns also that landmark (f,), and the
+    direction (f, 3) in which each scan depends on it, map frame. A scan may occur several times.
     """
     problem = PlaneAdjustment(seen, systematic)
     linear = problem.linearised(scene)
@@ -142,7 +144,7 @@ def fragile(
     # Rotations count by how far they move points at the range.
     by_pose[:, :, :3] /= reach_m[seen.scan, None, None]
     pair, of = np.unique(np.column_stack([seen.scan, seen.plane]), axis=0, return_inverse=True)
-    scan, count = pair[:, 0], len(reach_m)
+    (scan, plane), count = pair.T, len(reach_m)
     matrix = sums_each(np.einsum("nki,nkj->nij", by_pose, by_pose), of.ravel(), len(pair))
     pull = sums_each(np.einsum("nki,nk->ni", by_pose, off), of.ravel(), len(pair))
     whole = sums_each(matrix, scan, count)[scan]
@@ -157,7 +159,8 @@ def fragile(
     way_m = np.linalg.norm(way, axis=1)
     displaced = ~lost & (way_m > DISPLACED * reach_m[scan])
     along = np.concatenate([axes[lost, :, 2], way[displaced] / way_m[displaced, None]])
-    return np.concatenate([scan[lost], scan[displaced]]), along
+    rows = np.concatenate([np.flatnonzero(lost), np.flatnonzero(displaced)])
+    return scan[rows], plane[rows], along
 
 
 def turn_changes(R: Floats, iteration: Ints) -> Floats:
@@ -188,7 +191,7 @@ def unreliable_steps(
     So are those that are unsteady by far, or whose rotation is. Parameters as of `fragile`, and the
     iterations (p,) of the scans.
     """
-    scan, along = fragile(seen, scene, systematic, reach_m)
+    scan, landmark, along = fragile(seen, scene, systematic, reach_m)
     change = changes(np.diff(scene.t, axis=0), iteration)
     size_m = np.linalg.norm(change, axis=1)
     usual_m = float(np.median(size_m))
@@ -198,9 +201,28 @@ def unreliable_steps(
     turn = np.linalg.norm(turn_changes(scene.R, iteration), axis=1)
     if len(turn) >= SEVERAL:
         found |= turn > max(TURN_RAD, TURN_JERK * float(np.median(turn)))
-    for step in (scan - 1, scan):
-        inside = (step >= 0) & (step < len(change))
-        row = step[inside]
-        change_m = np.abs(np.einsum("ni,ni->n", change[row], along[inside]))
-        found[row[change_m > np.maximum(least_m[row], UNUSUAL * usual_m)]] = True
+    step = np.diff(scene.t, axis=0) / np.diff(iteration)[:, None]
+    limit_m = np.maximum(least_m, UNUSUAL * usual_m)
+    for rows in (np.flatnonzero(landmark == one) for one in np.unique(landmark)):
+        own = np.concatenate([scan[rows] - 1, scan[rows]])
+        inside = (own >= 0) & (own < len(step))
+        own, way = own[inside], np.tile(along[rows], (2, 1))[inside]
+        for differs in (change[own], _unlike_others(step, own)):
+            off_m = np.abs(np.einsum("ni,ni->n", differs, way))
+            found[own[off_m > limit_m[own]]] = True
     return found
+
+
+def _unlike_others(step: Floats, own: Ints) -> Floats:
+    """Return by how much steps (k,) differ from the nearest that do not depend on their landmark.
+
+    What moves does so steadily for some scans. `step` (p - 1, 3): all; `own` (k,): all that depend
+    on the landmark. 0 where no other is near.
+    """
+    far = [-1 - NEARBY], np.setdiff1d(np.arange(len(step)), own), [len(step) + NEARBY]
+    others = np.concatenate(far)
+    at = np.searchsorted(others, own)
+    other = np.column_stack([others[at - 1], others[at]])
+    near = (np.abs(other - own[:, None]) <= NEARBY)[:, :, None]
+    sums = (near * step[other.clip(0, len(step) - 1)]).sum(axis=1)
+    return np.where(near.any(axis=1), step[own] - sums / np.maximum(near.sum(axis=1), 1), 0.0)

@@ -37,6 +37,8 @@ CLOSE, SETTLES = 0.3, 0.85
 explains at least the second value. So must a leap, unless more planes match than `BOX`: a room that
 is a box, with something in it, looks much the same after half a turn."""
 BOX = 8
+UNMATCHED = 8.0
+"""Tolerance of planes that another placement may explain, as a multiple of the usual one."""
 ARRIVED = 0.05
 """A hypothesis that a fit brings this close to a placement, as a fraction of `APART`, is it."""
 CLEARLY = 0.5
@@ -113,10 +115,31 @@ def _settled_all(seen: Patches, there: Surfaces, last: Pose | None, held: Held) 
     for R, t in tried if last is None else [*tried, last]:
         if any(other.share > SETTLES and _same(R, t, other, seen, CLOSE) for other in found):
             continue
-        placed = _settled(R, t, seen, there, held, found)
+        placed = _settled((R, t), seen, there, held, found)
         if placed is not None:
             found.append(placed)
+    best = max(found, key=lambda each: each.share, default=None)
+    other = _otherwise(best, seen, there) if best else None
+    placed = _settled(other, seen, there, held, found, loose=1.0) if other else None
+    if placed is not None:
+        found.append(placed)
     return sorted(found, key=lambda each: -each.share)
+
+
+def _otherwise(placed: Placed, seen: Patches, there: Surfaces) -> Pose | None:
+    """Return the pose that the largest unmatched plane implies, if one of the map is near.
+
+    What moves beside the sensor may determine a fit more accurately than a wall behind it.
+    """
+    near = there.overlapping(*placed.pose, seen)
+    match, _ = matched(*placed.pose, seen, there.planes, near, UNMATCHED)
+    left = np.flatnonzero((placed.match < 0) & (match >= 0))
+    if not len(left):
+        return None
+    k = left[np.argmax(importance(seen)[left])]
+    normal, offset = there.planes.normal[match[k]], there.planes.offset[match[k]]
+    at = placed.R @ seen.centre[k] + placed.t
+    return placed.R, placed.t + (offset - normal @ at) * normal
 
 
 def _closest(rivals: list[Placed], R: Floats, held: Held, reach_m: float) -> Placed | None:
@@ -189,11 +212,19 @@ def _promising(seen: Patches, there: Surfaces, held: Held) -> list[Pose]:
 
 
 def _settled(
-    R: Floats, t: Floats, seen: Patches, there: Surfaces, held: Held, known: list[Placed]
+    pose: Pose,
+    seen: Patches,
+    there: Surfaces,
+    held: Held,
+    known: list[Placed],
+    loose: float = 4.0,
 ) -> Placed | None:
-    """Fit a hypothesis to its matches, three times, and judge it; None if it fails, or is known."""
-    planes, near = there.planes, there.overlapping(R, t, seen)
-    match, _ = matched(R, t, seen, planes, near, loose=4.0)
+    """Fit a hypothesis to its matches, three times, and judge it; None if it fails, or is known.
+
+    `loose`: tolerance of the first matches, as a multiple of the usual one.
+    """
+    planes, near, (R, t) = there.planes, there.overlapping(*pose, seen), pose
+    match, _ = matched(R, t, seen, planes, near, loose)
     for loose in (2.0, 1.0):
         if not fixes_turn(planes.normal[match[match >= 0]]):
             return None
