@@ -41,8 +41,8 @@ WALL = BLUE
 CORNER = "#0b7a3b"
 PATH = "#7f7f7f"
 POINT = "#b4b4b4"
-FINE, DOT, FINE_DPI = 1.1, 2.8, 240
-"""Line width of a wall, and size of a corner, larger so that it is seen."""
+FINE, DOT, FINE_DPI = 1.1, 2.0, 240
+"""Line width of a wall, and size of a corner, slightly larger so that it is seen."""
 PANEL_IN = 3.4
 RIM_M = 0.8
 """Margin around a panel."""
