@@ -130,6 +130,7 @@ def test_where_the_package_cannot_be_written_code_is_kept_elsewhere_if_anywhere(
 def test_code_is_compiled_again_if_what_it_uses_changed_and_only_then(tmp_path: Path) -> None:
     """numba by itself looks only at the time stamp of the file of the function."""
     parts = """
+from numba.extending import intrinsic
 from relmap.core.linalg.compiling import helper
 
 OFFSET = 1.0
@@ -137,10 +138,18 @@ OFFSET = 1.0
 @helper
 def scaled(x: float) -> float:
     return 2 * x
+
+@intrinsic
+def negative(_, x):
+    return x(x), in_llvm
+
+def in_llvm(context, builder, signature, given):
+    return builder.fneg(given[0])
 """
-    kernel = KERNEL.replace("return 2 * x", "return scaled(x) + OFFSET")
+    kernel = KERNEL.replace("return 2 * x", "return negative(scaled(x)) + OFFSET")
+    kernel = "from parts import OFFSET, negative, scaled" + kernel
     (tmp_path / "parts.py").write_text(parts)
-    (tmp_path / "kernel.py").write_text("from parts import OFFSET, scaled" + kernel)
+    (tmp_path / "kernel.py").write_text(kernel)
     paths = os.pathsep.join([str(tmp_path), str(PACKAGE.parent)])
     environment = os.environ | {"PYTHONPATH": paths, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
 
@@ -152,17 +161,17 @@ def scaled(x: float) -> float:
         return float(done.stdout), max(at.stat().st_mtime_ns for at in tmp_path.rglob("*.nbc"))
 
     first, at = result()
-    assert first == 7
+    assert first == -5
     (tmp_path / "kernel.py").touch()
     (tmp_path / "parts.py").write_text(parts + "\n# a comment\n")
-    assert result() == (7, at)
-    for old, new, expected in (("1.0", "5.0", 11), ("2 * x", "3 * x", 14)):
+    assert result() == (-5, at)
+    changes = ("1.0", "5.0", -1), ("2 * x", "3 * x", -4), ("builder.fneg(given[0])", "given[0]", 14)
+    for old, new, expected in changes:
         parts = parts.replace(old, new)
         (tmp_path / "parts.py").write_text(parts)
         found, at = result()
         assert found == expected
-    kernel = kernel.replace("compiled", "unrolled")
-    (tmp_path / "kernel.py").write_text("from parts import OFFSET, scaled" + kernel)
+    (tmp_path / "kernel.py").write_text(kernel.replace("compiled", "unrolled"))
     assert result()[1] > at
 
 

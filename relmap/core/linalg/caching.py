@@ -11,7 +11,7 @@ import hashlib
 from collections.abc import Callable, Iterator
 from functools import cache, cached_property
 from pathlib import Path
-from types import CodeType
+from types import CodeType, FunctionType
 from typing import Any
 
 import numpy as np
@@ -80,8 +80,8 @@ def _parts(code: CodeType, names: dict[str, Any], had: set[CodeType]) -> Iterato
             yield from _parts(one, names, had)
     for name in code.co_names:
         value = names.get(name)
-        called = getattr(value, "py_func", None)
-        if called is not None:
+        called = getattr(value, "py_func", None) or getattr(value, "_defn", value)  # or itself
+        if isinstance(called, FunctionType):
             if called.__code__ not in had:
                 yield from _parts(called.__code__, called.__globals__, had)
         elif isinstance(value, np.ndarray):

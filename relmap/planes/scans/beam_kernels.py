@@ -11,19 +11,21 @@ import math
 
 import numpy as np
 
-from relmap.core.arrays import Bools, Floats
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.linalg.compiling import compiled, helper, unrolled
 from relmap.planes.scans.beams import NEAR_M
+from relmap.planes.scans.surface_kernels import BESIDE, LANES, squared_nearest
 
-Fan = tuple[Floats, Floats, Bools, Bools, Floats, Floats]
+Fan = tuple[Floats, Floats, Bools, Bools, Floats, Floats, Ints]
 
-BESIDE = 3
-"""Number of beams on either side of a point whose surface it is compared with."""
 GAP_M, GAP = 0.3, 0.1
 """Beams farther apart than this plus so much of the range do not share a surface."""
 GAP_RAD, MISSING = 0.1, 1.5
 """Bearings farther apart than this are outside the field of view; if they are so many times farther
 apart than others, a beam is missing, and a gap there may be anything."""
+PARTS, NEAR = 1024, 2
+"""Parts of all directions, of which the first beam is known; and how many beams farther on the next
+one is found sooner from there than from the last one."""
 SAME = 0.005
 """Difference of the agreement of a point below which it favours no motion: measured ranges of a
 wall are off by some millimetres, depending on the angle, which standing still repeats."""
@@ -53,6 +55,23 @@ def _continues(points: Floats, i: int, j: int, k: int) -> bool:
 
 
 @helper
+def _part(rank: float) -> int:
+    """Return the part of all directions in which a rank is."""
+    return min(max(int(PARTS / 4 * (rank + 2)), 0), PARTS - 1)
+
+
+@helper
+def _index(ranks: Floats) -> Ints:
+    """Return the first beam in each part of all directions, or after it; (`PARTS`,)."""
+    index, i = np.empty(PARTS, dtype=np.int64), 0
+    for part in range(PARTS):
+        while i < len(ranks) and _part(ranks[i]) < part:
+            i += 1
+        index[part] = i
+    return index
+
+
+@helper
 def _is_on_a_line(points: Floats, j: int) -> bool:
     """Return whether a point and the one before lie on a line with a neighbour.
 
@@ -62,27 +81,30 @@ def _is_on_a_line(points: Floats, j: int) -> bool:
 
 
 @compiled
-def surfaces(points: Floats, bearings: Floats, origin: Floats) -> tuple[Floats, Floats]:
-    """Return what lies between each beam and the one before, (n, 6), and the beams' ranks (n,).
+def surfaces(points: Floats, bearings: Floats, origin: Floats) -> tuple[Floats, Floats, Ints]:
+    """Return what lies between each beam and the one before, (6, n + 7), and ranks (n,) of beams.
 
     The end of the previous beam, the vector from it to the end of this one, the inverse of its
-    squared length or -1 for a gap, and the range of the shorter beam, or -1 out of view.
+    squared length or -1 for a gap, and the range of the shorter beam, or -1 out of view. The column
+    of beam j is j + `BESIDE`; the first and the last one are repeated beyond. Also returns the
+    `_index`.
     """
-    found, ranks = np.zeros((len(points), 6)), np.empty(len(points))
-    spacing = np.inf
-    for j in range(1, len(points)):
+    n, spacing = len(points), np.inf
+    found, ranks = np.zeros((6, n + LANES - 1)), np.empty(n)
+    for j in range(1, n):
         if bearings[j] - bearings[j - 1] > 1e-4:
             spacing = min(spacing, bearings[j] - bearings[j - 1])
-    for j in range(len(points)):
+    for j in range(n):
         ranks[j] = _rank(points[j, 0] - origin[0], points[j, 1] - origin[1])
-    for j in range(1, len(points)):
+    for k in range(found.shape[1] if n > 1 else 0):
+        j = min(max(k - BESIDE, 1), n - 1)
         ax, ay = points[j - 1, 0], points[j - 1, 1]
         ux, uy = points[j, 0] - ax, points[j, 1] - ay
         length = ux * ux + uy * uy
         gap = length > (GAP_M + GAP * math.sqrt(ax * ax + ay * ay)) ** 2
-        found[j, 0], found[j, 1], found[j, 2], found[j, 3] = ax, ay, ux, uy
-        found[j, 4] = -1.0 if gap else 1.0 / max(length, 1e-12)
-        found[j, 5] = math.sqrt(
+        found[0, k], found[1, k], found[2, k], found[3, k] = ax, ay, ux, uy
+        found[4, k] = -1.0 if gap else 1.0 / max(length, 1e-12)
+        found[5, k] = math.sqrt(
             min(
                 (points[j, 0] - origin[0]) ** 2 + (points[j, 1] - origin[1]) ** 2,
                 (ax - origin[0]) ** 2 + (ay - origin[1]) ** 2,
@@ -91,30 +113,10 @@ def surfaces(points: Floats, bearings: Floats, origin: Floats) -> tuple[Floats, 
         apart = bearings[j] - bearings[j - 1]
         missing = apart > MISSING * spacing
         if gap and not missing and _is_on_a_line(points, j):
-            found[j, 4] = 1.0 / max(length, 1e-12)
+            found[4, k] = 1.0 / max(length, 1e-12)
         if apart > GAP_RAD or (gap and missing):
-            found[j, 5] = -1.0
-    return found, ranks
-
-
-@helper
-def _squared_distance(x: float, y: float, lines: Floats, j: int) -> float:
-    """Return the squared distance of a point from a surface, or from the ends of a gap."""
-    x, y = x - lines[j, 0], y - lines[j, 1]
-    ux, uy, inverse = lines[j, 2], lines[j, 3], lines[j, 4]
-    if inverse < 0:
-        return float(min(x * x + y * y, (x - ux) ** 2 + (y - uy) ** 2))
-    t = min(max((x * ux + y * uy) * inverse, 0.0), 1.0)
-    return float((x - t * ux) ** 2 + (y - t * uy) ** 2)
-
-
-@helper
-def _squared_nearest(x: float, y: float, lines: Floats, i: int) -> float:
-    """Return the squared distance of a point from the nearest surface by a beam."""
-    off = np.inf
-    for j in range(max(i - BESIDE, 1), min(i + BESIDE + 1, len(lines))):
-        off = min(off, _squared_distance(x, y, lines, j))
-    return off
+            found[5, k] = -1.0
+    return found, ranks, _index(ranks)
 
 
 @helper
@@ -144,24 +146,26 @@ def _compare(
     passed through, the undecided ones, and those out of view.  Unless empty, `values` are NaN and
     get the contribution of each point: 0.5 to 1, -1 and 0; those out of view stay NaN.
     """
-    _, origin, _, loose, lines, ranks = seen
-    points, _, solid, apart, _, _ = other
+    _, origin, _, loose, lines, ranks, index = seen
+    points, _, solid, apart, _, _, _ = other
     c, s, n, i = math.cos(motion[0]), math.sin(motion[0]), len(ranks), 0
     agree, against, undecided, unseen, near = sums[0], 0, 0, 0, near_m * near_m
     for k in range(0, len(points), step):
         if firm and apart[k]:
             continue
-        x = c * points[k, 0] - s * points[k, 1] + motion[1]
-        y = s * points[k, 0] + c * points[k, 1] + motion[2]
+        px, py = points[k, 0], points[k, 1]
+        x, y = c * px - s * py + motion[1], s * px + c * py + motion[2]
         dx, dy = x - origin[0], y - origin[1]
-        i = _beam_from(ranks, _rank(dx, dy), i)  # bearings change slowly from beam to beam
-        if i == 0 or i == n or lines[i, 5] < 0:
+        rank = _rank(dx, dy)
+        i = _beam_from(ranks, rank, index[_part(rank)] if step > NEAR else i)
+        range_m = lines[5, i + BESIDE]
+        if i == 0 or i == n or range_m < 0:
             unseen += 1
             continue
-        off = _squared_nearest(x, y, lines, i)
+        off = squared_nearest(x, y, lines, i)
         # Branches would be mispredicted for many points, which takes longer than the arithmetic.
         is_near, value = off < near, 1 - 0.5 * off / near
-        passed = math.sqrt(dx * dx + dy * dy) < lines[i, 5] - 2 * near_m
+        passed = math.sqrt(dx * dx + dy * dy) < range_m - 2 * near_m
         is_against = (not is_near) & passed & solid[k]
         is_out = (not is_near) & (not passed) & firm & loose[i] & loose[i - 1]
         agree += value if is_near else 0.0
@@ -184,7 +188,7 @@ def _inverse(motion: Floats) -> Floats:
     return back
 
 
-@unrolled
+@compiled
 def compared(
     earlier: Fan, later: Fan, motions: Floats, near_m: float, step: int, firm: bool
 ) -> Floats:

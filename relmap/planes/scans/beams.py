@@ -73,8 +73,8 @@ class Beams:
         """The arrays that the kernels use."""
         from relmap.planes.scans.beam_kernels import surfaces
 
-        lines, ranks = surfaces(self.points, self.bearings, self.origin)
-        return self.points, self.origin, self.solid, self.loose, lines, ranks
+        found = surfaces(self.points, self.bearings, self.origin)
+        return self.points, self.origin, self.solid, self.loose, *found
 
 
 @dataclass(frozen=True, eq=False)
