@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d
 
 from relmap.core.arrays import Floats
 from relmap.datasets.scans import planar_poses
@@ -39,6 +38,8 @@ def drive_round(
     It starts at a random point; without a number of iterations it drives round `loops` times.
     Rotations scale with the steps.
     """
+    from scipy.ndimage import gaussian_filter1d
+
     line, yaw, turning = _fine_line(loop, rng)
     effort = np.maximum(1 / step_m, turning / (TURN_RAD * step_m / STEP_M))
     effort = gaussian_filter1d(effort, SMOOTH_M / GRID_M, mode="wrap")
@@ -54,6 +55,8 @@ def drive_round(
 
 def _fine_line(loop: Floats, rng: np.random.Generator) -> tuple[Floats, Floats, Floats]:
     """Return points (g + 1, 2), yaw (g + 1,) and turn rate per metre (g,) of a path of g cells."""
+    from scipy.ndimage import gaussian_filter1d
+
     closed = np.vstack([loop, loop[:1]])
     length = lengths_along(closed)
     g = round(length[-1] / GRID_M)

@@ -11,7 +11,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 
 from relmap.core.arrays import Floats
 from relmap.simulation.drive import lengths_along, places_along
@@ -152,6 +151,8 @@ def sampled(way: Floats, step_m: float) -> Floats:
 
 def driven(way: Floats, iterations: int) -> tuple[Floats, Floats]:
     """Return positions and directions (k, 3) along a path with rounded corners."""
+    from scipy.ndimage import gaussian_filter1d
+
     fine = gaussian_filter1d(sampled(way, FINE_M), ROUNDING_M / FINE_M, axis=0, mode="nearest")
     ahead = np.gradient(fine, axis=0)
     at = np.linspace(0, len(fine) - 1, iterations)

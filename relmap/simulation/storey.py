@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
 from relmap.core.arrays import Floats, Ints
@@ -211,6 +210,8 @@ def _carried(iterations: int, sensor: Sensor, stops: Floats) -> Floats:
 
 def _carried_upstairs(iterations: int, sensor: Sensor, stops: Floats) -> Floats:
     """Return a path at constant speed, looking ahead, with hand-held tilt."""
+    from scipy.ndimage import gaussian_filter1d
+
     step_m, length_m = 0.01, lengths_along(stops)
     s = np.arange(0.0, length_m[-1], step_m)
     way = places_along(stops, length_m, s)
