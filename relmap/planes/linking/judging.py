@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats
-from relmap.planes.linking.placement import Match
+from relmap.planes.linking.placement import STILL, Match
+from relmap.planes.motions import after
 from relmap.planes.scans.beams import Beams
 
 AGREES = 0.25
@@ -35,6 +36,10 @@ class View(NamedTuple):
 
     beams: Beams
     motion: Floats
+
+    def then(self, motions: Floats) -> Floats:
+        """Return motions (k, 3) from the frame of the tracks as those from that of the beams."""
+        return motions if self.motion is STILL else after(self.motion, motions)
 
 
 @dataclass(frozen=True, eq=False)

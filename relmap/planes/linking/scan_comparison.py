@@ -14,7 +14,7 @@ from relmap.core.arrays import Floats
 from relmap.planes.linking.judging import Judged, View
 from relmap.planes.linking.links import spread
 from relmap.planes.linking.placement import ROUNDS, Match, PlaneTracks, settled, worth
-from relmap.planes.motions import after, wrapped
+from relmap.planes.motions import wrapped
 from relmap.planes.odometry.prediction import Expected
 from relmap.planes.scans.beams import NEAR_M, Beams, compared, odds_over
 from relmap.planes.scans.observation import PlaneObservation
@@ -100,8 +100,7 @@ class ScanComparison:
         See `relmap.planes.scans.beams.compared`; by default of the last one, and some `JUDGES`.
         """
         view, step = view or self._views[0], step or 1 + len(self._beams) // JUDGES
-        there = after(view.motion, motions)
-        return compared(view.beams, self._beams, there, near_m, step, self._firm)
+        return compared(view.beams, self._beams, view.then(motions), near_m, step, self._firm)
 
     def _judged(self, guesses: Sequence[Floats] | Floats, rounds: int = ROUNDS) -> Judged:
         """Fit motions to the walls that match in some rounds, and compare the beams."""
@@ -199,7 +198,7 @@ class ScanComparison:
         the way from an earlier scan, the less that matters.
         """
         both = np.vstack([motion[None], motions])
-        pairs = [(view.beams, self._beams, after(view.motion, both)) for view in views]
+        pairs = [(view.beams, self._beams, view.then(both)) for view in views]
         return odds_over(pairs, self._firm)[0]
 
     def _measured(self, judged: Judged, k: int) -> bool:
