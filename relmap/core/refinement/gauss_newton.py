@@ -130,7 +130,7 @@ def gauss_newton(
         Cost as a function of residuals and weights.
     unsure, same : float
         Convergence thresholds: gain of a step, in squared standard deviations of the whole map, and
-        largest change of a weight.
+        largest change of a weight; if infinite, the weights after the last step are not computed.
     monotone : bool
         Whether a step that increases the cost is rejected. While weights go from lenient to strict,
         an increase may be needed to escape from wrong matches.
@@ -153,12 +153,16 @@ def gauss_newton(
             damping = max(DAMPED, MORE * damping) if fresh else damping
             continue
         rounds -= 1
-        gain, unit, old = float(np.sum(equations.right * step)), cost / problem.freedoms, weight
-        last, state, residual, weight = state, after, left, weigh(left)
-        change, gained = np.abs(weight - old), gain / unit if unit > 0 else 0.0
-        enough = max(unsure * unit, problem.rounding)
+        gain, unit = float(np.sum(equations.right * step)), cost / problem.freedoms
+        last, state, residual = state, after, left
+        gained, enough = gain / unit if unit > 0 else 0.0, max(unsure * unit, problem.rounding)
         converged = not damping and _next_gain(gain, before) <= enough
-        if (converged and change.max() < same) or (damping and gain <= faint * unit):
+        stalled = damping > 0 and gain <= faint * unit
+        if np.isinf(same) and (converged or stalled or rounds == 0):
+            break
+        old, weight = weight, weigh(left)
+        change = np.abs(weight - old)
+        if (converged and change.max() < same) or stalled:
             break
         is_slow = not reuse or damping > 0 or gain > SLOW * before or change.mean() > ALIKE
         factor, before = (None, np.inf) if is_slow else (factor, gain)
