@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterator
 from functools import cache, cached_property
+from inspect import unwrap
 from pathlib import Path
 from types import CodeType, FunctionType
 from typing import Any
@@ -79,8 +80,8 @@ def _parts(code: CodeType, names: dict[str, Any], had: set[CodeType]) -> Iterato
         if isinstance(one, CodeType):
             yield from _parts(one, names, had)
     for name in code.co_names:
-        value = names.get(name)
-        called = getattr(value, "py_func", None) or getattr(value, "_defn", value)  # or itself
+        value: Any = names.get(name)
+        called = unwrap(value)  # what was compiled, or writes LLVM's code
         if isinstance(called, FunctionType):
             if called.__code__ not in had:
                 yield from _parts(called.__code__, called.__globals__, had)
