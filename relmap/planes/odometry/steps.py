@@ -85,12 +85,25 @@ class Steps:
 
     `motion` (i, 3): pose of each iteration in the frame of the previous one, without systematic
     errors: yaw, x, y; NaN if unknown. `variance` (i, 2): variance of the yaw, square radians, and
-    of x and y, square metres. `needed` (i,): which motions it constrains.
+    of x and y, square metres. `needed` (i,): which motions it constrains. `hanging` (i,): which
+    motions depend on it.
     """
 
     motion: Floats
     variance: Floats
     needed: Bools
+    hanging: Bools
+
+    def lengthened(self, motions: Floats) -> Floats:
+        """Return motions (i, 3) from scan to scan, as long as odometry where they depend on it.
+
+        During the run, their length was computed with the scale estimated until then.
+        """
+        way, found = np.hypot(*self.motion[:, 1:].T), motions.copy()
+        own = np.hypot(*motions[:, 1:].T)
+        rows = np.flatnonzero(self.hanging & np.isfinite(way) & (own > STILL_M))
+        found[rows, 1:] *= (way[rows] / own[rows])[:, None]
+        return found
 
     def between(self, iterations: Ints) -> MotionFactors:
         """Return the needed factors between these iterations (k,) and their successors."""
@@ -144,7 +157,7 @@ def steps_of(
     together = np.bincount(run, np.nan_to_num(way) * hanging)[run]
     variance += (way * together)[:, None] * (sd / length) ** 2 / n
     beside = np.convolve(hanging, np.ones(2 * BESIDE + 1))[BESIDE : BESIDE + len(hanging)] > 0
-    return Steps(steps, variance, beside & known)
+    return Steps(steps, variance, beside & known, hanging)
 
 
 def _compared(

@@ -123,7 +123,8 @@ def with_odometry(grouped: GroupedMap, odometry: Steps | None) -> GroupedMap:
     """Return the map from the groups, with odometry if available."""
     if odometry is None:
         return grouped
-    return replace(grouped, history=replace(grouped.history, odometry=odometry))
+    motion = odometry.lengthened(grouped.history.motion)
+    return replace(grouped, history=replace(grouped.history, odometry=odometry, motion=motion))
 
 
 def on_odometry(links: ScanLinks, history: PlaneHistory) -> Bools:
