@@ -21,7 +21,7 @@ from relmap.planes.linking.registration import PlaneRegistration
 from relmap.planes.model import WallModel
 from relmap.planes.places.locating import LocatingMapper
 from relmap.planes.places.submap_ties import MapPart, tied_parts
-from relmap.planes.refinement.refining import RefinedWalls, planned_submaps, refined_submaps
+from relmap.planes.refinement.refining import planned_submaps, refined_submaps
 from relmap.planes.scans.beams import GivenBeams
 from relmap.planes.scans.observation import PlaneObservation, checked_planes, journaled, of_journal
 from relmap.planes.submaps.doubtful import contradicted_revisits, unsupported_links
@@ -229,37 +229,23 @@ class PlaneMapper(LocatingMapper):
     def _refine_until_whole(self, known: list[Floats]) -> None:
         """Refine all submaps, those with known poses (i, 4, 4) from these; cut the torn ones."""
         for _ in range(CUTS):
-            torn = self._torn(known)
-            if not len(torn):
-                break
+            if not len(torn := self._torn(known)):
+                return
             self._planes.links.cut(torn)
-        else:
-            self._plan(self._refined(known))
+        self._torn(known, keep=True)
 
-    def _torn(self, known: list[Floats]) -> Ints:
+    def _torn(self, known: list[Floats], keep: bool = False) -> Ints:
         """Refine all submaps; return the scans (t,) into which they are torn.
 
-        Torn maps are not kept.
+        Torn maps are not kept, unless asked for.
         """
-        found = self._refined(known)
+        links, self._moved = self._planes.links, np.empty(0, dtype=np.int64)
+        found = refined_submaps(replace(self._grouped, known=known), self._moving, links)
         torn = torn_in(found.submaps, self.history)
-        if len(torn) and self._planes.links.leave_to_odometry(torn):
-            found = self._refined(known)
-            torn = torn_in(found.submaps, self.history)
-        if not len(torn):
-            self._plan(found)
+        if keep or not len(torn):
+            submaps, numbers, self._moved = planned_submaps(found, self._moving, links.beams)
+            self._refined_walls = submaps, numbers
         return torn
-
-    def _refined(self, known: list[Floats]) -> RefinedWalls:
-        self._moved = np.empty(0, dtype=np.int64)
-        grouped = replace(self._grouped, known=known)
-        return refined_submaps(grouped, self._moving, self._planes.links)
-
-    def _plan(self, refined: RefinedWalls) -> None:
-        """Make refined submaps with their floor plans the current map."""
-        beams = self._planes.links.beams
-        submaps, numbers, self._moved = planned_submaps(refined, self._moving, beams)
-        self._refined_walls = submaps, numbers
 
     def _current(self, labels: ArrayLike) -> Ints:
         labels = checked_labels(labels, np.arange(self._planes.n_planes))

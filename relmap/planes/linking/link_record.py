@@ -18,7 +18,7 @@ from relmap.planes.linking.adjoining import RIVAL, tied_across
 from relmap.planes.linking.judging import Found
 from relmap.planes.linking.tying import OFTEN, Link, Scans, judged_links, share_at_rest
 from relmap.planes.motions import after, from_matrices, inverse, matrices, motion_over
-from relmap.planes.odometry.prediction import OTHERWISE, Wheels
+from relmap.planes.odometry.prediction import Wheels
 from relmap.planes.scans.beams import BeamStore
 from relmap.planes.scans.observation import PlaneObservation
 
@@ -136,18 +136,6 @@ class LinkRecord:
         self.beams.append(seen.beams)
         self._motions.append(motion)
         self._submaps.append(self.submap if is_tied else -1)
-
-    def leave_to_odometry(self, scans: Ints) -> bool:
-        """Leave links into scans (t,) to odometry where it agrees; return whether any changed.
-
-        These are links that the map contradicts.
-        """
-        found = False
-        for scan in scans[self.measured[scans]].tolist():
-            expected = self.wheels.expected(scan - 1, scan, self.motions, self.measured)
-            if expected and expected.off(self.motions[scan][None])[0] < OTHERWISE:
-                self.measured[scan], found = False, True
-        return found
 
     def cut(self, scans: Ints) -> None:
         """Begin submaps at scans (t,) whose links the map contradicts."""

@@ -14,8 +14,6 @@ from relmap.planes.scans.observation import PlaneObservation
 
 SUPPORTED = 0.375
 """Fraction of the walls and corners of the poorer side that must agree on a motion."""
-EXPECTED, NEAR_M, NEAR_RAD = 0.3, 0.25, np.deg2rad(5.0)
-"""The same for a motion close to the usual one."""
 JUMP_M, JUMP = 0.5, 3.0
 """A step longer than this, and than this multiple of the usual one, is a jump."""
 USUAL, KNOWN = 200, 5
@@ -34,22 +32,13 @@ VARYING_M = 0.15
 """Steps that vary by more are not bridged if unmeasured."""
 
 
-def is_supported(
-    tracks: PlaneTracks, seen: PlaneObservation, found: tuple[Floats, Match], usual: Floats
-) -> bool:
-    """Return whether enough of the expected and of the observed walls agree on a motion.
+def is_supported(tracks: PlaneTracks, seen: PlaneObservation, match: Match) -> bool:
+    """Return whether enough of the expected and of the observed walls match.
 
-    A single disagreeing wall is tolerated: it may be clutter, or have just come into view.
-
-    `tracks`: the expected walls; `found`: the motion (3,) from the frame of the tracks to that of
-    the scan, and the matching walls; `usual` (3,): recent motion of the robot.
+    A single other wall is tolerated: it may be clutter, or have just come into view.
     """
-    motion, match = found
     recent = tracks.missed == tracks.missed.min(initial=0)
-    turned = abs((motion[0] - usual[0] + np.pi) % (2 * np.pi) - np.pi)
-    near = turned < NEAR_RAD and np.hypot(*(motion - usual)[1:]) < NEAR_M
-    supported = EXPECTED if near else SUPPORTED
-    return match.score >= supported * (min(worth(tracks, seen, recent)) - 1)
+    return match.score >= SUPPORTED * (min(worth(tracks, seen, recent)) - 1)
 
 
 def usual_motion(motions: Floats, measured: Bools | None = None) -> Floats:

@@ -109,7 +109,7 @@ class ScanLinks(LinkRecord):
             judged = Search(tracks, seen, beams, views, recent, expected, firm, every).found()
             return judged if judged and self._confirmed(judged, seen, beams, views, firm) else None
         found = place(tracks, seen, self.usual, farthest_m(self._last_links))
-        if found is None or not is_supported(tracks, seen, found, self.usual):
+        if found is None or not is_supported(tracks, seen, found[1]):
             return None
         return Found(*found, measured_along(tracks, seen, found[1]), np.inf)
 

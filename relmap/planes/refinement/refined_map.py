@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.planes.refinement.closing import NEAR_M, walls_seen_again
+from relmap.planes.refinement.closing import walls_seen_again
 from relmap.planes.refinement.solving import LAST, refined, refined_to_the_noise
 from relmap.planes.submaps.submap import (
     WallSubmap,
@@ -32,9 +32,7 @@ _LOG = logging.getLogger(__name__)
 WIDELY = ((2, 1e4), (1, 300.0), (1, 50.0), (1, 15.0), (2, 5.0))
 """Rounds of solutions for closing loops, for any amount of drift."""
 CLOSELY = ((5, 1e4), (2, 300.0), (1, 100.0), (1, 20.0), (1, 5.0))
-CLOSED = 2
-"""The same once a loop is closed, and the maximum number of searches for loops. The search is
-repeated only if the map moved by at least `NEAR_M`, the reach of the search."""
+"""The same once a loop is closed."""
 BENT = 1.25
 """Factor by which closing a loop may increase the error at links that walls determine: at most 1.04
 for right loops in ten logs of lasers and eight simulated corridors, and 1.7 where doors, or parts
@@ -149,19 +147,13 @@ def _solved(
     best = refined(chained.assembled, WIDELY, held)
     poses = poses_of(best, span, history)
     torn = max(disagreement(path, motions)[0] for path in (chained.poses, poses))
-    for _ in range(CLOSED):
-        joined = join_pairs(best, numbers, walls_seen_again(best, history))
-        if joined.same_as(numbers):
-            break
+    joined = join_pairs(best, numbers, walls_seen_again(best, history))
+    if not joined.same_as(numbers):
         tied = again(joined, CLOSELY)
         off_m, off_before_m = (disagreement(path, measured)[1] for path in (tied[1], poses))
         bent = off_m > BENT * off_before_m + WORSE_M
-        if bent or disagreement(tied[1], motions)[0] > torn:
-            break  # similar places were confused
-        moved_m = _moved_m(poses, tied[1])
-        numbers, (best, poses) = joined, tied
-        if moved_m < NEAR_M:
-            break
+        if not bent and disagreement(tied[1], motions)[0] <= torn:  # or places were confused
+            numbers, (best, poses) = joined, tied
     for _ in range(JOINED):
         joined = join_walls(best, numbers)
         if joined.same_as(numbers):
