@@ -46,8 +46,9 @@ def test_steps_by_a_landmark_that_moves_steadily_are_listed() -> None:
     assert set(unsure_steps(refined(part, 5)[0])) >= {7, 8, 9, 10}
 
 
-def test_a_jump_on_a_smooth_path_is_listed_whatever_implies_it() -> None:
-    way_m = [0.1 * k + (0.3 if k > 4 else 0.0) for k in range(9)]
+@pytest.mark.parametrize("jump_m", [0.3, 0.06])
+def test_a_jump_on_a_smooth_path_is_listed_whatever_implies_it(jump_m: float) -> None:
+    way_m = [0.1 * k + (jump_m if k > 4 else 0.0) for k in range(9)]
     part, _ = refined(carried(way_m, 3.0, -3.0), 4)
     assert sorted(unsure_steps(part)) == [4, 5, 6]
 

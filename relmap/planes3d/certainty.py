@@ -29,9 +29,10 @@ UNSTEADY, UNUSUAL = 0.02, 1.5
 multiple of the median."""
 NEARBY = 8
 """Maximum number of steps between one that depends on a landmark and others it is compared with."""
-JERK, SEVERAL = 8.0, 6
-"""A step that differs by this multiple of the median from those before and after is unreliable
-whatever it depends on; of fewer steps than the second value, one that is unsteady."""
+JERK, JERKY, SEVERAL = 8.0, 0.005, 6
+"""A step that differs by this multiple of the median from those before and after, and by the second
+value, a fraction of the range, is unreliable whatever it depends on; of fewer steps than the third,
+one that is unsteady."""
 TURN_JERK, TURN_RAD = 6.0, np.deg2rad(5.0)
 """So is one whose rotation differs by this multiple of the median, and by more than the second
 value: a room that looks the same from two sides gives a fast turn as a slow one."""
@@ -195,11 +196,12 @@ def unreliable_steps(
     change = changes(np.diff(scene.t, axis=0), iteration)
     size_m = np.linalg.norm(change, axis=1)
     usual_m = float(np.median(size_m))
-    jerk_m = JERK * usual_m if len(change) >= SEVERAL else 0.0
-    least_m = UNSTEADY * np.minimum(reach_m[1:], reach_m[:-1])
-    found = np.asarray(size_m > np.maximum(least_m, jerk_m))
+    range_m = np.minimum(reach_m[1:], reach_m[:-1])
+    least_m = UNSTEADY * range_m
+    several = len(change) >= SEVERAL
+    found = size_m > (np.maximum(JERKY * range_m, JERK * usual_m) if several else least_m)
     turn = np.linalg.norm(turn_changes(scene.R, iteration), axis=1)
-    if len(turn) >= SEVERAL:
+    if several:
         found |= turn > max(TURN_RAD, TURN_JERK * float(np.median(turn)))
     step = np.diff(scene.t, axis=0) / np.diff(iteration)[:, None]
     limit_m = np.maximum(least_m, UNUSUAL * usual_m)
