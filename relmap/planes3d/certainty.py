@@ -199,7 +199,8 @@ def unreliable_steps(
     range_m = np.minimum(reach_m[1:], reach_m[:-1])
     least_m = UNSTEADY * range_m
     several = len(change) >= SEVERAL
-    found = size_m > (np.maximum(JERKY * range_m, JERK * usual_m) if several else least_m)
+    most_m = np.maximum(JERKY * range_m, JERK * usual_m) if several else least_m
+    found = np.asarray(size_m > most_m)
     turn = np.linalg.norm(turn_changes(scene.R, iteration), axis=1)
     if several:
         found |= turn > max(TURN_RAD, TURN_JERK * float(np.median(turn)))
