@@ -52,6 +52,13 @@ def test_a_jump_on_a_smooth_path_is_listed_whatever_implies_it() -> None:
     assert sorted(unsure_steps(part)) == [4, 5, 6]
 
 
+def test_a_stretch_unlike_the_path_around_it_is_listed_whatever_implies_it() -> None:
+    # Two cars drive before and behind the sensor at its pace, and hide the street.
+    way_m = np.cumsum([0.0, *(0.0 if 11 < k < 16 else 0.1 for k in range(30))])
+    part, _ = refined(carried(way_m.tolist(), 3.0, -3.0), 4)
+    assert set(unsure_steps(part)) >= {13, 14, 15, 16}
+
+
 @pytest.mark.parametrize(("less_rad", "listed"), [(0.0, []), (0.15, [5])])
 def test_a_turn_unlike_those_before_and_after_is_listed(less_rad: float, listed: list[int]) -> None:
     # In a square room with a fast turn by 80 degrees the scans agree with one by -10, too.

@@ -32,6 +32,10 @@ NEARBY = 8
 JERK, SEVERAL = 8.0, 6
 """A step that differs by this multiple of the median from those before and after is unreliable
 whatever it depends on; of fewer steps than the second value, one that is unsteady."""
+UNLIKE = 0.01
+"""So is one that differs by that multiple of the median, and by this fraction of the range, from
+most of the `NEARBY` steps before or after, along the axes of the scans: whatever moved with the
+sensor for some scans may be several landmarks."""
 TURN_JERK, TURN_RAD = 6.0, np.deg2rad(5.0)
 """So is one whose rotation differs by this multiple of the median, and by more than the second
 value: a room that looks the same from two sides gives a fast turn as a slow one."""
@@ -196,8 +200,11 @@ def unreliable_steps(
     size_m = np.linalg.norm(change, axis=1)
     usual_m = float(np.median(size_m))
     jerk_m = JERK * usual_m if len(change) >= SEVERAL else 0.0
-    least_m = UNSTEADY * np.minimum(reach_m[1:], reach_m[:-1])
+    range_m = np.minimum(reach_m[1:], reach_m[:-1])
+    least_m = UNSTEADY * range_m
     found = np.asarray(size_m > np.maximum(least_m, jerk_m))
+    unlike_m = unlike_around(scene, iteration)
+    found |= unlike_m > np.maximum(UNLIKE * range_m, JERK * np.median(unlike_m))
     turn = np.linalg.norm(turn_changes(scene.R, iteration), axis=1)
     if len(turn) >= SEVERAL:
         found |= turn > max(TURN_RAD, TURN_JERK * float(np.median(turn)))
@@ -211,6 +218,23 @@ def unreliable_steps(
             off_m = np.abs(np.einsum("ni,ni->n", differs, way))
             found[own[off_m > limit_m[own]]] = True
     return found
+
+
+def unlike_around(scene: Scene, iteration: Ints) -> Floats:
+    """Return by how much steps (p - 1,) differ from the median of those before, or after.
+
+    The larger counts, of at least half of `NEARBY` steps each; 0 where fewer are near. Per
+    iteration, metres; `iteration` (p,): of the scans.
+    """
+    step = np.einsum("nji,nj->ni", scene.R[:-1], np.diff(scene.t, axis=0))
+    step /= np.diff(iteration)[:, None]
+    off_m = np.zeros((len(step), 2))
+    for k in range(len(step)):
+        sides = step[max(k - NEARBY, 0) : k], step[k + 1 : k + 1 + NEARBY]
+        for side, near in enumerate(sides):
+            if 2 * len(near) >= NEARBY:
+                off_m[k, side] = np.linalg.norm(step[k] - np.median(near, axis=0))
+    return np.asarray(off_m.max(axis=1, initial=0.0))
 
 
 def _unlike_others(step: Floats, own: Ints) -> Floats:

@@ -38,9 +38,10 @@ BESIDE_CELLS, AROUND = 1.5, 6
 and so many scans before and after."""
 FEWEST, FEWEST_SCANS = 24, 3
 """Minimum number of points of a plane, and of scans that see it."""
-ROUGH, THIN = 3.0, 1e-3
-"""The points of a plane have at most this many times the usual noise; noise below the second value,
-a fraction of the range, counts as that much."""
+ROUGH, SMOOTH, THIN = 3.0, 1.25, 1e-3
+"""The points of a plane have at most this many times the usual noise, of one that too few scans
+show at most the second value; noise below the third, a fraction of the range, counts as that
+much."""
 BINS, FEW = 8, 20
 """Number of ranges at which the usual noise is found, and least number of patches at each."""
 
@@ -52,15 +53,17 @@ def gathered(part: Submap, number: int) -> Submap | None:
     None if there are none.
     """
     sights = np.bincount(np.concatenate([np.unique(match) for match in part.match]))
+    enough = sights >= FEWEST_SCANS
+    planes = part.planes(np.flatnonzero(enough & ~is_rough(part)))
     # A plane that too few scans show by themselves is gathered, too, and joined afterwards.
-    planes = part.planes(np.flatnonzero((sights >= FEWEST_SCANS) & ~is_rough(part)))
+    few = part.planes(np.flatnonzero(~enough & ~is_rough(part, SMOOTH)))
     if not len(planes):
         return None
     own = [seen.loose for seen in part.seen]
     scan = np.repeat(np.arange(len(own)), [len(each) for each in own])
     points = np.concatenate([x @ R.T + t for x, (R, t) in zip(own, part.poses, strict=True)])
     sigma = max(float(np.median(planes.spread[:, 2])), ROUNDING * planes.reach_m + TINY)
-    label = _labels(points, scan, part, planes, sigma)
+    label = _labels(points, scan, part, (planes, few), sigma)
     count = int(label.max(initial=-1)) + 1
     if not count:
         return None
@@ -68,19 +71,25 @@ def gathered(part: Submap, number: int) -> Submap | None:
     return _with_planes(part, points, scan, label, number, sigma)
 
 
-def _labels(points: Floats, scan: Ints, part: Submap, planes: Patches, sigma: float) -> Ints:
+def _labels(
+    points: Floats, scan: Ints, part: Submap, known: tuple[Patches, Patches], sigma: float
+) -> Ints:
     """Return the plane (n,) of points (n, 3), -1 for none.
 
-    `scan` (n,): of each; `planes`: those of the submap known already; `sigma`, metres: noise of the
-    points across planes.
+    `scan` (n,): of each; `known`: planes of the submap that enough scans show by themselves, and
+    those that too few do; `sigma`, metres: noise of the points across planes.
     """
-    label, count = np.full(len(points), -1), 0
+    (planes, few), label, count = known, np.full(len(points), -1), 0
     of, off = _nearby(points, planes)
     left = np.flatnonzero((off > KNOWN_SD).all(axis=1))
     left = left[~_moves(points[left], scan[left], part)]
-    for size, shift in itertools.product(SIZES, SHIFTS):
+    for size, shift in [(1.0, None), *itertools.product(SIZES, SHIFTS)]:
         size_m, free = size * planes.cell_m, points[left]
-        for mine in _regions_in(free + shift * size_m, size_m, sigma):
+        if shift is None:
+            regions = _regions_on(few, free)
+        else:
+            regions = _regions_in(free + shift * size_m, size_m, sigma)
+        for mine in regions:
             mine = mine[label[left[mine]] < 0]
             if len(mine) < FEWEST:
                 continue  # most of it lies beside another one
@@ -124,6 +133,17 @@ def _nearby(points: Floats, planes: Patches) -> tuple[Ints, Floats]:
     height = np.einsum("ni,ni->n", planes.normal[plane], points[point]) - planes.offset[plane]
     off[point, column] = np.abs(height) / noise[plane]
     return of, off
+
+
+def _regions_on(planes: Patches, points: Floats) -> list[Ints]:
+    """Return the rows of points (n, 3) at the surface of each of some planes."""
+    rows, noise = [], planes.spread[:, 2] + ROUNDING * planes.reach_m
+    for k in range(len(planes)):
+        off = np.abs(points @ planes.normal[k] - planes.offset[k])
+        on = np.flatnonzero(off <= KNOWN_SD * noise[k])
+        cells, reach_m = planes.cells[planes.cell_patch == k], KNOWN_CELLS * planes.cell_m
+        rows.append(on[cKDTree(cells).query(points[on], distance_upper_bound=reach_m)[0] < np.inf])
+    return rows
 
 
 def _regions_in(points: Floats, size_m: float, sigma: float) -> list[Ints]:
@@ -242,7 +262,7 @@ def _with_more(seen: Patches, more: Patches, rows: slice, cells: slice) -> Patch
     )
 
 
-def is_rough(part: Submap) -> Bools:
+def is_rough(part: Submap, most: float = ROUGH) -> Bools:
     """Return which landmarks (l,) are not planes: rougher than the noise of the sensor.
 
     A flight of stairs is grown as a slope where a scan has few points on each tread. Observations
@@ -257,4 +277,4 @@ def is_rough(part: Submap) -> Bools:
     usual = [(np.median(range_m[rows]), np.median(off_m[rows])) for rows in parts]
     usual_m = np.maximum(np.interp(range_m, *np.array(usual).T), THIN * range_m)
     sums = [np.bincount(landmark, weight * each**2, len(part)) for each in (off_m, usual_m)]
-    return np.asarray(sums[0] > ROUGH**2 * sums[1])
+    return np.asarray(sums[0] > most**2 * sums[1])
