@@ -158,7 +158,7 @@ def _wrong(engine: RelativeMapper) -> Bools:
     """
     table, current = engine.table, engine.association.current
     rare = rarely_seen(engine)
-    wrong = doubtful(table, rare, engine.averaging.noise.sigma_m)
+    wrong = doubtful(table, rare, engine.noise_m)
     seldom = Sightings(engine.rows, table).seldom(rare)
     if current.is_blurred or current.estimates_covariances:
         wrong |= rare & seldom

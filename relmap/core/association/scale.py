@@ -124,7 +124,13 @@ class Scale:
 
 
 def spacing_of(points: Floats) -> float:
-    """Return the median distance of points (n, d) to their nearest neighbours, metres."""
+    """Return the median distance of points (n, d) to their nearest neighbours, metres.
+
+    If they are pairs, such as the two edges of a post, the distance between pairs counts.
+    """
+    from relmap.core.association.matching_kernels import PAIRED
+
     if len(points) < 2:
         return np.inf
-    return middle(nearest(cKDTree(points), points, 2)[0][:, 1])
+    _, one, *others = nearest(cKDTree(points), points, min(len(points), 3))[0].T
+    return max(middle(one), *(middle(other) / PAIRED for other in others))
