@@ -280,6 +280,8 @@ def _refine_submaps(
             own = refined.landmarks, refined.positions
             refined = refine_by_powers(refined, observations_of(points, of[seen], when, *own)[0])
         if refined is not None:
+            # What no segment ties to the others would keep its place in the former frame.
+            table.take_off_map(np.setdiff1d(np.flatnonzero(chosen), refined.landmarks))
             engine.map.move(refined.landmarks, refined.positions)
             found.append(refined)
     return found
