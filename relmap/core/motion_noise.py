@@ -138,11 +138,12 @@ def missing_way(odometry: Floats, measured: Floats, sd_m: Floats) -> Bools:
 def missing_turn(odometry: Floats, measured: Floats, sd_rad: Floats) -> tuple[Bools, Bools]:
     """Return which turns (k,) landmarks measure well, and which of these odometry surely misses.
 
-    It is off by more than half of these.
+    It is off by more than half of these, about their axis: about the others it is only noisy.
     """
-    off_rad, turn = _apart(odometry, measured)[1], np.linalg.norm(_turns(measured), axis=1)
-    judged = np.isfinite(off_rad) & (turn > SLIPPED * np.hypot(sd_rad, MotionNoise.sigma_rad))
-    return judged, judged & (off_rad > WRONG_WAY * turn)
+    turns = _turns(measured)
+    off, turn = np.sum(_turned(odometry, measured) * turns, axis=1), np.linalg.norm(turns, axis=1)
+    judged = np.isfinite(off) & (turn > SLIPPED * np.hypot(sd_rad, MotionNoise.sigma_rad))
+    return judged, judged & (np.abs(off) > WRONG_WAY * turn**2)
 
 
 def misses_most(compared: Bools, missed: Bools) -> bool:
@@ -189,8 +190,12 @@ def _turns(motions: Floats) -> Floats:
 def _apart(first: Floats, second: Floats) -> tuple[Floats, Floats]:
     """Return the distances, metres, and angles, radians, between motions (k, 4, 4) and others."""
     off_m = np.linalg.norm(first[:, :3, 3] - second[:, :3, 3], axis=1)
-    turn = np.swapaxes(first[:, :3, :3], 1, 2) @ second[:, :3, :3]
-    return off_m, np.linalg.norm(_turns(turn), axis=1)
+    return off_m, np.linalg.norm(_turned(first, second), axis=1)
+
+
+def _turned(first: Floats, second: Floats) -> Floats:
+    """Return the rotation vectors (k, 3) from motions (k, 4, 4) to others; NaN if unknown."""
+    return _turns(np.swapaxes(first[:, :3, :3], 1, 2) @ second[:, :3, :3])
 
 
 def _axes(*motions: Floats) -> int:
