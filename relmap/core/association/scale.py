@@ -133,4 +133,4 @@ def spacing_of(points: Floats) -> float:
     if len(points) < 2:
         return np.inf
     _, one, *others = nearest(cKDTree(points), points, min(len(points), 3))[0].T
-    return max(middle(one), *(middle(other) / PAIRED for other in others))
+    return max([middle(one), *(middle(other) / PAIRED for other in others)])
