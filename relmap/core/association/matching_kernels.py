@@ -9,8 +9,9 @@ from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import smallest
 from relmap.core.linalg.small_kernels import square_of, unset
 
-PAIRED = 4.0
-"""Ratio of the distances of the second and the first neighbour above which landmarks are pairs."""
+PAIRED, MANY = 4.0, 6
+"""Ratio of the distances of the second and the first neighbour above which landmarks are pairs, and
+fewest landmarks of which this is said: of three, two are often close by chance."""
 CELL, MARGIN = 4.0, 0.2501
 """Side of a cell of the grid, in reaches, and a reach in sides, with room for rounding."""
 
@@ -131,7 +132,7 @@ def nearest_of_sample(
     """Return the points (n, d) nearest to a sample of the tracks (m, d) that were seen last.
 
     Returns the tracks (k,), at most `most`, the point nearest to each, its distance, and the
-    spacing, by upper medians (see `scale.spacing_of`); no tracks if two matches are impossible.
+    spacing, see `scale.spacing_of`; no tracks if two matches are impossible.
     """
     (n, d), m, fewest, n_latest = points.shape, len(missed), missed[0], 0
     for row in range(m):
@@ -152,8 +153,8 @@ def nearest_of_sample(
         _, neighbour[0, k], neighbour[1, k], _ = three_nearest(crowd, crowd[k * every])
     half = neighbour.shape[1] // 2
     spacing = np.sqrt(smallest(neighbour[0], half))
-    if len(crowd) > 2:
-        spacing = max(spacing, np.sqrt(smallest(neighbour[1], half)) / PAIRED)
+    if len(crowd) >= MANY:
+        spacing = max(spacing, np.sqrt(smallest(neighbour[1], half // 2)) / PAIRED)
     every = -(-n_latest // most)
     k = -(-n_latest // every)
     target, distance = np.empty(k, dtype=np.int64), np.empty(k)

@@ -128,9 +128,10 @@ def spacing_of(points: Floats) -> float:
 
     If they are pairs, such as the two edges of a post, the distance between pairs counts.
     """
-    from relmap.core.association.matching_kernels import PAIRED
+    from relmap.core.association.matching_kernels import MANY, PAIRED
 
     if len(points) < 2:
         return np.inf
-    _, one, *others = nearest(cKDTree(points), points, min(len(points), 3))[0].T
-    return max([middle(one), *(middle(other) / PAIRED for other in others)])
+    apart = nearest(cKDTree(points), points, 3 if len(points) >= MANY else 2)[0]
+    pairs = [np.sort(of)[len(points) // 4] / PAIRED for of in apart[:, 2:].T]
+    return max([middle(apart[:, 1]), *pairs])
