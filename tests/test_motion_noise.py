@@ -120,7 +120,7 @@ def test_a_turn_is_missed_if_odometry_is_off_by_more_than_half(
     assert missed.tolist() == [is_missed]
 
 
-def test_noise_about_other_axes_is_no_missed_turn() -> None:
+def test_noise_about_other_axes_does_not_count_as_a_missed_turn() -> None:
     true, odometry = np.eye(4)[None].copy(), np.eye(4)[None].copy()
     true[0, :3, :3] = Rotation.from_rotvec([0.0, 0.0, 0.05]).as_matrix()
     odometry[0, :3, :3] = Rotation.from_rotvec([0.04, 0.0, 0.045]).as_matrix()

@@ -134,4 +134,4 @@ def spacing_of(points: Floats) -> float:
         return np.inf
     apart = nearest(cKDTree(points), points, 3 if len(points) >= MANY else 2)[0]
     pairs = [np.sort(of)[len(points) // 4] / PAIRED for of in apart[:, 2:].T]
-    return max([middle(apart[:, 1]), *pairs])
+    return float(max([middle(apart[:, 1]), *pairs]))
