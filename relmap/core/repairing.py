@@ -272,7 +272,8 @@ def _refine_submaps(
     found, end = [], 0 if kept is None else kept.n_iterations
     for submap in np.unique(submaps[submaps != NONE]):
         chosen, since = submaps == submap, engine.map.kept_anchor
-        refined = refine_jointly(rows, table.position, chosen, of, others, since)
+        is_known = bool(engine.association.is_known)
+        refined = refine_jointly(rows, table.position, chosen, of, others, since, is_known)
         if refined is not None and len(engine.kept.covariance):
             refined = refine_weighed(refined, engine.kept, of)
         elif refined is not None and kept is not None:
