@@ -25,7 +25,7 @@ from relmap.core.refinement.chain.weighed import refine_weighed
 from relmap.core.refinement.condensing import SegmentRows
 from relmap.core.refinement.confirming import found_rest, seen_in
 from relmap.core.refinement.extending import extend_submaps
-from relmap.core.refinement.joint import CONFIRMED, Refined
+from relmap.core.refinement.joint import CONFIRMED, MISREAD, Refined
 from relmap.core.refinement.joint import refine as refine_jointly
 from relmap.core.refinement.misread import take_off_misread
 from relmap.core.refinement.observations import observations_of
@@ -38,9 +38,6 @@ logger = logging.getLogger(__name__)
 
 ROUNDS = 8
 """Maximum number of rounds of repairing and refining the map again."""
-MISREAD = 0.01
-"""Fraction of the observations contradicting their ids above which some ids are wrong; without
-wrong ids less than this occurs."""
 CLEARLY, WHOLE = 0.8, 0.95
 """Largest ratio of the contradictions of a rebuilt map to those before for it to be kept, and least
 ratio of the numbers of mapped landmarks: an empty map contradicts nothing."""

@@ -31,6 +31,11 @@ CONFIRMED, AGAINST = 3, 0.5
 weight below which they contradict the map."""
 
 
+MISREAD = 0.01
+"""Fraction of the observations contradicting their ids above which some ids are wrong; without
+wrong ids less than this occurs."""
+
+
 @dataclass(frozen=True, eq=False)
 class Spread:
     """Computes the covariances of some landmarks, transformed and scaled (d, d)."""
@@ -119,7 +124,8 @@ def refine(
     landmarks of the submap. `of` (m,): the landmark that each number stands for, after merging.
     `others` (m,): static landmarks that are not mapped; they constrain the landmarks seen with
     them. `since`: iteration from which the anchor is chosen, if there is one. `has_ids`: whether
-    ids are known: if confirmed observations contradict the optimum, another one is looked for.
+    ids are known: if confirmed observations contradict the optimum, but few others, another one is
+    looked for.
     Returns None if the observations determine nothing.
     """
     landmark = of[rows.landmark]
@@ -130,7 +136,9 @@ def refine(
     problem = segment_problem(joint, size_of(start.positions), anchor)
     first = problem.of_segments(start)
     settled = settle(problem, first)
-    if has_ids and _n_contradicting(joint, settled.weight):
+    n_outliers = joint.n_seen[settled.weight < 1].sum()
+    are_right = has_ids and n_outliers <= MISREAD * joint.n_seen.sum()
+    if are_right and _n_contradicting(joint, settled.weight):
         settled = settle_again(problem, first, settled)
     refined, weight = settled.state.positions, settled.weight
     placed = SegmentProblem(joint, 0.0).laid(refined, weight).placed
