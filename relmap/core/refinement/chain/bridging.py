@@ -29,6 +29,9 @@ BESIDE = 16
 TURNS = 0.25
 """Smallest fraction of steps with turns that are measured well."""
 
+LOOSER = 3.0
+"""How many times less certain a pose may be from which odometry goes on than one that is shown."""
+
 LARGEST = -2
 """Marks scans solved for before, instead of their current submap."""
 
@@ -260,7 +263,7 @@ def _poses_in_submaps(
     submaps, sizes = np.unique(table.submap[table.submap != NONE], return_counts=True)
     for submap in submaps[np.argsort(-sizes, kind="stable")].tolist():
         positions = np.where((table.submap == submap)[:, None], table.position, np.nan)
-        found = trajectory(rows, positions, table.landmark_of, noise_m)
+        found = trajectory(rows, positions, table.landmark_of, noise_m / LOOSER)
         new = np.isfinite(found[:, 0, 0]) & (submap_of == NONE)
         poses[new], submap_of[new] = found[new], submap
     return poses, submap_of
