@@ -179,7 +179,7 @@ class Mapped(Shown, ABC):
     @property
     def noise_m(self) -> float:
         """Estimated standard deviation of an observed coordinate, metres; NaN if unknown."""
-        return float(self.engine.averaging.noise.sigma_m)
+        return float(self.engine.noise_m)
 
     def __repr__(self) -> str:
         mapped = self.map

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
 
+from relmap import PointMapper
 from relmap.core.association.reobservation.merging import Merger
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.refinement.condensing import SegmentRows
@@ -12,6 +15,8 @@ from relmap.core.state.table import LandmarkState
 from relmap.points.model import PointModel
 from relmap.simulation import WorldSpec, simulate_world
 from tests.worlds import aligned_rmse, purity_of, stands_for, without_ids
+
+SIGMA_M = 0.03
 
 
 def test_landmarks_seen_fewer_than_ten_times_are_mapped() -> None:
@@ -59,3 +64,17 @@ def test_a_submap_from_a_segment_averages_merged_tracks() -> None:
     assert table.weight[5] == 3
     np.testing.assert_allclose(table.position[5], points[5] + [0.02, 0.0], atol=1e-12)
     np.testing.assert_allclose(table.position[:5], points[:5], atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_views_of_a_sensor_that_spins_in_space_are_joined(seed: int) -> None:
+    rng, mapper = np.random.default_rng(seed), PointMapper()
+    landmarks = np.column_stack([rng.uniform(-10, 10, (70, 2)), rng.uniform(-1, 2, 70)])
+    for turned_rad in np.deg2rad(25.0) * np.arange(90):  # four scans in a row show a landmark
+        local = landmarks @ Rotation.from_euler("z", turned_rad).as_matrix()
+        seen = local[np.abs(np.arctan2(local[:, 1], local[:, 0])) <= np.deg2rad(45)]
+        mapper.update(seen + SIGMA_M * rng.normal(size=seen.shape))
+    mapper.finish()
+    mapper.refine()
+    assert len(mapper.submaps) == 1
+    assert 0.8 * SIGMA_M < mapper.noise_m < 1.2 * SIGMA_M

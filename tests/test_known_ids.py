@@ -142,3 +142,20 @@ def test_overruled_ids_are_said(rows: int, scans: int, expected: str) -> None:
     counts = {"rejected_observations": {"count": rows}, "rejected_iterations": {"count": scans}}
     assert overruled({"association": "known", **counts}) == expected
     assert overruled({"association": "nearest", **counts}) == ""
+
+
+@pytest.mark.parametrize("seed", [1, 14, 59])
+def test_two_halls_joined_by_two_landmarks_side_by_side_are_straight(seed: int) -> None:
+    rng, mapper = np.random.default_rng(seed), PointMapper()
+    halls = [np.column_stack([rng.uniform(x, x + 20, 40), rng.uniform(-8, 8, 40)]) for x in (0, 80)]
+    along = [22, 26, 30, 33.2, 36, 45.82, 45.93, 58.4, 58.9, 62, 66, 70, 74, 78]
+    across = [1.5, -1.5, 1.5, -1.4, 1.4, 1.52, 1.41, 1.57, -1.53, -1.5, 1.5, -1.5, 1.5, -1.5]
+    true = np.concatenate([*halls, np.column_stack([along, across])])
+    for at in [*np.arange(5, 95, 0.5), *np.arange(95, 5, -0.5)]:
+        away = true - [at, 0.0]
+        own = np.flatnonzero((np.linalg.norm(away, axis=1) < 12) & (rng.random(len(away)) > 0.05))
+        mapper.update(away[own] + 0.05 * rng.normal(size=(len(own), 2)), ids=own)
+    mapper.finish()
+    mapper.refine()
+    assert len(mapper.map) == len(true)
+    assert aligned_rmse(mapper.map.positions[:, :2], true[mapper.map.landmark_ids]) < 0.15

@@ -7,9 +7,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
 
 from relmap.core.arrays import Floats
-from relmap.core.motion_noise import leaps, missing_turn, motion_noise
+from relmap.core.motion_noise import MotionNoise, leaps, missing_turn, motion_noise
 from relmap.core.odometry import checked_odometry
 
 Array = Floats
@@ -117,3 +118,26 @@ def test_a_turn_is_missed_if_odometry_is_off_by_more_than_half(
     judged, missed = missing_turn(odometry, true, np.array([0.01]))
     assert judged.tolist() == [True]
     assert missed.tolist() == [is_missed]
+
+
+def test_noise_about_other_axes_does_not_count_as_a_missed_turn() -> None:
+    true, odometry = np.eye(4)[None].copy(), np.eye(4)[None].copy()
+    true[0, :3, :3] = Rotation.from_rotvec([0.0, 0.0, 0.05]).as_matrix()
+    odometry[0, :3, :3] = Rotation.from_rotvec([0.04, 0.0, 0.045]).as_matrix()
+    judged, missed = missing_turn(odometry, true, np.array([0.001]))
+    assert judged.tolist() == [True]
+    assert missed.tolist() == [False]
+
+
+def test_a_turn_larger_than_those_compared_is_less_certain() -> None:
+    rng = np.random.default_rng(0)
+    true = drive(rng)
+    found = motion_noise(odometry_of(true, rng, way=0.01, yaw=0.002), true)
+    assert found is not None
+    turns = np.array([checked_odometry([0.6, 0.0, yaw]) for yaw in (0.0, 0.1, 3.1)])
+    _, sigma_rad = found.sigmas(turns)
+    assert_allclose(sigma_rad[:2], found.sigma_rad)
+    assert_allclose(sigma_rad[2], found.sigma_rad * 3.1 / found.turn_rad)
+    assert sigma_rad[2] > 10 * found.sigma_rad
+    loose = MotionNoise(sigma_rad=0.05, turn_rad=0.1)
+    assert_allclose(loose.sigmas(turns)[1], [0.05, 0.05, 0.05 * 3.1])

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from relmap import PointMapper
 from relmap.cli.outcome import MISREAD
 from relmap.core.arrays import Floats, Ints
 from relmap.datasets import ObservationLog
@@ -104,3 +105,27 @@ def test_iterations_that_are_not_in_the_log_are_not_linked_by_odometry() -> None
     ]
     before, after = (one["tied_by_it_alone"]["count"] for one in alone)
     assert 0 < after <= before + 1
+
+
+@pytest.mark.parametrize("seed", [1, 3])
+def test_two_landmarks_side_by_side_do_not_turn_what_follows(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    fields = [
+        np.column_stack([rng.uniform(*x, 40), rng.uniform(-8, 8, 40)]) for x in ((-8, 20), (50, 80))
+    ]
+    true = np.concatenate([*fields, [[30.0, 1.0], [30.05, 1.0]]])
+    out, rng, mapper = np.arange(0, 70, 0.5), np.random.default_rng(seed), PointMapper()
+    for k, at in enumerate(np.append(out, out[::-1])):
+        away = (true - [at, 0.0]) * (1 if k < len(out) else -1)
+        own = np.flatnonzero((np.linalg.norm(away, axis=1) < 10) & (rng.random(len(true)) > 0.05))
+        way = 0.5 if k != len(out) else 0.0
+        motion = way * np.array([1 + 0.02 * rng.normal(), 0.02 * rng.normal(), 0.0])
+        motion[2] = 0.005 * rng.normal() + (np.pi if k == len(out) else 0.0)
+        points = away[own] + NOISE_M * rng.normal(size=(len(own), 2))
+        mapper.update(points, ids=own, odometry=motion)
+    mapper.finish()
+    mapper.refine()
+    assert len(mapper.map) >= 75
+    assert mapper.odometry is not None
+    assert not len(mapper.odometry.left_out)
+    assert aligned_rmse(mapper.map.positions[:, :2], true[mapper.map.landmark_ids]) < 0.2

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from relmap import PointMapper
+from relmap.core.readout import labels
 from relmap.simulation import simulate_figure_eight
 from tests.worlds import aligned_rmse, driven, limit_of, mapped, walk
 
@@ -92,3 +93,18 @@ def test_a_landmark_displaced_for_a_while_does_not_bend_the_map(d: int) -> None:
             ids, positions = mapper.map.landmark_ids[others], mapper.map.positions[others, :d]
             found.append(aligned_rmse(positions, world.landmarks[ids]))
     assert max(errors) < 2 * max(sound)
+
+
+@both_dimensions
+def test_a_landmark_that_nothing_ties_to_the_others_is_not_refined_with_them(d: int) -> None:
+    world = walk(d, 4, sigma=0.02)
+    (ids, points), *rest = world.scans
+    once = np.append(ids, 10_000), np.vstack([points, np.full((1, d), 4.0)])
+    mapper = mapped([once, *rest])
+    engine = mapper.engine
+    number = np.flatnonzero(labels(engine) == 10_000)
+    engine.map.place(engine.map.first, number, np.full((1, d), 4.0), np.ones(1))
+    assert 10_000 in mapper.map.landmark_ids
+    mapper.refine()
+    assert 10_000 not in mapper.map.landmark_ids
+    assert len(mapper.refined[0].landmarks) == len(mapper.map)

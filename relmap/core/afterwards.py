@@ -82,7 +82,7 @@ def found_late(engine: RelativeMapper, begin: int, end: int) -> None:
 
 def tie(engine: RelativeMapper) -> None:
     """Join submaps that show the same place, close loops, and merge re-observed landmarks."""
-    noise_m, merger = engine.averaging.noise.sigma_m, engine.merger
+    noise_m, merger = engine.noise_m, engine.merger
     rows = engine.rows
     merger.sightings = Sightings(rows, engine.table)
     drift = local_drift(engine.table, rows, noise_m)
@@ -141,7 +141,7 @@ def find_again(engine: RelativeMapper) -> bool:
     Then join submaps that scans show together; returns whether any were.
     """
     table, merger = engine.table, engine.merger
-    rows, noise_m = engine.rows, engine.averaging.noise.sigma_m
+    rows, noise_m = engine.rows, engine.noise_m
     found = True
     while found:
         extend_submaps(engine.map, rows, (table.submap == NONE) & ~table.dynamic)

@@ -53,7 +53,7 @@ def bridge_gaps(engine: RelativeMapper, to_the_last: bool = False, is_open: bool
         sigmas = Sigmas(*before.sigmas.tolist())
     corrected[missed] = np.nan
     motions = np.where((slipped | missed)[:, None, None], measured.motion, corrected)
-    bridged = bridge(engine.table, rows, motions, start)
+    bridged = bridge(engine.table, rows, motions, float(np.nan_to_num(engine.noise_m)), start)
     hanging = bridged.hanging if before is None or sigmas is None else before.hanging
     hanging = hanging[np.isfinite(odometry[hanging, 0, 0])]  # Others are not connected at all.
     if not len(hanging):

@@ -142,7 +142,7 @@ class RelativeMapper:
 
     def merge(self, placed: Ints) -> int:
         """Merge re-observed landmarks among landmarks (k,) with the older ones; return how many."""
-        levels, noise_m = self.table.highest_level[placed], self.averaging.noise.sigma_m
+        levels, noise_m = self.table.highest_level[placed], self.noise_m
         return self.merge_pairs(self.merger.find(placed, levels, noise_m))
 
     def merge_pairs(self, pairs: Ints) -> int:
@@ -159,3 +159,17 @@ class RelativeMapper:
     def rows(self) -> SegmentRows:
         """The condensed observations of all iterations."""
         return self.segments.with_rest(self.store, self.table.dynamic)
+
+    @property
+    def noise_m(self) -> float:
+        """Standard deviation of an observed coordinate, metres; NaN before any repeated one.
+
+        Estimated by the groups, or within segments if no landmark was in view long enough.
+        """
+        sigma_m = self.averaging.noise.sigma_m
+        if np.isfinite(sigma_m):
+            return sigma_m
+        rows = self.rows
+        repeated = rows.freedoms > 0
+        variances = rows.squares[repeated] / rows.freedoms[repeated]
+        return float(np.sqrt(np.median(variances))) if len(variances) else np.nan

@@ -28,6 +28,9 @@ LEAP, USUALLY, LEAP_M = 10.0, 0.9, 5.0
 """A step so many times longer than this fraction of the steps, and this long, is a fault."""
 STILL_M = 1e-3
 """Distance below which the robot stands still."""
+MOST_TURNING, AT_MOST = 0.95, 0.05
+"""Fraction of the compared steps that turn less than up to where their noise is known; and largest
+noise of a turn beyond, relative to it."""
 FLOOR_M, FLOOR_RAD = 1e-4, 1e-5
 """Minimum standard deviations: files are rounded."""
 
@@ -39,8 +42,9 @@ class MotionNoise:
     `scale`: distance travelled by the robot, relative to that of its odometry; `turn_per_m` (3,):
     turn (a rotation vector) that odometry misses per metre, radians; `sigma_way`: standard
     deviation of each coordinate, relative to the distance; `sigma_m`, `sigma_rad`: constant part of
-    it, and standard deviation of the angle about each axis, per step. `misses`: whether it misses
-    most of the motion in most of the steps, as that of a stuck encoder does.
+    it, and standard deviation of the angle about each axis, per step, up to a turn of `turn_rad`:
+    beyond, it may grow with the turn. `misses`: whether it misses most of the motion in most of the
+    steps, as that of a stuck encoder does.
     """
 
     scale: float = 1.0
@@ -48,6 +52,7 @@ class MotionNoise:
     sigma_way: float = 0.05
     sigma_m: float = 0.002
     sigma_rad: float = 0.005
+    turn_rad: float = np.inf
     misses: bool = False
 
     @property
@@ -68,7 +73,12 @@ class MotionNoise:
     def sigmas(self, odometry: Floats) -> tuple[Floats, Floats]:
         """Return the standard deviations (k,) of a coordinate, metres, and an angle, radians."""
         way = np.linalg.norm(odometry[:, :3, 3], axis=1)
-        return np.hypot(self.sigma_way * way, self.sigma_m), np.full(len(way), self.sigma_rad)
+        sigma_rad = np.full(len(way), self.sigma_rad)
+        if self.turn_rad < np.inf:
+            turn = np.linalg.norm(_turns(odometry), axis=1)
+            grown = np.minimum(self.sigma_rad / max(self.turn_rad, FLOOR_RAD), AT_MOST) * turn
+            sigma_rad = np.fmax(sigma_rad, grown)
+        return np.hypot(self.sigma_way * way, self.sigma_m), sigma_rad
 
     def slipped(
         self, odometry: Floats, measured: Floats, sd_m: ArrayLike = 0.0, sd_rad: ArrayLike = 0.0
@@ -109,7 +119,9 @@ def motion_noise(
     still_m = NORMAL * float(np.median(off[~goes])) if (~goes).sum() >= FEWEST else 0.0
     off_m = NORMAL * np.median(off[goes] / way[goes, None]) if goes.any() else 0.0
     sigma_rad = NORMAL * float(np.median(rad)) / (1.0 if axes == 2 else np.sqrt(3))
-    return MotionNoise(scale, per_m, float(off_m), max(still_m, FLOOR_M), max(sigma_rad, FLOOR_RAD))
+    turn_rad = float(np.quantile(np.linalg.norm(_turns(odometry), axis=1), MOST_TURNING))
+    noise = max(still_m, FLOOR_M), max(sigma_rad, FLOOR_RAD)
+    return MotionNoise(scale, per_m, float(off_m), *noise, turn_rad)
 
 
 def leaps(odometry: Floats, usual: Bools) -> Bools:
@@ -138,11 +150,12 @@ def missing_way(odometry: Floats, measured: Floats, sd_m: Floats) -> Bools:
 def missing_turn(odometry: Floats, measured: Floats, sd_rad: Floats) -> tuple[Bools, Bools]:
     """Return which turns (k,) landmarks measure well, and which of these odometry surely misses.
 
-    It is off by more than half of these.
+    It is off by more than half of these, about their axis: about the others it is only noisy.
     """
-    off_rad, turn = _apart(odometry, measured)[1], np.linalg.norm(_turns(measured), axis=1)
-    judged = np.isfinite(off_rad) & (turn > SLIPPED * np.hypot(sd_rad, MotionNoise.sigma_rad))
-    return judged, judged & (off_rad > WRONG_WAY * turn)
+    turns = _turns(measured)
+    off, turn = np.sum(_turned(odometry, measured) * turns, axis=1), np.linalg.norm(turns, axis=1)
+    judged = np.isfinite(off) & (turn > SLIPPED * np.hypot(sd_rad, MotionNoise.sigma_rad))
+    return judged, judged & (np.abs(off) > WRONG_WAY * turn**2)
 
 
 def misses_most(compared: Bools, missed: Bools) -> bool:
@@ -189,8 +202,12 @@ def _turns(motions: Floats) -> Floats:
 def _apart(first: Floats, second: Floats) -> tuple[Floats, Floats]:
     """Return the distances, metres, and angles, radians, between motions (k, 4, 4) and others."""
     off_m = np.linalg.norm(first[:, :3, 3] - second[:, :3, 3], axis=1)
-    turn = np.swapaxes(first[:, :3, :3], 1, 2) @ second[:, :3, :3]
-    return off_m, np.linalg.norm(_turns(turn), axis=1)
+    return off_m, np.linalg.norm(_turned(first, second), axis=1)
+
+
+def _turned(first: Floats, second: Floats) -> Floats:
+    """Return the rotation vectors (k, 3) from motions (k, 4, 4) to others; NaN if unknown."""
+    return _turns(np.swapaxes(first[:, :3, :3], 1, 2) @ second[:, :3, :3])
 
 
 def _axes(*motions: Floats) -> int:

@@ -33,7 +33,7 @@ def mapped_covariances(engine: RelativeMapper) -> Floats:
     """
     table = engine.table
     mapped = engine.map.ranks == 0
-    variance = engine.averaging.noise.sigma_m**2 / np.maximum(table.weight, 1)
+    variance = engine.noise_m**2 / np.maximum(table.weight, 1)
     covariances: Floats = variance[:, None, None] * np.eye(table.dimension)
     for submap in engine.refined:
         if mapped[submap.landmarks].any():
@@ -128,7 +128,7 @@ def paths(engine: RelativeMapper) -> list[tuple[Ints, Floats]]:
 
 
 def _noise_m(engine: RelativeMapper) -> float:
-    return float(np.nan_to_num(engine.averaging.noise.sigma_m))
+    return float(np.nan_to_num(engine.noise_m))
 
 
 def _moving_bins(table: LandmarkState, status: NDArray[np.str_], called: Ints) -> Ints:

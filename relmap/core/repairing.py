@@ -25,7 +25,7 @@ from relmap.core.refinement.chain.weighed import refine_weighed
 from relmap.core.refinement.condensing import SegmentRows
 from relmap.core.refinement.confirming import found_rest, seen_in
 from relmap.core.refinement.extending import extend_submaps
-from relmap.core.refinement.joint import CONFIRMED, Refined
+from relmap.core.refinement.joint import CONFIRMED, MISREAD, Refined
 from relmap.core.refinement.joint import refine as refine_jointly
 from relmap.core.refinement.misread import take_off_misread
 from relmap.core.refinement.observations import observations_of
@@ -38,9 +38,6 @@ logger = logging.getLogger(__name__)
 
 ROUNDS = 8
 """Maximum number of rounds of repairing and refining the map again."""
-MISREAD = 0.01
-"""Fraction of the observations contradicting their ids above which some ids are wrong; without
-wrong ids less than this occurs."""
 CLEARLY, WHOLE = 0.8, 0.95
 """Largest ratio of the contradictions of a rebuilt map to those before for it to be kept, and least
 ratio of the numbers of mapped landmarks: an empty map contradicts nothing."""
@@ -158,7 +155,7 @@ def _wrong(engine: RelativeMapper) -> Bools:
     """
     table, current = engine.table, engine.association.current
     rare = rarely_seen(engine)
-    wrong = doubtful(table, rare, engine.averaging.noise.sigma_m)
+    wrong = doubtful(table, rare, engine.noise_m)
     seldom = Sightings(engine.rows, table).seldom(rare)
     if current.is_blurred or current.estimates_covariances:
         wrong |= rare & seldom
@@ -272,7 +269,8 @@ def _refine_submaps(
     found, end = [], 0 if kept is None else kept.n_iterations
     for submap in np.unique(submaps[submaps != NONE]):
         chosen, since = submaps == submap, engine.map.kept_anchor
-        refined = refine_jointly(rows, table.position, chosen, of, others, since)
+        is_known = bool(engine.association.is_known)
+        refined = refine_jointly(rows, table.position, chosen, of, others, since, is_known)
         if refined is not None and len(engine.kept.covariance):
             refined = refine_weighed(refined, engine.kept, of)
         elif refined is not None and kept is not None:
@@ -280,6 +278,8 @@ def _refine_submaps(
             own = refined.landmarks, refined.positions
             refined = refine_by_powers(refined, observations_of(points, of[seen], when, *own)[0])
         if refined is not None:
+            # What no segment ties to the others would keep its place in the former frame.
+            table.take_off_map(np.setdiff1d(np.flatnonzero(chosen), refined.landmarks))
             engine.map.move(refined.landmarks, refined.positions)
             found.append(refined)
     return found

@@ -101,7 +101,7 @@ def merge_in_place(engine: RelativeMapper, at_last: bool = False) -> None:
 
 def merge_doubles_in_place(engine: RelativeMapper) -> None:
     """Merge landmarks that coincide, unless neighbours within the drift would fit as well."""
-    table, noise_m = engine.table, engine.averaging.noise.sigma_m
+    table, noise_m = engine.table, engine.noise_m
     accuracy = _Accuracy(engine)
 
     def merge(placed: Ints) -> int:

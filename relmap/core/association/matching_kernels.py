@@ -9,6 +9,9 @@ from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import smallest
 from relmap.core.linalg.small_kernels import square_of, unset
 
+PAIRED, MANY = 4.0, 6
+"""Ratio of the distances of the second and the first neighbour above which landmarks are pairs, and
+fewest landmarks of which this is said: of three, two are often close by chance."""
 CELL, MARGIN = 4.0, 0.2501
 """Side of a cell of the grid, in reaches, and a reach in sides, with room for rounding."""
 
@@ -102,22 +105,24 @@ def nearest_within(
 
 
 @helper
-def two_nearest(points: Floats, query: Floats) -> tuple[float, float, int]:
-    """Return the squared distances of the two points (n, d) nearest to a query, and the nearest.
+def three_nearest(points: Floats, query: Floats) -> tuple[float, float, float, int]:
+    """Return the squared distances of the three points (n, d) nearest to a query, and the nearest.
 
     For a few queries this is faster than building a grid. Infinite if there are fewer points.
     """
     space = len(query) == 3
     qx, qy, qz = query[0], query[1], query[2] if space else 0.0
-    first, second, index = np.inf, np.inf, len(points)
+    first, second, third, index = np.inf, np.inf, np.inf, len(points)
     for i in range(len(points)):
         x, y, z = points[i, 0] - qx, points[i, 1] - qy, points[i, 2] - qz if space else 0.0
         square = x * x + y * y + z * z
         if square < first:
-            first, second, index = square, first, i
+            first, second, third, index = square, first, second, i
         elif square < second:
-            second = square
-    return first, second, index
+            second, third = square, second
+        elif square < third:
+            third = square
+    return first, second, third, index
 
 
 @helper
@@ -126,8 +131,8 @@ def nearest_of_sample(
 ) -> tuple[Ints, Ints, Floats, float]:
     """Return the points (n, d) nearest to a sample of the tracks (m, d) that were seen last.
 
-    Returns the tracks (k,), at most `most`, the point nearest to each, its distance, and the upper
-    median of the distances between neighbours; no tracks if two matches are impossible.
+    Returns the tracks (k,), at most `most`, the point nearest to each, its distance, and the
+    spacing, see `scale.spacing_of`; no tracks if two matches are impossible.
     """
     (n, d), m, fewest, n_latest = points.shape, len(missed), missed[0], 0
     for row in range(m):
@@ -143,16 +148,19 @@ def nearest_of_sample(
         return latest[:0], latest[:0], np.empty(0), 0.0
     crowd = points if n >= n_latest else crowd[:n_latest]
     every = -(-len(crowd) // most)
-    neighbour = np.empty(-(-len(crowd) // every))
-    for k in range(len(neighbour)):
-        neighbour[k] = np.sqrt(two_nearest(crowd, crowd[k * every])[1])
-    spacing = smallest(neighbour, len(neighbour) // 2)
+    neighbour = np.empty((2, -(-len(crowd) // every)))
+    for k in range(neighbour.shape[1]):
+        _, neighbour[0, k], neighbour[1, k], _ = three_nearest(crowd, crowd[k * every])
+    half = neighbour.shape[1] // 2
+    spacing = np.sqrt(smallest(neighbour[0], half))
+    if len(crowd) >= MANY:
+        spacing = max(spacing, np.sqrt(smallest(neighbour[1], half // 2)) / PAIRED)
     every = -(-n_latest // most)
     k = -(-n_latest // every)
     target, distance = np.empty(k, dtype=np.int64), np.empty(k)
     for i in range(k):
         latest[i] = latest[i * every]
-        first, _, target[i] = two_nearest(points, expected[latest[i]])
+        first, _, _, target[i] = three_nearest(points, expected[latest[i]])
         distance[i] = np.sqrt(first)
     return latest[:k], target, distance, spacing
 

@@ -124,7 +124,14 @@ class Scale:
 
 
 def spacing_of(points: Floats) -> float:
-    """Return the median distance of points (n, d) to their nearest neighbours, metres."""
+    """Return the median distance of points (n, d) to their nearest neighbours, metres.
+
+    If they are pairs, such as the two edges of a post, the distance between pairs counts.
+    """
+    from relmap.core.association.matching_kernels import MANY, PAIRED
+
     if len(points) < 2:
         return np.inf
-    return middle(nearest(cKDTree(points), points, 2)[0][:, 1])
+    apart = nearest(cKDTree(points), points, 3 if len(points) >= MANY else 2)[0]
+    pairs = [np.sort(of)[len(points) // 4] / PAIRED for of in apart[:, 2:].T]
+    return float(max([middle(apart[:, 1]), *pairs]))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.core.association.matching_kernels import claims, nearest_within, two_nearest
+from relmap.core.association.matching_kernels import claims, nearest_within, three_nearest
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import smallest
 from relmap.core.linalg.small_kernels import unset
@@ -74,7 +74,7 @@ def continued(
     for row in range(m):
         apart[row] = np.inf
         if not linked[row] and missed[row] == 0:
-            square, _, wanted[row] = two_nearest(points, latest[row])
+            square, _, _, wanted[row] = three_nearest(points, latest[row])
             may_move = restless[row] > 0 or seen[row] < young
             if np.sqrt(square) <= (widest if may_move else narrow) and not taken[wanted[row]]:
                 apart[row] = np.sqrt(square)

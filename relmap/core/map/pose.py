@@ -72,7 +72,15 @@ def _turn_sd(points: Floats, at: Ints, n: int, noise_m: float) -> Floats:
     """Return the standard deviation (n,), radians, of the turn about points; in space, the largest.
 
     `points` (k, d), map frame, metres; `at` (k,): the iteration that sees each; `noise_m`: standard
-    deviation of an observed coordinate. In space the worst turn is about the line nearest to them.
+    deviation of an observed coordinate.
+    """
+    return np.asarray(noise_m / np.sqrt(np.maximum(squares_across(points, at, n), 1e-300)))
+
+
+def squares_across(points: Floats, at: Ints, n: int) -> Floats:
+    """Return the sum of squared distances (n,), square metres, of points (k, d) from their centre.
+
+    In space from the line nearest to them: the worst turn is about that. `at` (k,): set of each.
     """
     centre = sums_each(points, at, n) / np.maximum(np.bincount(at, minlength=n), 1)[:, None]
     away = points - centre[at]
@@ -80,4 +88,4 @@ def _turn_sd(points: Floats, at: Ints, n: int, noise_m: float) -> Floats:
     across = np.trace(scatter, axis1=1, axis2=2)
     if points.shape[1] == 3:
         across = across - np.linalg.eigvalsh(scatter)[:, -1]
-    return np.asarray(noise_m / np.sqrt(np.maximum(across, 1e-300)))
+    return np.asarray(across)

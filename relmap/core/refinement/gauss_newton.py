@@ -9,7 +9,7 @@ from typing import Generic, Protocol, TypeVar
 import numpy as np
 
 from relmap.core.arrays import Floats
-from relmap.core.geometry.robust import EXACT, lenient, limit_of, robust_cost, strict
+from relmap.core.geometry.robust import EXACT, huber, lenient, limit_of, robust_cost, strict
 from relmap.core.linalg.cholesky import Pattern
 from relmap.core.refinement.schur import NormalEquations
 
@@ -38,6 +38,10 @@ FAINT = 0.03
 WORTH_SAYING = 1.0
 """Gain of the last step, in squared standard deviations of the whole map, above which a warning
 says that it did not converge."""
+
+
+BENT = 0.5
+"""Residual beyond which Huber's influence is constant, relative to that of an outlier."""
 
 
 class Problem(Protocol[State]):
@@ -219,6 +223,22 @@ def settle(problem: Problem[Located], start: Located) -> Solution[Located]:
     if not cost <= WORSE * robust_cost(residual, first) + rounding:
         return Solution(start, strict(residual, first))
     return replace(found, converged=found.converged or found.gain <= WORTH_SAYING)
+
+
+def settle_again(
+    problem: Problem[Located], start: Located, known: Solution[Located]
+) -> Solution[Located]:
+    """Return the better of a solution and one that starts from that with Huber's weights.
+
+    From a start that is bent at one place, lenient weights may give up what would unbend it: they
+    have a minimum for each choice of outliers, Huber's have few.
+    """
+    d, size = start.positions.shape[1], size_of(start.positions)
+    limit = limit_of(problem.residuals(known.state), d, size)
+    bent = gauss_newton(problem, start, lambda left: huber(left, BENT * limit), ROUNDS, faint=FAINT)
+    found = settle(problem, bent.state)
+    cost, before = (robust_cost(problem.residuals(of.state), limit) for of in (found, known))
+    return found if cost < before else known
 
 
 def size_of(positions: Floats) -> float:

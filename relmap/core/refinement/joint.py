@@ -20,7 +20,7 @@ from relmap.core.geometry.robust import fit_robust_each
 from relmap.core.map.pose import trajectory
 from relmap.core.refinement.condensing import LENGTH, SegmentRows
 from relmap.core.refinement.equations import Laid, SegmentProblem, segment_problem
-from relmap.core.refinement.gauss_newton import Solution, settle, size_of
+from relmap.core.refinement.gauss_newton import Solution, settle, settle_again, size_of
 from relmap.core.refinement.residuals import MergeResiduals, SegmentResiduals, residuals_of
 from relmap.core.refinement.rows import JointRows
 
@@ -29,6 +29,11 @@ SURELY = 3.0
 CONFIRMED, AGAINST = 3, 0.5
 """Observations of a landmark in a segment that confirm it: wrong ids are seldom repeated; and the
 weight below which they contradict the map."""
+
+
+MISREAD = 0.01
+"""Fraction of the observations contradicting their ids above which some ids are wrong; without
+wrong ids less than this occurs."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,14 +116,17 @@ def refine(
     of: Ints,
     others: Bools,
     since: int = 0,
+    has_ids: bool = False,
 ) -> Refined | None:
     """Return the joint optimum of the landmarks of one submap over all observations.
 
     `positions` (m, d), metres: initial positions, from the chain of groups. `chosen` (m,): the
     landmarks of the submap. `of` (m,): the landmark that each number stands for, after merging.
     `others` (m,): static landmarks that are not mapped; they constrain the landmarks seen with
-    them. `since`: iteration from which the anchor is chosen, if there is one. Returns None if the
-    observations determine nothing.
+    them. `since`: iteration from which the anchor is chosen, if there is one. `has_ids`: whether
+    ids are known: if confirmed observations contradict the optimum, but few others, another one is
+    looked for.
+    Returns None if the observations determine nothing.
     """
     landmark = of[rows.landmark]
     joint, start = joint_rows(rows, positions, chosen, landmark, others)
@@ -126,7 +134,12 @@ def refine(
     if anchor is None:
         return None
     problem = segment_problem(joint, size_of(start.positions), anchor)
-    settled = settle(problem, problem.of_segments(start))
+    first = problem.of_segments(start)
+    settled = settle(problem, first)
+    n_outliers = joint.n_seen[settled.weight < 1].sum()
+    are_right = has_ids and n_outliers <= MISREAD * joint.n_seen.sum()
+    if are_right and _n_contradicting(joint, settled.weight):
+        settled = settle_again(problem, first, settled)
     refined, weight = settled.state.positions, settled.weight
     placed = SegmentProblem(joint, 0.0).laid(refined, weight).placed
     explained = (weight == 1).astype(np.float64)
@@ -143,8 +156,13 @@ def refine(
         Spread(problem, settled, mapped, noise_m * R),
         converged=settled.converged,
         n_outliers=int(joint.n_seen[weight < 1].sum()),
-        n_contradicting=int(np.sum((joint.n_seen >= CONFIRMED) & (weight < AGAINST))),
+        n_contradicting=_n_contradicting(joint, weight),
     )
+
+
+def _n_contradicting(joint: JointRows, weight: Floats) -> int:
+    """Return the number of confirmed rows of low weight (n,)."""
+    return int(np.sum((joint.n_seen >= CONFIRMED) & (weight < AGAINST)))
 
 
 def laid_on(

@@ -248,7 +248,7 @@ def merge_doubles(engine: RelativeMapper, merge: Callable[[Ints], int] | None = 
     """
     merger, merged, merge = engine.merger, 0, merge or engine.merge
     for _ in range(ROUNDS):
-        before, doubles = merged, merger.doubles(engine.averaging.noise.sigma_m)
+        before, doubles = merged, merger.doubles(engine.noise_m)
         for there in merger.visits(doubles):
             merged += merge(there)
         if merged == before:

@@ -9,7 +9,7 @@ import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.geometry.alignment import sums_each
-from relmap.core.map.pose import trajectory
+from relmap.core.map.pose import squares_across, trajectory
 from relmap.core.motion_noise import (
     MotionNoise,
     leaps,
@@ -28,6 +28,9 @@ BESIDE = 16
 """Tied steps on each side that are compared: if it misses most, odometry is not used here."""
 TURNS = 0.25
 """Smallest fraction of steps with turns that are measured well."""
+
+LOOSER = 3.0
+"""How many times less certain a pose may be from which odometry goes on than one that is shown."""
 
 LARGEST = -2
 """Marks scans solved for before, instead of their current submap."""
@@ -95,9 +98,8 @@ def _variances(rows: SegmentRows) -> tuple[Floats, Floats]:
     at, points = rows.first_iteration[rows.segment[row]] + bit, rows.points[row]
     counts = np.maximum(np.bincount(at, minlength=k), 1)
     middle = sums_each(points, at, k) / counts[:, None]
-    spread = np.bincount(at, np.sum((points - middle[at]) ** 2, axis=1), minlength=k)
     lever = np.sum((middle - rows.t) ** 2, axis=1)
-    turn = noise / np.maximum(spread, 1e-12)
+    turn = noise / np.maximum(squares_across(points, at, k), 1e-12)
     return np.asarray(noise / counts + lever * turn), np.asarray(turn)
 
 
@@ -128,6 +130,7 @@ def noise_of(
         sigma_way=wide.sigma_way * root,
         sigma_m=wide.sigma_m / root,
         sigma_rad=wide.sigma_rad / root,
+        turn_rad=single.turn_rad,
         misses=misses,
     )
     return noise, slipped, missed
@@ -203,16 +206,22 @@ def _stretches(odometry: Floats, rows: SegmentRows) -> tuple[Floats, Floats, flo
 
 
 def bridge(
-    table: LandmarkState, rows: SegmentRows, motions: Floats, solved: Floats | None = None
+    table: LandmarkState,
+    rows: SegmentRows,
+    motions: Floats,
+    noise_m: float,
+    solved: Floats | None = None,
 ) -> Bridged:
     """Place all scans in one frame: by submaps where these determine them, else by odometry.
 
-    `motions` (k, 4, 4): odometry, without its constant errors; NaN if unknown. `solved` (k, 4, 4):
-    poses solved for before the map changed, in the frame of the first submap; NaN in others.
+    `motions` (k, 4, 4): odometry, without its constant errors; NaN if unknown. `noise_m`: standard
+    deviation of an observed coordinate: two landmarks side by side determine no turn. `solved`
+    (k, 4, 4): poses solved for before the map changed, in the frame of the first submap; NaN in
+    others.
     """
     k = len(motions)
     poses, part = np.tile(np.eye(4), (k, 1, 1)), np.zeros(k, dtype=np.int64)
-    own, submap_of = _poses_in_submaps(table, rows)
+    own, submap_of = _poses_in_submaps(table, rows, noise_m)
     if solved is not None and len(solved) == k:
         known = np.isfinite(solved[:, 0, 0])
         own[known], submap_of[known] = solved[known], LARGEST
@@ -242,7 +251,9 @@ def bridge(
     return Bridged(poses, part, 1 + np.flatnonzero(~tied))
 
 
-def _poses_in_submaps(table: LandmarkState, rows: SegmentRows) -> tuple[Floats, Ints]:
+def _poses_in_submaps(
+    table: LandmarkState, rows: SegmentRows, noise_m: float
+) -> tuple[Floats, Ints]:
     """Return the pose of each iteration (k, 4, 4) in the largest submap that determines it.
 
     And that submap (k,), or NONE.
@@ -252,7 +263,7 @@ def _poses_in_submaps(table: LandmarkState, rows: SegmentRows) -> tuple[Floats, 
     submaps, sizes = np.unique(table.submap[table.submap != NONE], return_counts=True)
     for submap in submaps[np.argsort(-sizes, kind="stable")].tolist():
         positions = np.where((table.submap == submap)[:, None], table.position, np.nan)
-        found = trajectory(rows, positions, table.landmark_of)
+        found = trajectory(rows, positions, table.landmark_of, noise_m / LOOSER)
         new = np.isfinite(found[:, 0, 0]) & (submap_of == NONE)
         poses[new], submap_of[new] = found[new], submap
     return poses, submap_of

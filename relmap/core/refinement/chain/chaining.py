@@ -172,7 +172,7 @@ class PartSolver:
 
     @property
     def _sigma_m(self) -> float:
-        noise_m = self.engine.averaging.noise.sigma_m
+        noise_m = self.engine.noise_m
         return noise_m if np.isfinite(noise_m) and noise_m > 0 else GUESS_M
 
 
