@@ -108,7 +108,7 @@ def test_the_nearest_of_a_sample_of_the_tracks_seen_last(
     second, third = np.sort(distances(neighbours, crowd), axis=1)[:, 1:3].T[[0, -1]]
     expected = np.sort(second)[len(second) // 2]
     if len(crowd) >= matching_kernels.MANY:  # They may be pairs.
-        expected = max(expected, np.sort(third)[len(third) // 4] / matching_kernels.PAIRED)
+        expected = max(expected, np.sort(third)[len(third) // 4] / matching_kernels.PAIR_RATIO)
     np.testing.assert_allclose(spacing, expected, rtol=1e-12)
 
 

@@ -59,6 +59,11 @@ def test_a_stretch_unlike_the_path_around_it_is_listed_whatever_implies_it() -> 
     assert set(unsure_steps(part)) >= {13, 14, 15, 16}
 
 
+def test_a_slow_first_step_of_a_few_is_not_listed() -> None:
+    way_m = np.cumsum([0.0, 0.27, 0.3, 0.3, 0.3, 0.3])
+    assert unsure_steps(refined(carried(way_m.tolist(), 3.5, -3.0), 4)[0]) == {}
+
+
 @pytest.mark.parametrize(("less_rad", "listed"), [(0.0, []), (0.15, [5])])
 def test_a_turn_unlike_those_before_and_after_is_listed(less_rad: float, listed: list[int]) -> None:
     # In a square room with a fast turn by 80 degrees the scans agree with one by -10, too.

@@ -140,9 +140,12 @@ class RelativeMapper:
         leave_out_moving(self, chart.landmarks)
         return relative
 
-    def merge(self, placed: Ints) -> int:
-        """Merge re-observed landmarks among landmarks (k,) with the older ones; return how many."""
-        levels, noise_m = self.table.highest_level[placed], self.noise_m
+    def merge(self, placed: Ints, noise_m: float) -> int:
+        """Merge re-observed landmarks among landmarks (k,) with the older ones; return how many.
+
+        `noise_m`: standard deviation of an observed coordinate, metres.
+        """
+        levels = self.table.highest_level[placed]
         return self.merge_pairs(self.merger.find(placed, levels, noise_m))
 
     def merge_pairs(self, pairs: Ints) -> int:
@@ -166,10 +169,6 @@ class RelativeMapper:
 
         Estimated by the groups, or within segments if no landmark was in view long enough.
         """
-        sigma_m = self.averaging.noise.sigma_m
-        if np.isfinite(sigma_m):
-            return sigma_m
-        rows = self.rows
-        repeated = rows.freedoms > 0
-        variances = rows.squares[repeated] / rows.freedoms[repeated]
-        return float(np.sqrt(np.median(variances))) if len(variances) else np.nan
+        noise = self.averaging.noise
+        is_known = np.isfinite(noise.sigma_m)
+        return noise.sigma_m if is_known else max(self.rows.noise_m, noise.least_m)

@@ -29,8 +29,8 @@ LEAP, USUALLY, LEAP_M = 10.0, 0.9, 5.0
 STILL_M = 1e-3
 """Distance below which the robot stands still."""
 MOST_TURNING, AT_MOST = 0.95, 0.05
-"""Fraction of the compared steps that turn less than up to where their noise is known; and largest
-noise of a turn beyond, relative to it."""
+"""Quantile of the compared turns up to which their noise is known, and maximum noise of a larger
+turn, relative to it."""
 FLOOR_M, FLOOR_RAD = 1e-4, 1e-5
 """Minimum standard deviations: files are rounded."""
 

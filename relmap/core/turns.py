@@ -126,4 +126,4 @@ def last_pass(engine: RelativeMapper, seed: int) -> None:
 
 def _merge_seen_again(engine: RelativeMapper, placed: Ints) -> None:
     if not engine.association.has_ids:
-        engine.merge(placed)
+        engine.merge(placed, engine.averaging.noise.sigma_m)

@@ -237,7 +237,7 @@ class PlaneMapper(LocatingMapper):
     def _torn(self, known: list[Floats], keep: bool = False) -> Ints:
         """Refine all submaps; return the scans (t,) into which they are torn.
 
-        Torn maps are not kept, unless asked for.
+        Torn maps are kept only with `keep`.
         """
         links, self._moved = self._planes.links, np.empty(0, dtype=np.int64)
         found = refined_submaps(replace(self._grouped, known=known), self._moving, links)

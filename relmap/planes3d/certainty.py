@@ -34,8 +34,8 @@ JERK, SEVERAL = 8.0, 6
 whatever it depends on; of fewer steps than the second value, one that is unsteady."""
 UNLIKE = 0.01
 """So is one that differs by that multiple of the median, and by this fraction of the range, from
-most of the `NEARBY` steps before or after, along the axes of the scans: whatever moved with the
-sensor for some scans may be several landmarks."""
+most of the `NEARBY` steps before or after, along the axes of the scans: several landmarks may move
+with the sensor for some scans. Where the sensor itself stops, some steps are listed as well."""
 TURN_JERK, TURN_RAD = 6.0, np.deg2rad(5.0)
 """So is one whose rotation differs by this multiple of the median, and by more than the second
 value: a room that looks the same from two sides gives a fast turn as a slow one."""
@@ -192,8 +192,8 @@ def unreliable_steps(
 ) -> Bools:
     """Return which steps (p - 1,) are unsteady in a direction that depends on one landmark.
 
-    So are those that are unsteady by far, or whose rotation is. Parameters as of `fragile`, and the
-    iterations (p,) of the scans.
+    So are those that are unsteady by far, that are unlike most of those before or after, or whose
+    rotation is unsteady. Parameters as of `fragile`, and the iterations (p,) of the scans.
     """
     scan, landmark, along = fragile(seen, scene, systematic, reach_m)
     change = changes(np.diff(scene.t, axis=0), iteration)
@@ -203,8 +203,9 @@ def unreliable_steps(
     range_m = np.minimum(reach_m[1:], reach_m[:-1])
     least_m = UNSTEADY * range_m
     found = np.asarray(size_m > np.maximum(least_m, jerk_m))
-    unlike_m = unlike_around(scene, iteration)
-    found |= unlike_m > np.maximum(UNLIKE * range_m, JERK * np.median(unlike_m))
+    if len(change) >= NEARBY:
+        unlike_m = _unlike_around(scene, iteration)
+        found |= unlike_m > np.maximum(UNLIKE * range_m, JERK * np.median(unlike_m))
     turn = np.linalg.norm(turn_changes(scene.R, iteration), axis=1)
     if len(turn) >= SEVERAL:
         found |= turn > max(TURN_RAD, TURN_JERK * float(np.median(turn)))
@@ -220,21 +221,20 @@ def unreliable_steps(
     return found
 
 
-def unlike_around(scene: Scene, iteration: Ints) -> Floats:
+def _unlike_around(scene: Scene, iteration: Ints) -> Floats:
     """Return by how much steps (p - 1,) differ from the median of those before, or after.
 
-    The larger counts, of at least half of `NEARBY` steps each; 0 where fewer are near. Per
-    iteration, metres; `iteration` (p,): of the scans.
+    The larger counts, of at least half of `NEARBY` steps each. Per iteration, metres; `iteration`
+    (p,): of the scans.
     """
     step = np.einsum("nji,nj->ni", scene.R[:-1], np.diff(scene.t, axis=0))
     step /= np.diff(iteration)[:, None]
-    off_m = np.zeros((len(step), 2))
+    off_m = np.zeros(len(step))
     for k in range(len(step)):
-        sides = step[max(k - NEARBY, 0) : k], step[k + 1 : k + 1 + NEARBY]
-        for side, near in enumerate(sides):
+        for near in (step[max(k - NEARBY, 0) : k], step[k + 1 : k + 1 + NEARBY]):
             if 2 * len(near) >= NEARBY:
-                off_m[k, side] = np.linalg.norm(step[k] - np.median(near, axis=0))
-    return np.asarray(off_m.max(axis=1, initial=0.0))
+                off_m[k] = max(off_m[k], np.linalg.norm(step[k] - np.median(near, axis=0)))
+    return off_m
 
 
 def _unlike_others(step: Floats, own: Ints) -> Floats:

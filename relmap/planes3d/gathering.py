@@ -7,7 +7,9 @@ submap the rings of many scans make a plane.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -53,10 +55,10 @@ def gathered(part: Submap, number: int) -> Submap | None:
     None if there are none.
     """
     sights = np.bincount(np.concatenate([np.unique(match) for match in part.match]))
-    enough = sights >= FEWEST_SCANS
-    planes = part.planes(np.flatnonzero(enough & ~is_rough(part)))
+    rough, enough = roughness(part), sights >= FEWEST_SCANS
+    planes = part.planes(np.flatnonzero(enough & (rough <= ROUGH)))
     # A plane that too few scans show by themselves is gathered, too, and joined afterwards.
-    few = part.planes(np.flatnonzero(~enough & ~is_rough(part, SMOOTH)))
+    few = part.planes(np.flatnonzero(~enough & (rough <= SMOOTH)))
     if not len(planes):
         return None
     own = [seen.loose for seen in part.seen]
@@ -83,13 +85,14 @@ def _labels(
     of, off = _nearby(points, planes)
     left = np.flatnonzero((off > KNOWN_SD).all(axis=1))
     left = left[~_moves(points[left], scan[left], part)]
-    for size, shift in [(1.0, None), *itertools.product(SIZES, SHIFTS)]:
-        size_m, free = size * planes.cell_m, points[left]
-        if shift is None:
-            regions = _regions_on(few, free)
-        else:
-            regions = _regions_in(free + shift * size_m, size_m, sigma)
-        for mine in regions:
+    searches: list[tuple[float, Callable[[Floats], list[Ints]]]]
+    searches = [(planes.cell_m, partial(_regions_on, few))]
+    for size, shift in itertools.product(SIZES, SHIFTS):
+        size_m = size * planes.cell_m
+        searches.append((size_m, partial(_regions_in, size_m, shift * size_m, sigma)))
+    for size_m, regions_of in searches:
+        free = points[left]
+        for mine in regions_of(free):
             mine = mine[label[left[mine]] < 0]
             if len(mine) < FEWEST:
                 continue  # most of it lies beside another one
@@ -146,11 +149,11 @@ def _regions_on(planes: Patches, points: Floats) -> list[Ints]:
     return rows
 
 
-def _regions_in(points: Floats, size_m: float, sigma: float) -> list[Ints]:
-    """Return the rows of points (n, 3) of each plane that grows in them."""
+def _regions_in(size_m: float, shift_m: float, sigma: float, points: Floats) -> list[Ints]:
+    """Return the rows of points (n, 3) of each plane that grows in voxels on a shifted grid."""
     if len(points) < FEWEST:
         return []
-    voxels = uniform_voxels(points, size_m)
+    voxels = uniform_voxels(points + shift_m, size_m)
     label = grown(voxels, voxels.flat, np.full(len(voxels.centre), sigma))[voxels.of]
     return [np.flatnonzero(label == k) for k in range(int(label.max(initial=-1)) + 1)]
 
@@ -262,8 +265,13 @@ def _with_more(seen: Patches, more: Patches, rows: slice, cells: slice) -> Patch
     )
 
 
-def is_rough(part: Submap, most: float = ROUGH) -> Bools:
-    """Return which landmarks (l,) are not planes: rougher than the noise of the sensor.
+def is_rough(part: Submap) -> Bools:
+    """Return which landmarks (l,) are not planes: rougher than the noise of the sensor."""
+    return roughness(part) > ROUGH
+
+
+def roughness(part: Submap) -> Floats:
+    """Return the thickness (l,) of landmarks, relative to the usual noise at their ranges.
 
     A flight of stairs is grown as a slope where a scan has few points on each tread. Observations
     count by their information: one that shows a plane outweighs many that are thick.
@@ -277,4 +285,4 @@ def is_rough(part: Submap, most: float = ROUGH) -> Bools:
     usual = [(np.median(range_m[rows]), np.median(off_m[rows])) for rows in parts]
     usual_m = np.maximum(np.interp(range_m, *np.array(usual).T), THIN * range_m)
     sums = [np.bincount(landmark, weight * each**2, len(part)) for each in (off_m, usual_m)]
-    return np.asarray(sums[0] > most**2 * sums[1])
+    return np.asarray(np.sqrt(sums[0] / sums[1]))

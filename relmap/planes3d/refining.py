@@ -69,9 +69,10 @@ def unsure_steps(part: Submap, is_broken: bool = False) -> dict[int, Floats]:
     A step is unsure if in some direction the standard deviation of the translation, or of the
     displacement by the rotation at the range, exceeds 1.25 % of the range; or if three of them
     exceed 1.5 % and it is two and a half times the usual one. So is a step that is unsteady in
-    a direction in which a single landmark determines it, or unsteady by far, or turns so, see
-    `relmap.planes3d.certainty`. `is_broken`: whether there are other submaps; then so is the step
-    of a submap of two scans, as what broke the run before or after it may have misled it.
+    a direction in which a single landmark determines it, unsteady by far, or unlike those around
+    it, or turns so, see `relmap.planes3d.certainty`. `is_broken`: whether there are other submaps;
+    then so is the step of a submap of two scans, as what broke the run before or after it may have
+    misled it.
 
     Each has the direction (3,) in which the translation is least certain, sensor frame.
     """

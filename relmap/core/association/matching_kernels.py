@@ -9,9 +9,9 @@ from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import smallest
 from relmap.core.linalg.small_kernels import square_of, unset
 
-PAIRED, MANY = 4.0, 6
-"""Ratio of the distances of the second and the first neighbour above which landmarks are pairs, and
-fewest landmarks of which this is said: of three, two are often close by chance."""
+PAIR_RATIO, MANY = 4.0, 6
+"""Ratio of the distances to the second and to the nearest neighbour above which landmarks count as
+pairs, and minimum number of landmarks for that: of three, two are often close by chance."""
 CELL, MARGIN = 4.0, 0.2501
 """Side of a cell of the grid, in reaches, and a reach in sides, with room for rounding."""
 
@@ -108,7 +108,8 @@ def nearest_within(
 def three_nearest(points: Floats, query: Floats) -> tuple[float, float, float, int]:
     """Return the squared distances of the three points (n, d) nearest to a query, and the nearest.
 
-    For a few queries this is faster than building a grid. Infinite if there are fewer points.
+    For a few queries this is faster than building a grid. Without enough points a distance is
+    infinite.
     """
     space = len(query) == 3
     qx, qy, qz = query[0], query[1], query[2] if space else 0.0
@@ -154,7 +155,7 @@ def nearest_of_sample(
     half = neighbour.shape[1] // 2
     spacing = np.sqrt(smallest(neighbour[0], half))
     if len(crowd) >= MANY:
-        spacing = max(spacing, np.sqrt(smallest(neighbour[1], half // 2)) / PAIRED)
+        spacing = max(spacing, np.sqrt(smallest(neighbour[1], half // 2)) / PAIR_RATIO)
     every = -(-n_latest // most)
     k = -(-n_latest // every)
     target, distance = np.empty(k, dtype=np.int64), np.empty(k)

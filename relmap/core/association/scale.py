@@ -126,12 +126,13 @@ class Scale:
 def spacing_of(points: Floats) -> float:
     """Return the median distance of points (n, d) to their nearest neighbours, metres.
 
-    If they are pairs, such as the two edges of a post, the distance between pairs counts.
+    If many stand in pairs, such as the two edges of a post, it is at least a fraction (1 /
+    `PAIR_RATIO`) of the lower quartile of the distances to the second neighbour.
     """
-    from relmap.core.association.matching_kernels import MANY, PAIRED
+    from relmap.core.association.matching_kernels import MANY, PAIR_RATIO
 
     if len(points) < 2:
         return np.inf
     apart = nearest(cKDTree(points), points, 3 if len(points) >= MANY else 2)[0]
-    pairs = [np.sort(of)[len(points) // 4] / PAIRED for of in apart[:, 2:].T]
+    pairs = [np.sort(of)[len(points) // 4] / PAIR_RATIO for of in apart[:, 2:].T]
     return float(max([middle(apart[:, 1]), *pairs]))

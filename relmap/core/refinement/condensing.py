@@ -80,6 +80,16 @@ class SegmentRows:
         return SEEN[self.visible]
 
     @property
+    def noise_m(self) -> float:
+        """Standard deviation of an observed coordinate within segments, metres; NaN if unknown."""
+        freedoms = self.freedoms[self.freedoms > 0]
+        if not len(freedoms):
+            return np.nan
+        # The median of chi-square over its mean (Wilson and Hilferty, 1931).
+        typical = freedoms * (1 - 2 / (9 * freedoms)) ** 3
+        return float(np.sqrt(np.median(self.squares[self.freedoms > 0] / typical)))
+
+    @property
     def n_segments(self) -> int:
         """Number of segments."""
         return len(self.squares)

@@ -38,8 +38,6 @@ FAINT = 0.03
 WORTH_SAYING = 1.0
 """Gain of the last step, in squared standard deviations of the whole map, above which a warning
 says that it did not converge."""
-
-
 BENT = 0.5
 """Residual beyond which Huber's influence is constant, relative to that of an outlier."""
 
@@ -228,10 +226,11 @@ def settle(problem: Problem[Located], start: Located) -> Solution[Located]:
 def settle_again(
     problem: Problem[Located], start: Located, known: Solution[Located]
 ) -> Solution[Located]:
-    """Return the better of a solution and one that starts from that with Huber's weights.
+    """Return a known solution, or a better one that is found with Huber's weights first.
 
     From a start that is bent at one place, lenient weights may give up what would unbend it: they
-    have a minimum for each choice of outliers, Huber's have few.
+    have a minimum for each choice of outliers, Huber's have few. The better one has the smaller
+    robust cost.
     """
     d, size = start.positions.shape[1], size_of(start.positions)
     limit = limit_of(problem.residuals(known.state), d, size)

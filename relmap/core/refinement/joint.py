@@ -29,8 +29,6 @@ SURELY = 3.0
 CONFIRMED, AGAINST = 3, 0.5
 """Observations of a landmark in a segment that confirm it: wrong ids are seldom repeated; and the
 weight below which they contradict the map."""
-
-
 MISREAD = 0.01
 """Fraction of the observations contradicting their ids above which some ids are wrong; without
 wrong ids less than this occurs."""
@@ -124,9 +122,9 @@ def refine(
     landmarks of the submap. `of` (m,): the landmark that each number stands for, after merging.
     `others` (m,): static landmarks that are not mapped; they constrain the landmarks seen with
     them. `since`: iteration from which the anchor is chosen, if there is one. `has_ids`: whether
-    ids are known: if confirmed observations contradict the optimum, but few others, another one is
-    looked for.
-    Returns None if the observations determine nothing.
+    ids are known; if some confirmed observations, but at most `MISREAD` of all, contradict the
+    optimum, it is solved for again from Huber's weights. Returns None if the observations determine
+    nothing.
     """
     landmark = of[rows.landmark]
     joint, start = joint_rows(rows, positions, chosen, landmark, others)

@@ -152,7 +152,8 @@ def _solved(
         tied = again(joined, CLOSELY)
         off_m, off_before_m = (disagreement(path, measured)[1] for path in (tied[1], poses))
         bent = off_m > BENT * off_before_m + WORSE_M
-        if not bent and disagreement(tied[1], motions)[0] <= torn:  # or places were confused
+        # Otherwise similar places were confused.
+        if not bent and disagreement(tied[1], motions)[0] <= torn:
             numbers, (best, poses) = joined, tied
     for _ in range(JOINED):
         joined = join_walls(best, numbers)

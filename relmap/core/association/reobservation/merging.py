@@ -8,6 +8,7 @@ constellation, the mutual distances of several landmarks.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -246,9 +247,10 @@ def merge_doubles(engine: RelativeMapper, merge: Callable[[Ints], int] | None = 
 
     `merge`: merges landmarks (k,) with older ones and returns how many; by default as during a run.
     """
-    merger, merged, merge = engine.merger, 0, merge or engine.merge
+    merger, merged, noise_m = engine.merger, 0, engine.noise_m
+    merge = merge or partial(engine.merge, noise_m=noise_m)
     for _ in range(ROUNDS):
-        before, doubles = merged, merger.doubles(engine.noise_m)
+        before, doubles = merged, merger.doubles(noise_m)
         for there in merger.visits(doubles):
             merged += merge(there)
         if merged == before:
