@@ -9,6 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
+from relmap import PointMapper
 from relmap.core.arrays import Floats
 from relmap.core.motion_noise import MotionNoise, leaps, missing_turn, motion_noise
 from relmap.core.odometry import checked_odometry
@@ -141,3 +142,27 @@ def test_a_turn_larger_than_those_compared_is_less_certain() -> None:
     assert sigma_rad[2] > 10 * found.sigma_rad
     loose = MotionNoise(sigma_rad=0.05, turn_rad=0.1)
     assert_allclose(loose.sigmas(turns)[1], [0.05, 0.05, 0.05 * 3.1])
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_landmarks_nearly_on_a_line_in_space_do_not_show_slips(seed: int) -> None:
+    rng, mapper, before = np.random.default_rng(seed), PointMapper(), np.eye(4)
+    across = 0.3 * rng.normal(size=(34, 2)) + [2.0, 1.0]
+    lamps = np.column_stack([np.arange(-5, 45, 1.5), across])
+    for k in range(160):
+        tilt = [0.2 * np.sin(k / 9), 0.1 * np.sin(k / 7), 0.1 * np.cos(k / 11)]
+        T = np.eye(4)
+        T[:3, :3] = Rotation.from_euler("ZYX", tilt).as_matrix()
+        T[:3, 3] = 0.25 * k, 0.0, 0.3 * np.sin(k / 15)
+        local = (lamps - T[:3, 3]) @ T[:3, :3]
+        own = np.flatnonzero((np.linalg.norm(local, axis=1) < 5) & (rng.random(34) > 0.1))
+        own = own[:1] if 70 < k < 76 else own
+        motion, before = np.linalg.inv(before) @ T, T
+        motion[:3, 3] += 0.02 * np.linalg.norm(motion[:3, 3]) * rng.normal(size=3)
+        motion[:3, :3] @= Rotation.from_rotvec(0.004 * rng.normal(size=3)).as_matrix()
+        mapper.update(local[own] + 0.03 * rng.normal(size=(len(own), 3)), own, odometry=motion)
+    mapper.finish()
+    mapper.refine()
+    assert mapper.odometry is not None
+    assert mapper.odometry.is_used
+    assert not len(mapper.odometry.left_out)

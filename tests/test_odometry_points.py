@@ -297,27 +297,3 @@ def test_with_odometry_movers_are_dynamic_and_what_only_scatters_is_mapped(known
     mover, scatters = mapper.landmarks_of(np.concatenate(labels)).reshape(-1, 2).T
     assert not np.isin(mapper.map.landmark_ids, mover).any()
     assert np.isin(scatters, mapper.map.landmark_ids).mean() > 0.5
-
-
-@pytest.mark.parametrize("seed", [0, 1])
-def test_landmarks_nearly_on_a_line_in_space_do_not_show_slips(seed: int) -> None:
-    rng, mapper, before = np.random.default_rng(seed), PointMapper(), np.eye(4)
-    across = 0.3 * rng.normal(size=(34, 2)) + [2.0, 1.0]
-    lamps = np.column_stack([np.arange(-5, 45, 1.5), across])
-    for k in range(160):
-        tilt = [0.2 * np.sin(k / 9), 0.1 * np.sin(k / 7), 0.1 * np.cos(k / 11)]
-        T = np.eye(4)
-        T[:3, :3] = Rotation.from_euler("ZYX", tilt).as_matrix()
-        T[:3, 3] = 0.25 * k, 0.0, 0.3 * np.sin(k / 15)
-        local = (lamps - T[:3, 3]) @ T[:3, :3]
-        own = np.flatnonzero((np.linalg.norm(local, axis=1) < 5) & (rng.random(34) > 0.1))
-        own = own[:1] if 70 < k < 76 else own
-        motion, before = np.linalg.inv(before) @ T, T
-        motion[:3, 3] += 0.02 * np.linalg.norm(motion[:3, 3]) * rng.normal(size=3)
-        motion[:3, :3] @= Rotation.from_rotvec(0.004 * rng.normal(size=3)).as_matrix()
-        mapper.update(local[own] + 0.03 * rng.normal(size=(len(own), 3)), own, odometry=motion)
-    mapper.finish()
-    mapper.refine()
-    assert mapper.odometry is not None
-    assert mapper.odometry.is_used
-    assert not len(mapper.odometry.left_out)
