@@ -37,6 +37,12 @@ ALIKE = (
     "a place outside the map that looks like one inside is taken for it"
 )
 
+NEEDED = {
+    "points": "seven landmarks of the map, five in the plane",
+    "planes": "walls of the map, not all parallel, and little else",
+}
+"""What a scan must show to be found."""
+
 
 def command(
     source: args.Log,
@@ -77,10 +83,17 @@ def command(
     with staged_folder(out) as staging:
         places = _places(mapper, log)
         _write(staging, mapper, log, places)
+    _report(places, NEEDED[variant], out)
+
+
+def _report(places: list[Place], needed: str, out: Path) -> None:
+    """Print how many scans were found; `needed`: what a scan must show."""
     found, several = (sum(place.n_places == n for place in places) for n in (1, 2))
-    message = f"found {found} of {len(log)} scans in the map"
+    message = f"found {found} of {len(places)} scans in the map"
     if several:
         message += f"; {several} fit in more than one place and were refused"
+    elif not found:
+        message += f": a scan must show {needed}"
     typer.echo(f"{message}; wrote 2 files to {out}")
     if 0 < found < several:
         typer.echo(ALIKE)
