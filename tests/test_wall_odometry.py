@@ -150,12 +150,15 @@ def test_runs_with_odometry_are_the_same_again_and_from_saved_states(tmp_path: P
         other.close()
 
 
-def test_walls_without_beams_are_bridged_too() -> None:
+@pytest.mark.parametrize("panel", [False, True])
+def test_walls_without_beams_are_bridged_too(panel: bool) -> None:
     poses = round_the_room()
     scans: list[tuple[Any, Any]] = [(walls, None) for walls, _ in scans_from(ROOM, poses)]
-    for k in range(30, 33):
+    for k in range(30, 33):  # one wall of the room, or a panel that no other scan shows
         walls = scans[k][0]
         one = {name: getattr(walls, name)[:1] for name in ("ends", "noise", "n_points")}
+        if panel:
+            one["ends"] = np.array([[[1.0, -0.2], [1.0, 1.0]]])
         scans[k] = SimpleNamespace(**one, end_type=np.array([["view", "view"]])), None
     mapper = mapped(scans, odometry_of(poses))
     mapper.refine()
