@@ -53,6 +53,7 @@ lint: $(TEST_VENV)/.ready
 
 types: $(TEST_VENV)/.ready
 	@$(TEST_VENV)/bin/python -m mypy
+	@MYPYPATH=benchmarks $(TEST_VENV)/bin/python -m mypy $(wildcard benchmarks/*.py benchmarks/*/*.py examples/*.py)
 
 $(TEST_VENV)/.compiled: $(TEST_VENV)/.ready $(SOURCES)
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(TEST_VENV)/bin/python -m tests.compiling

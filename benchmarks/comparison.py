@@ -14,14 +14,18 @@ landmarks are static, which are more.
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+from shared.runs import ids_of
 from shared.tables import table
 from speed import on_one_core
 
 from relmap.comparison.methods.registry import METHODS, find_method
 from relmap.comparison.methods.running import run_method
+from relmap.datasets import ObservationLog
 from relmap.evaluation.sources import Data, EightSource
 
 MAPPING = [
@@ -32,6 +36,9 @@ MAPPING = [
 MOVING = ("relmap-points", "relmap-points-live", "ekf-mrpt", "ekf", "frame-to-map")
 SHARE = 0.4
 
+World = Data[ObservationLog]
+Figures = dict[str, float | None]
+
 
 def installed() -> list[str]:
     missing = {name: find_method(name).missing for name in MAPPING}
@@ -41,20 +48,20 @@ def installed() -> list[str]:
     return [name for name in MAPPING if not missing[name]]
 
 
-def worlds(seeds: int, **settings) -> list[Data]:
+def worlds(seeds: int, **settings: Any) -> list[World]:
     return [EightSource(seed=seed, **settings).load() for seed in range(seeds)]
 
 
-def measured(names, data: list[Data]) -> dict[str, list[dict[str, float]]]:
+def measured(names: Sequence[str], data: list[World]) -> dict[str, list[Figures]]:
     """Return the figures of each method in each world."""
-    found = {name: [] for name in names}
+    found: dict[str, list[Figures]] = {name: [] for name in names}
     for world in data:
         for name in names:
             found[name].append(run_method(find_method(name), world, "known", 0.05).figures)
     return found
 
 
-def median(runs, name: str) -> float:
+def median(runs: list[Figures], name: str) -> float:
     return float(np.median([run[name] for run in runs]))
 
 
@@ -84,10 +91,11 @@ def accuracy_and_time(names: list[str], seeds: int) -> None:
         table(f"{noise} noise, density 25, sigma 0.05, seeds 0-{seeds - 1}, medians", header, rows)
 
 
-def without_moving(world: Data) -> Data:
+def without_moving(world: World) -> World:
     """Remove the observations of moving landmarks."""
     log, truth = world.log, world.truth
-    seen = np.isin(log.ids, truth.landmark_ids[truth.status == "static"])
+    assert truth is not None
+    seen = np.isin(ids_of(log), truth.landmark_ids[truth.status == "static"])
     columns = ("points_robot", "iteration", "rows", "ids")
     kept = {name: getattr(log, name)[seen] for name in columns}
     return Data(replace(log, **kept), truth)

@@ -19,11 +19,14 @@ import argparse
 from dataclasses import dataclass
 
 import numpy as np
+from shared.runs import ids_of
 from shared.tables import table
 from speed import on_one_core
 
 from relmap import PointMapper
 from relmap.core.arrays import Floats
+from relmap.core.grouping.chart import PointChart
+from relmap.core.grouping.completion import RelativeMap
 from relmap.core.grouping.dynamics import FEWEST
 from relmap.evaluation.metrics import majority_ids
 from relmap.simulation import FigureEight, simulate_figure_eight
@@ -49,13 +52,13 @@ class CountingMapper(PointMapper):
         engine = self.engine
         relative_map = engine.relative_map
 
-        def counted(chart, *settings):
-            averaged = relative_map(chart, *settings)
+        def counted(chart: PointChart, weights: Floats, min_shared: int) -> RelativeMap | None:
+            averaged = relative_map(chart, weights, min_shared)
             n = int(np.sum(chart.visible.sum(axis=1) >= FEWEST))
             self.charts.append((n, engine.averaging.n_comparisons))
             return averaged
 
-        engine.relative_map = counted
+        setattr(engine, "relative_map", counted)  # noqa: B010 - mypy refuses an assignment
 
 
 @dataclass(frozen=True)
@@ -76,7 +79,7 @@ def outcome(world: FigureEight, known: bool) -> Outcome:
     ]
     mapper.finish()
     tracks = mapper.landmarks_of(np.concatenate(labels))
-    judged, true_ids, _ = majority_ids(tracks, world.log.ids)
+    judged, true_ids, _ = majority_ids(tracks, ids_of(world.log))
     found = mapper.landmarks
     row = np.searchsorted(found.landmark, judged)
     often = found.observations[row] >= SEEN

@@ -25,7 +25,7 @@ from itertools import count, islice
 from multiprocessing import get_context
 from pathlib import Path
 from time import process_time
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from shared.tables import table
@@ -137,7 +137,7 @@ def drive(known: bool, iterations: int) -> Drive:
     mapper = PointMapper()
     time_ms, visible, resident = _go(mapper, road(seed=0), known, iterations)
     landmarks, groups = mapper.landmarks, mapper.groups
-    held = [landmarks, *groups]
+    held: list[Any] = [landmarks, *groups]
     map_bytes = sum(getattr(one, field.name).nbytes for one in held for field in fields(one))
     mapped = int(np.sum(landmarks.level > 0))
     return Drive(

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from shared import log_faults as faults
-from shared.runs import mapped, rmse, true_ids
+from shared.runs import ids_of, mapped, rmse, true_ids
 from shared.tables import table
 from speed import on_one_core
 
@@ -53,7 +53,7 @@ def plain(make: Callable[[ObservationLog, np.random.Generator], ObservationLog])
 
 
 def twice(log: ObservationLog, rng: np.random.Generator) -> Fault:
-    ids = np.unique(log.ids)
+    ids = np.unique(ids_of(log))
     doubled = rng.choice(ids, round(TWICE * len(ids)), replace=False)
     return Fault(faults.duplicated_landmarks(log, doubled, SIGMA_M, rng), NONE, doubled)
 
@@ -114,11 +114,11 @@ def error(result: Mapped, world: FigureEight, ids: np.ndarray) -> float:
 
 def what_is_right(log: ObservationLog, true: ObservationLog) -> ObservationLog:
     """Return the observations of a log that are also, with the same id, in the true one."""
-    whole = [np.column_stack([one.ids, one.points_robot]) for one in (true, log)]
+    whole = [np.column_stack([ids_of(one), one.points_robot]) for one in (true, log)]
     there = {row.tobytes() for row in whole[0]}
     right = np.array([row.tobytes() in there for row in whole[1]])
     parts = log.points_robot[right], log.iteration[right], log.rows[right]
-    return ObservationLog(*parts, log.first_iteration, log.end_iteration, log.ids[right])
+    return ObservationLog(*parts, log.first_iteration, log.end_iteration, ids_of(log)[right])
 
 
 def loss(world: FigureEight, sound: Mapped, make: Make, known: bool, seed: int) -> list[float]:
@@ -126,8 +126,8 @@ def loss(world: FigureEight, sound: Mapped, make: Make, known: bool, seed: int) 
     fault = make(world.log, np.random.default_rng([seed, 1]))
     result = outcome(fault.log, known)
     right = what_is_right(fault.log, world.log)
-    limit = result if len(right.ids) == len(fault.log.ids) else outcome(right, known)
-    ids, counts = np.unique(fault.log.ids, return_counts=True)
+    limit = result if len(ids_of(right)) == len(ids_of(fault.log)) else outcome(right, known)
+    ids, counts = np.unique(ids_of(fault.log), return_counts=True)
     due = ids[(counts >= OFTEN) & (ids < len(world.landmark_ids))]
     due = np.setdiff1d(due, fault.concerned)
     both = due[np.isin(due, result.true_ids) & np.isin(due, sound.true_ids)]

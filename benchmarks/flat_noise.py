@@ -8,6 +8,7 @@ Figure eight, sigma 0.05, known association; the noise is uniform or Gaussian, o
 from __future__ import annotations
 
 import argparse
+from typing import Any
 
 import numpy as np
 from shared.runs import mapped, rmse
@@ -17,7 +18,11 @@ from relmap import MapperConfig, PointMapper
 from relmap.core.arrays import Floats
 from relmap.simulation import FigureEight, simulate_figure_eight
 
-RUNS = (("uniform", 25, 10), ("uniform", 100, 3), ("gaussian", 25, 10))
+RUNS: tuple[tuple[Any, int, int], ...] = (
+    ("uniform", 25, 10),
+    ("uniform", 100, 3),
+    ("gaussian", 25, 10),
+)
 """Noise, density, seeds."""
 
 

@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -64,7 +65,7 @@ def errors(method: str, sources: Iterable[Source]) -> np.ndarray:
     return np.array([figure(method, source, "landmark_rmse_m") for source in sources])
 
 
-def eights(**settings: float) -> list[EightSource]:
+def eights(**settings: Any) -> list[EightSource]:
     return [EightSource(seed=seed, **settings) for seed in SEEDS]
 
 
@@ -96,7 +97,8 @@ def growth() -> float:
     source = EightSource(density=100.0, iterations=1800)
     data = source.load()
     runs = [run_method(find_method(OURS), data, "known") for _ in range(REPEATS)]
-    return min(run.figures["last_100_median_ms"] / run.figures["median_ms"] for run in runs)
+    last, whole = "last_100_median_ms", "median_ms"
+    return min((run.figures[last] or np.nan) / (run.figures[whole] or np.nan) for run in runs)
 
 
 def corner_ratio() -> float:
@@ -115,7 +117,8 @@ def worlds() -> list[dict[str, float]]:
     from worlds import WORLDS as SPECS
     from worlds import judge
 
-    specs = [WorldSpec(**SPECS[name], seed=0) for name in WORLDS]
+    settings: dict[str, Any] = SPECS
+    specs = [WorldSpec(**settings[name], seed=0) for name in WORLDS]
     return [judge(simulate_world(spec), with_covariances=False) for spec in specs]
 
 
@@ -124,7 +127,7 @@ def worst_world(name: str, worst: Callable[[Iterable[float]], float], of: str = 
     return worst(found[name] / (found[of] if of else 1.0) for found in worlds())
 
 
-FIGURES: dict[str, tuple] = {
+FIGURES: dict[str, tuple[Any, ...]] = {
     "landmark error, refined over batch": ("lower", ACCURATE, error_ratio, OURS, "batch"),
     "landmark error, live over batch": ("lower", ACCURATE, error_ratio, LIVE, "batch"),
     "landmark error, EKF as MRPT ships it over refined": (
@@ -170,7 +173,7 @@ def is_worse(value: float, baseline: float, better: str, tolerance: float) -> bo
     return value < baseline * (1 - tolerance)
 
 
-def gate(measured: dict[str, float], baseline: dict[str, dict[str, float | str]]) -> list[str]:
+def gate(measured: dict[str, float], baseline: dict[str, dict[str, Any]]) -> list[str]:
     """Print every figure beside its baseline; return the names of those that got worse."""
     print(f"{'figure':58}  {'found':>8}  {'baseline':>8}  better   may be worse by")
     worse = []

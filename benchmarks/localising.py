@@ -77,8 +77,8 @@ def main() -> None:
         known = Map(log.between(log.first_iteration, middle))
         row(f"{name}, first half", "first half", *known.cells(known.log, is_here=True))
         row(f"{name}, first half", "second half", *known.cells(log.between(middle, end), True))
-        for other in [one for one in REAL if one != name]:
-            row(f"{name}, first half", other, *known.cells(real[other], is_here=False))
+        for away in [one for one in REAL if one != name]:
+            row(f"{name}, first half", away, *known.cells(real[away], is_here=False))
     for world in WORLDS:
         options = {"world": world, "points": 181, "step_m": 0.11}
         log, other = (simulated(seed, options)[0] for seed in (given.seed, given.seed + 1))

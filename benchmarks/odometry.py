@@ -40,6 +40,7 @@ from references.pose_chain import (
 from shared.tables import header, row
 
 from relmap import PointMapper
+from relmap.core.arrays import Bools
 from relmap.datasets import open_log
 from relmap.datasets.base import ObservationLog
 from relmap.evaluation.feeding import Association, feed
@@ -159,7 +160,7 @@ def _laid(batch: State, own: Floats) -> State:
     return State(poses, batch.landmarks @ R.T + t, batch.constant)
 
 
-def _apart(often: Ints, found: Floats | None, other: Floats) -> float | None:
+def _apart(often: Bools, found: Floats | None, other: Floats) -> float | None:
     """Return the RMS distance of landmarks from others; None if either is unknown."""
     if found is None:
         return None

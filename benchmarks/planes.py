@@ -12,6 +12,7 @@ import argparse
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import process_time
+from typing import Any
 
 import numpy as np
 from shared.tables import header, row, table
@@ -27,6 +28,7 @@ from relmap.evaluation.run import Run, run_mapper
 from relmap.evaluation.sources import log_of, truth_of
 from relmap.evaluation.truth import Truth
 from relmap.planes.pairwise import pairwise_map
+from relmap.planes.walls.files import PlaneResult
 from relmap.simulation import simulate_building
 
 SIGMAS = (0.0, 0.05, 0.1, 0.2)
@@ -108,7 +110,7 @@ def _cells(runs: list[Figures]) -> list[str]:
     return cells
 
 
-def _simulated(world: str, sigma: float, seed: int) -> Figures:
+def _simulated(world: Any, sigma: float, seed: int) -> Figures:
     building = simulate_building(sigma=sigma, seed=seed, world=world, sample_ends=sigma == 0.0)
     log, truth = log_of(building), truth_of(building)
     mapper = PlaneMapper()
@@ -120,8 +122,9 @@ def _simulated(world: str, sigma: float, seed: int) -> Figures:
     refine_ms = 1e3 * (process_time() - began) * 700 / len(log)
     known = np.isfinite(mapper.trajectory[:, 0, 0])
     poses, stamps_s = mapper.trajectory[known], log.stamps_s[known]
-    found = {"poses": poses, "stamps_s": stamps_s, "planes": mapper.planes}
-    refined = evaluate(replace(run.result, **found), truth)
+    assert isinstance(run.result, PlaneResult)
+    found = replace(run.result, poses=poses, stamps_s=stamps_s, planes=mapper.planes)
+    refined = evaluate(found, truth)
     return Figures(
         chained.corner_rmse_m or np.nan,
         refined.corner_rmse_m or np.nan,

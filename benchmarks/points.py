@@ -11,7 +11,7 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from shared.runs import limit, mapped, rmse, true_ids
+from shared.runs import ids_of, limit, mapped, rmse, true_ids
 from shared.tables import header, row
 
 from relmap import PointMapper
@@ -33,13 +33,13 @@ def run(mapper: PointMapper | FrameToMap, log: ObservationLog) -> None:
 
 def coverage(mapped_ids: np.ndarray, log: ObservationLog) -> float:
     """Return the share of the landmarks seen ten times that are mapped."""
-    ids, counts = np.unique(log.ids[log.ids >= 0], return_counts=True)
-    return float(np.isin(ids[counts >= 10], mapped_ids).mean())
+    ids, counts = np.unique(ids_of(log), return_counts=True)
+    return float(np.isin(ids[(counts >= 10) & (ids >= 0)], mapped_ids).mean())
 
 
 def known(log: ObservationLog, ids: np.ndarray, truth: np.ndarray) -> tuple[list[float], float]:
     """Return the RMSE chained, refined and of frame-to-map, and the share mapped."""
-    mapper, baseline = PointMapper(), FrameToMap()
+    mapper, baseline = PointMapper(), FrameToMap(log.points_robot.shape[1])
     run(mapper, log)
     run(baseline, log)
     maps = [mapper.map]
@@ -80,7 +80,7 @@ def figure_eight_without_ids() -> None:
             errors.append(rmse(mapper.map.positions, world.landmarks_map[true]))
             per_true.append(len(true) / len(np.unique(true)))
             landmarks = mapper.landmarks_of(np.concatenate(labels))
-            purities.append(purity(landmarks, world.log.ids))
+            purities.append(purity(landmarks, ids_of(world.log)) or 0.0)
         figures = (f"{np.median(errors):.4f}", f"{max(per_true):.3f}", f"{min(purities):.5f}")
         row(density, iterations // 900, *figures)
 

@@ -24,7 +24,7 @@ import numpy as np
 from laser import LOGS
 from shared.judging import judged, share_right
 from shared.tables import header, row
-from space import BLOCKS, HALL, KITCHEN, ate_of, ate_of_peer, read
+from space import BLOCKS, HALL, KITCHEN, Peer, ate_of, ate_of_peer, read
 
 from relmap import Plane3dMapper, PlaneMapper, PointMapper
 from relmap.comparison.baselines.icp import KissIcp, SmallGicp
@@ -101,7 +101,8 @@ def _space(data: Path, folder: str) -> str:
     scans = np.array([len(part.iteration) for part in mapper.submaps])
     ates = np.array([ate_of(part, clouds.poses) for part in mapper.submaps])
     right = share_right(scans, ates, len(clouds.points))
-    peers = zip(ICP, (KissIcp, SmallGicp), strict=True)
+    methods: tuple[Peer, ...] = KissIcp, SmallGicp
+    peers = zip(ICP, methods, strict=True)
     others = [
         f"{name} {ate_of_peer(peer, clouds):.3f}"
         for name, peer in peers

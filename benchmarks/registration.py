@@ -49,7 +49,7 @@ class Outcome:
     @property
     def purity(self) -> float:
         """Fraction of the observations that belong to the landmark of most of their track."""
-        return metrics.purity(self.identified.landmark, self.identified.true_id)
+        return metrics.purity(self.identified.landmark, self.identified.true_id) or 0.0
 
     @property
     def tracks_per_landmark(self) -> float:
@@ -60,7 +60,7 @@ class Outcome:
 
     def mapped(self) -> tuple[int, int]:
         """Return how many of the landmarks seen often are mapped, and how many there are."""
-        often = metrics.seen_often(self.identified.true_id, self.identified.iteration, OFTEN)
+        often = metrics.seen_often(self.identified.seen_id, self.identified.seen_iteration, OFTEN)
         ids, _, _ = self._mapped_tracks
         return len(np.intersect1d(often, ids)), len(often)
 
@@ -100,7 +100,9 @@ def outcomes(log: ObservationLog) -> list[Outcome]:
     for registration in REGISTRATIONS:
         mapper = PointMapper(MapperConfig(registration=registration))
         result = run_mapper(mapper, log, "nearest", refine=True).result
-        found.append(Outcome(result, identify(result, log)))
+        identified = identify(result, log)
+        assert identified is not None
+        found.append(Outcome(result, identified))
     return found
 
 

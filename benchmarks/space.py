@@ -48,6 +48,7 @@ from relmap.simulation.storey import simulate_storey
 
 RIGHT_M, WRONG_M, WRONG_RAD = 0.05, 0.1, np.deg2rad(3.0)
 HALL, KITCHEN, BLOCKS = "lidar3d-hall", "rgbd-7scenes-redkitchen", "airsim-blocks-lidar"
+Peer = type[KissIcp] | type[SmallGicp]
 
 
 def read(data: Path, name: str) -> Clouds:
@@ -166,7 +167,8 @@ def main() -> None:
     parser.add_argument("--log", nargs="+", default=["*"], help="logs, or patterns; default all")
     parser.add_argument("--peers", action="store_true", help="KISS-ICP and small_gicp beside it")
     given = parser.parse_args()
-    known = {"kiss_icp": KissIcp, "small_gicp": SmallGicp} if given.peers else {}
+    both: dict[str, Peer] = {"kiss_icp": KissIcp, "small_gicp": SmallGicp}
+    known = both if given.peers else {}
     peers = [peer for name, peer in known.items() if find_spec(name)]
     if len(peers) < len(known):
         print("KISS-ICP or small_gicp is not installed (pip install 'relmap[peers]'): left out")
@@ -237,13 +239,13 @@ def _steps(parts: list[Submap], poses: Floats, weak: set[int]) -> tuple[int, Flo
     return wrong, np.concatenate([*turns, np.empty(0)])
 
 
-def _peer(peer: type[KissIcp] | type[SmallGicp], clouds: Clouds) -> str:
+def _peer(peer: Peer, clouds: Clouds) -> str:
     began = process_time()
     ate = ate_of_peer(peer, clouds)
     return f"{ate:.3f}, {1000 * (process_time() - began) / len(clouds.points):.0f}"
 
 
-def ate_of_peer(peer: type[KissIcp] | type[SmallGicp], clouds: Clouds) -> float:
+def ate_of_peer(peer: Peer, clouds: Clouds) -> float:
     """Return the ATE of another method, metres."""
     method = peer(max(float(np.linalg.norm(cloud, axis=1).max()) for cloud in clouds.points))
     for cloud in clouds.points:

@@ -46,7 +46,8 @@ def noise(sigma: float, depth: bool = False) -> Callable[[int, Floats], Floats]:
     def noisy(k: int, cloud: Floats) -> Floats:
         range_m = np.linalg.norm(cloud, axis=1, keepdims=True)
         off = sigma * np.random.default_rng(k).standard_normal(range_m.shape)
-        return cloud * (1 + off * ((cloud[:, :1] / 2) ** 2 if depth else 1) / range_m)
+        grown = (cloud[:, :1] / 2) ** 2 if depth else np.ones((1, 1))
+        return np.asarray(cloud * (1 + off * grown / range_m))
 
     return noisy
 
@@ -61,7 +62,7 @@ def view(half_rad: float, farthest_m: float = np.inf) -> Callable[[int, Floats],
 
     def seen(_: int, cloud: Floats) -> Floats:
         ahead = np.abs(np.arctan2(cloud[:, 1], cloud[:, 0])) < half_rad
-        return cloud[ahead & (np.linalg.norm(cloud, axis=1) < farthest_m)]
+        return np.asarray(cloud[ahead & (np.linalg.norm(cloud, axis=1) < farthest_m)])
 
     return seen
 
@@ -71,7 +72,7 @@ def around(mid_rad: float, half_rad: float) -> Callable[[int, Floats], Floats]:
 
     def seen(_: int, cloud: Floats) -> Floats:
         off = np.arctan2(cloud[:, 1], cloud[:, 0]) - mid_rad
-        return cloud[np.cos(off) > np.cos(half_rad)]
+        return np.asarray(cloud[np.cos(off) > np.cos(half_rad)])
 
     return seen
 
@@ -81,7 +82,7 @@ def elevated(least_rad: float, most_rad: float) -> Callable[[int, Floats], Float
 
     def seen(_: int, cloud: Floats) -> Floats:
         up = np.arctan2(cloud[:, 2], np.hypot(cloud[:, 0], cloud[:, 1]))
-        return cloud[(up > least_rad) & (up < most_rad)]
+        return np.asarray(cloud[(up > least_rad) & (up < most_rad)])
 
     return seen
 
@@ -90,7 +91,8 @@ def holes(k: int, cloud: Floats) -> Floats:
     """Return a cloud without the points in twelve random cones of 0.2 rad."""
     rng = np.random.default_rng(k)
     ways = cloud / np.maximum(np.linalg.norm(cloud, axis=1, keepdims=True), 1e-12)
-    return cloud[(ways @ ways[rng.integers(len(ways), size=12)].T < np.cos(0.2)).all(axis=1)]
+    near = ways @ ways[rng.integers(len(ways), size=12)].T >= np.cos(0.2)
+    return np.asarray(cloud[~near.any(axis=1)])
 
 
 def disturbed(name: str, whole: Clouds) -> Iterator[tuple[str, Callable[[], Clouds]]]:

@@ -13,6 +13,12 @@ from relmap.evaluation.metrics import majority_ids
 from relmap.simulation import FigureEight
 
 
+def ids_of(log: ObservationLog) -> Ints:
+    """Return the ids (n,) of a log that has them."""
+    assert log.ids is not None
+    return log.ids
+
+
 def mapped(
     log: ObservationLog, known: bool = True, config: MapperConfig | None = None
 ) -> tuple[PointMapper, list[Ints]]:
@@ -28,7 +34,7 @@ def mapped(
 def true_ids(mapper: PointMapper, labels: list[Ints], log: ObservationLog) -> Ints:
     """Return the true ids of the mapped landmarks (m,), by the majority of their observations."""
     of = mapper.landmarks_of(np.concatenate(labels))
-    stands_for = dict(zip(*majority_ids(of, log.ids)[:2], strict=True))
+    stands_for = dict(zip(*majority_ids(of, ids_of(log))[:2], strict=True))
     return np.array([stands_for[label] for label in mapper.map.landmark_ids.tolist()])
 
 
@@ -40,5 +46,5 @@ def rmse(positions: Floats, truth: Floats) -> float:
 
 def limit(world: FigureEight) -> float:
     """Return the RMSE of batch least squares over all observations, with the true ids."""
-    batch = Batch(world.log.points_robot, world.log.iteration, world.log.ids)
+    batch = Batch(world.log.points_robot, world.log.iteration, ids_of(world.log))
     return rmse(batch_least_squares(batch, world.landmarks_map), world.landmarks_map)
