@@ -111,6 +111,17 @@ def test_what_moves_is_not_taken_for_noisy(seed: int) -> None:
     np.testing.assert_array_equal(table.status[often], world.status[table.landmark[often]])
 
 
+def test_what_moves_is_not_mapped_where_the_map_is_still_bent() -> None:
+    world = simulate_figure_eight(density=25, dynamic=0.65, seed=2)  # bent by 1.7 m before finish
+    mapper = driven(world.log)
+    table, static = mapper.landmarks, world.status == "static"
+    assert np.mean((table.status == "static") == static[table.landmark]) > 0.97
+    found = np.intersect1d(mapper.map.landmark_ids, np.flatnonzero(static))
+    assert len(found) > 0.9 * static.sum()
+    there = mapper.map.positions[np.isin(mapper.map.landmark_ids, found)]
+    assert aligned_rmse(there, world.landmarks_map[found]) < 0.05
+
+
 @pytest.mark.parametrize("share", [0.0, 0.1])
 def test_how_many_observations_contradict_their_ids_is_known(share: float) -> None:
     spec = WorldSpec(kind="corridor", length_m=150, iterations=120, wrong_ids=share)

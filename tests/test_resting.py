@@ -7,7 +7,8 @@ from numpy.testing import assert_array_equal
 
 from relmap.core.arrays import Floats
 from relmap.core.association.reobservation.coinciding import gathered
-from relmap.core.refinement.chain.resting import at_rest, drifting
+from relmap.core.refinement.chain.resting import at_rest
+from relmap.core.refinement.trend import drifting
 
 N = 20
 SIGMA_M = 0.1

@@ -26,7 +26,8 @@ from relmap.core.association.scale import spacing_of
 from relmap.core.gaps import bridge_gaps
 from relmap.core.mapper import RelativeMapper
 from relmap.core.refinement.chain.drift import Drift
-from relmap.core.refinement.chain.resting import at_rest, by_landmark, placed_observations
+from relmap.core.refinement.chain.resting import at_rest, placed_observations
+from relmap.core.refinement.trend import by_landmark
 from relmap.core.state.table import NONE, LandmarkState
 
 SURE = 3.0

@@ -17,6 +17,7 @@ from relmap.core.geometry.alignment import place_each, sums_each
 from relmap.core.geometry.robust import fit_robust_each
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.refinement.condensing import SegmentRows
+from relmap.core.refinement.trend import drifting
 from relmap.core.state.table import NONE
 
 TIERS = (3.0, 10.0, 100.0)
@@ -45,7 +46,7 @@ def extend_submaps(global_map: GlobalMap, rows: SegmentRows, among: Bools | None
     """Extend submaps, largest first, by landmarks of their segments; return whether any grew.
 
     Landmarks of smaller submaps move to the larger one; landmarks considered dynamic that keep
-    their position from segment to segment become static.
+    their position from segment to segment, without a trend, become static.
 
     `rows`: rows of all iterations. `among` (m,): landmarks that may be placed; all by default.
     """
@@ -140,6 +141,8 @@ def _extend(
             break
         laid = lay(rows, landmark, table.position, known[landmark])
         chosen = np.flatnonzero(wanted[landmark] & (laid.variance <= TIERS[tier]))
+        if suspects:
+            chosen = _resting(landmark, chosen, laid)
         placed = _placed(rows, landmark, chosen, laid, SURE if suspects else 1)
         if not len(placed[0]):
             tier += 1
@@ -150,6 +153,17 @@ def _extend(
         global_map.place(submap, *placed)
         tier, grew = 0, True
     return grew
+
+
+def _resting(landmark: Ints, chosen: Ints, laid: _Laid) -> Ints:
+    """Return the chosen rows of landmarks whose places show no trend, in at least half their rows.
+
+    In a map that is still bent, moving landmarks may keep their places as well as mapped ones.
+    """
+    n_rows, n_chosen = np.bincount(landmark), np.bincount(landmark[chosen])
+    moving = drifting(landmark[chosen], laid.placed[chosen], len(n_chosen))
+    rests = (2 * n_chosen >= n_rows[: len(n_chosen)]) & ~moving
+    return np.asarray(chosen[rests[landmark[chosen]]])
 
 
 def lay(rows: SegmentRows, landmark: Ints, positions: Floats, known: Bools) -> _Laid:
