@@ -2,7 +2,7 @@
 
 EM never changes the number of its components.  Each move is accepted or rejected by the change of
 the likelihood of the relevant points and of the number of parameters (as in BIC), except that
-touching pieces of one line are always one wall.
+walls are opaque: two that are flush are always one.
 """
 
 from __future__ import annotations
@@ -20,10 +20,8 @@ from relmap.segmentation.ends.pairs import (
     side_by_side,
     within_reach,
 )
-from relmap.segmentation.wall import BEGIN, END, EXACT_M, LEAST, SHARE, corners, cut
+from relmap.segmentation.wall import BEGIN, END, EXACT_M, LEAST, SHARE, cut
 
-BENT = 10.0
-"""Loss of log likelihood above which two walls are not collinear."""
 EMPTY = 6.0
 """Minimum number of missing points in a gap: fewer occur by chance once in e**6."""
 MISSED = 0.6
@@ -37,8 +35,6 @@ TRIAL = 8
 GLANCE = 4
 """Steps of EM to select the most promising of several moves."""
 FINALISTS = 2
-FAR_M = 1e3
-"""Distance assigned to points from beams that do not meet a wall."""
 LEG = 3.0
 """Standard deviations from a wall's end within which another may begin undetected."""
 ROUGH = 0.05
@@ -61,7 +57,7 @@ def prune(mixture: WallMixture, xy: Floats) -> WallMixture:
 
 
 def merge(mixture: WallMixture, xy: Floats) -> WallMixture:
-    """Join collinear pieces without a gap, and pairs that do not justify their parameters."""
+    """Join pairs of walls that are flush, or do not justify their parameters."""
     names, parted = list(range(len(mixture.walls))), set[tuple[int, int]]()
     while True:
         labels = mixture.labels(xy)
@@ -90,15 +86,6 @@ def _join(mixture: WallMixture, xy: Floats, labels: Ints, i: int, j: int) -> Flo
         return None
     whole = wall_through(own, w, mixture.beam)
     whole[SHARE] = w[SHARE] + v[SHARE]
-    if _connected(mixture, w, v, len(own) / whole[SHARE]):
-        across = mixture.sightings(own, whole)[2]
-        density, total = mixture.only([i, j]).density(own)
-        apart = 0.0
-        for k, wall in enumerate((w, v)):
-            d = np.minimum(np.abs(mixture.sightings(own, wall)[2]), FAR_M)
-            apart += float(density[k] / total @ d**2)
-        if 0.5 * (across @ across - apart) < BENT * mixture.sigma**2:
-            return whole
     if flush(w, v, mixture.sigma) and (one_hides_other(w, v, mixture.sigma) or side_by_side(w, v)):
         return whole
     two, near = mixture.around([i, j], xy)
@@ -174,29 +161,6 @@ def wall_through(own: Floats, like: Floats, beam: float = 0.0) -> Floats:
     t = sightings(own, wall, beam)[1]
     wall[BEGIN], wall[END] = t.min(), max(t.max(), t.min() + EXACT_M)
     return wall
-
-
-def _connected(mixture: WallMixture, w: Floats, v: Floats, n: float) -> bool:
-    """Return whether there is no gap between two walls along the longer one, among n points.
-
-    With columns of beams, missing columns are counted instead of points: a distant wall has fewer
-    points.
-    """
-    from relmap.segmentation.em.wall_kernels import beam_spacing, local_density
-
-    if w[END] - w[BEGIN] < v[END] - v[BEGIN]:
-        w, v = v, w
-    t = (corners(v) - w[:2]) @ w[2:4]
-    gap = max(t.min() - w[END], w[BEGIN] - t.max())
-    edge = w[END] if t.mean() > 0.5 * (w[BEGIN] + w[END]) else w[BEGIN]
-    near = BEGIN if abs(t[0] - edge) < abs(t[1] - edge) else END
-    if mixture.repeat > 1:
-        return bool(gap < MISSED * beam_spacing(w, edge, mixture.beam))
-    density = n * min(
-        w[SHARE] * local_density(w, edge, mixture.beam),
-        v[SHARE] * local_density(v, v[near], mixture.beam),
-    )
-    return bool(gap * density < EMPTY + density * mixture.along)
 
 
 def split(mixture: WallMixture, xy: Floats) -> WallMixture:

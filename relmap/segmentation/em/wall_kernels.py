@@ -87,20 +87,6 @@ def span(wall: Floats, beam: float) -> float:
     return max(end - begin, 1e-9)
 
 
-@compiled
-def beam_spacing(wall: Floats, at: float, beam: float) -> float:
-    """Return the spacing at which beams meet a wall at a place along it, metres."""
-    foot, height = foot_and_height(wall)
-    return beam * (height * height + (at - foot) * (at - foot)) / height
-
-
-@compiled
-def local_density(wall: Floats, at: float, beam: float) -> float:
-    """Return the density of a wall's points at a place along it, per metre."""
-    spread = beam_spacing(wall, at, beam) / beam if beam > 0 else 1.0
-    return 1.0 / max(span(wall, beam) * spread, 1e-12)
-
-
 @helper
 def end_blur(sigma: float, beam: float) -> float:
     """Return the blur of ends, in the `measure` of a wall.

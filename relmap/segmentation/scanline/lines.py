@@ -133,8 +133,6 @@ def scan_walls(scan: LaserScan, noise: float | None) -> tuple[WallMixture, Ints]
     if noise is None and len(own) < len(xy):
         sigma = beam_noise(own)
     pieces, walls = line_pieces(own, solid, max(sigma, NOISE_AT_LEAST_M))
-    kept = walls[:, END] - walls[:, BEGIN] > NOISE_AT_LEAST_M
-    walls, pieces = walls[kept], pieces[kept]
     labels = np.full(len(xy), -1)
     for k, (first, last) in enumerate(pieces.tolist()):
         labels[solid[first:last]] = k
