@@ -67,6 +67,6 @@ class ImpliedSteps:
         motions = inverse(found.motions)
         if not others(motions, step, BENT_M, BENT_RAD).all() or found.doubtful.all():
             return False
-        both = (beams_of(i, self.history, self.links.beams) for i in (later, earlier))
-        odds, _ = odds_over([(*both, np.vstack([step, motions[~found.doubtful]]))])
+        before, after = (beams_of(i, self.history, self.links.beams) for i in (earlier, later))
+        odds, _ = odds_over([(after, before, np.vstack([step, motions[~found.doubtful]]))])
         return bool(odds.max() > EXCLUDED)
