@@ -12,7 +12,15 @@ from numpy.typing import NDArray
 
 from relmap.planes import PlaneMapper
 from relmap.planes.linking.registration import PlaneRegistration
-from relmap.planes.submaps.doubtful import free_directions, undetermined_steps
+from relmap.planes.places.implied_steps import ImpliedSteps
+from relmap.planes.places.submap_ties import MapPart
+from relmap.planes.places.wall_tie import WallTie
+from relmap.planes.scans.beams import PlacedBeams
+from relmap.planes.submaps.doubtful import (
+    free_directions,
+    undetermined_steps,
+    unsupported_links,
+)
 from tests.worlds import turn
 
 FAR = np.array([[6.0, -0.8], [6.8, 0.0], [7.0, 1.0]])
@@ -108,7 +116,7 @@ def test_a_submap_continues_where_its_last_scan_shows_the_same(
     away_m: float, weak: list[int]
 ) -> None:
     mapper = mapped(FAR, NEAR)
-    registration, [submap] = mapper.engine.association.registration, mapper.submaps
+    registration, [submap] = registration_of(mapper), mapper.submaps
     assert isinstance(registration, PlaneRegistration)
     poses = submap.poses.copy()
     poses[LEAP - 1 : LEAP + 1] = np.nan
@@ -120,7 +128,7 @@ def test_a_submap_continues_where_its_last_scan_shows_the_same(
 def test_a_step_unlike_those_around_it_must_exclude_theirs() -> None:
     """Along a wall that repeats, standing still agrees as well as a step of its period."""
     mapper = mapped(TEETH)
-    registration, [submap] = mapper.engine.association.registration, mapper.submaps
+    registration, [submap] = registration_of(mapper), mapper.submaps
     assert isinstance(registration, PlaneRegistration)
     poses = submap.poses.copy()
     poses[:, 0, 3] += 2.0 * np.arange(12)
@@ -128,6 +136,24 @@ def test_a_step_unlike_those_around_it_must_exclude_theirs() -> None:
         poses[LEAP:, 0, 3] -= 2.0 * stands
         moved = replace(submap, poses=poses)
         assert undetermined_steps([moved], mapper.history, registration.links).tolist() == weak
+
+
+@pytest.mark.parametrize("lines", [(TEETH,), (TEETH, FAR)])
+def test_a_step_unlike_those_around_it_must_exclude_what_walls_imply_near_theirs(
+    lines: tuple[NDArray[np.float64], ...],
+) -> None:
+    """The robot advances by half a metre more than usual, not by a period less than that."""
+    mapper = driven(*lines, leap_m=0.5)
+    mapper.finish()
+    [submap], links, history = mapper.submaps, registration_of(mapper).links, mapper.history
+    assert LEAP not in mapper.weak_links
+    assert LEAP not in unsupported_links(history, links)
+    poses, motion = submap.poses.copy(), history.motion.copy()
+    poses[LEAP:, 0, 3] -= 2.0
+    motion[LEAP, 1] += 2.0
+    assert LEAP in undetermined_steps([replace(submap, poses=poses)], history, links)
+    cut = unsupported_links(replace(history, motion=motion), links)
+    assert cut.tolist() == [LEAP] * (len(lines) > 1)  # where beams show which one is right
 
 
 def test_without_beams_the_walls_decide() -> None:
@@ -164,3 +190,25 @@ def test_a_leap_that_beams_confirm_is_kept() -> None:
     assert len(mapper.submaps) == 1
     steps = np.diff(mapper.trajectory[:, 0, 3])
     assert abs(steps[LEAP - 1]) == pytest.approx(0.52, abs=0.02)
+
+
+@pytest.mark.parametrize(("off_m", "refuted"), [(0.0, False), (0.4, False), (5.0, True)])
+def test_scans_that_follow_each_other_refute_an_alignment(off_m: float, refuted: bool) -> None:
+    """A part that is bent by decimetres is in place; another room is not."""
+    mapper = mapped(FAR, NEAR)
+    [submap], links = mapper.submaps, registration_of(mapper).links
+    after = np.arange(len(submap.poses)) >= LEAP
+    halves = [
+        replace(submap, poses=np.where(own[:, None, None], submap.poses, np.nan))
+        for own in (~after, after)
+    ]
+    none = np.empty((0, 2))
+    beams = PlacedBeams(none, none, np.empty(0, dtype=np.int64))
+    parts = [
+        MapPart.of(number, np.empty((0, 2, 2)), np.empty(0, dtype=np.int64), beams, half.path)
+        for number, half in enumerate(halves)
+    ]
+    steps = ImpliedSteps(halves, mapper.history, links)
+    tie = WallTie(np.eye(2), np.array([off_m, 0.0]), 10.0)
+    assert steps.refute(parts[0], parts[1], tie) == refuted
+    assert steps.refute(parts[1], parts[0], tie.inverse()) == refuted

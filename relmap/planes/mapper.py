@@ -19,13 +19,14 @@ from relmap.core.odometry import checked_odometry
 from relmap.core.scan import checked_labels
 from relmap.planes.linking.registration import PlaneRegistration
 from relmap.planes.model import WallModel
+from relmap.planes.places.implied_steps import ImpliedSteps
 from relmap.planes.places.locating import LocatingMapper
 from relmap.planes.places.submap_ties import MapPart, tied_parts
 from relmap.planes.refinement.refining import planned_submaps, refined_submaps
 from relmap.planes.scans.beams import GivenBeams
 from relmap.planes.scans.observation import PlaneObservation, checked_planes, journaled, of_journal
 from relmap.planes.submaps.doubtful import contradicted_revisits, unsupported_links
-from relmap.planes.submaps.submap import among_all, torn_in
+from relmap.planes.submaps.submap import torn_in
 
 if TYPE_CHECKING:
     from relmap.io.journal import RecordedScan
@@ -216,12 +217,9 @@ class PlaneMapper(LocatingMapper):
             length_m = np.hypot(*(ends[:, 1] - ends[:, 0]).T).sum()
             beams = self.beams_of(k, max(int(BEAMS_PER_M * length_m), 1))
             parts.append(MapPart.of(k, ends, table.plane[static], beams, path))
-        tied = [part for part in tied_parts(parts) if len(part.members) > 1]
-        poses = [np.full((self.history.n_iterations, 4, 4), np.nan) for _ in tied]
-        for path, part in zip(poses, tied, strict=True):
-            for number, motion in part.members:
-                own = among_all(submaps[number].poses, submaps[number].span, self.history)
-                path[:] = np.where(np.isfinite(own), motion @ own, path)
+        steps = ImpliedSteps(submaps, self.history, self._planes.links)
+        tied = [part for part in tied_parts(parts, steps.refute) if len(part.members) > 1]
+        poses = [steps.poses(part) for part in tied]
         if tied:
             self._planes.links.join(poses, np.concatenate([part.same for part in tied]))
         return poses

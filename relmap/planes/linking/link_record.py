@@ -154,14 +154,14 @@ class LinkRecord:
         if not (len(self.beams) and self._n_submaps):
             return np.empty(0, dtype=np.int64)
         is_tied, in_doubt = self._known()
-        scans, share = self._scans, share_at_rest(self._scans, is_tied)
+        scans, share = self.scans, share_at_rest(self.scans, is_tied)
         links, cut = judged_links(replace(scans, firm=share <= OFTEN), is_tied, in_doubt)
         self._take(links)
         if share > OFTEN:  # the remaining breaks without small objects, as some may have moved
             is_tied, _ = self._known()
             in_doubt = ~is_tied
             in_doubt[:1] = False
-            more, _ = judged_links(replace(self._scans, firm=True), is_tied, in_doubt)
+            more, _ = judged_links(replace(self.scans, firm=True), is_tied, in_doubt)
             self._take(more)
         self._take_adjoining()
         self.wheels.look_again()
@@ -169,7 +169,7 @@ class LinkRecord:
 
     def _take_adjoining(self) -> None:
         """Tie submaps that are adjacent in time."""
-        scans, found = replace(self._scans, firm=True), True
+        scans, found = replace(self.scans, firm=True), True
         while found:
             found = False
             for scan in range(1, len(self)):
@@ -227,7 +227,7 @@ class LinkRecord:
         return {name: deepcopy(getattr(self, name)) for name in self.JOINED.split()}
 
     @property
-    def _scans(self) -> Scans:
+    def scans(self) -> Scans:
         """All scans with their walls and beams."""
         expected = partial(
             self.wheels.expected, motions=self.motions, measured=self.measured.copy()

@@ -104,7 +104,7 @@ class ScanLinks(LinkRecord):
         if views:
             beams = self.beams.of(len(self), seen.ends, seen.beams)
             if len(self) in FIRST or len(self) % AGAIN == 0:
-                self._at_rest = share_at_rest(self._scans, self._known()[0], LATELY) > OFTEN
+                self._at_rest = share_at_rest(self.scans, self._known()[0], LATELY) > OFTEN
             firm = not self._at_rest
             judged = Search(tracks, seen, beams, views, recent, expected, firm, every).found()
             return judged if judged and self._confirmed(judged, seen, beams, views, firm) else None
@@ -141,7 +141,7 @@ class ScanLinks(LinkRecord):
         if found.evidence > max(SURE, USUALLY * usual) or len(views) < 2:
             return True
         expected = then(views[1].motion, found.motion)
-        tracks = self._scans.tracks_of(len(self._motions) - 2)
+        tracks = self.scans.tracks_of(len(self._motions) - 2)
         view = [View(views[1].beams, STILL)]
         again = Search(tracks, seen, beams, view, expected, firm=firm).found()
         if again is None or found.evidence + again.evidence < TOGETHER:

@@ -7,7 +7,7 @@ through them contradict it. The best pair is joined to one map, and the search r
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
@@ -180,10 +180,21 @@ class SubmapTie(NamedTuple):
         return supported and _crosses(self.tie)
 
 
-def tied_parts(parts: Sequence[MapPart]) -> list[MapPart]:
-    """Join the parts that show the same place, while one alignment is certain and without rival."""
+Refute = Callable[[MapPart, MapPart, WallTie], bool]
+
+
+def tied_parts(parts: Sequence[MapPart], refute: Refute | None = None) -> list[MapPart]:
+    """Join the parts that show the same place, while one alignment is certain and without rival.
+
+    `refute`: returns whether something else speaks against an alignment of two parts.
+    """
+
+    def certain(a: int, b: int, also: Sequence[WallTie] = ()) -> SubmapTie | None:
+        found = unrivalled(left[a], left[b], also)
+        return None if found and refute and refute(left[a], left[b], found.tie) else found
+
     left = dict(enumerate(parts))
-    found = {(a, b): unrivalled(left[a], left[b]) for a, b in combinations(left, 2)}
+    found = {(a, b): certain(a, b) for a, b in combinations(left, 2)}
     while True:
         sure = {pair: tie for pair, tie in found.items() if tie is not None}
         if not sure:
@@ -194,7 +205,7 @@ def tied_parts(parts: Sequence[MapPart]) -> list[MapPart]:
         for c in left.keys() - {a}:
             first, second = sorted((a, c))
             also = _carried(sure, (a, b), c)
-            found[first, second] = unrivalled(left[first], left[second], also)
+            found[first, second] = certain(first, second, also)
 
 
 def _carried(

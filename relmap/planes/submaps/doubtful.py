@@ -14,6 +14,8 @@ from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.planes.linking.link_record import LinkRecord
+from relmap.planes.linking.placement import STILL
+from relmap.planes.linking.tying import Scans
 from relmap.planes.motions import from_matrices, inverse
 from relmap.planes.scans.beams import NEAR_M, Beams, BeamStore, compared, odds_over
 from relmap.planes.submaps.submap import WallSubmap, between_logs
@@ -32,6 +34,9 @@ independent, and many tiny differences along a bare corridor are not."""
 UNUSUAL_M, BESIDE = 0.3, 4
 """Difference between a link and those around it above which it is evaluated again, and how many on
 either side these are."""
+NEARER, GAP = 0.5, 3
+"""Distance of another motion from the usual step, as a fraction of that of an unusual step, below
+which beams must exclude it, too; and how many scans apart both scans may be."""
 LOOSE = np.diag([1e-3, 1e-4, 1e-4])
 """Information that keeps directions finite that no wall determines: rotation, x, y; as of so many
 metres of wall."""
@@ -57,8 +62,9 @@ def undetermined_steps(
     Short walls far away, such as an arc at the end of the range, leave a motion open that turns
     the robot about them. So a step is moved by 0.3 m in the direction that the walls in common
     determine least, and turned as they allow. It is also replaced by the usual steps of the four
-    before and of the four after it, if they differ. It is determined if the beams of both scans
-    exclude all of these, and neither scan shows one wall only. Where a submap continues after scans
+    before and of the four after it, if they differ, and by motions nearer to these that the walls
+    of both scans imply. It is determined if the beams of both scans exclude all of these, and
+    neither scan shows one wall only. Where a submap continues after scans
     that are not part of it, the motion is since the last one that is. Without beams, and with
     odometry, the walls decide (`PlaneHistory.weak_links`). From one log to the next there is no
     step: the place of a log in the map is determined by a stretch of it.
@@ -68,6 +74,7 @@ def undetermined_steps(
     weak = np.zeros(history.n_iterations, dtype=np.bool_)
     weak[history.weak_links] = True
     free, least = free_directions(history), np.where(weak, CLEARLY, EXCLUDED)
+    scans = links.scans
     before, after, steps = _steps(submaps)
     gap = (after - before)[:, None]
     to_usual = _around(steps[:, 1:] / gap) * gap - steps[:, 1:]
@@ -76,8 +83,8 @@ def undetermined_steps(
         earlier, later = (beams_of(i, history, links.beams) for i in (first, scan))
         if len(earlier) and len(later):
             one_wall = earlier.on_one_wall or later.on_one_wall
-            changes = _changes(step, free[scan], ways)
-            excluded = _excluded(step, changes, earlier, later)
+            changes = _changes(step, free[scan], ways), _fitted(scans, first, scan, step, ways)
+            excluded = _excluded(step, np.vstack(changes), earlier, later)
             weak[scan] = one_wall or excluded < least[scan]
     weak[after[between_logs(links.begun, before, after)]] = False
     return np.flatnonzero(weak)
@@ -118,14 +125,17 @@ def unsupported_links(history: PlaneHistory, links: LinkRecord) -> Ints:
     if _have_odometry(links):
         return np.empty(0, dtype=np.int64)
     tied = 1 + np.flatnonzero((np.diff(history.submap) == 0) & (history.submap[1:] >= 0))
-    free, found = free_directions(history), list[int]()
+    free, scans, found = free_directions(history), links.scans, list[int]()
     steps = inverse(history.motion[tied])
     to_usual = (_around(steps[:, 1:]) - steps[:, 1:]).swapaxes(0, 1)
     for k in np.flatnonzero(_unusual(tied, history) & ~np.isinf(links.evidence[tied])).tolist():
         scan, step = int(tied[k]), steps[k]
         earlier, later = (beams_of(i, history, links.beams) for i in (scan - 1, scan))
-        changes = _changes(step, free[scan], to_usual[k])
-        if len(earlier) and len(later) and _excluded(step, changes, earlier, later) < 0:
+        changes = (
+            _changes(step, free[scan], to_usual[k]),
+            _fitted(scans, scan - 1, scan, step, to_usual[k]),
+        )
+        if len(earlier) and len(later) and _excluded(step, np.vstack(changes), earlier, later) < 0:
             found.append(scan)
     return np.array(found, dtype=np.int64)
 
@@ -167,6 +177,23 @@ def _changes(step: Floats, free: Floats, to_usual: Floats) -> Floats:
     usual = np.zeros((2, 3))
     usual[:, 1:] = to_usual
     return np.vstack([BOTH_M * way, usual[far]])
+
+
+def _fitted(scans: Scans, earlier: int, later: int, step: Floats, to_usual: Floats) -> Floats:
+    """Return the changes (k, 3) of an unusual step (3,) to motions nearer to the usual ones.
+
+    The walls of both scans imply them: where walls repeat, robots do not move by just the usual
+    step. `to_usual` as in `_changes`.
+    """
+    to_usual = to_usual[np.hypot(*to_usual.T) > FREE_M]
+    near = len(to_usual) and later - earlier <= GAP
+    search = scans.search(earlier, later, STILL) if near else None
+    if search is None:
+        return np.empty((0, 3))
+    usual = step + np.pad(to_usual, [(0, 0), (1, 0)])
+    changes = inverse(search.candidates([*inverse(usual)]).motions) - step
+    off_m = np.linalg.norm(changes[:, None, 1:] - to_usual, axis=2).min(axis=1)
+    return np.asarray(changes[off_m < NEARER * np.hypot(*to_usual.T).min()])
 
 
 def _excluded(step: Floats, changes: Floats, earlier: Beams, later: Beams) -> float:
