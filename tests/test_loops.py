@@ -52,6 +52,15 @@ def test_a_place_farther_off_than_a_map_drifts_is_another() -> None:
     assert LoopFinder(table, SIGMA).next() is None
 
 
+@pytest.mark.parametrize("shift_m", [6.0, 30.0])
+def test_likelihood_does_not_take_another_place_for_one_within_the_drift(shift_m: float) -> None:
+    for shift, expected in ((0.35, True), (shift_m, False)):
+        table, _ = seen_twice(shift)
+        table.observations[:] = table.weight[:] = 10
+        found = LoopFinder(table, SIGMA, is_blurred=True).next() is not None
+        assert found == expected
+
+
 def test_a_map_without_loops_has_none() -> None:
     table, n = seen_twice(shift_m=2.0)
     table.submap[n:] = -1

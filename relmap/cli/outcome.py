@@ -67,7 +67,8 @@ def report(job: Job) -> None:
             f"{each(timing['median_ms'])}{took}{untied(counts, len(run.result.submaps) - 1)}"
             f"{'' if counts['mapped'] else NOTHING}{doubted(summary)}{overruled(summary)}{hanging}"
         )
-        warning = doubtful(summary["refinement"], summary["association_trust"]["contradicting"])
+        trust = summary["association_trust"]
+        warning = doubtful(summary["refinement"], trust["contradicting"]) + leapt(trust["leaps"])
     typer.echo(f"{message}{still(run.result.poses)}{warning}")
     if job.onto and job.association == "nearest" and summary["tied_at"] is None:
         typer.echo(
@@ -186,7 +187,13 @@ def doubted(summary: dict[str, Any]) -> str:
             f"; {100 * tied:.1f} % of the scans were matched to earlier ones, {100 * unique:.1f} % "
             f"with more matches than expected by chance"
         )
-    return message + (f"; {undone} merge{'s' if undone > 1 else ''} undone" if undone else "")
+    message += f"; {undone} merge{'s' if undone > 1 else ''} undone" if undone else ""
+    if trust["gaps"]:
+        message += (
+            f"; only places that look the same bridge {counted(trust['gaps'], 'gap')} of up to "
+            f"{trust['longest_gap']} scans"
+        )
+    return message
 
 
 def overruled(summary: dict[str, Any]) -> str:
@@ -212,6 +219,11 @@ def on_odometry(odometry: dict[str, Any] | None) -> str:
     linked = "is" if alone == 1 else "are"
     message = f"; {counted(alone)} {linked} linked by odometry alone" if alone else ""
     message += f"; odometry was rejected at {counted(left_out)}" if left_out else ""
+    if odometry["alike_elsewhere"]:
+        message += (
+            f"; {odometry['alike_elsewhere']} landmarks look like others elsewhere, but odometry "
+            "tells them apart"
+        )
     worst_m = odometry["largest_sd_m"]
     if alone and worst_m is not None:
         message += f"; the least certain landmark has a standard deviation of {worst_m:.2g} m"
@@ -225,6 +237,18 @@ def untied(counts: dict[str, int], submaps: int) -> str:
     placed = counts["iterations"] - counts["iterations_without_pose"]
     apart = f"; {counted(submaps, 'submap')} could not be connected to the map"
     return f"{apart}, in which {placed} of {counted(counts['iterations'])} have a pose"
+
+
+def leapt(leaps: dict[str, Any] | None) -> str:
+    """Return a warning that the robot leaps in the map, as a line after a message."""
+    if not leaps or not leaps["count"]:
+        return ""
+    (before, after), others = leaps["steps"][0], leaps["count"] - 1
+    return (
+        f"\nWARNING: in the map the robot leaps {leaps['way_m'][0]:.2g} m from iteration {before} "
+        f"to {after}{f', and {others} times more' if others else ''}: unless it was carried there, "
+        "places that look the same were taken for one"
+    )
 
 
 def doubtful(refinement: dict[str, Any] | None, contradicting: float | None) -> str:

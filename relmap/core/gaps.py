@@ -42,7 +42,7 @@ def bridge_gaps(engine: RelativeMapper, to_the_last: bool = False, is_open: bool
     noise, slipped, missed = noise_of(odometry, measured, rows)
     before, use = engine.odometry, OdometryUse.of(noise, slipped | missed)
     if before is not None:
-        use = replace(use, drift=before.drift)
+        use = replace(use, drift=before.drift, alike=before.alike)
     if noise.is_wrong or not len(engine.kept):
         engine.odometry = use
         return False

@@ -91,6 +91,8 @@ class OdometryUse:
     drift : float
         Drift found at revisited places, relative to that expected from noise.  Covariances are
         scaled by it.
+    alike : int
+        Number of landmarks of places that look the same, which odometry tells apart.
     """
 
     noise: MotionNoise
@@ -102,6 +104,7 @@ class OdometryUse:
     sigmas: Floats
     is_wrong: bool
     drift: float = 1.0
+    alike: int = 0
 
     @classmethod
     def of(cls, noise: MotionNoise, slipped: Bools) -> OdometryUse:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup, Submap, in_space
+from relmap.core.map.leaps import Gaps, gaps_of
 from relmap.core.map.pose import known_poses, trajectory
 from relmap.core.mapper import RelativeMapper
 from relmap.core.state.table import NONE, LandmarkState
@@ -105,6 +106,15 @@ def path(engine: RelativeMapper) -> Floats:
         return engine.odometry.poses_in(engine.map.first)
     positions = mapped_positions(engine)
     return trajectory(engine.rows, positions, engine.table.landmark_of, _noise_m(engine))
+
+
+def gaps(engine: RelativeMapper) -> Gaps | None:
+    """Return the gaps that only places which look the same bridge; None with ids or odometry."""
+    is_used = engine.odometry is not None and engine.odometry.is_used
+    if is_used or engine.association.has_ids or not len(engine.table):
+        return None
+    positions, of = mapped_positions(engine), engine.table.landmark_of
+    return gaps_of(engine.rows, positions, of, path(engine))
 
 
 def paths(engine: RelativeMapper) -> list[tuple[Ints, Floats]]:

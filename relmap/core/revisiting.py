@@ -41,24 +41,32 @@ ROUNDS = 10
 def close_revisits(engine: RelativeMapper) -> None:
     """Merge the landmarks of revisited places and solve the map again, until none is found."""
     for _ in range(ROUNDS):
-        surprises = _merge_revisits(engine)
-        if not surprises or engine.odometry is None:
+        surprises, alike = _merge_revisits(engine)
+        if engine.odometry is None:
+            return
+        engine.odometry = replace(engine.odometry, alike=max(alike, engine.odometry.alike))
+        if not surprises:
             return
         drift = float(np.sqrt(np.mean(np.square(surprises)) / engine.kept.location.shape[1]))
         engine.odometry = replace(engine.odometry, drift=max(drift, engine.odometry.drift))
         bridge_gaps(engine, is_open=True)
 
 
-def _merge_revisits(engine: RelativeMapper) -> list[float]:
-    """Merge the landmarks of all certain revisits; return the drift of each, in deviations."""
-    surprises, table = [], engine.table
+def _merge_revisits(engine: RelativeMapper) -> tuple[list[float], int]:
+    """Merge the landmarks of all certain revisits; return the drift of each, in deviations.
+
+    Also returns the number of landmarks that odometry tells apart from others that look the same.
+    """
+    surprises, table, alike = [], engine.table, 0
     sightings = Sightings(engine.rows, table)
     for refined in engine.refined:
         drift = Drift(refined.spread.problem, refined.spread.settled)
         landmarks = np.full(len(refined.spread.chosen), NONE)
         landmarks[refined.spread.chosen] = refined.landmarks
         finder = RevisitFinder(table, landmarks, drift, refined.noise_m)
-        for revisit in finder.revisits():
+        found = finder.revisits()
+        alike += len(finder.alike)
+        for revisit in found:
             pairs = table.now(revisit.pairs)
             pairs = pairs[pairs[:, 0] != pairs[:, 1]]
             pairs = pairs[engine.merger.allowed(pairs)]
@@ -67,7 +75,7 @@ def _merge_revisits(engine: RelativeMapper) -> list[float]:
             if len(pairs) > CLEAR * len(revisit.pairs):
                 engine.merge_pairs(pairs)
                 surprises.append(revisit.surprise)
-    return surprises
+    return surprises, alike
 
 
 def mergeable(table: LandmarkState, pairs: Ints) -> Ints:

@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.arrays import Floats, Ints
+from relmap.core.association.registering import BLIND
 from relmap.core.odometry import OdometryUse
+from relmap.core.readout import gaps
 from relmap.core.refinement.joint import Refined
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.scans import ScanLog
@@ -55,6 +57,7 @@ def summary_of(
         "undone_merges": mapper.n_undone,
         "submaps": len(result.submaps),
         "contradicting": _contradicting(mapper, counts["observations"]),
+        **_bridged_by_look(mapper, offset),
     }
     summary["odometry"] = _odometry(mapper.odometry, result, offset)
     if isinstance(mapper, PlaneMapper):
@@ -92,10 +95,27 @@ def _odometry(use: OdometryUse | None, result: Result, offset: int) -> dict[str,
         "sigma_share_of_way": float(use.noise.sigma_way),
         "sigma_rad": float(use.noise.sigma_rad),
         "drift_over_noise": float(use.drift),
+        "alike_elsewhere": use.alike,
         "largest_sd_m": float(largest_m) if use.is_used and largest_m >= 0 else None,
         "tied_by_it_alone": ends_of(hanging, "iterations") | {"stretches": stretches},
         "left_out": ends_of(use.left_out + offset, "iterations"),
     }
+
+
+def _bridged_by_look(mapper: PointMapper | PlaneMapper, offset: int) -> dict[str, Any]:
+    """Return the long gaps that only places which look the same bridge, and the leaps of the robot.
+
+    None with ids, with odometry and for walls.
+    """
+    found = gaps(mapper.engine) if isinstance(mapper, PointMapper) else None
+    if found is None:
+        return {"gaps": None, "longest_gap": None, "leaps": None}
+    length, which = found.after - found.before, found.leaps
+    steps = np.column_stack([found.before, found.after])[which] + offset
+    leaps = {"count": len(which), "steps": steps[:MANY].tolist()}
+    leaps["way_m"] = found.way_m[which][:MANY].tolist()
+    longest = int(length.max(initial=0))
+    return {"gaps": int(np.sum(length > BLIND)), "longest_gap": longest, "leaps": leaps}
 
 
 def _contradicting(mapper: PointMapper | PlaneMapper, n_observations: int) -> float | None:

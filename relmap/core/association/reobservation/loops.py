@@ -15,7 +15,12 @@ from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.association.likelihood import LOG_CLEAR
 from relmap.core.association.placement import Placement
 from relmap.core.association.reobservation.evidence import LOCAL_DRIFT
-from relmap.core.association.reobservation.recognition import BY_CHANCE, ENOUGH, PlaceFinder
+from relmap.core.association.reobservation.recognition import (
+    BY_CHANCE,
+    ENOUGH,
+    SIGMAS,
+    PlaceFinder,
+)
 from relmap.core.association.reobservation.tying import CLEAR, NEIGHBOURHOOD, OVERLAP
 from relmap.core.association.scale import spacing_of
 from relmap.core.association.soft import SoftMatching, likely_links
@@ -149,6 +154,10 @@ class LoopFinder:
         if score < chance or rival > min(score + LOG_CLEAR, CLEAR * score):
             return None
         rows, found = likely_links(placement.apply(here), variance, weight, there, None)
+        off_m = np.linalg.norm(placement.apply(here) - here, axis=1).max()
+        drift_m = self._drift_m(later, later, int(table.last[older[found]].max(initial=0)))
+        if off_m > drift_m + SIGMAS * self._noise_m:
+            return None
         return Loop(np.column_stack([later[rows], older[found]]), placement)
 
     def _drift_m(self, around: Ints, together: Ints, begin: int) -> float:

@@ -37,6 +37,10 @@ FARTHEST = 1.5, 4.0, 12.0
 """Largest drift, in standard deviations: each is tried if nothing is found within the one before.
 Errors of real sensors are correlated over time, so chains drift farther than with independent
 errors.  Rivals are searched for within the next one: a lattice has them farther away."""
+STRAINED, COMPARED = 2.0, 12
+"""Largest strain of a revisit with much drift (see `Drift`), and matches from which it is computed:
+correlated errors hardly exceed the noise of a step; another place that looks the same needs large
+errors of few steps."""
 TOLERANCE = 5.0
 """Largest distance between the landmarks of a match, in standard deviations of an observation."""
 NEIGHBOUR, USUAL = 4, 3.67
@@ -103,9 +107,12 @@ class RevisitFinder:
 
     `landmarks` (m,): those of the part, `NONE` if another's; `noise_m`: standard deviation of an
     observed coordinate.
+
+    Attributes: `alike`: landmarks of places that look the same but that odometry tells apart.
     """
 
     def __init__(self, table: LandmarkState, landmarks: Ints, drift: Drift, noise_m: float) -> None:
+        self.alike: set[int] = set()
         self._table, self._landmarks, self._drift = table, landmarks, drift
         self._seen_from: dict[int, tuple[Floats, Floats]] = {}
         n_poses = len(drift.state.t)
@@ -196,8 +203,20 @@ class RevisitFinder:
         new, old = matches[off_m <= max(np.median(off_m), self._tolerance_m / WIDER)].T
         middle = stretch.points[new].mean(axis=0)
         drifted_m = float(np.linalg.norm(placement.apply(middle) - middle))
-        pairs = self._landmarks[stretch.pairs(np.column_stack([new, old]))]
+        own = stretch.pairs(np.column_stack([new, old]))
+        pairs = self._landmarks[own]
+        if sigmas > FARTHEST[0] and self._is_strained(own):
+            self.alike.update(pairs.ravel().tolist())
+            return None
         return Revisit(pairs, chance, drifted_m / float(np.median(stretch.sd_m[old])))
+
+    def _is_strained(self, pairs: Ints) -> bool:
+        """Return whether landmarks (k, 2) can only be the same if steps of odometry are wrong."""
+        pairs = pairs[:: -(-len(pairs) // COMPARED)]
+        off = self._drift.state.positions[pairs]
+        noise_m = self._tolerance_m / (WIDER * TOLERANCE)
+        unknowns = self._drift.unknown[pairs]
+        return self._drift.strain(unknowns, off[:, 0] - off[:, 1], noise_m) > STRAINED
 
     def _has_rival(self, pose: int, sigmas: float, pairs: Ints, chance: float) -> bool:
         """Return whether other matches than these (k, 2) are nearly as many and as unlikely."""

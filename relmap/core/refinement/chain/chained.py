@@ -200,6 +200,15 @@ class ChainProblem:
         ways = placed(self._base, state.positions, step[self.unknown])
         return Chained(ways + t[self._base], R, t, constant)
 
+    def odometry_squares(self, state: Chained, step: Floats) -> Floats:
+        """Return by how much a small step (u,) of the unknowns changes each motion (o,), squared.
+
+        In standard deviations.
+        """
+        jacobian = self._left_of_odometry(state)[2]
+        change = np.einsum("nij,nj->ni", jacobian, step[self._of_moved])
+        return np.asarray(np.sum(change**2, axis=1))
+
     def inverse(self, state: Chained, weight: Floats) -> Floats:
         """Return the covariances of all coupled unknowns, in the layout of the pattern."""
         matrix = self.equations(state, weight, True, 0.0).matrix

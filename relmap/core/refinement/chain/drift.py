@@ -11,6 +11,9 @@ from relmap.core.geometry.motions import derivatives
 from relmap.core.refinement.chain.chained import Chained, ChainProblem
 from relmap.core.refinement.gauss_newton import Solution
 
+EXPLAINED = 4.0
+"""Largest square of a difference, in variances for each coordinate, that noise may explain."""
+
 
 class Drift:
     """Uncertainty of a solved chain, relative to poses of the chain.
@@ -20,7 +23,7 @@ class Drift:
 
     def __init__(self, problem: ChainProblem, settled: Solution[Chained]) -> None:
         self.state = settled.state
-        self._problem, pattern = problem, problem.pattern
+        self.unknown, self._problem, pattern = problem.unknown, problem, problem.pattern
         self._factor = problem.equations(self.state, settled.weight, True, 0.0).matrix
         pattern.factorise(self._factor)
         self._turns = problem.pose[:, : problem.pose.shape[1] - self.state.t.shape[1]]
@@ -50,6 +53,29 @@ class Drift:
             columns[other, np.arange(d)] -= 1.0
             found[k] = pattern.products(self._factor, columns)
         return found
+
+    def strain(self, unknowns: Ints, off: Floats, noise_m: float) -> float:
+        """Return how strained the chain is if landmarks that lie apart are the same.
+
+        `unknowns` (k, 2, d): the unknowns of two landmarks each; `off` (k, d), metres: difference
+        of their positions, of standard deviation `noise_m`. Returns by how many variances the least
+        squares grow for each step of odometry that shares the correction: drift is the sum of small
+        errors of many steps, but to deny a storey a few steps must be very wrong. 0 if noise
+        explains it.
+        """
+        problem, columns = self._problem, np.arange(off.size).reshape(off.shape)
+        apart = np.zeros((problem.pattern.n_unknowns, off.size))
+        apart[unknowns[:, 0], columns] += 1.0
+        apart[unknowns[:, 1], columns] -= 1.0
+        spread = problem.pattern.solve(self._factor, apart.copy())
+        covariance = apart.T @ spread + noise_m**2 * np.eye(off.size)
+        pull = np.linalg.solve(covariance, off.ravel())
+        grown = float(off.ravel() @ pull)
+        if grown <= EXPLAINED * off.size:
+            return 0.0
+        square = problem.odometry_squares(self.state, spread @ pull)
+        shared = np.sum(square) ** 2 / max(np.sum(square**2), 1e-300)
+        return grown / max(float(shared), 1.0)
 
     def from_poses(self, poses: Ints) -> tuple[Floats, Floats]:
         """Return the standard deviations (p, m) of landmarks and directions, from each pose (p,).
