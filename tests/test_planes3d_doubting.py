@@ -240,7 +240,7 @@ def found(yaw: float, *more: Floats, **given: Any) -> Placed | None:
     return place(seen, Surfaces(there), (STILL, ORIGIN), held, **given)
 
 
-def test_a_turn_in_a_narrow_room_is_no_leap_if_seven_planes_match() -> None:
+def test_a_turn_in_a_narrow_room_is_accepted_if_seven_planes_match() -> None:
     placed = found(1.2, TABLE, wall(0, 2.5), wall(1, 2.0))
     assert placed is not None
     assert placed.share < 0.85
