@@ -206,7 +206,7 @@ def photographed(place_m: list[float], angles: list[float], share: float, seed: 
     R = Rotation.from_euler("ZYX", angles).as_matrix()
     depth_m = cast_rays(np.array(place_m), rays @ R.T, *faces)[0]
     noise = 0.005 * (depth_m * rays[:, 0] / 2) ** 2 * rng.standard_normal(len(rays))
-    return (depth_m + noise)[:, None] * rays
+    return np.asarray((depth_m + noise)[:, None] * rays)
 
 
 @pytest.mark.parametrize(
