@@ -13,16 +13,21 @@ from relmap import Plane3dMapper
 from relmap.core.arrays import Floats
 from relmap.evaluation.space_run import submap_row
 from relmap.planes3d.fitting import matched
-from relmap.planes3d.placing import Placed, is_rival
+from relmap.planes3d.hypotheses import Held
+from relmap.planes3d.placing import Placed, apart, is_rival, place
 from relmap.planes3d.sights import is_doubtful, is_tied_doubtfully, seen_through, with_ends
 from relmap.planes3d.submap import Submap
+from relmap.planes3d.surfaces import Surfaces
 from relmap.planes3d.table import plane_table
 from relmap.plots.planes import plot_planes3d
-from relmap.simulation.storey import simulate_storey
+from relmap.segmentation.space import PatchSegmenter
+from relmap.simulation.house import house, moving_box
+from relmap.simulation.storey import COLUMNS, FOCAL, ROWS, cast_rays, simulate_storey
 from tests.test_planes3d_covariances import part_of, patches, wall
 from tests.worlds import fed
 
 STILL, ORIGIN = np.eye(3), np.zeros(3)
+TABLE = wall(2, -0.3, (0.2, 0.9))
 
 
 def placed(yaw: float, share: float = 1.0) -> Placed:
@@ -187,3 +192,65 @@ def test_a_scan_does_not_follow_a_box_that_moves_before_a_wall(seed: int) -> Non
             for path in (part.trajectory, world.trajectory[part.iteration])
         )
         assert np.linalg.norm((steps - truly)[:, :3, 3], axis=1).max(initial=0.0) < 0.1
+
+
+def photographed(place_m: list[float], angles: list[float], share: float, seed: int) -> Floats:
+    """Return the points of a depth camera in a house with a box this far along its track."""
+    rooms, rng = house(2), np.random.default_rng(seed)
+    origin, sides = moving_box(rooms.tracks[0], share)
+    row, column = np.mgrid[:ROWS, :COLUMNS]
+    across, up = (COLUMNS - 1) / 2 - column, (ROWS - 1) / 2 - row
+    rays = np.stack([np.full(row.shape, FOCAL), across, up], axis=-1).reshape(-1, 3)
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    faces = np.concatenate([rooms.origin, origin]), np.concatenate([rooms.sides, sides])
+    R = Rotation.from_euler("ZYX", angles).as_matrix()
+    depth_m = cast_rays(np.array(place_m), rays @ R.T, *faces)[0]
+    noise = 0.005 * (depth_m * rays[:, 0] / 2) ** 2 * rng.standard_normal(len(rays))
+    return np.asarray((depth_m + noise)[:, None] * rays)
+
+
+@pytest.mark.parametrize(
+    ("share", "step_m", "seed"), [(0.65, 0.13, 2), (0.8, 0.13, 2), (0.8, 0.155, 4)]
+)
+def test_the_wall_behind_a_box_counts_by_the_fit_to_it(
+    share: float, step_m: float, seed: int
+) -> None:
+    # A fit that begins at the box ends at the wall, but seems to explain less of the scan.
+    mapper = Plane3dMapper()
+    mapper.update(photographed([1.889, 2.079, 1.311], [0.723, 0.0, 0.0], share, seed))
+    there = [1.951, 2.133, 1.318], [0.7536, 0.0327, 0.035]
+    mapper.update(photographed(*there, share + step_m / 5.0, seed + 1))
+    R = Rotation.from_euler("ZYX", [0.723, 0.0, 0.0]).as_matrix()
+    truly = np.array([0.062, 0.054, 0.007]) @ R
+    assert np.linalg.norm(mapper.trajectory[1, :3, 3] - truly) < 0.02
+
+
+def narrow(*more: Floats) -> list[Floats]:
+    """Return the six sides of a room, and other planes."""
+    ends = (0, 1.0), (0, -1.4), (1, 0.7), (1, -0.9), (2, -1.2), (2, 1.3)
+    return [*(wall(axis, at) for axis, at in ends), *more]
+
+
+def found(yaw: float, *more: Floats, **given: Any) -> Placed | None:
+    """Return the placement of a scan that is turned in a narrow room with a table."""
+    segmenter, held = PatchSegmenter(), Held(ORIGIN, np.inf)
+    there = segmenter.fit(np.concatenate(narrow(TABLE))).patches_
+    R = Rotation.from_rotvec([0.0, 0.0, yaw]).as_matrix()
+    seen = segmenter.fit(np.concatenate(narrow(*more)) @ R).patches_
+    return place(seen, Surfaces(there), (STILL, ORIGIN), held, **given)
+
+
+def test_a_turn_in_a_narrow_room_is_accepted_if_seven_planes_match() -> None:
+    placed = found(1.2, TABLE, wall(0, 2.5), wall(1, 2.0))
+    assert placed is not None
+    assert placed.share < 0.85
+    assert apart(placed.R, placed.t, STILL, ORIGIN)[0] == pytest.approx(1.2, abs=0.02)
+
+
+def test_instead_of_a_doubtful_placement_one_that_matches_more_planes_is_taken() -> None:
+    turns = []
+    for least in (0, 7):
+        placed = found(np.pi, TABLE, is_doubtful=lambda each, n=least: each.n_planes < n)
+        assert placed is not None
+        turns.append(apart(placed.R, placed.t, STILL, ORIGIN)[0])
+    assert turns == pytest.approx([0.0, np.pi], abs=0.02)

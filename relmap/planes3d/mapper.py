@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from functools import partial
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Self
 
@@ -229,10 +230,9 @@ class Plane3dMapper(Mapped3d):
         mean = steps.mean(axis=0) if len(steps) else np.zeros(3)
         rms = np.sqrt((steps[known] ** 2).sum(axis=1).mean()) if any(known) else np.inf
         held = Held(way[-1] + mean, float(rms))
-        placed = place(seen, Surfaces(planes), part.poses[-1], held)
-        if placed is None or is_doubtful(placed, seen, planes, part, gap):
-            return None
-        return placed.named(part.number[chosen])
+        doubtful = partial(is_doubtful, seen=seen, planes=planes, part=part, gap=gap)
+        placed = place(seen, Surfaces(planes), part.poses[-1], held, doubtful)
+        return None if placed is None else placed.named(part.number[chosen])
 
     def _tied_two(self, failed: set[tuple[Span, Span]]) -> bool:
         """Tie two submaps, if any two can be tied that did not fail before; return whether."""

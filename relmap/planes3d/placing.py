@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,6 +38,9 @@ CLOSE, SETTLES = 0.3, 0.85
 explains at least the second value. So must a leap, unless more planes match than `BOX`: a room that
 is a box, with something in it, looks much the same after half a turn."""
 BOX = 8
+SHORT, TURN_RAD = 5, np.deg2rad(90.0)
+"""The first value replaces `BOX` for a leap by less than the second and less than the range: in
+narrow rooms a turn by 40 degrees at a door moves points at the range farther than the range."""
 UNMATCHED = 8.0
 """Tolerance of planes that another placement may explain, as a multiple of the usual one."""
 ARRIVED = 0.05
@@ -82,24 +86,43 @@ class Placed:
         return len(np.unique(self.match[self.match >= 0]))
 
 
-def place(seen: Patches, there: Surfaces, last: Pose | None, held: Held) -> Placed | None:
+def place(
+    seen: Patches,
+    there: Surfaces,
+    last: Pose | None,
+    held: Held,
+    is_doubtful: Callable[[Placed], bool] = lambda _: False,
+) -> Placed | None:
     """Return the placement of a scan; None if none is accepted.
 
     `seen`: planes of the scan, robot frame. `there`: planes of the map. `last`, R (3, 3) and t
     (3,): pose of the previous scan. Of placements that explain the scan equally well, as in a room
     that looks the same from two sides or beside parallel faces, the closest to where steady motion
     leads is accepted if the others are far. Without `last`, a placement with a rival is not
-    accepted.
+    accepted. If the accepted one `is_doubtful`, those are tried that match more planes.
     """
     best = _settled_all(seen, there, last, held)
-    if not best or best[0].share < LEAST:
+    while best:
+        placed = _chosen(best, seen, last, held)
+        if placed is None or not is_doubtful(placed):
+            return placed
+        least = RIVAL_LESS_ONE * best[0].share
+        best = [each for each in best if each.share > least and each.n_planes > placed.n_planes]
+    return None
+
+
+def _chosen(best: list[Placed], seen: Patches, last: Pose | None, held: Held) -> Placed | None:
+    """Return the accepted one of some placements, best first; parameters as of `place`."""
+    if best[0].share < LEAST:
         return None
     first, reach_m, leap = best[0], seen.reach_m, LEAP * seen.reach_m
     if last is not None and moved_m(first.pose, last, reach_m) > leap:
         # In a room that looks the same from two sides a leap may explain a scan better by chance.
         near = [other for other in best if moved_m(other.pose, last, reach_m) <= leap]
         first = next((other for other in near if is_rival(other, first, True)), first)
-        if first is best[0] and first.share < SETTLES and first.n_planes <= BOX:
+        turn, way_m = apart(*first.pose, *last)
+        most = BOX if turn > TURN_RAD or way_m > leap else SHORT
+        if first is best[0] and first.share < SETTLES and first.n_planes <= most:
             return None
     rivals = _distinct([other for other in best if is_rival(other, first)], seen)
     if last is None:
@@ -120,7 +143,8 @@ def _settled_all(seen: Patches, there: Surfaces, last: Pose | None, held: Held) 
             found.append(placed)
     best = max(found, key=lambda each: each.share, default=None)
     other = _otherwise(best, seen, there) if best else None
-    placed = _settled(other, seen, there, held, found, loose=1.0) if other else None
+    # It may be one that was found already, from where it seemed to explain less.
+    placed = _settled(other, seen, there, held, [], loose=1.0) if other else None
     if placed is not None:
         found.append(placed)
     return sorted(found, key=lambda each: -each.share)

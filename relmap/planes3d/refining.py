@@ -20,8 +20,8 @@ ROUNDS, ROUGHLY = 12, 0.1
 landmarks are joined."""
 SURE, UNUSUAL = 3.0, 2.5
 """Standard deviations within which a step is known, and how many times the median is unusual."""
-UNCONFIRMED = 2
-"""Number of scans of a submap of a broken run whose only step no third scan confirms."""
+UNCONFIRMED = 6
+"""Number of scans of a submap of a broken run whose steps are too few to be compared."""
 UNSURE = 0.0125
 """Standard deviation of an unsure step, as a fraction of the range."""
 ONE = 2.0
@@ -71,8 +71,8 @@ def unsure_steps(part: Submap, is_broken: bool = False) -> dict[int, Floats]:
     exceed 1.5 % and it is two and a half times the usual one. So is a step that is unsteady in
     a direction in which a single landmark determines it, unsteady by far, or unlike those around
     it, or turns so, see `relmap.planes3d.certainty`. `is_broken`: whether there are other submaps;
-    then so is the step of a submap of two scans, as what broke the run before or after it may have
-    misled it.
+    then so are all steps of a submap of at most six scans, as what broke the run before or after
+    them may have misled them.
 
     Each has the direction (3,) in which the translation is least certain, sensor frame.
     """
