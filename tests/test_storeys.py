@@ -72,14 +72,16 @@ def test_odometry_tells_storeys_apart(seed: int) -> None:
     z = mapper.map.positions[:, 2]
     assert np.ptp(z) > HEIGHT_M + 1.5
     assert len(z) > 100
+    assert mapper.odometry is not None
+    assert mapper.odometry.alike > 0
 
 
 def test_storeys_taken_for_one_across_a_gap_are_reported() -> None:
     _, scans = house(np.random.default_rng(1), 12)
     trust = trust_in(scans)
-    assert (trust["gaps"], trust["longest_gap"]) == (1, 13)
+    assert (trust["gaps"], trust["longest_gap"]) == (1, 12)
     assert trust["leaps"]["count"] == 0
-    assert "places that look the same bridge 1 gap of up to 13 scans" in doubted(
+    assert "places that look the same bridge 1 gap of up to 12 scans" in doubted(
         {"association_trust": trust}
     )
 
@@ -90,10 +92,36 @@ def test_a_leap_across_a_short_gap_is_a_warning() -> None:
     assert (leaps["count"], leaps["steps"]) == (1, [[79, 80]])
     assert leaps["way_m"][0] == pytest.approx(7.9, abs=0.1)
     assert "the robot leaps 7.9 m from iteration 79 to 80:" in leapt(leaps)
+    twice = leaps | {"count": 2}
+    assert "from iteration 79 to 80, and 1 time more: unless" in leapt(twice)
 
 
 def test_a_map_without_gaps_reports_none() -> None:
     poses, scans = house(np.random.default_rng(1), 12)
-    found = gaps(mapped(poses[:80], scans[:80], None).engine)
+    mapper = mapped(poses[:80], scans[:80], None)
+    found = gaps(mapper.engine, np.arange(80), mapper.trajectory[:, :3, 3])
     assert found is not None
     assert len(found.before) == 0
+
+
+def test_a_robot_that_mostly_stands_still_does_not_leap() -> None:
+    _, scans = house(np.random.default_rng(1), 12)
+    rng = np.random.default_rng(2)
+    still = [scans[0] + rng.normal(0, NOISE_M, scans[0].shape) for _ in range(200)]
+    nothing = [np.empty((0, 3))] * 9
+    trust = trust_in([*still, *scans[:20], *nothing, *scans[29:60]])
+    assert (trust["gaps"], trust["longest_gap"]) == (1, 9)
+    assert trust["leaps"]["count"] == 0
+
+
+def test_from_one_log_to_the_next_there_is_no_leap() -> None:
+    _, scans = house(np.random.default_rng(1), 12)
+    mapper = PointMapper()
+    logs = [
+        ObservationLog.of_scans(part, [np.full(len(scan), -1) for scan in part])
+        for part in (scans[:80], scans[20:60])
+    ]
+    map_log(logs[0], mapper)
+    assert mapper.take_up(logs[1].points_robot[logs[1].iteration == 0])
+    leaps = map_log(logs[1], mapper).result.summary["association_trust"]["leaps"]
+    assert leaps["count"] == 0

@@ -244,10 +244,11 @@ def leapt(leaps: dict[str, Any] | None) -> str:
     if not leaps or not leaps["count"]:
         return ""
     (before, after), others = leaps["steps"][0], leaps["count"] - 1
+    more = f", and {counted(others, 'time')} more" if others else ""
     return (
-        f"\nWARNING: in the map the robot leaps {leaps['way_m'][0]:.2g} m from iteration {before} "
-        f"to {after}{f', and {others} times more' if others else ''}: unless it was carried there, "
-        "places that look the same were taken for one"
+        f"\nWARNING: in the map the robot leaps {leaps['way_m'][0]:.1f} m from iteration {before} "
+        f"to {after}{more}: unless it was carried there, places that look the same were taken for "
+        "one"
     )
 
 

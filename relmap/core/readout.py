@@ -108,13 +108,16 @@ def path(engine: RelativeMapper) -> Floats:
     return trajectory(engine.rows, positions, engine.table.landmark_of, _noise_m(engine))
 
 
-def gaps(engine: RelativeMapper) -> Gaps | None:
-    """Return the gaps that only places which look the same bridge; None with ids or odometry."""
+def gaps(engine: RelativeMapper, known: Ints, places_map: Floats) -> Gaps | None:
+    """Return the gaps that only places which look the same bridge; None with ids or odometry.
+
+    `known` (k,): iterations with a pose, ascending; `places_map` (k, 3): positions, metres.
+    """
     is_used = engine.odometry is not None and engine.odometry.is_used
     if is_used or engine.association.has_ids or not len(engine.table):
         return None
     positions, of = mapped_positions(engine), engine.table.landmark_of
-    return gaps_of(engine.rows, positions, of, path(engine))
+    return gaps_of(engine.rows, positions, of, known, places_map)
 
 
 def paths(engine: RelativeMapper) -> list[tuple[Ints, Floats]]:

@@ -44,7 +44,7 @@ def close_revisits(engine: RelativeMapper) -> None:
         surprises, alike = _merge_revisits(engine)
         if engine.odometry is None:
             return
-        engine.odometry = replace(engine.odometry, alike=max(alike, engine.odometry.alike))
+        engine.odometry = replace(engine.odometry, alike=alike)
         if not surprises:
             return
         drift = float(np.sqrt(np.mean(np.square(surprises)) / engine.kept.location.shape[1]))

@@ -57,7 +57,7 @@ def summary_of(
         "undone_merges": mapper.n_undone,
         "submaps": len(result.submaps),
         "contradicting": _contradicting(mapper, counts["observations"]),
-        **_bridged_by_look(mapper, offset),
+        **_bridged_by_look(mapper, result, offset),
     }
     summary["odometry"] = _odometry(mapper.odometry, result, offset)
     if isinstance(mapper, PlaneMapper):
@@ -102,20 +102,23 @@ def _odometry(use: OdometryUse | None, result: Result, offset: int) -> dict[str,
     }
 
 
-def _bridged_by_look(mapper: PointMapper | PlaneMapper, offset: int) -> dict[str, Any]:
-    """Return the long gaps that only places which look the same bridge, and the leaps of the robot.
+def _bridged_by_look(
+    mapper: PointMapper | PlaneMapper, result: Result, offset: int
+) -> dict[str, Any]:
+    """Return the long gaps of a log that only places which look the same bridge, and the leaps.
 
     None with ids, with odometry and for walls.
     """
-    found = gaps(mapper.engine) if isinstance(mapper, PointMapper) else None
+    found = None
+    if isinstance(mapper, PointMapper) and result.iterations is not None:
+        found = gaps(mapper.engine, result.iterations - offset, result.poses[:, :3, 3])
     if found is None:
         return {"gaps": None, "longest_gap": None, "leaps": None}
-    length, which = found.after - found.before, found.leaps
+    which, longest = found.leaps, int(found.missed.max(initial=0))
     steps = np.column_stack([found.before, found.after])[which] + offset
     leaps = {"count": len(which), "steps": steps[:MANY].tolist()}
     leaps["way_m"] = found.way_m[which][:MANY].tolist()
-    longest = int(length.max(initial=0))
-    return {"gaps": int(np.sum(length > BLIND)), "longest_gap": longest, "leaps": leaps}
+    return {"gaps": int(np.sum(found.missed > BLIND)), "longest_gap": longest, "leaps": leaps}
 
 
 def _contradicting(mapper: PointMapper | PlaneMapper, n_observations: int) -> float | None:

@@ -10,14 +10,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from relmap.core.arrays import Floats, Ints
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.association.registering import BLIND
 from relmap.core.refinement.condensing import LENGTH, SegmentRows
 from relmap.core.state.table import NONE
 
 USUAL, LEAP = 0.95, 3.0
-"""Quantile of the steps between connected scans that is the usual one, and multiple of it beyond
-which a step across a gap is a leap."""
+"""Fraction of the way that the robot covers in steps no longer than the usual one, and multiple of
+it beyond which a step across a gap is a leap."""
+
+_BITS = (np.arange(2**LENGTH)[:, None] >> np.arange(LENGTH)) & 1
+LOWEST, HIGHEST = _BITS.argmax(axis=1), LENGTH - 1 - _BITS[:, ::-1].argmax(axis=1)
+"""First and last iteration of a segment in which a landmark is seen, by its bits."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,37 +44,50 @@ class Gaps:
     reach_m: Floats
 
     @property
+    def missed(self) -> Ints:
+        """Number of iterations without a pose in each gap, (g,)."""
+        return self.after - self.before - 1
+
+    @property
     def leaps(self) -> Ints:
         """Rows (l,) of the gaps in which the robot would be much faster than usual."""
         return np.flatnonzero(self.way_m > LEAP * self.reach_m)
 
 
-def gaps_of(rows: SegmentRows, positions_map: Floats, of: Ints, poses: Floats) -> Gaps:
+def gaps_of(
+    rows: SegmentRows, positions_map: Floats, of: Ints, known: Ints, places_map: Floats
+) -> Gaps:
     """Return the gaps of a map across which too few landmarks were tracked to determine a pose.
 
     Also those of more than `BLIND` scans without a pose.
 
     `rows`: of all iterations, by the numbers under which landmarks were seen; `positions_map`
     (m, d), map frame, metres: NaN for unmapped landmarks; `of` (m,): landmark of each number;
-    `poses` (k, 4, 4), metres: NaN where undetermined.
+    `known` (k,): iterations with a pose, ascending; `places_map` (k, 3), metres.
     """
-    d, known = positions_map.shape[1], np.flatnonzero(np.isfinite(poses[:, 0, 0]))
     if len(known) < 2:
         return Gaps(known[:0], known[:0], np.empty(0), np.empty(0))
     before, after = known[:-1], known[1:]
-    way_m = np.linalg.norm(np.diff(poses[known, :d, 3], axis=0), axis=1)
-    row, bit = np.nonzero((rows.visible[:, None] >> np.arange(LENGTH)) & 1)
-    row, scan = rows.landmark[row], rows.first_iteration[rows.segment[row]] + bit
-    first, last = np.full(len(of), len(poses)), np.full(len(of), NONE)
-    np.minimum.at(first, row, scan)
-    np.maximum.at(last, row, scan)
-    mapped = (last != NONE) & np.isfinite(positions_map[of]).all(axis=1)
-    begun, ended = (np.bincount(at[mapped], minlength=len(poses)) for at in (first, last))
-    tracked = np.cumsum(begun - ended)  # across the end of each iteration
-    linked = np.minimum.reduceat(tracked[: known[-1]], before) >= d
-    linked &= after - before <= BLIND  # then tracks may have been continued at another place
-    each_m = way_m / (after - before)
-    usual_m = float(np.quantile(each_m[linked], USUAL)) if linked.any() else np.inf
+    way_m = np.linalg.norm(np.diff(places_map, axis=0), axis=1)
+    mapped = np.isfinite(positions_map[of]).all(axis=1)
+    tracked = _tracked(rows, mapped)
+    linked = np.minimum.reduceat(tracked[: known[-1]], before) >= positions_map.shape[1]
+    linked &= after - before <= BLIND + 1  # then tracks may have been continued at another place
+    each_m = np.sort((way_m / (after - before))[linked])
+    covered = np.searchsorted(np.cumsum(each_m), USUAL * each_m.sum())
+    usual_m = float(each_m[covered]) if len(each_m) else np.inf
     kept = np.flatnonzero(~linked)
     reach_m = np.asarray(usual_m * (after - before)[kept], dtype=np.float64)
     return Gaps(before[kept], after[kept], way_m[kept], reach_m)
+
+
+def _tracked(rows: SegmentRows, mapped: Bools) -> Ints:
+    """Return how many mapped landmarks (m,) are tracked across the end of each iteration (i,)."""
+    n = len(rows.iteration_segment)
+    first, last = np.full(len(mapped), n), np.full(len(mapped), NONE)
+    begin = rows.first_iteration[rows.segment]
+    np.minimum.at(first, rows.landmark, begin + LOWEST[rows.visible])
+    np.maximum.at(last, rows.landmark, begin + HIGHEST[rows.visible])
+    seen = mapped & (last != NONE)
+    begun, ended = (np.bincount(at[seen], minlength=n) for at in (first, last))
+    return np.cumsum(begun - ended)
