@@ -193,7 +193,9 @@ def test_a_leap_that_beams_confirm_is_kept() -> None:
 
 
 @pytest.mark.parametrize(("off_m", "refuted"), [(0.0, False), (0.4, False), (5.0, True)])
-def test_scans_that_follow_each_other_refute_an_alignment(off_m: float, refuted: bool) -> None:
+def test_scans_that_follow_each_other_refute_an_alignment(
+    off_m: float, refuted: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A part that is bent by decimetres is in place; another room is not."""
     mapper = mapped(FAR, NEAR)
     [submap], links = mapper.submaps, registration_of(mapper).links
@@ -212,3 +214,6 @@ def test_scans_that_follow_each_other_refute_an_alignment(off_m: float, refuted:
     tie = WallTie(np.eye(2), np.array([off_m, 0.0]), 10.0)
     assert steps.refute(parts[0], parts[1], tie) == refuted
     assert steps.refute(parts[1], parts[0], tie.inverse()) == refuted
+    scans = replace(links.scans, begun=np.array([LEAP]))  # another log begins anywhere
+    monkeypatch.setattr(type(links), "scans", property(lambda _: scans))
+    assert not ImpliedSteps(halves, mapper.history, links).refute(parts[0], parts[1], tie)

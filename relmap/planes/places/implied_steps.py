@@ -52,7 +52,10 @@ class ImpliedSteps:
         between = np.diff(of_first[known]) & (np.diff(known) <= GAP)
         pairs = zip(known[:-1][between].tolist(), known[1:][between].tolist(), strict=True)
         steps = ((i, j, np.linalg.inv(poses[i]) @ poses[j]) for i, j in pairs)
-        return any(self._is_refuted(i, j, from_matrices(step)) for i, j, step in steps)
+        return any(
+            self._scans.of_one_run(i, j) and self._is_refuted(i, j, from_matrices(step))
+            for i, j, step in steps
+        )
 
     @cached_property
     def _scans(self) -> Scans:

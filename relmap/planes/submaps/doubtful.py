@@ -83,8 +83,8 @@ def undetermined_steps(
         earlier, later = (beams_of(i, history, links.beams) for i in (first, scan))
         if len(earlier) and len(later):
             one_wall = earlier.on_one_wall or later.on_one_wall
-            changes = _changes(step, free[scan], ways), _fitted(scans, first, scan, step, ways)
-            excluded = _excluded(step, np.vstack(changes), earlier, later)
+            rivals = _rivals(scans, (first, scan), step, free[scan], ways)
+            excluded = _excluded(step, rivals, earlier, later)
             weak[scan] = one_wall or excluded < least[scan]
     weak[after[between_logs(links.begun, before, after)]] = False
     return np.flatnonzero(weak)
@@ -131,12 +131,9 @@ def unsupported_links(history: PlaneHistory, links: LinkRecord) -> Ints:
     for k in np.flatnonzero(_unusual(tied, history) & ~np.isinf(links.evidence[tied])).tolist():
         scan, step = int(tied[k]), steps[k]
         earlier, later = (beams_of(i, history, links.beams) for i in (scan - 1, scan))
-        changes = (
-            _changes(step, free[scan], to_usual[k]),
-            _fitted(scans, scan - 1, scan, step, to_usual[k]),
-        )
-        if len(earlier) and len(later) and _excluded(step, np.vstack(changes), earlier, later) < 0:
-            found.append(scan)
+        if len(earlier) and len(later):
+            rivals = _rivals(scans, (scan - 1, scan), step, free[scan], to_usual[k])
+            found += [scan] * (_excluded(step, rivals, earlier, later) < 0)
     return np.array(found, dtype=np.int64)
 
 
@@ -165,8 +162,19 @@ def beams_of(scan: int, history: PlaneHistory, beams: BeamStore) -> Beams:
     return beams.of(scan, history.ends[begin:end])
 
 
+def _rivals(
+    scans: Scans, pair: tuple[int, int], step: Floats, free: Floats, to_usual: Floats
+) -> Floats:
+    """Return the changes (k, 3) of the step (3,) of two scans that beams must exclude.
+
+    `free`, `to_usual`: as for `_changes`.
+    """
+    fitted = _fitted(scans, *pair, step, to_usual)
+    return np.vstack([_changes(step, free, to_usual), fitted])
+
+
 def _changes(step: Floats, free: Floats, to_usual: Floats) -> Floats:
-    """Return the changes (k, 3) of a step (3,) that beams must exclude; its rotation stays.
+    """Return changes (k, 3) of a step (3,), by 0.3 m and to the usual ones; its rotation stays.
 
     `free` (3,): the direction that walls determine least; `to_usual` (2, 2): translations that
     make it the usual step before or after it.
