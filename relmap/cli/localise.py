@@ -38,7 +38,7 @@ ALIKE = (
 )
 
 NEEDED = {
-    "points": "seven landmarks of the map, five in the plane",
+    "points": "at least seven landmarks of the map (five in the plane), and little else",
     "planes": "walls of the map, not all parallel, and little else",
 }
 """What a scan must show to be found."""

@@ -39,8 +39,8 @@ explains at least the second value. So must a leap, unless more planes match tha
 is a box, with something in it, looks much the same after half a turn."""
 BOX = 8
 SHORT, TURN_RAD = 5, np.deg2rad(90.0)
-"""The first value replaces `BOX` for a leap by less than the second and less than the range: in
-narrow rooms a turn by 40 degrees at a door moves points at the range farther than the range."""
+"""The first value replaces `BOX` for a leap that turns by less than the second and moves by less
+than the range: in narrow rooms a turn by 40 degrees at a door moves points farther than that."""
 UNMATCHED = 8.0
 """Tolerance of planes that another placement may explain, as a multiple of the usual one."""
 ARRIVED = 0.05
@@ -99,7 +99,8 @@ def place(
     (3,): pose of the previous scan. Of placements that explain the scan equally well, as in a room
     that looks the same from two sides or beside parallel faces, the closest to where steady motion
     leads is accepted if the others are far. Without `last`, a placement with a rival is not
-    accepted. If the accepted one `is_doubtful`, those are tried that match more planes.
+    accepted. `is_doubtful`: whether to refuse an accepted placement; then those that match more
+    planes, and explain nearly as much, are tried.
     """
     best = _settled_all(seen, there, last, held)
     while best:

@@ -20,7 +20,7 @@ ROUNDS, ROUGHLY = 12, 0.1
 landmarks are joined."""
 SURE, UNUSUAL = 3.0, 2.5
 """Standard deviations within which a step is known, and how many times the median is unusual."""
-UNCONFIRMED = 6
+FEW = 6
 """Number of scans of a submap of a broken run whose steps are too few to be compared."""
 UNSURE = 0.0125
 """Standard deviation of an unsure step, as a fraction of the range."""
@@ -89,7 +89,7 @@ def unsure_steps(part: Submap, is_broken: bool = False) -> dict[int, Floats]:
         usual_m = np.median(sd_m[known]) if known.any() else np.inf
         unsure |= (SURE * sd_m > WEAK * reach_m) & (sd_m > UNUSUAL * usual_m)
         unsure |= sd_m > UNSURE * reach_m
-    unsure |= is_broken and len(part.iteration) <= UNCONFIRMED
+    unsure |= is_broken and len(part.iteration) <= FEW
     rows = np.flatnonzero(unsure).tolist()
     return {part.iteration[k + 1]: directed(axes[k, :, 2]) for k in rows}
 

@@ -156,7 +156,7 @@ def _extend(
 
 
 def _resting(landmark: Ints, chosen: Ints, laid: _Laid) -> Ints:
-    """Return the chosen rows of landmarks whose places show no trend, in at least half their rows.
+    """Return the chosen rows of landmarks that have half of their rows among them, without a trend.
 
     In a map that is still bent, moving landmarks may keep their places as well as mapped ones.
     """

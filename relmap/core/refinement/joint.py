@@ -23,9 +23,8 @@ from relmap.core.refinement.equations import Laid, SegmentProblem, segment_probl
 from relmap.core.refinement.gauss_newton import Solution, settle, settle_again, size_of
 from relmap.core.refinement.residuals import MergeResiduals, SegmentResiduals, residuals_of
 from relmap.core.refinement.rows import JointRows
+from relmap.core.refinement.trend import SURELY
 
-SURELY = 3.0
-"""Standard deviations by which a variance must exceed another to count as larger."""
 CONFIRMED, AGAINST = 3, 0.5
 """Observations of a landmark in a segment that confirm it: wrong ids are seldom repeated; and the
 weight below which they contradict the map."""

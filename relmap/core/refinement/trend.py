@@ -7,7 +7,7 @@ import numpy as np
 from relmap.core.arrays import Bools, Floats, Ints
 
 SURELY = 3.0
-"""Standard deviations by which the steps must be smaller than chance explains."""
+"""Standard deviations by which a variance must differ from another to count as different."""
 
 
 def drifting(landmark: Ints, places: Floats, m: int) -> Bools:

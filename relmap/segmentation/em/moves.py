@@ -2,7 +2,7 @@
 
 EM never changes the number of its components.  Each move is accepted or rejected by the change of
 the likelihood of the relevant points and of the number of parameters (as in BIC), except that
-walls are opaque: two that are flush are always one.
+walls are opaque: two that are flush are one if one hides the other, or they lie side by side.
 """
 
 from __future__ import annotations

@@ -38,9 +38,9 @@ FARTHEST = 1.5, 4.0, 12.0
 Errors of real sensors are correlated over time, so chains drift farther than with independent
 errors.  Rivals are searched for within the next one: a lattice has them farther away."""
 STRAINED, COMPARED = 2.0, 12
-"""Largest strain of a revisit with much drift (see `Drift`), and matches from which it is computed:
-correlated errors hardly exceed the noise of a step; another place that looks the same needs large
-errors of few steps."""
+"""Largest strain of a revisit with much drift (see `Drift.strain`), and number of its matches from
+which it is computed: correlated errors of odometry hardly exceed its noise; to take another place
+for this one, a few steps must have large errors."""
 TOLERANCE = 5.0
 """Largest distance between the landmarks of a match, in standard deviations of an observation."""
 NEIGHBOUR, USUAL = 4, 3.67

@@ -60,14 +60,14 @@ class Drift:
         `unknowns` (k, 2, d): the unknowns of two landmarks each; `off` (k, d), metres: difference
         of their positions, of standard deviation `noise_m`. Returns by how many variances the least
         squares grow for each step of odometry that shares the correction: drift is the sum of small
-        errors of many steps, but to deny a storey a few steps must be very wrong. 0 if noise
-        explains it.
+        errors of many steps, but two storeys can only be one if a few steps are very wrong. 0 if
+        noise explains it.
         """
         problem, columns = self._problem, np.arange(off.size).reshape(off.shape)
         apart = np.zeros((problem.pattern.n_unknowns, off.size))
         apart[unknowns[:, 0], columns] += 1.0
         apart[unknowns[:, 1], columns] -= 1.0
-        spread = problem.pattern.solve(self._factor, apart.copy())
+        spread = problem.pattern.solve(self._factor, apart)
         covariance = apart.T @ spread + noise_m**2 * np.eye(off.size)
         pull = np.linalg.solve(covariance, off.ravel())
         grown = float(off.ravel() @ pull)
