@@ -38,17 +38,18 @@ class Chance:
     def is_exceeded(self, placement: Placement, here: Floats, there: Floats, missed: int) -> bool:
         """Return whether a placement of tracks (n, d) on points (m, d) is better than by chance.
 
-        After failed attempts and nearly empty scans, more matches are required.
+        After failed attempts and nearly empty scans, more matches are required, and as many after
+        little motion as after much: the robot may have moved far meanwhile.
         """
         enough = ENOUGH + max(missed, min(missed + self.idle, PLENTY - ENOUGH))
         far_m = moved_m(placement, here)
         if placement.n_agreeing < enough:
             return False
-        if far_m <= self.scale.spacing_m:
+        if far_m <= self.scale.spacing_m and not missed:
             return self.log(placement.n_agreeing, here, there, far_m) <= LOG_CHANCE_NEAR
         if placement.n_agreeing < FAR_SHARE * min(len(here), len(there)):
             return False
-        doublings = 1 + np.log2(far_m / self.scale.spacing_m)
+        doublings = 1 + np.log2(max(far_m / self.scale.spacing_m, 1.0))
         chance = self.log(placement.n_agreeing, here, there, far_m)
         return bool(chance + np.log(doublings) <= LOG_CHANCE)
 

@@ -69,7 +69,7 @@ def gaps_of(
         return Gaps(known[:0], known[:0], np.empty(0), np.empty(0))
     before, after = known[:-1], known[1:]
     way_m = np.linalg.norm(np.diff(places_map, axis=0), axis=1)
-    mapped = np.isfinite(positions_map[of]).all(axis=1)
+    mapped = np.asarray(np.isfinite(positions_map[of]).all(axis=1))
     tracked = _tracked(rows, mapped)
     linked = np.minimum.reduceat(tracked[: known[-1]], before) >= positions_map.shape[1]
     linked &= after - before <= BLIND + 1  # then tracks may have been continued at another place
