@@ -110,7 +110,7 @@ def plot_sweep(rows: Sequence[SweepRow], along: str) -> Figure:
         axes.set_yscale("log")
         write_in_full(axes.yaxis)
         finish(axes, "", along, PANELS[key])
-    legend_below(figure, 3 if max(map(len, names)) < 25 else 2, *all_axes)
+    legend_below(figure, 3, *all_axes)
     return figure
 
 

@@ -60,12 +60,21 @@ def finish(axes: Axes, title: str, x: str, y: str) -> None:
     axes.set_axisbelow(True)
 
 
-def legend_below(figure: Figure, ncols: int, *panels: Axes) -> Legend:
-    """Add a legend of some panels below all panels of a constrained figure, and return it."""
+def legend_below(figure: Figure, most: int, *panels: Axes) -> tuple[Legend, int]:
+    """Add a legend of some panels below all panels of a constrained figure.
+
+    It has as many columns, up to `most`, as the figure is wide enough for. Returns the legend and
+    its number of rows.
+    """
     shown = [axes.get_legend_handles_labels() for axes in panels]
     named = {label: handle for pair in shown for handle, label in zip(*pair, strict=True)}
-    style: dict[str, Any] = {"ncols": ncols, "frameon": False, "fontsize": 9}
-    return figure.legend(list(named.values()), list(named), loc="outside lower center", **style)
+    style: dict[str, Any] = {"loc": "outside lower center", "frameon": False, "fontsize": 9}
+    for columns in range(most, 0, -1):
+        legend = figure.legend(list(named.values()), list(named), ncols=columns, **style)
+        if columns == 1 or legend.get_window_extent().width <= figure.bbox.width:
+            break
+        legend.remove()
+    return legend, -(-len(named) // columns)
 
 
 def limits_of(places: Floats, way: Floats, rim_m: float = 0.0) -> Limits:
@@ -153,12 +162,10 @@ class Sheet:
         axes = self.views[0][0]
         outside = f" ({self._outside} far outside not shown)" if self._outside else ""
         axes.set_title(title + outside, fontsize=11, parse_math=False)
-        labels = axes.get_legend_handles_labels()[1]
-        if labels:
-            columns = 3 if max(map(len, labels)) < 45 else 2
-            rows = -(-len(labels) // columns)
+        if axes.get_legend_handles_labels()[1]:
+            legend, rows = legend_below(self.figure, 3, axes)
             self.figure.set_figheight(self.figure.get_figheight() + LEGEND_ROW_IN * (rows - 1))
-            for handle in legend_below(self.figure, columns, axes).legend_handles:
+            for handle in legend.legend_handles:
                 if isinstance(handle, PathCollection):
                     handle.set_sizes([24.0])
         # With a fixed aspect the layout is right only from the second drawing on.
