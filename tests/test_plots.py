@@ -70,9 +70,9 @@ def test_everything_is_named_in_the_legend() -> None:
 def test_the_legend_of_a_narrow_picture_is_not_cut_off() -> None:
     tower = np.array([[0.0, 0, 0], [1, 1, 9], [0, 1, 18]])
     sheet = Sheet(tower, tower, planar=False)
-    for name in ("segment with large residuals", "group, from its centre to its members", "end"):
-        for number in range(2):
-            sheet.views[0][0].plot([0, 1], [0, 1], label=f"{name} {number}")
+    names = "group, from its centre to its members|path of the robot|start|end"
+    for name in f"{names}|segment with large residuals|doubtful merge|landmark".split("|"):
+        sheet.views[0][0].plot([0, 1], [0, 1], label=name)
     figure = sheet.finish("tower")
     box = figure.legends[0].get_window_extent()
     assert figure.bbox.x0 <= box.x0 < box.x1 <= figure.bbox.x1
