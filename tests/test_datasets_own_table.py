@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import math
 import sys
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
@@ -70,6 +71,27 @@ def frames(request: pytest.FixtureRequest) -> Any:
 
 def test_frames_are_logs(frames: Any) -> None:
     check(log_of_frame(frames.DataFrame(CELLS), NAMES))
+
+
+@pytest.mark.parametrize(
+    ("header", "columns"),
+    [
+        ("iteration,range,bearing,elevation", {}),
+        ("iteration,r,b,e", {"range": "r", "bearing": "b", "elevation": "e"}),
+    ],
+)
+def test_ranges_and_bearings_are_read(
+    tmp_path: Path, frames: Any, header: str, columns: dict[str, str]
+) -> None:
+    angle = math.radians(30)
+    path = put(tmp_path, f"{header}\n0,2,{angle!r},0\n1,4,0,{-angle!r}\n", "a.csv")
+    cells = dict(zip(header.split(","), ([0, 1], [2, 4], [angle, 0.0], [0.0, -angle]), strict=True))
+    for log in (open_log(path, columns=columns), log_of_frame(frames.DataFrame(cells), columns)):
+        expected = [[math.sqrt(3), 1, 0], [math.sqrt(12), 0, -2]]
+        np.testing.assert_allclose(log.points_robot, expected, atol=1e-15)
+    planar = put(tmp_path, "bearing,iteration,range,id\n3.5,7,2,1\n", "b.csv")
+    expected = [[2 * math.cos(3.5), 2 * math.sin(3.5)]]
+    np.testing.assert_allclose(open_log(planar).points_robot, expected)
 
 
 def test_parquet_is_read(tmp_path: Path) -> None:
@@ -196,6 +218,8 @@ def test_times_of_an_observation_log(tmp_path: Path) -> None:
         (OWN.replace("post", "cone"), NAMES, "line 3, field id: 0 occurs twice in iteration 3"),
         (OWN.replace("post", "p" * 300), NAMES, "expected at most 200 characters"),
         (OWN.partition("\n")[0], NAMES, "holds no row"),
+        ("iteration,range,bearing\n0,2,30\n", {}, "line 2, field bearing: 30 is out of range"),
+        ("i,r,b\n0,2,1\n", {"range": "r", "iteration": "i"}, "no column 'bearing'"),
         (OWN.replace("red", '"red', 1), NAMES, "line 5: unexpected end of data"),
     ],
 )

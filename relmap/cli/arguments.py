@@ -119,7 +119,7 @@ Columns = Annotated[
         metavar="x=PX,y=PY,...",
         parser=columns,
         help="Column names of a table (CSV, Parquet) for iteration, stamp "
-        "(seconds), x, y, z and id; others are ignored.",
+        "(seconds), x, y, z (or range, bearing, elevation) and id; others are ignored.",
     ),
 ]
 

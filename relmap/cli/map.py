@@ -17,10 +17,10 @@ HELP = """Make a map from a log of landmarks or of scans.
 
 INPUT is a file or folder. The simplest is a CSV file with the header iteration,x,y,z or
 iteration,x,y (a planar world) and one row per observation of a landmark: its position in the robot
-frame (x ahead, y left, z up, metres). An optional column id identifies the landmark. If the log has
-odometry, it is used; any log may also have a file odometry.csv beside it, with the header
-iteration,x,y,yaw or iteration,x,y,z,qx,qy,qz,qw: the motion of the robot from the previous
-iteration to this one.
+frame (x ahead, y left, z up, metres). Instead of x,y,z there may be range,bearing,elevation
+(metres, radians). An optional column id identifies the landmark. If the log has odometry, it is
+used; any log may also have a file odometry.csv beside it, with the header iteration,x,y,yaw or
+iteration,x,y,z,qx,qy,qz,qw: the motion of the robot from the previous iteration to this one.
 
 \b
 Formats of INPUT:

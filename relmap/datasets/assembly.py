@@ -32,6 +32,15 @@ def metres_column(name: str, required: bool = True) -> Column:
     return Column(name, -MAX_COORDINATE_M, MAX_COORDINATE_M, "metres", required=required)
 
 
+def from_polar(range_m: Floats, bearing_rad: Floats, elevation_rad: Floats | None = None) -> Floats:
+    """Return points, (n, 2) or with elevations (n, 3), metres; x is ahead, y left, z up."""
+    level = 1.0 if elevation_rad is None else np.cos(elevation_rad)
+    axes = [np.cos(bearing_rad) * level, np.sin(bearing_rad) * level]
+    if elevation_rad is not None:
+        axes.append(np.sin(elevation_rad))
+    return np.asarray(range_m[:, None] * np.column_stack(axes))
+
+
 def id_column(name: str, required: bool = True) -> Column:
     """Return the column of known associations; negative or empty without an id."""
     limit = MAX_EXACT_INTEGER

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
-from relmap.datasets.assembly import MAX_COORDINATE_M
+from relmap.datasets.assembly import MAX_COORDINATE_M, from_polar
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.headers import file_beside
 from relmap.datasets.number_rows import read_rows, warn_unsorted
@@ -92,7 +92,7 @@ def _drive(robot: int, file: Path, subjects: dict[int, int]) -> tuple[Observatio
     same = (np.diff(measured[rows, :2], axis=0) == 0).all(axis=1)
     rows = np.delete(rows, np.flatnonzero(same) + 1)  # duplicate landmark in one image
     t, subject, range_m, bearing_rad = measured[rows].T
-    points = range_m[:, None] * np.column_stack([np.cos(bearing_rad), np.sin(bearing_rad)])
+    points = from_polar(range_m, bearing_rad)
     stamps_s, iteration = np.unique(t, return_inverse=True)
     motion = _odometry(_file(file.parent, robot, "Odometry"), stamps_s)
     log = ObservationLog(points, iteration, rows, 0, len(stamps_s), subject.astype(np.int64))

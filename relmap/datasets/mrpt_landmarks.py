@@ -30,6 +30,7 @@ from relmap.core.sensor import range_bearing_covariances
 from relmap.datasets.assembly import (
     MAX_COORDINATE_M,
     assemble_log,
+    from_polar,
     id_column,
     iteration_column,
     metres_column,
@@ -53,6 +54,7 @@ _MOTION = (
     *(metres_column(f"d{axis}_m") for axis in "xyz"),
     *(Column(f"d{angle}_rad", -1e3, 1e3, "radians") for angle in ("yaw", "pitch", "roll")),
 )
+_SPHERICAL = ("range_m", "yaw_rad", "pitch_rad")
 _HALLMARK = frozenset({"range_m", "yaw_rad"})
 _SENSOR = re.compile(r"sensor on robot: *t = *([^;]*);[^=]*= *(.*)")
 _SIGMAS = re.compile(r"sigma: *range +(\S+) +m, *yaw +(\S+) +rad, *pitch +(\S+) +rad")
@@ -83,7 +85,9 @@ class MrptLandmarks:
         file = only_one(path, tables_with(path, _HALLMARK), "MRPT landmark log", TABLES)
         table = read_table(file, _COLUMNS)
         R_robot_sensor, t_robot_sensor = _sensor_pose(table)
-        points_robot = _points_sensor(table) @ R_robot_sensor.T + t_robot_sensor
+        range_m, yaw, pitch = (table.columns[name] for name in _SPHERICAL)
+        points_sensor = from_polar(range_m, yaw, -pitch)
+        points_robot = points_sensor @ R_robot_sensor.T + t_robot_sensor
         upright = np.array_equal(R_robot_sensor[2], [0.0, 0.0, 1.0])
         sigmas = _sigmas(table)
         planar = upright and sigmas[2] == 0.0 and not table.columns["pitch_rad"].any()
@@ -91,7 +95,7 @@ class MrptLandmarks:
         noise = None
         if all(0 < sigma < math.inf for sigma in sigmas[:d]):
             R = R_robot_sensor[:d, :d]
-            noise = R @ range_bearing_covariances(_points_sensor(table)[:, :d], *sigmas[:d]) @ R.T
+            noise = R @ range_bearing_covariances(points_sensor[:, :d], *sigmas[:d]) @ R.T
         log = assemble_log(table, "step", points_robot[:, :d], table.integers("id"), noise)
         base, n = _LOG.subn("", file.name)
         for odometry in (file.with_name(f"{base}.odometry.csv{end}") for end in ("", ".gz")):
@@ -110,14 +114,6 @@ def _odometry(file: Path, log: ObservationLog) -> Floats:
     there = (index >= 0) & (index < len(log))
     odometry[index[there]] = poses_of(Rotation.from_euler("ZYX", turns), t)[there]
     return odometry
-
-
-def _points_sensor(table: Table) -> Floats:
-    """Return the points, (n, 3), sensor frame, metres."""
-    yaw, pitch = table.columns["yaw_rad"], table.columns["pitch_rad"]
-    ahead, left = np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch)
-    directions = np.column_stack([ahead, left, -np.sin(pitch)])
-    return np.asarray(table.columns["range_m"][:, None] * directions)
 
 
 def _sensor_pose(table: Table) -> tuple[Floats, Floats]:

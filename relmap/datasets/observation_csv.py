@@ -3,13 +3,16 @@
 Header ``iteration,x,y[,z][,id][,stamp]`` in any order, rows in any order; robot frame, metres;
 ``id`` is a known association, negative or empty if there is none; ``stamp`` is the time of the
 iteration, seconds. Without ``z`` the world is planar. Columns are separated by commas, semicolons
-or tabs; cells may be in double quotes. ``cxx,cxy,cyy``, and with ``z`` also ``cxz,cyz,czz``, are
-the covariance of the position, robot frame, square metres: all of them or none.
+or tabs; cells may be in double quotes. Instead of ``x,y,z`` there may be
+``range,bearing[,elevation]``, metres and radians, positive to the left and upwards.
+``cxx,cxy,cyy``, and with ``z`` also ``cxz,cyz,czz``, are the covariance of the position, robot
+frame, square metres: all of them or none.
 """
 
 from __future__ import annotations
 
 import gzip
+import math
 import os
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
@@ -24,6 +27,7 @@ from relmap.core.scan import checked_covariances
 from relmap.datasets.assembly import (
     MAX_COORDINATE_M,
     assemble_log,
+    from_polar,
     id_column,
     iteration_column,
     metres_column,
@@ -38,22 +42,36 @@ FILE_NAMES = ("observations.csv", "observations.csv.gz")
 """The log's name in a folder."""
 
 _PAIRS = ("xx", "xy", "yy", "xz", "yz", "zz")
+_LABELS = (
+    id_column("id", required=False),
+    Column("stamp", -1e12, 1e12, "seconds", required=False),
+)
 COLUMNS = (
     iteration_column("iteration"),
     metres_column("x"),
     metres_column("y"),
     metres_column("z", required=False),
-    id_column("id", required=False),
-    Column("stamp", -1e12, 1e12, "seconds", required=False),
+    *_LABELS,
     *(Column(f"c{pair}", -1e18, 1e18, "square metres", required=False) for pair in _PAIRS),
 )
 """Columns of an observation log."""
+POLAR_COLUMNS = (
+    iteration_column("iteration"),
+    Column("range", 0.0, MAX_COORDINATE_M, "metres"),
+    Column("bearing", -math.tau, math.tau, "radians"),
+    Column("elevation", -math.pi / 2, math.pi / 2, "radians", required=False),
+    *_LABELS,
+)
+"""The same with ranges and bearings."""
+
+POLAR = ("range", "bearing", "elevation")
 
 _GZIP_LEVEL = 4
 _ROWS_AT_ONCE = 50_000
 
 OTHER_NAMES = (
-    "for columns of other names, --columns iteration=...,x=...,y=... (stamp=... for times)"
+    "for columns of other names, --columns iteration=...,x=...,y=... (stamp=... for times; "
+    "range=...,bearing=... instead of x, y)"
 )
 """Advice for a table with another header."""
 
@@ -80,13 +98,22 @@ class ObservationCsv:
     def load(self, path: Path) -> ObservationLog:
         """Read the log."""
         file = only_one(path, _members(path), "observation log", " or ".join(FILE_NAMES))
-        return log_of_table(read_table(file, COLUMNS, "; " + OTHER_NAMES))
+        is_polar = {"range", "bearing"} <= columns_of(file)
+        columns = POLAR_COLUMNS if is_polar else COLUMNS
+        return log_of_table(read_table(file, columns, "; " + OTHER_NAMES))
 
 
 def log_of_table(table: Table) -> ObservationLog:
-    """Return the log in a table with some of `COLUMNS`; RelmapError as for `assemble_log`."""
+    """Return the log in a table with some of `COLUMNS` or `POLAR_COLUMNS`.
+
+    RelmapError as for `assemble_log`.
+    """
     ids = table.integers("id") if "id" in table.columns else None
-    points = np.column_stack([table.columns[axis] for axis in "xyz" if axis in table.columns])
+    if "range" in table.columns:
+        polar = [table.columns[name] for name in POLAR if name in table.columns]
+        points = from_polar(*polar)
+    else:
+        points = np.column_stack([table.columns[axis] for axis in "xyz" if axis in table.columns])
     log = assemble_log(table, "iteration", points, ids, _covariances_of(table, points))
     return with_stamps(table, log) if "stamp" in table.columns else log
 

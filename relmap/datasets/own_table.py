@@ -24,14 +24,19 @@ from relmap.datasets.base import ObservationLog
 from relmap.datasets.foreign import PARQUET, foreign_at
 from relmap.datasets.headers import read_head
 from relmap.datasets.number_rows import parse_number, too_many
-from relmap.datasets.observation_csv import COLUMNS, log_of_table
+from relmap.datasets.observation_csv import (
+    COLUMNS,
+    POLAR,
+    POLAR_COLUMNS,
+    log_of_table,
+)
 from relmap.datasets.table import MAX_EXACT_INTEGER, MAX_NUMBERS, Column, checked_table
 from relmap.datasets.textfile import invalid, listed, open_text, quoted, require_utf8, shown, warn
 
 MAX_NAME = 200
 """Maximum number of characters of a text id."""
 
-BY_NAME = {column.name: column for column in COLUMNS}
+BY_NAME = {column.name: column for column in (*COLUMNS, *POLAR_COLUMNS)}
 
 
 @dataclass(frozen=True)
@@ -115,7 +120,8 @@ def log_of_frame(frame: Any, columns: Mapping[str, str] | None = None) -> Observ
         One row per observation.
     columns : mapping of str to str, optional
         Column names of ``iteration``, ``stamp`` (seconds, or a time), ``x``, ``y``, ``z`` (robot
-        frame, metres) and ``id``, if different. Iteration or stamp, z and id may be missing.
+        frame, metres) or ``range``, ``bearing``, ``elevation`` (metres, radians), and ``id``, if
+        different. Iteration or stamp, z or elevation, and id may be missing.
 
     Returns
     -------
@@ -208,7 +214,10 @@ def _chosen(path: Path, there: list[str], columns: Mapping[str, str]) -> dict[st
     """Return the names of the used columns in the table."""
     names = {ours: columns.get(ours, ours) for ours in BY_NAME}
     wanted = {ours: theirs for ours, theirs in names.items() if theirs in there}
-    needed = {"x", "y", *columns}
+    is_polar = "range" in columns or ("range" in wanted and "x" not in wanted)
+    for other in "xyz" if is_polar else POLAR:
+        wanted.pop(other, None)
+    needed = {*(("range", "bearing") if is_polar else ("x", "y")), *columns}
     if not wanted.keys() & {"iteration", "stamp"}:
         needed.add("iteration")
     missing = [quoted(names[ours]) for ours in (*columns, *names) if ours in needed - wanted.keys()]

@@ -25,7 +25,7 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.sensor import range_bearing_covariances
-from relmap.datasets.assembly import assemble_log, id_column, metres_column
+from relmap.datasets.assembly import assemble_log, from_polar, id_column, metres_column
 from relmap.datasets.base import MAX_ITERATION, ObservationLog
 from relmap.datasets.foreign import MATLAB, foreign_at
 from relmap.datasets.headers import file_beside, file_in
@@ -80,7 +80,7 @@ class SlsjfSimulation:
         table = _with_positive_ranges(table)
         table.columns["step"] -= 1
         range_m, bearing_rad = table.columns["range_m"], table.columns["bearing_rad"]
-        points = range_m[:, None] * np.column_stack([np.cos(bearing_rad), np.sin(bearing_rad)])
+        points = from_polar(range_m, bearing_rad)
         sigmas = _sigmas(file.with_name(PARAMETERS_FILE))
         noise = range_bearing_covariances(points, *sigmas) if sigmas else None
         log = assemble_log(table, "step", points, table.integers("id"), noise)
