@@ -1,13 +1,13 @@
-"""Stops every verb that writes at each of its system calls that change files; see test_stopped.py.
+"""Stops every verb that writes at each of its calls that change files; see test_stopped.py.
 
     python -m tests.stopping [--every N] [--full N] [VERB ...]
 
-From the files as they are before a call, which are those that a kill leaves, the same command or
-`relmap resume` must end with the bytes of a run that was not stopped; only numbers that differ
-between such runs may differ.  Before that no file is cut, and no old one is beside a new one.  With
-``--full`` calls fail as well, with each later one that needs space on the disk: that must make no
-difference, or end in one line and code 2, with the old files as they were.  Both take every Nth
-call, or none for 0.
+From the files that a kill at a call leaves, the same command or `relmap resume` must end with the
+bytes of a run that was not stopped; only numbers that differ between such runs may differ.  Before
+that no file is cut, and no old one is beside a new one.  With ``--full`` calls that need space on
+the disk fail as well, and all later ones: that must make no difference, or end in one line and
+code 2, with the old files as they were.  Both take every Nth call, or none for 0.  The calls are
+those that Python reports to audit hooks; `tests.killing` stops runs amid what SQLite writes.
 """
 
 from __future__ import annotations
@@ -20,20 +20,25 @@ import shutil
 import sys
 import tempfile
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from relmap.cli import console, main
 from tests.commands import unrendered
 from tests.journals import end_after
-from tests.tracing import SPACE, traced
 
 NUMBERS = re.compile(rb"([0-9a-f]{64}|-?\d+(?:\.\d+)?(?:e[-+]?\d+)?|null)")
 JOURNAL, DAMAGED, SUMMARY = Path("j"), Path("j.damaged"), "out/summary.json"
 OTHER_LINES = re.compile("relmap: (compiling|mapping|[0-9]+ of)|.*(is skipped|borne out)")
 """Lines on the standard error that are not errors."""
 FINE = re.compile("^(old|new|in part), then new|^no error, new|^one line, old")
+SPACE = {"open", "os.mkdir", "os.link", "os.symlink", "sqlite3.connect"}
+"""Calls that fail on a full disk."""
+CALLS = SPACE | {"os.remove", "os.rename", "os.rmdir", "os.truncate", "os.chmod", "os.utime"}
+KILLED = 137
 Files = dict[str, bytes]
 
 INPUTS = {
@@ -115,6 +120,56 @@ def files_in(folder: Path) -> Files:
     return {name: path.read_bytes() for name, path in names.items() if not hidden.match(name)}
 
 
+@dataclass(frozen=True)
+class Stopped:
+    """Exit code, names of the calls, and standard error."""
+
+    code: int
+    calls: list[str]
+    said: str
+
+
+def stopped(work: Callable[[], int], at: int = 0, full: bool = False) -> Stopped:
+    """Run a function that returns an exit code, in a fork that is killed before a call.
+
+    With a full disk it fails instead, and so does each later one that needs space.
+    """
+    sys.stdout.flush()
+    with tempfile.TemporaryFile() as calls, tempfile.TemporaryFile() as said:
+        child = os.fork()
+        if child == 0:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+            os.dup2(said.fileno(), 2)
+            code = 99
+            try:
+                _stop_at(calls.fileno(), at, full)
+                code = work()
+            finally:
+                os._exit(code)
+        code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+        calls.seek(0)
+        said.seek(0)
+        return Stopped(code, calls.read().decode().split(), said.read().decode())
+
+
+def _stop_at(calls: int, at: int, full: bool) -> None:
+    """Have this process note its calls in a file, and stop or fail at one."""
+    number = 0
+
+    def hook(name: str, given: tuple[Any, ...]) -> None:
+        nonlocal number
+        if name not in CALLS or (name == "open" and not given[2] & (os.O_ACCMODE | os.O_CREAT)):
+            return
+        number += 1
+        os.write(calls, f"{name}\n".encode())
+        if number == at and not full:
+            os._exit(KILLED)
+        if 0 < at <= number and name in SPACE:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    sys.addaudithook(hook)
+
+
 class Attack:
     """A command that is stopped."""
 
@@ -130,7 +185,7 @@ class Attack:
         for number in range(4):  # the first one here, so that nothing is left to load and compile
             begin_from(root, "begin")
             if number:
-                self.calls = list(enumerate(traced(partial(done, lines[-1])).calls, 1))
+                self.calls = list(enumerate(stopped(partial(done, lines[-1])).calls, 1))
             else:
                 done(lines[-1])
             runs.append(files_in(root / "run"))
@@ -161,42 +216,19 @@ class Attack:
         unread = SUMMARY in self._whole and SUMMARY not in now
         return "OLD BESIDE NEW" if new - old and old - new and not unread else "in part"
 
-    def kept(self) -> list[tuple[int, str]]:
-        """Keep the files before each call at which they are others; return these calls."""
-        begin_from(self._root, "begin")
-        shutil.rmtree(self._root / "kept", ignore_errors=True)
-        found, last = list[tuple[int, str]](), list[object]()
-
-        def keep(number: int, name: str) -> int:
-            states = [(path, path.lstat()) for path in sorted(Path().rglob("*"))]
-            now = [(path, s.st_ino, s.st_size, s.st_mtime_ns) for path, s in states]
-            if now != last:
-                shutil.copytree(".", self._root / "kept" / str(number))
-                found.append((number, name))
-                last[:] = now
-            return 0
-
-        traced(partial(done, self._command), keep)
-        return found
-
     def killed(self, at: int) -> str:
-        """Continue from the files before a call; return what was seen then and at the end."""
-        begin_from(self._root, f"kept/{at}")
+        """Continue from what a kill at a call leaves; return what was seen then and at the end."""
+        begin_from(self._root, "begin")
+        stopped(partial(done, self._command), at)
         left = self._seen()
         resumed = JOURNAL.exists() and ("--journal" in self._command or DAMAGED.exists())
-        run = traced(partial(done, "resume j" if resumed else self._command))
+        run = stopped(partial(done, "resume j" if resumed else self._command))
         return f"{left}, then {f'CODE {run.code}: {run.said}' if run.code else self._seen()}"
 
     def failed(self, at: int) -> str:
         """Let a call fail; return what was said and seen."""
-
-        def fail(number: int, name: str) -> int:
-            if name in SPACE.values():
-                return errno.ENOSPC if number >= at else 0
-            return errno.EIO if number == at else 0
-
         begin_from(self._root, "begin")
-        run = traced(partial(done, self._command), fail)
+        run = stopped(partial(done, self._command), at, full=True)
         said = [line for line in run.said.splitlines() if not OTHER_LINES.match(line)]
         if run.code == 0:
             return f"no error, {self._seen()} {said or ''}"
@@ -218,7 +250,7 @@ def prepare(folder: Path, names: Iterable[str]) -> None:
 
 @unrendered()
 def main_() -> int:
-    parser = argparse.ArgumentParser(description="Stop every verb at its system calls.")
+    parser = argparse.ArgumentParser(description="Stop every verb at its calls that change files.")
     parser.add_argument("--every", type=int, default=1, metavar="N")
     parser.add_argument("--full", type=int, default=0, metavar="N", help="let calls fail, too")
     parser.add_argument("--root", type=Path, help="folder to work in, with the inputs of before")
@@ -231,9 +263,10 @@ def main_() -> int:
     prepare(root / "inputs", names)
     for name in names:
         attack, found = Attack(root, VERBS[name]), defaultdict[str, list[str]](list)
-        for at, call in attack.kept()[:: arguments.every] if arguments.every else ():
+        spacious = [(at, call) for at, call in attack.calls if call in SPACE]
+        for at, call in attack.calls[:: arguments.every] if arguments.every else ():
             found[attack.killed(at)].append(f"{at} {call}")
-        for at, call in attack.calls[:: arguments.full] if arguments.full else ():
+        for at, call in spacious[:: arguments.full] if arguments.full else ():
             found[attack.failed(at)].append(f"{at} {call}")
         print(f"{name}: {len(attack.calls)} calls", flush=True)
         for what, where in found.items():

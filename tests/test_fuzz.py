@@ -21,8 +21,9 @@ from relmap.core.errors import RelmapError
 from relmap.datasets import cloud_file, matfile, open_scans, scans_npz, table, textfile
 from relmap.datasets.matfile import read_matrix
 from relmap.io.tables import read_table
-from tests.damage import npz_made_to_harm, packed_rows
+from tests.damage import made_to_harm, npz_made_to_harm, packed_rows
 from tests.fuzz import fuzz, problem_with
+from tests.fuzz import put as put_all
 from tests.hostile import mat, readers, scans
 from tests.logs import failure, put
 from tests.scanlogs import CLOUD, CORRECTED, pcd
@@ -54,13 +55,20 @@ def test_damaged_files_are_read_or_refused(name: str, tmp_path: Path, quiet: Non
 @given(data=st.binary(max_size=300))
 def test_any_bytes_are_read_or_refused(name: str, folder: Path, data: bytes) -> None:
     reader = READERS[name]
-    for file, content in reader.files.items():
-        (folder / file).parent.mkdir(exist_ok=True)
-        (folder / file).write_bytes(content)
-    (folder / reader.damaged).write_bytes(data)
+    put_all(folder, reader.files | {reader.damaged: data})
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         assert problem_with(reader, folder) is None
+
+
+def test_files_made_to_harm_are_refused_without_memory(tmp_path: Path, quiet: None) -> None:
+    for name, files in made_to_harm(tmp_path / "canary").items():
+        reader, folder = READERS[name], tmp_path / name.replace("/", "-")
+        folder.mkdir()
+        for kind, data in files.items():
+            put_all(folder, reader.files | {reader.damaged: data})
+            assert problem_with(reader, folder) is None, (name, kind)
+    assert not (tmp_path / "canary").exists()
 
 
 @pytest.mark.parametrize("kind", ["objects", "pickle", "billions"])
