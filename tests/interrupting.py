@@ -2,17 +2,17 @@
 
     python -m tests.interrupting [--every N] [KIND ...]
 
-At every N-th bytecode of relmap in an update the process forks, and the child is interrupted there.
-Its mapper must report that, or continue to the same map as if nothing had happened.
+At every N-th bytecode of relmap in an update a fork of the process is interrupted.  Its mapper must
+report that, or continue to the same map as if nothing had happened.
 """
 
 from __future__ import annotations
 
 import argparse
+import gc
 import inspect
 import os
 import sys
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from types import FrameType
@@ -97,60 +97,56 @@ def outcome(mapper: Any, kind: Kind, begun: int, whole: bytes) -> int:
         return FAILED
 
 
-class Forker:
-    """Forks at every so many bytecodes of relmap; `child` is true in what was forked."""
+def interrupted(work: Callable[[], object], at: int = -1) -> int:
+    """Do something, with Ctrl-C at some bytecode of relmap; return how many it has, up to there."""
+    count = 0
 
-    def __init__(self, every: int) -> None:
-        self.every, self.count, self.child = every, 0, False
-        self.outcomes: Counter[int] = Counter()
-        self.at: list[str] = []
-
-    def step(self, frame: FrameType, event: str, argument: object) -> Any:
+    def step(frame: FrameType, event: str, argument: object) -> Any:
+        nonlocal count
         if "relmap" not in frame.f_globals.get("__name__", ""):
             return None
         frame.f_trace_opcodes = True
-        if event == "opcode" and not self.child:
-            self.count += 1
-            if self.count % self.every == 0:
-                self._fork(frame)
-        return self.step
+        if event == "opcode":
+            count += 1
+            if count == at:
+                raise KeyboardInterrupt
+        return step
 
-    def _fork(self, frame: FrameType) -> None:
-        child = os.fork()
-        if child == 0:
-            self.child = True
-            raise KeyboardInterrupt
-        status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-        found = status if status in range(FAILED) else FAILED
-        self.outcomes[found] += 1
-        if found in (OTHER, FAILED):
-            self.at.append(f"{frame.f_code.co_filename}:{frame.f_lineno}")
-
-
-def attacked(kind: Kind, every: int) -> Forker:
-    """Interrupt one update of a mapper at every so many bytecodes."""
-    whole_mapper, mapper = kind.make(), kind.make()
-    begun = mapper.n_iterations
-    for scan in kind.scans:
-        whole_mapper.update(**scan)
-    whole = told(whole_mapper)
-    k = len(kind.scans) - LAST
-    for scan in kind.scans[:k]:
-        mapper.update(**scan)
-    forker = Forker(every)
+    before = sys.gettrace()
     frame = inspect.currentframe()
     assert frame is not None
     frame.f_trace_opcodes = True  # without it Python 3.12 traces none
-    sys.settrace(forker.step)
+    gc.disable()  # an interrupt while earlier mappers are deleted would be lost
+    sys.settrace(step)
     try:
-        mapper.update(**kind.scans[k])
+        work()
     except KeyboardInterrupt:
         pass
     finally:
-        sys.settrace(None)
-    if forker.child:
-        os._exit(outcome(mapper, kind, begun, whole))
-    return forker
+        sys.settrace(before)
+        gc.enable()
+    return count
+
+
+def attacked(kind: Kind, every: int) -> dict[int, list[int]]:
+    """Interrupt one update of a mapper at every so many bytecodes; return these by outcome."""
+    whole_mapper, mapper = kind.make(), kind.make()
+    begun, k = mapper.n_iterations, len(kind.scans) - LAST
+    for scan in kind.scans[:k]:
+        whole_mapper.update(**scan)
+        mapper.update(**scan)
+    length = interrupted(lambda: whole_mapper.update(**kind.scans[k]))
+    for scan in kind.scans[k + 1 :]:
+        whole_mapper.update(**scan)
+    whole, found = told(whole_mapper), dict[int, list[int]]()
+    for at in range(every, length, every):
+        child = os.fork()
+        if child == 0:
+            interrupted(lambda: mapper.update(**kind.scans[k]), at)
+            os._exit(outcome(mapper, kind, begun, whole))
+        status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+        found.setdefault(status if status in range(FAILED) else FAILED, []).append(at)
+    return found
 
 
 def main() -> int:
@@ -161,10 +157,11 @@ def main() -> int:
     arguments = parser.parse_args()
     bad = 0
     for name in arguments.kinds or known:
-        forker = attacked(known[name], arguments.every)
-        counts = {OUTCOMES[k]: n for k, n in sorted(forker.outcomes.items())}
-        print(f"{name}: {forker.count} bytecodes, {counts}", *sorted(set(forker.at)), flush=True)
-        bad += forker.outcomes[OTHER] + forker.outcomes[FAILED]
+        found = attacked(known[name], arguments.every)
+        counts = {OUTCOMES[k]: len(at) for k, at in sorted(found.items())}
+        wrong = found.get(OTHER, []) + found.get(FAILED, [])
+        print(f"{name}: {counts}", *wrong, flush=True)
+        bad += len(wrong)
     return int(bad > 0)
 
 

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import copy
-import gc
 import importlib
-import inspect
 import operator
 import sys
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import numpy as np
@@ -21,6 +18,7 @@ from relmap import MapperConfig, Plane3dMapper, PlaneMapper, PointMapper, Relmap
 from relmap.io.journal import writing
 from relmap.simulation import simulate_building
 from tests.commands import run_process
+from tests.interrupting import interrupted
 from tests.worlds import walk
 
 AnyMapper = PointMapper | PlaneMapper
@@ -54,37 +52,6 @@ def is_whole(mapper: AnyMapper) -> bool:
     return True
 
 
-def interrupted(work: Callable[[], object], at: int) -> int:
-    """Do something, with Ctrl-C at some bytecode of relmap; return how many it has, up to there."""
-    count = 0
-
-    def step(frame: FrameType, event: str, argument: object) -> Any:
-        nonlocal count
-        if "relmap" not in frame.f_globals.get("__name__", ""):
-            return None
-        frame.f_trace_opcodes = True
-        if event == "opcode":
-            count += 1
-            if count == at:
-                raise KeyboardInterrupt
-        return step
-
-    before = sys.gettrace()
-    frame = inspect.currentframe()
-    assert frame is not None
-    frame.f_trace_opcodes = True  # without it Python 3.12 traces none
-    gc.disable()  # an interrupt while earlier mappers are deleted would be lost
-    sys.settrace(step)
-    try:
-        work()
-    except KeyboardInterrupt:
-        pass
-    finally:
-        sys.settrace(before)
-        gc.enable()
-    return count
-
-
 @pytest.mark.parametrize(("kind", "scans"), KINDS)
 def test_an_interrupted_update_is_undone_or_complete_or_reported(
     kind: Kind, scans: Sequence[Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -92,7 +59,7 @@ def test_an_interrupted_update_is_undone_or_complete_or_reported(
     monkeypatch.setattr(writing, "INTERVAL_S", 0.0)
     whole, k = told(go_on(kind(), scans)), len(scans) - 8
     twin = go_on(kind(journal=tmp_path / "twin"), scans[:k])
-    length = interrupted(lambda: twin.update(scans[k]), -1)
+    length = interrupted(lambda: twin.update(scans[k]))
     was_told = False
     for trial, at in enumerate(np.linspace(1, 1.1 * length, 8).astype(int).tolist()):
         path = tmp_path / f"{trial}.journal"
@@ -149,7 +116,7 @@ def test_interrupted_updates_are_reported_but_refused_ones_are_not(
 
 
 def test_a_flush_that_is_interrupted_loses_nothing(tmp_path: Path) -> None:
-    length = interrupted(go_on(PointMapper(journal=tmp_path / "x"), POINTS[:4]).flush, -1)
+    length = interrupted(go_on(PointMapper(journal=tmp_path / "x"), POINTS[:4]).flush)
     for at in range(length // 2, length, length // 25):
         path = tmp_path / f"{at}.journal"
         mapper = go_on(PointMapper(journal=path), POINTS[:4])
