@@ -6,13 +6,16 @@ Each has the value of a new row and the rule applied when a landmark is merged i
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import DTypeLike
 
+from relmap.core.arrays import Bools, Floats, Ints
+
 NEVER = -(2**62)
 """Last iteration of a landmark that was never seen."""
+
 NONE = -1
 """Value for a landmark without group, submap, moving bin or cell."""
 
@@ -22,58 +25,81 @@ Merge = Literal["old", "new", "least", "most", "sum"]
 class Column(NamedTuple):
     """Description of a column.
 
-    `dtype`: numpy dtype; `fill`, scalar: value of a new row; `merged`: value of the older landmark
-    after a merge: its own, the new one's, or the minimum, maximum or sum of both; `vector`: whether
-    a row has one value for each coordinate.
+    `fill`, scalar: value of a new row; `merged`: value of the older landmark after a merge: its
+    own, the new one's, or the minimum, maximum or sum of both; `vector`: whether a row has one
+    value for each coordinate; `dtype`: numpy dtype, that of the annotation.
     """
 
-    dtype: DTypeLike
     fill: Any
     merged: Merge = "new"
     vector: bool = False
+    dtype: DTypeLike = None
+
+
+class Columns:
+    """The columns: (n,), or (n, d) where a row has one value for each coordinate."""
+
+    landmark_of: Annotated[Ints, Column(NONE, "old")]
+    """The landmark that each row represents: itself, unless it was merged into an older one."""
+    track_begin: Annotated[Ints, Column(0, "old")]
+    track_end: Annotated[Ints, Column(NEVER, "old")]
+    track_observations: Annotated[Ints, Column(0, "old")]
+    """First and last iteration in which it was seen under its own number, merged or not, and the
+    number of observations."""
+    first: Annotated[Ints, Column(0, "least")]
+    last: Annotated[Ints, Column(NEVER, "most")]
+    """Iterations in which a landmark was first, in a new row now, and last seen; `NEVER`."""
+    since: Annotated[Ints, Column(0, "old")]
+    """First iteration since the last merge."""
+    observations: Annotated[Ints, Column(0, "sum")]
+    begin: Annotated[Ints, Column(0)]
+    in_interval: Annotated[Ints, Column(0)]
+    """First iteration of the current interval, and number of observations in it."""
+    is_gone: Annotated[Bools, Column(False)]
+    """Whether it has left the view and waits for its last group."""
+    level: Annotated[Ints, Column(0)]
+    highest_level: Annotated[Ints, Column(0, "most")]
+    """Grouping level, 0 to 3, reached in the current interval, and in any."""
+    averaged: Annotated[Ints, Column(0)]
+    """Observations of the current interval averaged into the position."""
+    group: Annotated[Ints, Column(NONE)]
+    """Group that provides the position in the current interval, or `NONE`."""
+    dynamic: Annotated[Bools, Column(False)]
+    restless: Annotated[Bools, Column(False)]
+    """Whether it is dynamic, and whether it moved in the last test."""
+    strikes: Annotated[Ints, Column(0)]
+    struck_until: Annotated[Ints, Column(-1)]
+    moved_until: Annotated[Ints, Column(0)]
+    tested_until: Annotated[Ints, Column(0)]
+    """Number of consecutive groups that saw it move; and the last iterations of these groups, of
+    any motion, and of any test."""
+    moving_bin: Annotated[Ints, Column(NONE)]
+    """Bin of a dynamic landmark that moves together with others, or `NONE`."""
+    position: Annotated[Floats, Column(np.nan, "old", vector=True)]
+    """Frame of the submap, metres; NaN if unmapped. `merge` averages positions."""
+    weight: Annotated[Floats, Column(0.0, "old")]
+    """Iterations averaged into the position; 0 if unmapped."""
+    settled_position: Annotated[Floats, Column(0.0, "old", vector=True)]
+    settled_weight: Annotated[Floats, Column(0.0, "old")]
+    """The same for completed intervals."""
+    submap: Annotated[Ints, Column(NONE, "old")]
+    asked_level: Annotated[Ints, Column(0)]
+    """Level at which it was last compared with older landmarks."""
+    cell: Annotated[Ints, Column(NONE, "old")]
+    next_in_cell: Annotated[Ints, Column(NONE, "old")]
+    """Place in the spatial index."""
+    last_segment: Annotated[Ints, Column(NONE, "old")]
+    """Condensed segment that saw it last, or `NONE`."""
+
+
+def _described(hint: Any) -> Column:
+    array, column = get_args(hint)
+    found: Column = column._replace(dtype=get_args(get_args(array)[1])[0])
+    return found
 
 
 COLUMNS = {
-    # identity: a new row is a separate landmark
-    "landmark_of": Column(np.int64, NONE, "old"),
-    # first and last iteration seen under its own number, and observation count
-    "track_begin": Column(np.int64, 0, "old"),
-    "track_end": Column(np.int64, NEVER, "old"),
-    "track_observations": Column(np.int64, 0, "old"),
-    # observations; `first` and `since` of a new row are the current iteration
-    "first": Column(np.int64, 0, "least"),
-    "last": Column(np.int64, NEVER, "most"),
-    "since": Column(np.int64, 0, "old"),
-    "observations": Column(np.int64, 0, "sum"),
-    # the current interval, in which the landmark is in view
-    "begin": Column(np.int64, 0, "new"),
-    "in_interval": Column(np.int64, 0, "new"),
-    "is_gone": Column(np.bool_, False, "new"),
-    # the group that provides its position
-    "level": Column(np.int64, 0, "new"),
-    "highest_level": Column(np.int64, 0, "most"),
-    "averaged": Column(np.int64, 0, "new"),
-    "group": Column(np.int64, NONE, "new"),
-    # motion
-    "dynamic": Column(np.bool_, False, "new"),
-    "restless": Column(np.bool_, False, "new"),
-    "strikes": Column(np.int64, 0, "new"),
-    "struck_until": Column(np.int64, -1, "new"),
-    "moved_until": Column(np.int64, 0, "new"),
-    "tested_until": Column(np.int64, 0, "new"),
-    "moving_bin": Column(np.int64, NONE, "new"),
-    # the map; `merge` averages the positions
-    "position": Column(np.float64, np.nan, "old", vector=True),
-    "weight": Column(np.float64, 0.0, "old"),
-    "settled_position": Column(np.float64, 0.0, "old", vector=True),
-    "settled_weight": Column(np.float64, 0.0, "old"),
-    "submap": Column(np.int64, NONE, "old"),
-    # re-observation: last comparison with older landmarks, and spatial index
-    "asked_level": Column(np.int64, 0, "new"),
-    "cell": Column(np.int64, NONE, "old"),
-    "next_in_cell": Column(np.int64, NONE, "old"),
-    # the condensed segment that saw it last
-    "last_segment": Column(np.int64, NONE, "old"),
+    name: _described(hint) for name, hint in get_type_hints(Columns, include_extras=True).items()
 }
 
 MERGED: dict[str, Callable[[Any, Any], Any]] = {

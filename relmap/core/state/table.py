@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.core.state.columns import COLUMNS, MERGED, NONE
+from relmap.core.state.columns import COLUMNS, MERGED, NONE, Columns
 
 __all__ = ["NONE", "LandmarkState"]
 
@@ -23,91 +23,12 @@ AHEAD = 64
 """Rows initialised at a time."""
 
 
-class LandmarkState:
+class LandmarkState(Columns):
     """One row per landmark, in order of first observation.
 
     Row `k` keeps the number `k`. A landmark merged into an older one continues in that one's row,
     given by `landmark_of`.
-
-    Attributes
-    ----------
-    landmark_of : (n,) int64
-        The landmark that each row represents: itself, unless it was merged into an older one.
-    track_begin, track_end, track_observations : (n,) int64
-        First and last iteration in which it was seen under its own number, merged or not, and the
-        number of observations.
-    first, last : (n,) int64
-        Iterations in which a landmark was first and last seen; `NEVER`.
-    since : (n,) int64
-        First iteration since the last merge.
-    observations : (n,) int64
-        Number of observations.
-    begin, in_interval : (n,) int64
-        First iteration of the current interval, and number of observations in it.
-    is_gone : (n,) bool
-        Whether it has left the view and waits for its last group.
-    level, highest_level : (n,) int64
-        Grouping level, 0 to 3, reached in the current interval, and in any.
-    averaged : (n,) int64
-        Observations of the current interval averaged into the position.
-    group : (n,) int64
-        Group that provides the position in the current interval, or `NONE`.
-    dynamic : (n,) bool
-        Whether it is dynamic.
-    restless : (n,) bool
-        Whether it moved in the last test.
-    strikes, struck_until, moved_until, tested_until : (n,) int64
-        Number of consecutive groups that saw it move; and the last iterations of these groups, of
-        any motion, and of any test.
-    moving_bin : (n,) int64
-        Bin of a dynamic landmark that moves together with others, or `NONE`.
-    position : (n, d) float64, frame of the submap, metres
-        NaN if unmapped.
-    weight : (n,) float64
-        Iterations averaged into the position; 0 if unmapped.
-    settled_position, settled_weight : (n, d) and (n,) float64
-        The same for completed intervals.
-    submap : (n,) int64
-        Its submap, or `NONE`.
-    asked_level : (n,) int64
-        Level at which it was last compared with older landmarks.
-    cell, next_in_cell : (n,) int64
-        Place in the spatial index.
-    last_segment : (n,) int64
-        Condensed segment that saw it last, or `NONE`.
     """
-
-    landmark_of: Ints
-    track_begin: Ints
-    track_end: Ints
-    track_observations: Ints
-    first: Ints
-    last: Ints
-    since: Ints
-    observations: Ints
-    begin: Ints
-    in_interval: Ints
-    is_gone: Bools
-    level: Ints
-    highest_level: Ints
-    averaged: Ints
-    group: Ints
-    dynamic: Bools
-    restless: Bools
-    strikes: Ints
-    struck_until: Ints
-    moved_until: Ints
-    tested_until: Ints
-    moving_bin: Ints
-    position: Floats
-    weight: Floats
-    settled_position: Floats
-    settled_weight: Floats
-    submap: Ints
-    asked_level: Ints
-    cell: Ints
-    next_in_cell: Ints
-    last_segment: Ints
 
     STATE = " ".join(COLUMNS)
 
