@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import gzip
-import random
 import re
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
-from relmap.core.errors import RelmapError
 from relmap.datasets import open_log, table, textfile
 from relmap.datasets.number_rows import parse_number
 from tests.logs import PLAIN, failure, put
@@ -221,26 +218,3 @@ def test_both_ways_to_parse_agree(rows: list[list[str]]) -> None:
         assert np.array_equal(fast, exact, equal_nan=True)
     else:
         assert not batch[0].strip()
-
-
-@settings(max_examples=200)
-@given(data=st.binary(max_size=200), packed=st.booleans())
-def test_random_bytes_raise_only_relmap_errors(folder: Path, data: bytes, packed: bool) -> None:
-    failure(put(folder, gzip.compress(data) if packed else data, "rubbish"))
-    failure(put(folder, b"iteration,x,y\n" + data + b"!", "rubbish"))
-
-
-@pytest.mark.parametrize("packed", [False, True])
-def test_mutated_files_raise_only_relmap_errors(tmp_path: Path, packed: bool) -> None:
-    rng = random.Random(0)
-    whole = gzip.compress(PLAIN.encode(), mtime=0) if packed else PLAIN.encode()
-    for _ in range(400):
-        damaged = bytearray(whole)
-        for _ in range(rng.randint(1, 4)):
-            place = rng.randrange(len(damaged))
-            damaged[place : place + rng.randint(0, 2)] = rng.randbytes(rng.randint(0, 2)) or b","
-        path = put(tmp_path, bytes(damaged))
-        with suppress(RelmapError):
-            log = open_log(path)
-            assert np.isfinite(log.points_robot).all()
-            assert sum(len(scan.rows) for scan in log.scans()) == len(log.rows)

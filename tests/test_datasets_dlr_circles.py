@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import gzip
 import os
-from contextlib import suppress
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from relmap.core.errors import RelmapError
@@ -79,20 +77,6 @@ def test_bad_content(tmp_path: Path, old: str, new: str, problem: str) -> None:
     with pytest.raises(RelmapError, match=problem):
         open_log(path, "dlr-circles")
     assert "map.circles" in failure(path, "dlr-circles")
-
-
-def test_mutated_bytes_give_a_log_or_one_error(tmp_path: Path) -> None:
-    whole = CIRCLES.encode()
-    rng = np.random.default_rng(0)
-    for packed in (whole, gzip.compress(whole)):
-        for _ in range(200):
-            damaged = bytearray(packed[: rng.integers(len(packed) // 2, len(packed) + 1)])
-            for place in rng.integers(0, len(damaged), rng.integers(1, 6)):
-                damaged[place] = rng.choice([rng.integers(256), *b"0 -.#\nSe9"])
-            path = put(tmp_path, bytes(damaged), "map.circles")
-            for format in (None, "dlr-circles"):
-                with suppress(RelmapError):
-                    assert np.isfinite(open_log(path, format).points_robot).all()
 
 
 def test_pipe_in_a_folder_is_not_a_log(tmp_path: Path) -> None:

