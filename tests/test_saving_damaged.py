@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import zipfile
 from pathlib import Path
@@ -108,26 +107,11 @@ def test_a_file_that_was_made_up(tmp_path: Path, change: Any, message: str) -> N
     assert "\n" not in str(caught.value)
 
 
-def test_damage_is_reported_and_bombs_are_refused(tmp_path: Path) -> None:
-    path = saved_map(tmp_path)
-    data, rng = path.read_bytes(), np.random.default_rng(0)
-    whole = told(PointMapper.load(path))
-    for _ in range(80):
-        broken = bytearray(data)
-        at = int(rng.integers(len(data)))
-        broken[at : at + 8] = rng.bytes(len(broken[at : at + 8]))
-        path.write_bytes(broken[: len(data) if at % 3 else at])
-        try:
-            assert told(PointMapper.load(path)) == whole
-        except RelmapError as error:
-            said = str(error)
-            assert "damaged or not a saved map" in said
-    packed = io.BytesIO()
-    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+def test_bombs_are_refused(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "mapper.npz", "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("header.npy", bytes(10**7))
-    path.write_bytes(packed.getvalue())
     with pytest.raises(RelmapError, match="not part of a saved map"):
-        PointMapper.load(path)
+        PointMapper.load(tmp_path / "mapper.npz")
 
 
 def test_flipped_bytes_anywhere_give_one_line_or_the_same_map(tmp_path: Path) -> None:

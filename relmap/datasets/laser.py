@@ -162,10 +162,7 @@ def _peak_m(ranges_m: Floats) -> float:
 
 
 def _repeated_m(every_m: Floats, ranges_m: list[Floats]) -> float:
-    """Return the range that stands alone at the far end of many scans, infinity if there is none.
-
-    `every_m` (n,): the ranges of all scans.
-    """
+    """Return which of all ranges (n,) stands alone at the far end of many scans, or infinity."""
     changed = [now for before, now in pairwise(ranges_m) if not np.array_equal(before, now)]
     farthest_m = np.sort([ranges.max(initial=0.0) for ranges in changed])
     farthest_m = farthest_m[farthest_m > 0]

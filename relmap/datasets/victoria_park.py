@@ -152,11 +152,7 @@ def _with_clock(table: Table, log: ObservationLog, clock: Path) -> ObservationLo
 
 
 def _match_ids(log: ObservationLog, file: Path) -> Ints:
-    """Return each observation's tree number, -1 if missing in the association file.
-
-    Both files contain detections of the same scans: matched by equal time stamp and the nearest
-    point.
-    """
+    """Return each observation's tree number, by time stamp and nearest point; -1 if it has none."""
     rows = _read_association(file)
     assert log.stamps_s is not None
     stamps_s, middles_s = rows[:, 0] / 1000, (log.stamps_s[1:] + log.stamps_s[:-1]) / 2

@@ -185,11 +185,7 @@ def _clearest(tests: list[CornerTest]) -> CornerTest:
 
 
 def _plot(tests: list[CornerTest]) -> Figure:
-    """Draw a scan with its estimated midpoints, the four pairs, and their shifts over time.
-
-    As in the paper: observed corner points in blue, estimated midpoints in red, the static pair in
-    green.
-    """
+    """Draw a scan with its midpoints, the four pairs and their shifts, in the paper's colours."""
     test = _clearest(tests)
     figure = blank(14.0, 4.8)
     seen, pairs, shifts = figure.subplots(1, 3, width_ratios=[1.0, 1.0, 1.15])

@@ -124,10 +124,7 @@ def _compile() -> None:
 
 
 def _growth(values: NDArray[Any], of: Any = np.median) -> float:
-    """Return by what factor the median, or `of`, of values (i,) changes, first to last quarter.
-
-    The first `BEGINNING` iterations do not count.
-    """
+    """Return by what factor the median, or `of`, of values (i,) changes, first to last quarter."""
     quarter = max(len(values) // 4, 1)
     begin = min(BEGINNING, len(values) - quarter)
     return float(of(values[-quarter:]) / of(values[begin : begin + quarter]))

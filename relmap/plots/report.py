@@ -233,10 +233,7 @@ def _view_of_points(
 
 
 def _framed(number: int, caption: str, places: Floats, way: Floats) -> View:
-    """Return what every view has: its name, caption, axes, and the limits of what it shows first.
-
-    `places` (n, d), `way` (k, d): mapped places and the path, for the limits.
-    """
+    """Return name, caption, axes and first limits of a view of places (n, d) and a path (k, d)."""
     name = f"submap {number}" if number else "map"
     limits = [limit.tolist() for limit in limits_of(places, way)]
     return {"name": name, "caption": caption, "axes": places.shape[1], "limits": limits}

@@ -134,10 +134,7 @@ def _clipped(ends: Floats, range_m: float, half_view_rad: float) -> tuple[Ints, 
 
 
 def _nearest(ends: Floats, at: Ints, bearing: Floats) -> Ints:
-    """Return the first part hit by a ray between each two events; -1 for none.
-
-    As walls do not cross, it is the first one at every bearing between the two.
-    """
+    """Return the first part hit at all bearings between two events, as no walls cross; or -1."""
     if not len(bearing):
         return np.empty(0, dtype=np.int64)
     gap = np.arange(len(bearing))[:, None]

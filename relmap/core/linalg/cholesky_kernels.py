@@ -157,10 +157,7 @@ def _times_transposed(A: Floats, B: Floats, C: Floats) -> None:
 def _take_away(
     layout: Layout, values: Floats, p: int, s: int, done: int, place: Ints, work: Floats
 ) -> int:
-    """Subtract the update of panel s, from its row `done` on, from panel p; return the row count.
-
-    The count is of rows of panel s that are unknowns of panel p.
-    """
+    """Subtract panel s, from row `done` on, from panel p; return how many of its rows are in p."""
     start, _, row_begin, rows, _ = layout
     own, first = rows[row_begin[s] + done : row_begin[s + 1]], start[p]
     panel, target = _panel(layout, values, s)[done:], _panel(layout, values, p)
