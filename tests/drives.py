@@ -105,5 +105,4 @@ def mapped(scans: list[tuple[Any, Array]], odometry: Array | None = None) -> Pla
 
 def use_of(mapper: PlaneMapper) -> OdometryUse:
     """Return how odometry was used."""
-    assert mapper.odometry is not None
     return mapper.odometry

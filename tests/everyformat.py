@@ -129,7 +129,6 @@ def _write_circles(folder: Path, log: ObservationLog, truth: Truth) -> None:
     for scan in log.scans():
         x, y, yaw = _motion(truth.poses, scan.iteration)
         lines.append(f"STEP image {-y} {-x} {-yaw} 0 0 0 0 0 0")
-        assert scan.ids is not None
         for (x, y, _), i in zip(scan.points_robot, scan.ids, strict=True):
             lines.append(f"LANDMARK_C {-y} {-x} 0.9 0.001 0 0.001 {i}")
     text(folder / "map.circles", lines)
@@ -177,7 +176,6 @@ def _write_detections(folder: Path, log: ObservationLog, truth: Truth) -> None:
     types, messages = bagfiles.Types("ros1"), []
     for scan, T in zip(log.scans(), truth.poses, strict=True):
         t = 1.0 + scan.iteration
-        assert scan.ids is not None
         seen = zip(map(str, scan.ids.tolist()), scan.points_robot.tolist(), strict=True)
         messages += [("/odom", t, types.odometry(t, T)), ("/seen", t, types.boxes(t, seen))]
     bagfiles.write_bag(folder, "ros1", types, messages)
@@ -192,7 +190,6 @@ def _motion(poses: Floats, k: int) -> list[float]:
 
 
 def _ids(log: ObservationLog) -> Ints:
-    assert log.ids is not None
     return log.ids
 
 

@@ -114,7 +114,6 @@ def interrupted(work: Callable[[], object], at: int = -1) -> int:
 
     before = sys.gettrace()
     frame = inspect.currentframe()
-    assert frame is not None
     frame.f_trace_opcodes = True  # without it Python 3.12 traces none
     gc.disable()  # an interrupt while earlier mappers are deleted would be lost
     sys.settrace(step)

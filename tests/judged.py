@@ -31,7 +31,6 @@ def make_log() -> ObservationLog:
 def make_result() -> Result:
     """Return a perfect result in its own map frame; labels are the ids plus ten."""
     log, truth = make_log(), make_truth()
-    assert log.ids is not None
     turn = Rotation.from_rotvec([0.3, 0.2, 0.1]).as_matrix()
     T_map_true = np.eye(4)
     T_map_true[:3, :3], T_map_true[:3, 3] = turn, [1, 2, 3]

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from relmap.core.errors import RelmapError
-from relmap.datasets import ObservationLog, open_log
+from relmap.datasets import open_log
 
 PLAIN = "iteration,x,y,z,id\n0,1.5,-2,0.25,7\n0,3,4,5,8\n2,1,2,3,7\n"
 TREES = (
@@ -37,13 +37,6 @@ def one_line_error(read: Callable[..., object], *arguments: object) -> str:
     assert len(message.splitlines()) == 1
     assert message.isprintable()
     return message
-
-
-def ids_of(log: ObservationLog) -> list[int]:
-    """Return the ids of a log that has them."""
-    assert log.ids is not None
-    ids: list[int] = log.ids.tolist()
-    return ids
 
 
 def first_scans(log: Path, count: int, folder: Path) -> Path:

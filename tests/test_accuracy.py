@@ -27,7 +27,6 @@ def rmse(result: LandmarkMap, ids: Ints, truth: Floats) -> float:
 
 def share_mapped(mapper: PointMapper, log: ObservationLog) -> float:
     """Return the fraction of the landmarks seen ten times that are mapped."""
-    assert log.ids is not None
     ids, counts = np.unique(log.ids[log.ids >= 0], return_counts=True)
     return float(np.isin(ids[counts >= 10], mapper.map.landmark_ids).mean())
 
@@ -65,7 +64,6 @@ def test_mrpt_logs_are_mapped_to_a_centimetre(shared_data: Path, name: str) -> N
 def test_tracks_are_pure_without_ids(density: float, iterations: int, least: float) -> None:
     log = simulate_figure_eight(density=density, iterations=iterations, seed=0).log
     mapper, landmarks = map_without_ids(log)
-    assert log.ids is not None
     assert purity_of(landmarks, log.ids) >= least
     id_of = stands_for(landmarks, log.ids)
     mapped = [id_of[label] for label in mapper.map.landmark_ids]
@@ -76,7 +74,6 @@ def test_tracks_are_pure_without_ids(density: float, iterations: int, least: flo
 def test_static_tracks_are_pure_among_moving_landmarks() -> None:
     world = simulate_figure_eight(dynamic=0.4, iterations=450, seed=0)
     log = world.log
-    assert log.ids is not None
     _, landmarks = map_without_ids(log)
     static = world.status[log.ids] == "static"
     assert purity_of(landmarks[static], log.ids[static]) >= 0.995
@@ -110,7 +107,6 @@ def test_victoria_park_is_mapped_without_ids(
 ) -> None:
     log = open_log(shared_data / "victoria-park").between(begin, end)
     mapper, landmarks = map_without_ids(log)
-    assert log.ids is not None
     assert purity_of(landmarks, log.ids) >= 0.999
     id_of = stands_for(landmarks, log.ids)
     mapped = np.array([id_of.get(label, -1) for label in mapper.map.landmark_ids])

@@ -24,7 +24,7 @@ def scanned(world: World) -> tuple[Scans, Floats]:
         points=361, sigma=0.01, sampling="laser", iterations=60, world=world, step_m=STEP_M
     )
     mapper = fed(PlaneMapper(), (scan.points[:, :2] for scan in building.scans))
-    links = mapper.engine.association.registration.links  # type: ignore[union-attr]
+    links = mapper.engine.association.registration.links  # type: ignore[attr-defined]
     none = np.empty(0, dtype=np.int64)
     motions, measured = links.motions.copy(), links.measured
     scans = Scans(links.store, links.beams, motions, measured, lambda *_: None, none)
@@ -42,7 +42,6 @@ def test_a_break_is_tied_by_the_scans_around_it(scan: int) -> None:
     submaps = (np.arange(len(poses)) >= scan).astype(np.int64)
     scans.motions[scan] = np.nan
     link = tied_across(scans, submaps, scan)
-    assert link is not None
     assert (link.earlier, link.later) == (scan - 1, scan)
     np.testing.assert_allclose(link.motion, across(scan, poses), atol=0.05)
     assert len(link.walls)

@@ -126,8 +126,6 @@ def test_the_reader_of_the_output_is_gone(tmp_path: Path, child_env: dict[str, s
         env=child_env,
         cwd=tmp_path,
     )
-    assert child.stdout is not None
-    assert child.stderr is not None
     child.stdout.close()
     assert child.stderr.read() == b""
     child.wait(timeout=PATIENCE_S)

@@ -231,7 +231,6 @@ def test_a_map_in_submaps_is_judged_by_the_largest() -> None:
     """Nothing that is seen before iteration 50 is seen after 65, and nothing in between."""
     world = EightSource(iterations=90, sigma=0.02).load()
     log = world.log
-    assert log.ids is not None
     early, late = log.iteration < 50, log.iteration >= 65
     kept = early | (late & ~np.isin(log.ids, log.ids[early]))
     parted = log.only(kept)

@@ -64,7 +64,6 @@ def test_equal_covariances_change_next_to_nothing() -> None:
 def weighed_least_squares(log: ObservationLog, start: Array) -> Array:
     """Return the landmarks (m, 2), by an independent solver."""
     assert log.ids is not None
-    assert log.covariances is not None
     roots = np.linalg.inv(np.linalg.cholesky(log.covariances))
     k, m = len(log), len(start)
 
@@ -203,11 +202,9 @@ def test_a_log_keeps_covariances(tmp_path: Path) -> None:
         path = tmp_path / f"{space}.csv"
         write_observation_csv(path, log)
         again = open_log(path)
-        assert again.covariances is not None
         np.testing.assert_array_equal(again.points_robot, log.points_robot)
         np.testing.assert_allclose(again.covariances, truth.covariances, rtol=1e-9)
         part = again.between(5, 9)
-        assert part.covariances is not None
         assert len(part.covariances) == len(part.points_robot)
 
 

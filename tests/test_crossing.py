@@ -69,7 +69,6 @@ def test_points_are_seen_where_their_stretch_is() -> None:
         if met.any() and abs(s[met].min() - 1) < 1e-9:
             expected.append(k)
     scan = list(seen.points.scans())[3]
-    assert scan.ids is not None
     assert sorted(scan.ids.tolist()) == expected
 
 
@@ -180,7 +179,6 @@ def maps() -> BothMaps:
 def test_planes_hold_where_points_do_not(maps: BothMaps) -> None:
     planes, points = maps.planes.run, maps.points.run
     assert planes.sigma == pytest.approx(0.075)
-    assert planes.map_rmse_m is not None
     assert planes.map_rmse_m <= 1.2 * planes.sigma
     assert planes.coverage >= 0.8
     assert points.coverage <= 0.5

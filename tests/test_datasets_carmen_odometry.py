@@ -39,7 +39,6 @@ LASER_MOVED = [[1, 0, 0], [-0.2, 1.2, 1.570796326795]]
 @pytest.mark.parametrize("lines", [[WHEELS, *RAW], BESIDE])
 def test_carmen_odometry_is_taken_where_there_is_evidence(tmp_path: Path, lines: list[str]) -> None:
     log = open_scans(put(tmp_path, carmen(*lines), "a.log"))
-    assert log.odometry is not None
     assert not log.no_odometry
     assert planar(log.odometry[1:]) == LASER_MOVED
 
@@ -114,7 +113,6 @@ def test_a_file_beside_a_corrected_log_is_used(tmp_path: Path) -> None:
     path = put(tmp_path, CORRECTED, "a.log")
     put(tmp_path, "iteration,x,y,yaw\n1,1,2,0.5\n", "odometry.csv")
     odometry = open_scans(path).odometry
-    assert odometry is not None
     assert planar(odometry[1:]) == [[1, 2, 0.5]]
     put(tmp_path, "iteration,x,y,yaw\n1,1,2\n", "odometry.csv")
     assert "odometry.csv: line 2: 3 fields" in failure(path)
@@ -144,8 +142,6 @@ def test_no_corrected_path_is_taken_for_odometry(
 
 def test_odometry_of_mrpts_laser_is_that_of_its_path(shared_data: Path) -> None:
     log = open_scans(shared_data / "mrpt-sim-laser2d")
-    assert log.odometry is not None
-    assert log.poses is not None
     true = np.linalg.inv(log.poses[:-1]) @ log.poses[1:]
     off = np.linalg.norm((log.odometry[1:] - true)[:, :2, 3], axis=1)
     way = np.linalg.norm(true[:, :2, 3], axis=1)

@@ -52,14 +52,12 @@ def test_poses_beside_the_clouds(tmp_path: Path) -> None:
         (tmp_path / f"full{number}.pcd").write_bytes(pcd(CLOUD))
     log = open_scans(tmp_path)
     assert log.stamps_s.tolist() == [101, 102]
-    assert log.poses is not None
     assert log.poses[:, :3, 3].tolist() == [[1, 5, 6], [2, 5, 6]]
     assert log.poses[:, 3].tolist() == [[0, 0, 0, 1]] * 2
     put(tmp_path, "\n".join(rows).replace("102.0,", "99.0,"), "alidarPose.csv")
     (tmp_path / "full2.pcd").write_bytes(pcd(2 * CLOUD))
     earlier = open_scans(tmp_path)
     assert earlier.stamps_s.tolist() == [99, 101]
-    assert earlier.poses is not None
     assert earlier.poses[:, 0, 3].tolist() == [2, 1]
     assert points_of(earlier)[0] == (2 * CLOUD[[0, 1, 3]]).tolist()
     put(tmp_path, "\n".join(rows[:9]), "alidarPose.csv")

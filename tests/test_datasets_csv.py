@@ -21,7 +21,6 @@ def test_reads_points_ids_and_empty_iterations(tmp_path: Path) -> None:
     assert log.points_robot.tolist() == [[1.5, -2, 0.25], [3, 4, 5], [1, 2, 3]]
     assert log.points_robot.dtype == np.float64
     assert log.iteration.tolist() == [0, 0, 2]
-    assert log.ids is not None
     assert log.ids.tolist() == [7, 8, 7]
     assert log.ids.dtype == log.rows.dtype == log.iteration.dtype == np.int64
     assert (log.first_iteration, log.end_iteration, log.stamps_s) == (0, 3, None)
@@ -56,13 +55,11 @@ def test_harmless_variations_change_nothing(tmp_path: Path, content: str) -> Non
         log = open_log(path)
         assert np.array_equal(log.points_robot, expected.points_robot)
         assert np.array_equal(log.iteration, expected.iteration)
-        assert log.ids is not None
         assert log.ids.tolist() == [7, 8, 7]
 
 
 def test_empty_and_negative_ids_are_not_identified(tmp_path: Path) -> None:
     log = open_log(put(tmp_path, "iteration,x,y,id\n0,1,2,\n0,1,2,-1\n0,1,2,-1\n0,3,4, \n0,3,4,9"))
-    assert log.ids is not None
     assert log.ids.tolist() == [-1, -1, -1, -1, 9]
 
 

@@ -35,7 +35,6 @@ def test_steps_are_iterations_and_axes_are_ours(tmp_path: Path) -> None:
         assert log.iteration.tolist() == [0, 0, 0, 2, 2]
         ahead_left = [[3, 0.25], [2, -0.5], [2, -0.75], [1, -0.5], [2.5, -1]]
         assert log.points_robot.tolist() == ahead_left
-        assert log.ids is not None
         assert log.ids.tolist() == [6, -1, -1, -1, 6]
         assert [len(scan.rows) for scan in log.scans()] == [3, 0, 2, 0]
 

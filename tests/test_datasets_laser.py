@@ -21,7 +21,6 @@ def test_corrected_log(tmp_path: Path) -> None:
     assert log.stamps_s.tolist() == [4.5, 5.5]
     # Two beams of a half turn that leaves out its last one, three of a whole one; 81.8 is none.
     assert points_of(log) == [[[0, -3.5]], [[0, -1], [2, 0]]]
-    assert log.poses is not None
     np.testing.assert_allclose(log.poses[0, :2, 3], [1, 2])
     np.testing.assert_allclose(log.poses[0, :2, 0], [np.cos(0.5), np.sin(0.5)])
 
@@ -82,14 +81,12 @@ def test_graph_log(tmp_path: Path) -> None:
     bearing = np.array([-1.5, -0.5]) + 1.5 - np.pi / 2
     expected = np.array([1.0, 49.0])[:, None] * np.column_stack([np.cos(bearing), np.sin(bearing)])
     np.testing.assert_allclose(second, expected, atol=1e-12)
-    assert log.poses is not None
     np.testing.assert_allclose(log.poses[:, 0, 3], [7, 8])
 
 
 def test_a_log_without_vertices_gives_the_pose_of_its_scans(tmp_path: Path) -> None:
     text = "\n".join(line for line in GRAPH.splitlines() if line.startswith("ROBOT"))
     log = open_scans(put(tmp_path, text, "a.log"))
-    assert log.poses is not None
     np.testing.assert_allclose(log.poses[:, 0, 3], [0, 2])
 
 
@@ -152,7 +149,6 @@ def test_mrpt_laser(tmp_path: Path) -> None:
     for log in (open_scans(path), open_scans(tmp_path)):
         assert log.stamps_s.tolist() == [10, 11]
         assert points_of(log) == [[[0.2, -1], [2.2, 0], [0.2, 3]], [[0.2, -1], [0.2, 3]]]
-        assert log.poses is not None
         np.testing.assert_allclose(log.poses[1, :2, 3], [2, 2])
         assert log.sensor == SensorView(view_rad=np.pi, range_m=80.0, x_m=0.2)
 
@@ -200,7 +196,6 @@ def test_scans_come_in_the_order_of_time(
 ) -> None:
     """Of one log the first scan is put behind the second, with its pose."""
     parts = re.fullmatch(f"(?ms)(.*?)(^{cut}.*?)(^{cut}.*)", text)
-    assert parts is not None
     head, first, second = parts.groups()
     ordered = open_scans(put(tmp_path, text, "ordered"))
     path = put(tmp_path, head + second + first, "mixed")

@@ -16,7 +16,7 @@ from relmap.datasets import open_log
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.mrclam import APART_S, read_ground_truth
 from relmap.evaluation.truth import read_truth
-from tests.logs import failure, ids_of, put
+from tests.logs import failure, put
 
 CODES = "# Subject # Barcode #\n1 5\n2 14\n6 63\n7 81\n8 7\n"
 FIRST = (
@@ -43,16 +43,14 @@ def robots(tmp_path: Path) -> Path:
 def test_rows_of_one_time_are_an_image(robots: Path) -> None:
     log = open_log(robots / "Robot1_Measurement.dat")
     assert log.iteration.tolist() == [0, 0, 1, 2]
-    assert ids_of(log) == [6, 7, 8, 6]
+    assert log.ids.tolist() == [6, 7, 8, 6]
     assert log.rows.tolist() == [0, 1, 6, 4]
     assert_allclose(log.points_robot, [[0, 2], [3, 0], [-1, 0], [0, -4]], atol=1e-12)
-    assert log.stamps_s is not None
     assert log.stamps_s.tolist() == [10.5, 11, 12.5]
 
 
 def test_velocities_add_up_between_images(robots: Path) -> None:
     odometry = open_log(robots / "Robot1_Measurement.dat").odometry
-    assert odometry is not None
     arcs = [(0.5, 0.1, 0.25), (1.0, 0.0, 0.25), (1.0, 0.0, 0.75), (0.5, -0.2, 0.75)]
     a, b, c, d = (checked_odometry(motion_from_velocity(*arc)) for arc in arcs)
     assert np.isnan(odometry[0]).all()
@@ -62,11 +60,9 @@ def test_velocities_add_up_between_images(robots: Path) -> None:
 def test_the_folder_is_one_robot_after_another(robots: Path) -> None:
     log = open_log(robots)
     assert log.iteration.tolist() == [0, 0, 1, 2, 3]
-    assert ids_of(log) == [6, 7, 8, 6, 7]
+    assert log.ids.tolist() == [6, 7, 8, 6, 7]
     assert log.rows.tolist() == [0, 1, 6, 4, 7]
-    assert log.stamps_s is not None
     assert log.stamps_s.tolist() == [10.5, 11, 12.5, 10 + APART_S]
-    assert log.odometry is not None
     assert np.isnan(log.odometry).all(axis=(1, 2)).tolist() == [True, False, False, True]
     assert open_log(robots / "Robot2_Measurement.dat.gz").odometry is None
 
@@ -114,14 +110,12 @@ def test_robots_of_other_days_are_not_one_log(robots: Path) -> None:
 def seen_in_the_map(log: ObservationLog, folder: Path) -> tuple[Floats, Floats]:
     """Return how far each observation is off its landmark, and each motion off Vicon's (k, 2)."""
     ids, places, stamps_s, poses = read_ground_truth(folder)
-    assert log.stamps_s is not None
-    assert log.odometry is not None
     at = np.searchsorted(stamps_s, log.stamps_s).clip(0, len(stamps_s) - 1)
     known = stamps_s[at] == log.stamps_s
     rows = known[log.iteration]
     T = poses[at[log.iteration[rows]]]
     in_map = np.einsum("nij,nj->ni", T[:, :2, :2], log.points_robot[rows]) + T[:, :2, 3]
-    true = places[np.searchsorted(ids, np.array(ids_of(log))[rows])]
+    true = places[np.searchsorted(ids, log.ids[rows])]
     k = np.flatnonzero(known[1:] & known[:-1] & (np.diff(log.stamps_s) < 60)) + 1
     moved = np.linalg.inv(poses[at[k - 1]]) @ poses[at[k]]
     off = (moved - log.odometry[k])[:, [0, 1], [3, 0]]

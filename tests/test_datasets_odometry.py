@@ -27,13 +27,6 @@ FLAT = "iteration,x,y\n3,1,2\n5,1,2\n6,1,2\n"
 MOTIONS = "iteration,x,y,yaw\n6,1,0.5,0.25\n4,2,0,0\n9,1,1,1\n2,5,5,5\n5,0,0,-1\n"
 
 
-def odometry_of(path: Path) -> Poses:
-    """Return the odometry of a landmark log that must have some."""
-    odometry = open_log(path).odometry
-    assert odometry is not None
-    return odometry
-
-
 def walk(k: int = 30) -> Poses:
     """Return poses (k, 4, 4) of a way in space."""
     rng = np.random.default_rng(3)
@@ -54,7 +47,7 @@ def test_motions_beside_a_log(tmp_path: Path, name: str) -> None:
     path = put(tmp_path, FLAT)
     put(tmp_path, gzip.compress(MOTIONS.encode()) if name.endswith("gz") else MOTIONS, name)
     for place in (path, tmp_path):
-        odometry = odometry_of(place)
+        odometry = open_log(place).odometry
         assert planar(odometry[1:]) == [[2, 0, 0], [0, 0, -1], [1, 0.5, 0.25]]
         assert np.isnan(odometry[0]).all()
     later = open_log(path).between(5, 7)
@@ -73,7 +66,6 @@ def test_motions_beside_scans_in_space(tmp_path: Path) -> None:
     put(tmp_path, scans(), "scans.npz")
     write_odometry_csv(tmp_path / "odometry.csv", motions(poses))
     log = open_scans(tmp_path)
-    assert log.odometry is not None
     assert_allclose(log.odometry[1], np.linalg.inv(poses[0]) @ poses[1], atol=1e-14)
     _, second = log.scans()
     assert_array_equal(second.odometry, log.odometry[1])
@@ -101,7 +93,7 @@ def test_written_odometry_is_read_back(tmp_path: Path, flat: bool) -> None:
     write_odometry_csv(tmp_path / "odometry.csv", odometry, 4)
     header = (tmp_path / "odometry.csv").read_text().partition("\n")[0]
     assert header == "iteration,x,y" + (",yaw" if flat else ",z,qx,qy,qz,qw")
-    assert_allclose(odometry_of(log), odometry, atol=1e-15)
+    assert_allclose(open_log(log).odometry, odometry, atol=1e-15)
 
 
 def test_a_trajectory_beside_a_log_is_taken_at_its_iterations(
@@ -111,11 +103,11 @@ def test_a_trajectory_beside_a_log_is_taken_at_its_iterations(
     put(tmp_path, "iteration,x,y,z\n" + rows)
     poses = walk()
     put(tmp_path, tum(np.arange(30.0), poses), "odometry.tum")
-    assert_allclose(odometry_of(tmp_path)[1:], motions(poses)[1:], atol=1e-12)
+    assert_allclose(open_log(tmp_path).odometry[1:], motions(poses)[1:], atol=1e-12)
     assert not caplog.messages
     # Every other pose: in between the robot moved evenly, so that two motions are one.
     put(tmp_path, tum(np.arange(0.0, 30, 2), poses[::2]), "odometry.tum")
-    found = odometry_of(tmp_path)
+    found = open_log(tmp_path).odometry
     assert_allclose(found[1:28:2] @ found[2:29:2], motions(poses[::2])[1:], atol=1e-12)
     assert np.isnan(found[29]).all()
     assert "15 poses for 29 scans: the motions between are interpolated" in caplog.text
@@ -125,7 +117,7 @@ def test_motion_over_a_gap_is_unknown(tmp_path: Path, caplog: pytest.LogCaptureF
     put(tmp_path, "iteration,x,y\n0,1,1\n30,1,1\n")
     stamps = np.array([*range(6), *range(18, 31)], dtype=float)
     put(tmp_path, tum(stamps, walk(31)[stamps.astype(int)]), "odometry.tum")
-    known = np.isfinite(odometry_of(tmp_path)).all(axis=(1, 2))
+    known = np.isfinite(open_log(tmp_path).odometry).all(axis=(1, 2))
     assert np.flatnonzero(known).tolist() == [*range(1, 6), *range(19, 31)]
     assert not caplog.messages
 
@@ -133,7 +125,7 @@ def test_motion_over_a_gap_is_unknown(tmp_path: Path, caplog: pytest.LogCaptureF
 def test_a_trajectory_in_space_beside_a_planar_log_is_in_the_plane(tmp_path: Path) -> None:
     put(tmp_path, FLAT)
     put(tmp_path, "3 0 0 0 0 0 0 1\n4 1 0 9 0 0 0.5 0.8660254037844386\n", "odometry.tum")
-    assert planar(odometry_of(tmp_path))[1] == pytest.approx([1, 0, np.pi / 3])
+    assert planar(open_log(tmp_path).odometry)[1] == pytest.approx([1, 0, np.pi / 3])
 
 
 @pytest.mark.parametrize(
@@ -214,7 +206,9 @@ def test_across_a_gap_between_speeds_the_motion_is_unknown(
 
 
 def test_dlr_steps_are_turned_into_our_axes(tmp_path: Path) -> None:
-    odometry = odometry_of(put(tmp_path, CIRCLES.replace("b.jpg 1 0", "b.jpg 1 -3"), "a.circles"))
+    odometry = open_log(
+        put(tmp_path, CIRCLES.replace("b.jpg 1 0", "b.jpg 1 -3"), "a.circles")
+    ).odometry
     assert np.isnan(odometry[0]).all()
     assert planar(odometry[1:]) == [[3, -1, -0.1]]
 
@@ -229,7 +223,7 @@ def put_wheels(folder: Path, **changes: list[float]) -> Path:
 
 
 def test_victoria_park_moves_as_the_model_of_the_car_says(tmp_path: Path) -> None:
-    odometry = odometry_of(put_wheels(tmp_path))
+    odometry = open_log(put_wheels(tmp_path)).odometry
     curvature = np.tan(0.2) / 2.83
     way = 4 / (1 - curvature * 0.76) * 0.2
     laser = checked_odometry([3.78, 0.5, 0])
@@ -251,7 +245,7 @@ def test_slsjf_differences_of_its_odometry(tmp_path: Path) -> None:
     (tmp_path / "sensor_data.mat").write_bytes(mat(sensor_data=OBSERVED))
     path = np.array([[0.0, 1, 3], [0, 0, 2], [0.5, 0.5 + 2 * np.pi, 1]])
     (tmp_path / "store_robotOdo.mat").write_bytes(mat(store_robotOdo=path))
-    odometry = odometry_of(tmp_path)
+    odometry = open_log(tmp_path).odometry
     assert len(odometry) == 2
     c, s = np.cos(0.5), np.sin(0.5)
     assert planar(odometry[1:]) == [pytest.approx([c, -s, 0], abs=1e-9)]
@@ -263,7 +257,7 @@ def test_mrpt_motions_follow_their_step(tmp_path: Path, end: str) -> None:
     header = "step,dx_m,dy_m,dz_m,dyaw_rad,dpitch_rad,droll_rad\n"
     content = header + "0,1,2,3,0.1,0.2,0.3\n1,9,9,9,0,0,0\n"
     put(tmp_path, gzip.compress(content.encode()) if end else content, f"a.odometry.csv{end}")
-    odometry = odometry_of(path)
+    odometry = open_log(path).odometry
     assert np.isnan(odometry[0]).all()
     assert odometry[1, :3, 3].tolist() == [1, 2, 3]
     turn = Rotation.from_euler("ZYX", [0.1, 0.2, 0.3]).as_matrix()
@@ -275,7 +269,6 @@ def test_mrpt_laser_motions_follow_their_scan(tmp_path: Path) -> None:
     rows = ["10,0,0,0,1,0.5,0.25,1,2,3", "12,0,0,0,9,9,9,1,2,3", "11,0,0,0,2,0,0,1,2,3"]
     content = LASER_COMMENT + LASER_HEADER + "\n".join(rows[:1] + rows[2:] + rows[1:2])
     log = open_scans(put(tmp_path, content, "a.csv"))
-    assert log.odometry is not None
     assert planar(log.odometry[1:]) == [[1, 0.5, 0.25], [2, 0, 0]]
 
 

@@ -12,7 +12,7 @@ import pytest
 from relmap.core.errors import RelmapError
 from relmap.datasets import DATASETS, FORMATS, open_log
 from relmap.datasets.mrpt_landmarks import is_ground_truth, read_ground_truth
-from tests.logs import TREES, failure, ids_of, put
+from tests.logs import TREES, failure, put
 
 POINTS = "iteration,x,y\n0,1,2\n"
 SENSOR = "# sensor on robot: t = 0 0 0 ; R (row major) = 1 0 0 0 1 0 0 0 1\n"
@@ -108,7 +108,7 @@ def test_mrpt_points_stand_in_the_robot_frame(tmp_path: Path) -> None:
     rows = "4,7,2,0,0\n4,-9,2,1.5707963267948966,0\n6,8,2,0,1.5707963267948966\n"
     log = open_log(put(tmp_path, sensor + SIGMA.format(0.1) + HEADER + rows, "log"))
     assert np.allclose(log.points_robot, [[1, 4, 3], [-1, 2, 3], [1, 2, 1]])
-    assert ids_of(log) == [7, -9, 8]
+    assert log.ids.tolist() == [7, -9, 8]
     assert (log.first_iteration, log.end_iteration) == (4, 7)
 
 

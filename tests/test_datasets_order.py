@@ -9,15 +9,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from relmap.core.arrays import Floats
 from relmap.datasets import open_log, open_scans
 from tests.logs import put
-
-
-def odometry_of(folder: Path) -> Floats:
-    odometry = open_log(folder).odometry
-    assert odometry is not None
-    return odometry
 
 
 @pytest.mark.parametrize(("begin", "used"), [(3, [1, 1, 0, 1, 1]), (0, [1] * 5)])
@@ -29,7 +22,7 @@ def test_motions_follow_scans_that_are_sorted_by_time(
     put(tmp_path, "iteration,stamp,x,y\n" + "\n".join(rows), "observations.csv")
     motion = [f"{k},{k},0,0" for k in range(6)]
     put(tmp_path, "iteration,x,y,yaw\n" + "\n".join(motion), "odometry.csv")
-    found = odometry_of(tmp_path)[1:, 0, 3]
+    found = open_log(tmp_path).odometry[1:, 0, 3]
     assert_array_equal(found, np.where(used, number[1:], np.nan))
     told = "odometry.csv: 1 motions are not used: sorted by time, their scans follow others"
     assert (told in caplog.text) == (begin > 0)
@@ -39,9 +32,8 @@ def test_motions_follow_scans_though_the_last_iterations_have_no_rows(tmp_path: 
     put(tmp_path, "iteration,stamp,x,y\n3,1,1,2\n0,2,1,2", "observations.csv")
     put(tmp_path, "iteration,x,y,yaw\n0,5,0,0\n1,6,0,0\n3,7,0,0", "odometry.csv")
     log = open_log(tmp_path)
-    assert log.numbers is not None
     assert_array_equal(log.numbers, [3, 0])
-    assert_array_equal(odometry_of(tmp_path)[:, 0, 3], [7, np.nan])
+    assert_array_equal(open_log(tmp_path).odometry[:, 0, 3], [7, np.nan])
 
 
 def scans_npz(folder: Path, stamps_s: list[float]) -> Path:
@@ -64,5 +56,4 @@ def test_motions_follow_scans_of_points_that_are_sorted_by_time(
     motion = [f"{k},{k},0,0" for k in range(5)]
     put(tmp_path, "iteration,x,y,yaw\n" + "\n".join(motion), "odometry.csv")
     odometry = open_scans(path).odometry
-    assert odometry is not None
     assert_array_equal(odometry[1:, 0, 3], [3, 4, np.nan, 1])

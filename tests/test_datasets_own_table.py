@@ -36,9 +36,7 @@ def check(log: ObservationLog) -> None:
     assert log.points_robot.tolist() == [[1.5, -2], [2, 1], [1, -2], [7, 7]]
     assert log.iteration.tolist() == [3, 3, 5, 6]
     assert log.names == ("cone", "post")
-    assert log.ids is not None
     assert log.ids.tolist() == [0, 1, 0, -1]
-    assert log.stamps_s is not None
     assert log.stamps_s.tolist() == [0.5, 0.7, 0.9, 1.0]
     assert log.rows.tolist() == [0, 1, 2, 3]
 
@@ -124,7 +122,6 @@ def test_times_alone_number_the_iterations(frames: Any) -> None:
     log = log_of_frame(frames.DataFrame({"stamp": stamps, "x": [1, 2, 3], "y": [0.5] * 3}))
     assert log.iteration.tolist() == [0, 1, 1]
     assert log.points_robot[:, 0].tolist() == [2, 1, 3]
-    assert log.stamps_s is not None
     assert log.stamps_s.tolist() == [1.25, 1.5]
     assert log.ids is None
 
@@ -133,7 +130,6 @@ def test_times_may_be_in_a_time_zone(frames: Any) -> None:
     east = timezone(timedelta(hours=1))
     stamps = [datetime(1970, 1, 1, 1, 0, k, tzinfo=east) for k in range(3)]
     log = log_of_frame(frames.DataFrame({"stamp": stamps, "x": [1, 2, 3], "y": [0.5] * 3}))
-    assert log.stamps_s is not None
     assert log.stamps_s.tolist() == [0, 1, 2]
 
 
@@ -158,7 +154,6 @@ def test_ids_are_numbers_or_texts(
 ) -> None:
     frame = frames.DataFrame({"iteration": [0, 1, 2], "x": [1.0] * 3, "y": [2] * 3, "id": cells})
     log = log_of_frame(frame)
-    assert log.ids is not None
     assert log.ids.tolist() == ids
     assert log.names == names
 
@@ -183,7 +178,6 @@ def test_scans_out_of_order_are_sorted_by_time(
     assert log.points_robot[:, 0].tolist() == [2, 3, 1, 4]
     assert log.iteration.tolist() == [0, 0, 5, 7]
     assert log.rows.tolist() == [1, 2, 0, 3]
-    assert log.stamps_s is not None
     assert log.stamps_s[[0, 5, 7]].tolist() == [4, 5, 6]
     assert caplog.messages == [f"{path}: 1 scans out of order: all are sorted by time"]
 
@@ -195,7 +189,6 @@ def test_an_iteration_does_not_last_into_another_one(tmp_path: Path) -> None:
 
 def test_times_of_an_observation_log(tmp_path: Path) -> None:
     log = open_log(put(tmp_path, "iteration,x,y,stamp\n1,1,1,10\n3,2,2,11\n"))
-    assert log.stamps_s is not None
     assert log.stamps_s.tolist() == [10, 10.5, 11]
     semicolons = put(tmp_path, "x;y;iteration\n1,5;2;0\n.5;1e0;1\n", "b.csv")
     assert open_log(semicolons).points_robot.tolist() == [[1.5, 2], [0.5, 1]]

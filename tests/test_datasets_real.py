@@ -42,7 +42,6 @@ def test_mrpt_logs_agree_with_their_truth(
     assert (len(counts), min(counts), max(counts)) == (steps, fewest, most)
     assert np.mean(counts) == pytest.approx(mean, abs=0.05)
     assert log.points_robot.shape[1] == columns
-    assert log.ids is not None
     assert len(np.unique(log.ids)) == seen
 
     ids, positions, poses = read_ground_truth(
@@ -74,7 +73,6 @@ def test_victoria_park(shared_data: Path) -> None:
     assert counts[1181:1642].mean() == pytest.approx(8.26, abs=0.005)
     assert counts[1181:1642].min() >= 4 > max(counts[1180], counts[1642])
     assert counts[4220:4634].mean() == pytest.approx(8.65, abs=0.005)
-    assert log.stamps_s is not None
     assert log.stamps_s[[0, -1]].tolist() == pytest.approx([21.819, 1570.208])
     assert (log.points_robot[:, 0] > -1e-9).all()
     assert np.linalg.norm(log.points_robot, axis=1).max() < 75.3
@@ -83,13 +81,10 @@ def test_victoria_park(shared_data: Path) -> None:
 def test_victoria_park_ids(shared_data: Path) -> None:
     """Every associated detection is found, once, and neighbours in time agree on its place."""
     log = open_log(shared_data / "victoria-park" / "trees_per_scan.csv.gz")
-    assert log.ids is not None
     assert (int((log.ids >= 0).sum()), len(np.unique(log.ids))) == (46860, 300)
     scans = list(log.between(1181, 1642).scans())
     moves = []
     for before, after in pairwise(scans):
-        assert before.ids is not None
-        assert after.ids is not None
         shared, i, j = np.intersect1d(before.ids, after.ids, return_indices=True)
         moves.append((after.points_robot[j] - before.points_robot[i])[shared >= 0])
     assert min(len(move) for move in moves) >= 3
@@ -103,7 +98,6 @@ def test_victoria_park_reference_map_fits_the_observed_distances(shared_data: Pa
     assert not positions[:, 2].any()
     differences = []
     for scan in log.scans():
-        assert scan.ids is not None
         known = scan.ids >= 0
         points, places = scan.points_robot[known], positions[np.searchsorted(ids, scan.ids[known])]
         if len(points) > 1:
@@ -114,7 +108,6 @@ def test_victoria_park_reference_map_fits_the_observed_distances(shared_data: Pa
 
 def test_slsjf_agrees_with_its_truth(shared_data: Path) -> None:
     log = open_log(shared_data / "slsjf-sim-8240")
-    assert log.ids is not None
     # 40524 rows, five of them with a negative range.
     assert (len(log), len(log.rows), int(log.rows.max())) == (8240, 40519, 40523)
     assert (log.first_iteration, len(np.unique(log.ids))) == (0, 612)
@@ -131,7 +124,6 @@ def test_slsjf_agrees_with_its_truth(shared_data: Path) -> None:
 def test_dlr_circles(shared_data: Path) -> None:
     log = open_log(shared_data / "dlr-circles")
     counts = np.array([len(scan.rows) for scan in log.scans()])
-    assert log.ids is not None
     assert (len(counts), len(log.rows), counts.max()) == (3297, 14745, 13)
     assert np.mean(counts >= 4) == pytest.approx(0.696, abs=0.0005)
     # 577 different numbers, -1 among them.
@@ -148,8 +140,6 @@ def test_dlr_circles_agree_with_the_odometry(shared_data: Path) -> None:
     steps = np.array([[-float(dy), -float(dx), -float(dphi)] for _, _, dx, dy, dphi, *_ in lines])
     seen, told = [], []
     for before, after in pairwise(open_log(folder).scans()):
-        assert before.ids is not None
-        assert after.ids is not None
         shared, i, j = np.intersect1d(
             before.ids[before.ids >= 0], after.ids[after.ids >= 0], return_indices=True
         )
@@ -173,7 +163,6 @@ def test_real_log_goes_through_the_projects_own_format(shared_data: Path, tmp_pa
     assert np.array_equal(back.points_robot, log.points_robot)
     assert np.array_equal(back.iteration, log.iteration)
     assert back.ids is not None
-    assert log.ids is not None
     assert np.array_equal(back.ids, log.ids)
     assert (back.first_iteration, back.end_iteration) == (log.first_iteration, log.end_iteration)
 
@@ -183,9 +172,6 @@ def motions_of_landmarks(folder: Path, fewest: int) -> Floats:
     found = []
     for before, now in pairwise(open_log(folder).scans()):
         T = now.odometry
-        assert T is not None
-        assert before.ids is not None
-        assert now.ids is not None
         _, i, j = np.intersect1d(before.ids, now.ids, return_indices=True)
         known = before.ids[i] >= 0
         if known.sum() >= fewest and np.isfinite(T).all():
@@ -226,7 +212,6 @@ def test_odometry_agrees_with_the_simulated_truth(shared_data: Path) -> None:
     }
     for path, (truth, way_m, turn_rad) in logs.items():
         odometry, poses = open_log(path).odometry, truth(path)[2]
-        assert odometry is not None
         n = len(odometry)
         error = np.linalg.inv(odometry[1:]) @ np.linalg.inv(poses[: n - 1]) @ poses[1:n]
         assert np.median(np.linalg.norm(error[:, :3, 3], axis=1)) < way_m

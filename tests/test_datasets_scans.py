@@ -179,7 +179,6 @@ def test_a_part_of_a_log(tmp_path: Path) -> None:
     part = log.between(1, 9)
     assert [(scan.iteration, scan.stamp_s) for scan in part.scans()] == [(1, 5.5)]
     assert points_of(part) == points_of(log)[1:]
-    assert part.poses is not None
     assert part.poses.shape == (1, 4, 4)
     assert points_of(part.between(0, 2)) == points_of(part)
     with pytest.raises(RelmapError, match="scans 2:5 are empty: the log covers 0:2"):

@@ -51,7 +51,6 @@ def test_carmen_logs(
     # Beams go from right to left.
     bearings = [np.arctan2(p[:, 1], p[:, 0]) for p in points[:50]]
     assert np.mean(np.concatenate([np.diff(b) > 0 for b in bearings])) > 0.99
-    assert log.poses is not None
     steps = np.linalg.norm(np.diff(log.poses[:, :2, 3], axis=0), axis=1)
     assert steps.sum() == pytest.approx(path_m, abs=0.6)
     assert np.median(steps) == pytest.approx(step_m, rel=0.06)
@@ -80,7 +79,6 @@ def test_the_graph_of_freiburg_079_agrees_with_the_relations(
     assert relations.begin_s.min() == pytest.approx(1215.6, abs=0.1)
     assert relations.end_s.max() == pytest.approx(2258.9, abs=0.1)
     log = real_scans(f"{LASER}/fr079.log.gz")
-    assert log.poses is not None
     begin = poses_at(relations.begin_s, log.stamps_s, log.poses)
     end = poses_at(relations.end_s, log.stamps_s, log.poses)
     error = np.linalg.inv(relations.T_begin_end) @ np.linalg.inv(begin) @ end
@@ -116,7 +114,6 @@ def test_scans_coincide_at_the_reference_poses(
     Half a degree apart, the beams of the simulation lie further from each other, as its walls do.
     """
     log = real_scans(name).between(100, 500)
-    assert log.poses is not None
     points = [scan.points_robot for scan in log.scans()]
     right = np.median(distances_to_the_scan_before(points, log.poses))
     mirrored = [p * [1, -1] for p in points]
@@ -130,7 +127,6 @@ def test_scans_coincide_at_the_reference_poses(
 def test_mrpt_simulated_laser(shared_data: Path) -> None:
     log = open_scans(shared_data / "mrpt-sim-laser2d")
     assert (len(log), log.dimension) == (1733, 2)
-    assert log.poses is not None
     steps = np.linalg.norm(np.diff(log.poses[:, :2, 3], axis=0), axis=1)
     assert steps.sum() == pytest.approx(197, abs=0.5)
     assert np.median(steps) == pytest.approx(0.079, abs=5e-4)
@@ -141,7 +137,6 @@ def test_mrpt_simulated_laser(shared_data: Path) -> None:
 def test_lidar_in_a_hall(shared_data: Path) -> None:
     log = open_scans(shared_data / "lidar3d-hall")
     assert (len(log), log.dimension) == (34, 3)
-    assert log.poses is not None
     steps = np.linalg.norm(np.diff(log.poses[:, :3, 3], axis=0), axis=1)
     assert steps.sum() == pytest.approx(11.7, abs=0.05)
     assert np.median(steps) == pytest.approx(0.40, abs=0.005)

@@ -57,7 +57,6 @@ def test_log(tmp_path: Path) -> None:
         assert log.iteration.tolist() == [0, 0, 1, 2]
         assert log.rows.tolist() == [0, 1, 4, 3]
         assert np.allclose(log.points_robot, [[0, 2], [3, 0], [1, 0], [-1, 0]])
-        assert log.ids is not None
         assert log.ids.tolist() == [7, 9, 7, 7]
 
 

@@ -59,7 +59,6 @@ def test_poses_of_kitti(tmp_path: Path) -> None:
         put(tmp_path, kitti(CLOUD), f"{number}.bin")
     put(tmp_path, "1 0 0 5 0 1 0 6 0 0 1 7\n0 -1 0 1 1 0 0 2 0 0 1 3\n", "poses.txt")
     poses = open_scans(tmp_path).poses
-    assert poses is not None
     assert poses[:, :3, 3].tolist() == [[5, 6, 7], [1, 2, 3]]
     assert poses[1, :2, :2].tolist() == [[0, -1], [1, 0]]
     put(tmp_path, "1 0 0 5 0 1 0 6 0 0 1 7\n0 1 0 1 1 0 0 2 0 0 1 3\n", "poses.txt")
@@ -83,9 +82,7 @@ def test_times_of_kitti(tmp_path: Path, inner: str, caplog: pytest.LogCaptureFix
     assert "out of order" in caplog.text
     assert log.stamps_s.tolist() == [0.0, 2.0, 2.5]
     assert points_of(log) == [(CLOUD[SEEN] * k).tolist() for k in (1, 3, 2)]
-    assert log.poses is not None
     assert log.poses[:, 0, 3].tolist() == [0, 2, 1]
-    assert log.numbers is not None
     assert log.numbers.tolist() == [0, 2, 1]
     put(tmp_path, "0\n1\n", "times.txt")
     assert "times.txt: 2 times, expected one for each of 3 clouds" in failure(tmp_path)
@@ -97,11 +94,9 @@ def test_a_file_of_position_and_quaternion_for_each_cloud(tmp_path: Path) -> Non
     put(tmp_path / "lidar", kitti(CLOUD), "000001.bin")
     put(tmp_path / "poses", "1.0, 2.0, 3.0\n0.0, 0.0, 1.0, 0.0", "000001.txt")
     poses = open_scans(tmp_path).poses
-    assert poses is not None
     assert np.abs(poses[0, :3] - [[-1, 0, 0, 1], [0, -1, 0, 2], [0, 0, 1, 3]]).max() < 1e-12
     put(tmp_path / "poses", b"\xef\xbb\xbf1.0, 2.0, 3.0\r\n", "000001.txt")
     poses = open_scans(tmp_path).poses
-    assert poses is not None
     assert poses[0, :3, 3].tolist() == [1, 2, 3]
     put(tmp_path / "poses", "1.0, 2.0".encode("utf-16"), "000001.txt")
     assert "a NUL byte: text in UTF-16, expected UTF-8 text" in failure(tmp_path)
@@ -118,7 +113,6 @@ def test_depth_images_come_out_ahead_left_and_up(tmp_path: Path) -> None:
     for number in (1, 9, 10):
         put(tmp_path, "1 0 0 5\n0 1 0 6\n0 0 1 7\n0 0 0 1\n", f"frame-{number:06d}.pose.txt")
     poses = open_scans(tmp_path).poses
-    assert poses is not None
     for wrong, rows in {
         "pose 0 has no rotation": "0 1 0 6\n1 0 0 5\n0 0 1 7\n0 0 0 1\n",
         "the last row is not 0 0 0 1": "1 0 0 5\n0 1 0 6\n0 0 0 1\n0 0 1 7\n",
@@ -166,7 +160,6 @@ def test_depth_images_of_tum_in_the_order_of_their_times(tmp_path: Path) -> None
     points = points_of(log)
     assert [scan[:2] for scan in points] == [[[2.0, 0.0, 0.0], [1.0, -0.6, -0.1]]] * 2
     assert log.stamps_s.tolist() == [2.5, 3.5]
-    assert log.poses is not None
     assert (log.poses[0] @ [2.0, 0.0, 0.0, 1.0]).tolist() == [0, 0, 10, 1]  # the camera's z
     assert np.isnan(log.poses[1]).all()
     assert read_truth(tmp_path / "a", "planes3d").stamps_s.tolist() == [2.5]

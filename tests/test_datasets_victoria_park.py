@@ -13,7 +13,7 @@ from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.datasets import open_log
 from relmap.datasets.victoria_park import ASSOCIATION_FILE, CLOCK_FILE, read_reference_map
-from tests.logs import TREES, failure, ids_of, put
+from tests.logs import TREES, failure, put
 
 ASSOCIATED = np.array(
     [
@@ -35,7 +35,6 @@ def test_victoria_park_alone(tmp_path: Path) -> None:
     log = open_log(put(tmp_path, TREES, "trees.csv"))
     assert np.allclose(log.points_robot, [[10, 0], [0, -5], [0, 5]])
     assert (log.first_iteration, log.end_iteration, log.ids) == (1, 4, None)
-    assert log.stamps_s is not None
     assert np.allclose(log.stamps_s, [0.3, 0.5, 0.7])
 
 
@@ -45,9 +44,8 @@ def test_victoria_park_with_clock_and_association(tmp_path: Path) -> None:
     put_mat(tmp_path, ASSOCIATION_FILE, ASSOCIATED)
     log = open_log(tmp_path)
     assert (log.first_iteration, log.end_iteration) == (0, 5)
-    assert log.stamps_s is not None
     assert log.stamps_s.tolist() == [0.1, 0.3, 0.45, 0.7, 0.9]
-    assert ids_of(log) == [40, -1, 40]
+    assert log.ids.tolist() == [40, -1, 40]
     ids, positions = read_reference_map(tmp_path)
     assert ids.tolist() == [40, 50]
     assert positions.tolist() == [[3, 4, 0], [5, 6, 0]]

@@ -64,7 +64,6 @@ def test_circles_have_ids_but_no_places(tmp_path: Path) -> None:
     assert (evaluation.purity, evaluation.coverage) == (1, 1)
     assert evaluation.landmark_rmse_m is evaluation.ate_m is evaluation.rpe_m is None
     drawn = overlay(result, truth, log)
-    assert drawn is not None
     assert len(drawn.landmarks_map) == len(drawn.errors_map) == 0
 
 
@@ -72,7 +71,6 @@ def test_circles_have_ids_but_no_places(tmp_path: Path) -> None:
 def test_folders_of_the_data_sets(shared_data: Path, name: str) -> None:
     truth = read_truth(shared_data / name)
     log = open_log(shared_data / name)
-    assert log.ids is not None
     assert np.isin(log.ids[log.ids >= 0], truth.landmark_ids).all()
     placed = np.isfinite(truth.landmarks_map).all()
     assert placed == (name != "dlr-circles")

@@ -35,12 +35,10 @@ def test_relations_between_scans_have_the_error_of_interpolation() -> None:
     begin_s, end_s = np.array([0.0, 1.0, 2.0]), np.array([4.0, 5.5, 6.02])
     checked = (relations(begin_s, end_s, OFF_RAD),)
     errors = relation_errors(STAMPS_S, poses_at(STAMPS_S), checked)
-    assert errors is not None
     off_rad = 0.1 * np.array([0.0, 0.5 * 0.5, 0.02 * 0.98])  # of a chord of t^2
     assert errors.turn_rad == pytest.approx(np.abs(off_rad - OFF_RAD).mean(), abs=1e-12)
     assert errors.n == 3
     at_scans = relation_errors(STAMPS_S, poses_at(STAMPS_S), checked, AT_SCANS_S)
-    assert at_scans is not None
     assert at_scans.turn_rad == pytest.approx(np.abs(off_rad - OFF_RAD)[[0, 2]].mean(), abs=1e-12)
     assert at_scans.n == 2
 
@@ -56,7 +54,6 @@ def test_the_clock_of_most_relations_decides() -> None:
     begin_s, end_s = np.array([0.0, 1.0]), np.array([4.0, 5.0])
     wrong = Relations(begin_s + 8.0, end_s + 8.0, relations(begin_s, end_s).T_begin_end)
     errors = relation_errors(STAMPS_S, poses_at(STAMPS_S), (wrong, relations(begin_s, end_s)))
-    assert errors is not None
     assert errors.n == 2
     assert errors.turn_rad == pytest.approx(0.0, abs=1e-12)
 

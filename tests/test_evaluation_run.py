@@ -62,7 +62,6 @@ def test_nearest_keeps_the_ids_from_the_mapper() -> None:
 
 def test_unidentified_observations_have_no_track() -> None:
     log = simulate_figure_eight(density=10, iterations=30).log
-    assert log.ids is not None
     ids = log.ids.copy()
     ids[::7] = -1
     tracks = run_mapper(PointMapper(), replace(log, ids=ids), "known").result.tracks

@@ -94,7 +94,6 @@ def test_true_planes_may_have_any_numbers(tmp_path: Path) -> None:
     (tmp_path / "trajectory.tum").write_text(TUM)
     (tmp_path / "faces.csv").write_text(FACES.replace("\n1,1,", f"\n1,{2**63 - 1},"))
     found = read_truth(tmp_path, "planes3d").faces
-    assert found is not None
     assert found.plane.tolist() == [0, 1]
 
 

@@ -53,7 +53,7 @@ def test_dxf_has_walls_as_high_as_they_are() -> None:
 def test_svg_shows_y_upwards_and_names_are_text() -> None:
     root = ET.fromstring(svg_text(an_l()))
     name = "{http://www.w3.org/2000/svg}"
-    assert root.find(f"{name}title").text == "<a & b> $x$"  # type: ignore[union-attr]
+    assert root.find(f"{name}title").text == "<a & b> $x$"
     long, short = ({k: float(v) for k, v in line.attrib.items() if k[0] in "xy"}
                    for line in root.iter(f"{name}line"))  # fmt: skip
     assert (long["x1"], long["y1"], long["x2"], long["y2"]) == (0.0, 1.0, 4.0, 1.0)
@@ -190,7 +190,6 @@ def test_open3d_reads_ply(mapped: Mapped, tmp_path: Path) -> None:
     export(mapped("clouds"), "ply", tmp_path / "a.ply")
     mesh = open3d.io.read_triangle_mesh(str(tmp_path / "a.ply"))
     walls = read_content(mapped("clouds")).walls
-    assert walls is not None
     assert len(mesh.triangles) == 2 * len(walls.plane)
 
 

@@ -47,7 +47,6 @@ def serve(about: Path) -> ServedMap:
     origin = [float(value) for value in told["origin"].strip("[]").split(",")]
     picture = (about.parent / told["image"].strip("'")).read_bytes()
     header = re.match(rb"P5\s+(\d+)\s+(\d+)\s+(\d+)\s", picture)
-    assert header is not None
     width, height, depth = map(int, header.groups())
     pixels = np.frombuffer(picture[header.end() :], np.uint8).reshape(height, width)
     shade = pixels / depth
@@ -144,7 +143,6 @@ def test_grid_of_walls_agrees_with_the_log(
     export(result, "grid", tmp_path / "log.yaml", "--log", logs / source)
     kept, log = serve(tmp_path / "kept.yaml"), serve(tmp_path / "log.yaml")
     content = read_content(result)
-    assert content.walls is not None
     for x, y in (content.result.poses @ [0.5, 0.0, 0.0, 1.0])[:, :2].tolist():  # before the laser
         assert kept.at(x, y) == log.at(x, y) == FREE
     for (x0, y0), (x1, y1) in content.walls.ends.tolist():

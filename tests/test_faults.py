@@ -163,13 +163,11 @@ def test_overruled_observations_are_named() -> None:
     log, mapper = swapped_in(LOG, AT), PointMapper()
     labels = [mapper.update(scan.points_robot, scan.ids) for scan in log.scans()]
     assert mapper.rejected_observations.tolist() == [[AT, 0], [AT, 1]]
-    assert LOG.ids is not None
     np.testing.assert_array_equal(np.concatenate(labels), LOG.ids)
 
 
 def swapped_in(log: ObservationLog, iteration: int) -> ObservationLog:
     """Swap the ids of the first two observations of an iteration."""
-    assert log.ids is not None
     ids, first = log.ids.copy(), int(np.searchsorted(log.iteration, iteration))
     ids[[first, first + 1]] = ids[[first + 1, first]]
     return replace(log, ids=ids)
@@ -217,9 +215,6 @@ def test_the_result_names_overruled_observations(
     summary = load(out / "summary.json")
     assert summary["rejected_observations"] == {"count": 2, "rows": [first, first + 1]}
     tracks = read_result(out).tracks
-    assert tracks.rejected_id is not None
-    assert LOG.ids is not None
-    assert log.ids is not None
     overruled = tracks.rejected_id >= 0
     np.testing.assert_array_equal(tracks.row[overruled], [first, first + 1])
     np.testing.assert_array_equal(tracks.landmark, LOG.ids)

@@ -196,7 +196,6 @@ def test_a_loop_is_flat_in_median_and_mean() -> None:
 
 def test_landmarks_seen_so_far_are_counted() -> None:
     log = tiny.log()
-    assert log.ids is not None
     so_far = [len({i for i, when in SEEN.items() if when[0] <= k}) for k in range(8)]
     assert figure14_15.seen_so_far(log.ids, log).tolist() == so_far
 

@@ -20,7 +20,7 @@ Array = Floats
 
 
 def driven(log: ObservationLog) -> PointMapper:
-    return mapped([(scan.ids, scan.points_robot) for scan in log.scans()])  # type: ignore[misc]
+    return mapped([(scan.ids, scan.points_robot) for scan in log.scans()])
 
 
 def mapped(scans: Scans) -> PointMapper:
@@ -66,7 +66,7 @@ def test_wrong_ids_cost_next_to_nothing(kind: str, share: float) -> None:
     overruled = np.searchsorted(world.log.iteration, iteration) + row
     wrong = np.flatnonzero(world.log.ids != world.true_ids)
     assert len(np.intersect1d(overruled, wrong)) > 0.6 * len(wrong)
-    assert len(np.setdiff1d(overruled, wrong)) < 0.01 * len(world.log.ids)  # type: ignore[arg-type]
+    assert len(np.setdiff1d(overruled, wrong)) < 0.01 * len(world.log.ids)
 
 
 def visits(shared: int, d: int) -> tuple[Array, Scans]:

@@ -162,7 +162,6 @@ def test_stretches_that_share_enough_are_aligned() -> None:
     landmark = np.append(np.arange(4, 12), 5)
     other = live.Body(landmark, (world[landmark] + 3.0) @ R, np.ones(9))
     together = live.laid_together(one, other)
-    assert together is not None
     np.testing.assert_array_equal(together.landmark, np.arange(12))
     np.testing.assert_allclose(together.points, world, atol=1e-9)
     np.testing.assert_array_equal(together.weight, [2, 2, 2, 2, 3, 4, 3, 3, 1, 1, 1, 1])

@@ -265,7 +265,6 @@ def test_real_scans_are_found_where_the_robot_comes_again(
 ) -> None:
     """Freiburg 079, judged by the poses in the log: none may be wrong."""
     log = real_scans("carmen-laser2d/freiburg-079-corrected.log.gz")
-    assert log.poses is not None
     mapper = PlaneMapper()
     feed(mapper, log.between(0, 300), "nearest", refine=True)
     R, t = fit_rigid(log.poses[:300, :2, 3], mapper.trajectory[:, :2, 3])

@@ -49,7 +49,6 @@ def test_what_faults_of_single_observations_do(seed: int, share: float) -> None:
 
 
 def test_duplicated_landmarks() -> None:
-    assert LOG.ids is not None
     chosen = np.unique(LOG.ids)[[7, 3]]
     made = faults.duplicated_landmarks(LOG, chosen, 0.01, np.random.default_rng(0))
     assert made.ids is not None

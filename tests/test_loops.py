@@ -42,7 +42,6 @@ def seen_twice(shift_m: float) -> tuple[LandmarkState, int]:
 def test_a_place_seen_twice_is_found_where_the_map_has_drifted() -> None:
     table, n = seen_twice(shift_m=0.35)
     loop = LoopFinder(table, SIGMA).next()
-    assert loop is not None
     assert len(loop.pairs) >= 10
     np.testing.assert_array_equal(loop.pairs[:, 0] - n, loop.pairs[:, 1])
 
@@ -100,7 +99,6 @@ def test_half_a_scan_is_found_after_any_turn(d: int, seed: int) -> None:
     there = rng.uniform(-10, 10, (30, d)) @ R.T + t
     there[:15] = points[:15] @ R.T + t + SIGMA * rng.standard_normal((15, d))
     found = search(points, rng.permutation(there), 0.1, 3)
-    assert found is not None
     placement, rival = found
     assert placement.n_agreeing >= 13
     assert rival <= 8
@@ -110,7 +108,6 @@ def test_half_a_scan_is_found_after_any_turn(d: int, seed: int) -> None:
 def test_a_lattice_has_rivals() -> None:
     lattice = np.stack(np.meshgrid(np.arange(5.0), np.arange(6.0)), axis=-1).reshape(-1, 2)
     found = search(lattice, lattice + 0.3, 0.05, 3)
-    assert found is not None
     assert found[1] >= 0.6 * found[0].n_agreeing
 
 

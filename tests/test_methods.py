@@ -77,8 +77,6 @@ def test_methods_that_use_all_observations_are_close_to_batch(
     installed(find_method(name))
     limit = runs["batch"].figures["landmark_rmse_m"]
     found = runs[name].figures["landmark_rmse_m"]
-    assert limit is not None
-    assert found is not None
     assert found < 1.1 * limit
 
 
@@ -129,7 +127,6 @@ def test_setup_contains_noise_and_range(eight: Landmarks) -> None:
 
 
 def test_unidentified_observations_are_ignored(eight: Landmarks) -> None:
-    assert eight.log.ids is not None
     ids = eight.log.ids.copy()
     ids[::7] = -1
     data = Data(replace(eight.log, ids=ids), eight.truth)
@@ -172,8 +169,6 @@ def test_which_methods_accept_which_logs() -> None:
 def test_error_of_what_was_seen_often(runs: dict[str, MethodRun], eight: Landmarks) -> None:
     """Of the same landmarks for every method, by plain alignment."""
     log, truth = eight.log, eight.truth
-    assert log.ids is not None
-    assert truth is not None
     often = np.flatnonzero(np.bincount(log.ids) >= 10)
     for name in ("frame-to-map", "batch"):
         table = runs[name].result.landmarks

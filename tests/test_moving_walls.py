@@ -99,7 +99,6 @@ def assert_exact(mapper: PlaneMapper, building: Building) -> None:
     due = building.times_seen()[still, 1:] >= SEEN
     truth = Truth(ends=ends, corner_scans=due.astype(np.int64))
     matched = match_corners(mapper.planes, truth, mapper.trajectory, building.trajectory)
-    assert matched is not None
     off = matched.position @ matched.R.T + matched.t - matched.truth
     assert np.abs(off).max() <= 1e-9
     found = np.isin(np.flatnonzero(due), 2 * matched.wall + matched.end)

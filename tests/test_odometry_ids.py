@@ -46,7 +46,6 @@ def rounds(most: int | None = None) -> ObservationLog:
 
 def misread(log: ObservationLog, share: float) -> Ints:
     """Return the ids, a share of them replaced by ids of landmarks that are not in view."""
-    assert log.ids is not None
     rng, ids = np.random.default_rng(6), log.ids.copy()
     for row in np.flatnonzero(rng.random(len(ids)) < share):
         ids[row] = rng.choice(np.setdiff1d(log.ids, ids[log.iteration == log.iteration[row]]))
@@ -74,7 +73,6 @@ def test_a_few_wrong_ids_do_not_bend_a_map_with_odometry_and_are_counted(share: 
 
 def test_ids_swapped_in_the_second_round_are_counted_with_odometry() -> None:
     log = rounds()
-    assert log.ids is not None
     names = np.arange(len(landmarks()))
     often = np.flatnonzero(np.bincount(log.ids) > 30)[:4]
     names[often] = np.roll(often, 1)
@@ -94,7 +92,6 @@ def test_one_landmark_in_each_scan_has_a_summary() -> None:
 def test_iterations_that_are_not_in_the_log_are_not_linked_by_odometry() -> None:
     """A jump of the numbers, as of a log that was cut, adds no scan."""
     log, jump = rounds(), 1000
-    assert log.odometry is not None
     half, unknown = SCANS // 2, np.full((jump, 4, 4), np.nan)
     motions = np.concatenate([log.odometry[:half], unknown, log.odometry[half:]])
     iteration = log.iteration + jump * (log.iteration >= half)
@@ -126,6 +123,5 @@ def test_two_landmarks_side_by_side_do_not_turn_what_follows(seed: int) -> None:
     mapper.finish()
     mapper.refine()
     assert len(mapper.map) >= 75
-    assert mapper.odometry is not None
     assert not len(mapper.odometry.left_out)
     assert aligned_rmse(mapper.map.positions[:, :2], true[mapper.map.landmark_ids]) < 0.2

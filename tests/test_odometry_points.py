@@ -67,12 +67,11 @@ def rmse_m(run: FigureEight, positions: Array, ids: Ints) -> float:
 def test_sparse_landmarks_with_ids_are_one_map_with_odometry_and_several_without() -> None:
     run = world(SPARSE, 250)
     mapper, _ = mapped(run, odometry_of(run, 0), known=True)
-    often = np.bincount(run.log.ids) >= 2  # type: ignore[arg-type]
+    often = np.bincount(run.log.ids) >= 2
     assert len(mapper.submaps) == 1
     assert_array_equal(mapper.map.landmark_ids, np.flatnonzero(often))
     assert rmse_m(run, mapper.map.positions, mapper.map.landmark_ids) < 0.3
     assert np.isfinite(mapper.trajectory).all()
-    assert mapper.odometry is not None
     assert mapper.odometry.is_used
     assert len(mapper.odometry.hanging) > 0
     without, _ = mapped(run, None, known=True)
@@ -84,7 +83,6 @@ def test_sparse_landmarks_without_ids_are_distinguished_with_odometry() -> None:
     run = world(SPARSE, 250)
     mapper, labels = mapped(run, odometry_of(run, 0), known=False)
     now, true = mapper.landmarks_of(labels), run.log.ids
-    assert true is not None
     own = mapper.map.landmark_ids
     of = np.array([np.bincount(true[now == landmark]).argmax() for landmark in own])
     pure = [np.mean(true[now == landmark] == name) for landmark, name in zip(own, of, strict=True)]
@@ -108,7 +106,6 @@ def test_single_landmarks_close_a_loop_if_no_others_might_be_meant() -> None:
     run = simulate_figure_eight(density=SPARSE, seed=2)
     mapper, labels = finished(run, odometry_of(run, 2), known=False)
     true = run.log.ids
-    assert true is not None
     for _ in range(2):  # The map is solved again after merging, with and without refinement.
         now = mapper.landmarks_of(labels)
         of = [np.bincount(true[now == landmark]).argmax() for landmark in mapper.map.landmark_ids]
@@ -123,7 +120,6 @@ def test_if_landmarks_link_every_scan_odometry_changes_nothing() -> None:
     without, same = mapped(run, None, known=False)
     assert_array_equal(labels, same)
     assert_array_equal(with_it.map.positions, without.map.positions)
-    assert with_it.odometry is not None
     assert not with_it.odometry.is_used
 
 
@@ -132,7 +128,6 @@ def test_reversed_odometry_is_noticed_and_left_out() -> None:
     backwards: Array = np.asarray(np.linalg.inv(odometry_of(run, 0)))
     mapper, labels = mapped(run, backwards, known=False)
     without, same = mapped(run, None, known=False)
-    assert mapper.odometry is not None
     assert mapper.odometry.noise.is_wrong
     assert_array_equal(labels, same)
     assert_array_equal(mapper.map.positions, without.map.positions)
@@ -142,7 +137,6 @@ def test_odometry_stuck_at_zero_is_noticed_and_left_out() -> None:
     run = world(SPARSE, 250)
     mapper, _ = mapped(run, np.tile(np.eye(4), (250, 1, 1)), known=False)
     without, _ = mapped(run, None, known=False)
-    assert mapper.odometry is not None
     assert mapper.odometry.noise.is_wrong
     assert not mapper.odometry.is_used
     assert_allclose(mapper.map.positions, without.map.positions, atol=1e-6)
@@ -155,9 +149,7 @@ def test_a_stretch_of_odometry_stuck_at_zero_is_left_out(stuck: slice) -> None:
     motions[stuck] = np.eye(4)
     mapper, labels = mapped(run, motions, known=False)
     now, true = mapper.landmarks_of(labels), run.log.ids
-    assert true is not None
     of = [np.bincount(true[now == landmark]).argmax() for landmark in mapper.map.landmark_ids]
-    assert mapper.odometry is not None
     assert mapper.odometry.is_used
     assert len(set(mapper.odometry.left_out) & set(range(250)[stuck])) > 0.9 * 82
     assert rmse_m(run, mapper.map.positions, np.array(of)) < 0.1
@@ -169,9 +161,7 @@ def test_a_leap_of_odometry_in_a_gap_is_left_out() -> None:
     motions[gap, 0, 3] += 60.0
     mapper, labels = mapped(run, motions, known=False)
     now, true = mapper.landmarks_of(labels), run.log.ids
-    assert true is not None
     of = [np.bincount(true[now == landmark]).argmax() for landmark in mapper.map.landmark_ids]
-    assert mapper.odometry is not None
     assert gap in mapper.odometry.hanging
     assert mapper.odometry.left_out.tolist() == [gap]
     assert rmse_m(run, mapper.map.positions, np.array(of)) < 0.1
@@ -183,7 +173,6 @@ def test_slips_are_named_where_landmarks_show_them() -> None:
     slips = np.flatnonzero(np.random.default_rng(2).random(len(motions)) < 0.1)
     motions[slips, :3, 3] *= 2
     mapper, _ = mapped(run, motions, known=False)
-    assert mapper.odometry is not None
     assert not mapper.odometry.noise.is_wrong
     assert set(mapper.odometry.left_out) <= set(slips)
     assert len(mapper.odometry.left_out) >= 0.7 * len(slips)
@@ -214,7 +203,6 @@ def test_a_resumed_run_with_odometry_is_the_same(tmp_path: Path, known: bool) ->
     again.save(tmp_path / "mapper.npz")
     loaded = PointMapper.load(tmp_path / "mapper.npz")
     assert_array_equal(loaded.trajectory, mapper.trajectory)
-    assert loaded.odometry is not None
     assert loaded.odometry.is_used
     again.close()
 
@@ -244,7 +232,6 @@ def test_a_map_stays_the_first_submap_beside_a_longer_log_that_is_not_connected(
             if first_id and not scan.iteration:
                 mapper.take_up(scan.points_robot)
             motion = np.full((4, 4), np.nan) if not scan.iteration else motions[scan.iteration]
-            assert scan.ids is not None
             mapper.update(scan.points_robot, ids=scan.ids + first_id, odometry=motion)
         mapper.finish()
         mapper.refine()

@@ -192,5 +192,4 @@ def test_root_link_leads_into_the_package(name: str, repo_root: Path) -> None:
 def test_citation_names_the_version(repo_root: Path) -> None:
     citation = (repo_root / "CITATION.cff").read_text(encoding="utf-8")
     found = re.search(r"^version: (\S+)$", citation, flags=re.MULTILINE)
-    assert found is not None
     assert found[1] == project(repo_root)["version"]

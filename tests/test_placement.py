@@ -35,7 +35,6 @@ def test_trimmed_fit_finds_what_trying_every_subset_finds(seed: int, d: int) -> 
         apart = np.linalg.norm(source @ fitted_R.T + fitted_t - target, axis=1)
         counts.append(int(np.sum(apart <= 0.1)))
     placement = trimmed_fit(source, target, 0.1)
-    assert placement is not None
     assert placement.n_agreeing == max(counts) == n - len(wrong)
     np.testing.assert_allclose(placement.apply(source), source @ R.T + t, atol=1e-9)
 

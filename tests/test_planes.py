@@ -38,7 +38,6 @@ def figures(mapper: PlaneMapper, building: Building) -> tuple[float, float, int]
     poses, truth = mapper.trajectory, truth_of(building)
     there = np.isfinite(poses[:, 0, 0])
     matched = match_corners(mapper.planes, truth, poses[there], building.trajectory[there])
-    assert matched is not None
     off = matched.position @ matched.R.T + matched.t - matched.truth
     due = np.flatnonzero(truth.corner_scans.ravel() >= 10)
     found = np.isin(due, 2 * matched.wall + matched.end)
@@ -114,7 +113,6 @@ def test_walls_seen_again_are_joined() -> None:
     corners = mapper.planes.corner
     truth = truth_of(building)
     matched = match_corners(mapper.planes, truth, mapper.trajectory, building.trajectory)
-    assert matched is not None
     n_true = len(np.unique(2 * matched.wall + matched.end))
     assert (corners >= 0).sum() <= 1.05 * n_true
 

@@ -242,7 +242,6 @@ def found(yaw: float, *more: Floats, **given: Any) -> Placed | None:
 
 def test_a_turn_in_a_narrow_room_is_accepted_if_seven_planes_match() -> None:
     placed = found(1.2, TABLE, wall(0, 2.5), wall(1, 2.0))
-    assert placed is not None
     assert placed.share < 0.85
     assert apart(placed.R, placed.t, STILL, ORIGIN)[0] == pytest.approx(1.2, abs=0.02)
 
@@ -251,6 +250,5 @@ def test_instead_of_a_doubtful_placement_one_that_matches_more_planes_is_taken()
     turns = []
     for least in (0, 7):
         placed = found(np.pi, TABLE, is_doubtful=lambda each, n=least: each.n_planes < n)
-        assert placed is not None
         turns.append(apart(placed.R, placed.t, STILL, ORIGIN)[0])
     assert turns == pytest.approx([0.0, np.pi], abs=0.02)

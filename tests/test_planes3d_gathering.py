@@ -25,7 +25,6 @@ def test_planes_that_no_scan_shows_by_itself_are_found() -> None:
     before = found()["plane_recall"]
     mapper.refine()
     after = found()
-    assert before is not None
     assert before < 0.9
     assert after["plane_recall"] == 1.0
     assert after["plane_precision"] == 1.0
@@ -49,7 +48,6 @@ def test_points_of_a_noisy_plane_are_found_once() -> None:
         still = np.eye(3), np.zeros(3)
         part.extend([k], [seen], [still], [np.arange(len(seen))])
     found = gathered(part, 10)
-    assert found is not None
     points = np.zeros(len(found), dtype=np.int64)
     for seen, match in zip(found.seen, found.match, strict=True):
         np.add.at(points, match, seen.n_points)

@@ -87,7 +87,6 @@ def test_walls_without_types_of_ends_are_mapped(named: bool) -> None:
     assert (said & static).sum() >= 0.4 * static.sum()
     truth = truth_of(building)
     matched = match_corners(mapper.planes, truth, mapper.trajectory, building.trajectory)
-    assert matched is not None
     off = np.linalg.norm(matched.position @ matched.R.T + matched.t - matched.truth, axis=1)
     assert np.sqrt(np.mean(off**2)) < 0.02
     due = np.flatnonzero(truth.corner_scans.ravel() >= 10)

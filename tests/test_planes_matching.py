@@ -46,7 +46,6 @@ def test_a_wide_jump_is_found() -> None:
     yaw, t = 0.5, np.array([0.8, -0.6])
     seen = checked_planes(Room(room @ turn(yaw).T + t))
     found = place(tracks, seen, STILL)
-    assert found is not None
     motion, match = found
     np.testing.assert_allclose(motion, [yaw, *t], atol=1e-9)
     assert match.tracks.tolist() == match.walls.tolist() == [0, 1, 2]
@@ -83,7 +82,6 @@ def test_a_tiny_wall_does_not_rotate_the_scan() -> None:
     false = speck[0] + np.array([[-3.0], [3.0]]) * along
     scan = checked_planes(Room(np.concatenate([np.add(room, [0.0, -0.1]), false[None]])))
     found = place(tracks, scan, STILL)
-    assert found is not None
     motion, match = found
     np.testing.assert_allclose(motion, [0.0, 0.0, -0.1], atol=0.01)
     assert set(match.tracks.tolist()) >= {0, 1, 2}

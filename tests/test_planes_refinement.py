@@ -136,7 +136,6 @@ def test_walls_are_assembled_without_any_corner() -> None:
     none = np.empty(0, dtype=np.int64)
     numbers = WallNumbers(np.zeros(1, dtype=np.int64), none)
     assembled = assemble(history, numbers, poses, np.zeros(1, dtype=np.bool_))
-    assert assembled is not None
     np.testing.assert_allclose(assembled.state.centre, [[2.0, 0.0]], atol=1e-12)
     assert len(assembled.corners) == len(assembled.given.corner) == 0
 
@@ -163,7 +162,6 @@ def test_a_corner_is_known_to_the_distance_between_the_points_there() -> None:
     poses = poses_along(x)
     numbers = WallNumbers(np.arange(2), np.arange(3))
     assembled = assemble(history, numbers, poses, np.zeros(2, dtype=np.bool_))
-    assert assembled is not None
     sd = assembled.given.corner_sd.reshape(n, 3)
     corner = assembled.given.corner.reshape(n, 3)[0]
     # Beams half a degree apart, on the line y = 2, near the end of the wall at x = 3.

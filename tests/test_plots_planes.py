@@ -88,7 +88,6 @@ def test_parallel_walls_are_not_shown() -> None:
 def test_corner_test_is_drawn_with_its_deviations() -> None:
     figure = figure04.FIGURE.draw(corner_tests(cut_walls()))
     legend = figure.axes[2].get_legend()
-    assert legend is not None
     said = [text.get_text() for text in legend.get_texts()]
     assert sum("static" in text for text in said) == 1
     assert any(f"{0.1 * np.arange(15).std():.3f} m" in text for text in said)
@@ -133,14 +132,8 @@ def test_a_frame_is_kept_at_intervals(bench: BenchRecorder) -> None:
     assert frame_step(3) == 1
 
 
-def last_frame(bench: BenchRecorder) -> BenchFrame:
-    last = bench.last()
-    assert last is not None
-    return last
-
-
 def test_mapped_walls_lie_on_true_ones_in_the_frame(bench: BenchRecorder) -> None:
-    last = last_frame(bench)
+    last = bench.last()
     assert len(last.walls) >= 4
     first, across = last.true_walls[:, 0], last.true_walls[:, 1] - last.true_walls[:, 0]
     for end in last.walls.reshape(-1, 2):
@@ -153,7 +146,7 @@ def test_mapped_walls_lie_on_true_ones_in_the_frame(bench: BenchRecorder) -> Non
 
 
 def test_links_tie_the_middles_of_walls(bench: BenchRecorder) -> None:
-    last = last_frame(bench)
+    last = bench.last()
     middles = last.walls.mean(axis=1)
     assert len(last.links) >= 2
     apart = np.linalg.norm(last.links[:, 1][:, None] - middles, axis=2)
@@ -161,7 +154,7 @@ def test_links_tie_the_middles_of_walls(bench: BenchRecorder) -> None:
 
 
 def test_rows_of_the_bench_hold_every_point_and_wall(bench: BenchRecorder) -> None:
-    last = last_frame(bench)
+    last = bench.last()
     whats = [row[0] for row in last.rows()]
     assert whats.count("point (robot)") == len(last.points_robot) == 400
     assert whats.count("wall") == len(last.walls)
@@ -170,22 +163,22 @@ def test_rows_of_the_bench_hold_every_point_and_wall(bench: BenchRecorder) -> No
 
 
 def test_bench_has_the_four_panels_of_the_paper(bench: BenchRecorder) -> None:
-    titles = [axes.get_title() for axes in plot_bench(last_frame(bench)).axes]
+    titles = [axes.get_title() for axes in plot_bench(bench.last()).axes]
     assert titles[0] == "mapped walls over the true ones"
     assert titles[1] == "what the robot sees: 400 points"
-    assert titles[2] == f"segmented: {len(last_frame(bench).ends_robot)} planes"
+    assert titles[2] == f"segmented: {len(bench.last().ends_robot)} planes"
     assert titles[3] == "the map with group connectivity"
 
 
 def test_bench_says_that_the_scan_is_not_in_the_map(bench: BenchRecorder) -> None:
-    apart = replace(last_frame(bench), T_world_robot=np.full((4, 4), np.nan))
+    apart = replace(bench.last(), T_world_robot=np.full((4, 4), np.nan))
     said = "mapped walls over the true ones; this scan is in another submap"
     assert plot_bench(apart).axes[0].get_title() == said
 
 
 def test_bench_calls_itself_a_figure_of_the_paper_only_there(bench: BenchRecorder) -> None:
-    assert plot_bench(last_frame(bench)).get_suptitle() == "the test bench, iteration 39"
-    in_paper = plot_bench(last_frame(bench), "Figure 5: the test bench").get_suptitle()
+    assert plot_bench(bench.last()).get_suptitle() == "the test bench, iteration 39"
+    in_paper = plot_bench(bench.last(), "Figure 5: the test bench").get_suptitle()
     assert in_paper == "Figure 5: the test bench, iteration 39"
 
 
@@ -283,8 +276,6 @@ def exact() -> PartialWall:
 
 def test_partial_wall_is_bridged_and_all_else_is_exact(exact: PartialWall) -> None:
     before_m, after_m = exact.errors_m
-    assert before_m is not None
-    assert after_m is not None
     assert max(before_m, after_m) < 1e-9
     assert 10.0 < exact.weak_m < 14.0
     assert abs(exact.shift[0]) < 0.02 * exact.weak_m  # the robot weaves: its speed along varies

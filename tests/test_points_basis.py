@@ -51,7 +51,6 @@ def test_the_basis_keeps_shape_and_handedness(seed: int, d: int) -> None:
 def test_relative_map_is_exact_without_noise(seed: int, d: int) -> None:
     shape, block = moved_block(seed, d)
     relative = PointModel().average_in_basis(block)
-    assert relative is not None
     assert aligned_rmse(relative, shape) < 1e-9
 
 
@@ -60,7 +59,6 @@ def test_relative_map_averages_the_noise_away() -> None:
     for seed in range(200):
         shape, block = moved_block(seed, 3, sigma=0.01)
         relative = PointModel().average_in_basis(block)
-        assert relative is not None
         errors.append(aligned_rmse(relative, shape))
     # 7 points have 21 coordinates, of which an alignment takes 6 away; ten views are averaged.
     expected = 0.01 * np.sqrt((21 - 6) / 7 / 10)

@@ -51,7 +51,6 @@ def refined(world: Walk, start: Points) -> Refined:
     m = len(world.landmarks)
     everyone, nobody = np.ones(m, dtype=bool), np.zeros(m, dtype=bool)
     found = refine(condensed(world), start, everyone, np.arange(m), nobody)
-    assert found is not None
     assert found.landmarks.tolist() == list(range(m))
     return found
 

@@ -174,7 +174,6 @@ def test_a_longer_log_of_another_place_does_not_displace_the_map(
 ) -> None:
     for name, seed, iterations, first_id in (("old", 1, 60, 0), ("new", 2, 120, 1000)):
         log = simulate_figure_eight(iterations=iterations, seed=seed).log
-        assert log.ids is not None
         write_observation_csv(tmp_path / f"{name}.csv", replace(log, ids=log.ids + first_id))
     old, new, both = (str(tmp_path / name) for name in ("old", "new", "both"))
     asked = ["--association", association, "-o"]

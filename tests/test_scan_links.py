@@ -146,7 +146,6 @@ def test_a_motion_back_undoes_it() -> None:
 def test_wide_steps_and_turns_are_found(turn_deg: float, step_m: float) -> None:
     first, second = (-0.6, 0.0, 0.2), (-0.6 + step_m, 0.3, 0.2 + np.deg2rad(turn_deg))
     found = searched(CORNERS, first, second)
-    assert found is not None
     motion = found.motion
     np.testing.assert_allclose(motion, motion_between(first, second), atol=0.03)
 
@@ -207,7 +206,6 @@ def test_a_scan_that_fits_nothing_stays_alone() -> None:
     assert alone.span == (30, 31)
     assert np.isnan(mapper.trajectory[30]).all()
     known = np.delete(np.arange(60), 30)
-    assert log.poses is not None
     off = np.linalg.inv(log.poses[known[:-1]]) @ log.poses[known[1:]]
     found = np.linalg.inv(mapper.trajectory[known[:-1]]) @ mapper.trajectory[known[1:]]
     np.testing.assert_allclose(found[:, :2, 3], off[:, :2, 3], atol=0.1)

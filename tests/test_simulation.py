@@ -12,7 +12,6 @@ from relmap.simulation.figure_eight import REACH_M, dynamic_offsets
 def errors(world: eight.FigureEight) -> np.ndarray:
     """Return the observation errors (n, 3) of the static landmarks."""
     log = world.log
-    assert log.ids is not None
     T = world.trajectory[log.iteration]
     true = np.einsum("nij,ni->nj", T[:, :3, :3], world.landmarks_map[log.ids] - T[:, :3, 3])
     return np.asarray((log.points_robot - true)[world.status[log.ids] == "static"])

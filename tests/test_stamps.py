@@ -124,7 +124,6 @@ def test_mappers_get_the_times_of_logs_unless_another_log_was_later(tmp_path: Pa
     map_log(log, mapper)
     found = trajectory_of(mapper, tmp_path)
     known = np.isfinite(found)
-    assert log.stamps_s is not None
     assert_array_equal(found[known], log.stamps_s[known])
     map_log(log.between(0, 5), mapper)
     assert_array_equal(mapper.stamps_s, np.append(log.stamps_s, np.full(5, np.nan)))

@@ -72,7 +72,6 @@ def test_odometry_tells_storeys_apart(seed: int) -> None:
     z = mapper.map.positions[:, 2]
     assert np.ptp(z) > HEIGHT_M + 1.5
     assert len(z) > 100
-    assert mapper.odometry is not None
     assert mapper.odometry.alike > 0
 
 
@@ -100,7 +99,6 @@ def test_a_map_without_gaps_reports_none() -> None:
     poses, scans = house(np.random.default_rng(1), 12)
     mapper = mapped(poses[:80], scans[:80], None)
     found = gaps(mapper.engine, np.arange(80), mapper.trajectory[:, :3, 3])
-    assert found is not None
     assert len(found.before) == 0
 
 

@@ -207,7 +207,6 @@ def test_a_place_seen_again_after_a_jump_is_joined(tmp_path: Path) -> None:
     mapper.save(tmp_path / "mapper.npz")
     mapper.refine()
     assert sorted(known_of(mapper)) == [again, list(range(35, 50))]
-    assert log.poses is not None
     assert ate_m(mapper.trajectory[again], log.poses[[*range(35), *range(5, 40)]]) < 0.02
     same = PlaneMapper.load(tmp_path / "mapper.npz")
     same.refine()

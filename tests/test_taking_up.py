@@ -29,7 +29,6 @@ def placed(*parts: tuple[Floats, Ints]) -> Placements:
 
 def test_a_stretch_that_agrees_is_accepted() -> None:
     found = placed((THERE, np.arange(4, 24)), (ELSEWHERE, np.arange(8, 15))).accepted()
-    assert found is not None
     scan, T_map_robot = found
     np.testing.assert_allclose(T_map_robot, THERE @ PATH[scan - 100])
 

@@ -54,7 +54,6 @@ def test_the_estimate_is_the_noise_of_the_sensor(noise: str, d: int) -> None:
     assert np.sqrt(ratio.real).min() > 0.6
     assert np.sqrt(ratio.real).max() < 1.6
     metric = rays.metric(points)
-    assert metric is not None
     even = np.linalg.eigvalsh(metric @ true @ metric)
     assert np.sqrt(even.max() / even.min()) < 2.2
     np.testing.assert_allclose(np.linalg.slogdet(metric)[1].mean(), 0, atol=1e-9)
@@ -109,7 +108,6 @@ def test_nearest_by_a_metric_is_what_trying_all_finds(d: int) -> None:
     points, queries = rng.uniform(-4, 4, (40, d)), rng.uniform(-4, 4, (60, d))
     metric, reach = random_metric(40, d, rng), 1.5
     stretch = stretch_of(metric)
-    assert stretch is not None
     cell = reach * float(stretch.max())
     distance, index = nearest_within(points, queries, reach, metric, cell)
     off = np.einsum("nij,knj->kni", metric, queries[:, None] - points)
@@ -129,7 +127,6 @@ def test_weighted_fit_is_that_of_scipy_without_the_outliers(d: int) -> None:
     target = source @ R.T + t + noise
     target[:4] += 6.0
     found = trimmed_fit(source, target, 0.3, metric)
-    assert found is not None
     assert found.n_agreeing == 21
 
     def residuals(x: Array) -> Array:

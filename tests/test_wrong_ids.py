@@ -32,7 +32,6 @@ Wrong = Callable[[ObservationLog, int, int], ObservationLog]
 
 def misread(log: ObservationLog, n: int, seed: int) -> ObservationLog:
     """Replace ids of n observations by those of landmarks anywhere that are not in view."""
-    assert log.ids is not None
     rng, ids = np.random.default_rng(seed), log.ids.copy()
     for row in rng.choice(len(ids), n, replace=False):
         in_view = ids[log.iteration == log.iteration[row]]
@@ -42,7 +41,6 @@ def misread(log: ObservationLog, n: int, seed: int) -> ObservationLog:
 
 def swapped(log: ObservationLog, n: int, seed: int) -> ObservationLog:
     """Swap the ids of n observations, two in one iteration at a time."""
-    assert log.ids is not None
     rng, ids = np.random.default_rng(seed), log.ids.copy()
     for row in rng.choice(len(ids), n // 2, replace=False):
         other = rng.choice(np.flatnonzero(log.iteration == log.iteration[row]))

@@ -113,27 +113,19 @@ def without_ids(log: ObservationLog) -> tuple[PointMapper, Ints]:
 
 def stands_for(landmarks: Ints, ids: Ints | None) -> dict[int, int]:
     """Return the id of most observations of each landmark."""
-    assert ids is not None
     return dict(zip(*majority_ids(landmarks, ids)[:2], strict=True))
 
 
 def purity_of(landmarks: Ints, ids: Ints | None) -> float:
-    assert ids is not None
-    found = purity(landmarks, ids)
-    assert found is not None
-    return found
+    return purity(landmarks, ids)
 
 
 def ate_m(poses: Floats, true_poses: Floats | None, planar: bool = True) -> float:
-    assert true_poses is not None
-    error_m = ate(poses, true_poses, planar)
-    assert error_m is not None
-    return error_m
+    return ate(poses, true_poses, planar)
 
 
 def submap_ate_m(submap: Any, true_poses: Floats | None) -> float:
     """Return the ATE of a submap of walls, of the scans it knows the pose of."""
-    assert true_poses is not None
     known = np.isfinite(submap.poses[:, 0, 0])
     return ate_m(submap.poses[known], true_poses[slice(*submap.span)][known])
 

@@ -33,7 +33,7 @@ class Column(NamedTuple):
     fill: Any
     merged: Merge = "new"
     vector: bool = False
-    dtype: DTypeLike = None
+    dtype: DTypeLike | None = None
 
 
 class Columns:
