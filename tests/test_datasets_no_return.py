@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tracemalloc
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from relmap.datasets.laser import on_robot, usable_beams
 from tests.logs import put
 from tests.scanlogs import npz
 
+Written = Callable[[Path, list[Floats]], ScanLog]
 BEARINGS = np.deg2rad(np.arange(-90.0, 90.0))
 REACH_M = 5.0
 
@@ -43,9 +45,8 @@ def carmen_log(folder: Path, ranges_m: list[Floats]) -> ScanLog:
 
 @pytest.mark.parametrize("written", [scans_npz, carmen_log])
 def test_beams_at_the_largest_range_did_not_return(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture, written: object
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, written: Written
 ) -> None:
-    assert callable(written)
     true = [hall(step) for step in range(10)]
     assert [len(scan.points_robot) for scan in written(tmp_path, true).scans()] == 10 * [180]
     assert not caplog.messages
@@ -59,10 +60,9 @@ def test_beams_at_the_largest_range_did_not_return(
 
 @pytest.mark.parametrize("written", [scans_npz, carmen_log])
 def test_few_beams_down_a_corridor_did_not_return(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture, written: object
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, written: Written
 ) -> None:
     """They are 4 degrees wide only; where the end of the corridor is seen, it is kept."""
-    assert callable(written)
     ends_m = 33 - 0.5 * np.arange(40.0)
     with np.errstate(divide="ignore"):
         sides_m = 1 / np.abs(np.sin(BEARINGS))
@@ -85,9 +85,8 @@ def test_few_beams_down_a_corridor_did_not_return(
 @pytest.mark.parametrize("written", [scans_npz, carmen_log])
 @pytest.mark.parametrize("sd_m", [0.005, 0.02])
 def test_the_range_of_beams_without_a_return_may_vary(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture, written: object, sd_m: float
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, written: Written, sd_m: float
 ) -> None:
-    assert callable(written)
     rng = np.random.default_rng(0)
     true = [hall(step) for step in range(40)]
     none_m = [REACH_M + rng.normal(0, sd_m, 180).round(3) for _ in true]
@@ -162,9 +161,8 @@ def test_points_at_the_origin_did_not_return(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("written", [scans_npz, carmen_log])
 def test_beams_on_the_robot_are_left_out(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture, written: object
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, written: Written
 ) -> None:
-    assert callable(written)
     rng = np.random.default_rng(0)
     mast = slice(20, 35)
     scans = [hall(step) for step in range(60)]
@@ -208,8 +206,7 @@ def test_a_wall_that_the_robot_follows_keeps_its_beams(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("written", [scans_npz, carmen_log])
-def test_a_log_without_any_return_is_opened(tmp_path: Path, written: object) -> None:
-    assert callable(written)
+def test_a_log_without_any_return_is_opened(tmp_path: Path, written: Written) -> None:
     log = written(tmp_path, [np.full(180, REACH_M)] * 30)
     assert sum(len(scan.points_robot) for scan in log.scans()) == 0
 
