@@ -6,7 +6,8 @@ Each has the value of a new row and the rule applied when a landmark is merged i
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Annotated, Any, Literal, NamedTuple, get_args, get_type_hints
+from dataclasses import dataclass, replace
+from typing import Annotated, Any, Literal, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import DTypeLike
@@ -22,7 +23,8 @@ NONE = -1
 Merge = Literal["old", "new", "least", "most", "sum"]
 
 
-class Column(NamedTuple):
+@dataclass(frozen=True)
+class Column:
     """Description of a column.
 
     `fill`, scalar: value of a new row; `merged`: value of the older landmark after a merge: its
@@ -94,7 +96,7 @@ class Columns:
 
 def _described(hint: Any) -> Column:
     array, column = get_args(hint)
-    found: Column = column._replace(dtype=get_args(get_args(array)[1])[0])
+    found: Column = replace(column, dtype=get_args(get_args(array)[1])[0])
     return found
 
 
