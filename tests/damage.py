@@ -139,8 +139,11 @@ def _mutated_zip(data: bytes, rng: np.random.Generator) -> bytes:
     return stream.getvalue()
 
 
-def npz_made_to_harm(canary: Path) -> Files:
-    """Return scans.npz that contain executable code, or fewer data than declared."""
+def made_to_harm(canary: Path) -> dict[str, Files]:
+    """Return files that random damage does not produce, by reader and kind.
+
+    They contain executable code, or fewer data than declared.
+    """
     large = io.BytesIO()
     with zipfile.ZipFile(large, "w", zipfile.ZIP_DEFLATED) as archive:
         for name in ("points", "iteration", "stamps_s"):
@@ -148,19 +151,14 @@ def npz_made_to_harm(canary: Path) -> Files:
             archive.writestr(
                 f"{name}.npy", b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header
             )
-    return {
-        "objects": scans(points=np.array([Canary(canary)], dtype=object)),
-        "pickle": pickle.dumps(Canary(canary)),
-        "billions": large.getvalue(),
-    }
-
-
-def made_to_harm(canary: Path) -> dict[str, Files]:
-    """Return files that random damage does not produce, by reader and kind."""
     deep = b"[" * 100_000
     cloud = pcd(CLOUD, declared=3_000_000_000)
     return {
-        "scans-npz": npz_made_to_harm(canary),
+        "scans-npz": {
+            "objects": scans(points=np.array([Canary(canary)], dtype=object)),
+            "pickle": pickle.dumps(Canary(canary)),
+            "billions": large.getvalue(),
+        },
         "point-clouds-0.pcd": {"billions": cloud, "text": cloud.replace(b"binary", b"ascii")},
         "point-clouds-1.ply": {"billions": ply(CLOUD, declared=3_000_000_000)},
         "config": {"deep": b"a = " + deep, "long": b"group_after = " + b"9" * 5000},
