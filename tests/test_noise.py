@@ -108,6 +108,15 @@ def test_guess_is_within_a_factor_two(d: int, g: int, i: int, movers: int) -> No
 
 
 @both_dimensions
+@pytest.mark.parametrize(("g", "i"), [(20, 20), (20, 40), (40, 20)])
+def test_motion_is_not_guessed_to_be_noise(d: int, g: int, i: int) -> None:
+    """Three of four move: few pairs keep their distance, but noise is not gradual."""
+    rng = np.random.default_rng(g + i)
+    for _ in range(15):
+        assert guess_noise(seen_block(g, i, d, rng, movers=3 * g // 4)) < 2 * SIGMA
+
+
+@both_dimensions
 def test_guess_copes_with_gaps(d: int) -> None:
     rng = np.random.default_rng(d)
     for _ in range(15):

@@ -19,7 +19,7 @@ from relmap.core.association.metric import LONGEST, WAIT, RayNoise, stretch_of
 from relmap.core.association.placement import trimmed_fit
 from relmap.core.association.reobservation.coinciding import compatible
 from relmap.evaluation.metrics import majority_ids
-from relmap.simulation import World, WorldSpec, simulate_world
+from relmap.simulation import World, WorldSpec, simulate_figure_eight, simulate_world
 from relmap.simulation.worlds import covariances_of
 from tests.kernels import callable_here
 from tests.worlds import random_rotation
@@ -81,11 +81,23 @@ def test_noise_free_matches_give_no_metric() -> None:
 def test_observations_wait_for_the_estimate_no_longer_than_memory_allows() -> None:
     rays, unequal = RayNoise(), rays_of("bearing", 2, np.random.default_rng(3))
     for n, weighs, weighs_unequal in ((WAIT - 1, None, None), (WAIT, None, True)):
-        rays.decide(n)
-        unequal.decide(n)
+        rays.decide(n, np.nan)
+        unequal.decide(n, np.nan)
         assert (rays.weighs, unequal.weighs) == (weighs, weighs_unequal)
-    rays.decide(LONGEST)
+    rays.decide(LONGEST, np.nan)
     assert rays.weighs is False
+
+
+def test_motion_does_not_pass_for_unequal_noise() -> None:
+    """Half of the landmarks move: their residuals differ by direction and distance."""
+    mapper = PointMapper()
+    for scan in simulate_figure_eight(iterations=90, dynamic=0.5, seed=1).log.scans():
+        mapper.update(scan.points_robot)
+        rays = mapper.engine.association.current.estimated
+        if rays is not None and rays.weighs is not None:
+            break
+    assert rays is not None
+    assert (rays.is_unequal, rays.weighs) == (True, False)
 
 
 def test_no_observation_is_kept_once_the_noise_is_known_to_be_isotropic() -> None:

@@ -42,7 +42,7 @@ def keep_observations(
         noise = None if covariances is None else covariances[named]
         engine.kept.append(found[named], seen[named], engine.store.n_iterations - 1, noise)
     if rays is not None and waits:
-        rays.decide(len(engine.kept))
+        rays.decide(len(engine.kept), engine.averaging.noise.sigma_m)
         weigh_by_estimate(engine)
         if rays.weighs is False and not moves:
             engine.kept = KeptObservations()

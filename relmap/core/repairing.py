@@ -18,6 +18,7 @@ from relmap.core.association.reobservation.undoing import (
     pieces,
     places_of,
 )
+from relmap.core.association.scale import spacing_of
 from relmap.core.gaps import bridge_gaps, is_bridged
 from relmap.core.keeping import weigh_by_estimate
 from relmap.core.mapper import RelativeMapper
@@ -41,6 +42,9 @@ ROUNDS = 8
 CLEARLY, WHOLE = 0.8, 0.95
 """Largest ratio of the contradictions of a rebuilt map to those before for it to be kept, and least
 ratio of the numbers of mapped landmarks: an empty map contradicts nothing."""
+HANGING, LOOSE = 0.1, 0.5
+"""Standard deviation of a landmark, relative to the size of the submap, above which a hinge
+connects a part of it; and relative to the spacing of landmarks, above which they belong to this part."""
 PLACES = (
     *("position", "weight", "settled_position", "settled_weight"),
     *("submap", "dynamic", "highest_level"),
@@ -70,6 +74,8 @@ def refine(engine: RelativeMapper) -> None:
         _refine(engine)
     if association.is_known:
         _rebuild(engine)
+    while not is_bridged(engine) and _cut_loose(engine):
+        _refine(engine)
     for refined in engine.refined:
         if not refined.converged:
             logger.warning(
@@ -230,6 +236,27 @@ def _undo(engine: RelativeMapper) -> int:
             table.submap[piece] = engine.map.new_submap()
             changes += 1
     return changes
+
+
+def _cut_loose(engine: RelativeMapper) -> bool:
+    """Cut off what only a hinge connects to the rest of a submap; return whether there is any.
+
+    Two landmarks in space leave a rotation open. What is cut off is a submap, if there is enough.
+    """
+    found = False
+    for refined in engine.refined:
+        d, size_m = refined.positions.shape[1], np.ptp(refined.positions, axis=0).max()
+        variance = np.trace(refined.covariances, axis1=1, axis2=2) / d
+        sd = np.sqrt(np.where(np.isfinite(variance), variance, np.inf))
+        loose = sd > LOOSE * spacing_of(refined.positions)
+        if sd.max() <= HANGING * size_m or loose.all() or not loose.any():
+            continue
+        engine.table.submap[refined.landmarks[loose]] = engine.map.new_submap()
+        for part in (refined.landmarks[loose], refined.landmarks[~loose]):
+            if len(part) <= d:
+                engine.table.take_off_map(part)
+        found = True
+    return found
 
 
 def _part(engine: RelativeMapper, rows: SegmentRows, tracks: Ints) -> None:

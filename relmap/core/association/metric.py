@@ -40,6 +40,8 @@ TYPICAL = (0.1, 0.9)
 """Quantiles of the distance between which the noise is compared."""
 TERMS = 3
 """Coefficients of the variance, a polynomial in the squared distance."""
+BELOW = 0.7
+"""Largest ratio of the smallest standard deviation to that of static landmarks, if unequal."""
 ROUNDS = 3
 """Rounds of reweighting the residuals by their variances."""
 WAIT = 1000
@@ -101,9 +103,7 @@ class RayNoise:
                 self._coefficients[k] = _fitted(
                     terms, self._squares[:, k + 1], self._coefficients[k]
                 )
-            ordered = np.sort(self._squares[:, 0])  # `numpy.quantile` takes ten times as long
-            at = np.array(TYPICAL) * (len(ordered) - 1)
-            sigma = self._sigmas(np.interp(at, np.arange(len(ordered)), ordered))
+            sigma = self._typical()
             is_negligible = sigma.max() < NEGLIGIBLE * self._unit_m
             self._is_unequal = bool(sigma.max() >= UNEQUAL * sigma.min() and not is_negligible)
 
@@ -129,11 +129,23 @@ class RayNoise:
         scale = np.exp(np.mean(np.log(sigma))) / sigma
         return np.asarray((vectors * scale[:, None]) @ np.swapaxes(vectors, 1, 2))
 
-    def decide(self, n_observations: int) -> None:
-        """Decide after enough observations whether they are weighted by the estimate."""
+    def decide(self, n_observations: int, noise_m: float) -> None:
+        """Decide after enough observations whether they are weighted by the estimate.
+
+        Where many landmarks move, their motion may pass for unequal noise; then even the smallest
+        estimate is not below the noise of static landmarks, `noise_m`; NaN if unknown.
+        """
         enough = LONGEST if self._is_unequal is None else WAIT
         if self.weighs is None and n_observations >= enough:
             self.weighs = bool(self._is_unequal)
+            if self.weighs and self._typical().min() > BELOW * noise_m:
+                self.weighs = False
+
+    def _typical(self) -> Floats:
+        """Return standard deviations (2, 2) along and across the ray, near and far."""
+        ordered = np.sort(self._squares[:, 0])  # `numpy.quantile` takes ten times as long
+        at = np.array(TYPICAL) * (len(ordered) - 1)
+        return self._sigmas(np.interp(at, np.arange(len(ordered)), ordered))
 
     def covariances(self, points: Floats) -> Floats:
         """Return estimated covariances (n, d, d) of points (n, d), robot frame, square metres."""

@@ -10,7 +10,7 @@ FORGETTING = 0.99
 """Decay of the weight of earlier groups: the noise may change during a run."""
 LOWEST = 0.12
 """Fraction of pairs assumed static if nothing is known: a third of all landmarks gives as many."""
-RAISED = 1.5
+RAISED = 1.8
 """Factor from the variance at the upper end of that fraction to a typical one."""
 RIGID = 1e-9
 """Deviation, as a fraction of a distance, below which the distance is exact by construction."""
@@ -76,13 +76,17 @@ def guess_noise(block: Floats) -> float:
     few = block[np.argsort(-np.isfinite(block[:, :, 0]).sum(axis=1), kind="stable")[:PAIRED]]
     a, b = np.triu_indices(len(few), k=1)
     distance = np.linalg.norm(few[a] - few[b], axis=2)
-    n = np.isfinite(distance).sum(axis=1)
+    known = np.isfinite(distance)
+    n = known.sum(axis=1)
     often = 2 * n > n.max(initial=2)
-    distance, n = distance[often], n[often]
+    distance, known, n = distance[often], known[often], n[often]
     if not len(n):
         return np.nan
     mean = np.nansum(distance, axis=1) / n
-    variance = np.nansum((distance - mean[:, None]) ** 2, axis=1) / (n - 1)
+    # Half of the squared steps are the variance of noise, but not of motion (von Neumann, 1941).
+    latest = np.maximum.accumulate(np.where(known, np.arange(known.shape[1]), -1), axis=1)[:, :-1]
+    before = np.where(latest >= 0, np.take_along_axis(distance, latest, axis=1), np.nan)
+    variance = np.nansum((distance[:, 1:] - before) ** 2, axis=1) / (2 * (n - 1))
     rigid = variance <= (RIGID * mean) ** 2
     if 2 * rigid.sum() < len(rigid):  # parts of one object, which are not informative
         variance = variance[~rigid]

@@ -1,0 +1,36 @@
+"""Maps among many moving landmarks, without ids: wrong in no submap by more than its landmarks."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from relmap import PointMapper
+from relmap.core.geometry.alignment import fit_rigid
+from relmap.evaluation.metrics import majority_ids
+from relmap.simulation import simulate_figure_eight
+
+
+@pytest.mark.parametrize(
+    ("dynamic", "seed", "off_m"), [(0.5, 1, 0.05), (0.65, 4, 0.4), (0.7, 3, 0.4)]
+)
+def test_the_submaps_among_moving_landmarks_are_right(
+    dynamic: float, seed: int, off_m: float
+) -> None:
+    """Motion taken for noise bent these maps; two landmarks, a hinge, connected one."""
+    world, mapper = simulate_figure_eight(dynamic=dynamic, seed=seed), PointMapper()
+    labels = np.concatenate([mapper.update(scan.points_robot) for scan in world.log.scans()])
+    mapper.finish()
+    mapper.refine()
+    ids = np.concatenate([scan.ids for scan in world.log.scans()])
+    found, true_ids, _ = majority_ids(mapper.landmarks_of(labels), ids)
+    stands_for = dict(zip(found.tolist(), true_ids.tolist(), strict=True))
+    assert sum(len(submap.landmark_ids) for submap in mapper.submaps) >= 0.3 * len(world.status)
+    for submap in mapper.submaps:
+        own = np.array([stands_for[label] for label in submap.landmark_ids.tolist()])
+        still = world.status[own] == "static"
+        if still.sum() < 10:
+            continue
+        here, there = submap.positions[still], world.landmarks_map[own[still]]
+        R, t = fit_rigid(here, there)
+        assert np.sqrt(np.mean(np.sum((here @ R.T + t - there) ** 2, axis=1))) < off_m
