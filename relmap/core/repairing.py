@@ -44,7 +44,8 @@ CLEARLY, WHOLE = 0.8, 0.95
 ratio of the numbers of mapped landmarks: an empty map contradicts nothing."""
 HANGING, LOOSE = 0.1, 0.5
 """Standard deviation of a landmark, relative to the size of the submap, above which a hinge
-connects a part of it; and relative to the spacing of landmarks, above which they belong to this part."""
+connects a part of it; and relative to the spacing of landmarks, above which they are of this part.
+"""
 PLACES = (
     *("position", "weight", "settled_position", "settled_weight"),
     *("submap", "dynamic", "highest_level"),
