@@ -140,6 +140,14 @@ def test_many_wrong_ids_give_a_warning(contradicting: float | None, expected: st
         assert (expected in message) if expected else not message
 
 
+@pytest.mark.parametrize(("contradicting", "expected"), [(0.03, "3.0 %"), (0.01, ""), (None, "")])
+def test_a_map_without_ids_that_many_observations_contradict_gives_a_warning(
+    contradicting: float | None, expected: str
+) -> None:
+    message = doubtful(None, contradicting, has_ids=False)
+    assert (expected in message) if expected else not message
+
+
 @pytest.mark.parametrize(
     ("rows", "scans", "expected"),
     [

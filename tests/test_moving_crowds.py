@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from relmap import PointMapper
+from relmap.cli.outcome import OUTLYING
 from relmap.core.geometry.alignment import fit_rigid
 from relmap.evaluation.metrics import majority_ids
+from relmap.evaluation.run import run_mapper
 from relmap.simulation import simulate_figure_eight
 
 
@@ -34,3 +38,18 @@ def test_the_submaps_among_moving_landmarks_are_right(
         here, there = submap.positions[still], world.landmarks_map[own[still]]
         R, t = fit_rigid(here, there)
         assert np.sqrt(np.mean(np.sum((here @ R.T + t - there) ** 2, axis=1))) < off_m
+
+
+@pytest.mark.parametrize(("step_m", "is_right"), [(0.0, True), (0.02, False)])
+def test_observations_contradict_the_map_where_many_move_slowly_together(
+    step_m: float, is_right: bool
+) -> None:
+    """A third of the landmarks moves, and is mapped: 0.2 to 0.9 m off, and nothing said so."""
+    world = simulate_figure_eight(seed=1)
+    log, moving = world.log, world.landmark_ids % 3 == 0
+    ahead = world.trajectory[log.iteration, 0, :3]  # the x axis of the map, robot frame
+    shift = step_m * (log.iteration * moving[log.ids])[:, None] * ahead
+    log = replace(log, points_robot=log.points_robot + shift)
+    summary = run_mapper(PointMapper(), log, "nearest", refine=True).result.summary
+    contradicting = summary["association_trust"]["contradicting"]
+    assert (contradicting <= OUTLYING) == is_right

@@ -28,6 +28,8 @@ MISREAD = 0.04
 """Fraction of the observations contradicting their ids above which a map may be wrong: of 49
 simulated ones one of 12 with 2 % wrong ids was, 3 of 13 with 5 %, 5 of 14 with 10 %, 8 of 10 with
 20 %."""
+OUTLYING = 0.02
+"""The same without ids: of right maps at most 0.015, where landmarks move or noise is unequal."""
 NOTHING = (
     "; nothing is mapped: a map needs landmarks that are seen together in at least four scans, "
     "three in the plane and four in space"
@@ -68,7 +70,9 @@ def report(job: Job) -> None:
             f"{'' if counts['mapped'] else NOTHING}{doubted(summary)}{overruled(summary)}{hanging}"
         )
         trust = summary["association_trust"]
-        warning = doubtful(summary["refinement"], trust["contradicting"]) + leapt(trust["leaps"])
+        has_ids = summary["association"] == "known"
+        warning = doubtful(summary["refinement"], trust["contradicting"], has_ids)
+        warning += leapt(trust["leaps"])
     typer.echo(f"{message}{still(run.result.poses)}{warning}")
     if job.onto and job.association == "nearest" and summary["tied_at"] is None:
         typer.echo(
@@ -252,10 +256,12 @@ def leapt(leaps: dict[str, Any] | None) -> str:
     )
 
 
-def doubtful(refinement: dict[str, Any] | None, contradicting: float | None) -> str:
+def doubtful(
+    refinement: dict[str, Any] | None, contradicting: float | None, has_ids: bool = True
+) -> str:
     """Return a warning that the map may be wrong, as a line after a message.
 
-    `contradicting`: fraction of the observations that contradict their ids; None without ids.
+    `contradicting`: fraction of the observations that contradict their ids or the map.
     """
     if refinement and refinement["noise_m"] > CONTRADICTED * refinement["median_range_m"]:
         noise_m, range_m = refinement["noise_m"], refinement["median_range_m"]
@@ -264,7 +270,12 @@ def doubtful(refinement: dict[str, Any] | None, contradicting: float | None) -> 
             f"deviation), at distances of {range_m:.2g} m in the median, so it is probably wrong; "
             "check the ids, or map without them"
         )
-    if contradicting is not None and contradicting > MISREAD:
+    if contradicting is not None and not has_ids and contradicting > OUTLYING:
+        return (
+            f"\nWARNING: {100 * contradicting:.1f} % of the observations contradict the map: it "
+            "may be wrong, as where most landmarks in view move, or many move slowly together"
+        )
+    if contradicting is not None and has_ids and contradicting > MISREAD:
         return (
             f"\nWARNING: {100 * contradicting:.0f} % of the observations contradict their ids or "
             "the map: it may be wrong; check the ids, or compare with a map without them"

@@ -122,8 +122,13 @@ def _bridged_by_look(
 
 
 def _contradicting(mapper: PointMapper | PlaneMapper, n_observations: int) -> float | None:
-    """Return the fraction of the observations that contradict their ids; None without ids."""
-    if not isinstance(mapper, PointMapper) or not mapper.engine.association.is_known:
+    """Return the fraction of the observations that contradict their ids or the refined map.
+
+    None for walls, and without both.
+    """
+    if not isinstance(mapper, PointMapper):
+        return None
+    if not mapper.engine.association.is_known and not mapper.refined:
         return None
     n_wrong = len(mapper.rejected_observations) + sum(one.n_outliers for one in mapper.refined)
     # The mapper may have earlier logs, too; overruled observations may belong to no landmark.
