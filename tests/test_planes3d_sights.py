@@ -48,7 +48,7 @@ def test_a_plane_that_is_always_there_is_static() -> None:
 
 
 def test_a_plane_that_slides_along_itself_is_dynamic() -> None:
-    # Of a sensor that stands still, only rays that change are kept: this one moves.
+    # Of a sensor that stands still, only rays that change count: this one moves.
     mapper, way = Plane3dMapper(), np.array([0.2, 0.1, 0.05])
     for k, at in enumerate(np.linspace(-0.7, 0.3, 8)):
         walls = [wall(axis, 3.0) for axis in range(3)] + [wall(0, 2.0, (at, at + 0.6))]
@@ -59,6 +59,18 @@ def test_a_plane_that_slides_along_itself_is_dynamic() -> None:
     assert mapper.planes.status.tolist() == ["static"] * 3 + ["dynamic"]
     mapper.refine()
     assert mapper.planes.status.tolist() == ["static"] * 3 + ["dynamic"]
+
+
+def test_a_narrow_plane_is_not_seen_through_beside_it() -> None:
+    # At such steps most rays are those of the scan before; those that change are at its edges.
+    mapper, way = Plane3dMapper(), np.array([0.005, 0.018, 0.007])
+    for k in range(40):
+        walls = [wall(axis, 3.0) for axis in range(3)] + [wall(0, 2.0, (-0.2, 0.2))]
+        mapper.update(patches(*(each - k * way for each in walls)))
+    mapper.finish()
+    there, through = np.sum(list(mapper.submaps[0].sights.values()), axis=0)
+    assert there > 200
+    assert through == 0
 
 
 def test_a_floor_that_rays_graze_farther_away_is_static() -> None:

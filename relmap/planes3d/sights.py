@@ -143,7 +143,8 @@ def with_ends(seen: Patches) -> Patches:
     first = np.empty(len(keys), dtype=np.int64)
     first[of[::-1]] = np.arange(len(of))[::-1]
     ends = np.concatenate([seen.cells, seen.loose[first]])
-    return replace(seen, ends=ends[ends.any(axis=1)].astype(np.float32))
+    ends = ends[ends.any(axis=1)].astype(np.float32)
+    return replace(seen, ends=ends, is_new=np.ones(len(ends), dtype=np.bool_))
 
 
 def sights_of(part: Submap) -> dict[int, Ints]:
@@ -179,7 +180,7 @@ def contradicted(part: Submap, other: Submap, pose: Pose) -> float:
 def _looks(seen: Patches, pose: Pose, cells: Floats, normal: Floats) -> tuple[Ints, Ints]:
     """Return the rows of cells (c, 3), submap frame, where a scan sees a surface, or through it.
 
-    `normal` (c, 3): of their planes.
+    Only looks along new rays count. `normal` (c, 3): of their planes.
     """
     R, t = pose
     ends = seen.ends.astype(np.float64)
@@ -192,6 +193,7 @@ def _looks(seen: Patches, pose: Pose, cells: Floats, normal: Floats) -> tuple[In
     if not len(rows):
         return rows, rows
     off, ray = cKDTree(ends / range_m[:, None]).query(at[rows] / away[rows, None], k=AROUND)
+    is_new = np.append(seen.is_new, False)[ray[:, 0]]
     range_m, away = np.append(range_m, far_m)[ray], away[rows, None]
     near = off < NEXT * _cell_m(seen, range_m) / range_m * [1.0, *[FURTHER] * (AROUND - 1)]
     beyond_m, cell_m = range_m - away, _cell_m(seen, away)
@@ -201,7 +203,8 @@ def _looks(seen: Patches, pose: Pose, cells: Floats, normal: Floats) -> tuple[In
     behind_m = np.einsum("ci,ci->c", end, front[rows]) - height_m[rows]
     behind = behind_m * np.sign(height_m[rows]) > FACING * cell_m[:, 0]
     through = (~near | (beyond_m > cell_m)).all(axis=1) & behind
-    return rows[near[:, 0] & there], rows[near[:, 0] & through]
+    looks = near[:, 0] & is_new
+    return rows[looks & there], rows[looks & through]
 
 
 def _cell_m(seen: Patches, range_m: Floats) -> Floats:

@@ -105,8 +105,10 @@ class Submap:
         `number` (m,): number of the landmark of each patch in the mapper.
         """
         R, t = pose
-        kept, new = self._sparse(seen.loose @ R.T + t, seen.cell_m), self._new_rays(seen, pose)
-        seen = replace(seen, loose=seen.loose[kept], ends=seen.ends[new])
+        kept, is_new = self._sparse(seen.loose @ R.T + t, seen.cell_m), self._new_rays(seen, pose)
+        # Of some rays only, those that end beside a plane would seem to pass through it.
+        rays = slice(len(is_new) if is_new.any() else 0)
+        seen = replace(seen, loose=seen.loose[kept], ends=seen.ends[rays], is_new=is_new[rays])
         self.extend([iteration], [seen], [pose], [number])
 
     def extend(
@@ -175,10 +177,7 @@ class Submap:
         return np.flatnonzero(rank < (MOST_LOOSE - known)[at])
 
     def _new_rays(self, seen: Patches, pose: Pose) -> Bools:
-        """Return which rays of a scan do not begin and end in the cells of one of the scan before.
-
-        Where the sensor stands still, only what moves is kept.
-        """
+        """Return which rays of a scan do not begin and end in cells of one of the scan before."""
         from relmap.planes3d.nearest_kernels import keys_of
 
         R, t = pose

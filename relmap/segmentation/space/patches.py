@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from relmap.core.arrays import Floats, Ints, Singles
+from relmap.core.arrays import Bools, Floats, Ints, Singles
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +47,9 @@ class Patches:
         The patch of each.
     ends : (e, 3) float32, metres
         Where the rays of the scan ended, on planes or not, about one per voxel.
+    is_new : (e,) bool
+        Which of these rays the scan before did not have: where the sensor stands still, a plane is
+        looked at once.
     """
 
     centre: Floats
@@ -62,6 +65,7 @@ class Patches:
     rim: Floats = field(default_factory=lambda: np.empty((0, 3)))
     rim_patch: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     ends: Singles = field(default_factory=lambda: np.empty((0, 3), dtype=np.float32))
+    is_new: Bools = field(default_factory=lambda: np.empty(0, dtype=np.bool_))
 
     def __len__(self) -> int:
         return len(self.n_points)
