@@ -30,9 +30,6 @@ ROUNDING = 1e-14
 DOUBTFUL = 4.0
 """Residual, in standard deviations, at which a weight is halved. It never vanishes (Cauchy): a
 scan may depend on one observation."""
-USUAL = 2.0
-"""The same as a multiple of the median residual, of all observations or of those of the scan; the
-larger of the two holds."""
 ROUNDS, GAIN = 30, 1e-6
 """Maximum number of steps, and the gain of a step that ends them."""
 SHARES: list[float] = [0.0, *np.geomspace(0.01, 3.0, 60).tolist()]
@@ -121,15 +118,9 @@ class PlaneAdjustment:
         return SHARES[bisect_left(SHARES[:-1], True, key=is_enough)]
 
     def weights(self, residual: Floats) -> Floats:
-        """Return the weights (3 n,) of residuals, by the norm of the three of an observation.
-
-        If all residuals of a scan are large, its pose is wrong rather than its observations.
-        """
-        from relmap.core.linalg.order_kernels import medians
-
+        """Return the weights (3 n,) of residuals, by the norm of the three of an observation."""
         size = np.sqrt((residual.reshape(-1, 3) ** 2).sum(axis=1))
-        usual = np.maximum(np.median(size), medians(self.seen.scan, size))[self.seen.scan]
-        return np.repeat(1 / (1 + (size / np.maximum(DOUBTFUL, USUAL * usual)) ** 2), 3)
+        return np.repeat(1 / (1 + (size / DOUBTFUL) ** 2), 3)
 
     def residuals(self, state: Scene) -> Floats:
         """Return the residuals (3 n,) of each observation: tilt along u, along v, and distance."""

@@ -16,8 +16,6 @@ THICKER = 10.0
 SYSTEMATIC = 0.5
 """Error that the points of a plane have in common, as a fraction of their noise, until it is
 estimated."""
-BENT_RAD = 1e-4
-"""Standard deviation of the bend of the map."""
 DOUBTFUL = 4.0
 """Standard deviations above which the weight of a match decreases."""
 ROUNDS, SETTLED, LAST = 8, 1e-3, 1e-7
@@ -98,15 +96,14 @@ def fitted(
 def _root_information(seen: Patches, rows: Ints, noise_m: Floats) -> Floats:
     """Return the square roots of the information (m, 3) of matched planes of a scan.
 
-    Points of a plane have some of their errors in common, and the map may be bent. `noise_m` (m,):
-    of the planes of the map.
+    Points of a plane have some of their errors in common. `noise_m` (m,): of the planes of the map.
     """
-    spread, away = seen.spread[rows], np.ones((len(rows), 3))
+    spread = seen.spread[rows]
     lever = np.maximum(np.insert(spread[:, :2], 2, 1.0, axis=1), 1e-9)
-    away[:, 2] = np.linalg.norm(seen.centre[rows], axis=1)
     common = SYSTEMATIC**2 * (spread[:, 2:] ** 2 + noise_m[:, None] ** 2)
-    shared = common / lever**2 + (BENT_RAD * away) ** 2
-    return np.asarray(1 / np.sqrt(1 / np.maximum(seen.information[rows], 1e-12) + shared))
+    return np.asarray(
+        1 / np.sqrt(1 / np.maximum(seen.information[rows], 1e-12) + common / lever**2)
+    )
 
 
 def _settled(

@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 from relmap.core.arrays import Bools, Floats
 from relmap.planes3d.adjustment import GAIN, PlaneAdjustment, Scene, Sightings
 from relmap.planes3d.certainty import plane_covariances, step_covariances, unreliable_steps
-from relmap.planes3d.fitting import OPEN, SYSTEMATIC, WEAK, directed, distances
+from relmap.planes3d.fitting import OPEN, SYSTEMATIC, directed, distances
 from relmap.planes3d.gathering import gathered
 from relmap.planes3d.sights import sights_of
 from relmap.planes3d.submap import Submap
@@ -18,8 +18,6 @@ from relmap.segmentation.space import Patches
 ROUNDS, ROUGHLY = 12, 0.1
 """Maximum number of rounds of adjusting and joining, and the gain that ends the adjustment while
 landmarks are joined."""
-SURE, UNUSUAL = 3.0, 2.5
-"""Standard deviations within which a step is known, and how many times the median is unusual."""
 FEW = 6
 """Number of scans of a submap of a broken run whose steps are too few to be compared."""
 UNSURE = 0.0125
@@ -67,10 +65,10 @@ def unsure_steps(part: Submap, is_broken: bool = False) -> dict[int, Floats]:
     """Return the iterations whose step from the scan before is poorly determined.
 
     A step is unsure if in some direction the standard deviation of the translation, or of the
-    displacement by the rotation at the range, exceeds 1.25 % of the range; or if three of them
-    exceed 1.5 % and it is two and a half times the usual one. So is a step that is unsteady in
-    a direction in which a single landmark determines it, unsteady by far, or unlike those around
-    it, or turns so, see `relmap.planes3d.certainty`. `is_broken`: whether there are other submaps;
+    displacement by the rotation at the range, exceeds 1.25 % of the range. So is a step that is
+    unsteady in a direction in which a single landmark determines it, unsteady by far, or unlike
+    those around it, or turns so, see `relmap.planes3d.certainty`. `is_broken`: whether there are
+    other submaps;
     then so are all steps of a submap of at most six scans, as what broke the run before or after
     them may have misled them.
 
@@ -83,12 +81,8 @@ def unsure_steps(part: Submap, is_broken: bool = False) -> dict[int, Floats]:
     reach_m = np.array([each.reach_m for each in part.seen])
     unsure = unreliable_steps(seen, state, share, np.array(part.iteration), reach_m)
     reach_m = np.minimum(reach_m[1:], reach_m[:-1])
-    known = ~np.isin(part.iteration[1:], list(part.weak))
     for variance in (turn_m2 * reach_m**2, way_m2[:, 2]):
-        sd_m = np.sqrt(np.maximum(variance, 0.0))
-        usual_m = np.median(sd_m[known]) if known.any() else np.inf
-        unsure |= (SURE * sd_m > WEAK * reach_m) & (sd_m > UNUSUAL * usual_m)
-        unsure |= sd_m > UNSURE * reach_m
+        unsure |= variance > (UNSURE * reach_m) ** 2
     unsure |= is_broken and len(part.iteration) <= FEW
     rows = np.flatnonzero(unsure).tolist()
     return {part.iteration[k + 1]: directed(axes[k, :, 2]) for k in rows}
@@ -151,10 +145,7 @@ def _doubles(part: Submap) -> dict[int, int]:
     surfaces, off = Surfaces(planes), distances(still, origin, planes, planes)
     noise = np.hypot(planes.spread[:, None, 2], planes.spread[:, 2])
     bent_m = BENT * float(np.median([seen.reach_m for seen in part.seen]))
-    # The smaller must lie on the larger: at the larger's ends the smaller's plane is inaccurate.
-    size = np.bincount(planes.cell_patch, minlength=len(planes))
     one = (off < ONE * noise) & surfaces.overlapping(still, origin, planes)
-    one &= size[:, None] <= size
     maybe = (off < ONE * noise + bent_m) & (planes.normal @ planes.normal.T > SIDE)
     np.fill_diagonal(maybe, False)
     one = maybe & (one | (_covered(planes, maybe.any(axis=0) | maybe.any(axis=1)) > COVERED))

@@ -193,7 +193,7 @@ def _looks(seen: Patches, pose: Pose, cells: Floats, normal: Floats) -> tuple[In
     if not len(rows):
         return rows, rows
     off, ray = cKDTree(ends / range_m[:, None]).query(at[rows] / away[rows, None], k=AROUND)
-    is_new = np.append(seen.is_new, False)[ray[:, 0]]
+    is_new = np.append(seen.is_new, False)[np.asarray(ray)[:, 0]]
     range_m, away = np.append(range_m, far_m)[ray], away[rows, None]
     near = off < NEXT * _cell_m(seen, range_m) / range_m * [1.0, *[FURTHER] * (AROUND - 1)]
     beyond_m, cell_m = range_m - away, _cell_m(seen, away)
