@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from relmap import PlaneMapper, PlaneSegmenter, RelmapError
 from relmap.core.arrays import Floats
+from relmap.planes.refinement.solving import corner_covariances
 from relmap.simulation import Building, simulate_building
 from tests.worlds import finished
 
@@ -67,6 +70,19 @@ def test_covariances_match_the_errors(runs: list[tuple[Building, PlaneMapper]]) 
         sd_m = np.sqrt(np.trace(covariances, axis1=1, axis2=2) / 2)
         np.testing.assert_allclose(table.sd[at], sd_m, rtol=1e-12)
     assert 0.3 < np.median(np.concatenate(squares)) / 1.386 < 3.0  # chi-square of 2 freedoms
+
+
+def test_covariances_cover_the_residuals(runs: list[tuple[Building, PlaneMapper]]) -> None:
+    submap = runs[1][1].submaps[0].assembled
+    assert submap is not None
+    given = submap.given
+    # The noise is given too small by half: the covariances would be by three quarters.
+    less = replace(given, sd=given.sd / 2, corner_sd=given.corner_sd / 2)
+    found = corner_covariances(replace(submap, given=less))
+    sizes = np.trace(found, axis1=1, axis2=2) / np.trace(
+        corner_covariances(submap), axis1=1, axis2=2
+    )
+    assert 0.6 < np.median(sizes) < 1.5
 
 
 def test_residuals_are_what_the_noise_explains(runs: list[tuple[Building, PlaneMapper]]) -> None:

@@ -100,7 +100,9 @@ def corner_covariances(assembled: Assembled) -> Floats:
     """Return the covariances of the corners (c, 2, 2), map frame, square metres.
 
     Relative to the robot pose of the first iteration. Parts connected to it only by the motion
-    model have variances of square kilometres.
+    model have variances of square kilometres. If the residuals of most stretches are larger than
+    the noise explains, as errors of a wall in several scans are alike, the covariances are scaled
+    by their squared ratio.
     """
     given, state = assembled.given, assembled.state
     if not len(given.corner):
@@ -116,7 +118,9 @@ def corner_covariances(assembled: Assembled) -> Floats:
     normal, along = directions(state.angle[wall])
     by_angle = state.along[:, None] * normal - state.across[wall][:, None] * along
     J = np.stack([by_angle, normal, along], axis=2)
-    return np.asarray(J @ spread @ J.transpose(0, 2, 1))
+    stretches = _stretches(assembled, *wall_residuals(given, assembled.state))
+    scale = max(float(np.median(stretches.residual)), 1.0) ** 2
+    return np.asarray(scale * J @ spread @ J.transpose(0, 2, 1))
 
 
 def refined_walls(assembled: Assembled, history: PlaneHistory) -> Refined:
