@@ -146,7 +146,8 @@ def _literal(mapper: PlaneMapper, run: Run, truth: Truth) -> float:
     ends = pairwise_map(history, int(history.plane.max()) + 1)
     planes = run.planes
     at, end = np.nonzero(planes.corner >= 0)
-    R, t = fit_rigid(run.result.poses[:, :2, 3], truth.poses[:, :2, 3])
+    mapped = np.isfinite(mapper.trajectory[:, 0, 0])
+    R, t = fit_rigid(mapper.trajectory[mapped, :2, 3], truth.poses[mapped, :2, 3])
     own = planes.ends[at, end] @ R.T + t
     apart = np.linalg.norm(truth.ends[:, end].swapaxes(0, 1) - own[:, None], axis=2)
     wall = apart.argmin(axis=1)

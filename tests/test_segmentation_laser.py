@@ -50,6 +50,23 @@ def test_points_closer_than_the_noise_do_not_cut_walls(count: int) -> None:
     assert 5 <= np.median(found) <= 8
     noise = [beam_noise(scan.points[:, :2]) for scan in building.scans]
     assert np.median(noise) == pytest.approx(0.05, rel=0.5)
+    assert min(noise) > 0.4 * 0.05
+
+
+@pytest.mark.parametrize("sigma_m", [0.01, 0.02, 0.03, 0.05, 0.1])
+@pytest.mark.parametrize("count", [181, 361, 721, 1081, 2000, 4000])
+def test_the_noise_does_not_depend_on_the_number_of_beams(count: int, sigma_m: float) -> None:
+    """Across oblique walls less of the noise of the ranges is seen."""
+    bearing = np.linspace(-np.pi, np.pi, count, endpoint=False)
+    to_corner = np.abs(np.column_stack([np.cos(bearing), np.sin(bearing)]))
+    found = []
+    for seed, room_m in enumerate([(4.5, 1.3), (6.0, 4.0), (8.0, 2.0), (3.0, 3.0)]):
+        range_m = (room_m / np.maximum(to_corner, 1e-9)).min(axis=1)
+        range_m += np.random.default_rng(seed).normal(0.0, sigma_m, count)
+        xy = range_m[:, None] * np.column_stack([np.cos(bearing), np.sin(bearing)])
+        found.append(beam_noise(xy) / sigma_m)
+    assert min(found) > 0.6
+    assert max(found) < 1.1
 
 
 def test_most_walls_are_found_with_one_beam_a_degree() -> None:

@@ -62,15 +62,18 @@ def turns(xy: Floats) -> Floats:
 
 
 @compiled
-def off_chords(xy: Floats) -> float:
-    """Return the median distance of points (n,) from the chords of their neighbours.
+def off_chords(xy: Floats, reach: int) -> float:
+    """Return the median distance of points (n,) from lines through the middle of their neighbours.
 
-    Points farther off than noise explains are excluded, repeatedly.
+    The lines are parallel to the chord of the points `reach` before and after: with 1 it is that of
+    the neighbours. Points farther off than noise explains are excluded, repeatedly.
     """
-    off, inliers = np.empty(len(xy) - 2), np.empty(len(xy) - 2)
+    off, inliers = np.empty(len(xy) - 2 * reach), np.empty(len(xy) - 2 * reach)
     for i in range(len(off)):
-        dx, dy = xy[i + 2, 0] - xy[i, 0], xy[i + 2, 1] - xy[i, 1]
-        across = dx * (xy[i + 1, 1] - xy[i, 1]) - dy * (xy[i + 1, 0] - xy[i, 0])
+        k = i + reach
+        dx, dy = xy[k + reach, 0] - xy[i, 0], xy[k + reach, 1] - xy[i, 1]
+        across = dx * (xy[k, 1] - xy[k - 1, 1]) - dy * (xy[k, 0] - xy[k - 1, 0])
+        across -= (dx * (xy[k + 1, 1] - xy[k - 1, 1]) - dy * (xy[k + 1, 0] - xy[k - 1, 0])) / 2
         off[i] = abs(across) / max(math.hypot(dx, dy), 1e-12)
     middle = median(off.copy())
     for _ in range(ROUNDS):

@@ -23,9 +23,8 @@ MEDIAN = 0.6745
 """Median of the magnitude of normal noise, in standard deviations."""
 MANY = 1 / 12
 """Fraction of beams on small isolated objects above which the scan shows clutter."""
-CLOSE, CHORD = 1.5, 3.0
-"""Length of the chords from which the noise is estimated, in standard deviations, below which they
-are made longer, and up to which."""
+CHORD = 3.0
+"""Minimum length of the chords from which the noise is estimated, in standard deviations."""
 NOISE_AT_LEAST_M = 0.005
 """Minimum deviation of real walls from flatness."""
 APART = 0.5
@@ -94,23 +93,20 @@ def beam_noise(xy: Floats) -> float:
     """Return the noise (metres) from the distance of each point from the chord of its neighbours.
 
     Corners and ends of walls are excluded; with fewer beams they are more frequent. Where
-    neighbours are closer than the noise their chords do not lie along the wall: every second point
-    is used then, every fourth, and so on.
+    neighbours are closer than the noise their chords do not lie along the wall: those of points
+    two beams before and after are used instead, four beams, and so on.
     """
     from relmap.segmentation.scanline.beam_kernels import off_chords
 
     if len(xy) < 5:
         return FLOOR_M
+    xy, reach = np.ascontiguousarray(xy), 1
     turn = np.abs(np.diff(np.arctan2(xy[:, 1], xy[:, 0])))
-    apart_m, every = median(np.hypot(xy[:, 0], xy[:, 1])) * median(turn), 1
-    sigma, chord = _noise_of(off_chords(np.ascontiguousarray(xy))), CLOSE
-    while len(xy) >= 2 * every * LEAST and 2 * every * apart_m < chord * sigma:
-        every, chord = 2 * every, CHORD
-        parts = [np.ascontiguousarray(xy[first::every]) for first in range(every)]
-        found = _noise_of(float(np.median([off_chords(part) for part in parts])))
-        if found <= sigma:  # many corners and edges, not noise
-            break
-        sigma = found
+    apart_m = median(np.hypot(xy[:, 0], xy[:, 1])) * median(turn)
+    sigma = _noise_of(off_chords(xy, reach))
+    while len(xy) >= 2 * reach * LEAST and 2 * reach * apart_m < CHORD * sigma:
+        reach *= 2
+        sigma = max(_noise_of(off_chords(xy, reach)), sigma)
     return sigma
 
 
