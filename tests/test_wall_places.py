@@ -7,7 +7,7 @@ import pytest
 
 from relmap.core.arrays import Floats
 from relmap.mapper import Place
-from relmap.planes.places.taking_up import WallFinder
+from relmap.planes.places.finding import WallFinder
 from relmap.planes.scans.observation import checked_planes
 from relmap.simulation.visibility import SeenWalls, seen_walls
 from tests.worlds import ROOM, turn
@@ -47,8 +47,8 @@ def test_a_scan_that_fits_in_two_places_or_none_is_refused(walls: Floats, n_plac
 
 
 def test_a_scan_larger_than_the_map_is_not_aligned(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delattr("relmap.planes.places.taking_up.wall_ties")
-    assert place_in(ROOM, 3.0 * ROOM, 4.5, 3.0, 0.4).n_places == 0
+    monkeypatch.delattr("relmap.planes.places.finding.wall_ties")
+    assert place_in(0.5 * ROOM, HALL, 1.0, 1.0, 0.1).n_places == 0
 
 
 def test_walls_that_no_laser_sees_are_not_compared() -> None:
@@ -63,3 +63,33 @@ def test_walls_that_no_laser_sees_are_not_compared() -> None:
 
 def test_along_a_bare_corridor_a_scan_may_be_anywhere() -> None:
     assert place_in(HALL, HALL, 1.0, 1.0, 0.1).n_places == 2
+
+
+@pytest.mark.parametrize(
+    ("clutter", "beyond", "n_places"),
+    [(0, 0, 1), (126, 0, 1), (600, 0, 0), (0, 9, 1), (126, 9, 0)],
+    ids=["bare", "cluttered", "hidden", "seen through", "both"],
+)
+def test_clutter_hides_a_place_only_if_walls_are_seen_through(
+    clutter: int, beyond: int, n_places: int
+) -> None:
+    """Beams end on what stands around the robot, which the map lacks, and some beyond."""
+    seen = seen_walls(ROOM - [1.5, 1.0], 8.0, 3.0)
+    step = np.linspace(0.0, 1.0, 39)[:, None]
+    beams = np.concatenate([a + step * (b - a) for a, b in seen.ends])
+    if beyond:
+        beams[::beyond] *= 1.5
+    around = np.linspace(0.0, 2 * np.pi, clutter, endpoint=False)
+    beams = np.concatenate([beams, 0.4 * np.column_stack([np.cos(around), np.sin(around)])])
+    assert WallFinder(ROOM).find(checked_planes(seen, beams)).n_places == n_places
+
+
+@pytest.mark.parametrize(("clutter", "n_places"), [(0, 1), (10, 1), (40, 0)])
+def test_a_few_walls_must_explain_nearly_all_beams(clutter: int, n_places: int) -> None:
+    walls = np.array([[[0.0, 0.0], [5.0, 0.0]], [[5.0, 0.0], [5.0, 2.0]], [[5.0, 2.0], [2.0, 2.5]]])
+    seen = seen_walls(walls - [1.5, 1.0], 8.0, 3.0)
+    step = np.linspace(0.0, 1.0, 60)[:, None]
+    beams = np.concatenate([a + step * (b - a) for a, b in seen.ends])
+    around = np.linspace(0.0, 2 * np.pi, clutter, endpoint=False)
+    beams = np.concatenate([beams, 0.4 * np.column_stack([np.cos(around), np.sin(around)])])
+    assert WallFinder(walls).find(checked_planes(seen, beams)).n_places == n_places

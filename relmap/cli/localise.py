@@ -24,8 +24,10 @@ is localised independently: the robot may have been carried anywhere between two
 DIR/trajectory.tum, the pose of each localised scan in the frame of the map, and a picture,
 DIR/map.png. A scan must show at least 7 mapped landmarks (5 in the plane), and half of what it
 shows must be in the map. In a map of walls, half of the walls of a scan, and 3 m, must lie on
-mapped walls, and 70 % of its beams must end there. A scan that fits in more than one place is
-refused, and counted. Clouds that show floors are levelled, as 'relmap map' does by default.
+mapped walls, and 70 % of its beams must end there; or 30 % and half of the beams, if hardly any go
+through walls. A scan of fewer than five walls needs 90 % of its beams. One that fits in more than
+one place is refused, and counted. Clouds that show floors are levelled, as 'relmap map' does by
+default.
 
 \b
 Example:

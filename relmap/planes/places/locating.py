@@ -13,7 +13,8 @@ from relmap.core.guard import reads_whole
 from relmap.mapper import Place
 from relmap.planes.mapped import MappedWalls
 from relmap.planes.motions import from_matrices
-from relmap.planes.places.taking_up import MapOfBefore, RunOnto, WallFinder
+from relmap.planes.places.finding import WallFinder
+from relmap.planes.places.taking_up import MapOfBefore, RunOnto
 from relmap.planes.scans.observation import PlaneObservation, checked_planes
 from relmap.planes.submaps.grouped_map import KeptFrame
 
@@ -51,8 +52,9 @@ class LocatingMapper(MappedWalls):
         Place
             The pose ``T_map_robot`` (4, 4), and the number of places in which the scan fits. The
             pose is NaN unless that is one: at least half of its walls, and 3 m, must lie on mapped
-            walls that are not all parallel, 70 % of its beams must end there, and no other place
-            may score nearly as well.
+            walls that are not all parallel, 70 % of its beams must end there (or 30 % and half of
+            the beams, if at most 2 % go through walls; 90 % for fewer than five walls), and no
+            other place may score nearly as well.
 
         Raises
         ------

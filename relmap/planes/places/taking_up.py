@@ -1,7 +1,4 @@
-"""Localising a scan of walls in a map, and adding another log to it.
-
-Placements in which many walls of the scan lie on walls of the map (`wall_tie`) are scored by its
-beams. A placement is accepted only if it explains the scan and no other one scores nearly as well.
+"""Adding another log to a map of walls.
 
 A place that is not in the map may look like one that is, so of another log one scan is not enough.
 All scans of a submap must fit together: their placements in the map, and the motions between them,
@@ -15,32 +12,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.mapper import Place
 from relmap.planes.linking.placement import STILL, PlaneTracks, settled
 from relmap.planes.linking.scan_links import ScanLinks
 from relmap.planes.motions import from_matrices, matrices, wrapped
-from relmap.planes.places.wall_tie import ACROSS, WallTie, wall_ties
+from relmap.planes.places.finding import WallFinder
 from relmap.planes.scans.corners import CORNER, CUT
 from relmap.planes.scans.observation import SHORTEST_M, PlaneObservation, seen_before
 from relmap.planes.submaps.submap import WallSubmap
 from relmap.planes.walls.table import PlaneTable
 
-PLACES = 12
-"""Placements that are scored, those with the longest matched walls first."""
-BEAMS = 400
-"""Approximate number of beams used for scoring."""
-ENDS_M = 0.1
-"""Maximum distance of the end of a beam from the wall it ends on."""
-BEYOND_M, RIM_M = 0.3, 0.1
-"""A beam that continues this far behind a wall, away from the ends of the wall, contradicts it."""
-LEAST_M, SHARE = 3.0, 0.5
-"""Length of wall, and fraction of the walls of the scan, that must lie on walls of the map."""
-EXPLAINED = 0.7
-"""Minimum fraction of beams that end on walls, minus the fraction that go through one."""
-FAR_M = 500.0
-"""Maximum distance of the walls of a scan that are compared: no laser sees farther."""
-RIVAL_PLACE = 0.6
-"""Maximum score of another placement, as a fraction of the best."""
 AROUND = 1.2
 """Maximum distance of expected walls, in units of the reach of the scan."""
 APART_M = 0.5
@@ -54,82 +34,6 @@ STRETCH_M, AGREE = 7.0, 0.5
 the same surfaces all the time."""
 RIVAL = 0.5
 """Maximum number of scans that agree on another placement, as a fraction of the best."""
-
-
-class WallFinder:
-    """Finds scans among the walls of a map.
-
-    `ends` (w, 2, 2), map frame, metres: right and left end of each wall, as seen from its front.
-    """
-
-    def __init__(self, ends: Floats) -> None:
-        self._ends = np.ascontiguousarray(ends)
-
-    def find(self, seen: PlaneObservation) -> Place:
-        """Localise a scan.
-
-        `seen`: with its beams; without them no placement is accepted.
-        """
-        nowhere = np.full((4, 4), np.nan)
-        ties, worth, fits = self._judged(seen)
-        best = int(np.argmax(worth)) if len(ties) else -1
-        if best < 0 or not fits[best]:
-            return Place(nowhere, 0)
-        slides = ties[best].across < ACROSS
-        if slides or np.delete(worth, best).max(initial=0.0) > RIVAL_PLACE * worth[best]:
-            return Place(nowhere, 2)
-        return Place(ties[best].matrix, 1)
-
-    def places(self, seen: PlaneObservation) -> Floats:
-        """Return all poses ``T_map_robot`` (k, 4, 4) that explain a scan and do not slide."""
-        ties, _, fits = self._judged(seen)
-        held = [ties[k].matrix for k in np.flatnonzero(fits) if ties[k].across >= ACROSS]
-        return np.array(held).reshape(-1, 4, 4)
-
-    def _judged(self, seen: PlaneObservation) -> tuple[list[WallTie], Floats, Bools]:
-        """Return the likely placements (k,) of a scan, their scores, and which explain it."""
-        every = 1 + len(seen.beams.points) // BEAMS
-        points = seen.beams.points[::every].astype(np.float64)
-        near = np.abs(seen.ends).max(axis=(1, 2), initial=0.0) <= FAR_M
-        ties = wall_ties(seen.ends[near], self._ends)[:PLACES] if self._may_hold(points) else []
-        length_m = float(seen.size[near].sum())
-        overlap_m = np.array([tie.length_m for tie in ties])
-        explained = np.array([self._explained(tie, points, seen.beams.origin) for tie in ties])
-        fits = (explained >= EXPLAINED) & (overlap_m >= max(LEAST_M, SHARE * length_m))
-        return ties, explained + overlap_m / length_m, fits
-
-    def _may_hold(self, points: Floats) -> bool:
-        """Return whether as many points (n, 2) as must end on walls lie as close together."""
-        if not (len(points) and len(self._ends)):
-            return False
-        across_m = np.linalg.norm(np.ptp(self._ends.reshape(-1, 2), axis=0)) + 3 * ENDS_M
-        n, at = max(int(EXPLAINED * len(points)), 1), np.sort(points, axis=0)
-        closest_m = (at[n - 1 :] - at[: len(at) - n + 1]).min(axis=0)
-        return bool((closest_m <= across_m).all())
-
-    def _explained(self, tie: WallTie, points: Floats, origin: Floats) -> float:
-        """Return the fraction of beams that end on walls, minus that of beams through one.
-
-        The beams go from `origin` (2,) to `points` (n, 2), robot frame.
-        """
-        from relmap.planes.scans.loose_kernels import on_walls
-
-        points = points @ tie.R.T + tie.t
-        on = on_walls(points, self._ends, ENDS_M)
-        return float(on.mean() - self._through(tie.R @ origin + tie.t, points).mean())
-
-    def _through(self, origin: Floats, points: Floats) -> Floats:
-        """Return which beams from the origin (2,) to points (n, 2) go through a wall."""
-        beam, wall = points - origin, self._ends[:, 1] - self._ends[:, 0]
-        length, size = np.hypot(*beam.T), np.hypot(*wall.T)
-        to_wall = self._ends[:, 0] - origin
-        crossing = beam[:, :1] * wall[:, 1] - beam[:, 1:] * wall[:, 0]
-        crossing[crossing == 0.0] = np.nan
-        along_beam = (to_wall[:, 0] * wall[:, 1] - to_wall[:, 1] * wall[:, 0]) / crossing
-        along_wall = to_wall[:, 0] * beam[:, 1:] - to_wall[:, 1] * beam[:, :1]
-        at_m = along_wall / crossing * size
-        met = (along_beam > 0) & (along_beam * length[:, None] < length[:, None] - BEYOND_M)
-        return np.asarray((met & (at_m > RIM_M) & (at_m < size - RIM_M)).any(axis=1))
 
 
 @dataclass(frozen=True, eq=False)
