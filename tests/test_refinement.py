@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from hypothesis import strategies as st
 
 from relmap.comparison.baselines.batch import Batch, batch_least_squares
 from relmap.core.arrays import Floats
+from relmap.core.map.pose import trajectory
 from relmap.core.refinement import equations as jointequations
 from relmap.core.refinement import gauss_newton
 from relmap.core.refinement.condensing import CondensedSegments, SegmentRows
@@ -276,6 +278,28 @@ def test_outliers_are_down_weighted() -> None:
         batch = batch_least_squares(batch_of(dirty), world.landmarks)
         spoilt.append(aligned_rmse(batch, world.landmarks))
     assert np.median(errors) < 0.5 * np.median(spoilt)
+
+
+@pytest.mark.parametrize("off_m", [0.0, 0.5])
+def test_few_scans_are_placed_to_fix_the_frame_unless_its_own_has_outliers(
+    monkeypatch: pytest.MonkeyPatch, off_m: float
+) -> None:
+    placed = list[float]()
+
+    def counted(rows: SegmentRows, *others: Any) -> Any:
+        placed.append(len(np.unique(rows.segment)) / rows.n_segments)
+        return trajectory(rows, *others)
+
+    monkeypatch.setattr("relmap.core.refinement.joint.trajectory", counted)
+    log = simulate_figure_eight(density=25, iterations=300, seed=1).log
+    points = log.points_robot.copy()
+    wrong = np.flatnonzero(log.iteration < 8)[::7]
+    points[wrong] += np.random.default_rng(0).normal(0, off_m, (len(wrong), 3))
+    mapper = driven(replace(log, points_robot=points))
+    mapper.refine()
+    assert max(placed) == 1.0 if off_m else max(placed) < 1 / 8
+    pose = mapper.trajectory[mapper.refined[0].anchor_iteration]
+    np.testing.assert_allclose(pose, np.eye(4), atol=1e-9)
 
 
 def test_outliers_in_the_anchor_scan_do_not_move_the_frame() -> None:

@@ -28,6 +28,8 @@ from relmap.core.refinement.trend import SURELY
 CONFIRMED, AGAINST = 3, 0.5
 """Observations of a landmark in a segment that confirm it: wrong ids are seldom repeated; and the
 weight below which they contradict the map."""
+EVERY = 16
+"""Of so many segments one is fitted to place a scan without outliers."""
 MISREAD = 0.01
 """Fraction of the observations contradicting their ids above which some ids are wrong; without
 wrong ids less than this occurs."""
@@ -143,7 +145,8 @@ def refine(
     cost = problem.equations(settled.state, explained, with_matrix=False, damping=0.0).cost
     noise_m = _noise(rows, joint, cost, explained)
     mapped = chosen[joint.landmarks]
-    iteration, R, t = _pose(rows, joint, anchor, refined, mapped, of)
+    near = _deciding(rows, joint, anchor[0], weight)
+    iteration, R, t = _pose(near, joint, anchor, refined, mapped, of)
     return Refined(
         joint.landmarks[mapped],
         (refined[mapped] - t) @ R,
@@ -204,6 +207,18 @@ def _anchor(rows: JointRows, first_iteration: Ints, since: int = 0) -> tuple[int
             if fixes_rotation(rows.points[begin:end][seen]):
                 return segment, bit
     return None
+
+
+def _deciding(rows: SegmentRows, joint: JointRows, segment: int, weight: Floats) -> SegmentRows:
+    """Return rows that decide the pose of a scan of a segment of `joint`, rows of weights (n,).
+
+    Those of other segments only show beyond which distance an observation is an outlier. If there
+    is none in the segment, a few of them are enough.
+    """
+    if (weight[joint.segment == segment] < 1).any():
+        return rows
+    own = joint.segments[segment]
+    return rows.only(np.flatnonzero(rows.segment % EVERY == own % EVERY))
 
 
 def _pose(
