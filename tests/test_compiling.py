@@ -260,6 +260,34 @@ def made(n: int) -> tuple[Any, ...]:
     )
 
 
+def test_kept_code_is_loaded_without_what_only_compiling_needs(tmp_path: Path) -> None:
+    """Functions that call each other, too, whichever is compiled first."""
+    kernel = (
+        KERNEL
+        + """
+@compiled
+def quadrupled(x: float) -> float:
+    return doubled(doubled(x))
+"""
+    )
+    (tmp_path / "kernel.py").write_text(kernel)
+    paths = os.pathsep.join([str(tmp_path), str(PACKAGE.parent)])
+    environment = os.environ | {"PYTHONPATH": paths, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    run = """
+import sys
+from kernel import doubled, quadrupled
+print(*(one(3.0) for one in FUNCTIONS), "numba.np.arraymath" in sys.modules)
+"""
+    for first, expected in (
+        ("quadrupled", "12.0 True"),
+        ("doubled", "6.0 True"),
+        ("doubled, quadrupled", "6.0 12.0 False"),
+    ):
+        command = [sys.executable, "-c", run.replace("FUNCTIONS", f"({first},)")]
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+        assert done.stdout.split() == expected.split()
+
+
 def test_new_arrays_are_made_without_compiling_functions_of_numba() -> None:
     here = afresh(made)
     with cast("Any", event).install_recorder("numba:compile") as recorded:
@@ -269,6 +297,16 @@ def test_new_arrays_are_made_without_compiling_functions_of_numba() -> None:
     for one, other in zip(made(3), found, strict=True):
         assert one.dtype == other.dtype
         np.testing.assert_array_equal(one, other)
+
+
+def numbers(x: float, k: int) -> tuple[float, float, float, int, int]:
+    return max(x, k), min(k, x, 2.0), max(np.nan, x), max(k, 3), int(x) + int(k) + int(x > k)
+
+
+@pytest.mark.parametrize("x", [-2.7, 2.7])
+def test_extremes_and_whole_numbers_are_found_as_by_python(x: float) -> None:
+    expected, found = numbers(x, 1), afresh(numbers)(x, 1)
+    np.testing.assert_array_equal(expected, found)
 
 
 def test_a_part_that_fails_ends_its_caller_too() -> None:

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.registry import CPUDispatcher
+from numba.core.runtime.nrt import rtsys
 
 _COMPILER = "caching.py", "compiler.py", "compiling.py", "lowering.py", "resolving.py"
 
@@ -48,6 +49,15 @@ class _Cache(FunctionCache):
         super().__init__(function)
         given = self.cache_path, self._impl.filename_base
         self._cache_file = _FileByContent(function, options, *given)
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return kept code, None if there is none.
+
+        By default numba would first import all that compiling needs, which takes longer.
+        """
+        rtsys.initialize(target_context)
+        with self._guard_against_spurious_io_errors():
+            return self._load_overload(sig, target_context)
 
 
 class _FileByContent(IndexDataCacheFile):

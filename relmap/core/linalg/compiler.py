@@ -8,6 +8,7 @@ from typing import Any, cast
 
 import llvmlite.binding as llvm
 import numba
+from llvmlite import ir
 from numba.core import typed_passes
 from numba.core.codegen import JITCodeLibrary, get_host_cpu_features
 from numba.core.compiler import CompilerBase, DefaultPassBuilder, Flags
@@ -52,7 +53,54 @@ def _machine() -> Any:
     return target.create_target_machine(llvm.get_host_cpu_name(), features)
 
 
-class _Unoptimised(cast("Any", JITCodeLibrary)):  # type: ignore[misc]
+class _Library(cast("Any", JITCodeLibrary)):  # type: ignore[misc]
+    """Code that everything it calls is linked into, once.
+
+    By default numba would also link a helper into each helper that calls it.
+    """
+
+    def _callees(self) -> dict[Any, None]:
+        """Return what this calls, each after what it calls itself."""
+        found: dict[Any, None] = {}
+        for one in self._linking_libraries:
+            found |= one._callees() if isinstance(one, _PartLibrary) else {}
+            found[one] = None
+        return found
+
+    def _linked(self) -> list[Any]:
+        """Return what is linked into this: of each, only what is called already is taken."""
+        return list(reversed(self._callees()))
+
+    def finalize(self) -> None:
+        if not IS_KNOWN:
+            super().finalize()
+            return
+        for one in self._linked():
+            self._reload_init.update(one._reload_init)
+            self._final_module.link_in(one._get_module_for_linking(), preserve=True)
+        self._optimize_final_module()
+        self._finalize_final_module()
+
+    def serialize_using_object_code(self) -> Any:
+        """Return machine code, and of LLVM's code only the names: nothing is linked to it."""
+        if not IS_KNOWN:
+            return super().serialize_using_object_code()
+        names = ir.Module()
+        for one in self.get_defined_functions():
+            stub = ir.Function(names, ir.FunctionType(ir.VoidType(), []), one.name)
+            ir.IRBuilder(stub.append_basic_block()).ret_void()
+        stubs = llvm.parse_assembly(str(names)).as_bitcode()
+        return self.name, "object", (self._get_compiled_object(), stubs)
+
+    def add_ir_module(self, ir_module: Any) -> None:
+        """Take over code as text, and empty the blocks: cycles of many objects."""
+        super().add_ir_module(ir_module)
+        for function in ir_module.functions:
+            for block in function.blocks:
+                block.instructions.clear()
+
+
+class _Unoptimised(_Library):
     """Code that is optimised once, with everything that it calls.
 
     By default numba would also optimise each function before that.
@@ -97,6 +145,9 @@ class _PartLibrary(_Unoptimised):
             return  # the callers optimise
         passes.run(self._final_module, builder)
 
+    def _linked(self) -> list[Any]:
+        return []
+
     def _finalize_final_module(self) -> None:
         self._finalized = True
 
@@ -130,7 +181,7 @@ class _AsKernel(typed_passes.NativeLowering):
 
 
 class _AsUnrolled(_AsKernel):
-    library = JITCodeLibrary
+    library = _Library
 
 
 class _AsPart(_AsKernel):

@@ -15,6 +15,7 @@ from __future__ import annotations
 import gc
 import logging
 from collections.abc import Callable
+from functools import cache, partial
 from typing import Any, TypeVar, cast
 
 import numba
@@ -39,7 +40,8 @@ NOT_KEPT = "in every run, unless NUMBA_CACHE_DIR names a folder that can be writ
 def compiled(function: Function) -> Function:
     """Compile a function on its first call and cache the code if possible.
 
-    A division by zero gives infinity or NaN, as in numpy.
+    A division by zero gives infinity or NaN, as in numpy. In other compiled functions, it is
+    compiled as a `helper` is.
     """
     return _kept(function, pipeline_class=KernelCompiler)
 
@@ -58,6 +60,9 @@ def _kept(function: Function, **options: Any) -> Function:
     if IS_KNOWN:
         compile_with(kept, KernelFlags)
         keep_by_content(kept, repr(options))
+        part: Callable[[], Any] = cache(partial(helper, function))
+        kept.get_call_template = lambda args, kws: part().get_call_template(args, kws)
+        kept.get_overload = lambda sig: part().get_overload(sig)
     return cast("Function", kept)
 
 

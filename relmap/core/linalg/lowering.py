@@ -24,6 +24,11 @@ from numba.np import arrayobj
 
 
 @cache
+def _size(kind: Any, target: Any) -> int:
+    return cast("int", kind.get_abi_size(target))
+
+
+@cache
 def _has_count(models: Any, kind: Any) -> bool:
     return cast("bool", models[kind].contains_nrt_meminfo())
 
@@ -70,6 +75,9 @@ class _Context(CPUContext):
     @property
     def call_conv(self) -> Any:
         return _Calls(self)
+
+    def get_abi_sizeof(self, ty: Any) -> int:
+        return _size(ty, self.target_data)
 
     def get_returned_value(self, builder: Any, ty: Any, val: Any) -> Any:
         return val if isinstance(ty, types.Array) else super().get_returned_value(builder, ty, val)

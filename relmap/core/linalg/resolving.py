@@ -2,7 +2,8 @@
 # ruff: noqa: D102 -- the methods are those of numba
 """What calls within loops stand for, found once for each kind of arguments.
 
-New arrays are made in place: numba would compile a function for each form of a call of `np.empty`.
+New arrays, extremes of numbers and whole numbers are made in place: numba would compile a function
+for each form of a call of `np.empty`, `max` or `int`.
 """
 
 from __future__ import annotations
@@ -14,7 +15,8 @@ import numpy as np
 from numba.core import cgutils, types, typing
 from numba.core.imputils import lower_builtin
 from numba.core.typing.npydecl import parse_dtype, parse_shape
-from numba.core.typing.templates import CallableTemplate
+from numba.core.typing.templates import AbstractTemplate, CallableTemplate, signature
+from numba.cpython.builtins import do_minmax
 from numba.np import arrayobj
 
 
@@ -62,6 +64,44 @@ def _ones(context: Any, builder: Any, signature: Any, args: Any) -> Any:
     return made
 
 
+class _Largest(AbstractTemplate):
+    key = "relmap.max"
+
+    def generic(self, args: Any, kws: Any) -> Any:
+        if kws or not all(isinstance(one, types.Number) for one in args):
+            return None
+        return signature(self.context.unify_types(*args), *args)
+
+
+class _Least(_Largest):
+    key = "relmap.min"
+
+
+class _Whole(_Largest):
+    key = "relmap.int"
+
+    def generic(self, args: Any, kws: Any) -> Any:
+        if kws or len(args) != 1 or not isinstance(args[0], types.Number | types.Boolean):
+            return None
+        is_whole = isinstance(args[0], types.Integer)
+        return signature(args[0] if is_whole else types.intp, *args)
+
+
+def _largest(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+    return do_minmax(context, builder, signature.args, args, operator.gt)
+
+
+def _least(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+    return do_minmax(context, builder, signature.args, args, operator.lt)
+
+
+def _whole(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+    return context.cast(builder, args[0], signature.args[0], signature.return_type)
+
+
+cast("Any", lower_builtin)(_Largest.key, types.VarArg(types.Number))(_largest)
+cast("Any", lower_builtin)(_Least.key, types.VarArg(types.Number))(_least)
+cast("Any", lower_builtin)(_Whole.key, types.Any)(_whole)
 for _form in [types.Any], [types.Any, types.Any]:
     cast("Any", lower_builtin)(_Empty.key, *_form)(_empty)
     cast("Any", lower_builtin)(_Zeros.key, *_form)(_zeros)
@@ -76,12 +116,19 @@ class Resolved(cast("Any", typing).Context):  # type: ignore[misc]
         "empty": types.Function(_Empty),
         "zeros": types.Function(_Zeros),
         "ones": types.Function(_Ones),
+        "max": types.Function(_Largest),
+        "min": types.Function(_Least),
+        "int": types.Function(_Whole),
     }
 
     def __init__(self, known: Any) -> None:
         """Share all of `known`."""
         self.__dict__.update(known.__dict__)
         self._known = known
+
+    def resolve_value_type(self, val: Any) -> Any:
+        is_made = val is max or val is min or val is int
+        return self.made[val.__name__] if is_made else self._known.resolve_value_type(val)
 
     def resolve_getattr(self, typ: Any, attr: str) -> Any:
         if isinstance(typ, types.Module) and typ.pymod is np and attr in self.made:

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.linalg.compiling import compiled, helper
+from relmap.core.linalg.small_kernels import unset
 from relmap.planes.plan.regrouping import GAP_M, TURN
 from relmap.planes.walls.joining import OVERLAP
 
@@ -44,7 +45,7 @@ def gathered(
     """
     (_, normal, _, reach, has_corner), (begin, beside) = lines, together
     n = len(order)
-    part, stands, met = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64), np.full(n, -1)
+    part, stands, met = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64), unset(n)
     standing = 0
     for k in order:
         for at in range(begin[k], begin[k + 1]):
