@@ -60,7 +60,9 @@ def numbers(values: ArrayLike, name: str, wanted: str, least: float = TINY) -> F
         if array.dtype.kind not in "biufO":
             raise TypeError(f"its type is {array.dtype}")
         array = np.array(array, dtype=np.float64, order="C")
-        array[np.abs(array) < least] = 0.0
+        tiny = np.abs(array) < least
+        if tiny.any():
+            array[tiny] = 0.0
         return array + 0.0  # -0 becomes 0: a journal stores only one zero
     except (TypeError, ValueError, OverflowError) as error:
         raise RelmapError(f"{name} must be {wanted}: {error}") from error

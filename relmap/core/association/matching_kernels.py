@@ -117,13 +117,11 @@ def three_nearest(points: Floats, query: Floats) -> tuple[float, float, float, i
     for i in range(len(points)):
         x, y, z = points[i, 0] - qx, points[i, 1] - qy, points[i, 2] - qz if space else 0.0
         square = x * x + y * y + z * z
-        if square >= third:  # nearly all
-            continue
         if square < first:
             first, second, third, index = square, first, second, i
         elif square < second:
             second, third = square, second
-        else:
+        elif square < third:
             third = square
     return first, second, third, index
 

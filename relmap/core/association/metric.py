@@ -90,6 +90,8 @@ class RayNoise:
         `expected`, `found` (n, d), robot frame, metres: predicted and observed; `n_seen` (n,):
         observations before.
         """
+        from relmap.core.association.ray_kernels import update
+
         distance, ray = _rays(found)
         self._unit_m = self._unit_m or float(distance.max())
         off = (expected - found) / np.sqrt(1 + 1 / np.minimum(n_seen, MEMORY))[:, None]
@@ -98,11 +100,7 @@ class RayNoise:
         squares = np.column_stack([distance, along, across])
         self._squares = np.concatenate([self._squares, squares])[-RECENT:]
         if len(self._squares) >= ENOUGH:
-            terms = self._terms(self._squares[:, 0])
-            for k in (0, 1):
-                self._coefficients[k] = _fitted(
-                    terms, self._squares[:, k + 1], self._coefficients[k]
-                )
+            update(self._squares, self._unit_m, self._coefficients)
             sigma = self._typical()
             is_negligible = sigma.max() < NEGLIGIBLE * self._unit_m
             self._is_unequal = bool(sigma.max() >= UNEQUAL * sigma.min() and not is_negligible)
@@ -175,23 +173,6 @@ def _rays(points: Floats) -> tuple[Floats, Floats]:
     """Return the distances (n,) and the directions (n, d) of points (n, d), robot frame."""
     distance = np.linalg.norm(points, axis=1)
     return distance, points / np.maximum(distance, 1e-12)[:, None]
-
-
-def _fitted(terms: Floats, squares: Floats, before: Floats) -> Floats:
-    """Return the coefficients (t,) of the variance of residuals from their squares (n,).
-
-    Weighted, nonnegative least squares, from the coefficients before; outliers are clipped.
-    """
-    from scipy.optimize import nnls
-
-    typical = middle(squares) / CHI2_MEDIAN
-    least = max(LEAST * typical, TINY)
-    variance = np.maximum(terms @ before, least) if before.any() else typical + least
-    for _ in range(ROUNDS):
-        clipped = np.minimum(squares, OUTLIER * variance)
-        found = nnls(terms / np.reshape(variance, (-1, 1)), clipped / variance)[0]
-        variance = np.maximum(terms @ found, least)
-    return np.asarray(found)
 
 
 def rows_of(metric: Floats | None, rows: Ints) -> Floats | None:

@@ -195,8 +195,7 @@ class LandmarkState(Columns):
         self._rooms[name][: self._filled] = before[: self._filled]
 
     def _show(self, n: int) -> None:
-        for name, room in self._rooms.items():
-            setattr(self, name, room[:n])
+        self.__dict__.update((name, room[:n]) for name, room in self._rooms.items())
 
 
 def _average(positions: Floats, weights: Floats, new: Ints, old: Ints) -> None:

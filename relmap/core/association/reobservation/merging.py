@@ -137,7 +137,8 @@ class Merger:
         if not self._old_near:
             return np.empty((0, 2), dtype=np.int64)
         near = self._old_near
-        pairs = [(new, old) for new in landmarks.tolist() for old in near.get(new, ())]
+        known = filter(near.__contains__, landmarks.tolist())  # few, and this is fast
+        pairs = [(new, old) for new in known for old in near[new]]
         pairs = self._possible(np.array(pairs)) if pairs else pairs
         if not pairs or self._index is None:
             return np.empty((0, 2), dtype=np.int64)
