@@ -59,27 +59,19 @@ class _Library(cast("Any", JITCodeLibrary)):  # type: ignore[misc]
     By default numba would also link a helper into each helper that calls it.
     """
 
-    def _callees(self) -> dict[Any, None]:
-        """Return what this calls, each after what it calls itself."""
-        found: dict[Any, None] = {}
-        for one in self._linking_libraries:
-            found |= one._callees() if isinstance(one, _PartLibrary) else {}
-            found[one] = None
-        return found
-
-    def _linked(self) -> list[Any]:
-        """Return what is linked into this: of each, only what is called already is taken."""
-        return list(reversed(self._callees()))
+    _linking_libraries: list[Any]
+    links = True
+    """Whether what it calls is linked into it, not into its callers."""
 
     def finalize(self) -> None:
-        if not IS_KNOWN:
-            super().finalize()
-            return
-        for one in self._linked():
-            self._reload_init.update(one._reload_init)
-            self._final_module.link_in(one._get_module_for_linking(), preserve=True)
-        self._optimize_final_module()
-        self._finalize_final_module()
+        if IS_KNOWN:
+            self.called: dict[Any, None] = {}  # each after what it calls itself
+            for one in self._linking_libraries:
+                self.called |= one.called if isinstance(one, _PartLibrary) else {}
+                self.called[one] = None
+            # Of each, the linker takes only what is called already.
+            self._linking_libraries = list(reversed(self.called)) if self.links else []
+        super().finalize()
 
     def serialize_using_object_code(self) -> Any:
         """Return machine code, and of LLVM's code only the names: nothing is linked to it."""
@@ -133,6 +125,8 @@ class _PartLibrary(_Unoptimised):
     By default numba would also generate stand-alone machine code that is never called.
     """
 
+    links = False
+
     def _optimize_final_module(self) -> None:
         try:
             options = llvm.create_pipeline_tuning_options(1)
@@ -144,9 +138,6 @@ class _PartLibrary(_Unoptimised):
         except (AttributeError, TypeError):  # another version of numba
             return  # the callers optimise
         passes.run(self._final_module, builder)
-
-    def _linked(self) -> list[Any]:
-        return []
 
     def _finalize_final_module(self) -> None:
         self._finalized = True
