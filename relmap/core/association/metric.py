@@ -40,6 +40,8 @@ TYPICAL = (0.1, 0.9)
 """Quantiles of the distance between which the noise is compared."""
 TERMS = 3
 """Coefficients of the variance, a polynomial in the squared distance."""
+RIDGE = 1e-12
+"""Keeps a system of terms that are proportional to each other solvable."""
 BELOW = 0.7
 """Largest ratio of the smallest standard deviation to that of static landmarks, if unequal."""
 ROUNDS = 3
