@@ -157,7 +157,7 @@ def test_a_map_that_lowering_the_noise_bends_stays_as_refined(
 ) -> None:
     from relmap.planes.refinement import refined_map
 
-    def bent(assembled: Any, *_: Any) -> Any:
+    def bent(assembled: Any, _: float) -> Any:
         state = replace(assembled.state, t=assembled.state.t.copy())
         state.t[10::every] += off_m
         return replace(assembled, state=state)

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from relmap import PointMapper
 from relmap.comparison.baselines.batch import Batch, batch_least_squares
 from relmap.core.arrays import Floats
 from relmap.core.map.pose import trajectory
@@ -300,6 +301,20 @@ def test_few_scans_are_placed_to_fix_the_frame_unless_its_own_has_outliers(
     assert max(placed) == 1.0 if off_m else max(placed) < 1 / 8
     pose = mapper.trajectory[mapper.refined[0].anchor_iteration]
     np.testing.assert_allclose(pose, np.eye(4), atol=1e-9)
+
+
+def test_a_long_chain_that_drifts_stays_whole() -> None:
+    """Its standard deviations grow to a tenth of its length; only a hinge leaves more open."""
+    rng, mapper = np.random.default_rng(0), PointMapper()
+    landmarks = np.column_stack([rng.uniform(-4, 104, 100), rng.uniform(-4, 4, 100)])
+    for x in 0.5 * np.arange(200):
+        seen = np.flatnonzero(np.abs(landmarks[:, 0] - x) < 4)
+        points = landmarks[seen] - [x, 0] + rng.normal(0, 0.4, (len(seen), 2))
+        mapper.update(points, seen)
+    mapper.finish()
+    before = len(mapper.submaps[0].landmark_ids)
+    mapper.refine()
+    assert len(mapper.submaps[0].landmark_ids) == before > 90
 
 
 def test_outliers_in_the_anchor_scan_do_not_move_the_frame() -> None:

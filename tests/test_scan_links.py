@@ -21,6 +21,8 @@ from relmap.planes.motions import inverse
 from relmap.planes.scans.beams import NEAR_M, Beams, GivenBeams, compared, odds_over
 from relmap.planes.scans.observation import PlaneObservation, checked_planes
 from relmap.planes.submaps.submap import torn_in
+from relmap.segmentation.scanline import lines
+from relmap.segmentation.scanline.lines import beam_noise
 from relmap.simulation import simulate_building
 from relmap.simulation.floor_plan import World
 from tests.worlds import refined, submap_ate_m
@@ -245,13 +247,15 @@ def test_a_run_with_beams_is_the_same_again() -> None:
 
 
 def test_a_map_torn_at_a_link_is_cut_there(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With 5 cm of noise some links, not corrected along walls, are wrong: the map was 25 m off."""
+    """If a third of the noise is known, some links, not corrected along walls, are wrong."""
     monkeypatch.setattr("relmap.planes.linking.scan_comparison.CROSSINGS", 0.0)
-    run = simulate_building(361, 0.05, sampling="laser", seed=7, step_m=0.1)
+    monkeypatch.setattr(lines, "beam_noise", lambda xy: 0.35 * beam_noise(xy))
+    run = simulate_building(361, 0.05, sampling="laser", seed=3, step_m=0.1)
     log = log_of(run)
     mapper = driven(log, [scan.points_robot for scan in log.scans()])
+    before = len(mapper.submaps)
     mapper.refine()
-    assert len(mapper.submaps) > 1
+    assert len(mapper.submaps) > before
     assert not len(torn_in(mapper.submaps, mapper.history))
     for submap in mapper.submaps:
         assert submap_ate_m(submap, log.poses) < 1.0

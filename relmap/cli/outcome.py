@@ -29,7 +29,7 @@ MISREAD = 0.04
 simulated ones one of 12 with 2 % wrong ids was, 3 of 13 with 5 %, 5 of 14 with 10 %, 8 of 10 with
 20 %."""
 OUTLYING = 0.02
-"""The same without ids: of right maps at most 0.015, where landmarks move or noise is unequal."""
+"""The same without ids: of right maps at most 0.016, with the noise of a stereo camera."""
 NOTHING = (
     "; nothing is mapped: a map needs landmarks that are seen together in at least four scans, "
     "three in the plane and four in space"

@@ -42,7 +42,7 @@ ROUNDS = 8
 CLEARLY, WHOLE = 0.8, 0.95
 """Largest ratio of the contradictions of a rebuilt map to those before for it to be kept, and least
 ratio of the numbers of mapped landmarks: an empty map contradicts nothing."""
-HANGING, LOOSE = 0.1, 0.5
+HANGING, LOOSE = 1.0, 0.5
 """Standard deviation of a landmark, relative to the size of the submap, above which a hinge
 connects a part of it; and relative to the spacing of landmarks, above which they are of this part.
 """

@@ -124,7 +124,7 @@ def _bridged_by_look(
 def _contradicting(mapper: PointMapper | PlaneMapper, n_observations: int) -> float | None:
     """Return the fraction of the observations that contradict their ids or the refined map.
 
-    None for walls, and without both.
+    None for walls, and for a map without ids that is not refined.
     """
     if not isinstance(mapper, PointMapper):
         return None

@@ -105,7 +105,8 @@ class Submap:
         `number` (m,): number of the landmark of each patch in the mapper.
         """
         R, t = pose
-        kept, is_new = self._sparse(seen.loose @ R.T + t, seen.cell_m), self._new_rays(seen, pose)
+        kept = self._sparse(seen.loose @ R.T + t, seen.cell_m)
+        is_new = seen.is_new & self._new_rays(seen, pose)
         # Of some rays only, those that end beside a plane would seem to pass through it.
         rays = slice(len(is_new) if is_new.any() else 0)
         seen = replace(seen, loose=seen.loose[kept], ends=seen.ends[rays], is_new=is_new[rays])

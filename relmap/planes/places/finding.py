@@ -30,12 +30,12 @@ LOW_SHARE, LOW_EXPLAINED, THROUGH = 0.3, 0.5, 0.02
 """The same for a placement without rival if at most this fraction of the beams goes through walls:
 a map lacks what clutters a room, and what moved."""
 FEW, WHOLLY = 5, 0.9
-"""A scan of fewer walls must be explained to this fraction: many places have a few walls alike."""
+"""A scan of fewer than `FEW` walls must be explained to the fraction `WHOLLY`: many places have a
+few walls alike."""
 FAR_M = 500.0
 """Maximum distance of the walls of a scan that are compared: no laser sees farther."""
-RIVAL_PLACE, RIVAL_OF_FEW = 0.6, 0.57
-"""Maximum score of another placement, as a fraction of the best; and if at most `FEW` walls were
-seen."""
+RIVAL_PLACE = 0.6
+"""Maximum score of another placement, as a fraction of the best."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,8 +96,7 @@ class WallFinder:
         if best < 0 or not judged.may_fit[best]:
             return Place(nowhere, 0)
         slides = judged.ties[best].across < ACROSS
-        most = RIVAL_OF_FEW if judged.n_walls <= FEW else RIVAL_PLACE
-        if slides or np.delete(worth, best).max(initial=0.0) > most * worth[best]:
+        if slides or np.delete(worth, best).max(initial=0.0) > RIVAL_PLACE * worth[best]:
             return Place(nowhere, 2)
         return Place(judged.ties[best].matrix, 1)
 

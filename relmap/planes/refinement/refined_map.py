@@ -108,10 +108,10 @@ def at_the_noise(found: WallSubmap, history: PlaneHistory) -> WallSubmap:
     shows that something is wrong.
     """
     assert found.assembled is not None
-    motions, sd = history.motion[slice(*found.span)], history.sd[found.assembled.rows]
+    motions = history.motion[slice(*found.span)]
     most_m = SHARPLY * disagreement(found.poses, motions)[1] + WORSE_M
     for held in _dampings(found):
-        best = refined_to_the_noise(found.assembled, sd, held)
+        best = refined_to_the_noise(found.assembled, held)
         if best is found.assembled:
             break
         again = _refined(best, found.span, history)

@@ -15,7 +15,7 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.refinement.joint import Refined
 from relmap.core.refinement.residuals import SegmentResiduals, merge_residuals
 from relmap.planes.refinement.system import WallSystem, wall_residuals
-from relmap.planes.walls.assembly import FLAT_M, Assembled, directions, noise
+from relmap.planes.walls.assembly import FLAT_M, Assembled, directions
 from relmap.planes.walls.history import PlaneHistory
 from relmap.planes.walls.table import mapped_corners
 
@@ -45,26 +45,21 @@ def refined(assembled: Assembled, rounds: Sequence[tuple[int, float]], held: flo
     return _solved(WallSystem(assembled.given, held), assembled, rounds)
 
 
-def refined_to_the_noise(assembled: Assembled, sd: Floats, held: float) -> Assembled:
+def refined_to_the_noise(assembled: Assembled, held: float) -> Assembled:
     """Solve for walls, corners and poses at the accuracy of the observations.
 
     If they are more accurate than real walls, the least noise is lowered step by step, so that
     outliers are rejected before the noise is small (graduated non-convexity; Blake and Zisserman,
     1987). Otherwise the map is returned unchanged.
-
-    `sd` (n,), metres: noise of each observation of a wall, which is not lowered.
     """
     if assembled.typical_m >= FLAT_M:
         return assembled
     given, best, share = assembled.given, assembled, 1.0
-    system, own = WallSystem(given, held), (sd, given.corner_row, given.missed_m)
-    whole = noise(*own)
+    system = WallSystem(given, held)
     while share * FLAT_M > max(assembled.typical_m, EXACT_M):
         share *= SHARPER
-        at_walls, at_corners = (
-            part / of for part, of in zip(noise(*own, share), whole, strict=True)
-        )
-        lower = replace(given, sd=at_walls * given.sd, corner_sd=at_corners * given.corner_sd)
+        corner_sd = np.maximum(share * given.corner_sd, given.missed_m)
+        lower = replace(given, sd=share * given.sd, corner_sd=corner_sd)
         best = _solved(system, replace(best, given=lower), (SHARPLY,), by_scan=False)
     return best
 

@@ -186,27 +186,17 @@ def assemble(
     iterations, iteration = np.unique(history.iteration[rows], return_inverse=True)
     walls, wall = np.unique(wall[rows], return_inverse=True)
     row, end, corners, corner = _corners(history.corner[rows], numbers.corner_of)
+    sd = np.hypot(history.sd[rows], FLAT_M)
     ends = history.ends[rows]
+    corner_sd = np.hypot(BLUNT * history.sd[rows][row], SHARP_M)
     missed_m = _missed_m(iteration, ends, history.spacing_rad)[row, end]
-    sd, corner_sd = noise(history.sd[rows], row, missed_m)
+    corner_sd = np.hypot(corner_sd, missed_m)
     motions = history.factors(iterations)
     given = WallEquations(iteration, wall, ends, sd, row, end, corner, corner_sd, missed_m, motions)
     state = laid_out(given, poses[iterations])
     typical = float(np.median(history.sd[rows]))
     every = np.arange(len(numbers.corner_of))
     return Assembled(given, typical, state, iterations, walls, corners, rows, every)
-
-
-def noise(
-    sd: Floats, corner_row: Ints, missed_m: Floats, share: float = 1.0
-) -> tuple[Floats, Floats]:
-    """Return the standard deviations of walls (n,) and of corners (k,), metres.
-
-    `sd` (n,): of each observation of a wall alone; `corner_row`, `missed_m` (k,): see
-    `WallEquations`; `share`: of the deviations of real walls from flat and sharp ones.
-    """
-    corner_sd = np.hypot(BLUNT * sd[corner_row], share * SHARP_M)
-    return np.hypot(sd, share * FLAT_M), np.hypot(corner_sd, missed_m)
 
 
 def _missed_m(iteration: Ints, ends: Floats, spacing_rad: float) -> Floats:
