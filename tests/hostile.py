@@ -287,6 +287,7 @@ def readers() -> dict[str, Reader]:
     }
     own = {"a": b'frame;t;px;py;"n";name\n3;0.5;1,5;-2;"re;d";cone\n5;0.9;1;-2;;\n'}
     columns = {"x": "px", "y": "py", "iteration": "frame", "stamp": "t", "id": "name"}
+    polar = "iteration,range,bearing,elevation,id\n0,2,0.5,-0.25,7\n0,5,-1,0,8\n2,3,3,1.5,7\n"
     clouds = {
         "0.pcd": pcd(CLOUD),
         "1.ply": ply(CLOUD[:2]),
@@ -296,6 +297,7 @@ def readers() -> dict[str, Reader]:
     }
     found = {
         "observation-csv": Reader({"a": PLAIN.encode()}, "a", _log("a", "observation-csv")),
+        "observation-csv-polar": Reader({"a": polar.encode()}, "a", _log("a")),
         "observation-csv-gz": Reader({"a": packed(PLAIN.encode())}, "a", _log("a")),
         "mrpt-landmarks": Reader({"a": MRPT.encode()}, "a", _log("a", "mrpt-landmarks")),
         "victoria-park": Reader(park, "trees.csv", _log("", "victoria-park")),

@@ -101,6 +101,13 @@ def test_order_of_rows_does_not_matter(tmp_path: Path, seed: int) -> None:
         ("iteration\n0\n", ["missing columns x, y"]),
         ("# c\nframe,x,y\n0,1,2\n", ["line 2", "missing column iteration", "'frame'"]),
         ("iteration|x|y\n0|1|2\n", ["line 1", "columns iteration, x, y", "'iteration|x|y'"]),
+        ("x,y,stamp\n1,2,3\n", ["line 1", "missing column iteration"]),
+        ("range,bearing,stamp\n1,2,3\n", ["line 1", "missing column iteration", "range,bearing["]),
+        ("iteration,bearing\n0,1\n", ["line 1", "missing column range"]),
+        (
+            "iteration,x,y,range,bearing\n0,1,2,3,0\n",
+            ["columns x, y and also range, bearing, expected either", "--columns x=x,y=y ignores"],
+        ),
         ("iteration,x,y,x\n0,1,2,3\n", ["line 1", "duplicate column x"]),
         ("iteration,x,y,w,v\n0,1,2,3,4\n", ["unknown columns 'w', 'v'", "x, y, z, id"]),
         ("iteration,x,y,\n0,1,2,\n", ["unknown column ''"]),

@@ -92,6 +92,51 @@ def test_ranges_and_bearings_are_read(
     np.testing.assert_allclose(open_log(planar).points_robot, expected)
 
 
+@pytest.mark.parametrize("third", ["", ",elevation"])
+def test_covariances_beside_ranges_and_bearings(tmp_path: Path, frames: Any, third: str) -> None:
+    names = "cxx,cxy,cyy" + ",cxz,cyz,czz" * bool(third)
+    values = [0.04, 0.01, 0.09, 0.0, 0.02, 0.16] if third else [0.04, 0.01, 0.09]
+    header = f"iteration,range,bearing{third},{names}"
+    row = [0, 2, 0.5, *([0.25] if third else []), *values]
+    path = put(tmp_path, f"{header}\n{','.join(map(str, row))}\n")
+    frame = frames.DataFrame(
+        {name: [cell] for name, cell in zip(header.split(","), row, strict=True)}
+    )
+    expected = [[0.04, 0.01, 0.0], [0.01, 0.09, 0.02], [0.0, 0.02, 0.16]]
+    d = 3 if third else 2
+    for log in (open_log(path), open_log(path, columns={}), log_of_frame(frame)):
+        assert log.covariances.tolist() == [[line[:d] for line in expected[:d]]]
+    put(tmp_path, f"iteration,range,bearing{third},cxx\n{','.join(map(str, row[: d + 2]))}\n")
+    assert f"covariances need the columns {names.replace(',', ', ')}" in failure(path)
+
+
+@pytest.mark.parametrize(
+    ("header", "columns", "point", "ignored"),
+    [
+        ("iteration,x,y,range,bearing", {}, [1, 2], "'range', 'bearing'"),
+        ("iteration,x,y,range,bearing", {"bearing": "bearing"}, [3, 0], "'x', 'y'"),
+        ("iteration,px,py,range,bearing", {"x": "px", "y": "py"}, [1, 2], "'range', 'bearing'"),
+        ("iteration,x,y,range,b", {"bearing": "b"}, [3, 0], "'x', 'y'"),
+        ("iteration,x,a,range,bearing", {}, [3, 0], "'x', 'a'"),
+    ],
+)
+def test_one_kind_of_coordinates_is_used(
+    tmp_path: Path,
+    frames: Any,
+    caplog: pytest.LogCaptureFixture,
+    header: str,
+    columns: dict[str, str],
+    point: list[float],
+    ignored: str,
+) -> None:
+    path = put(tmp_path, f"{header}\n0,1,2,3,0\n", "a.csv")
+    cells = dict(zip(header.split(","), ([0], [1], [2], [3], [0]), strict=True))
+    for log in (open_log(path, columns=columns), log_of_frame(frames.DataFrame(cells), columns)):
+        assert log.points_robot.tolist() == [point]
+    warning = f"other columns are ignored: {ignored}"
+    assert caplog.messages == [f"{path}: {warning}", f"data frame: {warning}"]
+
+
 def test_parquet_is_read(tmp_path: Path) -> None:
     pyarrow = pytest.importorskip("pyarrow")
     pytest.importorskip("pyarrow.parquet").write_table(pyarrow.table(CELLS), tmp_path / "a")
@@ -213,6 +258,18 @@ def test_times_of_an_observation_log(tmp_path: Path) -> None:
         (OWN.partition("\n")[0], NAMES, "holds no row"),
         ("iteration,range,bearing\n0,2,30\n", {}, "line 2, field bearing: 30 is out of range"),
         ("i,r,b\n0,2,1\n", {"range": "r", "iteration": "i"}, "no column 'bearing'"),
+        (
+            "iteration,px,py,r,bearing\n0,1,2,3,0\n",
+            {"x": "px", "y": "py", "range": "r"},
+            "columns: x and range, expected either x, y or range, bearing",
+        ),
+        (
+            "iteration,bearing\n0,1\n",
+            {"range": "bearing"},
+            "'bearing' would be two coordinates, expected another name for each of range, bearing",
+        ),
+        ("iteration,y\n0,1\n", {"x": "y"}, "expected another name for each of x, y and z"),
+        ("iteration,bearing\n0,1\n", {}, "no column 'range'"),
         (OWN.replace("red", '"red', 1), NAMES, "line 5: unexpected end of data"),
     ],
 )

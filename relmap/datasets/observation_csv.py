@@ -5,8 +5,8 @@ Header ``iteration,x,y[,z][,id][,stamp]`` in any order, rows in any order; robot
 iteration, seconds. Without ``z`` the world is planar. Columns are separated by commas, semicolons
 or tabs; cells may be in double quotes. Instead of ``x,y,z`` there may be
 ``range,bearing[,elevation]``, metres and radians, positive to the left and upwards.
-``cxx,cxy,cyy``, and with ``z`` also ``cxz,cyz,czz``, are the covariance of the position, robot
-frame, square metres: all of them or none.
+``cxx,cxy,cyy``, and in space also ``cxz,cyz,czz``, are the covariance of the position in ``x,y,z``,
+robot frame, square metres: all of them or none.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from __future__ import annotations
 import gzip
 import math
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from typing import BinaryIO
@@ -42,17 +42,17 @@ FILE_NAMES = ("observations.csv", "observations.csv.gz")
 """The log's name in a folder."""
 
 _PAIRS = ("xx", "xy", "yy", "xz", "yz", "zz")
-_LABELS = (
+_OTHERS = (
     id_column("id", required=False),
     Column("stamp", -1e12, 1e12, "seconds", required=False),
+    *(Column(f"c{pair}", -1e18, 1e18, "square metres", required=False) for pair in _PAIRS),
 )
 COLUMNS = (
     iteration_column("iteration"),
     metres_column("x"),
     metres_column("y"),
     metres_column("z", required=False),
-    *_LABELS,
-    *(Column(f"c{pair}", -1e18, 1e18, "square metres", required=False) for pair in _PAIRS),
+    *_OTHERS,
 )
 """Columns of an observation log."""
 POLAR_COLUMNS = (
@@ -60,10 +60,11 @@ POLAR_COLUMNS = (
     Column("range", 0.0, MAX_COORDINATE_M, "metres"),
     Column("bearing", -math.tau, math.tau, "radians"),
     Column("elevation", -math.pi / 2, math.pi / 2, "radians", required=False),
-    *_LABELS,
+    *_OTHERS,
 )
 """The same with ranges and bearings."""
 
+CARTESIAN = ("x", "y", "z")
 POLAR = ("range", "bearing", "elevation")
 
 _GZIP_LEVEL = 4
@@ -93,14 +94,22 @@ class ObservationCsv:
         found = columns_of(path)
         if any("iteration" in column.lower() for column in found):
             return True
-        return len(found & {column.name for column in COLUMNS}) >= 2
+        return len(found & {column.name for column in (*COLUMNS, *POLAR_COLUMNS)}) >= 2
 
     def load(self, path: Path) -> ObservationLog:
         """Read the log."""
         file = only_one(path, _members(path), "observation log", " or ".join(FILE_NAMES))
-        is_polar = {"range", "bearing"} <= columns_of(file)
-        columns = POLAR_COLUMNS if is_polar else COLUMNS
+        found = columns_of(file)
+        if found >= {"x", "y", "range", "bearing"}:
+            problem = "columns x, y and also range, bearing, expected either of them"
+            raise invalid(file, f"{problem}; --columns x=x,y=y ignores the others")
+        columns = POLAR_COLUMNS if is_polar(found) else COLUMNS
         return log_of_table(read_table(file, columns, "; " + OTHER_NAMES))
+
+
+def is_polar(names: Collection[str]) -> bool:
+    """Return whether the names of columns are rather ``range,bearing`` than ``x,y``."""
+    return sum(name in names for name in POLAR[:2]) > sum(name in names for name in CARTESIAN[:2])
 
 
 def log_of_table(table: Table) -> ObservationLog:

@@ -25,9 +25,11 @@ from relmap.datasets.foreign import PARQUET, foreign_at
 from relmap.datasets.headers import read_head
 from relmap.datasets.number_rows import parse_number, too_many
 from relmap.datasets.observation_csv import (
+    CARTESIAN,
     COLUMNS,
     POLAR,
     POLAR_COLUMNS,
+    is_polar,
     log_of_table,
 )
 from relmap.datasets.table import MAX_EXACT_INTEGER, MAX_NUMBERS, Column, checked_table
@@ -200,7 +202,7 @@ def _as_floats(path: Path, column: Column, cells: NDArray[Any], first: int) -> F
 
 
 def _check_columns(columns: Mapping[str, str]) -> None:
-    """Raise a `RelmapError` for columns that the observation log does not have, or one in two."""
+    """Raise a `RelmapError` for unknown columns, one in two, or both kinds of coordinates."""
     unknown = [quoted(name) for name in columns if name not in BY_NAME]
     if unknown:
         raise RelmapError(f"columns: {', '.join(unknown)}, expected some of {', '.join(BY_NAME)}")
@@ -208,16 +210,21 @@ def _check_columns(columns: Mapping[str, str]) -> None:
     twice = [quoted(name) for name in names if names.count(name) > 1]
     if twice:
         raise RelmapError(f"columns: {twice[0]} is given twice, expected different columns")
+    kinds = [[name for name in columns if name in axes] for axes in (CARTESIAN, POLAR)]
+    if all(kinds):
+        both = " and ".join(names[0] for names in kinds)
+        raise RelmapError(f"columns: {both}, expected either x, y or range, bearing")
 
 
 def _chosen(path: Path, there: list[str], columns: Mapping[str, str]) -> dict[str, str]:
     """Return the names of the used columns in the table."""
     names = {ours: columns.get(ours, ours) for ours in BY_NAME}
     wanted = {ours: theirs for ours, theirs in names.items() if theirs in there}
-    is_polar = "range" in columns or ("range" in wanted and "x" not in wanted)
-    for other in "xyz" if is_polar else POLAR:
-        wanted.pop(other, None)
-    needed = {*(("range", "bearing") if is_polar else ("x", "y")), *columns}
+    given = [ours for ours in columns if ours in (*CARTESIAN, *POLAR)]
+    polar = given[0] in POLAR if given else is_polar(wanted)
+    axes, others = (POLAR, CARTESIAN) if polar else (CARTESIAN, POLAR)
+    wanted = {ours: theirs for ours, theirs in wanted.items() if ours not in others}
+    needed = {*axes[:2], *columns}
     if not wanted.keys() & {"iteration", "stamp"}:
         needed.add("iteration")
     missing = [quoted(names[ours]) for ours in (*columns, *names) if ours in needed - wanted.keys()]
@@ -226,14 +233,14 @@ def _chosen(path: Path, there: list[str], columns: Mapping[str, str]) -> dict[st
         problem = f"no column {missing[0]}" if missing else f"two columns {several[0]}"
         names_there = listed([*map(quoted, there)])
         raise invalid(path, f"{problem}, expected one; there are {names_there}")
-    places = [wanted[axis] for axis in "xyz" if axis in wanted]
+    places = [wanted[axis] for axis in axes if axis in wanted]
     twice = [quoted(theirs) for theirs in places if places.count(theirs) > 1]
     if twice:
-        expected = "expected another name for each of x, y and z"
+        expected = f"expected another name for each of {axes[0]}, {axes[1]} and {axes[2]}"
         raise invalid(path, f"columns: {twice[0]} would be two coordinates, {expected}")
-    others = [quoted(name) for name in there if name not in wanted.values()]
-    if others:
-        warn(path, f"other columns are ignored: {listed(others)}")
+    unused = [quoted(name) for name in there if name not in wanted.values()]
+    if unused:
+        warn(path, f"other columns are ignored: {listed(unused)}")
     return wanted
 
 
