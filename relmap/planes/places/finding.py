@@ -34,7 +34,7 @@ FEW, WHOLLY = 5, 0.9
 few walls alike."""
 FAR_M = 500.0
 """Maximum distance of the walls of a scan that are compared: no laser sees farther."""
-RIVAL_PLACE = 0.6
+RIVAL_PLACE = 0.58
 """Maximum score of another placement, as a fraction of the best."""
 
 
