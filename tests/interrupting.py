@@ -2,8 +2,10 @@
 
     python -m tests.interrupting [--every N] [KIND ...]
 
-At every N-th bytecode of relmap in an update a fork of the process is interrupted.  Its mapper must
-report that, or continue to the same map as if nothing had happened.
+At every N-th bytecode of relmap in one update a fork of the process is interrupted.  The interrupt
+must come out of the update; then its mapper must report that it was interrupted, or continue to the
+same map as if nothing had happened.  A fork that is not interrupted is a failure, and so is a kind
+of mapper that no fork reported.
 """
 
 from __future__ import annotations
@@ -84,9 +86,10 @@ def told(mapper: Any) -> bytes:
     return bytes(table.tobytes() + mapper.trajectory.tobytes())
 
 
-def outcome(mapper: Any, kind: Kind, begun: int, whole: bytes) -> int:
-    """Continue an interrupted mapper, and return the outcome."""
+def outcome(mapper: Any, kind: Kind, at: int, begun: int, whole: bytes) -> int:
+    """Interrupt the next update of a mapper, continue, and return the outcome."""
     try:
+        interrupted(lambda: mapper.update(**kind.scans[len(kind.scans) - LAST]), at)
         for scan in kind.scans[mapper.n_iterations - begun :]:
             mapper.update(**scan)
         return SAME if told(mapper) == whole else OTHER
@@ -97,9 +100,12 @@ def outcome(mapper: Any, kind: Kind, begun: int, whole: bytes) -> int:
         return FAILED
 
 
-def interrupted(work: Callable[[], object], at: int = -1) -> int:
-    """Do something, with Ctrl-C at some bytecode of relmap; return how many it has, up to there."""
-    count = 0
+def interrupted(work: Callable[[], object], at: int = 0) -> int:
+    """Do something, with Ctrl-C at some bytecode of relmap; return how many it has, up to there.
+
+    Without a bytecode it is only counted; AssertionError if an interrupt does not come out of it.
+    """
+    count, came_out = 0, False
 
     def step(frame: FrameType, event: str, argument: object) -> Any:
         nonlocal count
@@ -120,10 +126,12 @@ def interrupted(work: Callable[[], object], at: int = -1) -> int:
     try:
         work()
     except KeyboardInterrupt:
-        pass
+        came_out = True
     finally:
         sys.settrace(before)
         gc.enable()
+    if came_out != (at > 0):
+        raise AssertionError(f"interrupted: {came_out}, at bytecode {at} of {count}")
     return count
 
 
@@ -141,8 +149,7 @@ def attacked(kind: Kind, every: int) -> dict[int, list[int]]:
     for at in range(every, length, every):
         child = os.fork()
         if child == 0:
-            interrupted(lambda: mapper.update(**kind.scans[k]), at)
-            os._exit(outcome(mapper, kind, begun, whole))
+            os._exit(outcome(mapper, kind, at, begun, whole))
         status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
         found.setdefault(status if status in range(FAILED) else FAILED, []).append(at)
     return found
@@ -160,7 +167,7 @@ def main() -> int:
         counts = {OUTCOMES[k]: len(at) for k, at in sorted(found.items())}
         wrong = found.get(OTHER, []) + found.get(FAILED, [])
         print(f"{name}: {counts}", *wrong, flush=True)
-        bad += len(wrong)
+        bad += len(wrong) + (REPORTED not in found)
     return int(bad > 0)
 
 

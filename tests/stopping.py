@@ -2,6 +2,9 @@
 
     python -m tests.stopping [--every N] [--full N] [VERB ...]
 
+Every run must really be stopped: it must die by SIGKILL, or a call of it must be refused; a stop
+that does not happen is a failure, and so is a verb of which no call was stopped.
+
 From the files that a kill at a call leaves, the same command or `relmap resume` must end with the
 bytes of a run that was not stopped; only numbers that differ between such runs may differ.  Before
 that no file is cut, and no old one is beside a new one.  With ``--full`` calls that need space on
@@ -17,6 +20,7 @@ import errno
 import os
 import re
 import shutil
+import signal
 import sys
 import tempfile
 from collections import defaultdict
@@ -38,7 +42,8 @@ FINE = re.compile("^(old|new|in part), then new|^no error, new|^one line, old")
 SPACE = {"open", "os.mkdir", "os.link", "os.symlink", "sqlite3.connect"}
 """Calls that fail on a full disk."""
 CALLS = SPACE | {"os.remove", "os.rename", "os.rmdir", "os.truncate", "os.chmod", "os.utime"}
-KILLED = 137
+REFUSED = "refused"
+"""Stands after the name of a call that failed, where calls are noted."""
 Files = dict[str, bytes]
 
 INPUTS = {
@@ -122,11 +127,15 @@ def files_in(folder: Path) -> Files:
 
 @dataclass(frozen=True)
 class Stopped:
-    """Exit code, names of the calls, and standard error."""
+    """Exit code (negative: killed by that signal), names of the calls, standard error.
+
+    `n_refused`: number of calls that failed for want of space.
+    """
 
     code: int
     calls: list[str]
     said: str
+    n_refused: int
 
 
 def stopped(work: Callable[[], int], at: int = 0, full: bool = False) -> Stopped:
@@ -149,7 +158,9 @@ def stopped(work: Callable[[], int], at: int = 0, full: bool = False) -> Stopped
         code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
         calls.seek(0)
         said.seek(0)
-        return Stopped(code, calls.read().decode().split(), said.read().decode())
+        names = calls.read().decode().split()
+        made = [name for name in names if name != REFUSED]
+        return Stopped(code, made, said.read().decode(), len(names) - len(made))
 
 
 def _stop_at(calls: int, at: int, full: bool) -> None:
@@ -163,8 +174,9 @@ def _stop_at(calls: int, at: int, full: bool) -> None:
         number += 1
         os.write(calls, f"{name}\n".encode())
         if number == at and not full:
-            os._exit(KILLED)
+            os.kill(os.getpid(), signal.SIGKILL)
         if 0 < at <= number and name in SPACE:
+            os.write(calls, f"{REFUSED}\n".encode())
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     sys.addaudithook(hook)
@@ -219,7 +231,9 @@ class Attack:
     def killed(self, at: int) -> str:
         """Continue from what a kill at a call leaves; return what was seen then and at the end."""
         begin_from(self._root, "begin")
-        stopped(partial(done, self._command), at)
+        code = stopped(partial(done, self._command), at).code
+        if code != -signal.SIGKILL:
+            return f"NOT KILLED: CODE {code}"
         left = self._seen()
         resumed = JOURNAL.exists() and ("--journal" in self._command or DAMAGED.exists())
         run = stopped(partial(done, "resume j" if resumed else self._command))
@@ -229,6 +243,8 @@ class Attack:
         """Let a call fail; return what was said and seen."""
         begin_from(self._root, "begin")
         run = stopped(partial(done, self._command), at, full=True)
+        if not run.n_refused:
+            return f"NOT REFUSED: CODE {run.code}"
         said = [line for line in run.said.splitlines() if not OTHER_LINES.match(line)]
         if run.code == 0:
             return f"no error, {self._seen()} {said or ''}"
@@ -268,7 +284,9 @@ def main_() -> int:
             found[attack.killed(at)].append(f"{at} {call}")
         for at, call in spacious[:: arguments.full] if arguments.full else ():
             found[attack.failed(at)].append(f"{at} {call}")
-        print(f"{name}: {len(attack.calls)} calls", flush=True)
+        n_stopped = sum(map(len, found.values()))
+        print(f"{name}: {len(attack.calls)} calls, {n_stopped} stops", flush=True)
+        bad += not n_stopped
         for what, where in found.items():
             print(f"  {len(where)} times {what}: {', '.join(where[:6])}", flush=True)
             bad += not FINE.search(what)

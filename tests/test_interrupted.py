@@ -61,7 +61,7 @@ def test_an_interrupted_update_is_undone_or_complete_or_reported(
     twin = go_on(kind(journal=tmp_path / "twin"), scans[:k])
     length = interrupted(lambda: twin.update(scans[k]))
     was_told = False
-    for trial, at in enumerate(np.linspace(1, 1.1 * length, 8).astype(int).tolist()):
+    for trial, at in enumerate(np.linspace(1, length, 8).astype(int).tolist()):
         path = tmp_path / f"{trial}.journal"
         mapper = go_on(kind(journal=path), scans[:k])
         interrupted(lambda m=mapper: m.update(scans[k]), at)  # type: ignore[misc]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from pathlib import Path
 
@@ -18,5 +19,7 @@ def test_a_stopped_verb_leaves_whole_files_and_can_be_continued(
         cwd=repo_root,
     )
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "map-journal: " in done.stdout
-    assert "simulate-world: " in done.stdout
+    for verb in ("map-journal", "simulate-world"):
+        assert re.search(rf"^{verb}: [0-9]+ calls, [1-9]", done.stdout, re.MULTILINE)
+    assert re.search(r" times (old|new|in part), then new: ", done.stdout)
+    assert " times one line, old: " in done.stdout
