@@ -42,7 +42,7 @@ Files = dict[str, bytes]
 class Reader:
     """A reader, valid files for it, and which of them is damaged.
 
-    ``read`` takes the folder that holds the files.
+    ``read`` takes the folder that holds the files; the points of a log of scans are not yet read.
     """
 
     files: Files
@@ -164,7 +164,7 @@ def _mapped() -> Files:
     }
 
 
-def _evaluate(folder: Path) -> None:
+def _evaluate(folder: Path) -> evaluation.Evaluation:
     """Evaluate without drawing, which takes most of the time of the verb."""
     truth = folder / "truth"
     result = read_any(folder)
@@ -172,11 +172,13 @@ def _evaluate(folder: Path) -> None:
     known = read_truth(truth, "planes" if walls else "points")
     with chdir(folder):
         log = None if walls else find_log(result, truth, None)
-    json_text(evaluation.evaluate(result, known, log).as_dict())
+    found = evaluation.evaluate(result, known, log)
+    json_text(found.as_dict())
+    return found
 
 
-def _evaluate_space(folder: Path) -> None:
-    evaluation.evaluate(read_result3d(folder), read_truth(folder / "truth", "planes3d"))
+def _evaluate_space(folder: Path) -> evaluation.Evaluation:
+    return evaluation.evaluate(read_result3d(folder), read_truth(folder / "truth", "planes3d"))
 
 
 def _log(name: str, form: str | None = None) -> Callable[[Path], object]:
@@ -184,11 +186,7 @@ def _log(name: str, form: str | None = None) -> Callable[[Path], object]:
 
 
 def _scan_log(name: str, form: str | None = None) -> Callable[[Path], object]:
-    def read(folder: Path) -> None:
-        for _ in zip(range(20), open_scans(folder / name, form).scans(), strict=False):
-            pass
-
-    return read
+    return lambda folder: open_scans(folder / name, form)
 
 
 def _of_other_programs() -> dict[str, Reader]:

@@ -1,4 +1,4 @@
-"""Stops every verb that writes at each of its calls that change files; see test_stopped.py.
+"""Stops every verb that writes, but `demo`, at its calls that change files; see test_stopped.py.
 
     python -m tests.stopping [--every N] [--full N] [VERB ...]
 
@@ -129,7 +129,7 @@ def files_in(folder: Path) -> Files:
 class Stopped:
     """Exit code (negative: killed by that signal), names of the calls, standard error.
 
-    `n_refused`: number of calls that failed for want of space.
+    `n_refused`: number of calls that failed because the disk was full.
     """
 
     code: int
