@@ -107,6 +107,19 @@ def test_a_file_that_was_made_up(tmp_path: Path, change: Any, message: str) -> N
     assert "\n" not in str(caught.value)
 
 
+def test_a_file_that_is_cut_off_is_refused(tmp_path: Path) -> None:
+    path = saved_map(tmp_path)
+    data = path.read_bytes()
+    size = len(data)
+    for length in (0, 1, 100, *range(size // 9, size, size // 9), size - 22, size - 1):
+        path.write_bytes(data[:length])
+        with pytest.raises(RelmapError) as caught:
+            PointMapper.load(path)
+        said = str(caught.value)
+        assert said.startswith(f"saved map {path} is damaged or not a saved map: "), length
+        assert "\n" not in said
+
+
 def test_bombs_are_refused(tmp_path: Path) -> None:
     with zipfile.ZipFile(tmp_path / "mapper.npz", "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("header.npy", bytes(10**7))
