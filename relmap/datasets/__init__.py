@@ -102,8 +102,9 @@ def open_log(
     format : str or None
         One of `FORMATS`; None: recognised by the content.
     columns : mapping of str to str, optional
-        Column names of ``iteration``, ``stamp``, ``x``, ``y``, ``z`` and ``id``, if different; see
-        `relmap.datasets.own_table`.
+        Column names, if different, of ``iteration``, ``stamp``, ``x``, ``y``, ``z`` or instead
+        ``range``, ``bearing``, ``elevation``, of ``id``, and of the covariances ``cxx`` to ``czz``;
+        see `relmap.datasets.own_table`.
     topics : sequence of str
         Topics of a bag to read if there are several of a kind.
 
