@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, nnls
 from scipy.spatial.transform import Rotation
 
 from relmap import PointMapper
 from relmap.comparison.baselines.batch import Batch, batch_least_squares
 from relmap.core.arrays import Floats, Ints
-from relmap.core.association import matching_kernels
-from relmap.core.association.metric import LONGEST, WAIT, RayNoise, stretch_of
+from relmap.core.association import matching_kernels, ray_kernels
+from relmap.core.association.metric import LONGEST, OUTLIER, WAIT, RayNoise, stretch_of
 from relmap.core.association.placement import trimmed_fit
 from relmap.core.association.reobservation.coinciding import compatible
 from relmap.evaluation.metrics import majority_ids
@@ -25,6 +25,7 @@ from tests.kernels import callable_here
 from tests.worlds import random_rotation
 
 nearest_within = callable_here(matching_kernels.nearest_within)
+fit_variance = callable_here(ray_kernels._fit)
 Array = Floats
 SIGMA = 0.05
 
@@ -57,6 +58,24 @@ def test_the_estimate_is_the_noise_of_the_sensor(noise: str, d: int) -> None:
     even = np.linalg.eigvalsh(metric @ true @ metric)
     assert np.sqrt(even.max() / even.min()) < 2.2
     np.testing.assert_allclose(np.linalg.slogdet(metric)[1].mean(), 0, atol=1e-9)
+
+
+@pytest.mark.parametrize("of", ["any", "one distance", "two distances", "origin", "exact"])
+def test_the_variance_is_fitted_as_by_scipy(of: str) -> None:
+    """At one or two distances or at the origin, terms are proportional to each other or 0."""
+    rng = np.random.default_rng(0)
+    for n in rng.integers(1, 200, 40).tolist():
+        given = {"one distance": [5.0], "two distances": [2.0, 6.0], "origin": [0.0]}
+        distance = rng.choice(given[of], n) if of in given else rng.uniform(0, 14, n)
+        variance = rng.uniform(0.1, 2, n)
+        square = 0 * variance if of == "exact" else 3 * variance * rng.normal(size=n) ** 2
+        unit_m, found = max(distance.max(), 1.0), np.full(3, np.nan)
+        fit_variance(np.column_stack([distance, square]), 1, unit_m, variance, found)
+        terms = np.vander((distance / unit_m) ** 2, 3, increasing=True) / variance[:, None]
+        clipped = np.minimum(square / variance, OUTLIER)
+        assert (found >= 0).all()
+        residual = np.linalg.norm(terms @ found - clipped)
+        np.testing.assert_allclose(residual, nnls(terms, clipped)[1], rtol=1e-9, atol=1e-9)
 
 
 def test_isotropic_noise_has_no_metric() -> None:
