@@ -25,7 +25,7 @@ from tests.kernels import callable_here
 from tests.worlds import random_rotation
 
 nearest_within = callable_here(matching_kernels.nearest_within)
-fit_variance = callable_here(ray_kernels._fit)
+fit_variance = callable_here(ray_kernels.fit)
 Array = Floats
 SIGMA = 0.05
 

@@ -36,7 +36,7 @@ def _solved(moments: Floats, right: Floats, chosen: int, found: Floats) -> float
 
 
 @helper
-def _fit(squares: Floats, column: int, unit_m: float, variance: Floats, found: Floats) -> None:
+def fit(squares: Floats, column: int, unit_m: float, variance: Floats, found: Floats) -> None:
     """Write the coefficients (t,), 0 or more, of a column of squares (n, 3).
 
     Least squares weighted by variances (n,), with each set of coefficients above 0.
@@ -87,4 +87,4 @@ def update(squares: Floats, unit_m: float, coefficients: Floats) -> None:
                     power *= square
                 is_known = r > 0 or before > 0
                 variance[i] = max(variance[i], least) if is_known else typical + least
-            _fit(squares, column, unit_m, variance, found)
+            fit(squares, column, unit_m, variance, found)
