@@ -126,6 +126,7 @@ def test_rule_of_the_paper_is_compared_with_the_largest_area() -> None:
 def test_visits_lie_within_the_run() -> None:
     run = charted_run(True)
     landmarks, iterations = run.store.seen(0, run.store.n_iterations)
+    assert len(run.visits) > 10
     for landmark, begin, end in run.visits:
         when = iterations[landmarks == landmark]
         assert (when.min(), when.max() + 1) == (begin, end)

@@ -274,6 +274,8 @@ def test_standing_still_takes_no_more_cells() -> None:
 def test_half_a_turn_in_the_next_room_is_not_accepted() -> None:
     world = simulate_storey("lidar", 0.01, 8)
     mapper = mapped(world.scans)
+    assert min(len(part.iteration) for part in mapper.submaps) > 1
+    assert len(np.concatenate([part.iteration for part in mapper.submaps])) == 8
     for part in mapper.submaps:
         truth = from_first(world.trajectory[part.iteration])
         assert np.abs(part.trajectory - part.trajectory[0] @ truth).max() < 0.02
@@ -283,6 +285,8 @@ def test_noise_of_a_depth_camera_leaves_its_walls_whole() -> None:
     world = simulate_storey("depth", 0.02, 1)
     segmenter = PatchSegmenter().fit(world.scans[0])
     plane = world.plane_of[world.faces[0]]
-    for wall in np.flatnonzero(np.bincount(plane) > 2500):
+    large = np.flatnonzero(np.bincount(plane) > 2500)
+    assert len(large) > 2
+    for wall in large:
         labels = segmenter.labels_[plane == wall]
         assert np.bincount(labels + 1)[1:].max() > 0.85 * len(labels)

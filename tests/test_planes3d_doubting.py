@@ -186,6 +186,7 @@ def test_a_scan_does_not_follow_a_box_that_moves_before_a_wall(seed: int) -> Non
     mapper = Plane3dMapper()
     for scan in world.scans:
         mapper.update(scan)
+    assert len(mapper.submaps[0].iteration) > 20
     for part in mapper.submaps:
         steps, truly = (
             np.linalg.inv(path[:-1]) @ path[1:]

@@ -82,6 +82,7 @@ def test_refining_past_a_single_wall_makes_no_path_worse(walls: int, seed: int) 
         mapper.update(SimpleNamespace(ends=ends, end_type=seen.end_type))
     mapper.finish()
     for _ in range(2):
+        assert sum(len(submap.poses) for submap in mapper.submaps) == len(x)
         for submap in mapper.submaps:
             steps = np.linalg.norm(np.diff(submap.poses[:, :2, 3], axis=0), axis=1)
             assert abs(steps.sum() - 0.2 * len(steps)) < 1.0

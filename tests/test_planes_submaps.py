@@ -75,7 +75,10 @@ def test_a_long_bridge_ends_the_submap() -> None:
 
 
 def test_an_implausible_jump_is_rejected() -> None:
-    """Walls 2.5 m further look alike; a robot that goes 0.1 m a scan did not go there."""
+    """Walls 2.5 m further look alike; a robot that goes 0.1 m a scan hardly went there.
+
+    It did here, by 1.3 m: the usual step takes its place, and is named as weak.
+    """
     row = np.array([[[3.0, 0.2 + 2.5 * k], [3.0, 1.7 + 2.5 * k]] for k in range(-6, 7)])
 
     def seen(y: float) -> Any:
@@ -84,9 +87,9 @@ def test_an_implausible_jump_is_rejected() -> None:
     mapper = finished(
         PlaneMapper(), (seen(0.1 * k if k < 20 else 0.1 * k + 1.2) for k in range(40))
     )
-    for submap in mapper.submaps:
-        steps = np.linalg.norm(np.diff(submap.poses[:, :2, 3], axis=0), axis=1)
-        assert steps.max(initial=0.0) < 0.5
+    (submap,) = mapper.submaps
+    assert np.linalg.norm(np.diff(submap.poses[:, :2, 3], axis=0), axis=1).max() < 0.5
+    assert mapper.weak_links.tolist() == [20]
 
 
 def test_stop_and_go_along_a_wall_is_not_bridged_for_long() -> None:

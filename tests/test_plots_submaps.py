@@ -50,5 +50,7 @@ def test_path_among_walls_is_broken_where_it_leaps() -> None:
 def test_one_far_point_does_not_widen_the_panel_of_a_submap() -> None:
     far = drawn_submap([])
     far.points[1] = 9000.0, 0.0
-    for axes in plot_submaps([far, drawn_submap([])], 2).axes:
+    panels = plot_submaps([far, drawn_submap([])], 2).axes
+    assert len(panels) == 2
+    for axes in panels:
         assert np.ptp(axes.get_xlim()) < 12

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +21,8 @@ def test_truth_comes_back_bit_by_bit(tmp_path: Path) -> None:
         again = read_truth(path)
         np.testing.assert_array_equal(again.landmarks_map, truth.landmarks_map)
         np.testing.assert_array_equal(again.landmark_ids, truth.landmark_ids)
+        np.testing.assert_array_equal(again.status, truth.status)
+        np.testing.assert_array_equal(again.stamps_s, truth.stamps_s)
         np.testing.assert_array_equal(again.poses, truth.poses)
 
 
@@ -39,12 +41,12 @@ def test_result_comes_back_bit_by_bit(tmp_path: Path) -> None:
     result = with_table(result, position=position)
     write_result(tmp_path, result)
     again = read_result(tmp_path)
-    for name in ("landmark", "position", "sd", "observations", "level", "status"):
-        np.testing.assert_array_equal(
-            getattr(again.landmarks, name), getattr(result.landmarks, name)
-        )
-    np.testing.assert_array_equal(again.tracks.landmark, result.tracks.landmark)
+    for found, given in ((again.landmarks, result.landmarks), (again.tracks, result.tracks)):
+        for column in fields(given):
+            np.testing.assert_array_equal(getattr(found, column.name), getattr(given, column.name))
+    np.testing.assert_array_equal(again.stamps_s, result.stamps_s)
     np.testing.assert_array_equal(again.poses[:, :, 3], result.poses[:, :, 3])
+    np.testing.assert_allclose(again.poses, result.poses, rtol=0, atol=1e-15)
     assert again.summary == result.summary
 
 

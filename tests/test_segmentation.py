@@ -55,6 +55,7 @@ def test_without_noise_planes_and_corners_are_exact() -> None:
         segmenter = segmented(scan)
         planes = segmenter.planes_
         assert segmenter.noise_ <= 1e-8
+        assert len(list(matches(scan, segmenter.labels_))) > 1
         for row, plane in matches(scan, segmenter.labels_):
             assert plane >= 0
             along = scan.seen.ends[row, 1] - scan.seen.ends[row, 0]
