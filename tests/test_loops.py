@@ -128,6 +128,17 @@ def test_a_coincident_pair_needs_support() -> None:
     assert len(chosen(position, several, 0.15, evidence(0, 15))) == 5
 
 
+def test_a_constellation_that_fits_two_older_ones_is_merged_with_neither() -> None:
+    position = np.random.default_rng(0).uniform(0, 50, (40, 2))
+    shift = np.array([1.0, 0.5])
+    position[5:10], position[20:25] = position[:5] + 3 * shift, position[:5] + shift
+    one, other = (np.column_stack([np.arange(20, 25), np.arange(k, k + 5)]) for k in (0, 5))
+    assert chosen(position, one, 0.15, evidence(0, 15)).tolist() == one.tolist()
+    assert len(chosen(position, np.concatenate([one, other]), 0.15, evidence(0, 15))) == 0
+    # Three of the other five are a rival of less than 0.8 of the matches.
+    assert len(chosen(position, np.concatenate([one, other[:3]]), 0.15, evidence(0, 15))) == 5
+
+
 def test_the_share_of_tied_scans_falls_where_a_scan_fits_nothing() -> None:
     scans = [scan.points_robot for scan in simulate_world(WorldSpec(iterations=400)).log.scans()]
     whole, broken = PointMapper(), PointMapper()
