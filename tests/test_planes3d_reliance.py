@@ -46,10 +46,12 @@ def test_steps_by_a_landmark_that_moves_steadily_are_listed() -> None:
     assert set(unsure_steps(refined(part, 5)[0])) >= {7, 8, 9, 10}
 
 
-def test_a_jump_on_a_smooth_path_is_listed_whatever_implies_it() -> None:
-    way_m = [0.1 * k + (0.3 if k > 4 else 0.0) for k in range(9)]
+@pytest.mark.parametrize(("noise_m", "listed"), [(0.0, True), (0.02, True), (0.1, False)])
+def test_a_jump_is_listed_where_steps_differ_far_less(noise_m: float, listed: bool) -> None:
+    # Whatever implies it.
+    way_m = [0.1 * k + (0.3 if k > 4 else 0.0) + noise_m * (k % 4 == 1) for k in range(9)]
     part, _ = refined(carried(way_m, 3.0, -3.0), 4)
-    assert sorted(unsure_steps(part)) == [4, 5, 6]
+    assert (5 in unsure_steps(part)) == listed
 
 
 def test_a_stretch_unlike_the_path_around_it_is_listed_whatever_implies_it() -> None:
@@ -65,11 +67,15 @@ def test_a_slow_first_step_of_a_few_is_not_listed() -> None:
 
 
 @pytest.mark.parametrize(("less_rad", "listed"), [(0.0, []), (0.15, [5])])
-def test_a_turn_unlike_those_before_and_after_is_listed(less_rad: float, listed: list[int]) -> None:
+@pytest.mark.parametrize("noise_rad", [0.0, 0.005])
+def test_a_turn_unlike_those_before_and_after_is_listed(
+    noise_rad: float, less_rad: float, listed: list[int]
+) -> None:
     # In a square room with a fast turn by 80 degrees the scans agree with one by -10, too.
     part, sides = Submap(), [wall(axis, at) for axis in range(3) for at in (-3.0, 3.0)]
     for k in range(9):
-        R = Rotation.from_rotvec([0.0, 0.0, 0.07 * k - less_rad * (k > 4)]).as_matrix()
+        yaw = 0.07 * k - less_rad * (k > 4) + noise_rad * (k % 4 == 1)
+        R = turned(yaw)
         part.add(k, patches(*(side @ R for side in sides)), (R, np.zeros(3)), np.arange(6))
     assert sorted(unsure_steps(refined(part, 6)[0])) == listed
 
