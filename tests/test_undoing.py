@@ -12,7 +12,7 @@ from relmap.core.arrays import Ints
 from relmap.core.association.reobservation.sightings import Sightings
 from relmap.core.association.reobservation.undoing import nearer_another
 from relmap.core.state.schedule import GroupingSchedule
-from relmap.core.state.table import LandmarkState
+from relmap.core.state.table import NONE, LandmarkState
 from relmap.simulation import World, WorldSpec, simulate_figure_eight, simulate_world
 from tests.worlds import aligned_rmse, purity_of, stands_for, without_ids
 
@@ -188,3 +188,25 @@ def test_observations_kept_once_odometry_begins_have_the_number_before_a_merge()
     mapper.engine.merge_pairs(np.array([[7, 3]]))
     mapper.update(points, ids, odometry=np.eye(4))
     assert np.bincount(mapper.engine.kept.landmark).tolist() == [7] * 20
+
+
+def test_a_run_goes_on_after_a_merge_is_undone_that_a_group_had_replaced() -> None:
+    world = simulate_figure_eight(iterations=190, seed=1)
+    mapper, scans = PointMapper(), [scan.points_robot for scan in world.log.scans()]
+    for points in scans[:150]:
+        mapper.update(points)
+    engine, table = mapper.engine, mapper.engine.table
+    in_view = engine.schedule.in_view
+    new = int(in_view[(table.group[in_view] != NONE) & (table.weight[in_view] > 0)][-1])
+    older = [k for k in np.flatnonzero(table.weight > 0).tolist() if table.is_later(new, k)]
+    engine.merge_pairs(np.array([[new, older[-1]]]))
+    for points in scans[150:165]:
+        mapper.update(points)
+    mapper.refine()
+    assert table.landmark_of[new] == new
+    for points in scans[165:]:
+        mapper.update(points)
+    assert table.last[new] == mapper.n_iterations - 1
+    assert new in engine.schedule.in_view
+    mapper.finish()
+    assert new in mapper.map.landmark_ids

@@ -268,6 +268,8 @@ def _part(engine: RelativeMapper, rows: SegmentRows, tracks: Ints) -> None:
         landmark = int(table.landmark_of[track])
         others = [number for number in table.members(landmark) if number != track]
         table.part(track)
+        engine.levels.close(np.array([track]))
+        engine.schedule.part(track, engine.store.n_iterations)
         engine.merger.keep_apart(track, others)
         submap = int(table.submap[landmark])
         if weight > 0:

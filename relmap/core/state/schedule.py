@@ -138,6 +138,16 @@ class GroupingSchedule:
             at = np.minimum(np.searchsorted(new, waiting), len(new) - 1)
             waiting[:] = np.where(new[at] == waiting, old[at], waiting)
 
+    def part(self, track: int, iteration: int) -> None:
+        """Let a track, which is no longer another landmark, begin an interval, in view if just seen.
+
+        `iteration`: the next one.
+        """
+        own = np.array([track])
+        self.begin_anew(own, iteration)
+        if iteration - 1 - self._table.last[track] <= self._max_missed:
+            self._in_view = np.append(self._in_view, own)
+
     def begin_anew(self, landmarks: Ints, iteration: int) -> None:
         """End the interval of landmarks; those in view begin a new one."""
         self._table.is_gone[landmarks] = False
