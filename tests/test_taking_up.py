@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -12,6 +14,7 @@ from relmap.evaluation.sources import log_of
 from relmap.planes.motions import matrices
 from relmap.planes.places.taking_up import Placements
 from relmap.simulation import simulate_building
+from tests.savedmaps import told
 
 N = 30
 PATH = matrices(np.column_stack([np.linspace(0, 1, N), 0.5 * np.arange(N), np.zeros(N)]))
@@ -77,3 +80,24 @@ def test_the_next_corner_of_a_corridor_is_not_taken_for_the_mapped_one() -> None
     assert found >= 1
     assert mapper.tied_at is None
     assert mapper.submaps[0].n_scans == 106
+
+
+def test_a_log_that_is_half_added_is_saved_with_where_its_scans_fit(tmp_path: Path) -> None:
+    log = log_of(simulate_building(181, 0.01, sampling="laser", iterations=90))
+    mapper = PlaneMapper()
+    feed(mapper, log.between(0, 80), "nearest")
+    prepare = preparation(mapper, log)
+    for scan in log.between(30, 90).scans():
+        walls = prepare(scan.points_robot)
+        if scan.iteration == 30:
+            mapper.take_up(walls, scan.points_robot)
+        if scan.iteration == 60:
+            mapper.save(tmp_path / "half.npz")
+            saved = PlaneMapper.load(tmp_path / "half.npz")
+        mapper.update(walls, beams=scan.points_robot)
+        if scan.iteration >= 60:
+            saved.update(walls, beams=scan.points_robot)
+    for each in (mapper, saved):
+        each.finish()
+    assert saved.tied_at == mapper.tied_at == 80
+    assert told(saved) == told(mapper)

@@ -11,6 +11,7 @@ from relmap import MapperConfig, PointMapper
 from relmap.core.arrays import Ints
 from relmap.core.association.reobservation.sightings import Sightings
 from relmap.core.association.reobservation.undoing import nearer_another
+from relmap.core.state.saved import StateReader, StateWriter
 from relmap.core.state.schedule import GroupingSchedule
 from relmap.core.state.table import NONE, LandmarkState
 from relmap.simulation import World, WorldSpec, simulate_figure_eight, simulate_world
@@ -49,6 +50,18 @@ def test_a_track_that_is_parted_is_as_if_it_had_never_been_merged() -> None:
     table.part(2)
     for name in columns:
         np.testing.assert_array_equal(getattr(table, name), before[name])
+
+
+def test_the_tracks_of_a_landmark_are_in_the_same_order_once_it_was_saved() -> None:
+    table, restored = LandmarkState(), LandmarkState()
+    for iteration in range(3):
+        table.enter(np.array([iteration]), np.zeros((1, 2)), iteration)
+    for track in (2, 1):
+        table.merge(np.array([track]), np.array([0]))
+    writer = StateWriter()
+    writer.add(table)
+    StateReader(writer.columns).restore(restored)
+    assert restored.members(0) == table.members(0)
 
 
 def test_wrong_merges_are_undone_and_right_ones_are_not() -> None:

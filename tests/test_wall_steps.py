@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 
+from relmap.core.odometry import checked_odometry
 from relmap.core.refinement.schur import Linearised
+from relmap.planes.linking.judging import NO_MATCH, Found
+from relmap.planes.linking.link_record import LinkRecord
+from relmap.planes.motions import from_matrices
+from relmap.planes.odometry.prediction import Wheels
 from relmap.planes.odometry.steps import MotionFactors, Steps, constant_errors
+from relmap.planes.scans.beams import GivenBeams
+from tests.drives import odometry_of, round_the_room
 from tests.tables import poses_along
 
 
@@ -46,3 +56,21 @@ def test_factors_have_the_derivatives_of_their_residuals() -> None:
             own = np.where(factors.iteration == i, found.by_eliminated[:, k], 0.0)
             middle = own.reshape(2, -1).sum(axis=0) / 2
             assert_allclose(change, own - np.tile(middle, 2), atol=1e-5)
+
+
+def test_the_noise_of_wheels_is_estimated_anew_once_submaps_are_joined() -> None:
+    poses, record, motions = round_the_room(40), LinkRecord(1.0), np.zeros((40, 3))
+    none: Any = SimpleNamespace(beams=GivenBeams.checked(np.empty((0, 2)), np.zeros(2)))
+    motions[1:] = from_matrices(np.linalg.inv(poses[1:]) @ poses[:-1])
+    motions[20] = 0.0
+    for k, step in enumerate(odometry_of(poses)):
+        if k % 20 == 0:
+            record.begin_submap()
+        record.append(none, motions[k], True, Found(motions[k], NO_MATCH, k != 20, 0.0), True)
+        record.wheels.given.append(checked_odometry(step), k)
+    before = record.wheels.noise(record.motions, record.measured)
+    record.join([poses], np.empty((0, 2), dtype=np.int64))
+    found, fresh = record.wheels.noise(record.motions, record.measured), Wheels()
+    fresh.given = record.wheels.given
+    again = fresh.noise(record.motions, record.measured)
+    assert found.sigma_way == again.sigma_way != before.sigma_way

@@ -82,7 +82,7 @@ class PlaneMapper(LocatingMapper):
     _unused = WITH_WALLS
     _variant = "planes"
 
-    STATE = "walls=_planes refined_walls=_refined_walls _moved _frame"
+    STATE = "walls=_planes refined_walls=_refined_walls _moved _frame _onto"
 
     def __init__(
         self,

@@ -139,7 +139,7 @@ class GroupingSchedule:
             waiting[:] = np.where(new[at] == waiting, old[at], waiting)
 
     def part(self, track: int, iteration: int) -> None:
-        """Let a track, which is no longer another landmark, begin an interval, in view if just seen.
+        """Begin an interval of a track that is no longer another landmark's, in view if just seen.
 
         `iteration`: the next one.
         """

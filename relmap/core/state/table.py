@@ -140,8 +140,8 @@ class LandmarkState(Columns):
         self.is_gone[new] = False
 
     def members(self, landmark: int) -> list[int]:
-        """Return the numbers that represent a landmark, its own first."""
-        return [landmark, *self._merged_into.get(landmark, [])]
+        """Return the numbers that represent a landmark, its own first, the others ascending."""
+        return [landmark, *sorted(self._merged_into.get(landmark, []))]
 
     def part(self, track: int) -> None:
         """Make a track that was merged into a landmark a separate landmark again, unmapped."""

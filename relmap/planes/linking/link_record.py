@@ -114,7 +114,8 @@ class LinkRecord:
         self._unite(int(self.submaps[first]), int(self.submaps[scan]))
 
     def _unite(self, old: int, new: int) -> None:
-        """Make one submap part of another."""
+        """Make one submap part of another, after a motion was changed."""
+        self.wheels.look_again()
         self._submaps.values[self.submaps == old] = new
         self.submap = new if self.submap == old else self.submap
 
@@ -139,6 +140,7 @@ class LinkRecord:
 
     def cut(self, scans: Ints) -> None:
         """Begin submaps at scans (t,) whose links the map contradicts."""
+        self.wheels.look_again()  # the motions may be those of before a join
         for scan in scans.tolist():
             old = self.submaps[scan]
             later = np.flatnonzero(self.submaps == old)

@@ -163,7 +163,7 @@ def place(
         motions = implied(tracks.arrays, seen.arrays)
         motions = motions[np.abs(motions[:, 0]) < REACH_RAD]
         scores = compiled_settled(tracks.arrays, seen.arrays, motions, 0)[2]
-        likely = motions[np.argsort(scores)[::-1][:GUESSES]]
+        likely = motions[np.argsort(-scores, kind="stable")[:GUESSES]]
         for found in zip(*settled(tracks, seen, likely), strict=True):
             jumps = [
                 np.hypot(*(found[0] - usual)[1:]) + LEVER_M * abs(found[0][0] - usual[0])

@@ -7,7 +7,8 @@ agree along a stretch of the path, and no other placement of the submap is suppo
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -38,26 +39,35 @@ RIVAL = 0.5
 
 @dataclass(frozen=True, eq=False)
 class MapOfBefore:
-    """The map in which the scans of another log are localised.
+    """The map in which the scans of another log are localised: its mapped walls.
 
-    `scan`: the last scan of the map; -1 if there is none. `pose` (4, 4): ``T_map_robot`` of that
-    scan.
+    `plane` (w,): numbers of the walls; `ends` (w, 2, 2), map frame, metres; `corner` (w, 2);
+    `z_extent` (w, 2), metres: as in `PlaneTable`. `scan`: the last scan of the map; -1 if there is
+    none. `pose` (4, 4): ``T_map_robot`` of that scan.
     """
 
-    table: PlaneTable
-    finder: WallFinder
+    plane: Ints
+    ends: Floats
+    corner: Ints
+    z_extent: Floats
     scan: int
     pose: Floats
 
     @classmethod
     def of(cls, table: PlaneTable, submaps: list[WallSubmap]) -> MapOfBefore:
         """Return the map of the first submap; without submaps, an empty one."""
+        rows = np.flatnonzero(table.status == "static")
+        walls = table.plane[rows], table.ends[rows], table.corner[rows], table.z_extent[rows]
         if not submaps:
-            return cls(table, WallFinder(np.empty((0, 2, 2))), -1, np.eye(4))
+            return cls(*walls, -1, np.eye(4))
         own = submaps[0]
         known = int(own.known[-1])
-        finder = WallFinder(table.ends[table.status == "static"])
-        return cls(table, finder, own.first_iteration + known, own.poses[known])
+        return cls(*walls, own.first_iteration + known, own.poses[known])
+
+    @cached_property
+    def finder(self) -> WallFinder:
+        """Finds scans among the walls."""
+        return WallFinder(self.ends)
 
     def carried_on(self, motions: Floats) -> Floats:
         """Return the pose (4, 4) of the last scan, by the motions (i, 3) to each scan."""
@@ -68,8 +78,7 @@ class MapOfBefore:
 
     def expected(self, T_map_robot: Floats, reach_m: float) -> PlaneTracks:
         """Return the walls expected in a scan at a pose, in the robot frame."""
-        rows = np.flatnonzero(self.table.status == "static")
-        ends = (self.table.ends[rows] - T_map_robot[:2, 3]) @ T_map_robot[:2, :2]
+        ends = (self.ends - T_map_robot[:2, 3]) @ T_map_robot[:2, :2]
         way = ends[:, 1] - ends[:, 0]
         size = np.hypot(*way.T)
         along = way / np.maximum(size, SHORTEST_M)[:, None]
@@ -77,11 +86,10 @@ class MapOfBefore:
         near = np.linalg.norm(ends[:, 0] + nearest_m[:, None] * along, axis=1) <= AROUND * reach_m
         front = way[:, 1] * ends[:, 0, 0] - way[:, 0] * ends[:, 0, 1] > 0
         chosen = front & near & (size > SHORTEST_M)
-        rows, ends = rows[chosen], ends[chosen]
-        kind = np.where(self.table.corner[rows] >= 0, CORNER, CUT).astype(np.int8)
-        z_extent = self.table.z_extent[rows]
-        walls = PlaneObservation.of(ends, kind, np.zeros(len(rows)), z_extent)
-        return PlaneTracks.of_scan(self.table.plane[rows], walls)
+        kind = np.where(self.corner[chosen] >= 0, CORNER, CUT).astype(np.int8)
+        sd = np.zeros(np.count_nonzero(chosen))
+        walls = PlaneObservation.of(ends[chosen], kind, sd, self.z_extent[chosen])
+        return PlaneTracks.of_scan(self.plane[chosen], walls)
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,28 +149,33 @@ class Placements:
         return found
 
 
+@dataclass(eq=False)
 class RunOnto:
-    """The scans of a log that is added to a map, and where each fits in it."""
+    """The scans of a log that is added to a map, and where each fits in it.
 
-    def __init__(self, before: MapOfBefore) -> None:
-        self.before = before
-        self._pose = np.eye(4)
-        self._scan: list[int] = []
-        self._poses: list[Floats] = []
-        self._places: list[Floats] = []
+    `last` (4, 4): pose of the last scan in the frame of the run; of the scans that were localised
+    the numbers `scan` (n,), `poses` (n, 4, 4) in that frame, and `places`, (k, 4, 4) of each, in
+    the map.
+    """
+
+    before: MapOfBefore
+    last: Floats = field(default_factory=lambda: np.eye(4))
+    scan: list[int] = field(default_factory=list)
+    poses: list[Floats] = field(default_factory=list)
+    places: list[Floats] = field(default_factory=list)
 
     def see(self, seen: PlaneObservation, links: ScanLinks) -> None:
         """Localise the last scan, if the robot has moved since the last one that was."""
-        self._pose = self._pose @ np.linalg.inv(matrices(links.motions[-1:])[0])
+        self.last = self.last @ np.linalg.inv(matrices(links.motions[-1:])[0])
         scan = len(links) - 1
         if links.submaps[scan] < 0:
             return
-        same = self._scan and links.submaps[self._scan[-1]] == links.submaps[scan]
-        if same and np.hypot(*(self._pose - self._poses[-1])[:2, 3]) < APART_M:
+        same = self.scan and links.submaps[self.scan[-1]] == links.submaps[scan]
+        if same and np.hypot(*(self.last - self.poses[-1])[:2, 3]) < APART_M:
             return
-        self._scan.append(scan)
-        self._poses.append(self._pose)
-        self._places.append(self.before.finder.places(seen))
+        self.scan.append(scan)
+        self.poses.append(self.last)
+        self.places.append(self.before.finder.places(seen))
 
     def ties(self, links: ScanLinks) -> list[tuple[int, Floats, Ints]]:
         """Return the placements of the submaps of the log whose place in the map is certain.
@@ -170,13 +183,13 @@ class RunOnto:
         Of each its first scan; ``T_map_robot`` (4, 4) of that; and the numbers (k, 2) of the same
         wall: in the map, and in the log.
         """
-        scan = np.array(self._scan, dtype=np.int64)
+        scan = np.array(self.scan, dtype=np.int64)
         submap, found = links.submaps[scan], []
         for own in np.unique(submap).tolist():
             rows = np.flatnonzero(submap == own)
-            places = [self._places[k] for k in rows.tolist()]
+            places = [self.places[k] for k in rows.tolist()]
             of = np.repeat(np.arange(len(rows)), [len(each) for each in places])
-            poses = np.array([self._poses[k] for k in rows.tolist()])
+            poses = np.array([self.poses[k] for k in rows.tolist()])
             place = Placements(scan[rows], poses, of, np.concatenate(places)).accepted()
             if place is None:
                 continue
