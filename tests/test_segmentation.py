@@ -10,11 +10,13 @@ import pytest
 import relmap
 from relmap import PlaneSegmenter, RelmapError
 from relmap.core.arrays import Floats, Ints
+from relmap.planes.scans.beams import GivenBeams
 from relmap.segmentation import Planes
 from relmap.segmentation.em.mixture import WallMixture
 from relmap.segmentation.ends.corners import meet
 from relmap.segmentation.segmenter import planes_of
-from relmap.simulation import BuildingScan, building_scene
+from relmap.simulation import BuildingScan, building_scene, simulate_building
+from relmap.simulation.sensor import Sampling
 from tests.worlds import turn
 
 VIEW_RAD = np.pi / 2
@@ -253,6 +255,20 @@ def test_bad_input_is_refused_in_one_line(
         segmenter.fit(points)  # type: ignore[arg-type]
     assert part in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("sampling", ["surface", "laser"])
+def test_points_at_the_sensor_of_rays_without_a_return_change_nothing(sampling: Sampling) -> None:
+    points = simulate_building(200, 0.01, sampling=sampling, iterations=1).scans[0].points
+    points = points[:, :2] if sampling == "laser" else points
+    some = np.sort(np.random.default_rng(0).integers(0, len(points), len(points)))
+    missing = np.insert(points, some, 0.0, axis=0)
+    found, whole = PlaneSegmenter().fit(missing), PlaneSegmenter().fit(points)
+    assert len(found.planes_) > 2
+    np.testing.assert_array_equal(found.planes_.ends, whole.planes_.ends)
+    np.testing.assert_array_equal(found.labels_, np.insert(whole.labels_, some, -1))
+    beams, given = (GivenBeams.checked(each, np.zeros(2)) for each in (points, missing))
+    np.testing.assert_array_equal(given.points, beams.points)
 
 
 def test_exported_from_the_package() -> None:

@@ -191,3 +191,14 @@ def test_clutter_shows_no_plane() -> None:
 def test_other_arrays_than_clouds_are_refused(points: object, wrong: str) -> None:
     with pytest.raises(RelmapError, match=wrong):
         PatchSegmenter().fit(points)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("share", [0.2, 0.8])
+def test_points_at_the_sensor_of_rays_without_a_return_change_nothing(share: float) -> None:
+    cloud = simulate_storey("depth", 0.01, 1).scans[0]
+    missing = np.zeros((int(len(cloud) * share / (1 - share)), 3))
+    whole = PatchSegmenter().fit(cloud).patches_
+    found = PatchSegmenter().fit(np.concatenate([missing, cloud])).patches_
+    assert len(found) > 0
+    np.testing.assert_array_equal(found.centre, whole.centre)
+    np.testing.assert_array_equal(found.cells, whole.cells)

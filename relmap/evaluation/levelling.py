@@ -59,8 +59,9 @@ def _first(log: ScanLog) -> list[Floats]:
     """Return the first clouds that hold any points."""
     found: list[Floats] = []
     for scan in log.scans():
-        if len(scan.points_robot):
-            found.append(scan.points_robot)
+        points = scan.points_robot[scan.points_robot.any(axis=1)]  # others have no return
+        if len(points):
+            found.append(points)
         if len(found) == CHECKED:
             break
     return found

@@ -144,7 +144,8 @@ class PlaneSegmenter:
         Parameters
         ----------
         points : (n, 3) or (n, 2) array_like, robot frame, metres
-            The sensor is at the origin. A scan without points, or ``[]``, has no planes.
+            The sensor is at the origin; points there, of rays without a return, are on no plane. A
+            scan without points, or ``[]``, has no planes.
         y : object
             Ignored; passed by scikit-learn's pipelines.
 
@@ -155,7 +156,8 @@ class PlaneSegmenter:
             many surfaces that are not upright, such as floors, or no scan so far is in order.
         """
         xyz = checked_points(points, 0)
-        method = self._validated(xyz.shape[1])
+        method, returned = self._validated(xyz.shape[1]), xyz.any(axis=1)
+        xyz = xyz if returned.all() else xyz[returned]
         xy = np.ascontiguousarray(xyz[:, :2])
         if len(xyz) and self._checked < CHECKED:
             self._checked += 1
@@ -170,7 +172,9 @@ class PlaneSegmenter:
             labels = np.full(len(xy), -1)
         else:
             sharp, labels = self._segment(method, xyz, xy)
-        self.labels_, self.planes_ = planes_of(xyz, sharp, labels, self.view_rad, self.range_m)
+        labels, self.planes_ = planes_of(xyz, sharp, labels, self.view_rad, self.range_m)
+        self.labels_ = np.full(len(returned), -1)
+        self.labels_[returned] = labels
         self.noise_ = float(sharp.mixture.sigma)
         return self
 

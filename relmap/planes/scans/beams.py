@@ -93,7 +93,8 @@ class GivenBeams:
     def checked(cls, points: Any, origin: Any) -> GivenBeams:
         """Return beams given their end points: (n, 2) of a laser, (n, 3) of a cloud.
 
-        Subsampled to at most `PER_SCAN`.
+        Those without a return, at the origin, are left out, and the others subsampled to at most
+        `PER_SCAN`.
 
         Raises `RelmapError` if a shape is wrong or a value is not finite.
         """
@@ -107,8 +108,9 @@ class GivenBeams:
             )
         if not all((np.abs(values) <= FARTHEST_M).all() for values in (points, origin)):
             raise RelmapError(f"beams must be finite, metres, and at most {FARTHEST_M:g}")
+        in_order, points = points.shape[1] == 2, points[(points[:, :2] != origin).any(axis=1)]
         every = max(-(-len(points) // PER_SCAN), 1)
-        return cls(points[::every, :2].astype(np.float32), origin, points.shape[1] == 2)
+        return cls(points[::every, :2].astype(np.float32), origin, in_order)
 
     @cached_property
     def by_bearing(self) -> tuple[Floats, Floats]:

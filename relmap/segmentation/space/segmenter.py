@@ -102,7 +102,7 @@ class PatchSegmenter:
         left = np.flatnonzero(range_m > 0)
         if len(left) < self.min_points:
             return self
-        middle_m = float(np.median(range_m))
+        middle_m = float(np.median(range_m[left]))  # rays without a return may end at the sensor
         cells, of = [np.empty((0, 3))], [np.empty(0, dtype=np.int64)]
         near, away = _rows(points, range_m, left)
         size_m, keys, of_points = self._cells(near, away, middle_m)

@@ -69,7 +69,7 @@ class Voxels:
         range_m, thick = self.range_m[flat], self.thickness[flat] / self.steepness[flat]
         if not len(range_m):
             return np.ones(1), np.ones(1)
-        order = np.argsort(range_m)
+        order = np.argsort(range_m, kind="stable")
         parts = np.array_split(order, min(BINS, max(len(order) // 20, 1)))
         at = np.array([_quantile(range_m[part], 0.5) for part in parts])
         sigma = np.array([_quantile(np.sort(thick[part]), QUANTILE) for part in parts])
