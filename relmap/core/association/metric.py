@@ -59,13 +59,14 @@ class RayNoise:
     first term, bearing noise the second, the depth noise of a stereo camera the third.
 
     `given` (n, d, d): covariances of the current scan, robot frame, square metres; they replace the
-    estimate. `weighs`: whether the refinement weights observations by the estimate; None before it
+    estimate. `is_unequal`: whether the noise differs by direction or distance; None before it is
+    known. `weighs`: whether the refinement weights observations by the estimate; None before it
     is decided, once and for all.
     """
 
-    _is_unequal: bool | None
+    is_unequal: bool | None
     weighs: bool | None
-    STATE = "_squares _n_scans _coefficients _unit_m _is_unequal weighs"
+    STATE = "_squares _n_scans _coefficients _unit_m is_unequal weighs"
 
     def __init__(self) -> None:
         self.given: Floats | None = None
@@ -73,18 +74,13 @@ class RayNoise:
         self._n_scans = 0
         self._coefficients = np.zeros((2, TERMS))
         self._unit_m = 0.0
-        self._is_unequal = self.weighs = None
-
-    @property
-    def is_unequal(self) -> bool | None:
-        """Whether the noise differs by direction or distance; None before it is known."""
-        return self._is_unequal
+        self.is_unequal = self.weighs = None
 
     def is_due(self) -> bool:
         """Count a scan; return whether `learn` should be called with it."""
         self._n_scans += 1
         often = EVERY if self._n_scans > SETTLED else 1
-        return self._n_scans % (RARELY if self._is_unequal is False else often) == 0
+        return self._n_scans % (RARELY if self.is_unequal is False else often) == 0
 
     def learn(self, expected: Floats, found: Floats, n_seen: Ints) -> None:
         """Update the estimate from static landmarks.
@@ -105,7 +101,7 @@ class RayNoise:
             update(self._squares, self._unit_m, self._coefficients)
             sigma = self._typical()
             is_negligible = sigma.max() < NEGLIGIBLE * self._unit_m
-            self._is_unequal = bool(sigma.max() >= UNEQUAL * sigma.min() and not is_negligible)
+            self.is_unequal = bool(sigma.max() >= UNEQUAL * sigma.min() and not is_negligible)
 
     def metric(self, points: Floats) -> Floats | None:
         """Return the metric at the points of the current scan; None if the noise is isotropic.
@@ -121,7 +117,7 @@ class RayNoise:
             sigma = np.sqrt(values)
             if sigma.max() < UNEQUAL * sigma.min():
                 return None
-        elif self._is_unequal:
+        elif self.is_unequal:
             sigma, vectors = self._estimated(points)
         else:
             return None
@@ -135,9 +131,9 @@ class RayNoise:
         Where many landmarks move, their motion may pass for unequal noise; then even the smallest
         estimate is not below the noise of static landmarks, `noise_m`; NaN if unknown.
         """
-        enough = LONGEST if self._is_unequal is None else WAIT
+        enough = LONGEST if self.is_unequal is None else WAIT
         if self.weighs is None and n_observations >= enough:
-            self.weighs = bool(self._is_unequal)
+            self.weighs = bool(self.is_unequal)
             if self.weighs and self._typical().min() > BELOW * noise_m:
                 self.weighs = False
 

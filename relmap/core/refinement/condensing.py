@@ -30,7 +30,7 @@ NOWHERE = -1
 """Marks an iteration that saw too little to belong to a segment."""
 
 SEEN = np.array([number.bit_count() for number in range(1 << LENGTH)])
-"""Return the number of iterations in a visibility pattern."""
+"""Number of iterations in each visibility pattern."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,8 +8,6 @@ nothing confirmed connects them.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from relmap.core.arrays import Ints
@@ -21,14 +19,7 @@ from relmap.core.state.table import NONE
 
 def seen_in(rows: SegmentRows, at_least: int) -> SegmentRows:
     """Return the rows of landmarks seen in enough iterations of their segment."""
-    kept = rows.n_seen >= at_least
-    return replace(
-        rows,
-        landmark=rows.landmark[kept],
-        segment=rows.segment[kept],
-        points=rows.points[kept],
-        visible=rows.visible[kept],
-    )
+    return rows.only(np.flatnonzero(rows.n_seen >= at_least))
 
 
 def found_rest(global_map: GlobalMap, sure: SegmentRows, least: int = 0) -> None:
