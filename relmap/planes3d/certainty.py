@@ -192,8 +192,8 @@ def unreliable_steps(
 ) -> Bools:
     """Return which steps (p - 1,) are unsteady in a direction that depends on one landmark.
 
-    So are those that are unsteady by far, that are unlike most of those before or after, or whose
-    rotation is unsteady. Parameters as of `fragile`, and the iterations (p,) of the scans.
+    It also returns those that are unsteady by far, that are unlike most of those before or after,
+    or whose rotation is unsteady. Parameters as of `fragile`, and the iterations (p,) of the scans.
     """
     scan, landmark, along = fragile(seen, scene, systematic, reach_m)
     change = changes(np.diff(scene.t, axis=0), iteration)

@@ -252,7 +252,7 @@ class PointMapper(Mapper):
             If the scan is invalid, or a journal is kept, which could not record it.
         """
         if self._journal is not None:
-            raise RelmapError("a run with a journal must start with an empty map")
+            raise RelmapError("a run that keeps a journal begins with an empty map")
         seen = checked_points(points, self.engine.store.dimension)
         if not self.engine.map.kept_until:
             with self._guard.change():

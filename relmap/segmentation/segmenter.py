@@ -156,7 +156,7 @@ class PlaneSegmenter:
             many surfaces that are not upright, such as floors, or no scan so far is in order.
         """
         xyz = checked_points(points, 0)
-        method, returned = self._validated(xyz.shape[1]), xyz.any(axis=1)
+        method, returned = self._validated(xyz.shape[1]), np.asarray(xyz.any(axis=1))
         xyz = xyz if returned.all() else xyz[returned]
         xy = np.ascontiguousarray(xyz[:, :2])
         if len(xyz) and self._checked < CHECKED:

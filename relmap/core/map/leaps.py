@@ -59,7 +59,7 @@ def gaps_of(
 ) -> Gaps:
     """Return the gaps of a map across which too few landmarks were tracked to determine a pose.
 
-    Also those of more than `BLIND` scans without a pose.
+    Gaps of more than `BLIND` scans without a pose are among them.
 
     `rows`: of all iterations, by the numbers under which landmarks were seen; `positions_map`
     (m, d), map frame, metres: NaN for unmapped landmarks; `of` (m,): landmark of each number;

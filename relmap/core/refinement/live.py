@@ -247,9 +247,9 @@ def brought_together(points: Floats, weight: Floats, landmark: Ints, body: Ints)
 
 
 def _pulls(points: Floats, weight: Floats, total: Floats, landmark: Ints) -> tuple[Floats, float]:
-    """Return the weighted vectors (n, d) from points to the means of their landmarks.
+    """Return the weighted vectors (n, d) from points to the means of their landmarks, and the cost.
 
-    Also the cost: the weighted sum of the squared distances.
+    The cost is the weighted sum of the squared distances.
     """
     means = sums_each(weight[:, None] * points, landmark, len(total)) / total[:, None]
     apart = means[landmark] - points

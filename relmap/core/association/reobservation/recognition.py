@@ -82,7 +82,7 @@ class PlaceFinder:
     def is_certain(self, points: Floats, places: list[Placement], searches: int) -> bool:
         """Return whether the first placement of points (n, d) fits far better than all others.
 
-        Also than by chance, in as many `searches`.
+        It must also fit better than chance would explain in as many `searches`.
         """
         rival, n_agreeing = self.elsewhere(points, places), places[0].n_agreeing
         if rival >= DISTINCT * n_agreeing:
@@ -176,7 +176,7 @@ class PlaceFinder:
     def by_chance(self, n: int, n_agreeing: int, elsewhere: int, searches: int) -> float:
         """Return the expected number of wrong places where as many of n points are found.
 
-        Not counting the three of the triangle. Landmarks may lie at random or on a lattice; in the
+        The three of the triangle do not count. Landmarks may lie at random or on a lattice; in the
         latter case many are found in other places too.
 
         `elsewhere`: number found in the best of the other places; `searches`: number of searches

@@ -159,7 +159,7 @@ def _missed(
 def _missing_over(odometry: Floats, rows: SegmentRows) -> tuple[Bools, Bools, Bools]:
     """Return in which steps (k,) odometry misses most of the way over their whole segment.
 
-    And in which the segment turns measurably, and in which of these odometry misses the turn.
+    Then, in which steps the segment turns measurably, and in which of these odometry misses that.
     """
     segment, k = rows.iteration_segment, len(rows.iteration_segment)
     begins = np.append(True, segment[1:] != segment[:-1])[:k]
