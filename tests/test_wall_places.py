@@ -8,6 +8,7 @@ import pytest
 from relmap.core.arrays import Floats
 from relmap.mapper import Place
 from relmap.planes.places.finding import WallFinder
+from relmap.planes.places.wall_tie import wall_ties
 from relmap.planes.scans.observation import checked_planes
 from relmap.simulation.visibility import SeenWalls, seen_walls
 from tests.worlds import ROOM, turn
@@ -44,6 +45,18 @@ def test_a_scan_that_fits_in_two_places_or_none_is_refused(walls: Floats, n_plac
     place = place_in(walls, ROOM, 1.5, 1.0, 0.4)
     assert place.n_places == n_places
     assert np.isnan(place.T_map_robot).all()
+
+
+@pytest.mark.parametrize("world", [0.1, 0.7, 1.2])
+def test_walls_are_aligned_in_each_of_their_places(world: float) -> None:
+    """Of six rooms in a row, turned by quarters; adjacent rotations and shifts score alike."""
+    yaw, along = world + 0.5 * np.pi * np.arange(6), 12.0 * np.arange(6)
+    at = np.column_stack([along, np.zeros(6)]) @ turn(world).T
+    rooms = [ROOM @ turn(each).T + t for each, t in zip(yaw, at, strict=True)]
+    ties = wall_ties(ROOM, np.concatenate(rooms))[:6]
+    found = np.array([[*tie.t, *tie.R[:, 0]] for tie in ties])
+    there = np.column_stack([at, np.cos(yaw), np.sin(yaw)])
+    np.testing.assert_allclose(found[np.argsort(found[:, :2] @ at[1])], there, atol=1e-6)
 
 
 def test_a_scan_larger_than_the_map_is_not_aligned(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -161,10 +161,30 @@ def _turns(points: WallPoints, among: WallPoints) -> Floats:
     ]
     spectra = [np.fft.rfft(count) for count in counts]
     score = np.fft.irfft(np.conj(spectra[0]) * spectra[1], bins)
-    score += np.roll(score, 1) + np.roll(score, -1)
-    peaks = score == maximum_filter1d(score, round(2 * APART_RAD / BIN_RAD) + 1, mode="wrap")
-    order = np.argsort(-np.where(peaks, score, -1.0), kind="stable")[:TURNS]
-    return rotations(BIN_RAD * order[peaks[order], None])
+    score = np.rint(score + np.roll(score, 1) + np.roll(score, -1))
+    highest = maximum_filter1d(score, round(2 * APART_RAD / BIN_RAD) + 1, mode="wrap")
+    R = rotations(BIN_RAD * _ordered(score, highest)[:, None])
+    return R[_apart(R[:, :, 0], APART_RAD, TURNS)]
+
+
+def _ordered(score: Floats, highest: Floats) -> Ints:
+    """Return the flat indices of scores that are the highest around them, best first."""
+    peaks = np.flatnonzero((score == highest) & (score > 0))
+    return peaks[np.argsort(-score.ravel()[peaks], kind="stable")]
+
+
+def _apart(at: Floats, least: float, most: int) -> list[int]:
+    """Return the rows of at most so many points (n, 2), the first first, this far from each other.
+
+    Scores count points, so that several neighbours are often equally high.
+    """
+    kept: list[int] = []
+    for k in range(len(at)):
+        if len(kept) == most:
+            break
+        if (np.hypot(*(at[kept] - at[k]).T) >= least).all():
+            kept.append(k)
+    return kept
 
 
 def _guesses(points: WallPoints, among: WallPoints) -> Iterator[WallTie]:
@@ -182,10 +202,11 @@ def _guesses(points: WallPoints, among: WallPoints) -> Iterator[WallTie]:
         here, counts = _cells(turned, low, 0)
         last = here[:, 1:].max(axis=0)
         score = votes(here, counts, there, begin, there[:, 1:].max(axis=0) + last + 1)
-        peaks = np.flatnonzero(score == maximum_filter(score, round(2 * ALIKE_M / CELL_M) + 1))
-        peaks = peaks[np.argsort(-score.ravel()[peaks], kind="stable")][:SHIFTS]
-        for shift in np.column_stack(np.unravel_index(peaks, score.shape)) - last:
-            yield WallTie(R, base - low + CELL_M * shift, 0.0)
+        highest = maximum_filter(score, round(2 * ALIKE_M / CELL_M) + 1)
+        peaks = np.unravel_index(_ordered(score, highest), score.shape)
+        t = base - low + CELL_M * (np.column_stack(peaks) - last)
+        for kept in _apart(t, ALIKE_M, SHIFTS):
+            yield WallTie(R, t[kept], 0.0)
 
 
 def _cells(points: WallPoints, low: Floats, beside: int) -> tuple[Ints, Ints]:
