@@ -116,6 +116,14 @@ def test_a_map_that_wrong_merges_bend_is_repaired() -> None:
     assert error_m(mapper, labels, world) < 0.2
 
 
+def test_merges_across_a_break_that_hold_its_sides_apart_are_undone() -> None:
+    """Two breaks show one corner; merged while the map had drifted, it was 1.0 m off there."""
+    world = simulate_world(WorldSpec(noise="bearing", seed=12))
+    mapper, labels = mapped_world(world)
+    assert len(mapper.submaps) == 1
+    assert error_m(mapper, labels, world) < 0.2
+
+
 def test_tracks_of_several_landmarks_are_not_repaired() -> None:
     world = simulate_figure_eight(density=100, iterations=900, seed=1)
     mapper = PointMapper(MapperConfig(registration="nearest-previous"))

@@ -14,6 +14,7 @@ from relmap.core.association.reobservation.merging import doubtful, merge_double
 from relmap.core.association.reobservation.sightings import Sightings
 from relmap.core.association.reobservation.undoing import (
     contradicted,
+    merged_across,
     nearer_another,
     pieces,
     places_of,
@@ -228,6 +229,7 @@ def _undo(engine: RelativeMapper) -> int:
     if not is_bridged(engine):
         sightings = Sightings(rows, table)
         each += [nearer_another(refined, table, rows, sightings) for refined in engine.refined]
+        each += [merged_across(refined, table, rows) for refined in engine.refined]
     tracks = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *each]))
     if len(tracks):
         _part(engine, rows, tracks)

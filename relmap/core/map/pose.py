@@ -1,4 +1,4 @@
-"""The robot's pose, computed from the map for display only; no mapping step reads it."""
+"""The robot's pose, computed from the map: for display, and to repair where it is torn."""
 
 from __future__ import annotations
 

@@ -17,6 +17,8 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.association.reobservation.sightings import RARELY, Sightings
 from relmap.core.geometry.alignment import sums_each
 from relmap.core.geometry.robust import EXACT
+from relmap.core.map.leaps import HIGHEST, LOWEST, Gaps, gaps_of
+from relmap.core.map.pose import known_poses
 from relmap.core.refinement.condensing import SegmentRows
 from relmap.core.refinement.joint import Refined, laid_on
 from relmap.core.state.table import NONE, LandmarkState
@@ -33,6 +35,9 @@ CANDIDATES = 4
 """Landmarks near a track that are compared with its own."""
 FAR_BETTER = 8.0
 """Squared misfit, in variances, by which one of them must fit better."""
+TOO_FAR, AROUND = 2.0, 16
+"""Step of the robot across a gap, in usual ones, from which merges across the gap are wrong; and
+the iterations before and after it that show what was merged."""
 WORST = 0.5
 """Fraction of the worst deviation above which others are undone with it: they may follow from
 it."""
@@ -181,6 +186,40 @@ def _exchanged(
         return []
     # The first track of a landmark cannot be parted from it: the others are.
     return [track, *(stay if rival in theirs else theirs).tolist()]
+
+
+def merged_across(refined: Refined, table: LandmarkState, rows: SegmentRows) -> Ints:
+    """Return the tracks (k,) merged across gaps in which the robot moves too far.
+
+    No track bridges such a gap. What was merged across it while the map had drifted by more than
+    the spacing of landmarks holds its two sides apart, and their true landmarks remain doubled.
+    """
+    positions, of = np.full(table.position.shape, np.nan), table.landmark_of
+    positions[refined.landmarks] = refined.positions
+    known, poses = known_poses(rows, positions, of, refined.noise_m)
+    begin, landmark = rows.first_iteration[rows.segment], of[rows.landmark]
+    first, last = begin + LOWEST[rows.visible], begin + HIGHEST[rows.visible]
+    found = [np.empty(0, dtype=np.int64)]
+    for before, after in _torn(gaps_of(rows, positions, of, known, poses[:, :3, 3]), known, poses):
+        on = (first <= before) & (last > before - AROUND)
+        off = (last >= after) & (first < after + AROUND)
+        found.append(np.intersect1d(landmark[on], landmark[off]))
+    tracks = np.flatnonzero(np.isin(of, np.intersect1d(np.concatenate(found), refined.landmarks)))
+    return np.asarray(tracks[of[tracks] != tracks])
+
+
+def _torn(gaps: Gaps, known: Ints, poses: Floats) -> list[tuple[int, int]]:
+    """Return the last iteration before, and the first one after, each gap of too long a step.
+
+    Not beside another such step: there a single scan is misplaced. `known` (p,): iterations of
+    `poses` (p, 4, 4), ascending.
+    """
+    usual_m = gaps.reach_m / (gaps.after - gaps.before)
+    each_m = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1) / np.diff(known)
+    each_m, at = np.concatenate([[0.0], each_m, [0.0]]), np.searchsorted(known, gaps.before) + 1
+    beside_m = np.maximum(each_m[at - 1], each_m[at + 1])
+    torn = (gaps.way_m > TOO_FAR * gaps.reach_m) & (beside_m <= TOO_FAR * usual_m)
+    return list(zip(gaps.before[torn].tolist(), gaps.after[torn].tolist(), strict=True))
 
 
 def pieces(table: LandmarkState, rows: SegmentRows, submap: int) -> list[Ints]:
