@@ -69,6 +69,27 @@ def test_wrong_ids_cost_next_to_nothing(kind: str, share: float) -> None:
     assert len(np.setdiff1d(overruled, wrong)) < 0.01 * len(world.log.ids)
 
 
+@pytest.mark.parametrize("seed", [3, 5])
+def test_ids_that_name_two_landmarks_cost_next_to_nothing(seed: int) -> None:
+    """Seven landmarks of a hundred, elsewhere, have the id of another: maps were off by 50 m."""
+    world = simulate_world(WorldSpec(seed=seed))
+    places, ids = world.landmarks_map, world.log.ids.copy()
+    order = np.argsort(places[:, 0])
+    pairs = np.column_stack([order[: len(order) // 2], order[(len(order) + 1) // 2 :]])
+    pairs = pairs[np.linalg.norm(places[pairs[:, 0]] - places[pairs[:, 1]], axis=1) > 50][:20]
+    for one, other in pairs.tolist():
+        ids[world.true_ids == other] = one
+    mapper = driven(replace(world.log, ids=ids))
+    known, best = limit(world)
+    found = mapper.map.landmark_ids
+    own = ~np.isin(found, pairs)
+    assert len(mapper.submaps) == 1
+    assert own.sum() >= 0.98 * (len(known) - pairs.size)
+    there, at = places[found[own], :2], np.searchsorted(known, found[own])
+    error_m = aligned_rmse(mapper.map.positions[own, :2], there)
+    assert error_m < 1.1 * aligned_rmse(best[at], there)
+
+
 def visits(shared: int, d: int) -> tuple[Array, Scans]:
     """See two places one after the other; one scan between them sees some landmarks of both."""
     rng = np.random.default_rng(d)

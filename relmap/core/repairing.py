@@ -21,11 +21,12 @@ from relmap.core.association.reobservation.undoing import (
 )
 from relmap.core.association.scale import spacing_of
 from relmap.core.gaps import bridge_gaps, is_bridged
+from relmap.core.geometry.robust import EXACT
 from relmap.core.keeping import weigh_by_estimate
 from relmap.core.mapper import RelativeMapper
 from relmap.core.refinement.chain.weighed import refine_weighed
 from relmap.core.refinement.condensing import SegmentRows
-from relmap.core.refinement.confirming import found_rest, seen_in
+from relmap.core.refinement.confirming import found_rest, seen_in, without_namesakes
 from relmap.core.refinement.extending import extend_submaps
 from relmap.core.refinement.joint import CONFIRMED, MISREAD, Refined
 from relmap.core.refinement.joint import refine as refine_jointly
@@ -42,7 +43,11 @@ ROUNDS = 8
 """Maximum number of rounds of repairing and refining the map again."""
 CLEARLY, WHOLE = 0.8, 0.95
 """Largest ratio of the contradictions of a rebuilt map to those before for it to be kept, and least
-ratio of the numbers of mapped landmarks: an empty map contradicts nothing."""
+ratio of the numbers of mapped landmarks, without those that share an id: an empty map contradicts
+nothing."""
+OFF = 10.0
+"""Noise of a refined map, relative to that within segments, above which it is wrong: least squares
+has put what ids mix up in the middle, and few observations stand out."""
 HANGING, LOOSE = 1.0, 0.5
 """Standard deviation of a landmark, relative to the size of the submap, above which a hinge
 connects a part of it; and relative to the spacing of landmarks, above which they are of this part.
@@ -100,31 +105,48 @@ def _extend_by_ids(engine: RelativeMapper) -> bool:
 
 
 def _rebuild(engine: RelativeMapper) -> None:
-    """Rebuild a map that confirmed observations contradict; keep it if they contradict it less."""
+    """Rebuild a map that confirmed observations contradict, or that is off; keep it if better.
+
+    Observations whose id was seen elsewhere, among other landmarks, place nothing.
+    """
     table, before = engine.table, sum(one.n_contradicting for one in engine.refined)
     n_wrong = len(engine.association.overruled) + sum(one.n_outliers for one in engine.refined)
-    if not before or is_bridged(engine) or n_wrong < MISREAD * table.observations.sum():
+    is_doubtful = before and n_wrong >= MISREAD * table.observations.sum()
+    rows = engine.rows
+    was_off = _is_off(engine, rows.noise_m)
+    if is_bridged(engine) or not (is_doubtful or was_off):
         return
     kept, refined = {name: getattr(table, name).copy() for name in PLACES}, engine.refined
-    count = np.sum(table.submap != NONE)
-    rows = engine.rows
-    sure = seen_in(rows, CONFIRMED)
-    table.take_off_map(np.flatnonzero(table.submap != NONE))
+    mapped = table.submap != NONE
+    own, shared = without_namesakes(rows, CONFIRMED)
+    sure = seen_in(own, CONFIRMED)
+    table.take_off_map(np.flatnonzero(mapped))
     found_rest(engine.map, sure)
     engine.refined = _refine_submaps(engine, sure, None)
     if extend_submaps(engine.map, sure):
         engine.refined = _refine_submaps(engine, sure, None)
     # Single observations place nothing: a few wrong ones would again join what is apart.
-    extend_submaps(engine.map, seen_in(rows, CONFIRMED - 1), table.submap == NONE)
+    extend_submaps(engine.map, seen_in(own, CONFIRMED - 1), table.submap == NONE)
     _refine(engine)
     take_off_misread(engine.map, rows, few=np.inf)
     _refine(engine)
-    is_whole = np.sum(table.submap != NONE) >= WHOLE * count
+    mapped[shared] = False
+    is_whole = np.sum(table.submap != NONE) >= WHOLE * np.sum(mapped)
     after = sum(one.n_contradicting for one in engine.refined)
-    if not is_whole or after > CLEARLY * before:
+    is_better = not _is_off(engine, rows.noise_m) if was_off else after <= CLEARLY * before
+    if not (is_whole and is_better):
         for name, values in kept.items():
             getattr(table, name)[:] = values
         engine.refined = refined
+
+
+def _is_off(engine: RelativeMapper, noise_m: float) -> bool:
+    """Return whether the largest submap fits far worse than `noise_m`, metres, explains."""
+    largest = max(engine.refined, key=lambda one: len(one.landmarks), default=None)
+    if largest is None:
+        return False
+    least_m = EXACT * np.ptp(largest.positions, axis=0).max()
+    return bool(largest.noise_m > max(OFF * noise_m, least_m))
 
 
 def _repair(engine: RelativeMapper) -> None:
