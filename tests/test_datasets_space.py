@@ -104,6 +104,13 @@ def test_a_file_of_position_and_quaternion_for_each_cloud(tmp_path: Path) -> Non
     assert "2 numbers, expected x, y, z, qx, qy, qz, qw" in failure(tmp_path)
 
 
+def test_depth_images_in_the_order_of_their_numbers(tmp_path: Path) -> None:
+    for number in (2, 10, 9):
+        put(tmp_path, png(DEPTH[: number + 1]), f"frame-{number}.depth.png")
+    put(tmp_path, K, "camera-intrinsics.txt")
+    assert [len(points) for points in points_of(open_scans(tmp_path))] == [1, 2, 2]
+
+
 def test_depth_images_come_out_ahead_left_and_up(tmp_path: Path) -> None:
     log = open_scans(images(tmp_path))
     # Pixel (2, 4) looks straight ahead at 2 m; (4, 10) at 1 m, 0.6 m to the right, 0.1 m down.

@@ -2,14 +2,15 @@
 
 The format of 7-Scenes (J. Shotton et al., CVPR 2013): ``frame-000000.depth.png`` and so on, in
 millimetres, 0 and 65535 without a reading; ``camera-intrinsics.txt``, the 3x3 matrix K of the
-camera; and, for comparison, ``frame-000000.pose.txt``, the matrix T_reference_camera.  The camera
-looks along z, with x to the right and y down; the points are returned with x ahead, y left and z
-up, one per two by two pixels.
+camera; and, for comparison, ``frame-000000.pose.txt``, the matrix T_reference_camera. The images
+are sorted by the numbers in their names. The camera looks along z, with x to the right and y down;
+the points are returned with x ahead, y left and z up, one per two by two pixels.
 """
 
 from __future__ import annotations
 
 import os
+import re
 import struct
 from pathlib import Path
 
@@ -17,12 +18,13 @@ import numpy as np
 
 from relmap.core.arrays import Floats
 from relmap.datasets.assembly import MAX_COORDINATE_M
-from relmap.datasets.headers import members_of
+from relmap.datasets.headers import numbered_files
 from relmap.datasets.number_rows import read_rows
 from relmap.datasets.scans import ScanLog, require_rotations
 from relmap.datasets.textfile import invalid, unreadable
 
 INTRINSICS, DEPTH, POSE = "camera-intrinsics.txt", ".depth.png", ".pose.txt"
+_DEPTH = re.compile(re.escape(DEPTH) + "$")
 UNIT_M, NO_READING = 1e-3, (0, 65535)
 EVERY = 2
 """Subsampling of rows and columns of pixels."""
@@ -43,11 +45,11 @@ class DepthImages:
     def recognises(self, path: Path) -> bool:
         """Return whether it is a folder of depth images."""
         of_camera = os.path.isdir(path) and (path / INTRINSICS).is_file()
-        return of_camera and bool(members_of(path, (DEPTH,)))
+        return of_camera and bool(numbered_files(path, _DEPTH))
 
     def load(self, path: Path) -> ScanLog:
         """Read the log; images are read lazily."""
-        files = members_of(path, (DEPTH,)) if os.path.isdir(path) else []
+        files = numbered_files(path, _DEPTH) if os.path.isdir(path) else []
         if not files:
             raise invalid(path, f"holds no *{DEPTH}, expected {self.description}")
         K = read_intrinsics(path)
