@@ -110,6 +110,8 @@ def test_order_of_rows_does_not_matter(tmp_path: Path, seed: int) -> None:
         ),
         ("iteration,x,y,x\n0,1,2,3\n", ["line 1", "duplicate column x"]),
         ("iteration,x,y,w,v\n0,1,2,3,4\n", ["unknown columns 'w', 'v'", "x, y, z, id"]),
+        ("iteration,x,y,w\n0,1,2,3\n", ["unknown column 'w'", "--columns x=x ignores the others"]),
+        ("iteration,range,bearing,w\n0,1,2,3\n", ["--columns range=range ignores the others"]),
         ("iteration,x,y,\n0,1,2,\n", ["unknown column ''"]),
         ("iteration,x,y\n0,1,2\n0,nan,2\n", ["line 3, field x", "'nan' is not finite"]),
         ("iteration,x,y\n0,1,-inf\n", ["line 2, field y", "'-inf' is not finite"]),
@@ -132,7 +134,7 @@ def test_order_of_rows_does_not_matter(tmp_path: Path, seed: int) -> None:
         ("iteration,x,y\n9000000,1,2\n5,1,2\n", ["line 2, field iteration", "comes after 5"]),
         ("iteration,x,y\n0,2e9,2\n", ["line 2, field x", "'2e9' is out of range", "metres"]),
         ("iteration,x,y,id\n0,1,2,1.5\n", ["line 2, field id", "'1.5' is not an integer"]),
-        ("iteration,x,y,id\n0,1,2,post\n", ["integer from -9007199254740991 to 9007199254740991"]),
+        ("iteration,x,y,id\n0,1,2,post\n", ["to 9007199254740991 (texts: --columns id=id)"]),
         ("iteration,x,y,id\n0,1,2,9007199254740993\n", ["line 2, field id", "out of range"]),
         (
             "iteration,x,y,id\n1,0,0,5\n0,1,2,5\n\n0,1,2,6\n0,3,4,5\n1,0,0,5\n",

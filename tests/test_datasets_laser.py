@@ -122,7 +122,12 @@ def test_only_of_ranges_it_is_said_what_no_return_is(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("old", "new"),
-    [("0 3 1 2 60 0", "0 3 1 2 60 1"), ("0 3 1 2 60 0", "0 3 1 2"), ("-1.5 3", "- 3")],
+    [
+        ("0 3 1 2 60 0", "0 3 1 2 60 1"),
+        ("0 3 1 2 60 0", "0 3 1 2"),
+        ("-1.5 3", "- 3"),
+        ("-1.5 3", "-90 180"),
+    ],
 )
 def test_damaged_graph_log(tmp_path: Path, old: str, new: str) -> None:
     message = failure(put(tmp_path, GRAPH.replace(old, new, 1), "a.log"))

@@ -110,6 +110,11 @@ def test_covariances_beside_ranges_and_bearings(tmp_path: Path, frames: Any, thi
     assert f"covariances need the columns {names.replace(',', ', ')}" in failure(path)
 
 
+def test_a_wrong_covariance_is_named_by_its_line(tmp_path: Path) -> None:
+    path = put(tmp_path, "# c\niteration,x,y,cxx,cxy,cyy\n0,1,2,1,0,1\n\n1,1,2,1,3,1\n", "a.csv")
+    assert "covariances line 5 is [[1.0, 3.0], [3.0, 1.0]]; it must be positive" in failure(path)
+
+
 @pytest.mark.parametrize(
     ("header", "columns", "point", "ignored"),
     [

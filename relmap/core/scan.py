@@ -105,12 +105,15 @@ def checked_ids(ids: ArrayLike, n_points: int) -> Ints:
     return array
 
 
-def checked_covariances(covariances: ArrayLike, points: Floats) -> Floats:
+def checked_covariances(
+    covariances: ArrayLike, points: Floats, place: str = "row", places: Ints | None = None
+) -> Floats:
     """Return the covariances of one scan as a new array (n, d, d) float64, exactly symmetric.
 
     `covariances` (n, d, d) of numbers, robot frame, square metres; `points` (n, d): the points they
-    belong to. Raises `RelmapError` if the shape is wrong, or a matrix is not finite, symmetric,
-    positive definite, and within the range of real sensors.
+    belong to; `place`, `places` (n,): what messages call a row, and its number. Raises
+    `RelmapError` if the shape is wrong, or a matrix is not finite, symmetric, positive definite,
+    and within the range of real sensors.
     """
     n, d = points.shape
     shape = f"({n}, {d}, {d})"
@@ -121,25 +124,28 @@ def checked_covariances(covariances: ArrayLike, points: Floats) -> Floats:
         raise RelmapError(
             f"covariances has shape {array.shape}; it must be {shape}, one matrix per point"
         )
-    _require(np.asarray(np.isfinite(array).all(axis=(1, 2))), array, "finite")
+    places = np.arange(n) if places is None else places
     across = np.swapaxes(array, 1, 2)
+    finite = np.asarray(np.isfinite(array).all(axis=(1, 2)))
+    _require(finite, array, "finite", place, places)
     size = np.abs(array).max(axis=(1, 2))
     apart = np.asarray(np.abs(array - across).max(axis=(1, 2)))
-    _require(apart <= ASYMMETRY * size, array, "symmetric")
+    _require(apart <= ASYMMETRY * size, array, "symmetric", place, places)
     array = (array + across) / 2
     eigenvalues = np.linalg.eigvalsh(array)
-    _require(eigenvalues[:, 0] > SINGULAR * eigenvalues[:, -1], array, "positive definite")
+    definite = eigenvalues[:, 0] > SINGULAR * eigenvalues[:, -1]
+    _require(definite, array, "positive definite", place, places)
     within = (eigenvalues[:, 0] >= SMALLEST_M2) & (eigenvalues[:, -1] <= LARGEST_M2)
-    _require(within, array, f"between {SMALLEST_M2:g} and {LARGEST_M2:g}")
+    _require(within, array, f"between {SMALLEST_M2:g} and {LARGEST_M2:g}", place, places)
     return array
 
 
-def _require(good: Bools, covariances: Floats, what: str) -> None:
+def _require(good: Bools, covariances: Floats, what: str, place: str, places: Ints) -> None:
     if not good.all():
         row = int(np.argmin(good))
         raise RelmapError(
-            f"covariances row {row} is {covariances[row].tolist()}; it must be {what}: a "
-            "covariance in square metres"
+            f"covariances {place} {places[row]} is {covariances[row].tolist()}; it must be {what}: "
+            "a covariance in square metres"
         )
 
 

@@ -173,10 +173,13 @@ def _robotlaser(line: _Line) -> _Scan:
     n = line.count(8)
     m = line.count(9 + n, least=0)
     values = line.numbers(line.cells[1:-2], n + m + 21, n + m + 24, slice(8, 8 + n))
+    bearings_rad = values[1] + values[3] * np.arange(n, dtype=np.float64)
+    if np.abs(bearings_rad).max() > math.tau:
+        raise line.wrong(line.cells, ": start angle and resolution are in radians")
     laser, robot = values[n + m + 9 : n + m + 12], values[n + m + 12 : n + m + 15]
     return _Scan(
         line.ranges(values[8 : n + 8]),
-        values[1] + values[3] * np.arange(n, dtype=np.float64),
+        bearings_rad,
         _in_frame(laser, robot),
         robot,
         robot,

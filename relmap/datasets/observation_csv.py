@@ -16,6 +16,7 @@ import math
 import os
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO
 
@@ -43,7 +44,7 @@ FILE_NAMES = ("observations.csv", "observations.csv.gz")
 
 _PAIRS = ("xx", "xy", "yy", "xz", "yz", "zz")
 _OTHERS = (
-    id_column("id", required=False),
+    replace(id_column("id", required=False), advice="texts: --columns id=id"),
     Column("stamp", -1e12, 1e12, "seconds", required=False),
     *(Column(f"c{pair}", -1e18, 1e18, "square metres", required=False) for pair in _PAIRS),
 )
@@ -104,7 +105,9 @@ class ObservationCsv:
             problem = "columns x, y and also range, bearing, expected either of them"
             raise invalid(file, f"{problem}; --columns x=x,y=y ignores the others")
         columns = POLAR_COLUMNS if is_polar(found) else COLUMNS
-        return log_of_table(read_table(file, columns, "; " + OTHER_NAMES))
+        whole = found >= {column.name for column in columns if column.required}
+        advice = f"--columns {columns[1].name}={columns[1].name} ignores the others"
+        return log_of_table(read_table(file, columns, f"; {advice if whole else OTHER_NAMES}"))
 
 
 def is_polar(names: Collection[str]) -> bool:
@@ -142,7 +145,7 @@ def _covariances_of(table: Table, points: Floats) -> Floats | None:
         a, b = ("xyz".index(axis) for axis in name[1:])
         covariances[:, a, b] = covariances[:, b, a] = table.columns[name]
     try:
-        return checked_covariances(covariances, points)
+        return checked_covariances(covariances, points, table.place, table.lines)
     except RelmapError as error:
         raise invalid(table.path, str(error)) from error
 

@@ -30,7 +30,8 @@ _MOST_NAMES = 12
 class Column:
     """A column that a table may have: its values are from `low` to `high`, both allowed.
 
-    The `unit` is for messages; `empty` is the value of an empty cell, None if it is an error.
+    The `unit` and the `advice` are for messages; `empty` is the value of an empty cell, None if it
+    is an error.
     """
 
     name: str
@@ -40,13 +41,15 @@ class Column:
     integer: bool = False
     required: bool = True
     empty: float | None = None
+    advice: str = ""
 
     @property
     def expected(self) -> str:
         """Describe the allowed cells."""
         kind = "an integer" if self.integer else "a number"
         unit = f" of {self.unit}" if self.unit else ""
-        return f"{kind}{unit} from {self.low:.16g} to {self.high:.16g}"
+        advice = f" ({self.advice})" if self.advice else ""
+        return f"{kind}{unit} from {self.low:.16g} to {self.high:.16g}{advice}"
 
 
 @dataclass(frozen=True, eq=False)
