@@ -58,6 +58,29 @@ def test_landmarks_in_millimetres_are_mentioned(capsys: pytest.CaptureFixture[st
         assert ("coordinates must be in metres" in capsys.readouterr().err) == (scale > 1)
 
 
+def test_points_of_range_0_are_no_detections(capsys: pytest.CaptureFixture[str]) -> None:
+    log("seen.csv")
+    with Path("seen.csv").open("a") as file:
+        file.writelines(f"{k},0,0\n" for k in range(5, 12))
+    assert main(["map", "seen.csv", "-o", "out"]) == 0
+    printed = capsys.readouterr()
+    assert printed.err.endswith("relmap: seen.csv: 7 points of range 0 left out: no detection\n")
+    assert "20 of 20 landmarks mapped from 240 observations" in printed.out
+
+
+@pytest.mark.parametrize(("n", "which"), [(0, ""), (1, "1 scan repeats"), (4, "4 scans repeat")])
+def test_scans_that_repeat_are_mentioned(
+    n: int, which: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log("seen.csv")
+    last = [line.split(",", 1)[1] for line in Path("seen.csv").read_text().splitlines()[-20:]]
+    with Path("seen.csv").open("a") as file:
+        file.writelines(f"{12 + k},{point}\n" for k in range(n) for point in last)
+    assert main(["map", "seen.csv", "-o", "out"]) == 0
+    said = f"seen.csv: {which} the one before exactly: copies are not new measurements"
+    assert (said in capsys.readouterr().err) == (n > 0)
+
+
 def test_one_column_is_not_two_coordinates(capsys: pytest.CaptureFixture[str]) -> None:
     log("seen.csv")
     assert main(["map", "seen.csv", "-o", "out", "--columns", "x=y"]) == 2

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -49,6 +50,9 @@ NEAR_M, FAR_M = 0.1, 100.0
 2-D lasers and most of a lidar are: other coordinates are hardly metres."""
 FAR_LANDMARKS_M = 1000.0
 """Half of the landmarks of a scan are nearer."""
+NOISY = 3
+"""Minimum number of points of a scan that noise never lets another one repeat exactly: none of 17
+real logs of lasers and landmarks has such a scan."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -201,6 +205,8 @@ def log_of(job: Job) -> Log:
     if job.variant == "planes3d" and job.odometry == "auto" and log.odometry is not None:
         typer.echo(f"relmap: {source}: planes3d does not use the odometry of the log", err=True)
     doubt_unit(source, log)
+    doubt_repeats(source, log)
+    log = _returned(job, log)
     if job.level != "none" and job.segmenter not in SPATIAL:
         log = level_if_needed(job.source, log)
     if job.association == "nearest":
@@ -238,9 +244,24 @@ def doubt_unit(source: Path, log: Log) -> None:
     if not near_m <= middle_m < far_m:
         typer.echo(
             f"relmap: {source}: the points of the first scan are {float(f'{middle_m:.3g}'):g} m "
-            "away in the median: coordinates must be in metres",
+            "away in the median: coordinates must be in metres, in the frame of the robot",
             err=True,
         )
+
+
+def doubt_repeats(source: Path, log: Log) -> None:
+    """Warn of scans that repeat the one before: their noise is not independent, as is assumed.
+
+    Not of clouds, which are read from their files one by one.
+    """
+    if isinstance(log, ScanLog) and log.dimension == 3:
+        return
+    scans = (scan.points_robot for scan in log.scans())
+    n = sum(len(now) >= NOISY and np.array_equal(before, now) for before, now in pairwise(scans))
+    if n:
+        which = "1 scan repeats" if n == 1 else f"{n} scans repeat"
+        message = f"{which} the one before exactly: copies are not new measurements, leave them out"
+        typer.echo(f"relmap: {source}: {message}", err=True)
 
 
 def require_dimension(source: Path | str, log: Log, mapper: AnyMapper, result: Path | str) -> None:
@@ -260,6 +281,18 @@ def level_if_needed(source: Path, log: Log) -> Log:
     message = "clouds are levelled by their floor and walls, and reduced to 2-D scans of the walls"
     typer.echo(f"relmap: {source}: {message}", err=True)
     return levelled(log)
+
+
+def _returned(job: Job, log: Log) -> Log:
+    """Return a log of landmarks without points at the origin, which stand for no detection."""
+    if not isinstance(log, ObservationLog):
+        return log
+    there = log.points_robot.any(axis=1)
+    n = int((~there).sum())
+    if not n:
+        return log
+    typer.echo(f"relmap: {job.source}: {n} points of range 0 left out: no detection", err=True)
+    return log.only(there)
 
 
 def _each_once(job: Job, log: Log) -> Log:
