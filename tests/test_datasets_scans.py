@@ -65,6 +65,22 @@ def test_limits_of_the_sensor_must_be_positive_numbers(tmp_path: Path) -> None:
     assert open_scans(npz(tmp_path / "scans.npz", view_rad=np.float32(2 * np.pi)))
 
 
+@pytest.mark.parametrize(
+    ("axes", "view_rad", "share"),
+    [([0, 1], np.pi, None), ([1, 0], np.pi, "33.3 %"), ([0, 1], 1.0, "66.7 %"), ([1, 0], 6, None)],
+)
+def test_the_view_of_a_laser_holds_its_points(
+    tmp_path: Path, axes: list[int], view_rad: float, share: str | None
+) -> None:
+    points = np.array([[1.0, 1.0], [2.0, 0.0], [1.0, -1.0]])[:, axes]
+    path = npz(tmp_path / "scans.npz", points=points, view_rad=np.float64(view_rad))
+    if share is None:
+        assert open_scans(path).sensor.view_rad == view_rad
+        return
+    said = f"array view_rad: {view_rad:g}, but {share} of the points are outside of it, expected x"
+    assert said in failure(path)
+
+
 def test_the_range_of_the_sensor_reaches_its_points(tmp_path: Path) -> None:
     assert open_scans(npz(tmp_path / "scans.npz", range_m=np.float64(9)))
     near = failure(npz(tmp_path / "scans.npz", range_m=np.float64(1)))

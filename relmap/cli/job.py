@@ -287,7 +287,7 @@ def _returned(job: Job, log: Log) -> Log:
     """Return a log of landmarks without points at the origin, which stand for no detection."""
     if not isinstance(log, ObservationLog):
         return log
-    there = log.points_robot.any(axis=1)
+    there = np.asarray(log.points_robot.any(axis=1))
     n = int((~there).sum())
     if not n:
         return log

@@ -41,6 +41,9 @@ _LIMITS = ("view_rad", "range_m")
 """Optional values about the sensor."""
 _BEYOND = 1.2
 """Multiple of the stated range above which a point is not noise: the stated range is wrong."""
+_OUTSIDE_RAD, _OUTSIDE = 0.1, 0.01
+"""Angle beyond the stated view, for noise near the sensor, and the fraction of the points that may
+be farther outside: with more, the view is wrong, or the axes of the points are."""
 DAMAGE = (
     *(OSError, EOFError, RuntimeError, MemoryError, zipfile.BadZipFile, zlib.error, struct.error),
     *(ValueError, TypeError, LookupError, OverflowError, SyntaxError, tokenize.TokenError),
@@ -155,9 +158,14 @@ def _limit(file: Path, name: str, array: NDArray[Any]) -> float:
 
 
 def _check_view(file: Path, points: Floats, view_rad: float = 0.0, range_m: float = np.inf) -> None:
-    """Check that a view is an angle, and that a range reaches the points (n, 2) or (n, 3)."""
+    """Check that a view is an angle, and that it (of a 2-D laser) and a range hold the points."""
     if view_rad > 2 * np.pi + 1e-3:  # rounded
         raise invalid(file, f"array view_rad: {view_rad:g}, expected radians, 2 pi at most")
+    outside = np.abs(np.arctan2(points[:, 1], points[:, 0])) > view_rad / 2 + _OUTSIDE_RAD
+    share = float(outside.mean())
+    if view_rad and not points[:, 2:].any() and share > _OUTSIDE:
+        problem = f"array view_rad: {view_rad:g}, but {100 * share:.3g} % of the points are outside"
+        raise invalid(file, f"{problem} of it, expected x ahead, in its middle, and y left")
     farthest_m = np.hypot(points[:, 0], points[:, 1]).max()
     if farthest_m > _BEYOND * range_m:
         problem = f"array range_m: {range_m:g}, but there are points up to {farthest_m:.4g} m away"
