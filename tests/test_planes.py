@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from relmap import PlaneMapper, RelmapError
+from relmap import PlaneMapper, PlaneSegmenter, RelmapError
 from relmap.core.arrays import Floats
 from relmap.core.geometry.alignment import fit_rigid
 from relmap.evaluation.sources import truth_of
@@ -179,6 +179,21 @@ def test_scans_without_walls_are_bridged() -> None:
     assert abs(np.hypot(*(poses[13, :2, 3] - poses[11, :2, 3])) - 0.1) < 1e-6
     # Where nothing was seen, the robot is taken to have gone on as before.
     assert np.hypot(*(poses[12, :2, 3] - (poses[11, :2, 3] + poses[13, :2, 3]) / 2)) < 2e-3
+
+
+def test_laser_scans_without_a_return_do_not_break_a_run() -> None:
+    building = simulate_building(points=361, sampling="laser", sigma=0.01, iterations=40)
+    segmenter, blank = PlaneSegmenter(view_rad=np.pi, range_m=8.0), [10, 25, 26]
+    mapper = PlaneMapper(segmenter=segmenter)
+    for k, scan in enumerate(building.scans):
+        mapper.update(scan.points[: 0 if k in blank else None, :2])
+    mapper.finish()
+    (submap,) = mapper.submaps
+    assert submap.span == (0, 40)
+    off = np.linalg.inv(building.trajectory) @ building.trajectory[0] @ submap.poses
+    assert np.delete(np.hypot(*off[:, :2, 3].T), blank).max() < 0.1
+    weak = {step for k in blank for step in (k, k + 1)}
+    assert set(mapper.weak_links.tolist()) == weak
 
 
 def test_rooms_with_nothing_to_see_between_are_submaps() -> None:

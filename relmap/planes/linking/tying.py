@@ -72,6 +72,10 @@ class Scans:
         """Return whether two scans belong to one run."""
         return not ((self.begun > earlier) & (self.begun <= later)).any()
 
+    def motion(self, earlier: int, later: int) -> Floats:
+        """Return the motion (3,) from the frame of one scan to that of another."""
+        return motion_over(self.motions[earlier + 1 : later + 1])
+
     def plane(self, scan: int) -> Ints:
         """Return the numbers of the walls of one scan."""
         return np.asarray(self.store.column("wall")[self.store.rows(scan)])
@@ -139,11 +143,15 @@ def judged_links(scans: Scans, is_tied: Bools, in_doubt: Bools) -> tuple[list[Li
     """Re-evaluate the motions into doubtful scans with the surrounding ones.
 
     `is_tied` (i,): whether the motion into each scan is accepted so far; `in_doubt` (i,): which to
-    evaluate. Returns `links`: newly accepted links, possibly across a few unmatched scans and
-    `cut`: scans into which no motion is accepted any more.
+    evaluate; scans without walls that the run went on over are not. Returns `links`: newly accepted
+    links, possibly across a few unmatched scans and `cut`: scans into which no motion is accepted
+    any more.
     """
     links, cut = list[Link](), list[int]()
-    for run in _runs(in_doubt, scans.begun):
+    shown = np.array([not tied or len(scans.plane(k)) > 0 for k, tied in enumerate(is_tied)])
+    in_doubt = in_doubt & shown
+    for part in _runs(in_doubt, scans.begun):
+        run = [scan for scan in part if shown[scan]]
         fixed = is_tied[run[0]] and not in_doubt[run[0]] and run[0] not in scans.begun
         for judged in _judged(scans, run, fixed):
             if not is_tied[judged.later]:
@@ -194,8 +202,9 @@ def _over_gaps(scans: Scans, is_tied: Bools) -> list[Link]:
 
 
 class _Judged(NamedTuple):
-    """The motions into a scan with their likelihoods, and the accepted one."""
+    """The motions from one scan into another with their likelihoods, and the accepted one."""
 
+    earlier: int
     later: int
     verdict: Verdict
     accepted: list[Link]
@@ -205,7 +214,8 @@ class _Judged(NamedTuple):
 
         A motion that agrees with odometry never is.
         """
-        motion, expected = scans.motions[self.later], scans.expected(self.later - 1, self.later)
+        motion = scans.motion(self.earlier, self.later)
+        expected = scans.expected(self.earlier, self.later)
         agrees = expected is not None and expected.off(motion[None])[0] < OTHERWISE
         best, odds = self.verdict.best, self.verdict.odds(motion)
         rival = best is not None and self.verdict.odds(best) > odds
@@ -249,7 +259,8 @@ def _judged(scans: Scans, run: Sequence[int], fixed: bool) -> list[_Judged]:
         if k < len(run):
             usual = usual_motion(scans.motions[: run[k]])
             search = scans.search(run[k - 1], run[k], usual)
-            found.append(search.candidates([scans.motions[run[k]]]) if search else NO_CANDIDATES)
+            known = [scans.motion(run[k - 1], run[k])]
+            found.append(search.candidates(known) if search else NO_CANDIDATES)
             before = run[k - 2] if k > 1 else max(run[0] - 1, 0)
             same = scans.of_one_run(before, run[k])
             two_back = scans.search(before, run[k], STILL) if same else None
@@ -260,7 +271,7 @@ def _judged(scans: Scans, run: Sequence[int], fixed: bool) -> list[_Judged]:
             scan = k - LATER
             verdict = hypotheses.verdict(scan)
             link = _accepted(scans, run[scan - 1], run[scan], found[scan - 1], verdict)
-            judged.append(_Judged(run[scan], verdict, link))
+            judged.append(_Judged(run[scan - 1], run[scan], verdict, link))
     return judged
 
 
