@@ -69,6 +69,15 @@ def test_a_path_in_the_frame_of_a_camera_gives_no_planar_error() -> None:
     assert in_space.ate_m == pytest.approx(right.ate_m, rel=0.1)
 
 
+def test_a_mirrored_path_is_said_to_be_one() -> None:
+    right, mirror = judged(drive(0.01), SECONDS, drive()), np.diag([1.0, -1.0, 1.0, 1.0])
+    mirrored = judged(mirror @ drive(0.01) @ mirror, SECONDS, drive())
+    assert mirrored.ate_m > 10 * right.ate_m
+    note = mirrored.notes[0]
+    assert note.startswith("the path is the mirror image of the true one: y and bearings must be")
+    assert float(note.split()[-2]) == pytest.approx(right.ate_m, abs=1e-4)
+
+
 @pytest.mark.parametrize("scale", [1.0, 0.0])
 @pytest.mark.parametrize("sigma_m", [0.0, 0.001, 0.05, 1.0])
 @pytest.mark.parametrize("dimensions", [2, 3])

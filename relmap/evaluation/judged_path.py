@@ -19,6 +19,8 @@ PART = 0.5
 UNEXPLAINED = 0.7
 """Largest error with other axes, relative to the error without, that shows that axes differ; of
 few steps less, as a turn explains some of any."""
+MIRRORED = 0.2
+"""Largest error of the mirrored path, relative to the error, that shows that a map is mirrored."""
 TURNED_RAD = np.deg2rad(20.0)
 """Smallest angle between the steps in different axes: a smaller one may be an error of the map."""
 ROUNDING_M = 1e-6
@@ -87,13 +89,20 @@ def _other_unit(poses: Floats, true_poses: Floats) -> list[str]:
 
 
 def _ate(poses: Floats, true_poses: Floats, planar: bool) -> tuple[float | None, list[str]]:
-    """Return the ATE; for a path in the plane None, and a note, if the true plane is another."""
+    """Return the ATE; for a path in the plane None, and a note, if the true plane is another.
+
+    A note also if it is the mirror image of the true one.
+    """
     ate_m = metrics.ate(poses, true_poses, planar)
     in_space_m = metrics.ate(poses, true_poses, False)
     if not planar or ate_m is None or in_space_m is None:
         return ate_m, []
     if in_space_m >= UNEXPLAINED * ate_m or ate_m < ROUNDING_M:
         return ate_m, []
+    mirrored_m = metrics.ate(np.diag([1.0, -1.0, -1.0, 1.0]) @ poses, true_poses, planar)
+    if mirrored_m is not None and mirrored_m < MIRRORED * ate_m:
+        why = "the path is the mirror image of the true one: y and bearings must be positive to the"
+        return ate_m, [f"{why} left; mirrored, its ATE is {mirrored_m:.4f} m"]
     why = "the true path lies in another plane than that of x and y, as in the axes of a camera"
     return None, [f"no ATE: {why}; aligned in space it is {in_space_m:.4f} m"]
 
