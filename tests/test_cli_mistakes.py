@@ -58,7 +58,7 @@ def test_landmarks_in_millimetres_are_mentioned(capsys: pytest.CaptureFixture[st
         assert ("coordinates must be in metres" in capsys.readouterr().err) == (scale > 1)
 
 
-def test_points_of_range_0_are_no_detections(capsys: pytest.CaptureFixture[str]) -> None:
+def test_points_of_range_0_are_left_out(capsys: pytest.CaptureFixture[str]) -> None:
     log("seen.csv")
     with Path("seen.csv").open("a") as file:
         file.writelines(f"{k},0,0\n" for k in range(5, 12))
