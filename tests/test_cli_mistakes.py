@@ -58,14 +58,16 @@ def test_landmarks_in_millimetres_are_mentioned(capsys: pytest.CaptureFixture[st
         assert ("coordinates must be in metres" in capsys.readouterr().err) == (scale > 1)
 
 
-def test_points_of_range_0_are_left_out(capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("n", [2, 7])
+def test_points_of_range_0_are_left_out(n: int, capsys: pytest.CaptureFixture[str]) -> None:
     log("seen.csv")
     with Path("seen.csv").open("a") as file:
-        file.writelines(f"{k},0,0\n" for k in range(5, 12))
+        file.writelines(f"{12 - k},0,0\n" for k in range(1, n + 1))
     assert main(["map", "seen.csv", "-o", "out"]) == 0
     printed = capsys.readouterr()
-    assert printed.err.endswith("relmap: seen.csv: 7 points of range 0 left out: no detection\n")
-    assert "20 of 20 landmarks mapped from 240 observations" in printed.out
+    said = "relmap: seen.csv: 7 points of range 0 left out: no detection\n"
+    assert printed.err.endswith(said) == (n == 7)
+    assert f"mapped from {240 if n == 7 else 242} observations" in printed.out
 
 
 @pytest.mark.parametrize(("n", "which"), [(0, ""), (1, "1 scan repeats"), (4, "4 scans repeat")])

@@ -54,6 +54,9 @@ NOISY = 3
 """Minimum number of points of a scan that noise never lets another one repeat exactly: none of 17
 real logs of lasers and landmarks has such a scan."""
 
+AT_ORIGIN = 3
+"""Minimum number of points at the origin that stand for no detection: a robot may start there."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Job:
@@ -289,7 +292,7 @@ def _returned(job: Job, log: Log) -> Log:
         return log
     there = np.asarray(log.points_robot.any(axis=1))
     n = int((~there).sum())
-    if not n:
+    if n < AT_ORIGIN:
         return log
     typer.echo(f"relmap: {job.source}: {n} points of range 0 left out: no detection", err=True)
     return log.only(there)
