@@ -55,10 +55,9 @@ class KnownAssociation(Registration):
 
     def labels_of(self, landmarks: Ints) -> Ints:
         """Return the ids of landmarks (n,); `UNIDENTIFIED` stays."""
-        labels = landmarks.copy()
-        named = landmarks != UNIDENTIFIED
-        labels[named] = self._labels.values[landmarks[named]]
-        return labels
+        if not len(self._labels):
+            return landmarks.copy()
+        return np.where(landmarks >= 0, self._labels.values[landmarks], UNIDENTIFIED)
 
     def match(self, points_robot: Floats, ids: Ints | None) -> Ints:
         """Return the landmark of each id (n,).
@@ -75,16 +74,17 @@ class KnownAssociation(Registration):
 
         Record the rows that changed.
         """
-        named = np.flatnonzero(ids >= 0)
-        if len(named) == len(ids):
+        if len(ids) and ids.min() >= 0:
             good = self._rigidity.checked(ids, points_robot)
+            if good is ids:
+                return ids
+            named = np.arange(len(ids))
         else:
+            named = np.flatnonzero(ids >= 0)
             good = self._rigidity.checked(ids[named], points_robot[named])
         if good is None:
             self._rejected.append(self._n_scans - 1)
             return np.full(len(ids), UNIDENTIFIED)
-        if good is ids:
-            return ids
         checked = np.full(len(ids), UNIDENTIFIED)
         checked[named] = good
         overruled = named[good != ids[named]]

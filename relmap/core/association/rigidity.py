@@ -10,6 +10,7 @@ and no pose is used.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -68,8 +69,14 @@ class _Places:
         return self.ids, self.points, self.missed, self.times
 
 
-@dataclass(eq=False)
-class _Fit:
+class _Scan(NamedTuple):
+    """The landmarks of a scan: ids (n,), ascending, and points (n, d), robot frame, metres."""
+
+    ids: Ints
+    points: Floats
+
+
+class _Fit(NamedTuple):
     """Places aligned to a scan: rows of both (k,), R and t, misfits (k,), their median and maximum.
 
     In metres; if too few agree there are no misfits, and the last two are infinite.
@@ -110,9 +117,7 @@ class Rigidity:
         `ids` (n,): all different; `points_robot` (n, d), metres. Returns (n,): the ids, replaced
         where inconsistent, or `UNIDENTIFIED`; None if the whole scan is rejected.
         """
-        order, self._extent_m = np.argsort(ids), extent_of(points_robot)
-        scan = _Places.begun(ids[order], points_robot[order])
-        fit = self._fit(self._last, scan)
+        scan, fit = self._fit(self._last, ids, points_robot)
         if fit is None:
             if self._last is None or len(ids) >= PLENTY:
                 self._begin_with(scan)
@@ -123,15 +128,15 @@ class Rigidity:
         far = self._far(fit, scan)
         self._wary = min(max(self._wary - 1, 0) + WARY * len(far), MOST_WARY)
         if not len(far) and not self._wary:
-            self._carry(fit, scan.ids, scan.points)
+            self._carry(fit, *scan)
             return ids
         named = self._named(fit, scan, far)
         self._go_on(fit, scan, far, named)
         checked = np.empty_like(ids)
-        checked[order] = named
+        checked[np.argsort(ids)] = named
         return checked
 
-    def _named(self, fit: _Fit, scan: _Places, far: Ints) -> Ints:
+    def _named(self, fit: _Fit, scan: _Scan, far: Ints) -> Ints:
         """Return the ids (n,) of a scan, doubtful ones replaced by the landmarks expected there.
 
         Doubtful are observations far from their prediction and, after such observations, new ids.
@@ -158,23 +163,29 @@ class Rigidity:
                 named[row] = last.ids[candidates[nearest]]
         return named
 
-    def _fit(self, places: _Places | None, scan: _Places) -> _Fit | None:
-        """Align places to a scan; None if they have too few landmarks in common."""
+    def _fit(self, places: _Places | None, ids: Ints, points: Floats) -> tuple[_Scan, _Fit | None]:
+        """Align places to a scan; None if they have too few landmarks in common.
+
+        `ids` (n,) and `points` (n, d) of the scan are returned in ascending order.
+        """
         from relmap.core.association.rigidity_kernels import fitted
 
-        if places is None or len(scan.ids) < PLENTY:
-            return None
-        limits, tolerance_m = (PLENTY, SAMPLE), self._tolerance_m()
-        found = fitted(places.ids, places.points, (scan.ids, scan.points), limits, tolerance_m)
-        return _Fit(*found) if len(found[0]) else None
+        order = ids.argsort()
+        if places is None or len(ids) < PLENTY:
+            self._extent_m = extent_of(points)
+            return _Scan(ids[order], points[order]), None
+        # The tolerance: at least so many metres, and such a share of the extent of the scan.
+        least_m, share = 0.0, 2 * (FIRST / UNLIKE)
+        if self._usual_m is not None:
+            least_m, share = 2 * self._usual_m, CLEAR / UNLIKE
+        limits = PLENTY, SAMPLE, least_m, share
+        found = fitted(places.ids, places.points, ids, points, order, limits)
+        self._extent_m = found[2]
+        return _Scan(*found[:2]), _Fit(*found[3:]) if len(found[3]) else None
 
     def _usual(self) -> float:
         """Return the usual median misfit, metres."""
         return FIRST / UNLIKE * self._extent_m if self._usual_m is None else self._usual_m
-
-    def _tolerance_m(self) -> float:
-        """Return the misfit up to which landmarks take part in the fit."""
-        return max(2 * self._usual(), CLEAR / UNLIKE * self._extent_m)
 
     def _gate_m(self) -> float:
         """Return the misfit above which a landmark is inconsistent."""
@@ -185,18 +196,19 @@ class Rigidity:
         in_doubt = UNLIKE * self._usual() * DOUBT**self._n_doubted
         return max(in_doubt, CLEAR * self._extent_m)
 
-    def _fits_the_doubted(self, scan: _Places) -> bool:
+    def _fits_the_doubted(self, scan: _Scan) -> bool:
         """Return whether a scan fits the one just rejected: then the earlier scans were wrong."""
-        fit = self._fit(self._doubted, scan)
+        _, fit = self._fit(self._doubted, *scan)
         if fit is not None and fit.usual_m <= self._limit_m():
             self._begin_with(scan)
             return True
-        self._doubted = scan
+        self._doubted = _Places.begun(*scan)
         self._n_doubted += 1
         return False
 
-    def _begin_with(self, scan: _Places) -> None:
-        self._last, self._doubted, self._strayed, self._n_doubted = scan, None, None, 0
+    def _begin_with(self, scan: _Scan) -> None:
+        self._last, self._n_doubted = _Places.begun(*scan), 0
+        self._doubted = self._strayed = None
 
     def _learn(self, usual_m: float) -> None:
         if self._usual_m is None:
@@ -204,7 +216,7 @@ class Rigidity:
         self._usual_m += SLOWNESS * (usual_m - self._usual_m)
         self._doubted, self._n_doubted = None, 0
 
-    def _far(self, fit: _Fit, scan: _Places) -> Ints:
+    def _far(self, fit: _Fit, scan: _Scan) -> Ints:
         """Return the pairs of a fit that are inconsistent for the first time.
 
         A landmark found twice at the same new position has moved there.
@@ -224,7 +236,7 @@ class Rigidity:
         gone = (self._strayed.ids[at] == ids) & (np.linalg.norm(there, axis=1) <= gate_m)
         return np.asarray(far[~gone])
 
-    def _go_on(self, fit: _Fit, scan: _Places, far: Ints, named: Ints) -> None:
+    def _go_on(self, fit: _Fit, scan: _Scan, far: Ints, named: Ints) -> None:
         """Store this as the last scan, with final ids; other landmarks are predicted in it."""
         rows = fit.shared[far]
         rows = rows[named[rows] == UNIDENTIFIED]

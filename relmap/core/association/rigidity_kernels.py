@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
+from relmap.core.geometry.each_kernels import extent_of
 from relmap.core.geometry.fitting_kernels import trimmed_fit_rows
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import smallest
@@ -63,27 +64,35 @@ def _misfits(
 def fitted(
     ids: Ints,
     points: Floats,
-    scan: tuple[Ints, Floats],
-    limits: tuple[int, int],
-    tolerance_m: float,
-) -> tuple[Ints, Ints, Floats, Floats, Floats, float, float]:
+    scan_ids: Ints,
+    scan_points: Floats,
+    order: Ints,
+    limits: tuple[int, int, float, float],
+) -> tuple[Ints, Floats, float, Ints, Ints, Floats, Floats, Floats, float, float]:
     """Align landmarks with ascending ids to a scan, by those with the same ids.
 
-    `limits`: minimum number of these, and maximum number used for the fit. Returns their rows (k,)
-    in both, none if they are too few; R and t; and their misfits (k,), the median and the largest:
-    none and infinite if too few agree within the tolerance.
+    `order` (m,): of the ascending ids of the scan. `limits`: minimum number of common landmarks,
+    and maximum number used for the fit; the tolerance, metres, and its least fraction of the extent
+    of the scan. Returns ids and points (m, d) of the scan in that order, and its extent; the rows
+    (k,) of the common ones in both, none if they are too few; R and t; and their misfits (k,), the
+    median and the largest: none and infinite if too few agree within the tolerance.
     """
-    fewest, most = limits
-    scan_ids, scan_points = scan
-    rows, shared, source, target = _matched(ids, points, scan_ids, scan_points, most)
-    misfit = np.empty(0)
+    fewest, most, least_m, share = limits
+    here, there = np.empty(len(order), dtype=np.int64), np.empty(scan_points.shape)
+    extent_m = extent_of(scan_points)
+    for i in range(len(order)):
+        here[i] = scan_ids[order[i]]
+        for a in range(scan_points.shape[1]):
+            there[i, a] = scan_points[order[i], a]
+    rows, shared, source, target = _matched(ids, points, here, there, most)
+    misfit, none = np.empty(0), np.empty((0, 0))
     if len(rows) < fewest:
-        return rows[:0], shared[:0], points[:0], misfit, misfit, np.inf, np.inf
-    R, t, n_agreeing = trimmed_fit_rows(source, target, tolerance_m)
+        return here, there, extent_m, rows[:0], shared[:0], none, misfit, misfit, np.inf, np.inf
+    R, t, n_agreeing = trimmed_fit_rows(source, target, max(least_m, share * extent_m))
     if n_agreeing < 0:
-        return rows, shared, R, t, misfit, np.inf, np.inf
-    misfit, usual, largest = _misfits(points, scan_points, (rows, shared), R, t)
-    return rows, shared, R, t, misfit, usual, largest
+        return here, there, extent_m, rows, shared, R, t, misfit, np.inf, np.inf
+    misfit, usual, largest = _misfits(points, there, (rows, shared), R, t)
+    return here, there, extent_m, rows, shared, R, t, misfit, usual, largest
 
 
 @compiled
