@@ -23,6 +23,10 @@ from relmap.core.association.tracks import LiveTracks
 
 CONTINUITY = 0.15
 """Largest displacement of a moving landmark in one iteration, in spacings."""
+MEMORY = 8
+"""Approximate number of observations averaged in the prediction of a track."""
+CAREFUL = 5
+"""Iterations without motion after which a track seen moving counts as static again."""
 YOUNG = 3
 """A track with fewer observations than this may turn out to be moving."""
 
@@ -146,23 +150,37 @@ class Constellation(Numbered):
             if placement is not None:
                 if since is not None:
                     self._alone.remove(since)
-                return self._followed(tracks.carried(placement), points_robot, metric)
+                return self._followed(tracks, placement, points_robot, metric)
         return None
 
-    def _followed(self, carried: LiveTracks, points: Floats, metric: Floats | None) -> Ints:
-        """Continue predicted tracks by the points near them; return the landmarks of the points."""
-        rows, found, n_static = links = self._links(carried, points, metric)
+    def _followed(
+        self, tracks: LiveTracks, placement: Placement, points: Floats, metric: Floats | None
+    ) -> Ints:
+        """Continue the tracks, placed in a scan; return the landmarks of its points (n,)."""
+        from relmap.core.association.tracking_kernels import carried, followed, tracked
+
+        pose, limits = (placement.R, placement.t), (MEMORY, CAREFUL, self._max_missed)
+        if self._scale.is_blurred:
+            columns, variance = carried(tracks.columns, *pose), self._scale.variances(tracks.seen)
+            expected = columns[1]
+            rows, found = likely_links(expected, variance, tracks.seen, points, metric)
+            n_static = len(rows)
+            now = followed(points, columns, (rows, found, n_static), self.n_landmarks, limits)
+        else:
+            reaches = self._reaches(metric)
+            expected, (rows, found, n_static), now = tracked(
+                points, tracks.columns, pose, reaches, metric, self.n_landmarks, (YOUNG, *limits)
+            )
+        landmarks, of, places, counts, square = now
+        self._tracks = LiveTracks(of, *places, *counts)
         rays, known, seen = self._scale.rays, rows[:n_static], found[:n_static]
         if n_static > FEW and rays.is_due():
-            rays.learn(carried.expected[known], points[seen], carried.seen[known])
-        landmarks, self._tracks, square = carried.followed(
-            points, links, self.n_landmarks, self._max_missed
-        )
+            rays.learn(expected[known], points[seen], tracks.seen[known])
         if metric is not None and n_static:
-            off = scaled(metric[seen], carried.expected[known] - points[seen])
+            off = scaled(metric[seen], expected[known] - points[seen])
             square = middle(np.sum(off**2, axis=1))
         self._scale.learn(square, n_static, points.shape[1])
-        self.n_landmarks = max(self.n_landmarks, int(landmarks.max(initial=-1)) + 1)
+        self.n_landmarks += len(points) - len(rows)
         self._stray, self._tracks_since, self._idle = None, None, 0
         self._guide.forget()
         return landmarks
@@ -208,25 +226,14 @@ class Constellation(Numbered):
             self._guide.forget()
             self._scale.allow_noise()
 
-    def _links(
-        self, carried: LiveTracks, points: Floats, metric: Floats | None
-    ) -> tuple[Ints, Ints, int]:
-        """Link predicted tracks to the observations near them.
+    def _reaches(self, metric: Floats | None) -> tuple[float, float, float]:
+        """Return the largest distances of observations from predicted tracks.
 
         Tracks that are not where a static landmark would be are followed from their last
         observation. One that was seen moving, or is too short to classify, may move far; a static
-        one only as far as it could drift unnoticed: a jump means another landmark.
-
-        Returns `rows`, `found` (k,): tracks and the points that continue them. `n_static`: number
-        of these that are static, which come first; the others move.
+        one only as far as it could drift unnoticed: a jump means another landmark. Returns those of
+        a moving and of a static one, in the metric (n, d, d), and the latter in metres.
         """
-        from relmap.core.association.tracking_kernels import links
-
-        if self._scale.is_blurred:
-            variance = self._scale.variances(carried.seen)
-            rows, found = likely_links(carried.expected, variance, carried.seen, points, metric)
-            return rows, found, len(rows)
         gate_m, stretch = self._scale.gate_m, stretch_of(metric)
         reach_m = gate_m if stretch is None else gate_m * float(stretch.max())
-        reaches = max(CONTINUITY * self._scale.spacing_m, gate_m), gate_m, YOUNG
-        return links(points, carried.columns, reaches, metric, reach_m)
+        return max(CONTINUITY * self._scale.spacing_m, gate_m), gate_m, reach_m

@@ -35,7 +35,10 @@ class PatternPlacing(LikelyPlacing):
 
         From one scan to the next, a step of less than half of the period is assumed.
         """
-        step_m = self._step_m(placement, tracks)
+        return self._is_short(self._step_m(placement, tracks), tracks, points)
+
+    def _is_short(self, step_m: float, tracks: LiveTracks, points: Floats) -> bool:
+        """Return whether a motion is certainly less than half of the period of a pattern."""
         if step_m <= SHORT * self.scale.spacing_m:
             return True
         return step_m <= self.period_m(tracks, points, 2 * step_m) / 2

@@ -144,24 +144,27 @@ class TrackPlacing(PatternPlacing):
         Also returns whether it is None because several placements explain most of the scan.
         """
         from relmap.core.association.matching_kernels import matched_sample
+        from relmap.core.association.tracking_kernels import agreement
 
-        (n, d), metric = points.shape, self.metric
+        (n, d), metric, scale = points.shape, self.metric, self.scale
         sample, rows, target, distance, here, there, spacing_m = matched_sample(
-            points, tracks.expected, tracks.missed, SAMPLE, self.scale.spacing_m, SLOWNESS
+            points, tracks.expected, tracks.missed, SAMPLE, scale.spacing_m, SLOWNESS
         )
         if not len(sample):
             return None, False
-        self.scale.spacing_m = spacing_m
-        missed, tolerance_m = int(tracks.missed[sample[0]]), self.scale.tolerance_m
+        scale.spacing_m = spacing_m
+        missed, tolerance_m = int(tracks.missed[sample[0]]), scale.tolerance_m
         own = rows_of(metric, target)
         near = trimmed_fit(here, there, tolerance_m, own)
         is_sharp = tolerance_m <= SHARP * spacing_m
         share = NEAR_SHARE * min(len(sample), n)
         if near is not None:
-            is_usual = (
-                is_sharp and not missed and self._is_usual(near, here, there, tolerance_m, own)
+            of = (here, there), tracks.expected, (near.R, near.t)
+            square, step_m = agreement(*of, tolerance_m, own)
+            is_usual = is_sharp and not missed and self._is_usual(square / CHI2_MEDIAN[d])
+            is_safe = self._is_short(
+                np.inf if missed or self.chance.idle else step_m, tracks, points
             )
-            is_safe = self.is_safe(near, tracks, points)
             if is_safe and is_usual and near.n_agreeing >= max(PLENTY, share):
                 return near, False
             alone = near.n_agreeing == len(rows) == d == 2
@@ -181,22 +184,9 @@ class TrackPlacing(PatternPlacing):
         explains = far.n_agreeing >= SHARE * tracks.possible(points)
         return far.placement, far.placement is None and far.is_ambiguous and explains
 
-    def _is_usual(
-        self,
-        placement: Placement,
-        here: Floats,
-        there: Floats,
-        tolerance_m: float,
-        metric: Floats | None,
-    ) -> bool:
-        """Return whether matches of tracks (n, d) and points (n, d) scatter as they usually do."""
-        from relmap.core.association.matching_kernels import middle_square
-
-        if self.scale.noise_m is None:
-            return False
-        R, t = placement.R, placement.t
-        variance = middle_square(here, there, R, t, tolerance_m, metric) / CHI2_MEDIAN[len(t)]
-        return bool(variance <= MISFIT * self.scale.assumed_m**2)
+    def _is_usual(self, variance: float) -> bool:
+        """Return whether a variance of matches of tracks and points is not larger than usual."""
+        return self.scale.noise_m is not None and variance <= MISFIT * self.scale.assumed_m**2
 
     def _is_familiar_pair(self, tracks: LiveTracks, rows: Ints, distance: Floats) -> bool:
         """Return whether two matches in the plane suffice: well known, just seen, hardly moved."""

@@ -5,7 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.core.association.matching_kernels import claims, nearest_within, three_nearest
+from relmap.core.association.matching_kernels import (
+    claims,
+    middle_square,
+    nearest_within,
+    three_nearest,
+)
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import smallest
 from relmap.core.linalg.small_kernels import unset
@@ -29,13 +34,6 @@ def placed_at(points: Floats, R: Floats, t: Floats) -> Floats:
 
 
 @compiled
-def carried(tracks: Columns, R: Floats, t: Floats) -> Columns:
-    """Return the tracks in the frame of the next scan, at R (d, d) and t (d,) from theirs."""
-    landmarks, expected, latest, missed, seen, restless = tracks
-    return landmarks, placed_at(expected, R, t), placed_at(latest, R, t), missed, seen, restless
-
-
-@compiled
 def middle_step(points: Floats, R: Floats, t: Floats) -> float:
     """Return the upper median of the distances by which R and t move points (n, d)."""
     moved, square = placed_at(points, R, t), np.zeros(len(points))
@@ -43,6 +41,29 @@ def middle_step(points: Floats, R: Floats, t: Floats) -> float:
         for a in range(points.shape[1]):
             square[i] += (moved[i, a] - points[i, a]) ** 2
     return float(np.sqrt(smallest(square, len(square) // 2)))
+
+
+@compiled
+def agreement(
+    matches: tuple[Floats, Floats],
+    expected: Floats,
+    pose: tuple[Floats, Floats],
+    tolerance_m: float,
+    metric: Floats | None,
+) -> tuple[float, float]:
+    """Return how closely matches agree, and how far all tracks move; see `middle_square`.
+
+    `matches`: tracks and points (k, d); `expected` (m, d): all tracks.
+    """
+    square = middle_square(matches[0], matches[1], pose[0], pose[1], tolerance_m, metric)
+    return square, middle_step(expected, pose[0], pose[1])
+
+
+@compiled
+def carried(tracks: Columns, R: Floats, t: Floats) -> Columns:
+    """Return the tracks in the frame of the next scan, at R (d, d) and t (d,) from theirs."""
+    landmarks, expected, latest, missed, seen, restless = tracks
+    return landmarks, placed_at(expected, R, t), placed_at(latest, R, t), missed, seen, restless
 
 
 @helper
@@ -84,20 +105,6 @@ def continued(
             rows[k], found[k] = row, wanted[row]
             k += 1
     return rows[:k], found[:k], n_static
-
-
-@compiled
-def links(
-    points: Floats,
-    tracks: Columns,
-    reaches: tuple[float, float, int],
-    metric: Floats | None,
-    cell_m: float,
-) -> tuple[Ints, Ints, int]:
-    """Link predicted tracks to points (n, d); see `continued` and `nearest_within`."""
-    _, expected, latest, missed, seen, restless = tracks
-    distance, target = nearest_within(points, expected, reaches[1], metric, cell_m)
-    return continued(points, (target, distance), latest, (missed, seen, restless), reaches)
 
 
 @helper
@@ -173,6 +180,33 @@ def followed(
                 places[0, k, a] = places[1, k, a] = points[p, a]
             n_landmarks, k = n_landmarks + 1, k + 1
     return landmark, landmarks, places, counts, square
+
+
+@compiled
+def tracked(
+    points: Floats,
+    tracks: Columns,
+    pose: tuple[Floats, Floats],
+    reaches: tuple[float, float, float],
+    metric: Floats | None,
+    n_landmarks: int,
+    limits: tuple[int, int, int, int],
+) -> tuple[Floats, tuple[Ints, Ints, int], tuple[Ints, Ints, Floats, Ints, float]]:
+    """Carry tracks, link them to points (n, d) and continue them; see these functions.
+
+    `reaches`: see `Constellation`; `limits`: observations of a track that is not too short to
+    classify, then those of `followed`. Returns the predicted positions (m, d), the links, and what
+    `followed` does.
+    """
+    widest, narrow, cell_m = reaches
+    young, memory, careful, longest = limits
+    placed = carried(tracks, pose[0], pose[1])
+    _, expected, latest, missed, seen, restless = placed
+    distance, target = nearest_within(points, expected, narrow, metric, cell_m)
+    counts, within = (missed, seen, restless), (widest, narrow, young)
+    pairs = continued(points, (target, distance), latest, counts, within)
+    found = followed(points, placed, pairs, n_landmarks, (memory, careful, longest))
+    return expected, pairs, found
 
 
 @compiled

@@ -9,12 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.core.association.placement import Placement
 
-MEMORY = 8
-"""Approximate number of observations averaged in the prediction of a track."""
-CAREFUL = 5
-"""Iterations without motion after which a track seen moving counts as static again."""
 SEARCH = 30
 """Maximum number of tracks used by a search that is independent of the motion, see `sampled`."""
 CROWD = 60
@@ -86,34 +81,6 @@ class LiveTracks(Tracks):
     def columns(self) -> tuple[Ints, Floats, Floats, Ints, Ints, Ints]:
         """All columns, in the order in which the compiled functions take them."""
         return self.landmarks, self.expected, self.latest, self.missed, self.seen, self.restless
-
-    def carried(self, placement: Placement) -> LiveTracks:
-        """Return the tracks predicted in the frame of the next iteration."""
-        from relmap.core.association.tracking_kernels import carried
-
-        return LiveTracks(*carried(self.columns, placement.R, placement.t))
-
-    def followed(
-        self,
-        points: Floats,
-        links: tuple[Ints, Ints, int],
-        n_landmarks: int,
-        longest: int,
-    ) -> tuple[Ints, LiveTracks, float]:
-        """Return the tracks that predicted ones become with the points (n, d) of a scan.
-
-        `links`: tracks (k,) and the points that continue them, and how many of these are static,
-        which come first. Tracks missed for more than the `longest` time end; other points begin
-        tracks, of landmarks numbered from `n_landmarks`. Returns the landmark of each point (n,),
-        the tracks, and the upper median of the squared misfits of static ones.
-        """
-        from relmap.core.association.tracking_kernels import followed
-
-        limits = MEMORY, CAREFUL, longest
-        found, landmarks, places, counts, square = followed(
-            points, self.columns, links, n_landmarks, limits
-        )
-        return found, LiveTracks(landmarks, *places, *counts), square
 
     def possible(self, points: Floats) -> int:
         """Return the number of matches with points (n, d) that a search may find."""
