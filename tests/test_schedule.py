@@ -24,9 +24,7 @@ def see(
 ) -> list[int]:
     seen = np.array(landmarks, dtype=np.int64)
     table.resize(max(landmarks, default=-1) + 1, iteration, 2)
-    left = schedule.see(seen, iteration)
-    schedule.note_due(seen)
-    return sorted(left.tolist())
+    return sorted(schedule.see(seen, iteration).tolist())
 
 
 @pytest.mark.parametrize("passes", [(3, 6), (2, 9)])

@@ -89,7 +89,7 @@ class RelativeMapper:
         landmarks = self._store(seen, found, iteration)
         keep_observations(self, found, seen, covariances)
         # Group landmarks that are due, merge and forget (section III).
-        take_turns(self, landmarks, self.schedule.see(landmarks, iteration))
+        take_turns(self, self.schedule.see(landmarks, iteration))
         return found
 
     def _store(self, seen: Any, found: Ints, iteration: int) -> Ints:

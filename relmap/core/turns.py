@@ -17,18 +17,17 @@ if TYPE_CHECKING:
     from relmap.core.mapper import RelativeMapper
 
 
-def take_turns(engine: RelativeMapper, seen: Ints, left: Ints) -> None:
+def take_turns(engine: RelativeMapper, left: Ints) -> None:
     """Group, group for the last time, forget, or refine the live map.
 
-    `seen`, `left` (k,): landmarks seen in this iteration, and those that left the view in it.
+    `left` (k,): landmarks that left the view in this iteration.
     """
-    engine.schedule.note_due(seen)
     engine.merger.leave(left)
     engine.merger.go_on()
     steps = (_group_next, _last_pass_next, _forget, _refine_next)
-    turn = engine.store.n_iterations
-    for k in range(len(steps)):
-        if steps[(turn + k) % len(steps)](engine):
+    first = engine.store.n_iterations % len(steps)
+    for step in steps[first:] + steps[:first]:
+        if step(engine):
             break
 
 

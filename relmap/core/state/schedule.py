@@ -30,7 +30,6 @@ class GroupingSchedule:
     STATE = "_in_view _due _gone"
 
     def __init__(self, table: LandmarkState, config: MapperConfig) -> None:
-        self.group_after = config.group_after
         self._table = table
         self._max_missed = config.max_missed
         self._wait = config.max_missed + WAIT * config.group_after
@@ -39,6 +38,7 @@ class GroupingSchedule:
         self._in_view = np.empty(0, dtype=np.int64)
         self._due = np.empty(0, dtype=np.int64)
         self._gone = np.empty(0, dtype=np.int64)
+        self._first: int | None = None  # see `needed_from`; None after a change
 
     @property
     def in_view(self) -> Ints:
@@ -53,31 +53,28 @@ class GroupingSchedule:
 
     def needed_from(self, end: int) -> int:
         """Return the first iteration that a group may still need; `end` is the next iteration."""
-        begins = self._table.begin[np.concatenate([self._in_view, self.gone])]
-        return max(int(begins.min(initial=end)), end - LONGEST_INTERVAL)
+        if self._first is None:
+            begins = self._table.begin[np.concatenate([self._in_view, self.gone])]
+            self._first = int(begins.min(initial=end))
+        return max(self._first, end - LONGEST_INTERVAL)
 
     def see(self, landmarks: Ints, iteration: int) -> Ints:
-        """Record which landmarks are seen in this iteration; return those that left in it."""
+        """Record which landmarks are seen in this iteration; return those that left in it.
+
+        Those that have become due are queued. A landmark whose group fails is due again after as
+        many more observations.
+        """
         from relmap.core.state.seeing_kernels import see
 
-        of = self._table
-        columns = of.last, of.observations, of.in_interval, of.is_gone, of.begin
-        in_view, left, arrived = see(columns, landmarks, self._in_view, iteration, self._max_missed)
-        if len(left) or len(arrived):
-            self._in_view = in_view
-            self._gone = np.concatenate([self.gone, left])
-            of.is_gone[left] = True
-        return left
-
-    def note_due(self, landmarks: Ints) -> None:
-        """Queue the landmarks seen in this iteration that have become due.
-
-        A landmark whose group fails is due again after as many more observations.
-        """
-        ready, _ = self._due_among(landmarks, self.group_after)
+        of, waiting = self._table, (self._in_view, self._gone)
+        columns = of.last, of.observations, of.in_interval, of.is_gone, of.begin, of.level
+        self._in_view, self._gone, left, ready, self._first = see(
+            columns, landmarks, waiting, iteration, self._max_missed, self._thresholds
+        )
         if len(ready):
             fresh = ready[~np.isin(ready, self._due)] if len(self._due) else ready
             self._due = np.append(self._due, fresh)
+        return left
 
     def next_due(self) -> tuple[int, int] | None:
         """Remove a landmark that is still due from the queue; return it with its level.
@@ -86,7 +83,10 @@ class GroupingSchedule:
         """
         if not len(self._due):
             return None
-        self._due, level = self._due_among(self._due)
+        from relmap.core.state.seeing_kernels import due
+
+        of = self._table
+        self._due, level = due(of.in_interval, of.level, self._due, self._thresholds, 1)
         if not len(self._due):
             return None
         counts, begin = self._table.in_interval[self._due], self._table.begin[self._due]
@@ -94,16 +94,6 @@ class GroupingSchedule:
         seed = int(self._due[first])
         self._due = np.delete(self._due, first)
         return seed, int(level[first])
-
-    def _due_among(self, landmarks: Ints, every: int = 1) -> tuple[Ints, Ints]:
-        """Return which of landmarks (k,) in view are due, and the level that they should have.
-
-        Only those with a multiple of `every` observations.
-        """
-        from relmap.core.state.seeing_kernels import due
-
-        of = self._table
-        return due(of.in_interval, of.level, landmarks, self._thresholds, every)
 
     def waited(self, iteration: int) -> Ints:
         """Return the landmarks due at level 3 because they left the view long ago; (k,)."""
@@ -117,6 +107,7 @@ class GroupingSchedule:
         stayed = self._in_view[~self._table.is_gone[self._in_view]]
         self._gone = np.concatenate([self.gone, stayed])
         self._table.is_gone[self._in_view] = True
+        self._first = None
 
     def reached(self, landmarks: Ints, n_averaged: Ints, level: int) -> Ints:
         """Return the level (n,) that a group of some level gives to its landmarks.
@@ -132,6 +123,7 @@ class GroupingSchedule:
     def merge(self, new: Ints, old: Ints) -> None:
         """Let older landmarks (k,) wait in place of the new ones (k,) merged into them."""
         self._in_view = self._in_view[~np.isin(self._in_view, old)]
+        self._first = None
         order = np.argsort(new)
         new, old = new[order], old[order]
         for waiting in (self._in_view, self._due, self._gone):
@@ -153,3 +145,4 @@ class GroupingSchedule:
         self._table.is_gone[landmarks] = False
         self._table.begin[landmarks] = iteration
         self._table.in_interval[landmarks] = 0
+        self._first = None

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.arrays import Bools, Ints
-from relmap.core.linalg.compiling import compiled
+from relmap.core.linalg.compiling import compiled, helper
 
-Columns = tuple[Ints, Ints, Ints, Bools, Ints]
-"""Of the landmark table: last, observations, in_interval, is_gone, begin."""
+Columns = tuple[Ints, Ints, Ints, Bools, Ints, Ints]
+"""Of the landmark table: last, observations, in_interval, is_gone, begin, level."""
 
 
 @compiled
@@ -24,38 +24,6 @@ def enter(columns: tuple[Ints, Ints, Ints], tracks: Ints, iteration: int) -> Int
         track_end[tracks[k]] = iteration
         landmarks[k] = landmark_of[tracks[k]]
     return landmarks
-
-
-@compiled
-def see(
-    columns: Columns, landmarks: Ints, in_view: Ints, iteration: int, max_missed: int
-) -> tuple[Ints, Ints, Ints]:
-    """Record that landmarks (k,) are seen; return those in view, those that left, and arrived.
-
-    `in_view` (n,): those in view before; each leaves when it is missed more often than allowed.
-    """
-    last, observations, in_interval, is_gone, begin = columns
-    n, n_left, n_arrived = len(in_view), 0, 0
-    arrived, left = np.empty(len(landmarks), dtype=np.int64), np.empty(n, dtype=np.int64)
-    for one in landmarks:
-        if iteration - last[one] > max_missed + 1:
-            arrived[n_arrived], n_arrived = one, n_arrived + 1
-            if not is_gone[one]:
-                begin[one], in_interval[one] = iteration, 0
-            is_gone[one] = False
-        if last[one] != iteration:
-            observations[one] += 1
-            in_interval[one] += 1
-        last[one] = iteration
-    now, n_now = np.empty(n + n_arrived, dtype=np.int64), 0
-    for one in in_view:
-        if iteration - last[one] <= max_missed:
-            now[n_now], n_now = one, n_now + 1
-        else:
-            left[n_left], n_left = one, n_left + 1
-    for k in range(n_arrived):
-        now[n_now + k] = arrived[k]
-    return now[: n_now + n_arrived], left[:n_left], arrived[:n_arrived]
 
 
 @compiled
@@ -76,3 +44,59 @@ def due(
             if reached > level[one]:
                 found[n], levels[n], n = one, reached, n + 1
     return found[:n], levels[:n]
+
+
+@helper
+def _earliest(begin: Ints, landmarks: Ints, end: int) -> int:
+    """Return the first iteration of the intervals of landmarks (k,); `end` if there are none."""
+    for one in landmarks:
+        end = min(end, begin[one])
+    return end
+
+
+@compiled
+def see(
+    columns: Columns,
+    landmarks: Ints,
+    waiting: tuple[Ints, Ints],
+    iteration: int,
+    max_missed: int,
+    thresholds: Ints,
+) -> tuple[Ints, Ints, Ints, Ints, int]:
+    """Record that landmarks (k,) are seen.
+
+    `waiting`: those in view before (n,), each of which leaves when it is missed more often than
+    allowed, and those that left (g,). Returns both as they are now, those that left now, those that
+    have become due, and the first iteration of the intervals of all that are in view or have left.
+    """
+    last, observations, in_interval, is_gone, begin, level = columns
+    in_view, before = waiting
+    n, n_left, n_arrived = len(in_view), 0, 0
+    arrived, left = np.empty(len(landmarks), dtype=np.int64), np.empty(n, dtype=np.int64)
+    for one in landmarks:
+        if iteration - last[one] > max_missed + 1:
+            arrived[n_arrived], n_arrived = one, n_arrived + 1
+            if not is_gone[one]:
+                begin[one], in_interval[one] = iteration, 0
+            is_gone[one] = False
+        if last[one] != iteration:
+            observations[one] += 1
+            in_interval[one] += 1
+        last[one] = iteration
+    now, n_now = np.empty(n + n_arrived, dtype=np.int64), 0
+    gone, n_gone = np.empty(len(before) + n, dtype=np.int64), 0
+    for one in before:
+        if is_gone[one]:
+            gone[n_gone], n_gone = one, n_gone + 1
+    for one in in_view:
+        if iteration - last[one] <= max_missed:
+            now[n_now], n_now = one, n_now + 1
+        else:
+            left[n_left], gone[n_gone], is_gone[one] = one, one, True
+            n_left, n_gone = n_left + 1, n_gone + 1
+    for k in range(n_arrived):
+        now[n_now + k] = arrived[k]
+    now, gone = now[: n_now + n_arrived], gone[:n_gone]
+    first = _earliest(begin, gone, _earliest(begin, now, iteration + 1))
+    ready, _ = due(in_interval, level, landmarks, thresholds, thresholds[0])
+    return now, gone, left[:n_left], ready, first
