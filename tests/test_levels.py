@@ -28,11 +28,9 @@ offers = st.lists(
 )
 
 
-def empty_group(number: int) -> MappedGroup:
-    """Return a group that is known by its only iteration."""
-    nothing = np.empty(0)
-    none = np.empty(0, dtype=np.int64)
-    return MappedGroup(none, nothing, none, np.array([number]))
+def empty_group(number: int, landmarks: Ints) -> MappedGroup:
+    """Return a group of landmarks that is known by its only iteration."""
+    return MappedGroup(landmarks, np.empty(0), np.empty(0, dtype=np.int64), np.array([number]))
 
 
 def begun(n: int) -> tuple[LandmarkState, GroupLevels]:
@@ -48,9 +46,8 @@ def numbers(levels: GroupLevels) -> list[int]:
 def offered(levels: GroupLevels, number: int, rows: list[tuple[int, int, int]]) -> Bools:
     """Let a group offer positions, as the engine does; return which were accepted."""
     landmarks, reached, n_averaged = np.array(rows, dtype=np.int64).reshape(-1, 3).T
-    best = levels.better(landmarks, reached, n_averaged)
-    levels.take(empty_group(number), landmarks[best], reached[best], n_averaged[best])
-    return best
+    placed = np.zeros((len(rows), 2))
+    return levels.take(empty_group(number, landmarks), 0, placed, reached, n_averaged)
 
 
 @settings(max_examples=100)

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 
-import numpy as np
-
-from relmap.core.arrays import Bools, Ints
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.landmarks import MappedGroup
 from relmap.core.state.table import NONE, LandmarkState
 
@@ -33,27 +31,34 @@ class GroupLevels:
         """The groups that provide some landmark's position, in order of creation."""
         return list(self._groups.values())
 
-    def better(self, landmarks: Ints, reached: Ints, n_averaged: Ints) -> Bools:
-        """Return whose best position a group provides, given the levels (n,) that it reaches."""
-        before = self._table.level[landmarks]
-        more = n_averaged > self._table.averaged[landmarks]
-        return np.asarray(more & (reached >= before) | (reached > before) & (n_averaged > 0))
+    def take(
+        self, group: MappedGroup, submap: int, placed: Floats, reached: Ints, n_averaged: Ints
+    ) -> Bools:
+        """Take the positions of those landmarks of a group (n,) for which it is the best.
 
-    def take(self, group: MappedGroup, members: Ints, reached: Ints, n_averaged: Ints) -> None:
-        """Take the positions of members (k,) from a group; drop groups no longer needed."""
-        self._release(members)
-        if len(members):
+        They are averaged with the settled ones, and groups that are no longer needed are dropped.
+
+        `placed` (n, d), frame of the submap, metres; `reached`, `n_averaged` (n,): the level that
+        the group gives to each, and the number of observations averaged. Returns which (n,).
+        """
+        from relmap.core.grouping.level_kernels import take
+
+        of, offered = self._table, (reached, n_averaged)
+        columns = of.submap, of.group, of.level, of.highest_level, of.averaged
+        places = of.position, of.weight, of.settled_position, of.settled_weight
+        best, before = take(
+            columns, places, submap, group.landmarks, placed, offered, self.n_groups
+        )
+        self._release(before)
+        if len(before):
             self._groups[self.n_groups] = group
-            self._users[self.n_groups] = len(members)
-        self._table.group[members] = self.n_groups
+            self._users[self.n_groups] = len(before)
         self.n_groups += 1
-        self._table.level[members] = reached
-        self._table.highest_level[members] = np.maximum(self._table.highest_level[members], reached)
-        self._table.averaged[members] = n_averaged
+        return best
 
     def leave(self, landmarks: Ints) -> None:
         """Remove landmarks that turned out to move from their groups."""
-        self._release(landmarks)
+        self._release(self._table.group[landmarks])
         self._table.highest_level[landmarks] = 0
         self.close(landmarks)
 
@@ -63,8 +68,8 @@ class GroupLevels:
         self._table.level[landmarks] = 0
         self._table.averaged[landmarks] = 0
 
-    def _release(self, landmarks: Ints) -> None:
-        for group, n in Counter(self._table.group[landmarks].tolist()).items():
+    def _release(self, groups: Ints) -> None:
+        for group, n in Counter(groups.tolist()).items():
             if group != NONE:
                 self._users[group] -= n
                 if self._users[group] == 0:

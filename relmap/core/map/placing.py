@@ -25,22 +25,19 @@ def place(
     """
     table, landmarks = engine.table, relative.landmarks
     engine.map.join(submap, landmarks, placed)
-    # For a landmark whose interval began within the chart, the earlier positions are settled.
-    begin = table.begin[landmarks][:, None]
-    n_averaged = np.sum(relative.used & (relative.iterations >= begin), axis=1)
-    reached = engine.schedule.reached(landmarks, n_averaged, level)
-    best = engine.levels.better(landmarks, reached, n_averaged)
-    members, reached, n_averaged = landmarks[best], reached[best], n_averaged[best]
-    engine.map.place(submap, members, placed[best], n_averaged.astype(np.float64))
     group = MappedGroup(
         landmarks=landmarks,
         relative_map=relative.positions,
         n_observations=relative.n_used,
         iterations=relative.common_interval,
     )
-    engine.levels.take(group, members, reached, n_averaged)
-    if (reached == 3).any():
-        _close(engine, members[reached == 3])
+    # For a landmark whose interval began within the chart, the earlier positions are settled.
+    begin = table.begin[landmarks][:, None]
+    n_averaged = np.sum(relative.used & (relative.iterations >= begin), axis=1)
+    reached = engine.schedule.reached(landmarks, n_averaged, level)
+    best = engine.levels.take(group, submap, placed, reached, n_averaged)
+    if level == 3:
+        _close(engine, landmarks[best & (reached == 3)])
     return landmarks[table.weight[landmarks] > 0]
 
 
