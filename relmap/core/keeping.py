@@ -31,16 +31,21 @@ def keep_observations(
 
     `found` (n,): their landmarks; the others as given to `RelativeMapper.update`.
     """
-    named, moves = found >= 0, len(engine.motions) > 0
-    if engine.model.keeps_observations or not named.any():
+    if engine.model.keeps_observations:
         return
+    moves = len(engine.motions) > 0
     rays = engine.association.current.estimated if covariances is None else None
-    if rays is not None and rays.weighs:
-        covariances = rays.covariances(seen)
     waits = rays is not None and rays.weighs is None
-    if moves or waits or covariances is not None:
-        noise = None if covariances is None else covariances[named]
-        engine.kept.append(found[named], seen[named], engine.store.n_iterations - 1, noise)
+    weighs = rays is not None and rays.weighs
+    if not (moves or waits or weighs or covariances is not None):
+        return
+    named = found >= 0
+    if not named.any():
+        return
+    if rays is not None and weighs:
+        covariances = rays.covariances(seen)
+    noise = None if covariances is None else covariances[named]
+    engine.kept.append(found[named], seen[named], engine.store.n_iterations - 1, noise)
     if rays is not None and waits:
         rays.decide(len(engine.kept), engine.averaging.noise.sigma_m)
         weigh_by_estimate(engine)

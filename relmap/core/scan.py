@@ -29,7 +29,7 @@ def checked_points(points: ArrayLike, dimension: int) -> Floats:
     `dimension`: width of earlier scans; 0 if there were none. Raises `RelmapError` if the shape is
     wrong, differs from earlier scans, or a value is not finite.
     """
-    array = numbers(points, "points", "an (n, 2) or (n, 3) array of numbers")
+    array = _floats(points, "points", "an (n, 2) or (n, 3) array of numbers")
     if array.size == 0 and array.ndim in (1, 2):
         return np.empty((0, dimension or 3))
     if array.ndim != 2 or array.shape[1] not in (2, 3):
@@ -39,7 +39,10 @@ def checked_points(points: ArrayLike, dimension: int) -> Floats:
             f"points has {array.shape[1]} columns; earlier scans had {dimension}, "
             "and all scans of a map must agree"
         )
-    if not np.abs(array).max() <= FARTHEST_M:
+    size = np.abs(array)
+    if size.min() < TINY:  # those that are -0 too: a journal stores only one zero
+        array[size < TINY] = 0.0
+    if not size.max() <= FARTHEST_M:
         row = int(np.argmin((np.abs(array) <= FARTHEST_M).all(axis=1)))
         raise RelmapError(
             f"points row {row} is {array[row].tolist()}; it must be finite, in metres, and at most "
@@ -54,23 +57,26 @@ def numbers(values: ArrayLike, name: str, wanted: str, least: float = TINY) -> F
     `values`: array of numbers; `name`, `wanted`: name of the argument and the expected value, for
     error messages. Raises `RelmapError` if they are not an array of real numbers, or masked.
     """
+    array = _floats(values, name, wanted)
+    array[np.abs(array) < least] = 0.0
+    return array + 0.0  # -0 becomes 0: a journal stores only one zero
+
+
+def _floats(values: ArrayLike, name: str, wanted: str) -> Floats:
+    """Return values as a new, contiguous float64 array; see `numbers`."""
     refuse_masked(values, name)
     try:
         array = np.asarray(values)
         if array.dtype.kind not in "biufO":
             raise TypeError(f"its type is {array.dtype}")
-        array = np.array(array, dtype=np.float64, order="C")
-        tiny = np.abs(array) < least
-        if tiny.any():
-            array[tiny] = 0.0
-        return array + 0.0  # -0 becomes 0: a journal stores only one zero
+        return np.array(array, dtype=np.float64, order="C")
     except (TypeError, ValueError, OverflowError) as error:
         raise RelmapError(f"{name} must be {wanted}: {error}") from error
 
 
 def refuse_masked(values: ArrayLike, name: str) -> None:
     """Raise an error if values of an array are masked: a mask would be lost."""
-    if np.ma.is_masked(values):
+    if type(values) is not np.ndarray and np.ma.is_masked(values):
         raise RelmapError(
             f"{name} has masked values; give only those that are valid, as an array without a mask"
         )
@@ -96,12 +102,11 @@ def checked_ids(ids: ArrayLike, n_points: int) -> Ints:
     if array.dtype.kind == "u" and array.max() > np.iinfo(np.int64).max:
         raise RelmapError(f"ids holds {array.max()}; the largest id is {np.iinfo(np.int64).max}")
     array = array.astype(np.int64)
-    ordered = np.sort(array)
-    twice = (ordered[1:] == ordered[:-1]) & (ordered[1:] >= 0)
-    if twice.any():
-        raise RelmapError(
-            f"ids holds {ordered[1:][twice][0]} twice; a landmark is seen once in a scan"
-        )
+    if len(set(array.tolist())) < n_points:
+        ordered = np.sort(array)
+        twice = ordered[1:][(ordered[1:] == ordered[:-1]) & (ordered[1:] >= 0)]
+        if len(twice):
+            raise RelmapError(f"ids holds {twice[0]} twice; a landmark is seen once in a scan")
     return array
 
 

@@ -143,8 +143,8 @@ class PointMapper(Mapper):
     def _has_covariances(self) -> bool | None:
         """Whether covariances are given with observations; None before the first one."""
         engine = self._engine
-        are_estimated = engine.association.current.estimates_covariances
-        given = len(engine.kept.covariance) > 0 and not are_estimated
+        given = len(engine.kept.covariance) > 0
+        given = given and not engine.association.current.estimates_covariances
         return given if len(engine.table) else None
 
     @property

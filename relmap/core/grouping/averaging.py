@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
@@ -59,8 +57,9 @@ class Averaging:
         relative = self._completed(chart, group, average)
         at_rest = self._motion.test(relative, self._tolerated_m)
         self._bin_movers(chart)
-        interval = chart.iterations[group.columns]
-        return replace(relative.only(at_rest), common_interval=interval)
+        resting = relative.only(at_rest)
+        resting.common_interval = chart.iterations[group.columns]
+        return resting
 
     def _completed(self, chart: PointChart, group: Group, average: Floats) -> RelativeMap:
         """Complete a relative map by the whole chart, from the group outwards.
@@ -75,8 +74,7 @@ class Averaging:
         for _ in range(ROUNDS):
             relative = complete(landmarks, chart.iterations, block, reference)
             if chart.variance is not None:
-                given = chart.variance[_rows_of(relative, landmarks)]
-                relative = replace(relative, given=given)
+                relative.given = chart.variance[_rows_of(relative, landmarks)]
             solid = (relative.n_used >= FEWEST) & rests(relative, self._tolerated_m)
             solid &= ~self._table.dynamic[relative.landmarks]
             solid &= relative.amplified <= SOLID * relative.n_used
@@ -98,8 +96,8 @@ class Averaging:
             else Bins([], 0)
         )
         self.n_comparisons += bins.n_comparisons
-        known = weights[bins.static].sum() / max(weights.sum(), 1.0)
-        if len(bins.static) < FEW * len(block) and known < FEW:
+        few = len(bins.static) < FEW * len(block)
+        if few and weights[bins.static].sum() < FEW * max(weights.sum(), 1.0):
             guess_m = self._noise_spread * np.fmax(guess_noise(block), self.noise.least_m)
             if not guess_m <= noise_m:
                 guessed = binned(block, guess_m, weights, counts=chart.counted)

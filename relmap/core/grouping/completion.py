@@ -14,7 +14,7 @@ import numpy as np
 from relmap.core.arrays import Bools, Floats, Ints
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class RelativeMap:
     """Average locations of landmarks relative to one another.
 

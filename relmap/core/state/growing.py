@@ -51,6 +51,11 @@ class GrowingArray(Generic[Scalar]):
         return self._end - self._begin
 
     @property
+    def width(self) -> tuple[int, ...]:
+        """Shape of one row."""
+        return self._rows.shape[1:]
+
+    @property
     def values(self) -> NDArray[Scalar]:
         """The rows (n, *width), a view that is valid until the next `extend`."""
         return self._rows[self._begin : self._end]

@@ -195,7 +195,7 @@ class LandmarkState(Columns):
         self._rooms[name][: self._filled] = before[: self._filled]
 
     def _show(self, n: int) -> None:
-        self.__dict__.update((name, room[:n]) for name, room in self._rooms.items())
+        self.__dict__.update({name: room[:n] for name, room in self._rooms.items()})
 
 
 def _average(positions: Floats, weights: Floats, new: Ints, old: Ints) -> None:

@@ -72,7 +72,7 @@ class Merger:
 
     def leave(self, landmarks: Ints) -> None:
         """Record that landmarks have left the view: from now on they may be re-observed."""
-        if not len(landmarks):
+        if self._index is None or not len(landmarks):
             return
         landmarks = landmarks[self._model.is_compared(landmarks)]
         for landmark in landmarks.tolist():
