@@ -174,7 +174,7 @@ class Rigidity:
         if places is None or len(ids) < PLENTY:
             self._extent_m = extent_of(points)
             return _Scan(ids[order], points[order]), None
-        # The tolerance: at least so many metres, and such a share of the extent of the scan.
+        # The least tolerance, metres, and relative to the extent of the scan.
         least_m, share = 0.0, 2 * (FIRST / UNLIKE)
         if self._usual_m is not None:
             least_m, share = 2 * self._usual_m, CLEAR / UNLIKE
