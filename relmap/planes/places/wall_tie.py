@@ -167,7 +167,7 @@ def _turns(points: WallPoints, among: WallPoints) -> Floats:
     return R[_apart(R[:, :, 0], APART_RAD, TURNS)]
 
 
-def _ordered(score: Floats, highest: Floats) -> Ints:
+def _ordered(score: Floats | Ints, highest: Floats | Ints) -> Ints:
     """Return the flat indices of scores that are the highest around them, best first."""
     peaks = np.flatnonzero((score == highest) & (score > 0))
     return peaks[np.argsort(-score.ravel()[peaks], kind="stable")]
