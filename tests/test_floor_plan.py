@@ -242,7 +242,7 @@ def test_beams_are_stored_scan_by_scan() -> None:
     assert scan.tolist() == [2, 2]
     assert origin.tolist() == [[11.0, 20.0]] * 2
     assert end.tolist() == [[13.0, 24.0], [13.0, 16.0]]
-    many = GivenBeams.checked(np.zeros((50_000, 3)), np.zeros(2))
+    many = GivenBeams.checked(np.ones((50_000, 3)), np.zeros(2))
     assert 1000 < len(many.points) <= 2000
     again = GivenBeams.from_bytes(many.to_bytes())
     np.testing.assert_array_equal(again.points, many.points)

@@ -133,8 +133,8 @@ def _rebuild(engine: RelativeMapper) -> None:
     mapped[shared] = False
     is_whole = np.sum(table.submap != NONE) >= WHOLE * np.sum(mapped)
     after = sum(one.n_contradicting for one in engine.refined)
-    is_better = not _is_off(engine, rows.noise_m) if was_off else after <= CLEARLY * before
-    if not (is_whole and is_better):
+    is_better = is_doubtful and after <= CLEARLY * before
+    if not (is_whole and (is_better or (was_off and not _is_off(engine, rows.noise_m)))):
         for name, values in kept.items():
             getattr(table, name)[:] = values
         engine.refined = refined

@@ -174,7 +174,7 @@ def _ordered(score: Floats | Ints, highest: Floats | Ints) -> Ints:
 
 
 def _apart(at: Floats, least: float, most: int) -> list[int]:
-    """Return the rows of at most so many points (n, 2), the first first, this far from each other.
+    """Return the rows of at most `most` points (n, 2), the first first, `least` from each other.
 
     Scores count points, so that several neighbours are often equally high.
     """
