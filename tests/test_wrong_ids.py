@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from relmap import PointMapper
 from relmap.cli.program import app
-from relmap.core import repairing
+from relmap.core import rebuilding
 from relmap.core.arrays import Floats
 from relmap.core.geometry.alignment import fit_rigid
 from relmap.core.refinement import gauss_newton
@@ -166,7 +166,7 @@ def test_a_map_that_is_contradicted_no_less_is_restored(monkeypatch: pytest.Monk
     maps = []
     for name, value in (("CLEARLY", -1.0), ("MISREAD", np.inf)):
         with monkeypatch.context() as changed:
-            changed.setattr(repairing, name, value)
+            changed.setattr(rebuilding, name, value)
             mapper = mapped(scans)
             mapper.refine()
             maps.append(mapper.map)

@@ -20,43 +20,24 @@ from relmap.core.association.reobservation.undoing import (
     places_of,
 )
 from relmap.core.association.scale import spacing_of
-from relmap.core.gaps import bridge_gaps, is_bridged
-from relmap.core.geometry.robust import EXACT
-from relmap.core.keeping import weigh_by_estimate
+from relmap.core.gaps import is_bridged
 from relmap.core.mapper import RelativeMapper
-from relmap.core.refinement.chain.weighed import refine_weighed
+from relmap.core.rebuilding import rebuild
 from relmap.core.refinement.condensing import SegmentRows
-from relmap.core.refinement.confirming import found_rest, seen_in, without_namesakes
 from relmap.core.refinement.extending import extend_submaps
-from relmap.core.refinement.joint import CONFIRMED, MISREAD, Refined
-from relmap.core.refinement.joint import refine as refine_jointly
 from relmap.core.refinement.misread import take_off_misread
-from relmap.core.refinement.observations import observations_of
-from relmap.core.refinement.powers import refine_by_powers
+from relmap.core.refining import refine_map
 from relmap.core.revisiting import gather, merge_in_place
-from relmap.core.state.store import ObservationStore
 from relmap.core.state.table import NONE
 
 logger = logging.getLogger(__name__)
 
 ROUNDS = 8
 """Maximum number of rounds of repairing and refining the map again."""
-CLEARLY, WHOLE = 0.8, 0.95
-"""Largest ratio of the contradictions of a rebuilt map to those before for it to be kept, and least
-ratio of the numbers of mapped landmarks, without those that share an id: an empty map contradicts
-nothing."""
-OFF = 10.0
-"""Noise of a refined map, relative to that within segments, above which it is wrong: least squares
-has put what ids mix up in the middle, and few observations stand out."""
 HANGING, LOOSE = 1.0, 0.5
 """Standard deviation of a landmark, relative to the size of the submap, above which a hinge
 connects a part of it; and relative to the spacing of landmarks, above which they are of this part.
 """
-PLACES = (
-    *("position", "weight", "settled_position", "settled_weight"),
-    *("submap", "dynamic", "highest_level"),
-)
-"""Columns of the landmarks that rebuilding changes."""
 
 
 def refine(engine: RelativeMapper) -> None:
@@ -69,7 +50,7 @@ def refine(engine: RelativeMapper) -> None:
     engine.refined, association = [], engine.association
     # Of other registrations, many tracks mix several landmarks.
     may_repair = isinstance(association.registration, Constellation)
-    _refine(engine, to_the_last=not may_repair)
+    refine_map(engine, to_the_last=not may_repair)
     more = False
     if may_repair:
         _repair(engine)
@@ -78,11 +59,11 @@ def refine(engine: RelativeMapper) -> None:
     elif not association.has_ids:
         more = merge_doubles(engine)
     if more:
-        _refine(engine)
+        refine_map(engine)
     if association.is_known:
-        _rebuild(engine)
+        rebuild(engine)
     while not is_bridged(engine) and _cut_loose(engine):
-        _refine(engine)
+        refine_map(engine)
     for refined in engine.refined:
         if not refined.converged:
             logger.warning(
@@ -104,51 +85,6 @@ def _extend_by_ids(engine: RelativeMapper) -> bool:
     return grew or len(misread) > 0
 
 
-def _rebuild(engine: RelativeMapper) -> None:
-    """Rebuild a map that confirmed observations contradict, or that is off; keep it if better.
-
-    Observations whose id was seen elsewhere, among other landmarks, place nothing.
-    """
-    table, before = engine.table, sum(one.n_contradicting for one in engine.refined)
-    n_wrong = len(engine.association.overruled) + sum(one.n_outliers for one in engine.refined)
-    is_doubtful = before and n_wrong >= MISREAD * table.observations.sum()
-    rows = engine.rows
-    was_off = _is_off(engine, rows.noise_m)
-    if is_bridged(engine) or not (is_doubtful or was_off):
-        return
-    kept, refined = {name: getattr(table, name).copy() for name in PLACES}, engine.refined
-    mapped = table.submap != NONE
-    own, shared = without_namesakes(rows, CONFIRMED)
-    sure = seen_in(own, CONFIRMED)
-    table.take_off_map(np.flatnonzero(mapped))
-    found_rest(engine.map, sure)
-    engine.refined = _refine_submaps(engine, sure, None)
-    if extend_submaps(engine.map, sure):
-        engine.refined = _refine_submaps(engine, sure, None)
-    # Single observations place nothing: a few wrong ones would again join what is apart.
-    extend_submaps(engine.map, seen_in(own, CONFIRMED - 1), table.submap == NONE)
-    _refine(engine)
-    take_off_misread(engine.map, rows, few=np.inf)
-    _refine(engine)
-    mapped[shared] = False
-    is_whole = np.sum(table.submap != NONE) >= WHOLE * np.sum(mapped)
-    after = sum(one.n_contradicting for one in engine.refined)
-    is_better = is_doubtful and after <= CLEARLY * before
-    if not (is_whole and (is_better or (was_off and not _is_off(engine, rows.noise_m)))):
-        for name, values in kept.items():
-            getattr(table, name)[:] = values
-        engine.refined = refined
-
-
-def _is_off(engine: RelativeMapper, noise_m: float) -> bool:
-    """Return whether the largest submap fits far worse than `noise_m`, metres, explains."""
-    largest = max(engine.refined, key=lambda one: len(one.landmarks), default=None)
-    if largest is None:
-        return False
-    least_m = EXACT * np.ptp(largest.positions, axis=0).max()
-    return bool(largest.noise_m > max(OFF * noise_m, least_m))
-
-
 def _repair(engine: RelativeMapper) -> None:
     """Repair a refined map and refine it again, as long as this changes enough."""
     grouped = engine.table.weight > 0
@@ -159,12 +95,12 @@ def _repair(engine: RelativeMapper) -> None:
             break
     undone = _undo(engine)
     if is_bridged(engine):
-        _refine(engine, to_the_last=False)
+        refine_map(engine, to_the_last=False)
         merge_in_place(engine, at_last=True)
-        _refine(engine)
+        refine_map(engine)
         gather(engine)
     elif undone:  # Coinciding without the others that were merged with them, they may be one.
-        _refine(engine, to_the_last=False)
+        refine_map(engine, to_the_last=False)
         found = _merge_compatible(engine, at_last=True)
         undone = _merge_coinciding(engine) or found or engine.config.keep_observations
     rare = rarely_seen(engine) & ~grouped
@@ -172,9 +108,9 @@ def _repair(engine: RelativeMapper) -> None:
         rare |= _wrong(engine)
     engine.table.take_off_map(np.flatnonzero(rare))
     if undone or rare.any() or engine.config.keep_observations or is_bridged(engine):
-        _refine(engine)
+        refine_map(engine)
     if not is_bridged(engine) and _merge_compatible(engine, at_last=True):
-        _refine(engine)
+        refine_map(engine)
 
 
 def _wrong(engine: RelativeMapper) -> Bools:
@@ -198,14 +134,14 @@ def _wrong(engine: RelativeMapper) -> Bools:
 def _look_over(engine: RelativeMapper) -> bool:
     """Undo merges that a refined map contradicts and find new ones; return whether any are new."""
     if _undo(engine):  # Otherwise wrong merges look right on the map that they have distorted.
-        _refine(engine, to_the_last=False)
+        refine_map(engine, to_the_last=False)
     before = extent(engine)
     _merge_compatible(engine)
     tie(engine)
     joined = find_again(engine)
     found = joined or extent(engine) != before
     if found:
-        _refine(engine, to_the_last=False)
+        refine_map(engine, to_the_last=False)
     return found
 
 
@@ -299,41 +235,3 @@ def _part(engine: RelativeMapper, rows: SegmentRows, tracks: Ints) -> None:
         if weight > 0:
             at, of = np.array([track]), np.array([weight])
             engine.map.place(submap, at, place[None], of)
-
-
-def _refine(engine: RelativeMapper, to_the_last: bool = True) -> None:
-    """Refine the map, exploiting bounded noise if requested."""
-    if bridge_gaps(engine, to_the_last):
-        return
-    kept = engine.store if to_the_last and engine.config.keep_observations else None
-    weigh_by_estimate(engine)
-    engine.refined = _refine_submaps(engine, engine.rows, kept)
-
-
-def _refine_submaps(
-    engine: RelativeMapper, rows: SegmentRows, kept: ObservationStore | None
-) -> list[Refined]:
-    """Move all landmarks to the joint optimum; return the refined submaps, in order.
-
-    With every observation `kept`, bounded noise is exploited, unless observations have covariances.
-    """
-    table = engine.table
-    of, submaps = table.landmark_of, table.submap
-    others = (submaps == NONE) & ~table.dynamic
-    found, end = [], 0 if kept is None else kept.n_iterations
-    for submap in np.unique(submaps[submaps != NONE]):
-        chosen, since = submaps == submap, engine.map.kept_anchor
-        is_known = bool(engine.association.is_known)
-        refined = refine_jointly(rows, table.position, chosen, of, others, since, is_known)
-        if refined is not None and len(engine.kept.covariance):
-            refined = refine_weighed(refined, engine.kept, of)
-        elif refined is not None and kept is not None:
-            points, (seen, when) = kept.points(0, end), kept.seen(0, end)
-            own = refined.landmarks, refined.positions
-            refined = refine_by_powers(refined, observations_of(points, of[seen], when, *own)[0])
-        if refined is not None:
-            # What no segment ties to the others would keep its place in the former frame.
-            table.take_off_map(np.setdiff1d(np.flatnonzero(chosen), refined.landmarks))
-            engine.map.move(refined.landmarks, refined.positions)
-            found.append(refined)
-    return found
