@@ -284,7 +284,7 @@ def level_if_needed(source: Path, log: Log) -> Log:
 
 
 def _without_faults(job: Job, log: Log) -> Log:
-    """Return a log of landmarks without points that are no detection, or another one repeated."""
+    """Return a log of landmarks without points that stand for no detection, or repeat another one."""
     if not isinstance(log, ObservationLog):
         return log
     there = np.asarray(log.points_robot.any(axis=1))
@@ -302,5 +302,5 @@ def _without_faults(job: Job, log: Log) -> Log:
 
 
 def _tell(source: Path, message: str) -> None:
-    """Report on the standard error what was changed in a log, or is doubtful."""
+    """Report on the standard error that something of a log was changed, or is doubtful."""
     typer.echo(f"relmap: {source}: {message}", err=True)
