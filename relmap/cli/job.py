@@ -284,7 +284,7 @@ def level_if_needed(source: Path, log: Log) -> Log:
 
 
 def _without_faults(job: Job, log: Log) -> Log:
-    """Return a log of landmarks without points that stand for no detection, or repeat another one."""
+    """Return a log of landmarks without points that stand for no detection, or repeat another."""
     if not isinstance(log, ObservationLog):
         return log
     there = np.asarray(log.points_robot.any(axis=1))
