@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from contextlib import chdir, redirect_stderr, redirect_stdout
 from io import StringIO
@@ -16,7 +17,7 @@ import pytest
 
 from relmap.cli import main
 from relmap.cli.compare import HELP
-from relmap.comparison.compare import CSV_COLUMNS, compare
+from relmap.comparison.compare import CSV_COLUMNS, compare, interrupts_blocked
 from relmap.comparison.methods.registry import METHODS, MethodInfo, find_method
 from relmap.comparison.methods.running import run_method
 from relmap.evaluation.feeding import Association
@@ -195,6 +196,19 @@ def test_failures_of_one_method_are_reported_for_it() -> None:
 def test_help_names_every_method() -> None:
     for method in METHODS:
         assert method.name in HELP
+
+
+def test_an_interrupt_while_a_process_starts_comes_after_it() -> None:
+    started = []
+
+    def start() -> None:
+        with interrupts_blocked():
+            signal.pthread_kill(threading.get_ident(), signal.SIGINT)
+            started.append(True)
+
+    with pytest.raises(KeyboardInterrupt):
+        start()
+    assert started
 
 
 def test_interrupted_at_once(tmp_path: Path, child_env: dict[str, str]) -> None:

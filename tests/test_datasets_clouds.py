@@ -99,8 +99,6 @@ def test_poses_beside_the_clouds(tmp_path: Path) -> None:
         pytest.param(lzf_pcd(b"\x00a\xe0\x24\x00\x1f", 48), "do not", id="literal cut"),
         pytest.param(lzf_pcd(b"\x00", 48), "do not unpack", id="nothing"),
         pytest.param(lzf_pcd(b"", 48), "0 packed bytes for 48", id="bomb"),
-        pytest.param(pcd(CLOUD[2:3]), "holds no point", id="only NaN"),
-        pytest.param(pcd(CLOUD[:0]), "holds no point", id="empty cloud"),
         pytest.param(pcd(CLOUD * 1e20), "a point is out of range", id="far away"),
         pytest.param(pcd(np.full((1, 3), np.inf)), "a point is out of range", id="infinite"),
         pytest.param(b"", "no header of a cloud", id="empty file"),
@@ -114,6 +112,16 @@ def test_damaged_clouds(tmp_path: Path, data: bytes, expected: str) -> None:
     message = failure(tmp_path)
     assert expected in message
     assert "scan1.pcd: " in message
+
+
+@pytest.mark.parametrize("none", [CLOUD[:0], CLOUD[2:3]], ids=["no point", "only NaN"])
+@pytest.mark.parametrize("write", [pcd, ply, packed_pcd])
+def test_a_cloud_without_points_among_others_is_an_empty_scan(
+    tmp_path: Path, write: Callable[[Floats], bytes], none: Floats
+) -> None:
+    for number, points in enumerate([CLOUD, none, CLOUD]):
+        (tmp_path / f"{number}.{write.__name__[-3:]}").write_bytes(write(points))
+    assert [len(points) for points in points_of(open_scans(tmp_path))] == [3, 0, 3]
 
 
 def test_all_forms_of_a_cloud_hold_the_same_points(tmp_path: Path) -> None:

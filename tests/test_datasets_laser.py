@@ -108,6 +108,7 @@ def test_a_log_without_vertices_gives_the_pose_of_its_scans(tmp_path: Path) -> N
         ("5.5 host 9\n", "", "host t: cut off after 11 of 14 fields"),
         ("FLASER 3 1 2 81.8 1 2 0.5 1 2 0.5 5.5 host 9\n", "FLASER", "cut off after field 1"),
         ("FLASER", "RLASER", "holds no scan, expected a CARMEN log"),
+        ("5.5 host", "1.7e12 host", "scan 1 has the time 1.7e+12, expected seconds, at most"),
     ],
 )
 def test_damaged_carmen_log(tmp_path: Path, old: str, new: str, expected: str) -> None:

@@ -102,6 +102,31 @@ def test_scans_come_in_the_order_of_time(tmp_path: Path, caplog: pytest.LogCaptu
     assert caplog.messages == [f"{path}: 2 scans out of order: all are sorted by time"]
 
 
+@pytest.mark.parametrize("degrees", [False, True])
+@pytest.mark.parametrize("which", ["range and bearing", "bearing and range", "x and y"])
+def test_ranges_and_bearings_for_coordinates_are_noticed(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, which: str, degrees: bool
+) -> None:
+    bearing = np.tile(np.linspace(-1.5, 1.5, 61), 2)
+    range_m = 2.0 / np.maximum(np.abs(np.sin(bearing)), 0.3)  # a corridor
+    polar = np.column_stack([range_m, np.rad2deg(bearing) if degrees else bearing])
+    points = polar[:, ::-1] if which == "bearing and range" else polar
+    if which == "x and y":
+        points = range_m[:, None] * np.column_stack([np.cos(bearing), np.sin(bearing)])
+    open_scans(npz(tmp_path / "scans.npz", points=points, iteration=np.repeat([0, 1], 61)))
+    found = [text for text in caplog.messages if "expected x (ahead) and y (left)" in text]
+    assert len(found) == (which != "x and y")
+    assert all(f"the points look like {which}" in text for text in found)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_points_in_a_distant_frame_are_refused(tmp_path: Path, d: int) -> None:
+    away = np.array([447_123.5, 5_412_345.25, 120.0])
+    points = np.random.default_rng(0).uniform(0, 8, (90, d)) + away[:d]
+    path = npz(tmp_path / "scans.npz", points=points, iteration=np.repeat([0, 1], 45))
+    assert "no point is nearer than 5.431e+06 m, expected metres, in the frame" in failure(path)
+
+
 def test_rows_may_come_in_any_order_and_as_float32(tmp_path: Path) -> None:
     points = np.arange(9, dtype=np.float32).reshape(3, 3)
     path = npz(tmp_path / "a.npz", points=points, iteration=np.array([1, 0, 1]))

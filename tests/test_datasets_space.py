@@ -210,9 +210,7 @@ def test_wrong_lists_of_tum_are_refused(tmp_path: Path, line: str, wrong: str) -
 @pytest.mark.parametrize(
     ("data", "wrong"),
     [
-        (b"", "0 bytes"),
-        (kitti(CLOUD)[:-3], "77 bytes, expected 16 for each point"),
-        (kitti(CLOUD[[4]]), "out of range"),
+        (kitti(CLOUD)[:-3], "77 bytes, expected four float32 for each point"),
         (kitti(CLOUD + np.inf), "out of range"),
     ],
 )
@@ -220,6 +218,21 @@ def test_damaged_clouds_of_kitti_are_refused(tmp_path: Path, data: bytes, wrong:
     put(tmp_path, kitti(CLOUD * 1.5), "0.bin")
     put(tmp_path, data, "1.bin")
     assert wrong in failure(tmp_path, "kitti-bin")
+
+
+def test_an_empty_cloud_of_kitti_is_an_empty_scan(tmp_path: Path) -> None:
+    for number, data in enumerate([kitti(CLOUD * 1.5), b"", kitti(CLOUD[[4]])]):
+        put(tmp_path, data, f"{number}.bin")
+    assert [len(points) for points in points_of(open_scans(tmp_path))] == [4, 0, 0]
+
+
+@pytest.mark.parametrize("width", [3, 5])
+def test_another_number_of_floats_a_point_is_named(tmp_path: Path, width: int) -> None:
+    points = np.random.default_rng(0).normal(size=(400, width)).astype("<f4")
+    put(tmp_path, points.tobytes(), "0.bin")
+    expected = "but '0.bin', a .bin file, not of float32 x, y, z, reflectance (0 to 1), expected"
+    assert expected in failure(tmp_path)
+    assert "a reflectance is below 0, expected four float32" in failure(tmp_path, "kitti-bin")
 
 
 def test_a_folder_without_clouds_is_refused(tmp_path: Path) -> None:

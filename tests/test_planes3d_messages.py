@@ -51,6 +51,7 @@ def test_clouds_without_planes_are_reported(
 ) -> None:
     (tmp_path / "clouds").mkdir()
     points = np.random.default_rng(2).uniform(-3, 3, (500, 4)).astype("<f4")
+    points[:, 3] = np.abs(points[:, 3])  # the reflectance
     (tmp_path / "clouds" / "0.bin").write_bytes(points.tobytes())
     arguments = ["--variant", "planes3d", "--format", "kitti-bin"]
     run_relmap("map", tmp_path / "clouds", "-o", tmp_path / "result", *arguments)

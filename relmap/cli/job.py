@@ -204,16 +204,14 @@ def log_of(job: Job) -> Log:
     if job.onto is not None and job.association == "known" and isinstance(log, ObservationLog):
         log = _named_as_in_map(job.source, log, job.onto)
     if job.odometry == "auto" and log.odometry is None and log.no_odometry:
-        typer.echo(f"relmap: {source}: mapped without odometry: {log.no_odometry}", err=True)
+        _tell(source, f"mapped without odometry: {log.no_odometry}")
     if job.variant == "planes3d" and job.odometry == "auto" and log.odometry is not None:
-        typer.echo(f"relmap: {source}: planes3d does not use the odometry of the log", err=True)
+        _tell(source, "planes3d does not use the odometry of the log")
     doubt_unit(source, log)
     doubt_repeats(source, log)
-    log = _returned(job, log)
+    log = _without_faults(job, log)
     if job.level != "none" and job.segmenter not in SPATIAL:
         log = level_if_needed(job.source, log)
-    if job.association == "nearest":
-        log = _each_once(job, log)
     if job.sigmas is None:
         return log
     assert isinstance(log, ObservationLog)
@@ -245,11 +243,10 @@ def doubt_unit(source: Path, log: Log) -> None:
     middle_m = float(np.median(np.linalg.norm(next(scans, np.ones((1, 3))), axis=1)))
     near_m, far_m = (NEAR_M, FAR_M) if isinstance(log, ScanLog) else (0.0, FAR_LANDMARKS_M)
     if not near_m <= middle_m < far_m:
-        typer.echo(
-            f"relmap: {source}: the points of the first scan are {float(f'{middle_m:.3g}'):g} m "
-            "away in the median: coordinates must be in metres, in the frame of the robot",
-            err=True,
+        found = (
+            f"the points of the first scan are {float(f'{middle_m:.3g}'):g} m away in the median"
         )
+        _tell(source, f"{found}: coordinates must be in metres, in the frame of the robot")
 
 
 def doubt_repeats(source: Path, log: Log) -> None:
@@ -263,8 +260,8 @@ def doubt_repeats(source: Path, log: Log) -> None:
     n = sum(len(now) >= NOISY and np.array_equal(before, now) for before, now in pairwise(scans))
     if n:
         which = "1 scan repeats" if n == 1 else f"{n} scans repeat"
-        message = f"{which} the one before exactly: copies are not new measurements, leave them out"
-        typer.echo(f"relmap: {source}: {message}", err=True)
+        advice = "copies are not new measurements, leave them out"
+        _tell(source, f"{which} the one before exactly: {advice}")
 
 
 def require_dimension(source: Path | str, log: Log, mapper: AnyMapper, result: Path | str) -> None:
@@ -281,29 +278,29 @@ def level_if_needed(source: Path, log: Log) -> Log:
     """Return a log, clouds that show floors levelled; this is reported on the standard error."""
     if not isinstance(log, ScanLog) or not shows_floors(log):
         return log
-    message = "clouds are levelled by their floor and walls, and reduced to 2-D scans of the walls"
-    typer.echo(f"relmap: {source}: {message}", err=True)
+    how = "levelled by their floor and walls, and reduced to 2-D scans of the walls"
+    _tell(source, f"clouds are {how}")
     return levelled(log)
 
 
-def _returned(job: Job, log: Log) -> Log:
-    """Return a log of landmarks without points at the origin, which stand for no detection."""
+def _without_faults(job: Job, log: Log) -> Log:
+    """Return a log of landmarks without points that stand for no detection, or repeat another."""
     if not isinstance(log, ObservationLog):
         return log
     there = np.asarray(log.points_robot.any(axis=1))
-    n = int((~there).sum())
-    if n < AT_ORIGIN:
-        return log
-    typer.echo(f"relmap: {job.source}: {n} points of range 0 left out: no detection", err=True)
-    return log.only(there)
-
-
-def _each_once(job: Job, log: Log) -> Log:
-    if not isinstance(log, ObservationLog):
-        return log
-    once = log.each_once()
+    n_at_origin = int((~there).sum())
+    if n_at_origin >= AT_ORIGIN:
+        _tell(job.source, f"{n_at_origin} points of range 0 left out: no detection")
+        log = log.only(there)
+    once = log.each_once() if job.association == "nearest" else log
     n_again = len(log.rows) - len(once.rows)
     if n_again:
-        message = f"{n_again} points left out that repeat another one of their scan exactly"
-        typer.echo(f"relmap: {job.source}: {message}", err=True)
+        _tell(
+            job.source, f"{n_again} points left out that repeat another one of their scan exactly"
+        )
     return once
+
+
+def _tell(source: Path, message: str) -> None:
+    """Report on the standard error that something of a log was changed, or is doubtful."""
+    typer.echo(f"relmap: {source}: {message}", err=True)

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import logging
 import signal
-import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from multiprocessing import get_context
+from multiprocessing import get_context, resource_tracker
 from multiprocessing.connection import Connection
 
 import numpy as np
@@ -92,7 +91,7 @@ def in_own_process(
     child = context.Process(
         target=_run_and_send, args=(sender, name, source, association, sigma_m), daemon=True
     )
-    with _deaf_to_interrupts():
+    with interrupts_blocked():
         child.start()
     sender.close()
     try:
@@ -109,16 +108,21 @@ def in_own_process(
 
 
 @contextmanager
-def _deaf_to_interrupts() -> Iterator[None]:
-    """Start processes that ignore Ctrl-C, which a terminal sends to all: the parent ends them."""
-    if threading.current_thread() is not threading.main_thread():
+def interrupts_blocked() -> Iterator[None]:
+    """Start processes that block Ctrl-C, which a terminal sends to all: the parent ends them.
+
+    The parent gets a Ctrl-C of meanwhile afterwards.
+    """
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield
         return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # Its start, which comes with the first process, would unblock the signal.
+    resource_tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _run_and_send(

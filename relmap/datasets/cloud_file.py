@@ -79,8 +79,8 @@ def is_cloud(file: Path) -> bool:
 def read_cloud(file: Path) -> Floats:
     """Read the points of a PCD or PLY file, plain or packed by xz.
 
-    Returns (n, 3), metres: without NaN points, which are beams without a return. Raises
-    `RelmapError` if the file is damaged, has less data than it states, or no point.
+    Returns (n, 3), metres: without NaN points, which are beams without a return; n may be 0. Raises
+    `RelmapError` if the file is damaged, or has less data than it states.
     """
     data = _unpacked(file, MAX_BYTES)
     end = _header_end(data)
@@ -96,10 +96,8 @@ def read_cloud(file: Path) -> Floats:
         problem = f"damaged: {quoted(str(error))}"
         raise invalid(file, f"{problem}; expected a whole PCD or PLY file") from error
     points = points[~np.isnan(points).any(axis=1)]
-    far = ~(np.abs(points) <= MAX_COORDINATE_M).all(axis=1)
-    if far.any() or not len(points):
-        what = "a point is out of range" if far.any() else "holds no point"
-        raise invalid(file, f"{what}, expected coordinates in metres")
+    if not (np.abs(points) <= MAX_COORDINATE_M).all():
+        raise invalid(file, "a point is out of range, expected coordinates in metres")
     return points
 
 

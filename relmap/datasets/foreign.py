@@ -45,6 +45,7 @@ _MAGIC = (
     (1, b"CRawlog", "an MRPT rawlog"),
 )
 """Offset and bytes that identify a format, and its name."""
+OTHER_BIN = "a .bin file, not of float32 x, y, z, reflectance (0 to 1)"
 _ROS2_FOLDER = "metadata.yaml", b"rosbag2_bagfile_information"
 _KITTI = struct.Struct("<16f")
 """Four points: x, y, z and the reflectance."""
@@ -82,9 +83,10 @@ def foreign_at(path: Path) -> str | None:
 
 def _foreign_file(file: Path) -> str | None:
     head = _head(file)
-    if file.suffix.lower() == ".bin" and is_kitti(file):
-        return "a KITTI cloud (.bin)"
-    return foreign_format(head)
+    found = foreign_format(head)
+    if found or not head or file.suffix.lower() != ".bin":
+        return found
+    return "a KITTI cloud (.bin)" if is_kitti(file) else OTHER_BIN
 
 
 def is_kitti(file: Path) -> bool:

@@ -65,19 +65,23 @@ def _files(path: Path) -> list[Path]:
 
 
 def _read_cloud(file: Path) -> Floats:
-    """Return the points (n, 3) of a file, metres."""
+    """Return the points (n, 3) of a file, metres; n may be 0."""
     try:
         if file.stat().st_size > MAX_BYTES:
             raise invalid(file, f"more than {MAX_BYTES} bytes, expected at most that")
         data = file.read_bytes()
     except OSError as error:
         raise unreadable(file, error) from error
-    if not data or len(data) % 16:
-        raise invalid(file, f"{len(data)} bytes, expected 16 for each point: x, y, z and intensity")
-    points = np.frombuffer(data, "<f4").reshape(-1, 4)[:, :3].astype(np.float64)
+    expected = "expected four float32 for each point: x, y, z (metres) and reflectance"
+    if len(data) % 16:
+        raise invalid(file, f"{len(data)} bytes, {expected}")
+    rows = np.frombuffer(data, "<f4").reshape(-1, 4)
+    if (rows[:, 3] < 0).any():
+        raise invalid(file, f"a reflectance is below 0, {expected}")
+    points = rows[:, :3].astype(np.float64)
     points = points[~np.isnan(points).any(axis=1)]
-    if not len(points) or not (np.abs(points) <= MAX_COORDINATE_M).all():
-        raise invalid(file, "a point is out of range, expected metres")
+    if not (np.abs(points) <= MAX_COORDINATE_M).all():
+        raise invalid(file, f"a point is out of range, {expected}")
     return points
 
 

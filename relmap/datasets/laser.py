@@ -16,7 +16,7 @@ import numpy as np
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.datasets.scans import ScanLog, SensorView, stored_scans
-from relmap.datasets.textfile import warn
+from relmap.datasets.textfile import invalid, warn
 
 MAX_BEAMS, MAX_SCANS = 1 << 24, 1 << 18
 """Maximum number of beams and scans of a laser log: some fifty thousand scans of 360 beams."""
@@ -24,6 +24,8 @@ FIXED = 1e-3
 """Allowed variation of the pose of a laser on the robot, due to rounding: metres and radians."""
 SAME = 3e-4
 """Largest relative difference of ranges that are the same: coordinates may be rounded."""
+FARTHEST_M = 10_000.0
+"""No sensor reaches as far: where all points are beyond, they are in another frame or unit."""
 WIDE_RAD = np.deg2rad(10.0)
 """Angle of neighbouring beams of the same range. Those on a wall ahead are the same over less, also
 if ranges are rounded to 0.01 m, unless it is less than 2 m away."""
@@ -110,13 +112,22 @@ def usable_beams(
 
     `path`: the log, for warnings. `ranges_m`, `bearings_rad`, list of k (b,): beams of each scan,
     in their order. `limit_m`: the range of beams without a return as stated by the log; see also
-    `no_return_m` and `on_robot`.
+    `no_return_m` and `on_robot`. RelmapError as for `require_near`.
     """
+    require_near(path, ranges_m)
     below_m = [np.where(ranges < limit_m, ranges, 0.0) for ranges in ranges_m]
     limit_m = min(limit_m, no_return_m(path, below_m, bearings_rad))
     known_m = [np.where((r > 0) & (r < limit_m), r, 0.0) for r in ranges_m]
     own = on_robot(path, known_m, bearings_rad)
     return [(r > 0) & ~robot for r, robot in zip(known_m, own, strict=True)], limit_m
+
+
+def require_near(path: Path, ranges_m: Sequence[Floats]) -> None:
+    """Raise a `RelmapError` if all points of all scans, (n,) each, are too far for any sensor."""
+    nearest_m = min(float(r[r > 0].min(initial=np.inf)) for r in [*ranges_m, np.zeros(1)])
+    if FARTHEST_M < nearest_m < np.inf:
+        found = f"no point is nearer than {nearest_m:.4g} m"
+        raise invalid(path, f"{found}, expected metres, in the frame of the sensor")
 
 
 def no_return_m(path: Path, ranges_m: list[Floats], bearings_rad: list[Floats]) -> float:

@@ -12,7 +12,7 @@ import numpy as np
 
 from relmap.core.arrays import Bools, Floats
 from relmap.core.errors import RelmapError
-from relmap.datasets.laser import SAME, WIDE_SCANS
+from relmap.datasets.laser import SAME, WIDE_SCANS, require_near
 from relmap.datasets.scans import ScanLog
 from relmap.datasets.textfile import warn
 
@@ -29,12 +29,16 @@ NEARLY = 0.98
 
 
 def without_no_return(path: Path, log: ScanLog) -> ScanLog:
-    """Return a log of clouds without points at the range that rays without a return share."""
+    """Return a log of clouds without points at the range that rays without a return share.
+
+    RelmapError if all points are too far for any sensor.
+    """
     some = np.unique(np.linspace(0, max(len(log) - 1, 0), min(SCANS, len(log))).astype(np.int64))
     scans = [points for index in some.tolist() if len(points := _read(log, index))]
     if not scans:
         return log
     ranges_m = [_ranges_m(log, points) for points in scans]
+    require_near(path, ranges_m)
     same_m = _shared(np.concatenate(ranges_m))
     least_m, most_m = same_m[0], same_m[-1]
     there = [(r >= least_m) & (r <= most_m) for r in ranges_m]

@@ -265,10 +265,9 @@ class Ids:
         if all(number is not None for number in numbers):
             values = np.array([*numbers, -1.0], dtype=np.float64)
             return values[of_row], None
-        order = sorted(range(len(names)), key=names.__getitem__)
-        rank = np.empty(len(names) + 1)
-        rank[order], rank[-1] = np.arange(len(names)), -1
-        return rank[of_row], tuple(names[k] for k in order)
+        ordered = sorted(names)
+        rank = {name: number for number, name in enumerate(ordered)}
+        return np.array([*map(rank.__getitem__, names), -1.0])[of_row], tuple(ordered)
 
 
 def _whole(text: str) -> float | None:

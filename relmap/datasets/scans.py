@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from relmap.core.arrays import Floats, Ints
 from relmap.core.columns import Brief
 from relmap.core.geometry.motions import rotations, transforms
+from relmap.core.stamps import MAX_S
 from relmap.datasets.base import common_range, some_of
 from relmap.datasets.textfile import invalid, warn
 
@@ -175,8 +176,12 @@ def in_time_order(path: Path, stamps_s: Floats) -> tuple[Ints, Floats]:
     """Return the order of scans in time, and their stamps (seconds) in this order.
 
     The stamps (k,) are finite and in the order of the log, which is named in warnings. If the clock
-    is too coarse to distinguish scans, they are numbered instead.
+    is too coarse to distinguish scans, they are numbered instead. RelmapError if one is too large.
     """
+    far = np.flatnonzero(np.abs(stamps_s) > MAX_S)
+    if len(far):
+        found = f"scan {far[0]} has the time {stamps_s[far[0]]:.10g}"
+        raise invalid(path, f"{found}, expected seconds, at most {MAX_S:g}")
     late = int((stamps_s < np.maximum.accumulate(stamps_s)).sum())
     if late:
         warn(path, f"{late} scans out of order: all are sorted by time")

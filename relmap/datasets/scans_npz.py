@@ -28,7 +28,7 @@ from relmap.datasets.foreign import ZIP, foreign_at
 from relmap.datasets.headers import file_in
 from relmap.datasets.laser import usable_beams
 from relmap.datasets.scans import ScanLog, SensorView, in_time_order, numbers_of, stored_scans
-from relmap.datasets.textfile import invalid, quoted, replacing, require_path, unreadable
+from relmap.datasets.textfile import invalid, quoted, replacing, require_path, unreadable, warn
 
 FILE_NAME = "scans.npz"
 """The log's name in a folder."""
@@ -44,6 +44,8 @@ _BEYOND = 1.2
 _OUTSIDE_RAD, _OUTSIDE = 0.1, 0.01
 """Angle beyond the stated view, for noise near the sensor, and the fraction of the points that may
 be farther outside: with more, the view is wrong, or the axes of the points are."""
+_ENOUGH = 100
+"""Minimum number of points in whose order bearings are recognised."""
 DAMAGE = (
     *(OSError, EOFError, RuntimeError, MemoryError, zipfile.BadZipFile, zlib.error, struct.error),
     *(ValueError, TypeError, LookupError, OverflowError, SyntaxError, tokenize.TokenError),
@@ -82,6 +84,7 @@ class ScansNpz:
             points = points[:, :2]
         iteration, points_robot = iteration[order], points[order].astype(np.float64, copy=False)
         if points_robot.shape[1] == 2:
+            _doubt_axes(file, points_robot, iteration)
             returned, limit_m = _returned(file, points_robot, iteration)
             iteration, points_robot = iteration[returned], points_robot[returned]
             if np.isfinite(limit_m):
@@ -90,6 +93,16 @@ class ScansNpz:
         sensor = SensorView(**limits)
         log = stored_scans(points_robot, offsets.astype(np.int64), stamps_s, sensor=sensor)
         return replace(log, numbers=numbers_of(in_time))
+
+
+def _doubt_axes(file: Path, points: Floats, iteration: NDArray[Any]) -> None:
+    """Warn of points (n, 2) that are rather a range and a bearing, which ascends in every scan."""
+    steps = np.diff(points, axis=0)[np.diff(iteration) == 0]
+    one_way = (steps > 0).all(axis=0) | (steps < 0).all(axis=0)
+    found = one_way & (points[:, ::-1] > 0).all(axis=0) & (np.abs(points) <= 360).all(axis=0)
+    if len(steps) >= _ENOUGH and found.any():
+        which = "bearing and range" if found[0] else "range and bearing"
+        warn(file, f"the points look like {which}, expected x (ahead) and y (left), metres")
 
 
 def _returned(file: Path, points: Floats, iteration: NDArray[Any]) -> tuple[Bools, float]:

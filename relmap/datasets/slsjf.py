@@ -14,7 +14,6 @@ of the range and ``sigtheta = (1*pi/180)`` (radians) of the bearing.
 
 from __future__ import annotations
 
-import logging
 import math
 import os
 import re
@@ -55,8 +54,6 @@ _OBSERVATION = (
 )
 _BEACON = (Column("id", 0, MAX_EXACT_INTEGER, integer=True), _X, _Y)
 _POSE = (_X, _Y, Column("phi", -_MAX_ANGLE_RAD, _MAX_ANGLE_RAD, "radians"))
-
-_LOG = logging.getLogger(__name__)
 
 
 class SlsjfSimulation:
@@ -122,7 +119,6 @@ def _with_positive_ranges(table: Table) -> Table:
     kept = table.columns["range_m"] >= 0
     if not kept.any():
         table.fail(0, "range_m", "this and every other range is negative, expected metres")
-    _LOG.info("%d of %d observations left out: negative range", np.sum(~kept), len(kept))
     columns = {name: values[kept] for name, values in table.columns.items()}
     return replace(table, columns=columns, lines=table.lines[kept])
 

@@ -14,7 +14,6 @@ of the rear axle's centre and 0.50 m to its left. Three files beside it are read
 
 from __future__ import annotations
 
-import logging
 import math
 import os
 from dataclasses import replace
@@ -59,8 +58,6 @@ _HALLMARK = frozenset({"scan", "range_m", "bearing_rad"})
 _SAME_SCAN_S = 5e-4
 _SAME_TREE_M = 0.05
 _SCAN_APART_M = 10_000.0
-
-_LOG = logging.getLogger(__name__)
 
 
 class VictoriaPark:
@@ -170,7 +167,6 @@ def _match_ids(log: ObservationLog, file: Path) -> Ints:
         raise invalid(file, f"{problem}, expected detections of the same scans")
     ids = np.full(len(log.iteration), -1, dtype=np.int64)
     ids[matched] = rows[found, 5].astype(np.int64)
-    _LOG.info("%d of %d tree numbers matched to %d trees", len(matched), len(same), len(ids))
     return ids
 
 

@@ -114,10 +114,10 @@ def _bridged_by_look(
         found = gaps(mapper.engine, result.iterations - offset, result.poses[:, :3, 3])
     if found is None:
         return {"gaps": None, "longest_gap": None, "leaps": None}
-    which, longest = found.leaps, int(found.missed.max(initial=0))
+    which, longest = found.leaps[:MANY], int(found.missed.max(initial=0))
     steps = np.column_stack([found.before, found.after])[which] + offset
-    leaps = {"count": len(which), "steps": steps[:MANY].tolist()}
-    leaps["way_m"] = found.way_m[which][:MANY].tolist()
+    way_m = found.way_m[which].tolist()
+    leaps = {"count": len(found.leaps), "steps": steps.tolist(), "way_m": way_m}
     return {"gaps": int(np.sum(found.missed > BLIND)), "longest_gap": longest, "leaps": leaps}
 
 
@@ -206,16 +206,11 @@ def steps_of(
     ]
     T = np.concatenate(steps) if steps else np.empty((0, 3, 3))
     T = T[np.isfinite(T[:, 0, -1])]
-    if not len(T):
-        return {"median_m": None, "median_deg": None, "view_deg": view_deg}
-    R, d = T[:, :-1, :-1], T.shape[1] - 1
-    half_sine = np.linalg.norm(R - np.eye(d), axis=(1, 2)) / np.sqrt(8)
+    half_sine = np.linalg.norm(T[:, :-1, :-1] - np.eye(T.shape[1] - 1), axis=(1, 2)) / np.sqrt(8)
     turn_rad = 2 * np.arcsin(np.minimum(half_sine, 1.0))
-    return {
-        "median_m": float(np.median(np.linalg.norm(T[:, :-1, -1], axis=1))),
-        "median_deg": float(np.rad2deg(np.median(turn_rad))),
-        "view_deg": view_deg,
-    }
+    way_m = np.linalg.norm(T[:, :-1, -1], axis=1)
+    median_deg = _median(np.rad2deg(turn_rad))
+    return {"median_m": _median(way_m), "median_deg": median_deg, "view_deg": view_deg}
 
 
 def is_refined(mapper: PointMapper | PlaneMapper | Plane3dMapper) -> bool:
@@ -245,8 +240,8 @@ def weakness(refined: Sequence[Refined], first_iteration: int) -> dict[str, Any]
     """
     if not refined:
         return None
-    submap = refined[0]
-    segments, merges = submap.segments, submap.merges
+    submap, merges = refined[0], refined[0].merges
+    segments = submap.segments
     segments = replace(segments, first_iteration=first_iteration + segments.first_iteration)
     return {
         "converged": all(each.converged for each in refined),
@@ -282,20 +277,17 @@ def completion(log: Log, done: Log, fed: Fed, refined: bool) -> dict[str, Any]:
 
 def _timing(fed: Fed, segmented: bool) -> dict[str, float | None]:
     """Return the times of a run, `segmented` if walls or planes were found in its scans first."""
-    prepare_s, total_s = fed.durations_s[:, 0], fed.durations_s.sum(axis=1)
-    times = timing_of(fed.durations_s[:, 1])
+    (prepare_s, mapping_s), total_s = fed.durations_s.T, fed.durations_s.sum(axis=1)
+    times = timing_of(mapping_s) | {"refine_ms": 1e3 * fed.refine_s, "reading_s": fed.reading_s}
+    times |= {"mapping_s": float(mapping_s.sum()), "finish_s": fed.finish_s}
     if segmented:
         times |= {
             "segmentation_median_ms": _median_ms(prepare_s),
             "segmentation_share": float(prepare_s.sum() / total_s.sum()) if len(total_s) else None,
             "scan_median_ms": _median_ms(total_s),
+            "segmentation_s": float(prepare_s.sum()),
         }
-    mapping_s = fed.durations_s[:, 1].sum()
-    stages_s = {"reading_s": fed.reading_s, "mapping_s": mapping_s, "finish_s": fed.finish_s}
-    if segmented:
-        stages_s["segmentation_s"] = prepare_s.sum()
-    stages = {stage: float(seconds) for stage, seconds in stages_s.items()}
-    return times | {"refine_ms": 1e3 * fed.refine_s} | stages
+    return times
 
 
 def timing_of(durations_s: Floats) -> dict[str, float | None]:

@@ -115,11 +115,9 @@ def read_truth(path: Path, judged: Judged = "points") -> Truth:
     if (folder / name).is_file():
         truth = (_read_walls if judged == "planes" else _read_landmarks)(folder / name)
         if (folder / TRAJECTORY).exists():
-            stamps_s, poses = read_tum(folder / TRAJECTORY)
-            truth = replace(truth, stamps_s=stamps_s, poses=poses)
+            truth = _with_path(truth, *read_tum(folder / TRAJECTORY))
     elif not path.name.endswith(RELATIONS) and is_trajectory(path):
-        stamps_s, poses = read_trajectory(path)
-        truth = Truth(stamps_s=stamps_s, poses=poses)
+        truth = _with_path(Truth(), *read_trajectory(path))
     else:
         truth = (_read_path if judged == "planes" else _read_data_set)(path)
     ids, counts = np.unique(truth.landmark_ids, return_counts=True)
@@ -140,13 +138,13 @@ def _read_space(path: Path) -> Truth:
     """Read the true path, and the true faces if known, of planes in space."""
     for folder in (path / "truth", path):
         if (folder / TRAJECTORY).is_file() and not (folder / SUMMARY).exists():
-            stamps_s, poses = read_tum(folder / TRAJECTORY)
             faces = _read_faces(folder / FACES) if (folder / FACES).is_file() else None
-            return Truth(stamps_s=stamps_s, poses=poses, faces=faces)
-    if is_trajectory(path):
-        stamps_s, poses = read_trajectory(path)
-        return Truth(stamps_s=stamps_s, poses=poses)
-    return _read_path(path)
+            return _with_path(Truth(faces=faces), *read_tum(folder / TRAJECTORY))
+    return _with_path(Truth(), *read_trajectory(path)) if is_trajectory(path) else _read_path(path)
+
+
+def _with_path(truth: Truth, stamps_s: Floats, poses: Floats) -> Truth:
+    return replace(truth, stamps_s=stamps_s, poses=poses)
 
 
 def _read_landmarks(path: Path) -> Truth:
@@ -202,10 +200,9 @@ def _read_data_set(path: Path) -> Truth:
     """Read the true landmarks of a data set."""
     from relmap.datasets import dlr_circles, mrclam, mrpt_landmarks, slsjf, victoria_park
 
-    if mrpt_landmarks.is_ground_truth(path):
-        return _static(*mrpt_landmarks.read_ground_truth(path))
-    if slsjf.is_ground_truth(path):
-        return _static(*slsjf.read_ground_truth(path))
+    for kind in (mrpt_landmarks, slsjf):
+        if kind.is_ground_truth(path):
+            return _static(*kind.read_ground_truth(path))
     if mrclam.is_ground_truth(path):
         ids, positions, stamps_s, poses = mrclam.read_ground_truth(path)
         return replace(_static(ids, positions, poses), stamps_s=stamps_s)

@@ -106,9 +106,8 @@ def _join(
     columns["corner"][mine] = np.where(both, corner[0], corner[farthest, [0, 1]])
     z = np.stack([columns["z_extent"][mine], other.z_extent[k]])
     columns["z_extent"][mine] = z[:, 0].min(), z[:, 1].max()
-    columns["observations"][mine] = int(seen.sum())
-    for name, of in (("first_iteration", min), ("last_iteration", max)):
-        columns[name][mine] = of(columns[name][mine], getattr(other, name)[k])
+    for name in columns.keys() & COMBINED:
+        columns[name][mine] = COMBINED[name](columns[name][mine], getattr(other, name)[k])
     return [(int(theirs), int(own)) for own, theirs in corner.T[both].tolist()]
 
 

@@ -100,10 +100,11 @@ def first_of(n_submaps: int) -> str:
     return f"the first of {n_submaps} submaps: " if n_submaps > 1 else ""
 
 
-def note_empty(axes: Axes) -> None:
-    """Write into a panel that nothing is mapped."""
-    style: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 14, "color": RED}
-    axes.text(0.5, 0.5, "nothing is mapped", transform=axes.transAxes, **style)
+def note_empty(axes: Axes, message: str = "nothing is mapped") -> None:
+    """Write into a panel that it shows no map."""
+    style: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 13, "color": RED}
+    style["bbox"] = {"facecolor": "white", "edgecolor": "none"}
+    axes.text(0.5, 0.5, message, transform=axes.transAxes, zorder=10, **style)
 
 
 def draw_limits(axes: Axes, limits: Limits) -> None:

@@ -16,7 +16,7 @@ from relmap.io.results import Result
 from relmap.planes.walls.files import PlaneResult
 from relmap.plots.path import broken_at_gaps, fit_to_truth
 from relmap.plots.planes import WALL, draw_true_walls, draw_walls
-from relmap.plots.sheet import GREY, blank, draw_limits, finish, limits_of
+from relmap.plots.sheet import GREY, blank, draw_limits, finish, limits_of, note_empty
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +99,4 @@ def _draw_points(axes: Axes, points: Floats) -> None:
     if len(points):
         axes.plot(*points.T, ".", color=WALL, markersize=1.5, label="mapped point")
         return
-    said = "no map: no point is observed\noften enough to be mapped"
-    box = {"facecolor": "white", "edgecolor": "none"}
-    style: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 11, "zorder": 10}
-    axes.text(0.5, 0.5, said, transform=axes.transAxes, bbox=box, **style)
+    note_empty(axes, "no map: no point is observed\noften enough to be mapped")

@@ -117,7 +117,7 @@ class SolvedAtTheEnd(KnownBaseline):
 
     def __init__(self, dimension: int) -> None:
         super().__init__(dimension)
-        self._points = [np.empty((0, dimension))]
+        self._points: list[Floats] = []
         self._map = NO_MAP
 
     def _placed(self, points: Floats, labels: Ints) -> Pose | None:
@@ -135,10 +135,7 @@ class SolvedAtTheEnd(KnownBaseline):
     @property
     def _log(self) -> ObservationLog:
         """All identified observations, iterations counted from 0."""
-        counts = [len(points) for points in self._points[1:]]
-        iteration, rows = np.repeat(np.arange(len(counts)), counts), np.arange(sum(counts))
-        points, ids = np.concatenate(self._points), np.concatenate(self._labels)
-        return ObservationLog(points, iteration, rows, 0, len(counts), ids[ids >= 0])
+        return ObservationLog.of_scans(self._points, [ids[ids >= 0] for ids in self._labels[1:]])
 
     @property
     def map(self) -> LandmarkMap:
