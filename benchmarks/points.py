@@ -52,7 +52,7 @@ def known(log: ObservationLog, ids: np.ndarray, truth: np.ndarray) -> tuple[list
 def figure_eight() -> None:
     """Print the landmark RMSE over the seeds with known association."""
     print("\nFigure eight, sigma 0.05, known association, median landmark RMSE of 10 seeds [m]\n")
-    header("density", "live", "refined", "frame-to-map", "batch", "mapped")
+    header("density", "live [m]", "refined [m]", "frame-to-map [m]", "batch [m]", "mapped")
     for density in (25, 100):
         errors, shares, limits = [], [], []
         for seed in SEEDS:
@@ -112,7 +112,7 @@ def behind(seed: int, known: bool) -> list[float]:
 def mrpt(data: Path) -> None:
     """Print the landmark RMSE on MRPT's logs."""
     print("\nMRPT landmark logs, known association, no odometry: landmark RMSE [m]\n")
-    header("log", "live", "refined", "frame-to-map", "mapped")
+    header("log", "live [m]", "refined [m]", "frame-to-map [m]", "mapped")
     for name in ("kf-slam_demo", "kf-slam_6D_demo", "kf-slam_6D_demo_noncentered"):
         path = data / "mrpt-kf-slam" / f"{name}.observations.csv.gz"
         ids, positions, _ = read_ground_truth(path)
