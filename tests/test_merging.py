@@ -9,6 +9,7 @@ from relmap import PointMapper
 from relmap.core.association.reobservation.evidence import chosen
 from relmap.core.association.reobservation.merging import Merger
 from relmap.core.config import MapperConfig
+from relmap.core.geometry.spatialindex import SpatialIndex
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.state.schedule import GroupingSchedule
 from relmap.core.state.table import LandmarkState
@@ -70,6 +71,8 @@ def test_old_landmarks_are_found_where_the_map_has_moved_them() -> None:
     assert not len(merger.find(old, np.full(6, 3), 0.01))
     merger.leave(old)
     global_map.move(old, places + 100.0)
+    merger.look_again()
+    merger.go_on()
     table.first[new] = 50
     GroupingSchedule(table, MapperConfig()).see(new, 60)
     global_map.place(submap, new, places + 100.0, np.full(6, 10.0))
@@ -109,21 +112,22 @@ def test_identity_follows_chains_of_merges() -> None:
 
 
 @given(seeds, dimensions)
-def test_older_landmarks_in_reach_are_found(seed: int, d: int) -> None:
+def test_index_finds_all_that_is_near(seed: int, d: int) -> None:
     rng = np.random.default_rng(seed)
-    places = 3.0 * np.stack(np.meshgrid(*[np.arange(4)] * d), axis=-1).reshape(-1, d)
-    rng.shuffle(places)
-    m, table = len(places), LandmarkState()
-    table.resize(2 * m, 0, d)
-    table.first[:], table.last[:] = np.repeat([0, 50], m), np.repeat([20, 70], m)
-    global_map, merger = GlobalMap(table), Merger(table, PointModel(), 10)
-    again = places + rng.normal(0, 0.001, places.shape)
-    both = np.concatenate([places, again])
-    global_map.place(global_map.new_submap(), np.arange(2 * m), both, np.full(2 * m, 20.0))
-    merger.find(np.arange(m), np.full(m, 1), 0.01)
-    merger.leave(np.arange(m))
-    pairs = merger.find(np.arange(m, 2 * m), np.full(m, 1), 0.01)
-    assert sorted(map(tuple, pairs.tolist())) == [(m + k, k) for k in range(m)]
+    positions = rng.normal(0, 5, (60, d))
+    table = LandmarkState()
+    table.resize(60, 0, d)
+    index = SpatialIndex(table, 2.0)
+    index.add(np.arange(60), positions)
+    table.last[:] = rng.integers(0, 9, 60)
+    asked, before = rng.normal(0, 5, (10, d)), rng.integers(0, 10, 10)
+    of, found = index.near(asked, before)
+    for k, position in enumerate(asked):
+        earlier = table.last < before[k]
+        near = np.linalg.norm(positions - position, axis=1) <= 2.0
+        own = found[of == k]
+        assert set(np.flatnonzero(near & earlier).tolist()) <= set(own.tolist())
+        assert earlier[own].all()
 
 
 def test_merged_landmarks_absorb_no_others() -> None:

@@ -11,7 +11,9 @@ import pytest
 from relmap import Plane3dMapper, PlaneMapper, PointMapper, RelmapError
 from relmap.core.arrays import Floats
 from relmap.core.geometry.alignment import fit_rigid_each
+from relmap.core.geometry.spatialindex import SpatialIndex
 from relmap.core.grouping.chart import PointChart
+from relmap.core.state.table import LandmarkState
 from relmap.segmentation.space import PatchSegmenter
 from tests.worlds import refined
 
@@ -94,6 +96,15 @@ def test_weights_of_hardly_any_noise_fit_as_others_do() -> None:
     assert heavy[2].all()
     np.testing.assert_allclose(heavy[0], light[0], atol=1e-9)
     np.testing.assert_allclose(heavy[1], light[1])
+
+
+def test_cells_beyond_whole_numbers_are_found() -> None:
+    table = LandmarkState()
+    table.resize(3, 0, 2)
+    index = SpatialIndex(table, 1e-300)
+    positions = np.array([[1e8, -1e8], [0.0, 0.0], [1e8, -1e8]])
+    index.add(np.arange(3), positions)
+    assert set(index.near(positions[:1], np.array([1]))[1].tolist()) >= {0, 2}
 
 
 def test_landmarks_seen_too_rarely_for_a_group_take_no_time_at_the_end(

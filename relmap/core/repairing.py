@@ -71,6 +71,7 @@ def refine(engine: RelativeMapper) -> None:
                 "found, and its standard deviations may be wrong",
                 len(refined.landmarks),
             )
+    engine.merger.look_again()
 
 
 def _extend_by_ids(engine: RelativeMapper) -> bool:

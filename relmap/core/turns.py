@@ -23,6 +23,7 @@ def take_turns(engine: RelativeMapper, left: Ints) -> None:
     `left` (k,): landmarks that left the view in this iteration.
     """
     engine.merger.leave(left)
+    engine.merger.go_on()
     steps = (_group_next, _last_pass_next, _forget, _refine_next)
     first = engine.store.n_iterations % len(steps)
     for step in steps[first:] + steps[:first]:
@@ -62,7 +63,10 @@ def _refine_next(engine: RelativeMapper) -> bool:
     """
     if not engine.config.refine_live or engine.store.n_iterations % SLICE_EVERY:
         return False
-    return engine.live.advance()
+    refined = engine.live.advance()
+    if refined:
+        engine.merger.look_again()
+    return refined
 
 
 def group_or_found(engine: RelativeMapper, seed: int, level: int) -> None:

@@ -181,6 +181,7 @@ class PointMapper(Mapper):
         engine, before = self.engine, afterwards.extent(self.engine)
         if self.config.refine_live and not engine.refined:
             engine.live.complete()
+            engine.merger.look_again()
         afterwards.complete(engine)
         is_live = self.config.refine_live and not engine.refined
         if is_live and afterwards.extent(engine) != before:  # Loops that are closed now.

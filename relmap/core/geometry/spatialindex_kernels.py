@@ -1,4 +1,4 @@
-"""Places by hashed grid cell, as linked lists in plain arrays, compiled."""
+"""The lists of a spatial index, compiled; see `spatialindex`."""
 
 from __future__ import annotations
 
@@ -6,6 +6,9 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.linalg.compiling import compiled, helper
+
+Grid = tuple[Ints, Ints, Ints, Ints]
+"""First landmark of each bucket; of the landmark table: next_in_cell, cell, last."""
 
 AXIS = 20
 """Bits of a key for each axis: more distant cells share their keys."""
@@ -80,3 +83,50 @@ def link(first: Ints, following: Ints, key: Ints) -> int:
             following[one], first[bucket] = first[bucket], one
             n += 1
     return n
+
+
+@helper
+def _enter_near(
+    grid: Grid, position: Floats, cell_m: float, before: int, found: Ints, n: int
+) -> int:
+    """Write the landmarks near a position (d,) from entry n of `found` (r,) on; see `near`.
+
+    Returns the end of them, which is beyond the last entry if there is no room for all.
+    """
+    first, following, key, last = grid
+    layers = 3 if len(position) == 3 else 1
+    x, y = cell_at(position[0], cell_m), cell_at(position[1], cell_m)
+    z = cell_at(position[2], cell_m) - 1 if layers == 3 else 0
+    for around in range(9 * layers):
+        wanted = key_of(x + around % 3 - 1, y + around // 3 % 3 - 1, z + around // 9)
+        one = first[bucket_of(wanted, len(first))]
+        while one >= 0:
+            if key[one] == wanted and last[one] < before:
+                if n < len(found):
+                    found[n] = one
+                n += 1
+            one = following[one]
+    return n
+
+
+@compiled
+def near(grid: Grid, positions: Floats, cell_m: float, before: Ints) -> tuple[Ints, Ints]:
+    """Return the pairs of a position (k, d) and a landmark in its cell or one beside it.
+
+    Only landmarks last seen `before` (k,) an iteration.
+    """
+    begin, found = np.zeros(len(positions) + 1, dtype=np.int64), np.empty(64, dtype=np.int64)
+    for k in range(len(positions)):
+        end = _enter_near(grid, positions[k], cell_m, before[k], found, begin[k])
+        if end > len(found):
+            fuller = np.empty(2 * end, dtype=np.int64)
+            for i in range(begin[k]):
+                fuller[i] = found[i]
+            found = fuller
+            end = _enter_near(grid, positions[k], cell_m, before[k], found, begin[k])
+        begin[k + 1] = end
+    of = np.empty(begin[-1], dtype=np.int64)
+    for k in range(len(positions)):
+        for i in range(begin[k], begin[k + 1]):
+            of[i] = k
+    return of, found[: begin[-1]]

@@ -18,7 +18,7 @@ NEVER = -(2**62)
 """Last iteration of a landmark that was never seen."""
 
 NONE = -1
-"""Value for a landmark without group, submap or moving bin."""
+"""Value for a landmark without group, submap, moving bin or cell."""
 
 Merge = Literal["old", "new", "least", "most", "sum"]
 
@@ -87,8 +87,9 @@ class Columns:
     submap: Annotated[Ints, Column(NONE, "old")]
     asked_level: Annotated[Ints, Column(0)]
     """Level at which it was last compared with older landmarks."""
-    is_old: Annotated[Bools, Column(False, "old")]
-    """Whether it has left the view while mapped, so that new ones are compared with it."""
+    cell: Annotated[Ints, Column(NONE, "old")]
+    next_in_cell: Annotated[Ints, Column(NONE, "old")]
+    """Place in the spatial index."""
     last_segment: Annotated[Ints, Column(NONE, "old")]
     """Condensed segment that saw it last, or `NONE`."""
 

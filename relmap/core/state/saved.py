@@ -168,11 +168,11 @@ class StateReader:
         self._done.append(part)
         for name, (attribute, hint) in _members(part.__class__).items():
             now = getattr(part, attribute)
-            setattr(part, attribute, self._value(prefix + name, hint, now))
+            setattr(part, attribute, self._value(prefix + name, hint, now, part))
         if hasattr(part, "restored"):
             part.restored()
 
-    def _value(self, name: str, hint: Any, now: Any) -> Any:
+    def _value(self, name: str, hint: Any, now: Any, part: Any = None) -> Any:
         kind, of = _kind(hint, now)
         if self._columns.get(name, self) is None and (now is None or NoneType in get_args(hint)):
             return self._columns.pop(name)
@@ -193,7 +193,7 @@ class StateReader:
         if kind in (list, tuple, set):
             return kind(self._items(name, kind, of))
         if hasattr(kind, "STATE") and not is_dataclass(kind):
-            made = now if now is not None else kind()
+            made = now if now is not None else kind() if part is None else part.blank()
             self.restore(made, f"{name}/")
             return made
         return self._record(kind, f"{name}/")

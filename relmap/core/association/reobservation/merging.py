@@ -19,6 +19,7 @@ from relmap.core.association.reobservation.evidence import Evidence, chosen
 from relmap.core.association.reobservation.sightings import RARELY, Sightings
 from relmap.core.association.reobservation.tying import NEIGHBOURHOOD, OVERLAP
 from relmap.core.association.scale import spacing_of
+from relmap.core.geometry.spatialindex import SpatialIndex
 from relmap.core.model import LandmarkModel
 from relmap.core.state.table import NONE, LandmarkState
 
@@ -32,6 +33,10 @@ TOLERANCE = 3.0
 observation."""
 EXACT = 1e-3
 """Minimum tolerance, as a fraction of that reach, for noise-free data."""
+SLICE = 500
+"""Landmarks re-entered at a time after the map has moved."""
+LAST = 2**62
+"""Larger than any landmark number."""
 ROUNDS = 5
 """Maximum number of passes over duplicates, as each merge may reveal others."""
 
@@ -45,29 +50,38 @@ class Merger:
     landmarks were seen together; used when the whole map is searched.
     """
 
-    _reach_m: float | None
+    _index: SpatialIndex | None
     _old_near: dict[int, list[int]]
     _apart: dict[int, list[int]]
-    STATE = "_reach_m _old_near _apart n_undone"
+    STATE = "_index _entered _old_near _apart n_undone"
 
     def __init__(self, table: LandmarkState, model: LandmarkModel, mature: int) -> None:
         self._table = table
         self._model = model
         self._mature = mature
-        self._reach_m = None  # unknown before the first group
+        self._index = None
+        self._entered = LAST
         self._old_near = {}
         self._apart = {}
         self.n_undone = 0
         self.sightings: Sightings | None = None
 
+    def blank(self) -> SpatialIndex:
+        """Return an empty index, to be restored."""
+        return SpatialIndex(self._table, 1.0)
+
     def leave(self, landmarks: Ints) -> None:
         """Record that landmarks have left the view: from now on they may be re-observed."""
-        if self._reach_m is None or not len(landmarks):
+        if self._index is None or not len(landmarks):
             return
         landmarks = landmarks[self._model.is_compared(landmarks)]
         for landmark in landmarks.tolist():
             self._old_near.pop(landmark, None)
-        self._table.is_old[landmarks] |= self._table.weight[landmarks] > 0
+        self._enter(landmarks)
+
+    def look_again(self) -> None:
+        """Re-enter all landmarks, because the map has moved; `go_on` does it incrementally."""
+        self._entered = 0
 
     def doubles(self, noise_m: float) -> Ints:
         """Return the landmarks (k,) near compatible older ones, to be merged next.
@@ -76,19 +90,33 @@ class Merger:
         observations a landmark has: the whole map has been adjusted.
         """
         mapped = np.flatnonzero(self._table.weight > 0)
-        reach_m = self._reach_of(mapped)  # Perhaps no group was compared with older ones.
-        if reach_m is None or not len(mapped):
+        if self._index is None:  # No group was compared with older ones.
+            self._index = self._begun(mapped)
+        if self._index is None or not len(mapped):
             return np.empty(0, dtype=np.int64)
-        self._table.is_old[mapped] = True
+        self._enter(mapped)
         tolerance_m = TOLERANCE * self._model.position_spread * np.nan_to_num(noise_m)
         near = cKDTree(self._table.position[mapped]).query_pairs(
-            max(reach_m, tolerance_m), output_type="ndarray"
+            max(self._index.cell_m, tolerance_m), output_type="ndarray"
         )
         found: dict[int, list[int]] = {}
         for new, old in sorted(self._possible(mapped[np.vstack([near, near[:, ::-1]])])):
             found.setdefault(new, []).append(old)
         self._old_near.update(found)
         return np.array(list(found), dtype=np.int64)
+
+    def go_on(self) -> None:
+        """Re-enter some more landmarks at their current positions."""
+        if self._index is not None and self._entered < len(self._table):
+            end = min(self._entered + SLICE, len(self._table))
+            landmarks = np.arange(self._entered, end)
+            self._enter(landmarks[self._index.holds(landmarks)])
+            self._entered = end
+
+    def _enter(self, landmarks: Ints) -> None:
+        mapped = landmarks[self._table.weight[landmarks] > 0]
+        if self._index is not None and len(mapped):
+            self._index.add(mapped, self._table.position[mapped])
 
     def find(self, landmarks: Ints, levels: Ints, noise_m: float) -> Ints:
         """Return pairs (k, 2) of a new landmark and the older one that it is.
@@ -99,32 +127,33 @@ class Merger:
         """
         compared = self._model.is_compared(landmarks)
         landmarks, levels = landmarks[compared], levels[compared]
-        reach_m = self._reach_of(landmarks)
+        if self._index is None:
+            self._index = self._begun(landmarks)
         mature = self._table.weight[landmarks] >= self._mature
         asked = self._table.asked_level[landmarks]
         ask = landmarks[mature & (levels > asked)]
         self._table.asked_level[landmarks] = np.maximum(asked, levels * mature)
-        if reach_m is not None and len(ask):
-            self._ask(ask, reach_m)
-        if not self._old_near or reach_m is None:
+        self._ask(ask)
+        if not self._old_near:
             return np.empty((0, 2), dtype=np.int64)
         near = self._old_near
         known = filter(near.__contains__, landmarks.tolist())  # few, and this is fast
         pairs = [(new, old) for new in known for old in near[new]]
         pairs = self._possible(np.array(pairs)) if pairs else pairs
-        if not pairs:
+        if not pairs or self._index is None:
             return np.empty((0, 2), dtype=np.int64)
         spread_m = self._model.position_spread * noise_m
-        tolerance_m = max(TOLERANCE * spread_m, EXACT * reach_m)
-        evidence = self._evidence(landmarks, tolerance_m, reach_m)
+        tolerance_m = max(TOLERANCE * spread_m, EXACT * self._index.cell_m)
+        evidence = self._evidence(landmarks, tolerance_m)
         return chosen(self._table.position, np.array(pairs), tolerance_m, evidence)
 
-    def _evidence(self, landmarks: Ints, tolerance_m: float, reach_m: float) -> Evidence | None:
+    def _evidence(self, landmarks: Ints, tolerance_m: float) -> Evidence | None:
         """Return the evidence for merges of landmarks (n,) seen together."""
-        if self._model.drift_m is not None:
+        if self._index is None or self._model.drift_m is not None:
             return None
         first = np.sort(self._table.first[landmarks[self._table.weight[landmarks] > 0]])
-        share = min(np.log(2) * (REACH * tolerance_m / reach_m) ** self._table.dimension, 0.5)
+        reach_m, d = self._index.cell_m, self._table.dimension
+        share = min(np.log(2) * (REACH * tolerance_m / reach_m) ** d, 0.5)
         weight, last = self._table.weight, self._table.last
         return Evidence(first, share, reach_m, weight, last, landmarks, self.sightings)
 
@@ -170,32 +199,29 @@ class Merger:
             of[track] == other and tracks.count(track) > 1 for tracks in noted for track in tracks
         )
 
-    def _reach_of(self, landmarks: Ints) -> float | None:
-        """Return the possible drift, metres, from the first landmarks that determine it."""
-        if self._reach_m is None:
-            reach_m = self._model.drift_m
-            if reach_m is None:
-                reach_m = REACH * spacing_of(self._table.position[landmarks])
-            self._reach_m = reach_m if 0 < reach_m < np.inf else None
-        return self._reach_m
+    def _begun(self, landmarks: Ints) -> SpatialIndex | None:
+        reach_m = self._model.drift_m
+        if reach_m is None:
+            reach_m = REACH * spacing_of(self._table.position[landmarks])
+        return SpatialIndex(self._table, reach_m) if 0 < reach_m < np.inf else None
 
-    def _ask(self, landmarks: Ints, reach_m: float) -> None:
+    def _ask(self, landmarks: Ints) -> None:
         """Search for older landmarks near new ones (k,)."""
-        position, last = self._table.position, self._table.last
+        if self._index is None or not len(landmarks):
+            return
+        positions, last = self._table.position, self._table.last[landmarks]
         # Most are seen now too, and are not older ones.
-        before = last[landmarks] + (self.sightings is not None)
-        old, here = np.flatnonzero(self._table.is_old & (last < before.max())), position[landmarks]
-        for a, (low, high) in enumerate(zip(here.min(axis=0), here.max(axis=0), strict=True)):
-            place = position[old, a]
-            old = old[(place >= low - reach_m) & (place <= high + reach_m)]
-        row, near = np.nonzero(np.abs(position[old, 0] - here[:, :1]) <= reach_m)
-        new, near = landmarks[row], old[near]
-        close = np.linalg.norm(position[near] - position[new], axis=1) <= reach_m
-        close &= last[near] < before[row]
+        before = last if self.sightings is None else last + 1
+        of, near = self._index.near(positions[landmarks], before)
+        if not len(near):
+            return
+        new = landmarks[of]
+        close = np.linalg.norm(positions[near] - positions[new], axis=1) <= self._index.cell_m
+        close &= self._table.submap[near] == self._table.submap[new]
         found: dict[int, list[int]] = {}
-        for one, other in self._possible(np.column_stack([new[close], near[close]])):
-            found.setdefault(one, []).append(other)
-        self._old_near.update(found)
+        for one, old in self._possible(np.column_stack([new[close], near[close]])):
+            found.setdefault(one, []).append(old)
+        self._old_near.update((one, sorted(old)) for one, old in found.items())
 
     def _possible(self, pairs: Ints) -> list[tuple[int, int]]:
         """Return pairs (k, 2) of a landmark and an older one that may be the same."""
