@@ -170,16 +170,12 @@ def _merge_compatible(engine: RelativeMapper, at_last: bool = False) -> bool:
         pairs[later] = pairs[later, ::-1]
         if not at_last:
             pairs = pairs[engine.merger.allowed(pairs)]
-        apart = [not sightings.together(new, old) for new, old in pairs.tolist()]
-        merged += engine.merge_pairs(pairs[np.array(apart, dtype=bool)])
+        merged += engine.merge_pairs(sightings.apart(pairs))
     return merged > 0
 
 
 def _undo(engine: RelativeMapper) -> int:
-    """Undo the merges that the refined map contradicts; return the number of changes.
-
-    A submap that is no longer connected is split.
-    """
+    """Undo the merges that the refined map contradicts; return the number of changes."""
     table = engine.table
     rows = engine.rows
     usual = np.inf if is_bridged(engine) else 1.0

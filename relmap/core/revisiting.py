@@ -69,9 +69,8 @@ def _merge_revisits(engine: RelativeMapper) -> tuple[list[float], int]:
         for revisit in found:
             pairs = table.now(revisit.pairs)
             pairs = pairs[pairs[:, 0] != pairs[:, 1]]
-            pairs = pairs[engine.merger.allowed(pairs)]
-            apart = [not sightings.together(new, old) for new, old in pairs.tolist()]
-            pairs = mergeable(table, pairs[np.array(apart, dtype=bool)])
+            pairs = sightings.apart(pairs[engine.merger.allowed(pairs)])
+            pairs = mergeable(table, pairs)
             if len(pairs) > CLEAR * len(revisit.pairs):
                 engine.merge_pairs(pairs)
                 surprises.append(revisit.surprise)
@@ -101,8 +100,7 @@ def merge_in_place(engine: RelativeMapper, at_last: bool = False) -> None:
         pairs = lying_together(engine.table, noise_m)
         if not at_last:
             pairs = pairs[merger.allowed(pairs)]
-        apart = [not sightings.together(new, old) for new, old in pairs.tolist()]
-        pairs = pairs[np.array(apart, dtype=bool)]
+        pairs = sightings.apart(pairs)
         landmark, kept = engine.table.now(engine.kept.landmark), engine.kept
         both = seen_with_both(pairs, landmark, kept.iteration, len(engine.table))
         found = engine.merge_pairs(pairs[both >= TIED]) > 0

@@ -11,12 +11,18 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy import sparse
 from scipy.linalg.lapack import dtrtri
+from scipy.sparse.linalg import splu
 
 from relmap.core.arrays import Floats, Ints
 
 if TYPE_CHECKING:
     from relmap.core.linalg.cholesky_kernels import Layout
+
+
+FAINT = 1e-6
+"""Excess of a diagonal entry over the others of its row in a graph that is only ordered."""
 
 
 class Pattern:
@@ -55,9 +61,8 @@ class Pattern:
         (begin[-1],): the blocks of each clique, concatenated, without duplicates in a clique.
         """
         from relmap.core.linalg.cholesky_kernels import panels
-        from relmap.core.linalg.elimination_kernels import minimum_degree
 
-        order, tied_begin, tied = minimum_degree(width, begin, cliques)
+        order, tied_begin, tied = _minimum_degree(len(width), begin, cliques)
         first, (start, column_of, row_begin, rows, offset) = panels(width, order, tied_begin, tied)
         panel = len(column_of) * np.repeat(np.arange(len(start) - 1), np.diff(row_begin))
         return cls(first, (start, column_of, row_begin, np.sort(panel + rows) - panel, offset))
@@ -160,3 +165,18 @@ class Pattern:
             row = np.searchsorted(keys, p * u + later) - row_begin[p]
             found[:, k] = offset[p] + row * (start[p + 1] - start[p]) + earlier - start[p]
         return found
+
+
+def _minimum_degree(n: int, begin: Ints, cliques: Ints) -> tuple[Ints, Ints, Ints]:
+    """Return SuperLU's fill-reducing elimination order (n,), and the blocks coupled to each.
+
+    As `begin` (n + 1,) and `tied`: those coupled to the first, second, ... when it is eliminated.
+    """
+    member = sparse.csr_array((np.ones(len(cliques)), cliques, begin), (len(begin) - 1, n))
+    shared = member.T @ member
+    # Off the diagonal no entry is positive: those of the factor neither cancel nor fade to zero.
+    graph = sparse.csc_array(sparse.diags_array(shared.sum(axis=1) + FAINT) - shared)
+    options = {"SymmetricMode": True}
+    found = splu(graph, "MMD_AT_PLUS_A", diag_pivot_thresh=0, relax=1, options=options)
+    order, below = np.argsort(found.perm_c), sparse.tril(found.L, -1, "csc")
+    return order, below.indptr.astype(np.int64), order[below.indices]

@@ -50,8 +50,8 @@ def _heads(width: Ints, order: Ints, begin: Ints, place: Ints, tied: Ints) -> In
 def panels(width: Ints, order: Ints, begin: Ints, tied: Ints) -> tuple[Ints, Layout]:
     """Return the first unknown (b,) of each block, and the layout of the factor.
 
-    The rows of a panel are not in order yet.  The arguments are as from
-    `relmap.core.linalg.elimination_kernels.minimum_degree`.
+    The rows of a panel are not in order yet. `width` (n,): unknowns of each block; `order` (n,):
+    the blocks as they are eliminated; `begin` (n + 1,), `tied`: those coupled to each then.
     """
     n = len(order)
     place, at = np.empty(n, dtype=np.int64), np.zeros(n + 1, dtype=np.int64)

@@ -192,11 +192,7 @@ class PlaceFinder:
         return trials * float(bdtrc(n_agreeing - 4, n - 3, share))
 
     def _hypotheses(self, points: Floats, needed: float) -> tuple[Floats, Floats]:
-        """Return rotations (h, d, d) and translations (h, d) of the scan, best first.
-
-        From triangles found in the map; only those that bring enough of the scan near mapped
-        landmarks.
-        """
+        """Return rotations (h, d, d) and translations (h, d) of the scan, best first."""
         corners, sides = _triangles(points)
         if self._sides is None or not len(sides):
             d = points.shape[1]

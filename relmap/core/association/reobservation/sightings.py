@@ -34,6 +34,11 @@ class Sightings:
         here, there = (self._scans(self._rows(landmark)) for landmark in (one, other))
         return len(np.intersect1d(here, there)) > share * min(len(here), len(there))
 
+    def apart(self, pairs: Ints) -> Ints:
+        """Return those of pairs (k, 2) of landmarks that no scan shows together."""
+        apart = [not self.together(one, other) for one, other in pairs.tolist()]
+        return np.asarray(pairs[np.array(apart, dtype=bool)])
+
     def tracks_met(self, track: int, others: Ints, share: float = 0.0) -> Bools:
         """Return which other tracks (k,) share more than a fraction of the scans of the rarer.
 
