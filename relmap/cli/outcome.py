@@ -72,7 +72,7 @@ def report(job: Job) -> None:
         trust = summary["association_trust"]
         has_ids = summary["association"] == "known"
         warning = doubtful(summary["refinement"], trust["contradicting"], has_ids)
-        warning += leapt(trust["leaps"])
+        warning += leapt(trust["leaps"]) + crept(trust["creep_m"])
     typer.echo(f"{message}{still(run.result.poses)}{warning}")
     if job.onto and job.association == "nearest" and summary["tied_at"] is None:
         typer.echo(
@@ -253,6 +253,17 @@ def leapt(leaps: dict[str, Any] | None) -> str:
         f"\nWARNING: in the map the robot leaps {leaps['way_m'][0]:.1f} m from iteration {before} "
         f"to {after}{more}: unless it was carried there, places that look the same were taken for "
         "one"
+    )
+
+
+def crept(creep_m: float | None) -> str:
+    """Return a warning that landmarks creep in the map, metres per iteration, as `leapt` does."""
+    if not creep_m:
+        return ""
+    return (
+        f"\nWARNING: in the map landmarks move by about {creep_m:.1g} m per iteration along one "
+        "direction: it may be wrong, as many may move slowly together, or the observations have "
+        "systematic errors"
     )
 
 

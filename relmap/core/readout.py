@@ -13,6 +13,7 @@ from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup, Subma
 from relmap.core.map.leaps import Gaps, gaps_of
 from relmap.core.map.pose import known_poses, trajectory
 from relmap.core.mapper import RelativeMapper
+from relmap.core.refinement.creeping import creep_of
 from relmap.core.state.table import NONE, LandmarkState
 
 
@@ -118,6 +119,14 @@ def gaps(engine: RelativeMapper, known: Ints, places_map: Floats) -> Gaps | None
         return None
     positions, of = mapped_positions(engine), engine.table.landmark_of
     return gaps_of(engine.rows, positions, of, known, places_map)
+
+
+def creep(engine: RelativeMapper) -> float | None:
+    """Return how fast landmarks of the refined map creep, see `creep_of`; None if not refined."""
+    if not engine.refined:
+        return None
+    rows, table = engine.rows, engine.table
+    return creep_of(rows, table.position, engine.map.ranks == 0, table.now(rows.landmark))
 
 
 def paths(engine: RelativeMapper) -> list[tuple[Ints, Floats]]:

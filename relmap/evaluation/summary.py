@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association.registering import BLIND
 from relmap.core.odometry import OdometryUse
-from relmap.core.readout import gaps
+from relmap.core.readout import creep, gaps
 from relmap.core.refinement.joint import Refined
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.scans import ScanLog
@@ -57,6 +57,7 @@ def summary_of(
         "undone_merges": mapper.n_undone,
         "submaps": len(result.submaps),
         "contradicting": _contradicting(mapper, counts["observations"]),
+        "creep_m": creep(mapper.engine) if isinstance(mapper, PointMapper) else None,
         **_bridged_by_look(mapper, result, offset),
     }
     summary["odometry"] = _odometry(mapper.odometry, result, offset)
