@@ -45,7 +45,7 @@ def carried(count: int, first: int = 0) -> Submap:
     return part
 
 
-@pytest.mark.parametrize(("yaw", "doubtful"), [(0.8, False), (np.pi, True)])
+@pytest.mark.parametrize(("yaw", "doubtful"), [(0.8, False), (2.0, True), (np.pi, True)])
 def test_a_leap_far_beyond_the_fastest_step_is_not_accepted(yaw: float, doubtful: bool) -> None:
     part = carried(7)
     planes = part.all_planes()
@@ -66,7 +66,7 @@ def test_a_scan_that_jumps_needs_several_planes(planes: int, way_m: float, doubt
 
 @pytest.mark.parametrize(
     ("first", "yaw", "share", "doubtful"),
-    [(4, 0.0, 0.6, False), (4, np.pi, 1.0, True), (9, 0.0, 0.6, True), (9, 0.0, 0.9, False)],
+    [(4, 0.0, 0.6, False), (4, 1.5, 1.0, True), (9, 0.0, 0.6, True), (9, 0.0, 0.9, False)],
 )
 def test_submaps_are_tied_near_in_time_or_if_they_show_the_same(
     first: int, yaw: float, share: float, doubtful: bool

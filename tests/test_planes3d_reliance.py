@@ -121,6 +121,31 @@ def test_a_room_with_parallel_walls_is_not_fragile_but_a_corner_is() -> None:
         assert np.sort(np.abs(along).argmax(axis=1)).tolist() == [0, 0, 1, 1, 2, 2]
 
 
+@pytest.mark.parametrize(("share", "lost"), [(0.01, False), (0.05, True)])
+def test_a_scan_depends_on_a_wall_without_which_it_is_uncertain(share: float, lost: bool) -> None:
+    part = carried([0.0, 0.1], 3.0, -3.0)
+    for seen in part.seen:
+        seen.information[1] = (share * seen.reach_m) ** -2.0
+    scan, landmark, along = fragile_of(part)
+    by_walls = np.abs(along[:, 0]) > 0.9
+    assert scan[by_walls].tolist() == ([0, 1] if lost else [])
+    assert (landmark[by_walls] == 0).all()
+
+
+@pytest.mark.parametrize(("share", "elsewhere"), [(0.002, False), (0.02, True)])
+def test_a_scan_depends_on_a_wall_without_which_it_is_elsewhere(
+    share: float, elsewhere: bool
+) -> None:
+    part = carried([0.0, 0.1, 0.2, 0.3], 3.0, -3.0)
+    last = part.seen[-1]
+    last.information[1] = (0.002 * last.reach_m) ** -2.0
+    last.centre[1, 0] += share * last.reach_m
+    scan, landmark, along = fragile_of(part)
+    by_walls = np.abs(along[:, 0]) > 0.9
+    assert scan[by_walls].tolist() == ([3] if elsewhere else [])
+    assert (landmark[by_walls] == 0).all()
+
+
 def fragile_of(part: Submap) -> tuple[Ints, Ints, Floats]:
     reach_m = np.array([each.reach_m for each in part.seen])
     return fragile(sightings(part), scene(part), 0.0, reach_m)
