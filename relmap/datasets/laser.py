@@ -15,6 +15,7 @@ import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.errors import RelmapError
+from relmap.datasets.floor_hits import floor_m
 from relmap.datasets.scans import ScanLog, SensorView, stored_scans
 from relmap.datasets.textfile import invalid, warn
 
@@ -112,11 +113,13 @@ def usable_beams(
 
     `path`: the log, for warnings. `ranges_m`, `bearings_rad`, list of k (b,): beams of each scan,
     in their order. `limit_m`: the range of beams without a return as stated by the log; see also
-    `no_return_m` and `on_robot`. RelmapError as for `require_near`.
+    `no_return_m`, `floor_m` and `on_robot`. RelmapError as for `require_near`.
     """
     require_near(path, ranges_m)
     below_m = [np.where(ranges < limit_m, ranges, 0.0) for ranges in ranges_m]
     limit_m = min(limit_m, no_return_m(path, below_m, bearings_rad))
+    below_m = [np.where(ranges < limit_m, ranges, 0.0) for ranges in below_m]
+    limit_m = min(limit_m, floor_m(path, below_m, bearings_rad))
     known_m = [np.where((r > 0) & (r < limit_m), r, 0.0) for r in ranges_m]
     own = on_robot(path, known_m, bearings_rad)
     return [(r > 0) & ~robot for r, robot in zip(known_m, own, strict=True)], limit_m

@@ -1,0 +1,53 @@
+"""The range from which a 2-D laser that is tilted a little sees the floor instead of walls."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from relmap.core.arrays import Floats
+from relmap.datasets.textfile import warn
+
+AHEAD_RAD = np.deg2rad(10.0)
+"""Beams at most this far from straight ahead: the floor there is a line across them."""
+FAR, FARTHER = 0.99, 2 / 3
+"""Quantile of the views ahead that is the far end of the peak, against single wild ranges; and
+the fraction of it above which views count for the middle of the peak."""
+NARROW = 0.75
+"""Least ratio of the ends of the peak: a laser that shakes sees the floor sometimes nearer."""
+PEAK, SCANS = 5.0, 0.1
+"""Such a peak holds this many times as many views as the same width below it, and at least this
+fraction of all."""
+NEARER = 0.5
+"""The same fraction is shorter than this fraction of the longest: else the robot may stand before a
+wall, or drive about in the middle of a room."""
+FEWEST = 20
+"""Minimum number of scans."""
+
+
+def floor_m(path: Path, ranges_m: list[Floats], bearings_rad: list[Floats]) -> float:
+    """Return the range from which beams may end on the floor, infinity if none do.
+
+    The floor moves with the robot as a wall ahead would, at nearly the same distance in many scans,
+    with hardly anything beyond. `path`: the log, for warnings. `ranges_m`, `bearings_rad`, list of
+    k (b,): beams of each scan, 0 for those without a return.
+    """
+    views = [
+        (ranges * np.cos(bearings))[np.abs(bearings) <= AHEAD_RAD].max(initial=0.0)
+        for ranges, bearings in zip(ranges_m, bearings_rad, strict=True)
+    ]
+    ahead_m = np.array([view for view in views if view > 0])
+    if len(ahead_m) < FEWEST:
+        return np.inf
+    far_m = float(np.quantile(ahead_m, FAR))
+    least_m = 2 * float(np.median(ahead_m[ahead_m >= FARTHER * far_m])) - far_m
+    within = np.count_nonzero(ahead_m >= least_m)
+    below = np.count_nonzero((ahead_m < least_m) & (ahead_m >= 2 * least_m - far_m))
+    nearer = np.count_nonzero(ahead_m < NEARER * far_m)
+    few = min(within, nearer) < SCANS * len(ahead_m)
+    if few or within < PEAK * below or least_m < NARROW * far_m:
+        return np.inf
+    seen = f"{100 * within / len(views):.3g} % of the scans see {least_m:.3g} to {far_m:.3g} m"
+    warn(path, f"{seen} ahead, hardly any farther, as if the laser saw the floor: ranges left out")
+    return least_m
