@@ -69,6 +69,20 @@ def test_the_noise_does_not_depend_on_the_number_of_beams(count: int, sigma_m: f
     assert max(found) < 1.1
 
 
+@pytest.mark.parametrize("width", [2, 3])
+def test_clutter_is_not_noise_of_points_that_are_close(width: int) -> None:
+    """The distances of points among boxes grow with the number of beams between."""
+    bearing, found = np.deg2rad(np.arange(ONE_DEGREE) - 90.0), []
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        depth = np.repeat(rng.uniform(0, 1, ONE_DEGREE // width + 1), width)[:ONE_DEGREE]
+        reach = 1.5 + depth + rng.normal(0, 0.005, ONE_DEGREE)
+        found.append(
+            beam_noise(np.column_stack([np.cos(bearing), np.sin(bearing)]) * reach[:, None])
+        )
+    assert max(found) < 0.05
+
+
 def test_most_walls_are_found_with_one_beam_a_degree() -> None:
     found = []
     for seed in range(15):

@@ -25,6 +25,9 @@ MANY = 1 / 12
 """Fraction of beams on small isolated objects above which the scan shows clutter."""
 CHORD = 3.0
 """Minimum length of the chords from which the noise is estimated, in standard deviations."""
+GROWS = 1.6
+"""Growth of the distance of points with twice as many beams between, below which it is mostly
+noise: for chords of three standard deviations of range noise, ((9 + 2) / (9 / 4 + 2)) ** 0.5."""
 NOISE_AT_LEAST_M = 0.005
 """Minimum deviation of real walls from flatness."""
 APART = 0.5
@@ -94,7 +97,8 @@ def beam_noise(xy: Floats) -> float:
 
     Corners and ends of walls are excluded; with fewer beams they are more frequent. Where
     neighbours are closer than the noise their chords do not lie along the wall: those of points
-    two beams before and after are used instead, four beams, and so on.
+    two beams before and after are used instead, four beams, and so on. Their distances then grow
+    little with the number of beams between, unlike in clutter, which is not noise.
     """
     from relmap.segmentation.scanline.beam_kernels import off_chords
 
@@ -104,10 +108,20 @@ def beam_noise(xy: Floats) -> float:
     turn = np.abs(np.diff(np.arctan2(xy[:, 1], xy[:, 0])))
     apart_m = median(np.hypot(xy[:, 0], xy[:, 1])) * median(turn)
     sigma = _noise_of(off_chords(xy, reach))
-    while len(xy) >= 2 * reach * LEAST and 2 * reach * apart_m < CHORD * sigma:
+    while (
+        len(xy) >= 2 * reach * LEAST
+        and 2 * reach * apart_m < CHORD * sigma
+        and _distance_m(xy, 2 * reach) < GROWS * _distance_m(xy, reach)
+    ):
         reach *= 2
         sigma = max(_noise_of(off_chords(xy, reach)), sigma)
     return sigma
+
+
+def _distance_m(xy: Floats, beams: int) -> float:
+    """Return the median distance of points so many beams apart."""
+    step = xy[beams:] - xy[:-beams]
+    return median(np.hypot(step[:, 0], step[:, 1]))
 
 
 def _noise_of(off_m: float) -> float:
