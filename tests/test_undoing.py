@@ -11,6 +11,8 @@ from relmap import MapperConfig, PointMapper
 from relmap.core.arrays import Ints
 from relmap.core.association.reobservation.sightings import Sightings
 from relmap.core.association.reobservation.undoing import nearer_another
+from relmap.core.map.leaps import gaps_of, may_have_gaps
+from relmap.core.map.pose import known_poses
 from relmap.core.state.saved import StateReader, StateWriter
 from relmap.core.state.schedule import GroupingSchedule
 from relmap.core.state.table import NONE, LandmarkState
@@ -231,3 +233,19 @@ def test_a_run_goes_on_after_a_merge_is_undone_that_a_group_had_replaced() -> No
     assert new in engine.schedule.in_view
     mapper.finish()
     assert new in mapper.map.landmark_ids
+
+
+@pytest.mark.parametrize(("missed", "expected"), [((), False), (range(100, 116), True)])
+def test_gaps_are_looked_for_where_there_may_be_some(
+    missed: tuple[int, ...] | range, expected: bool
+) -> None:
+    mapper = PointMapper()
+    for k, scan in enumerate(simulate_figure_eight(density=25, iterations=200).log.scans()):
+        seen = slice(0 if k in missed else None)
+        mapper.update(scan.points_robot[seen], scan.ids[seen])
+    mapper.refine()
+    table, rows = mapper.engine.table, mapper.engine.rows
+    positions = np.where(table.weight[:, None] > 0, table.position, np.nan)
+    known, poses = known_poses(rows, positions, table.landmark_of)
+    found = gaps_of(rows, positions, table.landmark_of, known, poses[:, :3, 3])
+    assert may_have_gaps(rows, positions, table.landmark_of) == expected == (len(found.before) > 0)

@@ -81,6 +81,23 @@ def gaps_of(
     return Gaps(before[kept], after[kept], way_m[kept], reach_m)
 
 
+def may_have_gaps(rows: SegmentRows, positions_map: Floats, of: Ints) -> bool:
+    """Return False if enough landmarks are in view, and tracked, for `gaps_of` to find no gap.
+
+    It does not need the poses. The arguments are those of `gaps_of`.
+    """
+    d, n = positions_map.shape[1], len(rows.iteration_segment)
+    mapped = np.asarray(np.isfinite(positions_map[of]).all(axis=1))
+    own = mapped[rows.landmark]
+    row, bit = np.nonzero(_BITS[rows.visible[own]])
+    scan = rows.first_iteration[rows.segment[own]][row] + bit
+    showing = np.flatnonzero(np.bincount(scan, minlength=n) >= d)
+    if len(showing) < 2:
+        return True
+    tracked = _tracked(rows, mapped)[showing[0] : showing[-1]]
+    return bool((tracked < d).any() or np.diff(showing).max() > BLIND + 1)
+
+
 def _tracked(rows: SegmentRows, mapped: Bools) -> Ints:
     """Return how many mapped landmarks (m,) are tracked across the end of each iteration (i,)."""
     n = len(rows.iteration_segment)

@@ -17,7 +17,7 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.association.reobservation.sightings import RARELY, Sightings
 from relmap.core.geometry.alignment import sums_each
 from relmap.core.geometry.robust import EXACT
-from relmap.core.map.leaps import HIGHEST, LOWEST, Gaps, gaps_of
+from relmap.core.map.leaps import HIGHEST, LOWEST, Gaps, gaps_of, may_have_gaps
 from relmap.core.map.pose import known_poses
 from relmap.core.refinement.condensing import SegmentRows
 from relmap.core.refinement.joint import Refined, laid_on
@@ -193,6 +193,8 @@ def merged_across(refined: Refined, table: LandmarkState, rows: SegmentRows) -> 
     """
     positions, of = np.full(table.position.shape, np.nan), table.landmark_of
     positions[refined.landmarks] = refined.positions
+    if not may_have_gaps(rows, positions, of):
+        return np.empty(0, dtype=np.int64)
     known, poses = known_poses(rows, positions, of, refined.noise_m)
     begin, landmark = rows.first_iteration[rows.segment], of[rows.landmark]
     first, last = begin + LOWEST[rows.visible], begin + HIGHEST[rows.visible]
