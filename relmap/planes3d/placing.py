@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.arrays import Floats, Ints
 from relmap.planes3d.fitting import fitted, fixes_turn, matched
 from relmap.planes3d.hypotheses import Held, importance, motions
 from relmap.planes3d.submap import Pose
@@ -43,9 +43,6 @@ SHORT, TURN_RAD = 5, np.deg2rad(90.0)
 than the range: in narrow rooms a turn by 40 degrees at a door moves points farther than that."""
 UNMATCHED = 8.0
 """Tolerance of planes that another placement may explain, as a multiple of the usual one."""
-CLUTTER = 4.0
-"""The best placement is fitted without planes of the map more than so many times as thick as those
-of the scan, too: what joins two surfaces, as a ceiling and beams below it, is tilted."""
 ARRIVED = 0.05
 """A hypothesis that a fit brings this close to a placement, as a fraction of `APART`, is it."""
 CLEARLY = 0.5
@@ -151,12 +148,6 @@ def _settled_all(seen: Patches, there: Surfaces, last: Pose | None, held: Held) 
     placed = _settled(other, seen, there, held, [], loose=1.0) if other else None
     if placed is not None:
         found.append(placed)
-    # Index -1, of a plane without a match, is that of one without thickness.
-    thick = np.append(there.planes.spread[:, 2], 0.0) > CLUTTER * seen.spread[:, 2:]
-    if best and thick[np.arange(len(seen)), best.match].any():
-        placed = _settled(best.pose, seen, there, held, found, thick=thick[:, :-1])
-        if placed is not None:
-            found.append(placed)
     return sorted(found, key=lambda each: -each.share)
 
 
@@ -252,19 +243,12 @@ def _settled(
     held: Held,
     known: list[Placed],
     loose: float = 4.0,
-    thick: Bools | None = None,
 ) -> Placed | None:
     """Fit a hypothesis to its matches, three times, and judge it; None if it fails, or is known.
 
-    `loose`: tolerance of the first matches, as a multiple of the usual one; `thick` (m, k): pairs
-    of planes of the scan and of the map that do not match.
+    `loose`: tolerance of the first matches, as a multiple of the usual one.
     """
-
-    def overlapping(R: Floats, t: Floats) -> Bools:
-        near = there.overlapping(R, t, seen)
-        return near if thick is None else near & ~thick
-
-    planes, near, (R, t) = there.planes, overlapping(*pose), pose
+    planes, near, (R, t) = there.planes, there.overlapping(*pose, seen), pose
     match, _ = matched(R, t, seen, planes, near, loose)
     for loose in (2.0, 1.0):
         if not fixes_turn(planes.normal[match[match >= 0]]):
@@ -273,7 +257,7 @@ def _settled(
         if any(_same(R, t, other, seen, ARRIVED) for other in known):
             return None
         # After the first fit the pose hardly changes.
-        near = overlapping(R, t) if loose > 1.0 else near
+        near = there.overlapping(R, t, seen) if loose > 1.0 else near
         match, off = matched(R, t, seen, planes, near, loose)
     if not fixes_turn(planes.normal[match[match >= 0]]):
         return None
