@@ -39,7 +39,7 @@ def test_the_floor_is_left_out(caplog: pytest.LogCaptureFixture) -> None:
     assert farthest_m.max() < limit_m
     (said,) = [record.getMessage() for record in caplog.records]
     assert "as if the laser saw the floor" in said
-    assert "73.5 % of the scans see 11.6 to 12.3 m ahead" in said
+    assert "60.6 % of the scans in motion see 11.4 to 12.3 m ahead" in said
 
 
 def test_a_corridor_is_seen_to_its_end() -> None:
@@ -54,3 +54,11 @@ def test_a_wall_before_a_robot_at_rest_is_a_wall() -> None:
     farthest_m, limit_m = usable(at_rest + down_a_corridor(long_m=12.0)[:10])
     assert limit_m == np.inf
     assert farthest_m.max() > 11.9
+
+
+def test_a_robot_that_rests_before_its_longest_view_does_not_see_the_floor() -> None:
+    rng, scans = np.random.default_rng(1), down_a_corridor()
+    at_rest = [scans[1] + rng.normal(0, 0.01, len(BEARING)) for _ in range(40)]
+    farthest_m, limit_m = usable(at_rest + scans)
+    assert limit_m == np.inf
+    assert farthest_m.max() > 39.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,9 @@ NEARER = 0.5
 wall, or drive about in the middle of a room."""
 FEWEST = 20
 """Minimum number of scans."""
+MOVED_M, MOVED = 0.1, 0.05
+"""Change of a range, and the fraction of the beams that change so much since the last scan that is
+counted: else the robot rests, and what it sees ahead is as far as before."""
 
 
 def floor_m(path: Path, ranges_m: list[Floats], bearings_rad: list[Floats]) -> float:
@@ -35,7 +39,7 @@ def floor_m(path: Path, ranges_m: list[Floats], bearings_rad: list[Floats]) -> f
     """
     views = [
         (ranges * np.cos(bearings))[np.abs(bearings) <= AHEAD_RAD].max(initial=0.0)
-        for ranges, bearings in zip(ranges_m, bearings_rad, strict=True)
+        for ranges, bearings in _moving(zip(ranges_m, bearings_rad, strict=True))
     ]
     ahead_m = np.array([view for view in views if view > 0])
     if len(ahead_m) < FEWEST:
@@ -48,6 +52,16 @@ def floor_m(path: Path, ranges_m: list[Floats], bearings_rad: list[Floats]) -> f
     few = min(within, nearer) < SCANS * len(ahead_m)
     if few or within < PEAK * below or least_m < NARROW * far_m:
         return np.inf
-    seen = f"{100 * within / len(views):.3g} % of the scans see {least_m:.3g} to {far_m:.3g} m"
+    seen = f"{100 * within / len(views):.3g} % of the scans in motion see {least_m:.3g} to {far_m:.3g} m"
     warn(path, f"{seen} ahead, hardly any farther, as if the laser saw the floor: ranges left out")
     return least_m
+
+
+def _moving(scans: Iterable[tuple[Floats, Floats]]) -> Iterator[tuple[Floats, Floats]]:
+    """Yield the ranges and bearings (b,) of scans that differ from the last one yielded."""
+    last = np.empty(0)
+    for ranges, bearings in scans:
+        same = len(ranges) == len(last)
+        if not same or np.mean(np.abs(ranges - last) > MOVED_M) > MOVED:
+            last = ranges
+            yield ranges, bearings
