@@ -52,8 +52,9 @@ def floor_m(path: Path, ranges_m: list[Floats], bearings_rad: list[Floats]) -> f
     few = min(within, nearer) < SCANS * len(ahead_m)
     if few or within < PEAK * below or least_m < NARROW * far_m:
         return np.inf
-    seen = f"{100 * within / len(views):.3g} % of the scans in motion see {least_m:.3g} to {far_m:.3g} m"
-    warn(path, f"{seen} ahead, hardly any farther, as if the laser saw the floor: ranges left out")
+    share = f"{100 * within / len(views):.3g} % of the scans in motion"
+    seen = f"{share} see {least_m:.3g} to {far_m:.3g} m ahead, hardly any farther"
+    warn(path, f"{seen}, as if the laser saw the floor: ranges left out")
     return least_m
 
 
