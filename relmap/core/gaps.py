@@ -111,7 +111,10 @@ def _moving(engine: RelativeMapper, solved: list[Solved], suspects: Ints) -> Int
 
 
 def _place(engine: RelativeMapper, solved: list[Solved]) -> Ints:
-    """Make each part a submap; return their numbers (p,)."""
+    """Make each part a submap; return their numbers (p,).
+
+    Landmarks of several parts belong to the first; a part without others gets `NONE`.
+    """
     table, seen = engine.table, n_kept(engine)
     table.take_off_map(np.flatnonzero(table.submap != NONE))
     drift = 1.0 if engine.odometry is None else engine.odometry.drift

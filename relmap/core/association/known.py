@@ -70,7 +70,10 @@ class KnownAssociation(Registration):
         return np.fromiter(map(self._number.__getitem__, given), np.int64, len(given))
 
     def _checked(self, ids: Ints, points_robot: Floats) -> Ints:
-        """Return the ids (n,), replaced or `UNIDENTIFIED` for inconsistent observations."""
+        """Return the ids (n,), replaced or `UNIDENTIFIED` for inconsistent observations.
+
+        Record the rows that changed.
+        """
         if len(ids) and ids.min() >= 0:
             good = self._rigidity.checked(ids, points_robot)
             if good is ids:

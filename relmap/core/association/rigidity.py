@@ -137,7 +137,10 @@ class Rigidity:
         return checked
 
     def _named(self, fit: _Fit, scan: _Scan, far: Ints) -> Ints:
-        """Return the ids (n,) of a scan, doubtful ones replaced by the landmarks expected there."""
+        """Return the ids (n,) of a scan, doubtful ones replaced by the landmarks expected there.
+
+        Doubtful are observations far from their prediction and, after such observations, new ids.
+        """
         assert self._last is not None
         last, named = self._last, scan.ids.copy()
         named[fit.shared[far]] = UNIDENTIFIED

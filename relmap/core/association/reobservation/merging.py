@@ -224,7 +224,10 @@ class Merger:
         self._old_near.update((one, sorted(old)) for one, old in found.items())
 
     def _possible(self, pairs: Ints) -> list[tuple[int, int]]:
-        """Return pairs (k, 2) of a landmark and an older one that may be the same."""
+        """Return pairs (k, 2) of a landmark and an older one that may be the same.
+
+        They are in one submap, and were never seen together.
+        """
         table, (new, old) = self._table, pairs.T
         fits = (table.submap[old] == table.submap[new]) & (table.submap[new] != NONE)
         fits[fits] = self._model.may_be(table, new[fits], old[fits])

@@ -168,7 +168,10 @@ def _exchanged(
     rival: int,
     enough: float,
 ) -> list[int]:
-    """Return a track and those to part from another landmark, for which it is exchanged."""
+    """Return a track and those to part from another landmark, for which it is exchanged.
+
+    None unless the exchange is possible and reduces the misfit enough.
+    """
     members = np.array(table.members(rival))
     met = sightings.tracks_met(track, members)
     here = np.setdiff1d(table.members(int(table.landmark_of[track])), [track])
