@@ -47,6 +47,18 @@ def test_a_scan_that_fits_in_two_places_or_none_is_refused(walls: Floats, n_plac
     assert np.isnan(place.T_map_robot).all()
 
 
+@pytest.mark.parametrize(
+    ("shifted", "by_m", "n_places"), [(4, 0.5, 1), (2, 1.0, 2)], ids=["explains 0.62", "0.74"]
+)
+def test_a_room_that_explains_fewer_of_the_beams_is_no_rival(
+    shifted: int, by_m: float, n_places: int
+) -> None:
+    """Of a second room like the first one some walls are elsewhere; the rest explain some beams."""
+    alike = np.add(ROOM, [20.0, 3.0])
+    alike[:shifted] += by_m
+    assert place_in(np.concatenate([ROOM, alike]), ROOM, 1.5, 1.0, 0.4).n_places == n_places
+
+
 @pytest.mark.parametrize("world", [0.1, 0.7, 1.2])
 def test_walls_are_aligned_in_each_of_their_places(world: float) -> None:
     """Of six rooms in a row, turned by quarters; adjacent rotations and shifts score alike."""

@@ -36,6 +36,9 @@ FAR_M = 500.0
 """Maximum distance of the walls of a scan that are compared: no laser sees farther."""
 RIVAL_PLACE = 0.58
 """Maximum score of another placement, as a fraction of the best."""
+NEARLY_ALL, NO_BEAM, AHEAD = 0.9, 0.005, 0.3
+"""A placement that explains this fraction of the beams, with no beam through a wall, need only
+explain a fraction `AHEAD` more than any other: alike rooms share most of their walls."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +63,11 @@ class JudgedPlaces:
         return self.overlap_m / self.length_m
 
     @property
+    def worth(self) -> Floats:
+        """Score of each placement, (k,)."""
+        return self.explained + self.share
+
+    @property
     def fits(self) -> Bools:
         """Which placements explain the scan, (k,)."""
         enough = (self.overlap_m >= LEAST_M) & (self.share >= SHARE)
@@ -73,6 +81,16 @@ class JudgedPlaces:
         enough = (self.overlap_m >= LEAST_M) & (self.share >= LOW_SHARE)
         explained = (self.explained >= LOW_EXPLAINED) & (self.through <= THROUGH)
         return self.fits | enough & explained
+
+    def has_rival(self, best: int) -> bool:
+        """Return whether another placement scores nearly as well as the best one."""
+        is_whole = self.n_walls >= FEW and self.through[best] <= NO_BEAM
+        if is_whole and self.explained[best] >= NEARLY_ALL:
+            lead = self.explained[best] - np.delete(self.explained, best).max(initial=0.0)
+            if lead >= AHEAD:
+                return False
+        others = np.delete(self.worth, best).max(initial=0.0)
+        return bool(others > RIVAL_PLACE * self.worth[best])
 
 
 class WallFinder:
@@ -91,12 +109,10 @@ class WallFinder:
         """
         nowhere = np.full((4, 4), np.nan)
         judged = self._judged(seen)
-        worth = judged.explained + judged.share
-        best = int(np.argmax(worth)) if len(worth) else -1
+        best = int(np.argmax(judged.worth)) if judged.ties else -1
         if best < 0 or not judged.may_fit[best]:
             return Place(nowhere, 0)
-        slides = judged.ties[best].across < ACROSS
-        if slides or np.delete(worth, best).max(initial=0.0) > RIVAL_PLACE * worth[best]:
+        if judged.ties[best].across < ACROSS or judged.has_rival(best):
             return Place(nowhere, 2)
         return Place(judged.ties[best].matrix, 1)
 
