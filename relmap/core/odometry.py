@@ -125,32 +125,25 @@ class OdometryUse:
 class Motions:
     """The odometry of a run, a pose for each iteration; empty in runs without."""
 
-    STATE = "_motion _begin"
+    STATE = "_motion"
 
     def __init__(self) -> None:
         self._motion: GrowingArray[np.float64] = GrowingArray(np.float64, (4, 4))
-        self._begin = 0
 
     def __len__(self) -> int:
-        """Return the number of iterations with a row."""
+        """Return the number of iterations up to the last one with a row; 0 before any motion."""
         return len(self._motion)
 
     def append(self, motion: Floats | None, iteration: int) -> None:
         """Add the motion (4, 4) to an iteration; None or NaN if unknown."""
-        if motion is None and not len(self):
-            return
-        if not len(self):
-            self._begin = iteration
-        self._motion.extend(np.full((1, 4, 4), np.nan) if motion is None else motion[None])
+        if motion is not None or len(self):
+            self._motion.resize(iteration, np.nan)
+            self._motion.append(np.nan if motion is None else motion)
 
     def between(self, begin: int, end: int) -> Floats:
         """Return the motions to iterations begin:end (end - begin, 4, 4), NaN if unknown."""
-        found = np.full((end - begin, 4, 4), np.nan)
-        first, last = max(begin, self._begin), min(end, self._begin + len(self))
-        if first < last:
-            rows = slice(first - self._begin, last - self._begin)
-            found[first - begin : last - begin] = self._motion.values[rows]
-        return found
+        known = self._motion.values[begin:end]
+        return np.concatenate([known, np.full((end - begin - len(known), 4, 4), np.nan)])
 
     def over(self, n_iterations: int) -> Floats:
         """Return the motion to each iteration (n_iterations, 4, 4); NaN if unknown."""
