@@ -21,27 +21,21 @@ HEAVIEST = 1e200
 """Larger weights, of hardly any noise, are as this one: their products overflow."""
 
 
-def fit_rigid(
-    source: Floats, target: Floats, weights: Floats | None = None
-) -> tuple[Floats, Floats]:
+def fit_rigid(source: Floats, target: Floats) -> tuple[Floats, Floats]:
     """Return the rotation and translation that best align `source` to `target`.
 
-    Minimises ``sum(weights * |target - (source @ R.T + t)|^2)`` over proper rotations R, never
-    a reflection.
+    Minimises ``sum(|target - (source @ R.T + t)|^2)`` over proper rotations R, never a reflection.
 
-    `source`, `target` (n, d), metres: matched points; d is 2 or 3. `weights` (n,): non-negative
-    with a positive sum; equal if omitted. Returns `R` (d, d) and `t` (d,): ``target ~ source @ R.T
-    + t``. Raises `RelmapError` if the shapes do not match, all weights are zero, or a value is not
-    finite.
+    `source`, `target` (n, d), metres: matched points, at least one; d is 2 or 3. Returns `R` (d, d)
+    and `t` (d,): ``target ~ source @ R.T + t``. Raises `RelmapError` if the shapes do not match, or
+    a value is not finite.
     """
-    if source.shape != target.shape or source.ndim != 2 or source.shape[1] not in (2, 3):
+    is_matched = source.shape == target.shape and source.ndim == 2 and len(source) > 0
+    if not is_matched or source.shape[1] not in (2, 3):
         raise RelmapError(
             f"rigid fit of {source.shape} to {target.shape}: both must be (n, 2) or both (n, 3)"
         )
-    w = np.ones(len(source)) if weights is None else np.asarray(weights, dtype=np.float64)
-    if w.shape != (len(source),) or not w.sum() > 0:
-        raise RelmapError("rigid fit: weights must be (n,), not negative, with a positive sum")
-    w = w / w.sum()
+    w = np.full(len(source), 1 / len(source))
     source_mean, target_mean = w @ source, w @ target
     moment = ((source - source_mean) * w[:, None]).T @ (target - target_mean)
     if not np.isfinite(moment).all():
