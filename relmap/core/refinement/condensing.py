@@ -11,7 +11,7 @@ positions and the visibility.
 from __future__ import annotations
 
 from copy import deepcopy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -112,10 +112,7 @@ class SegmentRows:
 class CondensedSegments:
     """Condenses iterations as they leave the store; each observation counts exactly once."""
 
-    STATE = (
-        "_landmark _segment _points _visible _first_iteration _squares _freedoms "
-        "_iteration_segment _R _t"
-    )
+    STATE = " ".join(f"_{field.name}" for field in fields(SegmentRows))
 
     def __init__(self) -> None:
         self._landmark: GrowingArray[np.int64] = GrowingArray(np.int64, room=ROOM)
@@ -137,18 +134,8 @@ class CondensedSegments:
     @property
     def rows(self) -> SegmentRows:
         """All condensed rows, as views that are valid until more are added."""
-        return SegmentRows(
-            self._landmark.values,
-            self._segment.values,
-            self._points.values,
-            self._visible.values,
-            self._first_iteration.values,
-            self._squares.values,
-            self._freedoms.values,
-            self._iteration_segment.values,
-            self._R.values,
-            self._t.values,
-        )
+        arrays = (getattr(self, f"_{field.name}") for field in fields(SegmentRows))
+        return SegmentRows(*(array.values for array in arrays))
 
     def condense(self, store: ObservationStore, before: int, dynamic: Bools) -> bool:
         """Condense the next segment if it is complete before an iteration; return whether.

@@ -24,8 +24,8 @@ class GrowingArray(Generic[Scalar]):
     allocates pages on first write. So the capacity grows in large steps up to the expected size,
     and doubles from there.
 
-    `dtype`: numpy dtype. `width`: shape of one row; ``()`` for a column of scalars. `room`:
-    approximate number of expected rows.
+    `dtype`: numpy dtype. `width`: shape of one row, ``()`` for a column of scalars; the first rows
+    added may have another one. `room`: approximate number of expected rows.
     """
 
     _sixteenths = itertools.cycle(range(16, 32))
@@ -51,11 +51,6 @@ class GrowingArray(Generic[Scalar]):
         return self._end - self._begin
 
     @property
-    def width(self) -> tuple[int, ...]:
-        """Shape of one row."""
-        return self._rows.shape[1:]
-
-    @property
     def values(self) -> NDArray[Scalar]:
         """The rows (n, *width), a view that is valid until the next `extend`."""
         return self._rows[self._begin : self._end]
@@ -63,6 +58,8 @@ class GrowingArray(Generic[Scalar]):
     def extend(self, rows: NDArray[Any]) -> None:
         """Append rows (k, *width)."""
         n = len(rows)
+        if not self._end and rows.shape[1:] != self._rows.shape[1:]:
+            self._rows = np.empty((len(self._rows), *rows.shape[1:]), self._rows.dtype)
         if self._end + n > len(self._rows):
             self._make_room(n)
         self._rows[self._end : self._end + n] = rows

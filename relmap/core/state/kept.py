@@ -43,10 +43,6 @@ class KeptObservations:
         frame, metres; `iteration` (n,), or of all; `covariance` (n, d, d), square metres; `count`
         (n,), or of all: number of observations of which each is the mean.
         """
-        if not len(self):
-            d = location.shape[1]
-            self._location = GrowingArray(np.float64, (d,))
-            self._covariance = GrowingArray(np.float64, (d, d))
         self._landmark.extend(landmark)
         self._location.extend(location)
         self._iteration.extend(np.broadcast_to(iteration, len(landmark)))

@@ -116,9 +116,6 @@ class ObservationStore:
         """Store one iteration: landmarks and locations of n observations, and further columns."""
         if len(landmark):
             for name, values in {"landmark": landmark, "location": location, **others}.items():
-                if self._columns[name].width != values.shape[1:]:
-                    room = MANY if self._keeps else FEW
-                    self._columns[name] = GrowingArray(values.dtype, values.shape[1:], room)
                 self._columns[name].extend(values)
         self._offsets.append(self._offsets.values[-1] + len(landmark))
 
