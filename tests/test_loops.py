@@ -42,8 +42,10 @@ def seen_twice(shift_m: float) -> tuple[LandmarkState, int]:
 def test_a_place_seen_twice_is_found_where_the_map_has_drifted() -> None:
     table, n = seen_twice(shift_m=0.35)
     loop = LoopFinder(table, SIGMA).next()
-    assert len(loop.pairs) >= 10
-    np.testing.assert_array_equal(loop.pairs[:, 0] - n, loop.pairs[:, 1])
+    assert loop is not None
+    pairs, _ = loop
+    assert len(pairs) >= 10
+    np.testing.assert_array_equal(pairs[:, 0] - n, pairs[:, 1])
 
 
 def test_a_place_farther_off_than_a_map_drifts_is_another() -> None:

@@ -8,9 +8,10 @@ from relmap.core.arrays import Bools
 from relmap.core.association.reobservation.disagreement import local_drift
 from relmap.core.association.reobservation.loops import LoopFinder
 from relmap.core.association.reobservation.merging import merge_doubles
+from relmap.core.association.reobservation.recognition import CLEAR
 from relmap.core.association.reobservation.sightings import Sightings
 from relmap.core.association.reobservation.strays import find_strays
-from relmap.core.association.reobservation.tying import CLEAR, NEIGHBOURHOOD, tie_submaps
+from relmap.core.association.reobservation.tying import NEIGHBOURHOOD, tie_submaps
 from relmap.core.gaps import bridge_gaps, is_bridged, n_kept
 from relmap.core.grouping.chart import PointChart
 from relmap.core.grouping.dynamics import FEWEST
@@ -128,9 +129,10 @@ def _close_loops(engine: RelativeMapper, rows: SegmentRows, noise_m: float, drif
         engine.table, noise_m, drift=drift, is_blurred=engine.association.current.is_blurred
     )
     while (loop := finder.next()) is not None:
-        pairs = loop.pairs[engine.merger.allowed(loop.pairs)]
-        if len(pairs) > CLEAR * len(loop.pairs):
-            bend(engine.map, rows, pairs, loop.placement.R, loop.placement.t)
+        found, placement = loop
+        pairs = found[engine.merger.allowed(found)]
+        if len(pairs) > CLEAR * len(found):
+            bend(engine.map, rows, pairs, placement.R, placement.t)
             engine.merge_pairs(pairs)
             merge_doubles(engine)
 

@@ -19,9 +19,9 @@ from relmap.core.association.reobservation.coinciding import (
 )
 from relmap.core.association.reobservation.loops import TIED
 from relmap.core.association.reobservation.merging import merge_doubles
+from relmap.core.association.reobservation.recognition import CLEAR
 from relmap.core.association.reobservation.revisits import TOLERANCE, RevisitFinder
 from relmap.core.association.reobservation.sightings import Sightings
-from relmap.core.association.reobservation.tying import CLEAR
 from relmap.core.association.scale import spacing_of
 from relmap.core.gaps import bridge_gaps
 from relmap.core.mapper import RelativeMapper

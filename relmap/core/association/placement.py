@@ -78,7 +78,7 @@ def consistent_set(source: Floats, target: Floats, pairs: Ints, tolerance_m: flo
 
 
 def consistent_placements(
-    source: Floats, target: Floats, pairs: Ints, tolerance_m: float, fit_m: float
+    source: Floats, target: Floats, pairs: Ints, tolerance_m: float
 ) -> Iterator[tuple[Placement, Ints]]:
     """Yield the placement of the largest consistent set of candidates, then its rivals.
 
@@ -86,17 +86,17 @@ def consistent_placements(
     the earlier ones.
 
     `source` (n, d), metres; `target` (m, d), metres; `pairs` (p, 2): candidates: row of `source`,
-    row of `target`; `tolerance_m`: largest difference between two distances that agree; `fit_m`:
-    largest distance between the points of a match after placement. Yields `matches` (k, 2): the
-    pairs of the set, in the order given.
+    row of `target`; `tolerance_m`: largest difference between two distances that agree, and largest
+    distance between the points of a match after placement. Yields `matches` (k, 2): the pairs of
+    the set, in the order given.
     """
     while len(pairs):
         chosen = consistent_set(source, target, pairs, tolerance_m)
         here, there = source[pairs[:, 0]], target[pairs[:, 1]]
-        placement = trimmed_fit(here[chosen], there[chosen], fit_m)
+        placement = trimmed_fit(here[chosen], there[chosen], tolerance_m)
         if placement is None:
             return
         yield placement, pairs[chosen]
-        rest = np.linalg.norm(placement.apply(here) - there, axis=1) > fit_m
+        rest = np.linalg.norm(placement.apply(here) - there, axis=1) > tolerance_m
         rest[chosen] = False
         pairs = pairs[rest]

@@ -88,7 +88,7 @@ def chosen(
             return on[evidence.tied(on)]
     pairs = pairs[:CANDIDATES]
     enough = max(ENOUGH + (d == 3), SHARE * len(np.unique(pairs[:, 0])))
-    found = consistent_placements(position, position, pairs, tolerance_m, tolerance_m)
+    found = consistent_placements(position, position, pairs, tolerance_m)
     shift, pairs = next(found, (None, pairs))
     if shift is None or shift.n_agreeing < enough:
         return np.empty((0, 2), dtype=np.int64)

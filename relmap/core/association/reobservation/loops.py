@@ -7,8 +7,6 @@ and has no near rival, as with submaps (see `tying`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
@@ -17,11 +15,12 @@ from relmap.core.association.placement import Placement
 from relmap.core.association.reobservation.evidence import LOCAL_DRIFT
 from relmap.core.association.reobservation.recognition import (
     BY_CHANCE,
+    CLEAR,
     ENOUGH,
     SIGMAS,
     PlaceFinder,
 )
-from relmap.core.association.reobservation.tying import CLEAR, NEIGHBOURHOOD, OVERLAP
+from relmap.core.association.reobservation.tying import NEIGHBOURHOOD, OVERLAP
 from relmap.core.association.scale import spacing_of
 from relmap.core.association.soft import SoftMatching, likely_links
 from relmap.core.state.table import NONE, LandmarkState
@@ -34,16 +33,9 @@ TIED = 3
 """Landmarks of a neighbourhood known from before that already close the loop."""
 
 
-@dataclass(frozen=True, eq=False)
-class Loop:
-    """A place seen twice.
-
-    `pairs` (k, 2): landmarks of the later visit, and the older ones they are identified with;
-    `placement`: maps the positions of the later visit to the correct ones, map frame.
-    """
-
-    pairs: Ints
-    placement: Placement
+Loop = tuple[Ints, Placement]
+"""A place seen twice: pairs (k, 2) of landmarks of the later visit and the older ones they are, and
+the placement that maps the positions of the later visit to the correct ones, map frame."""
 
 
 class LoopFinder:
@@ -119,20 +111,16 @@ class LoopFinder:
     ) -> Loop | None:
         """Return the loop from landmarks in view to older ones that form the same place."""
         table, points = self._table, self._table.position[around]
-        places = finder.places(points, before)
-        if not places:
+        known = finder.recognised(points, before, len(own))
+        if known is None:
             return None
-        at = finder.landmarks_at(places[0].apply(points), before)
-        once = np.unique(at, return_index=True)[1]
-        once = once[at[once] >= 0]
-        pairs = np.column_stack([around[once], own[at[once]]])
-        off_m = np.linalg.norm(places[0].apply(points) - points, axis=1).max()
-        if off_m > self._drift_m(around, together, int(table.last[pairs[:, 1]].max(initial=0))):
+        placement, mine, its = known
+        pairs = np.column_stack([around[mine], own[its]])
+        off_m = np.linalg.norm(placement.apply(points) - points, axis=1).max()
+        if off_m > self._drift_m(around, together, int(table.last[own[its]].max())):
             return None
-        rival = finder.elsewhere(points, places)
-        sure = finder.by_chance(len(points), len(pairs), rival, len(own)) <= BY_CHANCE
-        sure &= finder.is_close(points[once], at[once], table.weight[pairs.T], n_maps=2)
-        return Loop(pairs, places[0]) if sure and rival <= CLEAR * len(pairs) else None
+        close = finder.is_close(points[mine], its, table.weight[pairs.T], n_maps=2)
+        return (pairs, placement) if close else None
 
     def _by_likelihood(self, later: Ints, older: Ints, farthest_m: float) -> Loop | None:
         """Return the loop by the most likely shift of later landmarks onto older ones."""
@@ -158,7 +146,7 @@ class LoopFinder:
         drift_m = self._drift_m(later, later, int(table.last[older[found]].max(initial=0)))
         if off_m > drift_m + SIGMAS * self._noise_m:
             return None
-        return Loop(np.column_stack([later[rows], older[found]]), placement)
+        return np.column_stack([later[rows], older[found]]), placement
 
     def _drift_m(self, around: Ints, together: Ints, begin: int) -> float:
         """Return the possible drift of the map between an iteration and landmarks seen later.

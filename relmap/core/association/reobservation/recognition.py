@@ -44,6 +44,8 @@ MISFIT = 2.5
 place agrees within the tolerance, but less closely."""
 BY_CHANCE = 1e-3
 """Accepted expected number of false matches of random landmarks, over all searches."""
+CLEAR = 0.6
+"""Fraction of the landmarks of a place that may be found in another."""
 REACH, SETTLING = 3.0, 3
 """Initial tolerance, in units of the final one, and number of fits to what is within it."""
 
@@ -88,6 +90,23 @@ class PlaceFinder:
         if rival >= DISTINCT * n_agreeing:
             return False
         return self.by_chance(len(points), n_agreeing, rival, searches) <= BY_CHANCE
+
+    def recognised(
+        self, points: Floats, among: Bools, searches: int
+    ) -> tuple[Placement, Ints, Ints] | None:
+        """Return where points (n, d) are among some landmarks (m,); None if uncertain.
+
+        Returns the placement, and which points (k,) lie on which landmarks (k,), each once.
+        `searches`: see `by_chance`.
+        """
+        places = self.places(points, among)
+        if not places:
+            return None
+        its, mine = np.unique(self.landmarks_at(places[0].apply(points), among), return_index=True)
+        mine, its = mine[its >= 0], its[its >= 0]
+        rival = self.elsewhere(points, places)
+        sure = self.by_chance(len(points), len(its), rival, searches) <= BY_CHANCE
+        return (places[0], mine, its) if sure and rival <= CLEAR * len(its) else None
 
     def places(self, points: Floats, among: Bools | None = None) -> list[Placement]:
         """Return candidate placements of points (n, d), best first, if enough points agree.

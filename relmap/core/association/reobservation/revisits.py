@@ -19,8 +19,7 @@ from scipy.special import bdtrc
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association.base import nearest
 from relmap.core.association.placement import Placement, consistent_placements
-from relmap.core.association.reobservation.recognition import BY_CHANCE
-from relmap.core.association.reobservation.tying import CLEAR
+from relmap.core.association.reobservation.recognition import BY_CHANCE, CLEAR
 from relmap.core.association.search import settled
 from relmap.core.motion_noise import FLOOR_M
 from relmap.core.refinement.chain.drift import Drift
@@ -264,7 +263,7 @@ def _places(stretch: Stretch, tolerance_m: float) -> list[tuple[Placement, Ints]
         order = np.argsort(apart, axis=None, kind="stable")[:MOST_PAIRS]
         pairs = np.column_stack(np.unravel_index(order, apart.shape))
         pairs = pairs[apart[pairs[:, 0], pairs[:, 1]] <= stretch.reach_m[pairs[:, 1]]]
-        every = consistent_placements(points, there, pairs, tolerance_m, tolerance_m)
+        every = consistent_placements(points, there, pairs, tolerance_m)
         return list(islice(every, 2))
     found: list[tuple[Placement, Ints]] = []
     tree = cKDTree(there)

@@ -10,9 +10,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from relmap.core.arrays import Bools, Floats, Ints
-from relmap.core.association.reobservation.recognition import BY_CHANCE, ENOUGH, MORE, PlaceFinder
-from relmap.core.association.reobservation.tying import CLEAR
+from relmap.core.arrays import Ints
+from relmap.core.association.reobservation.recognition import CLEAR, ENOUGH, MORE, PlaceFinder
 from relmap.core.refinement.condensing import SegmentRows
 from relmap.core.state.table import NONE, LandmarkState
 
@@ -45,25 +44,14 @@ def find_strays(
             when = rows.first_iteration[stray]
             among = table.first[own] <= when + NEARBY
             among &= table.last[own] >= when - NEARBY
-            mine, its = _found(finder, rows.points[of], among, len(strays) * len(submaps))
-            averaged = np.stack([rows.n_seen[of[mine]], table.weight[own[its]]])
-            if len(mine) and finder.is_close(rows.points[of[mine]], its, averaged, n_maps=1):
-                found.append(np.column_stack([table.now(rows.landmark[of[mine]]), own[its]]))
+            placed = finder.recognised(rows.points[of], among, len(strays) * len(submaps))
+            if placed is None:
+                continue
+            mine, its = of[placed[1]], placed[2]
+            averaged = np.stack([rows.n_seen[mine], table.weight[own[its]]])
+            if finder.is_close(rows.points[mine], its, averaged, n_maps=1):
+                found.append(np.column_stack([table.now(rows.landmark[mine]), own[its]]))
         *others, best = sorted(found, key=len) or [np.empty((0, 2), dtype=np.int64)]
         # A scan that fits several submaps may be of a repeated structure.
         if len(best) and all(len(other) <= CLEAR * len(best) for other in others):
             yield best
-
-
-def _found(finder: PlaceFinder, points: Floats, among: Bools, searches: int) -> tuple[Ints, Ints]:
-    """Return which points (n, d) lie on which landmarks, once each; none if uncertain."""
-    places = finder.places(points, among) if among.sum() >= ENOUGH else []
-    if not places:
-        return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
-    at = finder.landmarks_at(places[0].apply(points), among)
-    its, mine = np.unique(at, return_index=True)
-    mine, its = mine[its >= 0], its[its >= 0]
-    rival = finder.elsewhere(points, places)
-    sure = finder.by_chance(len(points), len(its), rival, searches) <= BY_CHANCE
-    which = slice(None) if sure and rival <= CLEAR * len(its) else slice(0)
-    return mine[which], its[which]

@@ -17,7 +17,7 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.association.base import nearest
 from relmap.core.association.placement import Placement
 from relmap.core.association.reobservation.evidence import LOCAL_DRIFT
-from relmap.core.association.reobservation.recognition import BY_CHANCE, ENOUGH, PlaceFinder
+from relmap.core.association.reobservation.recognition import BY_CHANCE, CLEAR, ENOUGH, PlaceFinder
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.state.table import NONE, LandmarkState
 
@@ -25,8 +25,6 @@ NEIGHBOURHOOD = 20
 """Number of landmarks in a neighbourhood."""
 OVERLAP = 3
 """One in this many landmarks starts a neighbourhood even if it lies within another."""
-CLEAR = 0.6
-"""Fraction of the landmarks of a place that may be found in another."""
 SAME = 0.1
 """Largest error of the round trip, in sizes of a neighbourhood."""
 APART = 4.0
