@@ -87,7 +87,7 @@ def _vote(block: Floats, near: Ints, n_voters: int, limit: float, fewest: int) -
 
 
 @helper
-def _company(
+def _bin_with(
     block: Floats,
     pivot: int,
     others: Ints,
@@ -96,10 +96,10 @@ def _company(
     limit: float,
     fewest: int,
 ) -> tuple[Ints, int]:
-    """Return the rows that keep their distance from a pivot, and the number of comparisons.
+    """Return the other members of the bin that a pivot begins, and the number of comparisons.
 
     A static landmark agrees with others in a small sample of all.  If none in the sample agrees, or
-    the budget is too small, none is returned.  The sample is every k-th row from a given start.
+    the budget is too small, there are none.  The sample is every k-th row from a given start.
     """
     every, first = sample
     agrees, near = np.zeros(len(others), dtype=np.bool_), np.empty(len(others), dtype=np.int64)
@@ -121,26 +121,11 @@ def _company(
         if agrees[j]:
             near[n_near] = others[j]
             n_near += 1
+    n_voters = min(VOTERS, n_near, (budget - n) // max(n_near - 1, 1))
+    if n_near > 1 and n_voters > 0:
+        stay, n_votes = _vote(block, near[:n_near], n_voters, limit, fewest)
+        return stay, n + n_votes
     return near[:n_near], n
-
-
-@helper
-def _bin_with(
-    block: Floats,
-    pivot: int,
-    others: Ints,
-    sample: tuple[int, int],
-    budget: int,
-    limit: float,
-    fewest: int,
-) -> tuple[Ints, int]:
-    """Return the other members of the bin that a pivot begins, and the number of comparisons."""
-    near, n = _company(block, pivot, others, sample, budget, limit, fewest)
-    n_voters = min(VOTERS, len(near), (budget - n) // max(len(near) - 1, 1))
-    if len(near) > 1 and n_voters > 0:
-        near, n_votes = _vote(block, near, n_voters, limit, fewest)
-        return near, n + n_votes
-    return near, n
 
 
 @helper
