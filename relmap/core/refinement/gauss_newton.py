@@ -113,7 +113,6 @@ def gauss_newton(
     rounds: int,
     cost_of: Callable[[Floats, Floats], float] = weighted_squares,
     unsure: float = UNSURE,
-    same: float = SAME,
     monotone: bool = True,
     reuse: bool = True,
     faint: float = 0.0,
@@ -130,14 +129,14 @@ def gauss_newton(
         Maximum number of steps.
     cost_of : callable
         Cost as a function of residuals and weights.
-    unsure, same : float
-        Convergence thresholds: gain of a step, in squared standard deviations of the whole map, and
-        largest change of a weight; if infinite, the weights after the last step are not computed.
+    unsure : float
+        Gain of a step, in squared standard deviations of the whole map, that is negligible.
     monotone : bool
         Whether a step that increases the cost is rejected. While weights go from lenient to strict,
         an increase may be needed to escape from wrong matches.
     reuse : bool
-        Whether a factor is reused while the gain is large; not useful if weights change much.
+        Whether a factor is reused while the gain is large, and weights must have settled too. If
+        not, which is for weights that change much, those after the last step are not computed.
     faint : float
         As `unsure`, for damped steps: if full steps are rejected, convergence would take many more.
     """
@@ -160,11 +159,11 @@ def gauss_newton(
         gained, enough = gain / unit if unit > 0 else 0.0, max(unsure * unit, problem.rounding)
         converged = not damping and _next_gain(gain, before) <= enough
         stalled = damping > 0 and gain <= faint * unit
-        if np.isinf(same) and (converged or stalled or rounds == 0):
+        if not reuse and (converged or stalled or rounds == 0):
             break
         old, weight = weight, weigh(left)
         change = np.abs(weight - old)
-        if (converged and change.max() < same) or stalled:
+        if (converged and change.max() < SAME) or stalled:
             break
         is_slow = not reuse or damping > 0 or gain > SLOW * before or change.mean() > ALIKE
         factor, before = (None, np.inf) if is_slow else (factor, gain)

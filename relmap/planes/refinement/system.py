@@ -86,7 +86,7 @@ class WallSystem:
         weigh = partial(self._weights, doubtful=doubtful, by_scan=by_scan)
         unsure, monotone = UNSURE * self._n_unknowns, self._held > 0
         found = gauss_newton(
-            self, state, weigh, rounds, unsure=unsure, same=np.inf, monotone=monotone, reuse=False
+            self, state, weigh, rounds, unsure=unsure, monotone=monotone, reuse=False
         )
         self.settled = False
         if found.last is not None:

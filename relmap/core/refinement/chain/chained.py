@@ -111,15 +111,15 @@ class ChainProblem:
         self.freedoms = max(n * d + len(self.moved) * (d + q) - m * d - (n_tied - 1) * (d + q), 1)
         self.pattern = _pattern(chain, self.moved, m, k, d, q)
         first = self.pattern.first
-        pose = first[m : m + k, None] + np.arange(d + q)
-        constant = np.broadcast_to(first[-1] + np.arange(q + 2), (len(self.moved), q + 2))
         self.unknown = first[:m, None] + np.arange(d)
-        self.pose = pose
-        self._of_seen = np.concatenate(
-            [pose[chain.iteration], self.unknown[chain.landmark]], axis=1
-        )
-        self._of_moved = np.concatenate([pose[self.moved], pose[self.moved + 1], constant], axis=1)
+        self.pose = first[m : m + k, None] + np.arange(d + q)
         self._constant = first[-1] + np.arange(q + 2)
+        seen = self.pose[chain.iteration], self.unknown[chain.landmark]
+        constant = np.broadcast_to(self._constant, (len(self.moved), q + 2))
+        self._of_seen = np.concatenate(seen, axis=1)
+        self._of_moved = np.concatenate(
+            [self.pose[self.moved], self.pose[self.moved + 1], constant], axis=1
+        )
         # The median iteration that saw each landmark.
         order = np.argsort(chain.landmark, kind="stable")
         begin, end = (np.searchsorted(chain.landmark[order], np.arange(m), of) for of in SIDES)
@@ -229,12 +229,8 @@ class ChainProblem:
             known = np.sum((jacobian @ covariance) * jacobian, axis=2) * each[:, None]
             free = np.where(each[:, None] == 1, 1 - known, 0.0)
             squares = np.where(each[:, None] == 1, rows**2, 0.0)
-            kinds = (
-                [(0, slice(0, d))]
-                if unknowns is self._of_seen
-                else [(1, slice(0, d)), (2, slice(d, None))]
-            )
-            for kind, of in kinds:
+            of_moved = [(1, slice(0, d)), (2, slice(d, None))]
+            for kind, of in [(0, slice(0, d))] if unknowns is self._of_seen else of_moved:
                 sums[kind] += squares[:, of].sum(), free[:, of].sum()
         factors = [np.sqrt(squares / free) if free > FREE else 1.0 for squares, free in sums]
         both = zip(self.sigmas, factors, strict=True)
