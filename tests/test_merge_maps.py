@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from relmap.cli import main
 from relmap.core.arrays import Floats
-from relmap.core.association.reobservation.pairing import Motion
 from relmap.core.geometry.alignment import fit_rigid
+from relmap.evaluation.pairing import Motion
 from relmap.io.files import read_tum
 from relmap.io.results import read_result
 from relmap.merging.tables import joined_walls, moved

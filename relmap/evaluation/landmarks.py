@@ -8,11 +8,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.core.association.reobservation.pairing import Motion, paired
 from relmap.core.errors import RelmapError
 from relmap.datasets.base import ObservationLog
 from relmap.evaluation import metrics
 from relmap.evaluation.metrics import Matched
+from relmap.evaluation.pairing import Motion, paired
 from relmap.evaluation.truth import Truth
 from relmap.io.results import Result
 

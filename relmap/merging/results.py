@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.association.reobservation.pairing import Motion, paired
 from relmap.core.association.reobservation.tying import tie_submaps
 from relmap.core.errors import RelmapError
 from relmap.core.geometry.alignment import fit_rigid
@@ -18,6 +17,7 @@ from relmap.core.landmarks import LandmarkTable
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.state.table import LandmarkState
 from relmap.evaluation.metrics import positions_of
+from relmap.evaluation.pairing import Motion, paired
 from relmap.evaluation.summary import by_status
 from relmap.io.results import Result, Tracks, read_names, shifted
 from relmap.merging.tables import joined, joined_walls, moved

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.association.reobservation.pairing import Motion
 from relmap.core.landmarks import LandmarkTable
+from relmap.evaluation.pairing import Motion
 from relmap.planes.places.wall_tie import NEAR_M, SAMPLE_M, WallPoints, WallTie, lying
 from relmap.planes.walls.table import PlaneTable
 
