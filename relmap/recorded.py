@@ -217,7 +217,7 @@ class Recorded(ABC):
     @property
     @abstractmethod
     def _parts(self) -> list[Any]:
-        """The parts with state, see `relmap.core.state.saved`."""
+        """The parts with state, see `relmap.io.state`."""
 
     @abstractmethod
     def _again(self, scan: RecordedScan) -> Ints:

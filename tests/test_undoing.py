@@ -13,9 +13,9 @@ from relmap.core.association.reobservation.sightings import Sightings
 from relmap.core.association.reobservation.undoing import nearer_another
 from relmap.core.map.leaps import gaps_of, may_have_gaps
 from relmap.core.map.pose import known_poses
-from relmap.core.state.saved import StateReader, StateWriter
 from relmap.core.state.schedule import GroupingSchedule
 from relmap.core.state.table import NONE, LandmarkState
+from relmap.io.state import StateReader, StateWriter
 from relmap.simulation import World, WorldSpec, simulate_figure_eight, simulate_world
 from tests.worlds import aligned_rmse, purity_of, stands_for, without_ids
 

@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.errors import RelmapError, reason
-from relmap.core.state.saved import OtherColumnsError, StateReader, StateWriter
 from relmap.datasets.scans_npz import DAMAGE, read_array
 from relmap.io.files import atomic_write
+from relmap.io.state import OtherColumnsError, StateReader, StateWriter
 
 FORMAT = 2
 """Version of the file format."""
@@ -30,7 +30,7 @@ def save_state(path: Path, parts: list[Any], about: dict[str, Any]) -> None:
     """Save the state of some parts.
 
     `path`: the file, written atomically; the same state gives the same bytes. `parts`: see
-    `relmap.core.state.saved`. `about`: additional content, JSON serialisable. Raises `RelmapError`
+    `relmap.io.state`. `about`: additional content, JSON serialisable. Raises `RelmapError`
     if the file cannot be written.
     """
     writer = StateWriter()
