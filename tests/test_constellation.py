@@ -263,6 +263,24 @@ def test_a_first_scan_of_one_point_does_not_matter(d: int) -> None:
     np.testing.assert_array_equal(labels[-1], labels[-2])
 
 
+@pytest.mark.parametrize("seed", range(10))
+def test_a_scan_continues_the_deferred_one_where_tracks_match_by_chance(seed: int) -> None:
+    """With noise, a few of the tracks from before the robot turned may match as well."""
+    rng = np.random.default_rng(seed)
+    before, after = scattered(30, 2, rng), scattered(30, 2, rng)
+    registration = Constellation(MISSED)
+
+    def labels(points: Points) -> Ints:
+        return registration.match(points + 0.15 * rng.standard_normal(points.shape), None)
+
+    for k in range(10):
+        labels(seen_at(before, k))
+    deferred = labels(after)
+    few = before[rng.permutation(30)[:7]]
+    continued = labels(np.vstack([turned(after, 3.0), seen_at(few, 11)]))
+    assert np.sum(continued[:30] == deferred) >= 27
+
+
 def test_new_tracks_that_are_missed_did_not_stray() -> None:
     tracks = LiveTracks.begun(np.arange(3), np.zeros((3, 2)))
     tracks.missed += 1

@@ -8,12 +8,15 @@ track. The placement is discarded afterwards: neither a pose nor a motion enters
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association.base import UNIDENTIFIED, Numbered, middle
 from relmap.core.association.chance import ENOUGH, Chance
 from relmap.core.association.guiding import OdometryGuide
+from relmap.core.association.likelihood import CLEAR
 from relmap.core.association.metric import RayNoise, scaled, stretch_of
 from relmap.core.association.placement import Placement
 from relmap.core.association.registering import BLIND, TrackPlacing
@@ -34,6 +37,24 @@ NEAR = 0.3
 """Largest distance of a landmark from its prediction by odometry, in spacings."""
 TINY_M = 1e-6
 """Minimum noise of matches when weighed against odometry."""
+
+
+class _Placed(NamedTuple):
+    """Tracks placed in a scan.
+
+    `since`: the scan in which they began, if that waits for another to match it; `is_unique`:
+    whether the matches exceed chance in any placement.
+    """
+
+    tracks: LiveTracks
+    since: int | None
+    placement: Placement
+    is_unique: bool
+
+    def is_far_better(self, other: _Placed) -> bool:
+        """Return whether the matches are sure, and far more than those of another placement."""
+        n_other = other.placement.n_agreeing
+        return self.is_unique and n_other <= CLEAR * self.placement.n_agreeing
 
 
 class Constellation(Numbered):
@@ -129,29 +150,43 @@ class Constellation(Numbered):
         return [scan for scan in self._alone if scan != waits]
 
     def _continued(self, points_robot: Floats) -> Ints | None:
-        """Continue the tracks; return the landmarks of the points (n,), None if nothing matches."""
+        """Continue the tracks; return the landmarks of the points (n,), None if nothing matches.
+
+        If matches with the tracks may be due to chance, the deferred scan is continued instead if
+        it matches surely and far better: that breaks the run.
+        """
         metric = self._scale.rays.metric(points_robot)
-        for tracks, since in ((self._tracks, self._tracks_since), (self._stray, self._stray_since)):
-            if tracks is None:
-                continue
-            idle = self._idle if tracks is self._tracks else self._n_scans - 1 - (since or 0)
-            placing = TrackPlacing(Chance(self._scale, idle, metric))
-            seen = len(points_robot) and len(tracks)
-            placement = placing.placement(tracks, points_robot) if seen else None
-            if placement is not None:
-                is_unique = placing.is_unique(placement, tracks, points_robot)
-                self._n_unique += is_unique
-                if is_unique and tracks is self._tracks:
-                    self._guide.learn(placement, tracks.expected, self._noise_m)
-                elif tracks is self._tracks and self._is_unlikely(placement, tracks):
-                    placement = self._guided(tracks, points_robot)
-            elif self._guide.knows and tracks is self._tracks:
-                placement = self._guided(tracks, points_robot)
-            if placement is not None:
-                if since is not None:
-                    self._alone.remove(since)
-                return self._followed(tracks, placement, points_robot, metric)
-        return None
+        found = self._placed(self._tracks, self._tracks_since, points_robot, metric)
+        if found is None or not (found.is_unique or self._guide.knows):
+            other = self._placed(self._stray, self._stray_since, points_robot, metric)
+            if found is None or (other is not None and other.is_far_better(found)):
+                found = other
+        if found is None:
+            return None
+        self._n_unique += found.is_unique
+        if found.since is not None:
+            self._alone.remove(found.since)
+        return self._followed(found.tracks, found.placement, points_robot, metric)
+
+    def _placed(
+        self, tracks: LiveTracks | None, since: int | None, points: Floats, metric: Floats | None
+    ) -> _Placed | None:
+        """Return tracks that began in a scan that waits `since` then, placed in a scan (n, d)."""
+        if tracks is None:
+            return None
+        is_last, is_unique = tracks is self._tracks, False
+        idle = self._idle if is_last else self._n_scans - 1 - (since or 0)
+        placing = TrackPlacing(Chance(self._scale, idle, metric))
+        placement = placing.placement(tracks, points) if len(points) and len(tracks) else None
+        if placement is not None:
+            is_unique = placing.is_unique(placement, tracks, points)
+            if is_unique and is_last:
+                self._guide.learn(placement, tracks.expected, self._noise_m)
+            elif is_last and self._is_unlikely(placement, tracks):
+                placement = self._guided(tracks, points)
+        elif self._guide.knows and is_last:
+            placement = self._guided(tracks, points)
+        return None if placement is None else _Placed(tracks, since, placement, is_unique)
 
     def _followed(
         self, tracks: LiveTracks, placement: Placement, points: Floats, metric: Floats | None
