@@ -50,7 +50,7 @@ def test_a_scan_that_fits_in_two_places_or_none_is_refused(walls: Floats, n_plac
 @pytest.mark.parametrize(
     ("shifted", "by_m", "n_places"), [(4, 0.5, 1), (2, 1.0, 2)], ids=["explains 0.62", "0.74"]
 )
-def test_a_room_that_explains_fewer_of_the_beams_is_no_rival(
+def test_a_room_that_explains_fewer_of_the_beams_does_not_compete(
     shifted: int, by_m: float, n_places: int
 ) -> None:
     """Of a second room like the first one some walls are elsewhere; the rest explain some beams."""
