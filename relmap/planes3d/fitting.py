@@ -6,7 +6,7 @@ import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.geometry.motions import rotations
-from relmap.planes3d.hypotheses import SKEW, Held
+from relmap.planes3d.hypotheses import SKEW, Held, importance
 from relmap.planes3d.submap import Pose
 from relmap.planes3d.surfaces import SIDE
 from relmap.segmentation.space import Patches
@@ -25,6 +25,11 @@ WEAK, OPEN = 0.015, 0.1
 range. The prediction is used there if it is more accurate, or if the second fraction is
 exceeded."""
 
+BESIDE, SHIFTS = (0.012, 0.1), 2
+"""Length of shifts from a placement that are tried, as fractions of the range, and their number."""
+SHIFTED = 2.0
+"""Tolerance of the matches after a shift, as a multiple of the usual one."""
+
 
 def matched(
     R: Floats, t: Floats, seen: Patches, planes: Patches, near: Bools, loose: float
@@ -36,6 +41,19 @@ def matched(
     tolerance, as a multiple of the usual one. Returns `match` (m,): plane of the map; -1 for none.
     `off` (m,): residual as a fraction of the tolerance.
     """
+    ratio = ratios(R, t, seen, planes, near, loose)
+    best = ratio.argmin(axis=1) if ratio.shape[1] else np.zeros(len(seen), dtype=np.int64)
+    least = ratio.min(axis=1, initial=np.inf)
+    return np.where(least <= 1.0, best, -1), least
+
+
+def ratios(
+    R: Floats, t: Floats, seen: Patches, planes: Patches, near: Bools, loose: float
+) -> Floats:
+    """Return the residuals (m, k) of planes of a scan on those of the map; see `matched`.
+
+    As a fraction of the tolerance; infinite where they do not overlap, or face other ways.
+    """
     off = distances(R, t, seen, planes)
     own = seen.spread[:, None, 2]
     # Clutter that passed for a plane, half a metre thick, would match every plane within it.
@@ -45,9 +63,24 @@ def matched(
     turned = (seen.normal @ R.T) @ planes.normal.T
     ratio[turned < SIDE] = np.inf
     ratio[~near] = np.inf
-    best = ratio.argmin(axis=1) if ratio.shape[1] else np.zeros(len(seen), dtype=np.int64)
-    least = ratio.min(axis=1, initial=np.inf)
-    return np.where(least <= 1.0, best, -1), least
+    return np.asarray(ratio)
+
+
+def shifts(R: Floats, t: Floats, seen: Patches, planes: Patches, near: Bools) -> list[Floats]:
+    """Return the translations (3,) near a pose that bring most planes of a scan onto the map.
+
+    Each brings one plane onto a parallel one. Parameters as of `matched`.
+    """
+    across = (seen.centre @ R.T + t) @ planes.normal.T - planes.offset
+    alike = near & ((seen.normal @ R.T) @ planes.normal.T > SIDE)
+    share = np.abs(across) / seen.reach_m
+    found = []
+    for k, j in np.argwhere(alike & (share > BESIDE[0]) & (share < BESIDE[1])).tolist():
+        way = t - across[k, j] * planes.normal[j]
+        match, off = matched(R, way, seen, planes, near, SHIFTED)
+        found.append((importance(seen) @ np.where(match >= 0, 1 - off**2, 0.0), way))
+    found.sort(key=lambda each: -each[0])
+    return [way for _, way in found[:SHIFTS]]
 
 
 def distances(R: Floats, t: Floats, seen: Patches, planes: Patches) -> Floats:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
-from relmap.planes3d.fitting import fitted, fixes_turn, matched
+from relmap.planes3d.fitting import SHIFTED, fitted, fixes_turn, matched, ratios, shifts
 from relmap.planes3d.hypotheses import Held, importance, motions
 from relmap.planes3d.submap import Pose
 from relmap.planes3d.surfaces import Surfaces
@@ -20,8 +20,9 @@ HOPELESS = 0.7
 """Hypotheses with a smaller fraction of the best one's surfaces there are not fitted."""
 SAMPLE, ROUGHLY = 400, 100
 """Number of cells of a scan that judge a placement, and that choose the hypotheses to fit."""
-OVERLAP = 1.5
-"""Largest distance, in cells, of a cell of the scan from one of the map on the same surface."""
+OVERLAP, NEAREST = 1.5, 4
+"""Largest distance, in cells, of a cell of the scan from one of the map on the same surface, and
+number of the nearest cells that are tried."""
 LEAST = 0.35
 """Minimum fraction of the scan's surfaces on surfaces of the map, of an accepted placement."""
 RIVAL, RIVAL_LESS_ONE = 0.9, 0.6
@@ -148,7 +149,15 @@ def _settled_all(seen: Patches, there: Surfaces, last: Pose | None, held: Held) 
     placed = _settled(other, seen, there, held, [], loose=1.0) if other else None
     if placed is not None:
         found.append(placed)
+    found += _better(max(found, key=lambda each: each.share), seen, there, held) if found else []
     return sorted(found, key=lambda each: -each.share)
+
+
+def _better(best: Placed, seen: Patches, there: Surfaces, held: Held) -> list[Placed]:
+    """Return placements that explain more than the best one, which clutter misled: from shifts."""
+    ways = shifts(*best.pose, seen, there.planes, there.overlapping(*best.pose, seen))
+    placed = [_settled((best.R, t), seen, there, held, [], loose=SHIFTED) for t in ways]
+    return [each for each in placed if each is not None and each.share > best.share]
 
 
 def _otherwise(placed: Placed, seen: Patches, there: Surfaces) -> Pose | None:
@@ -261,11 +270,13 @@ def _settled(
         match, off = matched(R, t, seen, planes, near, loose)
     if not fixes_turn(planes.normal[match[match >= 0]]):
         return None
+    # Cells of the map on other planes, as of a floor below a shelf, do not support a match.
+    fits = np.pad(ratios(R, t, seen, planes, near, 1.0) <= 1.0, ((0, 0), (0, 1)))
     R, t, free, is_held = fitted((R, t), seen, planes, match, held, last=True)
     fit = np.where(match >= 0, 1 - off**2, 0.0)
     cells, of, weight = _sample(seen, SAMPLE)
     reach = OVERLAP * max(planes.cell_m, seen.cell_m)
-    overlap = there.nearest(cells @ R.T + t, reach, 1)[:, 0] >= 0
+    overlap = fits[of[:, None], there.nearest(cells @ R.T + t, reach, NEAREST)].any(axis=1)
     return Placed(R, t, match, float((fit[of] * overlap) @ weight), free, is_held)
 
 
