@@ -23,6 +23,8 @@ SAMPLE, ROUGHLY = 400, 100
 OVERLAP, NEAREST = 1.5, 4
 """Largest distance, in cells, of a cell of the scan from one of the map on the same surface, and
 number of the nearest cells that are tried."""
+GAIN = 0.02
+"""Fraction of the surfaces that a shift must explain more: noise alone changes it by less."""
 LEAST = 0.35
 """Minimum fraction of the scan's surfaces on surfaces of the map, of an accepted placement."""
 RIVAL, RIVAL_LESS_ONE = 0.9, 0.6
@@ -157,7 +159,7 @@ def _better(best: Placed, seen: Patches, there: Surfaces, held: Held) -> list[Pl
     """Return placements that explain more than the best one, which clutter misled: from shifts."""
     ways = shifts(*best.pose, seen, there.planes, there.overlapping(*best.pose, seen))
     placed = [_settled((best.R, t), seen, there, held, [], loose=SHIFTED) for t in ways]
-    return [each for each in placed if each is not None and each.share > best.share]
+    return [each for each in placed if each is not None and each.share > best.share + GAIN]
 
 
 def _otherwise(placed: Placed, seen: Patches, there: Surfaces) -> Pose | None:
