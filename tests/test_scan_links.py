@@ -67,10 +67,41 @@ def searched(
 ) -> Any:
     """Search for the motion between two scans of a room."""
     earlier, later = (observed(cast(corners, pose)) for pose in (first, second))
+    return link_between(earlier, later, usual)
+
+
+def link_between(earlier: PlaneObservation, later: PlaneObservation, usual: Floats) -> Any:
+    """Search for the motion between two scans."""
     tracks = PlaneTracks.begun(np.arange(len(earlier)), earlier)
     tracks.corner_at = np.where(earlier.static[..., None], earlier.ends, np.nan)
     seen, before = (Beams.of(scan.beams, scan.ends) for scan in (later, earlier))
     return Search(tracks, later, seen, [View(before, np.zeros(3))], usual).found()
+
+
+def corridor_with_doors(rng: np.random.Generator) -> Floats:
+    """Return the corners of a corridor 2.2 m wide, 60 m long, with closed doors 0.1 m deep."""
+    sides = []
+    for y, deep_m in ((-1.1, -0.1), (1.1, 0.1)):
+        at = np.cumsum(rng.uniform(3, 6, 12)) - 30
+        x = (at[:, None] + [0, 0, 0.9, 0.9]).ravel()
+        sides.append(np.column_stack([x, np.tile([y, y + deep_m, y + deep_m, y], len(at))]))
+    ends = [-30, -1.1], [30, -1.1], [30, 1.1], [-30, 1.1]
+    return np.vstack([ends[0], sides[0], ends[1], ends[2], sides[1][::-1], ends[3]])
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+def test_jambs_determine_the_first_step_along_a_corridor_after_a_turn(seed: int) -> None:
+    """Other motions that walls imply there, the usual turn among them, are excluded by beams."""
+    rng = np.random.default_rng(seed)
+    corners, poses, scans = corridor_with_doors(rng), ((-5.0, 0.1, 0.01), (-4.5, 0.08, -0.01)), []
+    for pose in poses:
+        points = cast(corners, pose)[::2]  # one beam a degree
+        range_m = np.hypot(*points.T)
+        scans.append(observed(points * (1 + rng.normal(0, 0.015, len(points)) / range_m)[:, None]))
+    turning = np.array([0.19, -0.05, 0.0])
+    found = link_between(scans[0], scans[1], turning)
+    assert found.measured
+    assert found.motion == pytest.approx(motion_between(*poses), abs=0.05)
 
 
 def test_beams_agree_with_the_true_motion_alone() -> None:
@@ -249,6 +280,7 @@ def test_a_run_with_beams_is_the_same_again() -> None:
 def test_a_map_torn_at_a_link_is_cut_there(monkeypatch: pytest.MonkeyPatch) -> None:
     """If a third of the noise is known, some links, not corrected along walls, are wrong."""
     monkeypatch.setattr("relmap.planes.linking.scan_comparison.CROSSINGS", 0.0)
+    monkeypatch.setattr("relmap.planes.linking.scan_comparison.EXCLUDED", np.inf)
     monkeypatch.setattr(lines, "beam_noise", lambda xy: 0.35 * beam_noise(xy))
     run = simulate_building(361, 0.05, sampling="laser", seed=8, step_m=0.1)
     log = log_of(run)

@@ -91,9 +91,17 @@ def unsure_m(before: Floats) -> float:
     """
     if not len(before):
         return np.inf
-    low, middle, high = np.quantile(_lengths(before[-VARYING:]), (0.25, 0.5, 0.75))
+    middle = float(np.median(_lengths(before[-VARYING:])))
     unsure = UNSURE if len(before) >= KNOWN else 1.0
-    return float(max((high - low) / 2 / np.sqrt(STEADY), unsure * middle))
+    return max(varies_m(before) / float(np.sqrt(STEADY)), unsure * middle)
+
+
+def varies_m(before: Floats) -> float:
+    """Return how much the length of the last of all measured steps (n, 3) varies, metres."""
+    if not len(before):
+        return 0.0
+    low, high = np.quantile(_lengths(before[-VARYING:]), (0.25, 0.75))
+    return float(high - low) / 2
 
 
 def slower_m(before: Floats, usual: Floats) -> float:

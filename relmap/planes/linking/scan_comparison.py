@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
-from relmap.core.arrays import Floats
+from relmap.core.arrays import Bools, Floats
 from relmap.planes.linking.judging import Judged, View
 from relmap.planes.linking.links import spread
 from relmap.planes.linking.placement import ROUNDS, Match, PlaneTracks, settled, worth
@@ -46,8 +46,15 @@ LIKELIER = 3.0
 """Minimum log odds of a correction."""
 FREE_M, FREE = 0.3, 0.01
 """A motion along a wall is undetermined if the beams agree almost as well at this distance."""
-CONTRADICTED = -5.0
-"""Log odds below which beams contradict the usual step."""
+AWAY_M = np.array([-1.0, -0.8, -0.6, -0.45, -0.3, 0.3, 0.45, 0.6, 0.8, 1.0])
+EXCLUDED, LEAST_SHARE = 6.0, 0.01
+"""It is determined, too, if the beams of the last scans exclude these distances: by such log odds,
+and such a fraction of the points that agree better, as many tiny differences along a bare corridor
+are not independent."""
+TINY_SHARE = 0.0025
+"""Such a fraction below which they do not displace the usual step."""
+TURNING_M = 1.0
+"""Change of the step for each radian by which the rotation changes: robots turn slowly."""
 
 
 class ScanComparison:
@@ -55,7 +62,8 @@ class ScanComparison:
 
     `beams`: beams of the same scan; `views`: the last scans, latest first, at most `VERIFYING`;
     `before`: recent motion of the robot; `expected`: motion expected from odometry; `firm`: whether
-    to leave out walls and beams on small free-standing objects; `more`: the scans before `views`.
+    to leave out walls and beams on small free-standing objects; `more`: the scans before `views`;
+    `varies_m`: variation of the last steps.
     """
 
     def __init__(
@@ -68,14 +76,21 @@ class ScanComparison:
         expected: Expected | None = None,
         firm: bool = True,
         more: Iterable[View] = (),
+        varies_m: float = 0.0,
     ) -> None:
         self._beams, self._views, self._more = beams, views, more
+        self._varies_m = varies_m
         self._recent, self._usual = before, expected.motion if expected else before
         self._expected, self._firm = expected, firm
         kept, own = ~(tracks.loose & firm), ~(seen.loose & firm)
         self._rows, self._walls = kept.nonzero()[0], own.nonzero()[0]
         self._tracks = tracks if len(self._rows) == len(tracks) else tracks.kept(kept)
         self._seen = seen if len(self._walls) == len(seen) else seen.only(own)
+
+    @property
+    def _deciding(self) -> list[View]:
+        """The last scan, and those by which a motion along a wall is corrected."""
+        return [*self._views[:1], *self._nearby]
 
     @cached_property
     def _nearby(self) -> list[View]:
@@ -144,16 +159,35 @@ class ScanComparison:
         return self._judged(motions)
 
     def _steady(self, one: Judged) -> Judged:
-        """Return an undetermined motion with the usual step along the longest wall.
+        """Return an undetermined motion at the likeliest place along the longest wall.
 
-        Unchanged if the beams contradict that. Otherwise any place where a few points happen to
-        agree would be taken.
+        Beams and the usual step decide: any place where a few points happen to agree would be
+        taken otherwise. Steps vary as the last ones did, and more where the rotation changes.
         """
         motion, match = one.motions[0], one.matches[0]
-        usual_m = (self._usual[1:] - motion[1:]) @ self._along_longest(match)
-        moved = self._moved(motion, match, np.array([usual_m]))
-        views = [*self._views[:1], *self._nearby]
-        return one if self._odds(views, moved, motion)[0] < CONTRADICTED else self._judged(moved, 0)
+        usual_m = self._usual_m(motion, match)
+        turn = abs(float(wrapped(motion[0] - self._usual[0])))
+        scale_m = self._scale_m + self._varies_m + TURNING_M * turn
+        way_m = np.append(COARSE_M, usual_m + COARSE_M)
+        odds = self._clear_odds(motion, self._moved(motion, match, way_m))
+        way_m = _likeliest(odds, way_m, usual_m, scale_m)[0] + FINE_M
+        odds = self._clear_odds(motion, self._moved(motion, match, way_m))
+        best_m, _ = _likeliest(odds, way_m, usual_m, scale_m)
+        return self._judged(self._moved(motion, match, np.array([best_m])), 0)
+
+    def _clear_odds(self, motion: Floats, motions: Floats) -> Floats:
+        """Return the log odds of motions (k, 3) relative to one (3,), 0 for tiny differences."""
+        odds, share = self._compared(self._deciding, motions, motion)
+        return np.where(np.abs(share) < TINY_SHARE, 0.0, odds)
+
+    def _usual_m(self, motion: Floats, match: Match) -> float:
+        """Return the distance of the usual step from a motion (3,) along the longest wall."""
+        return float((self._usual[1:] - motion[1:]) @ self._along_longest(match))
+
+    @property
+    def _scale_m(self) -> float:
+        """Scale of the differences between consecutive steps."""
+        return USUAL_SHARE * float(np.hypot(*self._usual[1:])) + USUAL_LEAST_M
 
     def _corrected(self, judged: Judged, k: int, far: bool = True) -> Judged:
         """Return a motion, moved along the longest wall if that is clearly likelier.
@@ -166,7 +200,7 @@ class ScanComparison:
         crossing = self._crossing(match)
         if crossing >= CROSSINGS:
             return judged.only(k)
-        usual_m = float((self._usual[1:] - motion[1:]) @ self._along_longest(match))
+        usual_m = self._usual_m(motion, match)
         way_m = np.append(COARSE_M, usual_m) if far else COARSE_M
         views = list(self._views[:1])
         if crossing < PARALLEL and self._expected is None:
@@ -174,22 +208,12 @@ class ScanComparison:
         odds = self._odds(views[:1], self._moved(motion, match, way_m), motion)
         if len(views) > 1 and odds.max() - np.median(odds) < CERTAIN:
             odds = self._odds(views, self._moved(motion, match, way_m), motion)
-        way_m = self._likeliest(odds, way_m, usual_m)[0] + FINE_M
+        way_m = _likeliest(odds, way_m, usual_m, self._scale_m)[0] + FINE_M
         odds = self._odds(views, self._moved(motion, match, way_m), motion)
-        best_m, best = self._likeliest(odds, way_m, usual_m)
+        best_m, best = _likeliest(odds, way_m, usual_m, self._scale_m)
         if best < LIKELIER:
             return judged.only(k)
         return self._judged(self._moved(motion, match, np.array([best_m])), 0)
-
-    def _likeliest(self, odds: Floats, way_m: Floats, usual_m: float) -> tuple[float, float]:
-        """Return the likeliest of some shifts (k,) along the longest wall, and its log odds.
-
-        Compared with no shift, by the odds (k,) of the beams; `usual_m` leads to the usual step.
-        """
-        scale_m = USUAL_SHARE * float(np.hypot(*self._usual[1:])) + USUAL_LEAST_M
-        usual = np.log1p((usual_m / scale_m) ** 2) - np.log1p(((way_m - usual_m) / scale_m) ** 2)
-        at = int(np.argmax(odds + usual))
-        return float(way_m[at]), float((odds + usual)[at])
 
     def _odds(self, views: Sequence[View], motions: Floats, motion: Floats) -> Floats:
         """Return the log odds of motions (k, 3) relative to one (3,), by the beams.
@@ -197,16 +221,40 @@ class ScanComparison:
         Beams hit the same places of a wall again where the robot seems to stand still; the longer
         the way from an earlier scan, the less that matters.
         """
+        return self._compared(views, motions, motion)[0]
+
+    def _compared(
+        self, views: Sequence[View], motions: Floats, motion: Floats
+    ) -> tuple[Floats, Floats]:
+        """Return the same, and the difference in agreement as a fraction of the points; (k,)."""
         both = np.vstack([motion[None], motions])
         pairs = [(view.beams, self._beams, view.then(both)) for view in views]
-        return odds_over(pairs, self._firm)[0]
+        return odds_over(pairs, self._firm)
 
     def _measured(self, judged: Judged, k: int) -> bool:
         """Return whether beams agree less if a motion is slid along the longest wall."""
         if not len(judged.matches[k].walls):
             return False
         value = self._along(judged, k, FREE_M * np.array([-1.0, 0.0, 1.0]))[1]
-        return bool(max(value[0], value[2]) < value[1] - FREE)
+        if max(value[0], value[2]) < value[1] - FREE:
+            return True
+        away = self._moved(judged.motions[k], judged.matches[k], AWAY_M)
+        return bool(self._excluded(away, judged.motions[k]).all())
+
+    def _excluded(self, motions: Floats, motion: Floats) -> Bools:
+        """Return which motions (k, 3) the beams of the last scans exclude in favour of one (3,)."""
+        odds, share = self._compared(self._deciding, motions, motion)
+        return np.asarray((odds < -EXCLUDED) & (share < -LEAST_SHARE))
+
+    def _preferred(self, views: Sequence[View], motions: Floats) -> tuple[int, Floats]:
+        """Return which motion (k, 3) beams prefer, and the log odds (k,) relative to it."""
+        best, odds = 0, np.zeros(len(motions))
+        for _ in motions:
+            odds = self._odds(views, motions, motions[best])
+            if odds.max() <= 0:
+                break
+            best = int(np.argmax(odds))
+        return best, odds
 
     def _along(self, judged: Judged, k: int, way_m: Floats) -> tuple[Floats, Floats]:
         """Return a motion slid along the longest wall that matches, and the agreement of beams."""
@@ -232,6 +280,17 @@ class ScanComparison:
     def _crossing(self, match: Match) -> float:
         """Return the spread of the directions of the walls that match; 0 if they are parallel."""
         return float(spread(self._seen.along[match.walls], np.zeros_like(match.walls), 1)[0])
+
+
+def _likeliest(odds: Floats, way_m: Floats, usual_m: float, scale_m: float) -> tuple[float, float]:
+    """Return the likeliest of some shifts (k,) along the longest wall, and its log odds.
+
+    Compared with no shift, by the odds (k,) of the beams; `usual_m` leads to the usual step, from
+    which others differ by about `scale_m`.
+    """
+    usual = np.log1p((usual_m / scale_m) ** 2) - np.log1p(((way_m - usual_m) / scale_m) ** 2)
+    at = int(np.argmax(odds + usual))
+    return float(way_m[at]), float((odds + usual)[at])
 
 
 def _unusual(motions: Floats, usual: Floats) -> Floats:

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from relmap.core.arrays import Floats
+from relmap.core.arrays import Floats, Ints
 from relmap.planes.linking.judging import (
     MEASURED,
     NO_CANDIDATES,
@@ -81,19 +81,37 @@ class Search(ScanComparison):
         motion = every.motions[best]
         if self._expected and self._explains(self._expected, motion):
             return None
-        likely = every.evidence > every.evidence[best] - RIVAL
-        rivals = likely & others(every.motions, motion)
-        one = self._corrected(every, best)
+        likely = np.flatnonzero(every.evidence > every.evidence[best] - RIVAL)
+        best, one, rivals = self._outstanding(every, likely)
         stays = clear and np.array_equal(one.motions[0], motion)
         measured = stays or self._measured(one, 0)
         if not measured:
-            rivals &= np.hypot(*(every.motions[:, 1:] - motion[1:]).T) > FREE_REACH_M
-        if rivals.any():
+            rivals = rivals[np.hypot(*(rivals - every.motions[best])[:, 1:].T) > FREE_REACH_M]
+        if len(rivals):
             return None
         if not measured and self._expected:
             return self._by_odometry(every, self._expected)
         one = one if measured else self._steady(one)
         return self._chosen(one, measured, float(every.evidence[best]))
+
+    def _outstanding(self, every: Judged, likely: Ints) -> tuple[int, Judged, Floats]:
+        """Return the likely motion that the beams of the last scans prefer.
+
+        `likely` (k,): rows of the likely motions. Returns the row, the motion, corrected, and the
+        others (n, 3), unless the beams exclude them all.
+        """
+        order = likely[np.argsort(-every.evidence[likely], kind="stable")]
+        rows = distinct(every.motions, order, CANDIDATES)
+        each = [self._corrected(every, k) for k in rows]
+        motions = np.vstack([one.motions for one in each])
+        at = self._preferred(self._deciding, motions)[0] if len(each) > 1 else 0
+        best, one = int(rows[at]), each[at]
+        apart = others(every.motions[likely], every.motions[best])
+        rivals = likely[apart & others(every.motions[likely], one.motions[0])]
+        motions = np.vstack([one.motions, *(self._corrected(every, k).motions for k in rivals)])
+        if len(rivals) and self._excluded(motions[1:], one.motions[0]).all():
+            rivals = rivals[:0]
+        return best, one, every.motions[rivals]
 
     def _chosen(self, one: Judged, measured: bool, evidence: float) -> Found:
         return Found(one.motions[0], self._named(one.matches[0]), measured, evidence)
@@ -139,11 +157,19 @@ class Search(ScanComparison):
         matches = [self._named(one.matches[0]) for one in each]
         motions = np.array([one.motions[0] for one in each]).reshape(-1, 3)
         evidence = evidence[best] + MEASURED * measured
+        parallel = np.array([self._is_parallel(one) for one in each], dtype=np.bool_)
+        if parallel.any():  # then walls hardly distinguish them
+            odds = self._preferred(self._views[:1], motions[parallel])[1]
+            evidence[parallel] += np.clip(odds, -WITHIN, 0.0)
         return Candidates(motions, evidence, measured, doubtful, matches)
+
+    def _is_parallel(self, one: Judged) -> bool:
+        """Return whether the walls that match are parallel."""
+        return bool(self._crossing(one.matches[0]) < CROSSING)
 
     def _is_doubtful(self, one: Judged) -> bool:
         """Return whether too few points support a motion to tie two scans."""
-        parallel = self._crossing(one.matches[0]) < CROSSING
+        parallel = self._is_parallel(one)
         turned = abs(one.motions[0, 0]) > TIE_TURN
         either = parallel and (turned or one.contradict[0] > TIE_CONTRADICTS)
         return bool(one.agree[0] < TIE_AGREES or either)
