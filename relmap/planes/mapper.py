@@ -165,9 +165,9 @@ class PlaneMapper(LocatingMapper):
     def _finish(self) -> None:
         self._attach()
         self._weak = None
-        cut = self._planes.links.tie()
+        self._planes.links.tie()
         super()._finish()
-        self._planes.links.cut(np.union1d(cut, unsupported_links(self.history, self._planes.links)))
+        self._planes.links.cut(unsupported_links(self.history, self._planes.links))
         for span in self.history.spans:
             afterwards.found_late(self.engine, *span)
 

@@ -148,16 +148,19 @@ class LinkRecord:
             self.submap = self._n_submaps if self.submap == old else self.submap
             self._n_submaps += 1
 
-    def tie(self) -> Ints:
+    def tie(self) -> None:
         """Re-evaluate doubtful links and breaks with the surrounding scans.
 
-        Returns the scans (c,) whose links are no longer accepted; see `cut`.
+        Submaps begin at scans whose links are no longer accepted.
         """
         if not (len(self.beams) and self._n_submaps):
-            return np.empty(0, dtype=np.int64)
+            return
         is_tied, in_doubt = self._known()
         scans, share = self.scans, share_at_rest(self.scans, is_tied)
         links, cut = judged_links(replace(scans, firm=share <= OFTEN), is_tied, in_doubt)
+        self.cut(
+            np.array(cut, dtype=np.int64)
+        )  # before a link is taken that leads past such a scan
         self._take(links)
         if share > OFTEN:  # the remaining breaks without small objects, as some may have moved
             is_tied, _ = self._known()
@@ -165,18 +168,17 @@ class LinkRecord:
             in_doubt[:1] = False
             more, _ = judged_links(replace(self.scans, firm=True), is_tied, in_doubt)
             self._take(more)
-        self._take_adjoining()
+        self._take_adjoining(cut)
         self.wheels.look_again()
-        return np.array(cut, dtype=np.int64)
 
-    def _take_adjoining(self) -> None:
-        """Tie submaps that are adjacent in time."""
+    def _take_adjoining(self, cut: Sequence[int]) -> None:
+        """Tie submaps that are adjacent in time, other than at scans where one was cut."""
         scans, found = replace(self.scans, firm=True), True
         while found:
             found = False
             for scan in range(1, len(self)):
                 own, other = self.submaps[scan - 1 : scan + 1].tolist()
-                if min(own, other) < 0 or own == other:
+                if min(own, other) < 0 or own == other or scan in cut:
                     continue
                 link = tied_across(scans, self.submaps, scan)
                 if link is not None:

@@ -53,6 +53,8 @@ and such a fraction of the points that agree better, as many tiny differences al
 are not independent."""
 TINY_SHARE = 0.0025
 """Such a fraction below which they do not displace the usual step."""
+CONTRADICTED = 5.0
+"""Log odds, of the beams and the step, by which another place must be likelier than the usual."""
 TURNING_M = 1.0
 """Change of the step for each radian by which the rotation changes: robots turn slowly."""
 
@@ -168,9 +170,13 @@ class ScanComparison:
         usual_m = self._usual_m(motion, match)
         turn = abs(float(wrapped(motion[0] - self._usual[0])))
         scale_m = self._scale_m + self._varies_m + TURNING_M * turn
-        way_m = np.append(COARSE_M, usual_m + COARSE_M)
+        way_m = np.append(usual_m + COARSE_M, COARSE_M)
         odds = self._clear_odds(motion, self._moved(motion, match, way_m))
-        way_m = _likeliest(odds, way_m, usual_m, scale_m)[0] + FINE_M
+        best_m, best = _likeliest(odds, way_m, usual_m, scale_m)
+        stays = odds[way_m == usual_m].max() + np.log1p((usual_m / scale_m) ** 2)
+        if best - stays < CONTRADICTED:
+            return self._judged(self._moved(motion, match, np.array([usual_m])), 0)
+        way_m = best_m + FINE_M
         odds = self._clear_odds(motion, self._moved(motion, match, way_m))
         best_m, _ = _likeliest(odds, way_m, usual_m, scale_m)
         return self._judged(self._moved(motion, match, np.array([best_m])), 0)
