@@ -158,9 +158,7 @@ class LinkRecord:
         is_tied, in_doubt = self._known()
         scans, share = self.scans, share_at_rest(self.scans, is_tied)
         links, cut = judged_links(replace(scans, firm=share <= OFTEN), is_tied, in_doubt)
-        self.cut(
-            np.array(cut, dtype=np.int64)
-        )  # before a link is taken that leads past such a scan
+        self.cut(np.array(cut, dtype=np.int64))  # before links past such scans are taken
         self._take(links)
         if share > OFTEN:  # the remaining breaks without small objects, as some may have moved
             is_tied, _ = self._known()
