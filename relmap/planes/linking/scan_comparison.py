@@ -53,8 +53,8 @@ and such a fraction of the points that agree better, as many tiny differences al
 are not independent."""
 TINY_SHARE = 0.0025
 """Such a fraction below which they do not displace the usual step."""
-CONTRADICTED = 5.0
-"""Log odds, of the beams and the step, by which another place must be likelier than the usual."""
+STEADY = 2.0
+"""Weight of the usual step there: in a corridor few points are where others would be, by chance."""
 TURNING_M = 1.0
 """Change of the step for each radian by which the rotation changes: robots turn slowly."""
 
@@ -170,15 +170,11 @@ class ScanComparison:
         usual_m = self._usual_m(motion, match)
         turn = abs(float(wrapped(motion[0] - self._usual[0])))
         scale_m = self._scale_m + self._varies_m + TURNING_M * turn
-        way_m = np.append(usual_m + COARSE_M, COARSE_M)
+        way_m = np.append(COARSE_M, usual_m + COARSE_M)
         odds = self._clear_odds(motion, self._moved(motion, match, way_m))
-        best_m, best = _likeliest(odds, way_m, usual_m, scale_m)
-        stays = odds[way_m == usual_m].max() + np.log1p((usual_m / scale_m) ** 2)
-        if best - stays < CONTRADICTED:
-            return self._judged(self._moved(motion, match, np.array([usual_m])), 0)
-        way_m = best_m + FINE_M
+        way_m = _likeliest(odds, way_m, usual_m, scale_m, STEADY)[0] + FINE_M
         odds = self._clear_odds(motion, self._moved(motion, match, way_m))
-        best_m, _ = _likeliest(odds, way_m, usual_m, scale_m)
+        best_m, _ = _likeliest(odds, way_m, usual_m, scale_m, STEADY)
         return self._judged(self._moved(motion, match, np.array([best_m])), 0)
 
     def _clear_odds(self, motion: Floats, motions: Floats) -> Floats:
@@ -288,15 +284,18 @@ class ScanComparison:
         return float(spread(self._seen.along[match.walls], np.zeros_like(match.walls), 1)[0])
 
 
-def _likeliest(odds: Floats, way_m: Floats, usual_m: float, scale_m: float) -> tuple[float, float]:
+def _likeliest(
+    odds: Floats, way_m: Floats, usual_m: float, scale_m: float, weight: float = 1.0
+) -> tuple[float, float]:
     """Return the likeliest of some shifts (k,) along the longest wall, and its log odds.
 
     Compared with no shift, by the odds (k,) of the beams; `usual_m` leads to the usual step, from
-    which others differ by about `scale_m`.
+    which others differ by about `scale_m`; `weight`: of its log odds.
     """
     usual = np.log1p((usual_m / scale_m) ** 2) - np.log1p(((way_m - usual_m) / scale_m) ** 2)
-    at = int(np.argmax(odds + usual))
-    return float(way_m[at]), float((odds + usual)[at])
+    both = odds + weight * usual
+    at = int(np.argmax(both))
+    return float(way_m[at]), float(both[at])
 
 
 def _unusual(motions: Floats, usual: Floats) -> Floats:
