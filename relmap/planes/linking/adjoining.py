@@ -7,6 +7,7 @@ compared by the beams of all pairs of scans across the break.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
 
 import numpy as np
@@ -16,7 +17,7 @@ from relmap.planes.linking.links import JUMP, JUMP_M
 from relmap.planes.linking.placement import STILL
 from relmap.planes.linking.tying import Link, Scans
 from relmap.planes.motions import after, distinct, inverse, motion_over, others, wrapped
-from relmap.planes.scans.beams import NEAR_M, compared, odds_over
+from relmap.planes.scans.beams import NEAR_M, compared, odds_over, preferred
 
 SIDE = 4
 """Largest number of scans on either side of a break that are compared."""
@@ -54,12 +55,7 @@ class Break:
         motions, walls = self._candidates(most_m, most_rad)
         if not len(motions):
             return None
-        best, odds = 0, self._odds(motions, motions[0])
-        for _ in motions:
-            if odds.max() <= 0:
-                break
-            best = int(np.argmax(odds))
-            odds = self._odds(motions, motions[best])
+        best, odds = preferred(motions, partial(self._odds, motions))
         motion = motions[best]
         rivals = np.append(odds[others(motions, motion)], self._odds(motion + BESIDE, motion))
         agree, contradict = self._agreement(motion)

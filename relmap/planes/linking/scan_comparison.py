@@ -16,7 +16,7 @@ from relmap.planes.linking.links import spread
 from relmap.planes.linking.placement import ROUNDS, Match, PlaneTracks, settled, worth
 from relmap.planes.motions import wrapped
 from relmap.planes.odometry.prediction import Expected
-from relmap.planes.scans.beams import NEAR_M, Beams, compared, odds_over
+from relmap.planes.scans.beams import NEAR_M, Beams, compared, odds_over, preferred
 from relmap.planes.scans.observation import PlaneObservation
 
 REACH_M = 3.5
@@ -53,7 +53,7 @@ and such a fraction of the points that agree better, as many tiny differences al
 are not independent."""
 TINY_SHARE = 0.0025
 """Such a fraction below which they do not displace the usual step."""
-STEADY = 2.0
+USUAL_WEIGHT = 2.0
 """Weight of the usual step there: in a corridor few points are where others would be, by chance."""
 TURNING_M = 1.0
 """Change of the step for each radian by which the rotation changes: robots turn slowly."""
@@ -172,9 +172,9 @@ class ScanComparison:
         scale_m = self._scale_m + self._varies_m + TURNING_M * turn
         way_m = np.append(COARSE_M, usual_m + COARSE_M)
         odds = self._clear_odds(motion, self._moved(motion, match, way_m))
-        way_m = _likeliest(odds, way_m, usual_m, scale_m, STEADY)[0] + FINE_M
+        way_m = _likeliest(odds, way_m, usual_m, scale_m, USUAL_WEIGHT)[0] + FINE_M
         odds = self._clear_odds(motion, self._moved(motion, match, way_m))
-        best_m, _ = _likeliest(odds, way_m, usual_m, scale_m, STEADY)
+        best_m, _ = _likeliest(odds, way_m, usual_m, scale_m, USUAL_WEIGHT)
         return self._judged(self._moved(motion, match, np.array([best_m])), 0)
 
     def _clear_odds(self, motion: Floats, motions: Floats) -> Floats:
@@ -250,13 +250,7 @@ class ScanComparison:
 
     def _preferred(self, views: Sequence[View], motions: Floats) -> tuple[int, Floats]:
         """Return which motion (k, 3) beams prefer, and the log odds (k,) relative to it."""
-        best, odds = 0, np.zeros(len(motions))
-        for _ in motions:
-            odds = self._odds(views, motions, motions[best])
-            if odds.max() <= 0:
-                break
-            best = int(np.argmax(odds))
-        return best, odds
+        return preferred(motions, lambda one: self._odds(views, motions, one))
 
     def _along(self, judged: Judged, k: int, way_m: Floats) -> tuple[Floats, Floats]:
         """Return a motion slid along the longest wall that matches, and the agreement of beams."""

@@ -107,8 +107,8 @@ class ScanLinks(LinkRecord):
             if len(self) in FIRST or len(self) % AGAIN == 0:
                 self._at_rest = share_at_rest(self.scans, self._known()[0], LATELY) > OFTEN
             firm = not self._at_rest
-            usual = recent, expected, firm, every, varies_m(self.motions[self.measured])
-            judged = Search(tracks, seen, beams, views, *usual).found()
+            context = recent, expected, firm, every, varies_m(self.motions[self.measured])
+            judged = Search(tracks, seen, beams, views, *context).found()
             return judged if judged and self._confirmed(judged, seen, beams, views, firm) else None
         found = place(tracks, seen, self.usual, farthest_m(self._last_links))
         if found is None or not is_supported(tracks, seen, found[1]):

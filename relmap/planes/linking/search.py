@@ -102,13 +102,14 @@ class Search(ScanComparison):
         """
         order = likely[np.argsort(-every.evidence[likely], kind="stable")]
         rows = distinct(every.motions, order, CANDIDATES)
-        each = [self._corrected(every, k) for k in rows]
-        motions = np.vstack([one.motions for one in each])
-        at = self._preferred(self._deciding, motions)[0] if len(each) > 1 else 0
-        best, one = int(rows[at]), each[at]
+        corrected = {k: self._corrected(every, k) for k in rows.tolist()}
+        motions = np.vstack([one.motions for one in corrected.values()])
+        best = int(rows[self._preferred(self._deciding, motions)[0] if len(rows) > 1 else 0])
+        one = corrected[best]
         apart = others(every.motions[likely], every.motions[best])
         rivals = likely[apart & others(every.motions[likely], one.motions[0])]
-        motions = np.vstack([one.motions, *(self._corrected(every, k).motions for k in rivals)])
+        other = [corrected.get(k) or self._corrected(every, k) for k in rivals.tolist()]
+        motions = np.vstack([one.motions, *(each.motions for each in other)])
         if len(rivals) and self._excluded(motions[1:], one.motions[0]).all():
             rivals = rivals[:0]
         return best, one, every.motions[rivals]

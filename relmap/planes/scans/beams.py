@@ -6,7 +6,7 @@ on surfaces of the other, and contradict where a beam passed through such a surf
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -269,3 +269,18 @@ def on_loose_things(ends: Floats, given: GivenBeams) -> Bools:
     from relmap.planes.scans.loose_kernels import loose_walls
 
     return loose_walls(given.by_bearing[0], given.loose, ends)
+
+
+def preferred(motions: Floats, odds_to: Callable[[Floats], Floats]) -> tuple[int, Floats]:
+    """Return which of some motions (k, 3) beams prefer, and the log odds (k,) relative to it.
+
+    `odds_to`: returns the log odds relative to a motion (3,). What is preferred to one motion need
+    not be to another, so each that is preferred is compared with all.
+    """
+    best, odds = 0, odds_to(motions[0])
+    for _ in motions:
+        if odds.max() <= 0:
+            break
+        best = int(np.argmax(odds))
+        odds = odds_to(motions[best])
+    return best, odds
