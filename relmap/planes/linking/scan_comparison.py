@@ -12,7 +12,7 @@ import numpy as np
 
 from relmap.core.arrays import Bools, Floats
 from relmap.planes.linking.judging import Judged, View
-from relmap.planes.linking.links import spread
+from relmap.planes.linking.links import CROSSING, spread
 from relmap.planes.linking.placement import ROUNDS, Match, PlaneTracks, settled, worth
 from relmap.planes.motions import wrapped
 from relmap.planes.odometry.prediction import Expected
@@ -55,6 +55,8 @@ TINY_SHARE = 0.0025
 """Such a fraction below which they do not displace the usual step."""
 USUAL_WEIGHT = 2.0
 """Weight of the usual step there: in a corridor few points are where others would be, by chance."""
+STOPS = 0.5
+"""Fraction of the usual step below which a robot stops."""
 TURNING_M = 1.0
 """Change of the step for each radian by which the rotation changes: robots turn slowly."""
 
@@ -238,10 +240,18 @@ class ScanComparison:
         if not len(judged.matches[k].walls):
             return False
         value = self._along(judged, k, FREE_M * np.array([-1.0, 0.0, 1.0]))[1]
-        if max(value[0], value[2]) < value[1] - FREE:
+        if max(value[0], value[2]) < value[1] - FREE and not self._stops(judged, k):
             return True
         away = self._moved(judged.motions[k], judged.matches[k], AWAY_M)
         return bool(self._excluded(away, judged.motions[k]).all())
+
+    def _stops(self, judged: Judged, k: int) -> bool:
+        """Return whether a motion stops a moving robot between parallel walls.
+
+        Beams seem to hit the same places there, wherever the robot is.
+        """
+        slow = np.hypot(*judged.motions[k, 1:]) < STOPS * np.hypot(*self._recent[1:])
+        return bool(slow and self._crossing(judged.matches[k]) < CROSSING)
 
     def _excluded(self, motions: Floats, motion: Floats) -> Bools:
         """Return which motions (k, 3) the beams of the last scans exclude in favour of one (3,)."""
