@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
 from relmap import PlaneMapper
 from relmap.core.arrays import Floats
 from relmap.planes.linking.adjoining import Break, tied_across
+from relmap.planes.linking.judging import NO_CANDIDATES, NO_MATCH, Found
+from relmap.planes.linking.link_record import BY_BEAMS, LinkRecord
+from relmap.planes.linking.search import Search
 from relmap.planes.linking.tying import Scans
 from relmap.planes.motions import from_matrices
+from relmap.planes.scans.beams import GivenBeams
 from relmap.simulation import simulate_building
 from relmap.simulation.floor_plan import World
 from tests.worlds import fed
@@ -47,11 +54,36 @@ def test_a_break_is_tied_by_the_scans_around_it(scan: int) -> None:
     assert len(link.walls)
 
 
-def test_corridors_without_features_are_not_tied() -> None:
+@pytest.mark.parametrize("scan", [12, 20, 33])
+def test_the_beams_suggest_a_motion_that_walls_do_not_imply(
+    scan: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scans, poses = scanned("building")
+    submaps = (np.arange(len(poses)) >= scan).astype(np.int64)
+    scans.motions[scan] = np.nan
+    monkeypatch.setattr(Search, "candidates", lambda *_: NO_CANDIDATES)
+    assert tied_across(scans, submaps, scan) is None
+    link = tied_across(scans, submaps, scan, set())
+    np.testing.assert_allclose(link.motion, across(scan, poses), atol=0.05)
+    assert len(link.walls)
+
+
+@pytest.mark.parametrize("by_beams", [False, True])
+def test_corridors_without_features_are_not_tied(by_beams: bool) -> None:
     scans, poses = scanned("bare-corridor")
     for scan in range(8, 20):
         submaps = (np.arange(len(poses)) >= scan).astype(np.int64)
-        assert tied_across(scans, submaps, scan) is None
+        assert tied_across(scans, submaps, scan, set() if by_beams else None) is None
+
+
+def test_a_break_at_which_nothing_is_certain_is_not_examined_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scans, poses = scanned("bare-corridor")
+    submaps, failed = (np.arange(len(poses)) >= 12).astype(np.int64), set[tuple[int, ...]]()
+    assert tied_across(scans, submaps, 12, failed) is None
+    monkeypatch.setattr(Break, "link_by_beams", None)
+    assert tied_across(scans, submaps, 12, failed) is None
 
 
 def test_scans_of_another_place_are_not_tied() -> None:
@@ -61,6 +93,7 @@ def test_scans_of_another_place_are_not_tied() -> None:
         elsewhere = Break(scans, np.arange(first - 4, first), later)
         assert np.linalg.norm(poses[later[0], :2, 3] - poses[first - 1, :2, 3]) > MOST_M
         assert elsewhere.link(MOST_M, MOST_RAD) is None
+        assert elsewhere.link_by_beams(MOST_M, MOST_RAD) is None
 
 
 def test_a_longer_step_than_usual_is_not_accepted() -> None:
@@ -84,3 +117,17 @@ def test_ties_remain_when_a_map_is_finished_again() -> None:
         mapper.finish()
         first.append([submap.first_iteration for submap in mapper.submaps])
     assert first[0] == first[1] == first[2]
+
+
+def test_a_torn_map_is_cut_where_only_the_beams_tied_it() -> None:
+    record, still = LinkRecord(1.0), np.zeros(3)
+    none: Any = SimpleNamespace(beams=GivenBeams.checked(np.empty((0, 2)), np.zeros(2)))
+    for k in range(20):
+        if k % 10 == 0:
+            record.begin_submap()
+        evidence = BY_BEAMS if k % 10 == 4 else 30.0
+        record.append(none, still, True, Found(still, NO_MATCH, True, evidence), False)
+    record.cut_torn(np.array([7, 8]))
+    assert np.flatnonzero(np.diff(record.submaps)).tolist() == [3, 9]
+    record.cut_torn(np.array([8]))
+    assert np.flatnonzero(np.diff(record.submaps)).tolist() == [3, 7, 9]

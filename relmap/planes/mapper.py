@@ -229,7 +229,7 @@ class PlaneMapper(LocatingMapper):
         for _ in range(CUTS):
             if not len(torn := self._torn(known)):
                 return
-            self._planes.links.cut(torn)
+            self._planes.links.cut_torn(torn)
         self._torn(known, keep=True)
 
     def _torn(self, known: list[Floats], keep: bool = False) -> Ints:

@@ -24,6 +24,8 @@ from relmap.planes.scans.observation import PlaneObservation
 
 IN_DOUBT = 10.0
 """Log odds below which a motion is re-evaluated with the surrounding scans."""
+BY_BEAMS = 15.0
+"""Those of a tie that only the beams suggested."""
 
 
 class LinkRecord:
@@ -148,6 +150,18 @@ class LinkRecord:
             self.submap = self._n_submaps if self.submap == old else self.submap
             self._n_submaps += 1
 
+    def cut_torn(self, scans: Ints) -> None:
+        """Begin submaps at scans (t,) at which refinement tears the map.
+
+        Or at the ties by beams of the same submaps instead, if there are any: then one of these is
+        not certain enough, and the map is as if they had not been found.
+        """
+        by_beams = np.flatnonzero(self._known()[0] & (self.evidence == BY_BEAMS))
+        torn = self.submaps[scans]
+        doubtful = by_beams[np.isin(self.submaps[by_beams], torn)]
+        others = scans[~np.isin(torn, self.submaps[doubtful])]
+        self.cut(np.union1d(doubtful, others))
+
     def tie(self) -> None:
         """Re-evaluate doubtful links and breaks with the surrounding scans.
 
@@ -170,18 +184,23 @@ class LinkRecord:
         self.wheels.look_again()
 
     def _take_adjoining(self, cut: Sequence[int]) -> None:
-        """Tie submaps that are adjacent in time, other than at scans where one was cut."""
-        scans, found = replace(self.scans, firm=True), True
-        while found:
-            found = False
+        """Tie submaps that are adjacent in time, other than at scans where one was cut.
+
+        The beams supply candidates only where no motion by walls is certain any more.
+        """
+        scans, failed = replace(self.scans, firm=True), set[tuple[int, ...]]()
+        by_beams, found = False, True
+        while found or not by_beams:
+            by_beams, found = not found, False
             for scan in range(1, len(self)):
                 own, other = self.submaps[scan - 1 : scan + 1].tolist()
                 if min(own, other) < 0 or own == other or scan in cut:
                     continue
-                link = tied_across(scans, self.submaps, scan)
+                link = tied_across(scans, self.submaps, scan, failed if by_beams else None)
                 if link is not None:
                     self._take([link])
-                    self._evidence.values[scan], found = RIVAL, True
+                    self._evidence.values[scan] = BY_BEAMS if by_beams else RIVAL
+                    found = True
 
     def _take(self, links: Sequence[Link]) -> None:
         """Add links that were accepted later."""

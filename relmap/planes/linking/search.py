@@ -21,7 +21,7 @@ from relmap.planes.linking.judging import (
     Judged,
 )
 from relmap.planes.linking.links import CROSSING
-from relmap.planes.linking.placement import STILL
+from relmap.planes.linking.placement import STILL, Match
 from relmap.planes.linking.scan_comparison import CONTRADICTING, ScanComparison
 from relmap.planes.motions import distinct, others
 from relmap.planes.odometry.prediction import OTHERWISE, Expected
@@ -186,6 +186,10 @@ class Search(ScanComparison):
         found = self._judged([motion])
         evidence = float(found.of_pair[0]) + MEASURED * self._measured(found, 0)
         return evidence, float(found.contradict[0]), not others(found.motions, motion)[0]
+
+    def matched(self, motion: Floats) -> Match:
+        """Return the walls that match at a motion (3,), as it is."""
+        return self._named(self._judged([motion], 0).matches[0])
 
     def bridged(self, expected: Expected) -> Found | None:
         """Return the motion expected from odometry, unless beams contradict it.
