@@ -11,7 +11,7 @@ from relmap.core.geometry.alignment import sums_each
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.refinement import live
 from relmap.core.refinement.condensing import CondensedSegments
-from relmap.core.refinement.live import brought_together
+from relmap.core.refinement.live import after_step
 from relmap.core.refinement.live_kernels import moments_between
 from relmap.core.state.table import LandmarkState
 from relmap.evaluation.metrics import majority_ids
@@ -70,9 +70,9 @@ def test_a_step_costs_no_more_in_a_long_run(monkeypatch: pytest.MonkeyPatch) -> 
 
     def noted(points: Floats, weight: Floats, landmark: Ints, body: Ints) -> Floats:
         bodies.append(int(body[-1]) + 1)
-        return brought_together(points, weight, landmark, body)
+        return after_step(points, weight, landmark, body)
 
-    monkeypatch.setattr(live, "brought_together", noted)
+    monkeypatch.setattr(live, "after_step", noted)
     driven(simulate_figure_eight(density=12, iterations=3000, seed=3), 3000)
     assert len(bodies) >= 3
     assert max(bodies) <= live.BODIES
@@ -112,7 +112,7 @@ def test_a_mapper_can_be_stored_at_any_time() -> None:
 
 
 def stepped(points: Floats, landmark: Ints, body: Ints) -> Floats:
-    placed = brought_together(points, np.ones(len(points)), landmark, body)
+    placed = after_step(points, np.ones(len(points)), landmark, body)
     return sums_each(placed, landmark, int(landmark.max()) + 1) / np.bincount(landmark)[:, None]
 
 
@@ -161,12 +161,12 @@ def test_stretches_that_share_enough_are_aligned() -> None:
     one = live.Body(np.arange(8), world[:8], np.full(8, 2.0))
     landmark = np.append(np.arange(4, 12), 5)
     other = live.Body(landmark, (world[landmark] + 3.0) @ R, np.ones(9))
-    together = live.laid_together(one, other)
+    together = live.merged(one, other)
     np.testing.assert_array_equal(together.landmark, np.arange(12))
     np.testing.assert_allclose(together.points, world, atol=1e-9)
     np.testing.assert_array_equal(together.weight, [2, 2, 2, 2, 3, 4, 3, 3, 1, 1, 1, 1])
     few = live.Body(np.arange(7, 12), world[7:] @ R, np.ones(5))
-    assert live.laid_together(one, few) is None
+    assert live.merged(one, few) is None
 
 
 @pytest.mark.parametrize(("apart", "moved"), [(5.0, 0.0), (0.5, 1.0)])

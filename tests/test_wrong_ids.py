@@ -18,7 +18,7 @@ from relmap.core import rebuilding
 from relmap.core.arrays import Floats
 from relmap.core.geometry.alignment import fit_rigid
 from relmap.core.refinement import gauss_newton
-from relmap.core.refinement.equations import Laid
+from relmap.core.refinement.equations import SegmentState
 from relmap.core.refinement.gauss_newton import Problem, Solution
 from relmap.datasets import ObservationLog
 from relmap.simulation import FigureEight, WorldSpec, simulate_figure_eight, simulate_world
@@ -203,11 +203,13 @@ def test_scans_of_few_landmarks_with_wrong_ids_have_no_pose() -> None:
     assert np.linalg.norm(path @ R.T + t - truth, axis=1).max() < 0.2
 
 
-def ruined(problem: Problem[Laid], state: Laid, *_: object, **__: object) -> Solution[Laid]:
+def ruined(
+    problem: Problem[SegmentState], state: SegmentState, *_: object, **__: object
+) -> Solution[SegmentState]:
     positions = state.positions
     positions = positions + np.random.default_rng(0).normal(0, 5.0, positions.shape)
     weight = np.ones(len(problem.residuals(state)))
-    return Solution(Laid(positions, state.placed), weight, state, np.inf, False)
+    return Solution(SegmentState(positions, state.placed), weight, state, np.inf, False)
 
 
 def test_a_map_that_least_squares_would_break_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -37,7 +37,7 @@ def refine_submaps(
     of, submaps = table.landmark_of, table.submap
     others = (submaps == NONE) & ~table.dynamic
     found, end = [], 0 if kept is None else kept.n_iterations
-    for submap in np.unique(submaps[submaps != NONE]):
+    for submap in sorted(table.submaps):
         chosen, since = submaps == submap, engine.map.kept_anchor
         is_known = bool(engine.association.is_known)
         refined = refine_jointly(rows, table.position, chosen, of, others, since, is_known)

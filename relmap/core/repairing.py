@@ -28,7 +28,6 @@ from relmap.core.refinement.extending import extend_submaps
 from relmap.core.refinement.misread import take_off_misread
 from relmap.core.refining import refine_map
 from relmap.core.revisiting import gather, merge_in_place
-from relmap.core.state.table import NONE
 
 logger = logging.getLogger(__name__)
 
@@ -188,7 +187,7 @@ def _undo(engine: RelativeMapper) -> int:
     if len(tracks):
         _part(engine, rows, tracks)
     changes = len(tracks)
-    for submap in np.unique(table.submap[table.submap != NONE]).tolist():
+    for submap in sorted(table.submaps):
         for piece in pieces(table, rows, submap)[1:]:
             table.submap[piece] = engine.map.new_submap()
             changes += 1

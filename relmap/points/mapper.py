@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from os import PathLike
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,7 +11,6 @@ from relmap.core import afterwards, repairing
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association.placement import Placement
 from relmap.core.association.reobservation.recognition import PlaceFinder
-from relmap.core.config import MapperConfig
 from relmap.core.errors import RelmapError
 from relmap.core.geometry.motions import transforms
 from relmap.core.guard import reads_whole
@@ -58,15 +56,7 @@ class PointMapper(Mapper):
     """
 
     _variant = "points"
-
-    def __init__(
-        self,
-        config: MapperConfig | None = None,
-        journal: PathLike[str] | str | None = None,
-        run: dict[str, Any] | None = None,
-    ) -> None:
-        super().__init__(config, journal, run)
-        self._finder: tuple[object, PlaceFinder] | None = None
+    _finder: tuple[object, PlaceFinder] | None = None
 
     def update(
         self,

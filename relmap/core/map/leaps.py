@@ -88,9 +88,7 @@ def may_have_gaps(rows: SegmentRows, positions_map: Floats, of: Ints) -> bool:
     """
     d, n = positions_map.shape[1], len(rows.iteration_segment)
     mapped = np.asarray(np.isfinite(positions_map[of]).all(axis=1))
-    own = mapped[rows.landmark]
-    row, bit = np.nonzero(_BITS[rows.visible[own]])
-    scan = rows.first_iteration[rows.segment[own]][row] + bit
+    scan = rows.only(np.flatnonzero(mapped[rows.landmark])).sightings[1]
     showing = np.flatnonzero(np.bincount(scan, minlength=n) >= d)
     if len(showing) < 2:
         return True

@@ -6,8 +6,10 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import sums_each
+from relmap.core.geometry.motions import transforms
 from relmap.core.geometry.robust import fit_robust_each
-from relmap.core.refinement.condensing import LENGTH, NOWHERE, SegmentRows
+from relmap.core.refinement.condensing import NOWHERE, SegmentRows
+from relmap.core.refinement.rows import numbered
 
 ABSURD = 0.01
 """Weight of an observation ten times as far off as the least outlier: it has no part in a pose."""
@@ -46,13 +48,9 @@ def known_poses(
     """
     d = rows.points.shape[1]
     there = positions_map[of[rows.landmark]]
-    mapped = np.isfinite(there).all(axis=1)
-    seen = (rows.visible[mapped, None] >> np.arange(LENGTH)) & 1 > 0
-    row, bit = np.nonzero(seen)
-    row = np.flatnonzero(mapped)[row]
-    scan = rows.first_iteration[rows.segment[row]] + bit
-    seen_in = np.bincount(scan, minlength=len(rows.iteration_segment)) > 0
-    scans, at = np.flatnonzero(seen_in), (np.cumsum(seen_in) - 1)[scan]
+    mapped = np.flatnonzero(np.isfinite(there).all(axis=1))
+    row, scan = rows.only(mapped).sightings
+    row, (scans, at) = mapped[row], numbered(scan)
     n, ones = len(scans), np.ones(len(row))
     if not n:
         return scans, np.empty((0, 4, 4))
@@ -62,10 +60,8 @@ def known_poses(
     fixed &= _turn_sd(there[row[used]], at[used], n, noise_m) <= LOOSE_RAD
     fixed &= rows.iteration_segment[scans] != NOWHERE
     known, R, t = scans[fixed], R[fixed], t[fixed]
-    poses = np.tile(np.eye(4), (len(known), 1, 1))
-    poses[:, :d, :d] = R @ rows.R[known]
-    poses[:, :d, 3] = np.einsum("nij,nj->ni", R, rows.t[known]) + t
-    return known, poses
+    there = np.einsum("nij,nj->ni", R, rows.t[known]) + t
+    return known, transforms(R @ rows.R[known], there)
 
 
 def _turn_sd(points: Floats, at: Ints, n: int, noise_m: float) -> Floats:

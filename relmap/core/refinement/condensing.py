@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.geometry.motions import transforms
 from relmap.core.state.growing import GrowingArray
 from relmap.core.state.store import ObservationStore
 
@@ -80,6 +81,12 @@ class SegmentRows:
         return SEEN[self.visible]
 
     @property
+    def sightings(self) -> tuple[Ints, Ints]:
+        """Row and iteration of each single observation, by row; (k,) each."""
+        row, bit = np.nonzero((self.visible[:, None] >> np.arange(LENGTH)) & 1)
+        return row, self.first_iteration[self.segment[row]] + bit
+
+    @property
     def noise_m(self) -> float:
         """Standard deviation of an observed coordinate within segments, metres; NaN if unknown."""
         freedoms = self.freedoms[self.freedoms > 0]
@@ -103,10 +110,7 @@ class SegmentRows:
     @property
     def poses(self) -> Floats:
         """Pose of each iteration in the frame of its segment, metres; (i, 4, 4)."""
-        d = self.points.shape[1]
-        poses = np.tile(np.eye(4), (len(self.iteration_segment), 1, 1))
-        poses[:, :d, :d], poses[:, :d, 3] = self.R, self.t
-        return poses
+        return transforms(self.R, self.t)
 
 
 class CondensedSegments:
@@ -159,7 +163,7 @@ class CondensedSegments:
         return whole.rows
 
     def _condense(self, store: ObservationStore, end: int, dynamic: Bools) -> None:
-        from relmap.core.refinement.segment_kernels import laid_together
+        from relmap.core.refinement.segment_kernels import align_iterations
 
         begin, k, d = self.end, end - self.end, store.dimension
         self._make_room(k, d)
@@ -168,7 +172,7 @@ class CondensedSegments:
         own = block if steady.all() else block[steady]
         free = np.isfinite(own[:, :, :1]).sum(axis=(0, 2)) >= 2
         while free.any():
-            joined, R, t, points, visible, squares = laid_together(own, free, FAR)
+            joined, R, t, points, visible, squares = align_iterations(own, free, FAR)
             free &= ~joined
             fitted = 3 * d - 3
             n_seen, n_points = SEEN[visible].sum(), (visible > 0).sum()

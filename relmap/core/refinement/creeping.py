@@ -14,7 +14,7 @@ from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.geometry.alignment import extent_of, sums_each
 from relmap.core.geometry.robust import EXACT
 from relmap.core.refinement.condensing import LENGTH, SegmentRows
-from relmap.core.refinement.joint import laid_on
+from relmap.core.refinement.joint import placed_segments
 
 AWAY = 2
 """Segments without a landmark after which it is seen on another visit."""
@@ -40,7 +40,7 @@ def creep_of(rows: SegmentRows, positions: Floats, own: Bools, landmark: Ints) -
     """
     if not rows.noise_m > EXACT * extent_of(positions[own]):
         return 0.0
-    placed, fixed = laid_on(rows, positions, own[landmark], landmark)
+    placed, fixed, _ = placed_segments(rows, positions, own[landmark], landmark)
     velocity, leverage = _visits(rows, placed, np.flatnonzero(own[landmark] & fixed), landmark)
     if len(velocity) < FEWEST:
         return 0.0

@@ -38,7 +38,7 @@ ROUNDING = 1e-13
 """Residual treated as rounding, as a fraction of the map's size."""
 
 
-class Laid(NamedTuple):
+class SegmentState(NamedTuple):
     """Landmarks (m, d), and the rows (k, d) of each placement, placed, metres."""
 
     positions: Floats
@@ -48,46 +48,46 @@ class Laid(NamedTuple):
 class SegmentProblem:
     """The residuals of the rows of segments; a `Problem`.
 
-    `size`: size of the map, metres. `laid` (row, placement, times), (k,) each: the rows of each
+    `size`: size of the map, metres. `members` (row, placement, times), (k,) each: the rows of each
     placement, and how many times it is this one; by default a placement for each segment.
     """
 
     pattern: Pattern
 
     def __init__(
-        self, rows: JointRows, size: float, laid: tuple[Ints, Ints, Floats] | None = None
+        self, rows: JointRows, size: float, members: tuple[Ints, Ints, Floats] | None = None
     ) -> None:
         self.rows = rows
         n, d = rows.points.shape
-        self._laid = (np.arange(n), rows.segment, rows.n_seen) if laid is None else laid
+        self._members = (np.arange(n), rows.segment, rows.n_seen) if members is None else members
         unknowns = d * len(rows.landmarks) + (3 * d - 3) * (len(rows.segments) - 1)
         self.freedoms = max(d * n - unknowns, 1)
         self.rounding = n * (ROUNDING * size) ** 2
 
-    def of_segments(self, laid: Laid) -> Laid:
+    def of_segments(self, state: SegmentState) -> SegmentState:
         """Return the state for rows (n, d) of segments that are placed as a whole."""
-        return Laid(laid.positions, laid.placed[self._laid[0]])
+        return SegmentState(state.positions, state.placed[self._members[0]])
 
-    def laid(self, positions: Floats, weight: Floats) -> Laid:
+    def fitted(self, positions: Floats, weight: Floats) -> SegmentState:
         """Place the rows where they fit the positions best, given weights (n,) of the rows."""
-        row, at, times = self._laid
+        row, at, times = self._members
         points, n = self.rows.points[row], int(at[-1]) + 1
         R, t, _ = fit_rigid_each(points, self._there(positions), weight[row] * times, at, n)
-        return Laid(positions, place_each(R, t, at, points))
+        return SegmentState(positions, place_each(R, t, at, points))
 
-    def residuals(self, state: Laid) -> Floats:
+    def residuals(self, state: SegmentState) -> Floats:
         """Return the lengths (n,) of the residuals, normalised to one observation."""
-        row, _, times = self._laid
+        row, _, times = self._members
         squares = times * np.sum((state.placed - self._there(state.positions)) ** 2, axis=1)
         return np.asarray(np.sqrt(np.bincount(row, squares, minlength=len(self.rows.points))))
 
     def _there(self, positions: Floats) -> Floats:
         """Return the position (k, d) of the landmark of each placed row."""
-        return np.asarray(positions[self.rows.landmark[self._laid[0]]])
+        return np.asarray(positions[self.rows.landmark[self._members[0]]])
 
     def equations(
         self,
-        state: Laid,
+        state: SegmentState,
         weight: Floats,
         with_matrix: bool,
         damping: float,
@@ -102,33 +102,33 @@ class SegmentProblem:
             self._fix(equations.matrix)
         return equations
 
-    def _reduced(self, state: Laid, weight: Floats, with_matrix: bool) -> NormalEquations:
+    def _reduced(self, state: SegmentState, weight: Floats, with_matrix: bool) -> NormalEquations:
         raise NotImplementedError
 
     def _fix(self, matrix: Floats) -> None:
         """Fix the unknowns that define the frame."""
 
     def stepped(
-        self, state: Laid, equations: NormalEquations, step: Floats, weight: Floats
-    ) -> Laid:
+        self, state: SegmentState, equations: NormalEquations, step: Floats, weight: Floats
+    ) -> SegmentState:
         """Return the state after a step."""
-        return self.laid(self._moved(state, step, weight), weight)
+        return self.fitted(self._moved(state, step, weight), weight)
 
-    def covariances(self, state: Laid, weight: Floats) -> Floats:
+    def covariances(self, state: SegmentState, weight: Floats) -> Floats:
         """Return the covariances (m, d, d) of the landmarks under noise of variance 1."""
         matrix = self.equations(state, weight, True, 0.0, (BARELY, 0.0)).matrix
         self.pattern.factorise(matrix)
         return self._covariances(state, weight, self.pattern.inverse(matrix))
 
-    def _moved(self, state: Laid, step: Floats, weight: Floats) -> Floats:
+    def _moved(self, state: SegmentState, step: Floats, weight: Floats) -> Floats:
         raise NotImplementedError
 
-    def _covariances(self, state: Laid, weight: Floats, inverse: Floats) -> Floats:
+    def _covariances(self, state: SegmentState, weight: Floats, inverse: Floats) -> Floats:
         raise NotImplementedError
 
     def _away(self, placed: Floats) -> Floats:
         """Return placed rows (k, d) from the centre of their placement."""
-        at = self._laid[1]
+        at = self._members[1]
         sizes = np.bincount(at)
         return np.asarray(placed - (sums_each(placed, at, len(sizes)) / sizes[:, None])[at])
 
@@ -181,18 +181,18 @@ class FreePlacements(SegmentProblem):
         counts = np.array(times), np.array(segment), np.array(fixed, dtype=np.float64)
         return np.concatenate(seen), sizes, *counts
 
-    def _reduced(self, state: Laid, weight: Floats, with_matrix: bool) -> NormalEquations:
+    def _reduced(self, state: SegmentState, weight: Floats, with_matrix: bool) -> NormalEquations:
         there = self._there(state.positions)
         turns = derivatives(self._away(there))
         off, ones = (state.placed - there).ravel(), np.ones((there.size, 1))
         linear = Linearised(off, turns.reshape(len(off), -1), -ones)
-        each = np.repeat(weight[self._laid[0]], self._d)
+        each = np.repeat(weight[self._members[0]], self._d)
         return self._eliminated.equations(linear, each, BARELY, with_matrix)
 
-    def _moved(self, state: Laid, step: Floats, weight: Floats) -> Floats:
+    def _moved(self, state: SegmentState, step: Floats, weight: Floats) -> Floats:
         return np.asarray(state.positions + step[self._unknown])
 
-    def _covariances(self, state: Laid, weight: Floats, inverse: Floats) -> Floats:
+    def _covariances(self, state: SegmentState, weight: Floats, inverse: Floats) -> Floats:
         return self.pattern.parts(inverse, self._unknown)
 
 
@@ -226,7 +226,7 @@ class FreeLandmarks(SegmentProblem):
         every = np.arange(len(rows.landmarks))
         self._eliminated = Elimination(self.pattern, kept, d * begin, scalar, every)
 
-    def _reduced(self, state: Laid, weight: Floats, with_matrix: bool) -> NormalEquations:
+    def _reduced(self, state: SegmentState, weight: Floats, with_matrix: bool) -> NormalEquations:
         linear, each = self._linearised(state, weight)
         equations = self._eliminated.equations(linear, each, BARELY, with_matrix)
         right, fixed = equations.right, self._unknown[self._fixed]
@@ -239,7 +239,7 @@ class FreeLandmarks(SegmentProblem):
         stiff = STIFF * max(self.pattern.largest(matrix), 1.0)
         self.pattern.add_diagonal(matrix, self._unknown[self._fixed], stiff)
 
-    def _linearised(self, state: Laid, weight: Floats) -> tuple[Linearised, Floats]:
+    def _linearised(self, state: SegmentState, weight: Floats) -> tuple[Linearised, Floats]:
         """Return the residuals of the rows, some of them twice, and their weights."""
         rows, d = self.rows, self._d
         off = (state.placed - state.positions[rows.landmark])[self._row]
@@ -250,7 +250,7 @@ class FreeLandmarks(SegmentProblem):
             np.repeat(self._seen * weight[self._row], d),
         )
 
-    def _moved(self, state: Laid, step: Floats, weight: Floats) -> Floats:
+    def _moved(self, state: SegmentState, step: Floats, weight: Floats) -> Floats:
         """Return the means of the rows after transforming their segments."""
         steps, d = step[self._unknown], self._d
         steps[self._fixed] = steps[self._anchor]
@@ -266,7 +266,7 @@ class FreeLandmarks(SegmentProblem):
         total = np.bincount(of, weights=omega, minlength=m)
         return np.asarray(sums_each(placed * omega[:, None], of, m) / total[:, None])
 
-    def _covariances(self, state: Laid, weight: Floats, inverse: Floats) -> Floats:
+    def _covariances(self, state: SegmentState, weight: Floats, inverse: Floats) -> Floats:
         linear, each = self._linearised(state, weight)
         return self._eliminated.covariances(linear, each, BARELY, inverse)
 

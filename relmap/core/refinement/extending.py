@@ -13,11 +13,12 @@ from typing import NamedTuple
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.core.geometry.alignment import place_each, sums_each
+from relmap.core.geometry.alignment import sums_each
 from relmap.core.geometry.robust import fit_robust_each
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.refinement.condensing import SegmentRows
-from relmap.core.refinement.trend import drifting
+from relmap.core.refinement.joint import placed_segments
+from relmap.core.refinement.trend import by_landmark, drifting
 from relmap.core.state.table import NONE
 
 TIERS = (3.0, 10.0, 100.0)
@@ -34,7 +35,7 @@ SEEN_AGAIN = 2
 """Minimum number of observations to place a landmark: with fewer, errors are not detectable."""
 
 
-class _Laid(NamedTuple):
+class PlacedRows(NamedTuple):
     """The placed rows (n,): positions, variances, and allowed deviations."""
 
     placed: Floats
@@ -53,10 +54,9 @@ def extend_submaps(global_map: GlobalMap, rows: SegmentRows, among: Bools | None
     table = global_map.table
     seen = np.bincount(table.now(rows.landmark), rows.n_seen, minlength=len(table))
     often = seen >= SEEN_AGAIN if among is None else (seen >= SEEN_AGAIN) & among
-    submaps, sizes = np.unique(table.submap[table.submap != NONE], return_counts=True)
     done = np.zeros(len(table), dtype=bool)
     grew = False
-    for submap in submaps[np.argsort(-sizes, kind="stable")].tolist():
+    for submap in table.submaps:
         for suspects in (False, True):
             grew |= _extend(global_map, submap, rows, often & ~done, suspects)
         own = np.flatnonzero(table.submap == submap)
@@ -77,8 +77,7 @@ def join_seen_together(global_map: GlobalMap, rows: SegmentRows) -> bool:
     table, joined, more = global_map.table, False, True
     while more:
         more = False
-        submaps, sizes = np.unique(table.submap[table.submap != NONE], return_counts=True)
-        for submap in submaps[np.argsort(-sizes, kind="stable")].tolist():
+        for submap in table.submaps:
             more |= _join_to(global_map, submap, rows)
         joined |= more
     return joined
@@ -97,11 +96,11 @@ def _join_to(global_map: GlobalMap, submap: int, rows: SegmentRows) -> bool:
     others = [other for other in others if sizes[other] <= sizes[submap]]
     if not others:
         return False
-    laid = lay(rows, landmark, table.position, known)
-    laid.variance[shown[rows.segment] <= table.dimension] = np.inf
+    fit = place_rows(rows, landmark, table.position, known)
+    fit.variance[shown[rows.segment] <= table.dimension] = np.inf
     joined = False
     for other in others:
-        placement = _shown_at(global_map, other, rows, landmark, laid)
+        placement = _shown_at(global_map, other, rows, landmark, fit)
         if placement is not None:
             global_map.tie(other, submap, *placement)
             joined = True
@@ -109,20 +108,20 @@ def _join_to(global_map: GlobalMap, submap: int, rows: SegmentRows) -> bool:
 
 
 def _shown_at(
-    global_map: GlobalMap, other: int, rows: SegmentRows, landmark: Ints, laid: _Laid
+    global_map: GlobalMap, other: int, rows: SegmentRows, landmark: Ints, fit: PlacedRows
 ) -> tuple[Floats, Floats] | None:
-    """Return rotation and translation of a submap to where laid rows (n,) show its landmarks."""
+    """Return rotation and translation of a submap to where placed rows (n,) show its landmarks."""
     table = global_map.table
-    shown = np.flatnonzero((table.submap[landmark] == other) & (laid.variance <= TIERS[1]))
-    members, places, weights = _placed(rows, landmark, shown, laid, 1)
+    shown = np.flatnonzero((table.submap[landmark] == other) & (fit.variance <= TIERS[1]))
+    members, places, weights = _placed(rows, landmark, shown, fit, 1)
     if len(members) <= table.dimension:
         return None
     at = np.zeros(len(members), dtype=np.int64)
     R, t, fixed, _ = fit_robust_each(table.position[members], places, weights, at, 1)
     shown = shown[np.isin(landmark[shown], members)]
     there = table.position[landmark[shown]] @ R[0].T + t[0]
-    apart = np.linalg.norm(laid.placed[shown] - there, axis=1) / np.sqrt(laid.variance[shown])
-    fitting = members[_upper(apart, landmark[shown]) <= laid.limit]
+    apart = np.linalg.norm(fit.placed[shown] - there, axis=1) / np.sqrt(fit.variance[shown])
+    fitting = members[_upper(apart, landmark[shown]) <= fit.limit]
     enough = max(table.dimension + 1, AGREEING * len(members))
     sure = fixed[0] and len(fitting) >= enough and global_map.is_fixed(other, fitting)
     return (R[0], t[0]) if sure else None
@@ -139,11 +138,11 @@ def _extend(
         wanted = free & ~known & (table.dynamic == suspects)
         if not known.any() or not wanted[landmark].any():
             break
-        laid = lay(rows, landmark, table.position, known[landmark])
-        chosen = np.flatnonzero(wanted[landmark] & (laid.variance <= TIERS[tier]))
+        fit = place_rows(rows, landmark, table.position, known[landmark])
+        chosen = np.flatnonzero(wanted[landmark] & (fit.variance <= TIERS[tier]))
         if suspects:
-            chosen = _resting(landmark, chosen, laid)
-        placed = _placed(rows, landmark, chosen, laid, SURE if suspects else 1)
+            chosen = _resting(landmark, chosen, fit)
+        placed = _placed(rows, landmark, chosen, fit, SURE if suspects else 1)
         if not len(placed[0]):
             tier += 1
             continue
@@ -155,37 +154,35 @@ def _extend(
     return grew
 
 
-def _resting(landmark: Ints, chosen: Ints, laid: _Laid) -> Ints:
+def _resting(landmark: Ints, chosen: Ints, fit: PlacedRows) -> Ints:
     """Return the chosen rows of landmarks that have half of their rows among them, without a trend.
 
     In a map that is still bent, moving landmarks may keep their places as well as mapped ones.
     """
     n_rows, n_chosen = np.bincount(landmark), np.bincount(landmark[chosen])
-    moving = drifting(landmark[chosen], laid.placed[chosen], len(n_chosen))
+    moving = drifting(landmark[chosen], fit.placed[chosen], len(n_chosen))
     rests = (2 * n_chosen >= n_rows[: len(n_chosen)]) & ~moving
     return np.asarray(chosen[rests[landmark[chosen]]])
 
 
-def lay(rows: SegmentRows, landmark: Ints, positions: Floats, known: Bools) -> _Laid:
+def place_rows(rows: SegmentRows, landmark: Ints, positions: Floats, known: Bools) -> PlacedRows:
     """Align every segment to its known rows (n,), and return the variances of the others.
 
     If too few rows agree to determine a segment, or less than half, its variances are infinite.
     """
-    n, d = rows.n_segments, rows.points.shape[1]
-    there, of = positions[landmark[known]], rows.segment[known]
-    n_seen = rows.n_seen[known].astype(np.float64)
-    R, t, fixed, weight = fit_robust_each(rows.points[known], there, n_seen, of, n)
+    n, d, of = rows.n_segments, rows.points.shape[1], rows.segment[known]
+    placed, fixed, weight = placed_segments(rows, positions, known, landmark)
     agree = weight == 1
     counts = np.bincount(of[agree], minlength=n)
-    fixed &= (counts >= d) & (2 * counts >= np.bincount(of, minlength=n))
-    placed = place_each(R, t, rows.segment, rows.points)
+    enough = (counts >= d) & (2 * counts >= np.bincount(of, minlength=n))
+    fixed &= enough[rows.segment]
     variance = _variances(rows, np.flatnonzero(known)[agree], n)
-    variance[~fixed[rows.segment]] = np.inf
-    inside = np.flatnonzero(known)[fixed[of]]
+    variance[~fixed] = np.inf
+    inside = np.flatnonzero(known & fixed)
     apart = np.linalg.norm(placed[inside] - positions[landmark[inside]], axis=1)
     deviation = _upper(apart / np.sqrt(variance[inside]), landmark[inside])
     usual = float(np.quantile(deviation, LEAST_STEADY)) if len(deviation) else 0.0
-    return _Laid(placed, variance, STEADY * usual)
+    return PlacedRows(placed, variance, STEADY * usual)
 
 
 def _upper(values: Floats, of: Ints) -> Floats:
@@ -216,21 +213,20 @@ def _variances(rows: SegmentRows, fitted: Ints, n: int) -> Floats:
 
 
 def _placed(
-    rows: SegmentRows, landmark: Ints, chosen: Ints, laid: _Laid, sure: int
+    rows: SegmentRows, landmark: Ints, chosen: Ints, fit: PlacedRows, sure: int
 ) -> tuple[Ints, Floats, Floats]:
     """Return landmarks (k,), positions (k, d) and weights (k,) on which segments agree."""
-    chosen = chosen[np.argsort(landmark[chosen], kind="stable")]
-    numbers, first = np.unique(landmark[chosen], return_index=True)
     found: list[int] = []
     places, weights = [], []
-    for number, of in zip(numbers.tolist(), np.split(chosen, first[1:]), strict=False):
-        if len(of) < sure:
+    for number, rows_of in by_landmark(landmark[chosen], fit.placed[chosen]):
+        if len(rows_of) < sure:
             continue
-        place = np.median(laid.placed[of], axis=0)
-        apart = np.linalg.norm(laid.placed[of] - place, axis=1) / np.sqrt(laid.variance[of])
-        if len(of) == 1 or np.sort(apart)[int(AGREEING * len(of))] <= laid.limit:
+        of = chosen[rows_of]
+        place = np.median(fit.placed[of], axis=0)
+        apart = np.linalg.norm(fit.placed[of] - place, axis=1) / np.sqrt(fit.variance[of])
+        if len(of) == 1 or np.sort(apart)[int(AGREEING * len(of))] <= fit.limit:
             found.append(number)
             places.append(place)
             weights.append(float(rows.n_seen[of].sum()))
-    shape = len(found), laid.placed.shape[1]
+    shape = len(found), fit.placed.shape[1]
     return np.array(found, dtype=np.int64), np.array(places).reshape(shape), np.array(weights)

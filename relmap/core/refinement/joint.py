@@ -19,11 +19,11 @@ from relmap.core.geometry.alignment import fit_rigid, fixes_rotation, place_each
 from relmap.core.geometry.robust import fit_robust_each
 from relmap.core.map.pose import trajectory
 from relmap.core.refinement.condensing import LENGTH, SegmentRows
-from relmap.core.refinement.equations import Laid, SegmentProblem, segment_problem
+from relmap.core.refinement.equations import SegmentProblem, SegmentState, segment_problem
 from relmap.core.refinement.gauss_newton import Solution, settle, settle_again, size_of
 from relmap.core.refinement.residuals import MergeResiduals, SegmentResiduals, residuals_of
 from relmap.core.refinement.rows import JointRows
-from relmap.core.refinement.trend import SURELY
+from relmap.core.refinement.trend import SURELY, by_landmark
 
 CONFIRMED, AGAINST = 3, 0.5
 """Observations of a landmark in a segment that confirm it: wrong ids are seldom repeated; and the
@@ -140,7 +140,7 @@ def refine(
     if are_right and _n_contradicting(joint, settled.weight):
         settled = settle_again(problem, first, settled)
     refined, weight = settled.state.positions, settled.weight
-    placed = SegmentProblem(joint, 0.0).laid(refined, weight).placed
+    placed = SegmentProblem(joint, 0.0).fitted(refined, weight).placed
     explained = (weight == 1).astype(np.float64)
     cost = problem.equations(settled.state, explained, with_matrix=False, damping=0.0).cost
     noise_m = _noise(rows, joint, cost, explained)
@@ -165,37 +165,37 @@ def _n_contradicting(joint: JointRows, weight: Floats) -> int:
     return int(np.sum((joint.n_seen >= CONFIRMED) & (weight < AGAINST)))
 
 
-def laid_on(
+def placed_segments(
     rows: SegmentRows, positions: Floats, kept: Bools, landmark: Ints
-) -> tuple[Floats, Bools]:
-    """Return all rows (n, d), segments fitted to some rows, and which are determined (n,)."""
+) -> tuple[Floats, Bools, Floats]:
+    """Return all rows (n, d), with each segment fitted to its kept rows (n,).
+
+    Also which rows are determined (n,), and the weights (k,) of the kept ones in the robust fit.
+    """
     at, n_seen = rows.segment[kept], rows.n_seen[kept].astype(np.float64)
     there = positions[landmark[kept]]
-    R, t, fixed, _ = fit_robust_each(rows.points[kept], there, n_seen, at, rows.n_segments)
-    placed = place_each(R, t, rows.segment, rows.points)
-    return placed, fixed[rows.segment]
+    R, t, fixed, weight = fit_robust_each(rows.points[kept], there, n_seen, at, rows.n_segments)
+    return place_each(R, t, rows.segment, rows.points), fixed[rows.segment], weight
 
 
 def joint_rows(
     rows: SegmentRows, positions: Floats, chosen: Bools, landmark: Ints, others: Bools
-) -> tuple[JointRows, Laid]:
+) -> tuple[JointRows, SegmentState]:
     """Return the rows of a submap and of others seen with it, and their initial positions.
 
     Segments not determined by the submap are left out.
     """
     mapped = chosen[landmark]
-    placed, fixed = laid_on(rows, positions, mapped, landmark)
+    placed, fixed, _ = placed_segments(rows, positions, mapped, landmark)
     known = fixed & (mapped | others[landmark])
     n_seen = np.bincount(landmark[known], weights=rows.n_seen[known], minlength=len(positions))
     known &= n_seen[landmark] > 1
     start = positions.copy()
     loose = np.flatnonzero(known & ~mapped)
-    loose = loose[np.argsort(landmark[loose], kind="stable")]
-    numbers, first = np.unique(landmark[loose], return_index=True)
-    for number, of in zip(numbers, np.split(loose, first[1:]), strict=False):
-        start[number] = np.median(placed[of], axis=0)
+    for number, of in by_landmark(landmark[loose], placed[loose]):
+        start[number] = np.median(placed[loose[of]], axis=0)
     joint = JointRows.of_landmarks(rows, landmark, np.flatnonzero(known))
-    return joint, Laid(start[joint.landmarks], placed[known])
+    return joint, SegmentState(start[joint.landmarks], placed[known])
 
 
 def _anchor(rows: JointRows, first_iteration: Ints, since: int = 0) -> tuple[int, int] | None:

@@ -118,7 +118,7 @@ class LiveRefinement:
             one, other = self._bodies[-2:]
             if one.n_segments != other.n_segments or 2 * one.n_segments > self._length:
                 break
-            together = laid_together(one, other)
+            together = merged(one, other)
             if together is None:
                 break
             self._bodies[-2:] = [together]
@@ -130,7 +130,7 @@ class LiveRefinement:
         before, self._bodies = self._bodies, []
         for k in range(0, len(before), 2):
             pair = before[k : k + 2]
-            together = laid_together(*pair) if len(pair) == 2 else None
+            together = merged(*pair) if len(pair) == 2 else None
             self._bodies += pair if together is None else [together]
         # Pairs that share too little are not retried with each segment.
         self._length *= 2 if len(self._bodies) < len(before) else 1
@@ -174,9 +174,9 @@ class LiveRefinement:
         """Move the landmarks; landmarks mapped in the meantime move with the latest body.
 
         A step outside the range of validity of the linearisation, as wrong matches cause, is
-        rejected. `members` (m,): landmarks; the others as for `brought_together`.
+        rejected. `members` (m,): landmarks; the others as for `after_step`.
         """
-        positions, after = self._table.position, brought_together(placed, weight, of, body)
+        positions, after = self._table.position, after_step(placed, weight, of, body)
         total = np.bincount(of, weights=weight)[:, None]
         moves = sums_each(weight[:, None] * (after - placed), of, len(members)) / total
         extent = np.ptp(positions[members], axis=0).max()
@@ -191,7 +191,7 @@ class LiveRefinement:
         self._map.move(members, positions[members] + moves)
 
 
-def laid_together(one: Body, other: Body) -> Body | None:
+def merged(one: Body, other: Body) -> Body | None:
     """Align one body to another and merge them; None if they share too little."""
     landmark, of = np.unique(np.append(one.landmark, other.landmark), return_inverse=True)
     n, d = one.points.shape
@@ -211,7 +211,7 @@ def laid_together(one: Body, other: Body) -> Body | None:
     return Body(landmark, means, total, one.n_segments + other.n_segments)
 
 
-def brought_together(points: Floats, weight: Floats, landmark: Ints, body: Ints) -> Floats:
+def after_step(points: Floats, weight: Floats, landmark: Ints, body: Ints) -> Floats:
     """Return the points (n, d) of bodies after one Gauss-Newton step of their placements.
 
     A landmark is at the weighted mean of its points. The first body is fixed. Since Jacobians are

@@ -14,7 +14,7 @@ from relmap.core.geometry.alignment import extent_of
 from relmap.core.geometry.robust import EXACT
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.refinement.condensing import SegmentRows
-from relmap.core.refinement.extending import lay
+from relmap.core.refinement.extending import place_rows
 from relmap.core.state.table import NONE
 
 FEW = 3
@@ -39,7 +39,7 @@ def take_off_misread(global_map: GlobalMap, rows: SegmentRows, few: float = FEW)
     """
     table, found = global_map.table, []
     landmark = table.now(rows.landmark)
-    for submap in np.unique(table.submap[table.submap != NONE]).tolist():
+    for submap in sorted(table.submaps):
         misread = np.array([NONE])
         while len(misread):
             misread = _misread(
@@ -54,13 +54,13 @@ def _misread(
     positions: Floats, rows: SegmentRows, landmark: Ints, known: Bools, few: float
 ) -> Ints:
     """Return the landmarks of the known rows (n,) that exist only because of wrong ids."""
-    laid = lay(rows, landmark, positions, known)
-    judged = np.flatnonzero(known & np.isfinite(laid.variance))
+    fit = place_rows(rows, landmark, positions, known)
+    judged = np.flatnonzero(known & np.isfinite(fit.variance))
     if not len(judged):
         return judged
     of, n_seen = landmark[judged], rows.n_seen[judged]
-    apart = np.linalg.norm(laid.placed[judged] - positions[of], axis=1)
-    apart /= np.sqrt(laid.variance[judged])
+    apart = np.linalg.norm(fit.placed[judged] - positions[of], axis=1)
+    apart /= np.sqrt(fit.variance[judged])
     limit = max(_limit(apart, of), EXACT * extent_of(positions[of]))
     against = np.bincount(of, n_seen * (apart > limit))
     seen = np.bincount(of, n_seen, minlength=len(positions))

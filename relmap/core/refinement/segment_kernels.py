@@ -249,7 +249,7 @@ def _condensed(
 
 
 @compiled
-def laid_together(
+def align_iterations(
     block: Floats, free: Bools, far: float
 ) -> tuple[Bools, Floats, Floats, Floats, NDArray[np.uint8], float]:
     """Align the largest consistent set of the free iterations (k,) of a block (n, k, d).

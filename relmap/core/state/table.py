@@ -67,6 +67,13 @@ class LandmarkState(Columns):
         return int(self.position.shape[1])
 
     @property
+    def submaps(self) -> list[int]:
+        """Numbers of the submaps, the largest first."""
+        numbers, sizes = np.unique(self.submap[self.submap != NONE], return_counts=True)
+        by_size: list[int] = numbers[np.argsort(-sizes, kind="stable")].tolist()
+        return by_size
+
+    @property
     def is_own(self) -> Bools:
         """Whether each row is still a landmark, not merged into another; (n,)."""
         return np.asarray(self.landmark_of == np.arange(len(self)))

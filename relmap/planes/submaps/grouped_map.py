@@ -11,7 +11,6 @@ import numpy as np
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.map.pose import trajectory
 from relmap.core.mapper import RelativeMapper
-from relmap.core.state.table import NONE
 from relmap.planes.linking.registration import PlaneRegistration
 from relmap.planes.submaps.submap import WallSubmap, among_all, chained_poses
 from relmap.planes.walls.assembly import WallNumbers, assemble
@@ -129,9 +128,8 @@ class GroupedMap:
     def _paths(self) -> list[Floats]:
         """The poses (i, 4, 4) that are known, and from each of the engine's submaps."""
         table, rows = self.engine.table, self.engine.rows
-        submaps, counts = np.unique(table.submap[table.submap != NONE], return_counts=True)
         paths = list(self.known)
-        for submap in submaps[np.argsort(-counts, kind="stable")]:
+        for submap in table.submaps:
             positions = np.where((table.submap == submap)[:, None], table.position, np.nan)
             paths.append(trajectory(rows, positions, table.landmark_of))
         return paths

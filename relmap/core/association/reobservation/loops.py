@@ -23,7 +23,7 @@ from relmap.core.association.reobservation.recognition import (
 from relmap.core.association.reobservation.tying import NEIGHBOURHOOD, OVERLAP
 from relmap.core.association.scale import spacing_of
 from relmap.core.association.soft import SoftMatching, likely_links
-from relmap.core.state.table import NONE, LandmarkState
+from relmap.core.state.table import LandmarkState
 
 FARTHEST = 10.0
 """Possible drift of the map, in standard deviations."""
@@ -61,7 +61,7 @@ class LoopFinder:
     def next(self) -> Loop | None:
         """Return a loop that is still open; None if there are no more."""
         table = self._table
-        for submap in np.unique(table.submap[table.submap != NONE]).tolist():
+        for submap in sorted(table.submaps):
             own = np.flatnonzero(table.submap == submap)
             if self._had[own].all() or len(own) < 2 * NEIGHBOURHOOD:
                 continue

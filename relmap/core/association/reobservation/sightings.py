@@ -7,7 +7,7 @@ from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Bools, Ints
 from relmap.core.refinement.condensing import LENGTH, SegmentRows
-from relmap.core.state.table import NONE, LandmarkState
+from relmap.core.state.table import LandmarkState
 
 RARELY = 0.25
 """Largest fraction of the scans of a double landmark that show the other one too: where the noise
@@ -75,7 +75,7 @@ class Sightings:
         """
         table, n = self._table, 2 * self._table.dimension
         found = np.zeros(len(table), dtype=np.bool_)
-        for submap in np.unique(table.submap[table.submap != NONE]).tolist():
+        for submap in table.submaps:
             own = np.flatnonzero(table.submap == submap)
             known = own[~rare[own]]
             if len(known) <= n:

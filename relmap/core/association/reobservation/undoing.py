@@ -20,7 +20,7 @@ from relmap.core.geometry.robust import EXACT
 from relmap.core.map.leaps import HIGHEST, LOWEST, Gaps, gaps_of, may_have_gaps
 from relmap.core.map.pose import known_poses
 from relmap.core.refinement.condensing import SegmentRows
-from relmap.core.refinement.joint import Refined, laid_on
+from relmap.core.refinement.joint import Refined, placed_segments
 from relmap.core.state.table import NONE, LandmarkState
 
 BY_CHANCE = 1e-3
@@ -82,7 +82,7 @@ def places_of(table: LandmarkState, rows: SegmentRows, tracks: Ints) -> tuple[Fl
     landmark = table.landmark_of[rows.landmark]
     wanted = np.isin(rows.landmark, tracks)
     kept = (table.weight[landmark] > 0) & ~wanted
-    placed, fixed = laid_on(rows, table.position, kept, landmark)
+    placed, fixed, _ = placed_segments(rows, table.position, kept, landmark)
     at = np.flatnonzero(wanted & fixed)
     seen = np.zeros(len(table))
     np.add.at(seen, rows.landmark[at], rows.n_seen[at])
@@ -104,7 +104,7 @@ class _Placed:
         self.position, of = np.full(table.position.shape, np.nan), table.landmark_of
         self.position[refined.landmarks] = refined.positions
         kept = np.isfinite(self.position[of[rows.landmark], 0])
-        placed, fixed = laid_on(rows, self.position, kept, of[rows.landmark])
+        placed, fixed, _ = placed_segments(rows, self.position, kept, of[rows.landmark])
         fixed &= kept
         track, n_seen = rows.landmark[fixed], rows.n_seen[fixed]
         self.seen = np.bincount(track, n_seen, len(table))

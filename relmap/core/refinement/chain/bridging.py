@@ -94,8 +94,8 @@ def _variances(rows: SegmentRows) -> tuple[Floats, Floats]:
     if not len(rows.points):
         return np.full(k, np.inf), np.full(k, np.inf)
     noise = rows.squares.sum() / max(int(rows.freedoms.sum()), 1)
-    row, bit = np.nonzero((rows.visible[:, None] >> np.arange(LENGTH)) & 1)
-    at, points = rows.first_iteration[rows.segment[row]] + bit, rows.points[row]
+    row, at = rows.sightings
+    points = rows.points[row]
     counts = np.maximum(np.bincount(at, minlength=k), 1)
     middle = sums_each(points, at, k) / counts[:, None]
     lever = np.sum((middle - rows.t) ** 2, axis=1)
@@ -260,8 +260,7 @@ def _poses_in_submaps(
     """
     k = len(rows.iteration_segment)
     poses, submap_of = np.full((k, 4, 4), np.nan), np.full(k, NONE)
-    submaps, sizes = np.unique(table.submap[table.submap != NONE], return_counts=True)
-    for submap in submaps[np.argsort(-sizes, kind="stable")].tolist():
+    for submap in table.submaps:
         positions = np.where((table.submap == submap)[:, None], table.position, np.nan)
         found = trajectory(rows, positions, table.landmark_of, noise_m / LOOSER)
         new = np.isfinite(found[:, 0, 0]) & (submap_of == NONE)

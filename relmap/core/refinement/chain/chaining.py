@@ -10,6 +10,7 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import fit_rigid, fixes_rotation, sums_each
+from relmap.core.geometry.motions import transforms
 from relmap.core.map.globalmap import order_of_submaps
 from relmap.core.motion_noise import MotionNoise
 from relmap.core.refinement.chain.bridging import Bridged
@@ -137,9 +138,7 @@ class PartSolver:
         """Return the map and the poses (k, 4, 4), in the frame of the anchor."""
         state = settled.state
         R, t = state.R[anchor], state.t[anchor]
-        d = len(t)
-        placed = np.tile(np.eye(4), (len(iterations), 1, 1))
-        placed[:, :d, :d], placed[:, :d, 3] = R.T @ state.R, (state.t - t) @ R
+        placed = transforms(R.T @ state.R, (state.t - t) @ R)
         self._carry_condensed(placed, iterations)
         positions, seen_m = (state.positions - t) @ R, self._sigma_m * problem.sigmas.seen
         segments, merges = _residuals(self.rows, self.engine.table, landmarks, positions, seen_m)
@@ -196,11 +195,9 @@ def join_parts(bridged: Bridged, solved: Sequence[Solved]) -> Bridged | None:
             apart = np.linalg.norm(here @ R.T + t - there, axis=1)
             if np.median(apart) > ALIKE * size_of(there):
                 continue
-            d, move = len(t), np.eye(4)
-            move[:d, :d], move[:d, 3] = R, t
             poses, part = bridged.poses.copy(), bridged.part.copy()
             poses[base.iterations] = base.poses
-            poses[other.iterations] = move @ other.poses
+            poses[other.iterations] = transforms(R, t) @ other.poses
             part[other.iterations] = part[base.iterations[0]]
             return replace(bridged, poses=poses, part=part)
     return None
