@@ -15,6 +15,7 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import fit_rigid
 from relmap.datasets.base import ObservationLog
 from relmap.evaluation.metrics import ate, majority_ids, purity
+from relmap.simulation import WorldSpec, simulate_world
 
 Scans = list[tuple[Ints, Floats]]
 M = TypeVar("M", PointMapper, PlaneMapper, Plane3dMapper)
@@ -109,6 +110,19 @@ def without_ids(log: ObservationLog) -> tuple[PointMapper, Ints]:
     labels = np.concatenate([mapper.update(points) for points, _ in seen(log)])
     mapper.finish()
     return mapper, labels
+
+
+def mapped_world(spec: WorldSpec) -> tuple[PointMapper, float]:
+    """Return the refined map of a world without ids, and its landmark RMSE, metres."""
+    world, mapper = simulate_world(spec), PointMapper()
+    labels = np.concatenate([mapper.update(scan.points_robot) for scan in world.log.scans()])
+    mapper.finish()
+    mapper.refine()
+    true = stands_for(mapper.landmarks_of(labels), world.true_ids)
+    known = np.array([label in true for label in mapper.map.landmark_ids.tolist()])
+    ids = [true[label] for label in mapper.map.landmark_ids[known].tolist()]
+    there = world.landmarks_map[np.searchsorted(world.landmark_ids, ids)]
+    return mapper, aligned_rmse(mapper.map.positions[known], there)
 
 
 def stands_for(landmarks: Ints, ids: Ints | None) -> dict[int, int]:

@@ -12,6 +12,7 @@ from relmap.cli.console import INTERRUPTED, lasting
 from relmap.cli.job import Job
 from relmap.cli.mapping import map_log
 from relmap.core.arrays import Floats
+from relmap.core.refinement.hinges import DOMINANT
 from relmap.io.results import Result
 
 OFTEN = 10
@@ -30,6 +31,8 @@ simulated ones one of 12 with 2 % wrong ids was, 3 of 13 with 5 %, 5 of 14 with 
 20 %."""
 OUTLYING = 0.02
 """The same without ids: of right maps at most 0.016, with the noise of a stereo camera."""
+FEW = 5
+"""Most iterations that a message lists."""
 NOTHING = (
     "; nothing is mapped: a map needs landmarks that are seen together in at least four scans, "
     "three in the plane and four in space"
@@ -197,7 +200,20 @@ def doubted(summary: dict[str, Any]) -> str:
             f"; only places that look the same bridge {counted(trust['gaps'], 'gap')} of up to "
             f"{trust['longest_gap']} scans"
         )
-    return message
+    return message + hanging_together(trust)
+
+
+def hanging_together(trust: dict[str, Any]) -> str:
+    """Return how far off the map may be where too few landmarks hold it together, or nothing."""
+    hinges = trust["hinges"]
+    if hinges is None or hinges["share"] < DOMINANT:
+        return ""
+    at = ", ".join(str(after) for _, after in hinges["steps"][:FEW])
+    at += ", ..." if len(hinges["steps"]) > FEW else ""
+    return (
+        f"; expected error of the map: {trust['expected_error_m']:.2g} m, mostly because too few "
+        f"landmarks are tracked to the iteration{'s' * (len(hinges['steps']) != 1)} {at}"
+    )
 
 
 def overruled(summary: dict[str, Any]) -> str:

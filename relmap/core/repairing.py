@@ -10,7 +10,9 @@ from relmap.core.afterwards import FEW, extent, find_again, rarely_seen, tie
 from relmap.core.arrays import Bools, Ints
 from relmap.core.association import Constellation
 from relmap.core.association.reobservation.coinciding import compatible
+from relmap.core.association.reobservation.few import Doubled
 from relmap.core.association.reobservation.merging import doubtful, merge_doubles
+from relmap.core.association.reobservation.recognition import CLEAR
 from relmap.core.association.reobservation.sightings import Sightings
 from relmap.core.association.reobservation.undoing import (
     contradicted,
@@ -27,7 +29,8 @@ from relmap.core.refinement.condensing import SegmentRows
 from relmap.core.refinement.extending import extend_submaps
 from relmap.core.refinement.misread import take_off_misread
 from relmap.core.refining import refine_map
-from relmap.core.revisiting import gather, merge_in_place
+from relmap.core.revisiting import gather, merge_in_place, mergeable
+from relmap.core.state.table import NONE
 
 logger = logging.getLogger(__name__)
 
@@ -90,7 +93,8 @@ def _repair(engine: RelativeMapper) -> None:
     for k in range(ROUNDS):
         before = extent(engine)[0]
         found, (after, mapped) = _look_over(engine), extent(engine)
-        if not found or (k > 1 and before - after <= FEW * mapped):
+        is_settled = not found or (k > 1 and before - after <= FEW * mapped)
+        if is_settled and not _merge_doubled(engine):
             break
     undone = _undo(engine)
     if is_bridged(engine):
@@ -170,6 +174,21 @@ def _merge_compatible(engine: RelativeMapper, at_last: bool = False) -> bool:
         if not at_last:
             pairs = pairs[engine.merger.allowed(pairs)]
         merged += engine.merge_pairs(sightings.apart(pairs))
+    return merged > 0
+
+
+def _merge_doubled(engine: RelativeMapper) -> bool:
+    """Merge sets of few landmarks that are mapped twice and refine; return whether any were."""
+    merged = 0
+    if is_bridged(engine):
+        return False
+    for refined in engine.refined:
+        for match in Doubled(refined, engine.table, engine.rows).sets():
+            pairs = mergeable(engine.table, match.pairs[engine.merger.allowed(match.pairs)])
+            if len(pairs) > CLEAR * len(match.pairs):
+                merged += engine.merge_pairs(pairs)
+    if merged:
+        refine_map(engine, to_the_last=False)
     return merged > 0
 
 

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association.registering import BLIND
+from relmap.core.map.leaps import Gaps
 from relmap.core.odometry import OdometryUse
-from relmap.core.readout import creep, gaps
+from relmap.core.readout import creep, gaps, stiffness
 from relmap.core.refinement.joint import Refined
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.scans import ScanLog
@@ -27,6 +28,8 @@ from relmap.recorded import versions
 
 MANY = 100
 """Maximum number of rejected iterations, and observations, listed individually."""
+NOTED = 0.1
+"""Least part of the expected squared error of a map due to a gap that is listed."""
 SHOWN = 5
 """Number of weakest segments and merges listed."""
 STATUS = ("static", "dynamic", "unmapped")
@@ -108,18 +111,32 @@ def _bridged_by_look(
 ) -> dict[str, Any]:
     """Return the long gaps of a log that only places which look the same bridge, and the leaps.
 
-    None with ids, with odometry and for walls.
+    Also how much of the expected error of the map is due to its gaps. None with ids, with odometry
+    and for walls.
     """
     found = None
     if isinstance(mapper, PointMapper) and result.iterations is not None:
         found = gaps(mapper.engine, result.iterations - offset, result.poses[:, :3, 3])
     if found is None:
-        return {"gaps": None, "longest_gap": None, "leaps": None}
+        return dict.fromkeys(("gaps", "longest_gap", "leaps", "expected_error_m", "hinges"))
     which, longest = found.leaps[:MANY], int(found.missed.max(initial=0))
     steps = np.column_stack([found.before, found.after])[which] + offset
     way_m = found.way_m[which].tolist()
     leaps = {"count": len(found.leaps), "steps": steps.tolist(), "way_m": way_m}
-    return {"gaps": int(np.sum(found.missed > BLIND)), "longest_gap": longest, "leaps": leaps}
+    n_gaps = int(np.sum(found.missed > BLIND))
+    found_gaps = {"gaps": n_gaps, "longest_gap": longest, "leaps": leaps}
+    return found_gaps | _hinges(stiffness(mapper.engine, found), found, offset)
+
+
+def _hinges(stiff: tuple[float, float, Floats] | None, found: Gaps, offset: int) -> dict[str, Any]:
+    """Return the expected error of a map, and which gaps it is due to; None if not known."""
+    if stiff is None:
+        return {"expected_error_m": None, "hinges": None}
+    expected_m, share, each = stiff
+    own = np.flatnonzero(each >= NOTED)[:MANY]
+    steps = np.column_stack([found.before, found.after])[own] + offset
+    hinges = {"share": share, "steps": steps.tolist(), "shares": each[own].tolist()}
+    return {"expected_error_m": expected_m, "hinges": hinges}
 
 
 def _contradicting(mapper: PointMapper | PlaneMapper, n_observations: int) -> float | None:

@@ -50,9 +50,12 @@ class SegmentProblem:
 
     `size`: size of the map, metres. `members` (row, placement, times), (k,) each: the rows of each
     placement, and how many times it is this one; by default a placement for each segment.
+
+    Attributes: `unknown` (m, d): unknowns of the landmarks; None if they are eliminated.
     """
 
     pattern: Pattern
+    unknown: Ints | None = None
 
     def __init__(
         self, rows: JointRows, size: float, members: tuple[Ints, Ints, Floats] | None = None
@@ -116,9 +119,13 @@ class SegmentProblem:
 
     def covariances(self, state: SegmentState, weight: Floats) -> Floats:
         """Return the covariances (m, d, d) of the landmarks under noise of variance 1."""
+        return self._covariances(state, weight, self.pattern.inverse(self.factor(state, weight)))
+
+    def factor(self, state: SegmentState, weight: Floats) -> Floats:
+        """Return the Cholesky factor of the matrix at the optimum."""
         matrix = self.equations(state, weight, True, 0.0, (BARELY, 0.0)).matrix
         self.pattern.factorise(matrix)
-        return self._covariances(state, weight, self.pattern.inverse(matrix))
+        return matrix
 
     def _moved(self, state: SegmentState, step: Floats, weight: Floats) -> Floats:
         raise NotImplementedError
@@ -143,6 +150,8 @@ class FreePlacements(SegmentProblem):
     fixed.
     """
 
+    unknown: Ints
+
     def __init__(
         self, rows: JointRows, size: float, pattern: Pattern, anchor: tuple[int, int]
     ) -> None:
@@ -151,9 +160,9 @@ class FreePlacements(SegmentProblem):
         super().__init__(rows, size, (seen, at, times[at]))
         d = self._d = rows.points.shape[1]
         self.pattern = pattern
-        self._unknown = pattern.first[:, None] + np.arange(d)
+        self.unknown = pattern.first[:, None] + np.arange(d)
         begin = np.append(0, np.cumsum(d * sizes))
-        kept = self._unknown[rows.landmark[seen]].reshape(-1, 1)
+        kept = self.unknown[rows.landmark[seen]].reshape(-1, 1)
         every = np.arange(begin[-1])
         self._eliminated = Elimination(
             pattern, kept, begin, every, segment, times, free_in_matrix=times - fixed
@@ -190,10 +199,10 @@ class FreePlacements(SegmentProblem):
         return self._eliminated.equations(linear, each, BARELY, with_matrix)
 
     def _moved(self, state: SegmentState, step: Floats, weight: Floats) -> Floats:
-        return np.asarray(state.positions + step[self._unknown])
+        return np.asarray(state.positions + step[self.unknown])
 
     def _covariances(self, state: SegmentState, weight: Floats, inverse: Floats) -> Floats:
-        return self.pattern.parts(inverse, self._unknown)
+        return self.pattern.parts(inverse, self.unknown)
 
 
 class FreeLandmarks(SegmentProblem):

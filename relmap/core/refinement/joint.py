@@ -54,6 +54,20 @@ class Spread:
         found[np.trace(found, axis1=1, axis2=2) > found.shape[1] * extent**2] = np.nan
         return found
 
+    @cached_property
+    def _factor(self) -> Floats:
+        return np.asarray(self.problem.factor(self.settled.state, self.settled.weight))
+
+    def times(self, columns: Floats) -> Floats:
+        """Return the products (m, d, c) of the covariance of all positions with columns (m, d, c).
+
+        The landmarks are unknowns of the problem: `problem.unknown` is not None.
+        """
+        pattern, unknown = self.problem.pattern, self.problem.unknown[self.chosen]
+        right = np.zeros((pattern.n_unknowns, columns.shape[2]))
+        right[unknown] = self.scale @ columns
+        return np.asarray(self.scale.T @ pattern.solve(self._factor, right)[unknown])
+
     def scaled(self, factor: float) -> Spread:
         """Return the same for standard deviations scaled by a factor."""
         return replace(self, scale=factor * self.scale)

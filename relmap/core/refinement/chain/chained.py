@@ -211,9 +211,13 @@ class ChainProblem:
 
     def inverse(self, state: Chained, weight: Floats) -> Floats:
         """Return the covariances of all coupled unknowns, in the layout of the pattern."""
+        return self.pattern.inverse(self.factor(state, weight))
+
+    def factor(self, state: Chained, weight: Floats) -> Floats:
+        """Return the Cholesky factor of the matrix at the optimum."""
         matrix = self.equations(state, weight, True, 0.0).matrix
         self.pattern.factorise(matrix)
-        return self.pattern.inverse(matrix)
+        return matrix
 
     def covariances(self, state: Chained, weight: Floats) -> Floats:
         """Return the covariances (m, d, d) of the landmarks."""

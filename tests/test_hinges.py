@@ -1,0 +1,55 @@
+"""A map says how far off it is expected to be, and which gaps make it so."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from relmap import PointMapper
+from relmap.cli.outcome import hanging_together
+from relmap.core.arrays import Floats
+from relmap.core.readout import gaps, stiffness
+from relmap.core.refinement.hinges import DOMINANT
+from relmap.simulation import WorldSpec
+from tests.worlds import mapped_world
+
+
+def stiff(mapper: PointMapper) -> tuple[float, float, Floats]:
+    """Return the expected error of a map, and the parts of it due to its gaps."""
+    poses = mapper.trajectory
+    known = np.flatnonzero(np.isfinite(poses[:, 0, 0]))
+    found = gaps(mapper.engine, known, poses[known, :3, 3])
+    assert found is not None
+    expected = stiffness(mapper.engine, found)
+    assert expected is not None
+    return expected
+
+
+@pytest.mark.parametrize("kind", ["streets", "ring", "line"])
+@pytest.mark.parametrize("space", [False, True])
+def test_maps_without_gaps_are_as_far_off_as_expected(kind: str, space: bool) -> None:
+    spec = WorldSpec(kind=kind, length_m=200.0, iterations=160, space=space, seed=3)
+    mapper, rmse_m = mapped_world(spec)
+    expected_m, share, _ = stiff(mapper)
+    assert 0.5 < rmse_m / expected_m < 2
+    assert share < 0.2
+
+
+@pytest.mark.parametrize("seed", [11, 44])
+def test_maps_that_few_landmarks_hold_together_are_expected_to_be_off(seed: int) -> None:
+    """They are 3 to 4.3 times as far off as least squares with the true ids."""
+    mapper, rmse_m = mapped_world(WorldSpec(spacing_m=7.0, seed=seed))
+    expected_m, share, each = stiff(mapper)
+    assert rmse_m > 0.07
+    assert rmse_m < 2 * expected_m
+    assert share > DOMINANT
+    assert share >= each.max() > 0.5
+
+
+def test_the_closing_line_says_where_the_map_may_bend() -> None:
+    hinges = {"share": 0.9, "steps": [[3, 8], [20, 21]], "shares": [0.7, 0.3]}
+    said = hanging_together({"expected_error_m": 0.456, "hinges": hinges})
+    assert "expected error of the map: 0.46 m" in said
+    assert "to the iterations 8, 21" in said
+    assert not hanging_together({"expected_error_m": 0.456, "hinges": hinges | {"share": 0.7}})
+    assert not hanging_together({"expected_error_m": None, "hinges": None})
