@@ -108,6 +108,22 @@ def test_a_step_that_planes_leave_open_does_not_slide() -> None:
     assert 4 in part.weak
 
 
+def test_a_step_that_planes_leave_open_in_two_directions_slides_in_none() -> None:
+    # As above, and the height is known to a metre only: a step fits that is half a metre high.
+    part = Submap()
+    for k in range(8):
+        x, half, end = 0.1 * k, 2.0 + 0.002 * (k > 3), 3.0 if k < 4 else -3.0
+        sides = [wall(1, side * half) @ turned(side * 0.0025) for side in (1, -1)]
+        floor = wall(2, -2.0 - 0.5 * (k > 3))
+        seen = patches(*(side - [x, 0.0, 0.0] for side in (*sides, floor, wall(0, end))))
+        seen.information[2, 2] = 1.0
+        part.add(k, seen, (np.eye(3), np.array([x, 0.0, 0.0])), np.array([0, 1, 2, 3 + (k > 3)]))
+    part, _ = refined(part, 5)
+    steps = np.diff(scene(part).t, axis=0)
+    assert steps[3] == pytest.approx([0.1, 0.0, 0.0], abs=0.01)
+    assert 4 in part.weak
+
+
 def turned(yaw: float) -> Floats:
     return Rotation.from_rotvec([0.0, 0.0, yaw]).as_matrix()
 

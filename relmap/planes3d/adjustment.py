@@ -73,8 +73,8 @@ class PlaneAdjustment:
     """Residuals of observed planes; a `Problem`.
 
     `systematic`: error that the points of an observation have in common, as a fraction of their
-    noise; `free`, dict of int to (3,): scans and the direction, robot frame, in which their
-    position is kept because planes determine it poorly.
+    noise; `free`, dict of int to (k, 3): scans and the directions, robot frame, at most three, in
+    which their position is kept because planes determine it poorly.
     """
 
     def __init__(
@@ -130,9 +130,9 @@ class PlaneAdjustment:
         self, state: Scene, weight: Floats, with_matrix: bool, damping: float
     ) -> NormalEquations:
         """Return the normal equations of the planes."""
-        along = np.zeros((len(state.R), 6))
-        for scan, direction in self._free.items():
-            along[scan, 3:] = state.R[scan] @ direction
+        along = np.zeros((len(state.R), 3, 6))
+        for scan, directions in self._free.items():
+            along[scan, : len(directions), 3:] = directions @ state.R[scan].T
         linear, hold = self.linearised(state), LOOSE_POSE + damping
         found = self._poses.equations(linear, weight, hold, with_matrix, along)
         if with_matrix:

@@ -35,20 +35,28 @@ def refined(part: Submap, number: int) -> tuple[Submap, dict[int, int]]:
     `number`: of the first of the landmarks that are found in the points of all scans together.
     Returns `name`: new numbers of landmarks that were joined to others.
     """
-    part.weak = _open_steps(part) | part.weak
-    part, names = _settled(part, ROUGHLY)
+    free = _open_steps(part)
+    part.weak = {k: directed(along[-1]) for k, along in free.items()} | part.weak
+    # What a scan was placed with is one direction.
+    free |= {k: along[None] for k, along in part.weak.items() if len(free.get(k, ())) < 2}
+    part, names = _settled(part, free, ROUGHLY)
     part.sights = sights_of(part)
     more = gathered(part, number)
-    part, later = _settled(part if more is None else more, GAIN)
+    part, later = _settled(part if more is None else more, free, GAIN)
     return part, {old: later.get(new, new) for old, new in names.items()} | later
 
 
-def _settled(part: Submap, least_gain: float) -> tuple[Submap, dict[int, int]]:
-    """Adjust a submap and join landmarks that are one surface, in turns; see `refined`."""
+def _settled(
+    part: Submap, free: dict[int, Floats], least_gain: float
+) -> tuple[Submap, dict[int, int]]:
+    """Adjust a submap and join landmarks that are one surface, in turns; see `refined`.
+
+    `free`: iterations and the directions (k, 3), robot frame, in which their position is kept.
+    """
     names: dict[int, int] = {}
     gain = ROUGHLY
     for _ in range(ROUNDS):
-        part = _adjusted(part, gain)
+        part = _adjusted(part, free, gain)
         doubles = _doubles(part)
         if not doubles and gain == least_gain:
             break
@@ -57,7 +65,7 @@ def _settled(part: Submap, least_gain: float) -> tuple[Submap, dict[int, int]]:
             part = part.again(part.poses, doubles)
             names = {old: doubles.get(new, new) for old, new in names.items()} | doubles
     else:
-        part = _adjusted(part, least_gain)
+        part = _adjusted(part, free, least_gain)
     return part, names
 
 
@@ -88,15 +96,16 @@ def unsure_steps(part: Submap, is_broken: bool = False) -> dict[int, Floats]:
 
 
 def _open_steps(part: Submap) -> dict[int, Floats]:
-    """Return the iterations whose step planes leave open in some direction, and that direction.
+    """Return the iterations whose step planes leave open, and in which directions (k, 3).
 
-    Least squares would let all that follows slide along it.
+    The last is the least certain, robot frame. Least squares would let all that follows slide along it.
     """
     covariance = step_covariances(sightings(part), scene(part), SYSTEMATIC)
     variance, axes = np.linalg.eigh(covariance[:, 3:, 3:])
     reach_m = np.array([each.reach_m for each in part.seen[1:]])
-    rows = np.flatnonzero(variance[:, 2] > (OPEN * reach_m) ** 2).tolist()
-    return {part.iteration[k + 1]: directed(axes[k, :, 2]) for k in rows}
+    is_open = variance > ((OPEN * reach_m) ** 2)[:, None]
+    rows = np.flatnonzero(is_open.any(axis=1)).tolist()
+    return {part.iteration[k + 1]: axes[k].T[is_open[k]] for k in rows}
 
 
 def covariances_of(part: Submap) -> Floats:
@@ -126,11 +135,13 @@ def scene(part: Submap) -> Scene:
     return Scene(R, t, planes.normal.copy(), planes.centre, np.zeros(len(part)))
 
 
-def _adjusted(part: Submap, least_gain: float) -> Submap:
-    """Return a submap adjusted by least squares; `least_gain`: see `PlaneAdjustment.solve`."""
+def _adjusted(part: Submap, free: dict[int, Floats], least_gain: float) -> Submap:
+    """Return a submap adjusted by least squares.
+
+    `free`: see `_settled`; `least_gain`: see `PlaneAdjustment.solve`.
+    """
     seen, state, share = _observed(part)
-    free = {part.iteration.index(k): part.weak[k] for k in sorted(part.weak)}
-    problem = PlaneAdjustment(seen, share, free)
+    problem = PlaneAdjustment(seen, share, {part.iteration.index(k): free[k] for k in sorted(free)})
     state = problem.solve(state, least_gain)
     again = part.again(list(zip(state.R, state.t, strict=True)), {})
     again.share = problem.systematic_share(state)

@@ -100,7 +100,7 @@ class Elimination:
         """Return the normal equations of the kept unknowns.
 
         `weight` (r,); `hold`: damping of poorly determined bodies, as a fraction of the diagonal.
-        `along` (p, q): a direction in which a body is unobservable; none if omitted.
+        `along` (p, h, q): directions in which a body is unobservable, or 0; none if omitted.
         """
         from relmap.core.refinement.schur_kernels import eliminated_steps, reduced_equations
 
@@ -128,7 +128,7 @@ class Elimination:
         self, linear: Linearised, weight: Floats, along: Floats | None
     ) -> tuple[Rows, Bodies]:
         """Return rows and bodies in the form used by the kernels."""
-        none = np.zeros((len(self._bodies[2]), linear.by_eliminated.shape[1]))
+        none = np.zeros((len(self._bodies[2]), 0, linear.by_eliminated.shape[1]))
         rows = linear.off, linear.by_eliminated, linear.by_kept, weight, self._number
         return rows, (*self._bodies, none if along is None else along)
 

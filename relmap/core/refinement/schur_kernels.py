@@ -4,7 +4,7 @@
 unknowns (r, k), weights (r,), and the indices (r, k) of the kept unknowns within the stretch.
 `bodies` are `begin` (p + 1,) and `seen`, the rows of each body; the number of bodies with the same
 observations that it represents, how many of them are free in the right-hand side and in the matrix,
-(p,) each; and `along` (p, q), its unobservable direction. `stretches` are consecutive bodies:
+(p,) each; and `along` (p, h, q), its unobservable directions. `stretches` are consecutive bodies:
 `first` (g + 1,), the first body of each, `begin` (g + 1,) and `unknowns`, the kept unknowns of
 each, ascending.
 """
@@ -23,13 +23,13 @@ Bodies = tuple[Ints, Ints, Floats, Floats, Floats, Floats]
 Stretches = tuple[Ints, Ints, Ints]
 
 STIFF = 1e3
-"""Damping of a body along an unobservable direction, as a fraction of its other diagonal
+"""Damping of a body along each unobservable direction, as a fraction of its other diagonal
 entries."""
 
 
 @helper
 def _hold(matrix: Floats, along: Floats, share: float) -> None:
-    """Damp a body (q, q), rotation and translation, along a direction, and slightly overall."""
+    """Damp a body (q, q), rotation and translation, along directions (h, q), and slightly overall."""
     q = len(matrix)
     d, turn, shift = (q + 3) // 3, 0.0, 0.0
     for a in range(q):
@@ -39,7 +39,8 @@ def _hold(matrix: Floats, along: Floats, share: float) -> None:
             shift += matrix[a, a]
     for a in range(q):
         for b in range(a + 1):
-            matrix[a, b] += STIFF * shift * along[a] * along[b]
+            for k in range(len(along)):
+                matrix[a, b] += STIFF * shift * along[k, a] * along[k, b]
         matrix[a, a] += share * (turn if a < q - d else shift) + 1e-300
 
 
