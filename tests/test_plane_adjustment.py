@@ -106,5 +106,5 @@ def test_a_free_direction_stays_where_it_was() -> None:
         spread=seen.spread[~alike],
     )
     free = truth.R[4].T @ across(truth.normal[:1])[0][0]
-    found = PlaneAdjustment(few, free={4: free}).solve(truth)
+    found = PlaneAdjustment(few, free={4: free[None]}).solve(truth)
     assert np.abs(found.t[4] - truth.t[4]).max() < 1e-6

@@ -98,7 +98,8 @@ def unsure_steps(part: Submap, is_broken: bool = False) -> dict[int, Floats]:
 def _open_steps(part: Submap) -> dict[int, Floats]:
     """Return the iterations whose step planes leave open, and in which directions (k, 3).
 
-    The last is the least certain, robot frame. Least squares would let all that follows slide along it.
+    The last is the least certain, robot frame. Least squares would let all that follows slide
+    along them.
     """
     covariance = step_covariances(sightings(part), scene(part), SYSTEMATIC)
     variance, axes = np.linalg.eigh(covariance[:, 3:, 3:])

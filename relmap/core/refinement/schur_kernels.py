@@ -29,7 +29,7 @@ entries."""
 
 @helper
 def _hold(matrix: Floats, along: Floats, share: float) -> None:
-    """Damp a body (q, q), rotation and translation, along directions (h, q), and slightly overall."""
+    """Damp a body (q, q), rotation and translation, along directions (h, q), slightly overall."""
     q = len(matrix)
     d, turn, shift = (q + 3) // 3, 0.0, 0.0
     for a in range(q):
