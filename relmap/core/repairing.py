@@ -30,7 +30,6 @@ from relmap.core.refinement.extending import extend_submaps
 from relmap.core.refinement.misread import take_off_misread
 from relmap.core.refining import refine_map
 from relmap.core.revisiting import gather, merge_in_place, mergeable
-from relmap.core.state.table import NONE
 
 logger = logging.getLogger(__name__)
 
