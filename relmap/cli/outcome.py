@@ -212,7 +212,7 @@ def hanging_together(trust: dict[str, Any]) -> str:
     at += ", ..." if len(hinges["steps"]) > FEW else ""
     return (
         f"; expected error of the map: {trust['expected_error_m']:.2g} m, mostly because too few "
-        f"landmarks are tracked to the iteration{'s' * (len(hinges['steps']) != 1)} {at}"
+        f"landmarks are tracked into iteration{'s' * (len(hinges['steps']) != 1)} {at}"
     )
 
 
