@@ -50,6 +50,6 @@ def test_the_closing_line_says_where_the_map_may_bend() -> None:
     hinges = {"share": 0.9, "steps": [[3, 8], [20, 21]], "shares": [0.7, 0.3]}
     said = hanging_together({"expected_error_m": 0.456, "hinges": hinges})
     assert "expected error of the map: 0.46 m" in said
-    assert "to the iterations 8, 21" in said
+    assert "into iterations 8, 21" in said
     assert not hanging_together({"expected_error_m": 0.456, "hinges": hinges | {"share": 0.7}})
     assert not hanging_together({"expected_error_m": None, "hinges": None})
