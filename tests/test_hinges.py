@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from relmap import PointMapper
 from relmap.cli.outcome import hanging_together
-from relmap.core.arrays import Floats
-from relmap.core.readout import gaps, stiffness
-from relmap.core.refinement.hinges import DOMINANT
+from relmap.core.refinement.hinges import DOMINANT, Hinges
 from relmap.simulation import WorldSpec
 from tests.worlds import mapped_world
 
 
-def stiff(mapper: PointMapper) -> tuple[float, float, Floats]:
-    """Return the expected error of a map, and the parts of it due to its gaps."""
-    poses = mapper.trajectory
-    known = np.flatnonzero(np.isfinite(poses[:, 0, 0]))
-    found = gaps(mapper.engine, known, poses[known, :3, 3])
+def hinges(mapper: PointMapper) -> Hinges:
+    found = mapper.engine.hinges
     assert found is not None
-    expected = stiffness(mapper.engine, found)
-    assert expected is not None
-    return expected
+    return found
 
 
 @pytest.mark.parametrize("kind", ["streets", "ring", "line"])
@@ -30,20 +25,27 @@ def stiff(mapper: PointMapper) -> tuple[float, float, Floats]:
 def test_maps_without_gaps_are_as_far_off_as_expected(kind: str, space: bool) -> None:
     spec = WorldSpec(kind=kind, length_m=200.0, iterations=160, space=space, seed=3)
     mapper, rmse_m = mapped_world(spec)
-    expected_m, share, _ = stiff(mapper)
-    assert 0.5 < rmse_m / expected_m < 2
-    assert share < 0.2
+    assert 0.5 < rmse_m / hinges(mapper).expected_error_m < 2
+    assert hinges(mapper).share < 0.2
 
 
 @pytest.mark.parametrize("seed", [11, 44])
 def test_maps_that_few_landmarks_hold_together_are_expected_to_be_off(seed: int) -> None:
     """They are 3 to 4.3 times as far off as least squares with the true ids."""
     mapper, rmse_m = mapped_world(WorldSpec(spacing_m=7.0, seed=seed))
-    expected_m, share, each = stiff(mapper)
-    assert rmse_m > 0.07
-    assert rmse_m < 2 * expected_m
-    assert share > DOMINANT
-    assert share >= each.max() > 0.5
+    found = hinges(mapper)
+    assert 0.07 < rmse_m < 2 * found.expected_error_m
+    assert found.share > DOMINANT
+    assert found.share >= found.shares.max() > 0.5
+
+
+def test_they_are_part_of_the_state(tmp_path: Path) -> None:
+    mapper, _ = mapped_world(WorldSpec(spacing_m=7.0, seed=11))
+    mapper.save(tmp_path / "mapper.npz")
+    loaded = PointMapper.load(tmp_path / "mapper.npz")
+    np.testing.assert_array_equal(hinges(loaded).shares, hinges(mapper).shares)
+    loaded.update(np.zeros((1, 2)))
+    assert loaded.engine.hinges is None
 
 
 def test_the_closing_line_says_where_the_map_may_bend() -> None:

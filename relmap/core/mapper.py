@@ -25,6 +25,7 @@ from relmap.core.map.placing import leave_out_moving, place
 from relmap.core.model import LandmarkModel
 from relmap.core.odometry import Motions, OdometryUse
 from relmap.core.refinement.condensing import CondensedSegments, SegmentRows
+from relmap.core.refinement.hinges import Hinges
 from relmap.core.refinement.joint import Refined
 from relmap.core.refinement.live import LiveRefinement
 from relmap.core.state.kept import KeptObservations
@@ -38,10 +39,11 @@ class RelativeMapper:
     """Builds a global map of one kind of landmark from relative maps, one scan at a time."""
 
     refined: list[Refined]
+    hinges: Hinges | None
     odometry: OdometryUse | None
     STATE = (
         "landmarks=table association observations=store schedule averaging map groups=levels "
-        "merger segments motions kept odometry live refined"
+        "merger segments motions kept odometry live refined hinges"
     )
 
     def __init__(self, model: LandmarkModel, config: MapperConfig) -> None:
@@ -60,7 +62,7 @@ class RelativeMapper:
         self.motions, self.kept = Motions(), KeptObservations()
         self.odometry = None
         self.live = LiveRefinement(self.segments, self.map)
-        self.refined = []
+        self.refined, self.hinges = [], None
 
     def update(
         self,
@@ -84,7 +86,7 @@ class RelativeMapper:
         keep_motion(self, odometry)
         # Register: match observations to those of earlier scans, untransformed (section II).
         found = self.association.match(seen, ids, odometry, covariances)
-        self.refined, self.odometry = [], None
+        self.refined, self.hinges, self.odometry = [], None, None
         # Store every observation untransformed (Fig. 3).
         landmarks = self._store(seen, found, iteration)
         keep_observations(self, found, seen, covariances)

@@ -13,9 +13,7 @@ from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup, Subma
 from relmap.core.map.leaps import Gaps, gaps_of
 from relmap.core.map.pose import known_poses, trajectory
 from relmap.core.mapper import RelativeMapper
-from relmap.core.refinement.condensing import LENGTH
 from relmap.core.refinement.creeping import creep_of
-from relmap.core.refinement.hinges import expected_error
 from relmap.core.state.table import NONE, LandmarkState
 
 
@@ -121,30 +119,6 @@ def gaps(engine: RelativeMapper, known: Ints, places_map: Floats) -> Gaps | None
         return None
     positions, of = mapped_positions(engine), engine.table.landmark_of
     return gaps_of(engine.rows, positions, of, known, places_map)
-
-
-def stiffness(engine: RelativeMapper, found: Gaps) -> tuple[float, float, Floats] | None:
-    """Return the expected error of the refined map, and how much is due to its gaps (g,).
-
-    See `expected_error`; None if not refined, or if it is not known.
-    """
-    ranks, rows = engine.map.ranks, engine.rows
-    first = [refined for refined in engine.refined if not ranks[refined.landmarks].any()]
-    if not first or not len(first[0].landmarks):
-        return None
-    at = np.full(len(engine.table), NONE)
-    at[first[0].landmarks] = np.arange(len(first[0].landmarks))
-    landmark = at[engine.table.now(rows.landmark)]
-
-    def shown(iteration: int) -> Ints:
-        """Return the landmarks of the map (k,) that an iteration shows."""
-        bit = iteration - rows.first_iteration[rows.segment]
-        inside = (bit >= 0) & (bit < LENGTH) & (landmark != NONE)
-        seen = (rows.visible[inside] >> bit[inside]) & 1 > 0
-        return np.unique(landmark[inside][seen])
-
-    steps = zip(found.before.tolist(), found.after.tolist(), strict=True)
-    return expected_error(first[0], [(shown(before), shown(after)) for before, after in steps])
 
 
 def creep(engine: RelativeMapper) -> float | None:

@@ -23,13 +23,17 @@ from relmap.core.association.reobservation.undoing import (
 )
 from relmap.core.association.scale import spacing_of
 from relmap.core.gaps import is_bridged
+from relmap.core.map.leaps import gaps_of
+from relmap.core.map.pose import known_poses
 from relmap.core.mapper import RelativeMapper
 from relmap.core.rebuilding import rebuild
 from relmap.core.refinement.condensing import SegmentRows
 from relmap.core.refinement.extending import extend_submaps
+from relmap.core.refinement.hinges import Hinges, hinges_of
 from relmap.core.refinement.misread import take_off_misread
 from relmap.core.refining import refine_map
 from relmap.core.revisiting import gather, merge_in_place, mergeable
+from relmap.core.state.table import NONE
 
 logger = logging.getLogger(__name__)
 
@@ -48,7 +52,7 @@ def refine(engine: RelativeMapper) -> None:
     landmarks that coincide with compatible older ones are merged, and the map is refined again.
     With the paper's registration only coinciding landmarks are merged, once.
     """
-    engine.refined, association = [], engine.association
+    engine.refined, engine.hinges, association = [], None, engine.association
     # Of other registrations, many tracks mix several landmarks.
     may_repair = isinstance(association.registration, Constellation)
     refine_map(engine, to_the_last=not may_repair)
@@ -72,7 +76,28 @@ def refine(engine: RelativeMapper) -> None:
                 "found, and its standard deviations may be wrong",
                 len(refined.landmarks),
             )
+    engine.hinges = _hinges(engine)
     engine.merger.look_again()
+
+
+def _hinges(engine: RelativeMapper) -> Hinges | None:
+    """Return how far off the refined map is expected to be; None with ids or odometry."""
+    table, rows, ranks = engine.table, engine.rows, engine.map.ranks
+    first = [refined for refined in engine.refined if not ranks[refined.landmarks].any()]
+    if engine.association.has_ids or is_bridged(engine) or not first:
+        return None
+    positions = np.where(ranks[:, None] == 0, table.position, np.nan)
+    known, poses = known_poses(rows, positions, table.landmark_of, engine.noise_m)
+    gaps = gaps_of(rows, positions, table.landmark_of, known, poses[:, :3, 3])
+    row = np.full(len(table), NONE)
+    row[first[0].landmarks] = np.arange(len(first[0].landmarks))
+    at, scan = rows.sightings
+    landmark = row[table.now(rows.landmark)[at]]
+
+    def shown(iteration: int) -> Ints:
+        return np.unique(landmark[(scan == iteration) & (landmark != NONE)])
+
+    return hinges_of(first[0], gaps.before, gaps.after, shown)
 
 
 def _extend_by_ids(engine: RelativeMapper) -> bool:

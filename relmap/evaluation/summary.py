@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association.registering import BLIND
-from relmap.core.map.leaps import Gaps
 from relmap.core.odometry import OdometryUse
-from relmap.core.readout import creep, gaps, stiffness
+from relmap.core.readout import creep, gaps
+from relmap.core.refinement.hinges import Hinges
 from relmap.core.refinement.joint import Refined
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.scans import ScanLog
@@ -125,18 +125,17 @@ def _bridged_by_look(
     leaps = {"count": len(found.leaps), "steps": steps.tolist(), "way_m": way_m}
     n_gaps = int(np.sum(found.missed > BLIND))
     found_gaps = {"gaps": n_gaps, "longest_gap": longest, "leaps": leaps}
-    return found_gaps | _hinges(stiffness(mapper.engine, found), found, offset)
+    return found_gaps | _hinges(mapper.engine.hinges, offset)
 
 
-def _hinges(stiff: tuple[float, float, Floats] | None, found: Gaps, offset: int) -> dict[str, Any]:
+def _hinges(found: Hinges | None, offset: int) -> dict[str, Any]:
     """Return the expected error of a map, and which gaps it is due to; None if not known."""
-    if stiff is None:
+    if found is None:
         return {"expected_error_m": None, "hinges": None}
-    expected_m, share, each = stiff
-    own = np.flatnonzero(each >= NOTED)[:MANY]
+    own = np.flatnonzero(found.shares >= NOTED)[:MANY]
     steps = np.column_stack([found.before, found.after])[own] + offset
-    hinges = {"share": share, "steps": steps.tolist(), "shares": each[own].tolist()}
-    return {"expected_error_m": expected_m, "hinges": hinges}
+    hinges = {"share": found.share, "steps": steps.tolist(), "shares": found.shares[own].tolist()}
+    return {"expected_error_m": found.expected_error_m, "hinges": hinges}
 
 
 def _contradicting(mapper: PointMapper | PlaneMapper, n_observations: int) -> float | None:

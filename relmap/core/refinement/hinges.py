@@ -1,11 +1,14 @@
-"""How far off a refined map is expected to be, and how much of that is due to some steps.
+"""How far off a refined map is expected to be, and how much of that is due to its gaps.
 
-What little connects, as the few landmarks seen on both sides of a step, may turn about it. The
+What little connects, as the few landmarks seen on both sides of a gap, may turn about it. The
 covariance of a landmark, in the frame of one scan, hardly shows this: it grows with the distance
 anyway. The error that is left after the map is aligned with the true one does.
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,22 +19,36 @@ from relmap.core.refinement.joint import Refined
 LOST = 1e-9
 """Singular values, relative to the largest, of motions that are known exactly."""
 SLIGHT = 0.01
-"""Part of the expected squared error below which a step does not matter."""
+"""Part of the expected squared error below which a gap does not matter."""
 DOMINANT = 0.75
-"""Part from which steps determine how far off the map is: twice as far as without them."""
+"""Part from which gaps determine how far off the map is: twice as far as without them."""
 
 
-def expected_error(
-    refined: Refined, steps: list[tuple[Ints, Ints]]
-) -> tuple[float, float, Floats] | None:
-    """Return the expected error of a map, and the part of it due to steps of the robot.
+@dataclass(frozen=True, eq=False)
+class Hinges:
+    """How far off a refined map is expected to be, and how much of that is due to its gaps.
 
-    `steps`: rows of the landmarks that are seen before, and after, each of s steps. Returns the
-    root mean square error of the landmarks after rigid alignment, metres; the fraction of its
-    square that would be missing if all these steps were known; and the same (s,) for each. None if
-    the covariances are not known.
+    `expected_error_m`: root mean square error of the landmarks after rigid alignment; `share`:
+    fraction of its square that would be missing if the motion across all gaps were known; `before`,
+    `after` (g,): the iterations next to each gap; `shares` (g,): the same fraction for each gap.
     """
-    covariances = refined.covariances
+
+    expected_error_m: float
+    share: float
+    before: Ints
+    after: Ints
+    shares: Floats
+
+
+def hinges_of(
+    refined: Refined, before: Ints, after: Ints, shown: Callable[[int], Ints]
+) -> Hinges | None:
+    """Return the expected error of a map, and the part of it due to gaps; None if not known.
+
+    `before`, `after` (g,): the iterations next to each gap; `shown`: returns the rows of the
+    landmarks that an iteration shows.
+    """
+    covariances, times = refined.covariances, refined.spread.times
     if refined.spread.problem.unknown is None or not np.isfinite(covariances).all():
         return None
     motions = derivatives(refined.positions - refined.positions.mean(axis=0))
@@ -39,11 +56,11 @@ def expected_error(
     flat = motions.reshape(m * d, q)
     frame = np.linalg.pinv(flat)
     whole = float(np.trace(covariances.sum(axis=0)))
-    whole -= float(np.trace(frame @ refined.spread.times(motions).reshape(m * d, q)))
-    each, sides = np.zeros(len(steps)), []
-    for k, (before, after) in enumerate(steps):
-        side = _motion(motions, after) - _motion(motions, before)
-        spread = refined.spread.times(side).reshape(m * d, q)
+    whole -= float(np.trace(frame @ times(motions).reshape(m * d, q)))
+    each, sides = np.zeros(len(before)), []
+    for k, (one, other) in enumerate(zip(before.tolist(), after.tolist(), strict=True)):
+        side = _motion(motions, shown(other)) - _motion(motions, shown(one))
+        spread = times(side).reshape(m * d, q)
         side, aligned = side.reshape(m * d, q), spread - flat @ (frame @ spread)
         each[k] = _due(side.T @ spread, aligned) / whole
         if each[k] >= SLIGHT:
@@ -52,7 +69,7 @@ def expected_error(
     if sides:
         side, spread, aligned = (np.concatenate(one, axis=1) for one in zip(*sides, strict=True))
         together = _due(side.T @ spread, aligned) / whole
-    return float(np.sqrt(max(whole, 0.0) / m)), together, each
+    return Hinges(float(np.sqrt(max(whole, 0.0) / m)), together, before, after, each)
 
 
 def _due(inner: Floats, aligned: Floats) -> float:
