@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import count
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,12 +12,14 @@ import pytest
 
 from relmap import PlaneMapper
 from relmap.core.arrays import Floats
+from relmap.planes.refinement import refined_map
 from relmap.planes.refinement.system import WallSystem
 from relmap.planes.submaps.submap import disagreement, stitched
 from relmap.planes.walls.assembly import Walls
+from relmap.simulation import simulate_building
 from relmap.simulation.visibility import seen_walls
 from tests.test_planes import CORRIDOR, ROOM, seen_from
-from tests.worlds import finished
+from tests.worlds import finished, refined
 
 NOTHING = SimpleNamespace(ends=np.empty((0, 2, 2)), end_type=np.empty((0, 2), dtype=str))
 ELSEWHERE = np.array(
@@ -214,3 +217,22 @@ def test_a_path_follows_its_links_across_a_few_lost_scans(lost: int, torn: int) 
     assert disagreement(poses, motions) == pytest.approx((0, 0.0), abs=1e-12)
     poses[5 + lost :, 0, 3] += 3.0
     assert disagreement(poses, motions)[0] == torn
+
+
+def test_only_submaps_that_stay_as_chained_are_warned_of(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A submap that refinement tears is cut there, and its parts are refined."""
+    run = simulate_building(points=181, sigma=0.01, sampling="laser", iterations=40)
+    calls = count()
+
+    def disagrees(poses: Floats, motions: Floats) -> tuple[float, float]:
+        """The map, which comes first, disagrees with more links than the chain does."""
+        return (-float(next(calls)), 0.0) if len(poses) > 30 else disagreement(poses, motions)
+
+    monkeypatch.setattr(refined_map, "disagreement", disagrees)
+    monkeypatch.setattr(refined_map, "torn_in", lambda *_: np.array([20]))
+    mapper = refined(PlaneMapper(), (scan.points[:, :2] for scan in run.scans))
+    assert [submap.n_scans for submap in mapper.submaps] == [20, 20]
+    assert all(submap.refined for submap in mapper.submaps)
+    assert "kept as chained" not in caplog.text

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import replace
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Protocol
@@ -31,6 +32,8 @@ from relmap.planes.submaps.submap import torn_in
 if TYPE_CHECKING:
     from relmap.io.journal import RecordedScan
 
+
+_LOG = logging.getLogger(__name__)
 
 CUTS = 4
 """Maximum number of rounds of cutting torn submaps and refining again."""
@@ -181,6 +184,11 @@ class PlaneMapper(LocatingMapper):
         with self._guard.change(), one_thread():
             self._note_call("refine")
             self._refine_and_cut()
+        for submap in self.submaps:
+            if submap.assembled is not None and not submap.refined:
+                _LOG.warning(
+                    "scans %d:%d: refinement tears the submap; it is kept as chained", *submap.span
+                )
 
     def _refine_and_cut(self) -> None:
         self._refine_until_whole([])

@@ -6,7 +6,6 @@ walls were joined.
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -26,8 +25,6 @@ from relmap.planes.submaps.submap import (
 from relmap.planes.walls.assembly import Assembled, WallNumbers, assemble
 from relmap.planes.walls.history import PlaneHistory
 from relmap.planes.walls.joining import join_pairs, join_walls
-
-_LOG = logging.getLogger(__name__)
 
 WIDELY = ((2, 1e4), (1, 300.0), (1, 50.0), (1, 15.0), (2, 5.0))
 """Rounds of solutions for closing loops, for any amount of drift."""
@@ -81,7 +78,6 @@ def refined_map(
         if _better(found, chained, history):
             return found, found_numbers
         torn.append(torn_in([found], history))
-    _LOG.warning("scans %d:%d: refinement tears the submap; it is kept as chained", *chained.span)
     return replace(chained, torn=torn[0]), numbers
 
 
