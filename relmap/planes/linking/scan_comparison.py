@@ -55,8 +55,8 @@ TINY_SHARE = 0.0025
 """Such a fraction below which they do not displace the usual step."""
 USUAL_WEIGHT = 2.0
 """Weight of the usual step there: in a corridor few points are where others would be, by chance."""
-STOPS = 0.5
-"""Fraction of the usual step below which a robot stops."""
+STOPS, STOPS_VARY = 0.5, 4.0
+"""A robot stops if a step is shorter than usual by this fraction, and multiple of the variation."""
 TURNING_M = 1.0
 """Change of the step for each radian by which the rotation changes: robots turn slowly."""
 
@@ -250,8 +250,10 @@ class ScanComparison:
 
         Beams seem to hit the same places there, wherever the robot is.
         """
-        slow = np.hypot(*judged.motions[k, 1:]) < STOPS * np.hypot(*self._recent[1:])
-        return bool(slow and self._crossing(judged.matches[k]) < CROSSING)
+        usual_m = float(np.hypot(*self._recent[1:]))
+        slower_m = usual_m - float(np.hypot(*judged.motions[k, 1:]))
+        stops = slower_m > max(STOPS * usual_m, STOPS_VARY * self._varies_m)
+        return bool(stops and self._crossing(judged.matches[k]) < CROSSING)
 
     def _excluded(self, motions: Floats, motion: Floats) -> Bools:
         """Return which motions (k, 3) the beams of the last scans exclude in favour of one (3,)."""
