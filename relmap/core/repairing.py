@@ -92,10 +92,13 @@ def _hinges(engine: RelativeMapper) -> Hinges | None:
     row = np.full(len(table), NONE)
     row[first[0].landmarks] = np.arange(len(first[0].landmarks))
     at, scan = rows.sightings
-    landmark = row[table.now(rows.landmark)[at]]
+    mapped = row[table.now(rows.landmark)[at]] != NONE
+    order = np.flatnonzero(mapped)[np.argsort(scan[mapped], kind="stable")]
+    begin = np.searchsorted(scan[order], np.arange(len(rows.iteration_segment) + 1))
+    landmark = row[table.now(rows.landmark)[at[order]]]
 
     def shown(iteration: int) -> Ints:
-        return np.unique(landmark[(scan == iteration) & (landmark != NONE)])
+        return np.unique(landmark[slice(*begin[[iteration, iteration + 1]])])
 
     return hinges_of(first[0], gaps.before, gaps.after, shown)
 

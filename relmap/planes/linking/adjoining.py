@@ -17,6 +17,7 @@ import numpy as np
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.planes.linking.links import JUMP, JUMP_M
 from relmap.planes.linking.placement import STILL
+from relmap.planes.linking.scan_comparison import CONTRADICTING
 from relmap.planes.linking.search import TIE_AGREES
 from relmap.planes.linking.tying import Link, Scans
 from relmap.planes.motions import after, distinct, inverse, motion_over, others, wrapped
@@ -43,9 +44,8 @@ FEW = 6
 """Number of candidates that all beams improve."""
 PEAKS, PEAK_M, PEAK_RAD = 16, 0.35, np.deg2rad(7.0)
 """Number of the best of them, and how far apart these are."""
-CONTRADICTING, LEAST_SEEN = 4.0, 0.2
-"""Weight of a contradicting point there, and fraction of the points taken to be in view at
-least."""
+LEAST_SEEN = 0.2
+"""Fraction of the points taken to be in view at least."""
 FINER, MOVES = (0.1, 0.05, 0.025), 6
 """Steps by which the beams improve a candidate, metres, and the largest number of each."""
 FINER_RAD_PER_M = np.deg2rad(20.0)

@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_array, csr_array
 from scipy.spatial import cKDTree
 from scipy.special import chdtri, gammaln
 
@@ -22,9 +21,10 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.association.base import nearest
 from relmap.core.association.placement import consistent_placements
 from relmap.core.association.reobservation.recognition import BY_CHANCE, CLEAR, SIGMAS
+from relmap.core.association.reobservation.sightings import Sightings
 from relmap.core.association.scale import spacing_of
 from relmap.core.geometry.robust import EXACT
-from relmap.core.refinement.condensing import LENGTH, SegmentRows
+from relmap.core.refinement.condensing import SegmentRows
 from relmap.core.refinement.joint import Refined
 from relmap.core.state.table import NONE, LandmarkState
 
@@ -58,10 +58,10 @@ class Doubled:
     def __init__(self, refined: Refined, table: LandmarkState, rows: SegmentRows) -> None:
         self._at, self._d = refined.positions, refined.positions.shape[1]
         self._refined, self._m = refined, len(refined.landmarks)
-        row = np.full(len(table), NONE)
-        row[refined.landmarks] = np.arange(self._m)
-        self._row = row[table.now(rows.landmark)]
-        self._rows = rows
+        self._number = np.full(len(table), NONE)
+        self._number[refined.landmarks] = np.arange(self._m)
+        self._row = self._number[table.now(rows.landmark)]
+        self._rows, self._sightings = rows, Sightings(rows, table)
         sd_m = np.sqrt(np.trace(refined.covariances, axis1=1, axis2=2))
         self._reach_m = SIGMAS * np.where(np.isfinite(sd_m), sd_m, 0.0)
         apart = nearest(cKDTree(self._at), self._at, 2)[0][:, 1]
@@ -89,19 +89,8 @@ class Doubled:
         pairs = cKDTree(self._at).query_pairs(most_m, output_type="ndarray").reshape(-1, 2)
         apart = np.linalg.norm(self._at[pairs[:, 0]] - self._at[pairs[:, 1]], axis=1)
         pairs = pairs[apart <= self._reach_m[pairs].sum(axis=1)]
-        shown = self._shown()
-        together = np.asarray((shown[pairs[:, 0]] * shown[pairs[:, 1]]).sum(axis=1)).ravel()
-        pairs = pairs[together == 0]
-        return np.concatenate([pairs, pairs[:, ::-1]]).astype(np.int64)
-
-    def _shown(self) -> csr_array:
-        """Return which scans show which landmarks, (m, scans)."""
-        own = np.flatnonzero(self._row != NONE)
-        row, bit = np.nonzero((self._rows.visible[own, None] >> np.arange(LENGTH)) & 1)
-        scan = LENGTH * self._rows.segment[own][row] + bit
-        shape = self._m, LENGTH * self._rows.n_segments
-        shown = coo_array((np.ones(len(row)), (self._row[own][row], scan)), shape=shape)
-        return csr_array(shown)
+        pairs = self._number[self._sightings.apart(self._refined.landmarks[pairs])]
+        return np.concatenate([pairs, pairs[:, ::-1]])
 
     def _by_segment(self, pairs: Ints) -> Iterator[tuple[int, Ints]]:
         """Yield for segments how many landmarks they show, and the pairs (k, 2) of these.
