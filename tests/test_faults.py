@@ -19,7 +19,8 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.association.rigidity import CARRIED, PLENTY, Rigidity
 from relmap.core.landmarks import LandmarkMap
 from relmap.datasets import ObservationLog, write_observation_csv
-from relmap.evaluation.summary import MANY, ends_of
+from relmap.evaluation.summary import ends_of
+from relmap.evaluation.trust import MANY
 from relmap.io.results import read_result
 from relmap.simulation import simulate_figure_eight
 from tests.commands import load

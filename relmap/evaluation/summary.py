@@ -10,14 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.association.registering import BLIND
 from relmap.core.odometry import OdometryUse
-from relmap.core.readout import creep, gaps
-from relmap.core.refinement.hinges import Hinges
 from relmap.core.refinement.joint import Refined
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.scans import ScanLog
 from relmap.evaluation.feeding import Fed, Log
+from relmap.evaluation.trust import MANY, trust_of
 from relmap.io.results import Result
 from relmap.planes import PlaneMapper
 from relmap.planes.submaps.submap import WallSubmap
@@ -26,10 +24,6 @@ from relmap.planes3d import Plane3dMapper
 from relmap.points import PointMapper
 from relmap.recorded import versions
 
-MANY = 100
-"""Maximum number of rejected iterations, and observations, listed individually."""
-NOTED = 0.1
-"""Least part of the expected squared error of a map due to a gap that is listed."""
 SHOWN = 5
 """Number of weakest segments and merges listed."""
 STATUS = ("static", "dynamic", "unmapped")
@@ -54,15 +48,7 @@ def summary_of(
         _submap_row(result, number, offset, begun) for number in range(len(result.submaps))
     ]
     summary["refinement"] = weakness(mapper.refined, offset)
-    summary["association_trust"] = {
-        "tied_scans": mapper.tied_share,
-        "unique_scans": mapper.unique_share,
-        "undone_merges": mapper.n_undone,
-        "submaps": len(result.submaps),
-        "contradicting": _contradicting(mapper, counts["observations"]),
-        "creep_m": creep(mapper.engine) if isinstance(mapper, PointMapper) else None,
-        **_bridged_by_look(mapper, result, offset),
-    }
+    summary["association_trust"] = trust_of(mapper, result, counts["observations"], offset)
     summary["odometry"] = _odometry(mapper.odometry, result, offset)
     if isinstance(mapper, PlaneMapper):
         weak = (mapper.weak_links + offset).tolist()
@@ -104,52 +90,6 @@ def _odometry(use: OdometryUse | None, result: Result, offset: int) -> dict[str,
         "tied_by_it_alone": ends_of(hanging, "iterations") | {"stretches": stretches},
         "left_out": ends_of(use.left_out + offset, "iterations"),
     }
-
-
-def _bridged_by_look(
-    mapper: PointMapper | PlaneMapper, result: Result, offset: int
-) -> dict[str, Any]:
-    """Return the long gaps of a log that only places which look the same bridge, and the leaps.
-
-    Also how much of the expected error of the map is due to its gaps. None with ids, with odometry
-    and for walls.
-    """
-    found = None
-    if isinstance(mapper, PointMapper) and result.iterations is not None:
-        found = gaps(mapper.engine, result.iterations - offset, result.poses[:, :3, 3])
-    if found is None:
-        return dict.fromkeys(("gaps", "longest_gap", "leaps", "expected_error_m", "hinges"))
-    which, longest = found.leaps[:MANY], int(found.missed.max(initial=0))
-    steps = np.column_stack([found.before, found.after])[which] + offset
-    way_m = found.way_m[which].tolist()
-    leaps = {"count": len(found.leaps), "steps": steps.tolist(), "way_m": way_m}
-    n_gaps = int(np.sum(found.missed > BLIND))
-    found_gaps = {"gaps": n_gaps, "longest_gap": longest, "leaps": leaps}
-    return found_gaps | _hinges(mapper.engine.hinges, offset)
-
-
-def _hinges(found: Hinges | None, offset: int) -> dict[str, Any]:
-    """Return the expected error of a map, and which gaps it is due to; None if not known."""
-    if found is None:
-        return {"expected_error_m": None, "hinges": None}
-    own = np.flatnonzero(found.shares >= NOTED)[:MANY]
-    steps = np.column_stack([found.before, found.after])[own] + offset
-    hinges = {"share": found.share, "steps": steps.tolist(), "shares": found.shares[own].tolist()}
-    return {"expected_error_m": found.expected_error_m, "hinges": hinges}
-
-
-def _contradicting(mapper: PointMapper | PlaneMapper, n_observations: int) -> float | None:
-    """Return the fraction of the observations that contradict their ids or the refined map.
-
-    None for walls, and for a map without ids that is not refined.
-    """
-    if not isinstance(mapper, PointMapper):
-        return None
-    if not mapper.engine.association.is_known and not mapper.refined:
-        return None
-    n_wrong = len(mapper.rejected_observations) + sum(one.n_outliers for one in mapper.refined)
-    # The mapper may have earlier logs, too; overruled observations may belong to no landmark.
-    return n_wrong / max(n_observations, int(mapper.landmarks.observations.sum()), 1)
 
 
 def _rejected_rows(mapper: PointMapper, log: ObservationLog | ScanLog, offset: int) -> Ints:
