@@ -14,6 +14,7 @@ import numpy as np
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.planes.refinement.closing import walls_seen_again
 from relmap.planes.refinement.solving import LAST, refined, refined_to_the_noise
+from relmap.planes.refinement.uneven import in_pieces
 from relmap.planes.submaps.submap import (
     WallSubmap,
     among_all,
@@ -22,7 +23,7 @@ from relmap.planes.submaps.submap import (
     torn_in,
     with_strays_put_back,
 )
-from relmap.planes.walls.assembly import Assembled, WallNumbers, assemble
+from relmap.planes.walls.assembly import Assembled, WallNumbers, assemble, laid_out
 from relmap.planes.walls.history import PlaneHistory
 from relmap.planes.walls.joining import join_pairs, join_walls
 
@@ -159,11 +160,22 @@ def _solved(
         numbers, (best, poses) = joined, again(joined, ROUGHLY)
         if _moved_m(before, poses) < RESTING_M:
             break
-    return _refined(_settled(best, held), span, history), numbers
+    return _refined(_last(best, held, history), span, history), numbers
+
+
+def _last(best: Assembled, held: float, history: PlaneHistory) -> Assembled:
+    """Return the last solution, its path from pieces of walls that are not straight."""
+    best = _settled(best, held)
+    pieces = in_pieces(best, history)
+    if pieces is None:
+        return best
+    found = _settled(pieces, held)
+    path = found.poses(history.n_iterations)[best.iterations]
+    return replace(best, state=laid_out(best.given, path), settled=found.settled)
 
 
 def _settled(best: Assembled, held: float) -> Assembled:
-    """Return the last solution."""
+    """Return the solution after as many rounds as it takes to converge."""
     for _ in range(LONGER):
         best = refined(best, (LAST,), held)
         if best.settled:
