@@ -17,7 +17,7 @@ from relmap.planes.walls.joining import placed_ends
 PIECE_M = 20.0
 """Length of the pieces of a wall."""
 UNEVEN = 5.0
-"""Deviation of the observations of a wall, in standard deviations, above which it is not straight."""
+"""Deviation of observations from a wall, in standard deviations, above which it is not straight."""
 
 
 def in_pieces(assembled: Assembled, history: PlaneHistory) -> Assembled | None:
@@ -34,9 +34,9 @@ def in_pieces(assembled: Assembled, history: PlaneHistory) -> Assembled | None:
     piece[given.sd < UNEVEN * sd] = 0
     wall = _numbered(given.wall, piece)
     piece[np.bincount(wall)[wall] < OFTEN] = 0
-    if not piece.any():
-        return None
     wall = _numbered(given.wall, piece)
+    if wall.max() == given.wall.max():
+        return None
     corner = _numbered(given.corner, wall[given.corner_row])
     divided = replace(given, wall=wall, corner=corner, sd=sd)
     poses = assembled.poses(history.n_iterations)[assembled.iterations]
