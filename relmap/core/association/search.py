@@ -65,7 +65,7 @@ def search(
     if not len(triangles) or min(len(source), len(target)) < fewest:
         return None
     R, t, matches = placements_by_triangles(
-        source, target, triangles, 1.5 * tolerance_m, fewest, MOST, metric, stretch_of(metric)
+        source, target, triangles, 1.5 * tolerance_m, fewest, metric, stretch_of(metric)
     )
     if np.isfinite(reach_m) and len(R):
         moved = np.einsum("hij,nj->hni", R, source) + t[:, None] - source
@@ -107,29 +107,18 @@ def settled(
     distance between the points of a match. `metric` (m, d, d): of the targets; the tolerance is in
     its units. Returns None if there are too few matches.
     """
-    from relmap.core.association.search_kernels import matched_at
-
-    match, n_agreeing = np.empty(len(source), np.int64), 0
+    n_agreeing = 0
     for _ in range(ROUNDS):
-        n = matched_at(
-            source,
-            target,
-            placement.R,
-            placement.t,
-            1.5 * tolerance_m,
-            match,
-            metric,
-            stretch_of(metric),
-        )
+        match = _matches(source, target, placement, 1.5 * tolerance_m, metric)
         rows = np.flatnonzero(match >= 0)
         own = rows_of(metric, match[rows])
         fitted = trimmed_fit(source[rows], target[match[rows]], tolerance_m, own)
         if fitted is None:
             return None
         placement = fitted
-        if n <= n_agreeing:
+        if len(rows) <= n_agreeing:
             break
-        n_agreeing = n
+        n_agreeing = len(rows)
     return placement
 
 
@@ -143,11 +132,8 @@ def _matches(
     """Return the target matched to each source point (n,), or -1."""
     from relmap.core.association.search_kernels import matched_at
 
-    match = np.empty(len(source), np.int64)
-    matched_at(
-        source, target, placement.R, placement.t, tolerance_m, match, metric, stretch_of(metric)
-    )
-    return match
+    R, t, stretch = placement.R, placement.t, stretch_of(metric)
+    return matched_at(source, target, R, t, tolerance_m, metric, stretch)
 
 
 def triangles_of(points: Floats, least_m: float) -> Ints:

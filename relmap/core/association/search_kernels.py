@@ -5,10 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
+from relmap.core.association.search import MOST
 from relmap.core.geometry.fitting_kernels import fit_rows, set_placement
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import ordered, smallest
 from relmap.core.linalg.small_kernels import identity, square_between, square_of, unset
+
+Along = tuple[Ints, float, float]
+"""Order of the targets along the first axis, how far matches are along it, and the tolerance."""
 
 
 @helper
@@ -51,47 +55,44 @@ def matched_at(
     R: Floats,
     t: Floats,
     tolerance_m: float,
-    match: Ints,
-    metric: Floats | None = None,
-    stretch: Floats | None = None,
-) -> int:
-    """Write the target point (m, d) nearest to each placed source point (n, d), or -1.
+    metric: Floats | None,
+    stretch: Floats | None,
+) -> Ints:
+    """Return the target point (m, d) nearest to each placed source point (n, d), or -1; (n,).
 
-    Each target is matched at most once, to the nearest in its metric (m, d, d); returns the number
-    of matches. `stretch` (m,) is the largest length of a unit of the metric, metres.
+    Each target is matched at most once, to the nearest in its metric (m, d, d). `stretch` (m,) is
+    the largest length of a unit of the metric, metres.
     """
-    order, reach_m = _along_first_axis(target, tolerance_m, stretch)
-    return _matched(source, target, order, reach_m, R, t, tolerance_m, match, metric, stretch)
+    match = np.empty(len(source), dtype=np.int64)
+    along = _along_first_axis(target, tolerance_m, stretch)
+    _matched(source, target, along, R, t, match, metric, stretch)
+    return match
 
 
 @helper
-def _along_first_axis(
-    target: Floats, tolerance_m: float, stretch: Floats | None
-) -> tuple[Ints, float]:
-    """Return the order of targets (m, d) along the first axis, and how far matches are along it."""
+def _along_first_axis(target: Floats, tolerance_m: float, stretch: Floats | None) -> Along:
+    """Return the order of targets (m, d), and how far matches are, along the first axis."""
     longest = 1.0
     if stretch is not None:
         longest = 0.0
         for k in range(len(stretch)):
             longest = max(longest, stretch[k])
-    return ordered(target[:, 0].copy()), (1 + 1e-9) * tolerance_m * longest
+    return ordered(target[:, 0].copy()), (1 + 1e-9) * tolerance_m * longest, tolerance_m
 
 
 @helper
 def _matched(
     source: Floats,
     target: Floats,
-    order: Ints,
-    reach_m: float,
+    along: Along,
     R: Floats,
     t: Floats,
-    tolerance_m: float,
     match: Ints,
     metric: Floats | None,
     stretch: Floats | None,
 ) -> int:
-    """Match as `matched_at` does, with the targets in order along the first axis."""
-    (n, d), m = source.shape, len(target)
+    """Write the matches as `matched_at` returns them; return their number."""
+    (n, d), m, tolerance_m = source.shape, len(target), along[2]
     owner, nearest = unset(m), np.empty(m)
     placed, apart = np.empty(d), np.empty(d)
     count = 0
@@ -103,8 +104,7 @@ def _matched(
             placed[a] = t[a]
             for b in range(d):
                 placed[a] += R[a, b] * source[i, b]
-        best = tolerance_m * tolerance_m
-        best, at = _nearest(placed, target, order, reach_m, best, metric, stretch, apart)
+        best, at = _nearest(placed, target, along, metric, stretch, apart)
         if at >= 0 and best < nearest[at]:
             if owner[at] >= 0:
                 match[owner[at]] = -1
@@ -118,15 +118,14 @@ def _matched(
 def _nearest(
     placed: Floats,
     target: Floats,
-    order: Ints,
-    reach_m: float,
-    best: float,
+    along: Along,
     metric: Floats | None,
     stretch: Floats | None,
     apart: Floats,
 ) -> tuple[float, int]:
-    """Return the least squared distance below a limit, and the first target at it, or -1."""
-    at, begin, end = -1, 0, len(target)
+    """Return the least squared distance within the tolerance, and the first target at it, or -1."""
+    order, reach_m, tolerance_m = along
+    best, at, begin, end = tolerance_m * tolerance_m, -1, 0, len(target)
     while begin < end:
         middle = (begin + end) // 2
         if target[order[middle], 0] < placed[0] - reach_m:
@@ -151,24 +150,22 @@ def placements_by_triangles(
     triangles: Ints,
     tolerance_m: float,
     fewest: int,
-    most: int,
-    metric: Floats | None = None,
-    stretch: Floats | None = None,
+    metric: Floats | None,
+    stretch: Floats | None,
 ) -> tuple[Floats, Floats, Ints]:
     """Return placements from triangles of source points found among the target points.
 
     `source` (n, d), `target` (m, d), metres. `triangles` (k, 3): rows of the source points.
     `tolerance_m`: largest difference between two sides that agree, and largest distance of a match.
-    `fewest`, `most`: minimum number of matches of a placement, and maximum number of triangle
-    matches tried. `metric`, `stretch`: as for `matched_at`; the tolerance is in units of the
-    metric. Returns `R` (h, d, d), `t` (h, d) and `matches` (h, n): the target point of each source
-    point, or -1.
+    `fewest`: minimum number of matches of a placement. `metric`, `stretch`: as for `matched_at`;
+    the tolerance is in units of the metric. Returns `R` (h, d, d), `t` (h, d) and `matches` (h, n):
+    the target point of each source point, or -1.
     """
     (n, d), m = source.shape, len(target)
     here, there = distances(source), distances(target)
-    order, reach_m = _along_first_axis(target, tolerance_m, stretch)
+    along = _along_first_axis(target, tolerance_m, stretch)
     allowed = _allowances(target, tolerance_m, metric)
-    R, t, matches = np.empty((most, d, d)), np.empty((most, d)), np.empty((most, n), dtype=np.int64)
+    R, t, matches = np.empty((MOST, d, d)), np.empty((MOST, d)), np.empty((MOST, n), dtype=np.int64)
     corners, found, every = np.empty((3, d)), np.empty((3, d)), np.ones(3, dtype=np.bool_)
     h, tried, turn = 0, 0, identity(d)
     for i, j, p in triangles:
@@ -184,24 +181,15 @@ def placements_by_triangles(
                         continue
                     _enter(target, k, q, r, found)
                     turn, shift, fixed, _, _ = fit_rows(corners, found, every, turn)
-                    if fixed and tried < most:
+                    if fixed and tried < MOST:
                         tried += 1
                         n_agreeing = _matched(
-                            source,
-                            target,
-                            order,
-                            reach_m,
-                            turn,
-                            shift,
-                            tolerance_m,
-                            matches[h],
-                            metric,
-                            stretch,
+                            source, target, along, turn, shift, matches[h], metric, stretch
                         )
                         if n_agreeing >= fewest:
                             set_placement(R, t, h, turn, shift)
                             h += 1
-        if tried == most:
+        if tried == MOST:
             break
     return R[:h], t[:h], matches[:h]
 

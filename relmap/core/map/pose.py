@@ -57,20 +57,12 @@ def known_poses(
     R, t, fixed, weight = fit_robust_each(rows.points[row], there[row], ones, at, n)
     used = weight > ABSURD
     fixed &= np.bincount(at[used], minlength=n) >= d
-    fixed &= _turn_sd(there[row[used]], at[used], n, noise_m) <= LOOSE_RAD
+    across = squares_across(there[row[used]], at[used], n)
+    fixed &= noise_m / np.sqrt(np.maximum(across, 1e-300)) <= LOOSE_RAD
     fixed &= rows.iteration_segment[scans] != NOWHERE
     known, R, t = scans[fixed], R[fixed], t[fixed]
     there = np.einsum("nij,nj->ni", R, rows.t[known]) + t
     return known, transforms(R @ rows.R[known], there)
-
-
-def _turn_sd(points: Floats, at: Ints, n: int, noise_m: float) -> Floats:
-    """Return the standard deviation (n,), radians, of the turn about points; in space, the largest.
-
-    `points` (k, d), map frame, metres; `at` (k,): the iteration that sees each; `noise_m`: standard
-    deviation of an observed coordinate.
-    """
-    return np.asarray(noise_m / np.sqrt(np.maximum(squares_across(points, at, n), 1e-300)))
 
 
 def squares_across(points: Floats, at: Ints, n: int) -> Floats:

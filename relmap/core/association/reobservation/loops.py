@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.arrays import Bools, Ints
 from relmap.core.association.likelihood import LOG_CLEAR
 from relmap.core.association.placement import Placement
 from relmap.core.association.reobservation.evidence import LOCAL_DRIFT
@@ -81,7 +81,8 @@ class LoopFinder:
             (table.since[own] <= table.last[seed]) & (table.last[own] >= table.since[seed])
         ]
         apart = np.linalg.norm(table.position[together] - table.position[seed], axis=1)
-        around = together[_least(apart, NEIGHBOURHOOD)]
+        nearest = together[np.argsort(apart, kind="stable")]
+        around = nearest[:NEIGHBOURHOOD]
         self._had[around[: max(1, len(around) // OVERLAP)]] = True
         self._had[seed] = True
         points = table.position[around]
@@ -102,8 +103,7 @@ class LoopFinder:
             return None
         loop = self._by_places(finder, own, around, together, before)
         if loop is None and self._is_blurred:
-            nearest = together[_least(apart, CROWD)]
-            loop = self._by_likelihood(nearest, own[before], reach_m)
+            loop = self._by_likelihood(nearest[:CROWD], own[before], reach_m)
         return loop
 
     def _by_places(
@@ -166,12 +166,3 @@ class LoopFinder:
         away = np.linalg.norm(table.position[between] - middle, axis=1)
         lever_m = away.max(initial=0.0) + radius_m
         return float(FARTHEST * turn * np.sqrt(max(end - begin, 0) / length + 1) * lever_m)
-
-
-def _least(values: Floats, n: int) -> Ints:
-    """Return the rows of the n least values, in their order; the first rows of equal ones."""
-    if n < len(values):
-        rows = np.flatnonzero(values <= np.partition(values, n - 1)[n - 1])
-    else:
-        rows = np.arange(len(values))
-    return np.asarray(rows[np.argsort(values[rows], kind="stable")][:n])
