@@ -249,3 +249,18 @@ def test_gaps_are_looked_for_where_there_may_be_some(
     known, poses = known_poses(rows, positions, table.landmark_of)
     found = gaps_of(rows, positions, table.landmark_of, known, poses[:, :3, 3])
     assert may_have_gaps(rows, positions, table.landmark_of) == expected == (len(found.before) > 0)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_pieces_of_a_submap_that_nothing_connects_are_cut_apart(d: int) -> None:
+    rng, mapper = np.random.default_rng(3), PointMapper()
+    for n in (25, 14):
+        places = rng.uniform(-15, 15, (n, d))
+        for k in range(40):
+            mapper.update(places + [0.1 * k] * d + rng.normal(0, 0.02, places.shape))
+    mapper.finish()
+    table = mapper.engine.table
+    table.submap[table.submap != NONE] = table.submaps[0]
+    assert [len(submap.landmark_ids) for submap in mapper.submaps] == [39]
+    mapper.refine()
+    assert [len(submap.landmark_ids) for submap in mapper.submaps] == [25, 14]

@@ -18,7 +18,6 @@ from relmap.core.association.reobservation.undoing import (
     contradicted,
     merged_across,
     nearer_another,
-    pieces,
     places_of,
 )
 from relmap.core.association.scale import spacing_of
@@ -129,10 +128,6 @@ def _repair(engine: RelativeMapper) -> None:
         merge_in_place(engine, at_last=True)
         refine_map(engine)
         gather(engine)
-    elif undone:  # Coinciding without the others that were merged with them, they may be one.
-        refine_map(engine, to_the_last=False)
-        found = _merge_compatible(engine, at_last=True)
-        undone = _merge_coinciding(engine) or found or engine.config.keep_observations
     rare = rarely_seen(engine) & ~grouped
     if not is_bridged(engine):
         rare |= _wrong(engine)
@@ -175,15 +170,6 @@ def _look_over(engine: RelativeMapper) -> bool:
     return found
 
 
-def _merge_coinciding(engine: RelativeMapper) -> bool:
-    """Merge landmarks that coincide in the refined map; return whether there were any."""
-    merger = engine.merger
-    merger.sightings = Sightings(engine.rows, engine.table)
-    merged = merge_doubles(engine)
-    merger.sightings = None
-    return merged
-
-
 def _merge_compatible(engine: RelativeMapper, at_last: bool = False) -> bool:
     """Merge landmarks of unequal noise that coincide within the covariances of the refined map.
 
@@ -220,7 +206,7 @@ def _merge_doubled(engine: RelativeMapper) -> bool:
 
 
 def _undo(engine: RelativeMapper) -> int:
-    """Undo the merges that the refined map contradicts; return the number of changes."""
+    """Undo the merges that the refined map contradicts; return how many."""
     table = engine.table
     rows = engine.rows
     usual = np.inf if is_bridged(engine) else 1.0
@@ -232,12 +218,7 @@ def _undo(engine: RelativeMapper) -> int:
     tracks = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *each]))
     if len(tracks):
         _part(engine, rows, tracks)
-    changes = len(tracks)
-    for submap in sorted(table.submaps):
-        for piece in pieces(table, rows, submap)[1:]:
-            table.submap[piece] = engine.map.new_submap()
-            changes += 1
-    return changes
+    return len(tracks)
 
 
 def _cut_loose(engine: RelativeMapper) -> bool:

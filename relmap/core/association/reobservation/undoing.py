@@ -8,8 +8,6 @@ there explains.
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 from scipy.special import chdtri
 
@@ -21,7 +19,7 @@ from relmap.core.map.leaps import HIGHEST, LOWEST, Gaps, gaps_of, may_have_gaps
 from relmap.core.map.pose import known_poses
 from relmap.core.refinement.condensing import SegmentRows
 from relmap.core.refinement.joint import Refined, placed_segments
-from relmap.core.state.table import NONE, LandmarkState
+from relmap.core.state.table import LandmarkState
 
 BY_CHANCE = 1e-3
 """Accepted expected number of correct merges undone per map."""
@@ -222,17 +220,3 @@ def _torn(gaps: Gaps, known: Ints, poses: Floats) -> list[tuple[int, int]]:
     beside_m = np.maximum(each_m[at - 1], each_m[at + 1])
     torn = (gaps.way_m > TOO_FAR * gaps.reach_m) & (beside_m <= TOO_FAR * usual_m)
     return list(zip(gaps.before[torn].tolist(), gaps.after[torn].tolist(), strict=True))
-
-
-def pieces(table: LandmarkState, rows: SegmentRows, submap: int) -> list[Ints]:
-    """Return the landmarks of a submap by connected component, the largest first."""
-    landmark = table.landmark_of[rows.landmark]
-    on = table.submap[landmark] == submap
-    on |= (table.submap[landmark] == NONE) & ~table.dynamic[landmark]
-    n, m = rows.n_segments, len(table)
-    ties = coo_array((np.ones(on.sum()), (landmark[on], m + rows.segment[on])), shape=(m + n,) * 2)
-    piece = connected_components(ties, directed=False)[1][:m]
-    own = np.flatnonzero(table.submap == submap)
-    numbers, counts = np.unique(piece[own], return_counts=True)
-    order = np.argsort(-counts, kind="stable")
-    return [own[piece[own] == number] for number in numbers[order].tolist()]
