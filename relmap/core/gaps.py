@@ -28,11 +28,10 @@ def n_kept(engine: RelativeMapper) -> Floats:
     return np.asarray(np.bincount(table.now(kept.landmark), kept.count, len(table)), np.float64)
 
 
-def bridge_gaps(engine: RelativeMapper, to_the_last: bool = False, is_open: bool = False) -> bool:
+def bridge_gaps(engine: RelativeMapper, to_the_last: bool = False) -> bool:
     """Place all parts connected by odometry in one frame, by joint least squares.
 
-    With `is_open`, loops were found that are still open.  Returns whether there was anything to do:
-    if landmarks connect all scans, odometry adds nothing.
+    Returns whether there was anything to do: if landmarks connect all scans, odometry adds nothing.
     """
     if not len(engine.motions):
         return False
@@ -59,7 +58,7 @@ def bridge_gaps(engine: RelativeMapper, to_the_last: bool = False, is_open: bool
     if not len(hanging):
         engine.odometry = use
         return False
-    solve = PartSolver(engine, rows, corrected, noise, sigmas, to_the_last, is_open).solve
+    solve = PartSolver(engine, rows, corrected, noise, sigmas, to_the_last).solve
     judges = to_the_last or not engine.refined
     solved = _judged(engine, bridged, solve) if judges else _solved(engine, bridged, solve)[1]
     numbers = _place(engine, solved)

@@ -49,7 +49,7 @@ def close_revisits(engine: RelativeMapper) -> None:
             return
         drift = float(np.sqrt(np.mean(np.square(surprises)) / engine.kept.location.shape[1]))
         engine.odometry = replace(engine.odometry, drift=max(drift, engine.odometry.drift))
-        bridge_gaps(engine, is_open=True)
+        bridge_gaps(engine)
 
 
 def _merge_revisits(engine: RelativeMapper) -> tuple[list[float], int]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import islice, pairwise, product
+from itertools import islice, pairwise
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -48,9 +48,6 @@ the median of this distance (of a gamma distribution).  Nearer ones may be the s
 twice."""
 WIDER = 2.0
 """Factor on that distance before the map is refined with the matches."""
-COARSE = 0.125
-"""Distance tried next, relative to that of the neighbours: from one pose, more landmarks are known
-that well."""
 MOST_PAIRS = 800
 """Maximum number of candidate matches in space, the nearest."""
 FINE = 4.0
@@ -127,10 +124,7 @@ class RevisitFinder:
 
     def revisits(self) -> list[Revisit]:
         """Return the revisits that are new, the most certain first, without conflicts."""
-        fine_m = self._tolerance_m
-        tolerances = sorted({fine_m, max(fine_m, COARSE * self._apart_m)})
-        for farthest, tolerance_m in product(pairwise((*FARTHEST, FARTHEST[-1])), tolerances):
-            self._tolerance_m = tolerance_m
+        for farthest in pairwise((*FARTHEST, FARTHEST[-1])):
             found = self._within(*farthest)
             if found:
                 return found

@@ -29,25 +29,21 @@ def settled_chain(
     anchor: int,
     sigmas: Sigmas | None,
     to_the_last: bool,
-    is_open: bool,
     has_ids: bool,
 ) -> tuple[Solution[Chained], ChainProblem]:
     """Solve for the map of least robust cost, and estimate the noise from its residuals.
 
     `step_sd`, tuple of (k - 1,): standard deviations of the distance and the turn of each step of
     odometry, as in `ChainProblem`; `state`: where to start; `anchor`: iteration that is held;
-    `sigmas`: the noise, if known; `to_the_last`: whether to iterate until convergence; `is_open`:
-    whether a loop has just been closed that the state leaves open. Returns `problem`: with the
-    estimated noise.
+    `sigmas`: the noise, if known; `to_the_last`: whether to iterate until convergence. Returns
+    `problem`: with the estimated noise.
     """
     problem = ChainProblem(
         chain, step_sd, sigmas or Sigmas(), state.positions, anchor, turns_whole=not has_ids
     )
-    if is_open:
-        state = _bent(problem, state)
     is_known = sigmas is not None
     found, problem = _with_noise(problem, state, is_known, to_the_last)
-    if not is_known and not is_open:
+    if not is_known:
         found = _better(problem, found)
     if to_the_last:
         weigh = _weighing(problem, strict, OUTLIER)
@@ -73,12 +69,6 @@ def _with_noise(
     return found, problem
 
 
-def _bent(problem: ChainProblem, state: Chained) -> Chained:
-    """Return the state of least cost with Huber's weights."""
-    weigh = _weighing(problem, huber, BENT)
-    return gauss_newton(problem, state, weigh, ROUNDS, unsure=ROUGH, faint=WORTH_SAYING).state
-
-
 def _better(problem: ChainProblem, known: Solution[Chained]) -> Solution[Chained]:
     """Return the better of a solution and one that starts from that with Huber's weights.
 
@@ -93,7 +83,9 @@ def _better(problem: ChainProblem, known: Solution[Chained]) -> Solution[Chained
         of = zip(problem.parts, limits, strict=True)
         return sum(robust_cost(residual[part], limit) for part, limit in of)
 
-    bent, weigh = _bent(problem, known.state), _weighing(problem, lenient, OUTLIER)
+    bent, weigh = known.state, _weighing(problem, huber, BENT)
+    bent = gauss_newton(problem, bent, weigh, ROUNDS, unsure=ROUGH, faint=WORTH_SAYING).state
+    weigh = _weighing(problem, lenient, OUTLIER)
     found = gauss_newton(problem, bent, weigh, FEW_ROUNDS, unsure=ROUGH, faint=WORTH_SAYING)
     return found if cost(found.state) < cost(known.state) else known
 

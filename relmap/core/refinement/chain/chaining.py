@@ -56,9 +56,9 @@ class PartSolver:
 
     `rows`: of all iterations; `motions` (k, 4, 4): odometry without its constant errors, NaN if
     unknown, of this noise; `sigmas`: factors of the noises, if estimated before; `to_the_last`:
-    whether outliers are rejected and the cost is minimised until convergence; `is_open`: whether
-    loops were found that the initial poses leave open. If ids are given, parts of the chain do not
-    turn as a whole: wrong ids would turn them, and the errors of MRCLAM's maps increased by half.
+    whether outliers are rejected and the cost is minimised until convergence. If ids are given,
+    parts of the chain do not turn as a whole: wrong ids would turn them, and the errors of MRCLAM's
+    maps increased by half.
     """
 
     engine: RelativeMapper
@@ -67,7 +67,6 @@ class PartSolver:
     noise: MotionNoise
     sigmas: Sigmas | None
     to_the_last: bool
-    is_open: bool
 
     def solve(self, bridged: Bridged) -> list[Solved]:
         """Return the solved parts of a run from these initial poses.
@@ -93,7 +92,7 @@ class PartSolver:
         step_sd = self.noise.sigmas(chain.motion)
         has_ids = self.engine.association.has_ids
         settled, problem = settled_chain(
-            chain, step_sd, start, anchor, self.sigmas, self.to_the_last, self.is_open, has_ids
+            chain, step_sd, start, anchor, self.sigmas, self.to_the_last, has_ids
         )
         refined, placed = self._refined(settled, problem, landmarks, iterations, anchor)
         way, turn = problem.parts[1:]
