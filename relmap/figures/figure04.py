@@ -19,6 +19,7 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.figures.base import Outcome, PaperFigure, Table, Watch, judged
 from relmap.planes import PlaneMapper
+from relmap.planes.scans.corners import deviations, midpoint_pairs
 from relmap.planes.walls.history import PlaneHistory
 from relmap.plots.sheet import (
     BLUE,
@@ -83,16 +84,12 @@ class CornerTest:
 
     @cached_property
     def offsets(self) -> Floats:
-        """See `relmap.planes.scans.corner_kernels.midpoint_pairs`, (k, 2, 2, 2), metres."""
-        from relmap.planes.scans.corner_kernels import midpoint_pairs
-
+        """See `relmap.planes.scans.corners.midpoint_pairs`, (k, 2, 2, 2), metres."""
         return midpoint_pairs(self.ends[0], self.ends[1], *self.sizes.tolist())
 
     @property
     def deviation(self) -> Floats:
         """Standard deviation of each pair's offset over the interval, (2, 2), metres."""
-        from relmap.planes.scans.corner_kernels import deviations
-
         return deviations(self.offsets)
 
     @property

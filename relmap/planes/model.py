@@ -13,8 +13,8 @@ from relmap.core.geometry.robust import median
 from relmap.core.state.store import Rows, Shown
 from relmap.core.state.table import LandmarkState
 from relmap.planes.linking.registration import PlaneRegistration
+from relmap.planes.scans.corners import BLUNT
 from relmap.planes.scans.observation import PlaneObservation
-from relmap.planes.walls.assembly import BLUNT
 
 TURN = np.cos(np.deg2rad(20.0))
 """Largest rotation of a wall when it is seen again (cosine)."""

@@ -17,6 +17,7 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.planes.motions import inverse, then, wrapped
+from relmap.planes.scans.corners import deviations, midpoint_pairs
 from relmap.planes.walls.history import PlaneHistory
 
 FEWEST = 3
@@ -46,8 +47,6 @@ def relate(first: Floats, second: Floats, sizes: tuple[float, float]) -> Relatio
     `first`, `second` (k, 2, 2), robot frame, metres: right and left ends of both walls; `sizes`:
     one size for each wall.
     """
-    from relmap.planes.scans.corner_kernels import deviations, midpoint_pairs
-
     offset = midpoint_pairs(first, second, *sizes)
     deviation = deviations(offset)
     i, j = np.unravel_index(np.argmin(deviation), deviation.shape)

@@ -12,14 +12,13 @@ import numpy as np
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.planes.motions import matrices
 from relmap.planes.odometry.steps import MotionFactors
+from relmap.planes.scans.corners import BLUNT
 from relmap.planes.walls.history import PlaneHistory
 
 FLAT_M = 0.003
 SHARP_M = 0.01
 """Minimum standard deviations of a wall and of its corner, with noisy data: no real wall is exactly
 flat or sharp."""
-BLUNT = 3.0
-"""Initial ratio of the standard deviation of a corner to that of its wall."""
 MISSED, MISSED_M = 0.5, 0.2
 """Standard deviation of a corner due to the distance between the points of its wall there, as a
 fraction of that; and the maximum, above which wrong corners would not be rejected."""
