@@ -28,6 +28,11 @@ BY_BEAMS = 15.0
 """Those of a tie that only the beams suggested."""
 
 
+def values_of(column: str) -> Any:
+    """Return a property: the values of a `GrowingArray`."""
+    return property(lambda self: getattr(self, column).values)
+
+
 class LinkRecord:
     """The accepted motions between scans, and the submap of each scan.
 
@@ -35,8 +40,20 @@ class LinkRecord:
 
     Attributes: `store`: all observations so far; `beams`: the beams of each scan, if given;
     `wheels`: the odometry, if any; `submap`: submap of the next scan, unless it begins a new one;
-    `same_walls` (k, 2): pairs of wall numbers identified when submaps were joined.
+    `same_walls` (k, 2): pairs of wall numbers identified when submaps were joined. `motions`
+    (i, 3): approximate motion from each previous robot frame to the next: yaw, x, y; `submaps`
+    (i,): submap of each iteration, -1 for none; `measured`, `bridged` (i,): which motions are
+    determined by walls in all directions, and by odometry only; `evidence` (i,): log odds of each
+    motion; NaN if unknown, infinite if it is by maps; `begun` (r,): first iteration of each further
+    log, see `begin_run`.
     """
+
+    motions: Floats = values_of("_motions")
+    submaps: Ints = values_of("_submaps")
+    measured: Bools = values_of("_measured")
+    bridged: Bools = values_of("_bridged")
+    evidence: Floats = values_of("_evidence")
+    begun: Ints = values_of("_begun")
 
     STATE = (
         "_motions _submaps _n_submaps submap _unsure_m _unsure_each_m _evidence _measured _bridged "
@@ -65,36 +82,6 @@ class LinkRecord:
         """Return the number of scans."""
         return len(self._motions)
 
-    @property
-    def motions(self) -> Floats:
-        """Approximate motion (i, 3) from each previous robot frame to the next: yaw, x, y."""
-        return self._motions.values
-
-    @property
-    def submaps(self) -> Ints:
-        """Submap of each iteration; (i,), -1 for none."""
-        return self._submaps.values
-
-    @property
-    def measured(self) -> Bools:
-        """Which motions (i,) are determined by walls in all directions."""
-        return self._measured.values
-
-    @property
-    def evidence(self) -> Floats:
-        """Log odds (i,) of each motion; NaN if unknown, infinite if it is by maps."""
-        return self._evidence.values
-
-    @property
-    def bridged(self) -> Bools:
-        """Which motions (i,) are determined by odometry only."""
-        return self._bridged.values
-
-    @property
-    def begun(self) -> Ints:
-        """First iteration (r,) of each further log, as begun by `begin_run`."""
-        return self._begun.values
-
     def begin_submap(self) -> None:
         """Begin a submap with the next scan."""
         self.submap = self._n_submaps
@@ -111,14 +98,14 @@ class LinkRecord:
         pairs of numbers of the same wall.
         """
         self.motions[first] = motion
-        self._evidence.values[first], self.measured[first] = np.inf, True
+        self.evidence[first], self.measured[first] = np.inf, True
         self.same_walls = np.concatenate([self.same_walls, walls])
         self._unite(int(self.submaps[first]), int(self.submaps[scan]))
 
     def _unite(self, old: int, new: int) -> None:
         """Make one submap part of another, after a motion was changed."""
         self.wheels.look_again()
-        self._submaps.values[self.submaps == old] = new
+        self.submaps[self.submaps == old] = new
         self.submap = new if self.submap == old else self.submap
 
     def append(
@@ -146,7 +133,7 @@ class LinkRecord:
         for scan in scans.tolist():
             old = self.submaps[scan]
             later = np.flatnonzero(self.submaps == old)
-            self._submaps.values[later[later >= scan]] = self._n_submaps
+            self.submaps[later[later >= scan]] = self._n_submaps
             self.submap = self._n_submaps if self.submap == old else self.submap
             self._n_submaps += 1
 
@@ -199,7 +186,7 @@ class LinkRecord:
                 link = tied_across(scans, self.submaps, scan, failed if by_beams else None)
                 if link is not None:
                     self._take([link])
-                    self._evidence.values[scan] = BY_BEAMS if by_beams else RIVAL
+                    self.evidence[scan] = BY_BEAMS if by_beams else RIVAL
                     found = True
 
     def _take(self, links: Sequence[Link]) -> None:
@@ -222,7 +209,7 @@ class LinkRecord:
         `poses`, sequence of (i, 4, 4): for the submaps that become one, the poses of all their
         scans in one frame; NaN for other scans. `walls` (k, 2): pairs of numbers of the same wall.
         """
-        submaps = self._submaps.values
+        submaps = self.submaps
         chain = np.linalg.inv(matrices(self.motions))
         every = np.array(list(accumulate(chain, np.matmul)))
         for path in poses:
@@ -240,7 +227,7 @@ class LinkRecord:
                 motion = from_matrices((np.linalg.inv(every[scan]) @ every[before])[None])
                 between = motion_over(self.motions[before + 1 : scan])
                 self.motions[scan] = after(inverse(between), motion)[0]
-                self._evidence.values[scan], self.measured[scan] = np.inf, True
+                self.evidence[scan], self.measured[scan] = np.inf, True
         self.same_walls = np.concatenate([self.same_walls, walls])
 
     def before_join(self) -> dict[str, Any]:
@@ -259,6 +246,6 @@ class LinkRecord:
     def _known(self) -> tuple[Bools, Bools]:
         """Return whether the motion into scans (i,) is accepted, and which to re-evaluate."""
         is_tied = (np.diff(self.submaps, prepend=-2) == 0) & (self.submaps >= 0)
-        in_doubt = ~(is_tied & (self._evidence.values > IN_DOUBT))
+        in_doubt = ~(is_tied & (self.evidence > IN_DOUBT))
         in_doubt[:1] = False
         return is_tied, in_doubt

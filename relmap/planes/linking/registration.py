@@ -16,6 +16,7 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.association import Registration
 from relmap.core.state.growing import GrowingArray
 from relmap.planes.linking.judging import NO_MATCH
+from relmap.planes.linking.link_record import values_of
 from relmap.planes.linking.placement import MEMORY, NO_CORNER, PlaneTracks
 from relmap.planes.linking.scan_links import ScanLinks
 from relmap.planes.scans.corners import CORNER, INTERVAL, LOOSE, UNKNOWN, compared_ends
@@ -47,9 +48,13 @@ class PlaneRegistration(Registration):
     largest error of an unmeasured motion along walls; beyond it a submap ends.
 
     Attributes: `links`: links between scans. `corner`, `landmark` (w, 2): corner at either end of
-    each wall of the last scan, and the landmark used by the map there; -1 for none.
+    each wall of the last scan, and the landmark used by the map there; -1 for none. Of each corner
+    (c,): `half`, metres: half the size of its wall at the first observation; `wall_end`: twice the
+    number of the wall, plus 1 for the left end.
     """
 
+    half: Floats = values_of("_half")
+    wall_end: Ints = values_of("_wall_end")
     _tracks: PlaneTracks | None
     STATE = "_tracks n_planes _half _wall_end _begun_at _type _since links"
 
@@ -65,16 +70,6 @@ class PlaneRegistration(Registration):
         self.n_planes = 0
         self.corner = np.empty((0, 2), dtype=np.int64)
         self.landmark = np.empty((0, 2), dtype=np.int64)
-
-    @property
-    def half(self) -> Floats:
-        """Half the size of its wall at the first observation of each corner; metres."""
-        return self._half.values
-
-    @property
-    def wall_end(self) -> Ints:
-        """Wall end of each corner: twice the number of the wall, plus 1 for the left end."""
-        return self._wall_end.values
 
     def submap_of(self, corners: Ints) -> Ints:
         """Return the submap of corners (k,): that of the scan which showed each first."""

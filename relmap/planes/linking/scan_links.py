@@ -87,10 +87,10 @@ class ScanLinks(LinkRecord):
             self._unsure_m = 0.0
             return found
         if not self._unsure_m:
-            self._unsure_each_m = unsure_m(self.motions[self._measured.values])
+            self._unsure_each_m = unsure_m(self.motions[self.measured])
         self._unsure_m += self._unsure_each_m
         if abs(found.motion[0]) < TURNING:
-            self._unsure_m += slower_m(self.motions[self._measured.values], self.usual)
+            self._unsure_m += slower_m(self.motions[self.measured], self.usual)
         if self._unsure_m > self._bridge_m or self._unsure_each_m > VARYING_M:
             self._unsure_m = 0.0
             return None
@@ -137,7 +137,7 @@ class ScanLinks(LinkRecord):
         self, found: Found, seen: PlaneObservation, beams: Beams, views: list[View], firm: bool
     ) -> bool:
         """Return whether the scan before the last one confirms a motion, if that is doubtful."""
-        evidence = self._evidence.values[-VARYING:]
+        evidence = self.evidence[-VARYING:]
         known = np.sort(np.append(evidence[np.isfinite(evidence)], SURE))
         usual = (known[(len(known) - 1) // 2] + known[len(known) // 2]) / 2
         if found.evidence > max(SURE, USUALLY * usual) or len(views) < 2:
