@@ -62,16 +62,16 @@ def refined_submaps(grouped: GroupedMap, moving: Bools, links: ScanLinks) -> Ref
 
 
 def planned_submaps(
-    refined: RefinedWalls, moving: Bools, beams: BeamStore
+    refined: RefinedWalls, beams: BeamStore
 ) -> tuple[list[WallSubmap], WallNumbers, Ints]:
     """Return refined submaps with the walls of their floor plans, and their association.
 
-    `moving` (p,): plane tracks ignored because they move; `beams`: remove walls that are seen
-    through. Returns also the plane tracks (k,) that do not fit the submaps.
+    `beams`: remove walls that are seen through. Returns also the plane tracks (k,) that do not fit
+    the submaps.
     """
     submaps, numbers, moved = list[WallSubmap](), refined.numbers, [np.empty(0, dtype=np.int64)]
     for submap in refined.submaps:
-        plan, numbers, gone = floor_plan(submap, numbers, refined.history, beams, moving)
+        plan, numbers, gone = floor_plan(submap, numbers, refined.history, beams)
         submaps.append(replace(plan, torn=submap.torn))
         moved.append(gone)
     return submaps, numbers, np.concatenate(moved)
