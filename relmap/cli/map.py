@@ -123,8 +123,7 @@ def command(
         typer.Option(
             metavar="RESULT",
             help="Add the log to the map in this result folder: once a scan is localised in it, "
-            "mapping continues from there. Walls are added if a stretch of 7 m fits in one place "
-            "only.",
+            "mapping continues from there. Walls are added where refinement joins their submaps.",
         ),
     ] = None,
     animate: Annotated[

@@ -161,13 +161,10 @@ class PlaneMapper(LocatingMapper):
         if self._journal is not None:
             values, beams = journaled(seen), seen.beams.to_bytes()
             self._journal.append(values, None, walls, blob=beams, odometry=motion, stamp_s=stamp_s)
-        if self._onto is not None:
-            self._onto.see(seen, self._planes.links)
         return walls
 
     def _finish(self) -> None:
-        self._attach()
-        self._weak = None
+        self._onto, self._weak = False, None
         self._planes.links.tie()
         super()._finish()
         self._planes.links.cut(unsupported_links(self.history, self._planes.links))

@@ -91,17 +91,6 @@ class LinkRecord:
         """Begin another run with the next scan, which is not tied to the last one."""
         self._begun.extend(np.array([len(self)]))
 
-    def attach(self, first: int, motion: Floats, scan: int, walls: Ints) -> None:
-        """Tie a submap to that of another scan, in whose map it was localised.
-
-        `first`: its first scan; `motion` (3,): to that scan, from the one before; `walls` (k, 2):
-        pairs of numbers of the same wall.
-        """
-        self.motions[first] = motion
-        self.evidence[first], self.measured[first] = np.inf, True
-        self.same_walls = np.concatenate([self.same_walls, walls])
-        self._unite(int(self.submaps[first]), int(self.submaps[scan]))
-
     def _unite(self, old: int, new: int) -> None:
         """Make one submap part of another, after a motion was changed."""
         self.wheels.look_again()

@@ -116,13 +116,6 @@ class WallFinder:
             return Place(nowhere, 2)
         return Place(judged.ties[best].matrix, 1)
 
-    def places(self, seen: PlaneObservation) -> Floats:
-        """Return all poses ``T_map_robot`` (k, 4, 4) that explain a scan and do not slide."""
-        judged = self._judged(seen)
-        fitting = [judged.ties[k] for k in np.flatnonzero(judged.fits)]
-        held = [tie.matrix for tie in fitting if tie.across >= ACROSS]
-        return np.array(held).reshape(-1, 4, 4)
-
     def _judged(self, seen: PlaneObservation) -> JudgedPlaces:
         """Return the likely placements of a scan."""
         every = 1 + len(seen.beams.points) // BEAMS

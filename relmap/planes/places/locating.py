@@ -12,9 +12,7 @@ from relmap.core.errors import RelmapError
 from relmap.core.guard import reads_whole
 from relmap.mapper import Place
 from relmap.planes.mapped import MappedWalls
-from relmap.planes.motions import from_matrices
 from relmap.planes.places.finding import WallFinder
-from relmap.planes.places.taking_up import MapOfBefore, RunOnto
 from relmap.planes.scans.observation import PlaneObservation, checked_planes
 from relmap.planes.submaps.grouped_map import KeptFrame
 
@@ -25,13 +23,13 @@ class LocatingMapper(MappedWalls):
 
     _segmenter: Any
     _finder: tuple[object, WallFinder] | None = None
-    _onto: RunOnto | None = None
+    _onto: bool = False
 
     @property
     def tied_at(self) -> int | None:
         """The first iteration of the last log that is in the submap of the map it was added to.
 
-        None if none is. `finish` and `refine` connect them, see `take_up`.
+        None if none is. `refine` connects them, see `take_up`.
         """
         if self._frame is None:
             return None
@@ -64,7 +62,8 @@ class LocatingMapper(MappedWalls):
         seen, latest = self._checked(points, beams), self._guard.latest
         known = self._finder
         if known is None or known[0] is not latest:
-            known = self._finder = latest, MapOfBefore.of(self.planes, self.submaps).finder
+            table = self.planes
+            known = self._finder = latest, WallFinder(table.ends[table.status == "static"])
         return known[1].find(seen)
 
     def localise(self, points: Any, beams: ArrayLike | None = None) -> Floats:
@@ -90,10 +89,8 @@ class LocatingMapper(MappedWalls):
     def take_up(self, points: Any, beams: ArrayLike | None = None) -> bool:
         """Begin another log with the next scan, which may be taken anywhere in the map.
 
-        The log has separate submaps until `finish`. A submap then becomes part of the map if,
-        along 7 m of its path, half of the scans, 0.5 m apart, fit in the map at the same placement
-        of the submap, and no other placement agrees with half as many scans; `refine` may join
-        others. The map keeps its frame, and stays the first of the `submaps`; see `tied_at`.
+        The log has separate submaps until `refine`, which joins those that show the same place as
+        the map. The map keeps its frame, and stays the first of the `submaps`; see `tied_at`.
         Further calls change nothing until `finish`.
 
         Parameters
@@ -113,26 +110,13 @@ class LocatingMapper(MappedWalls):
         """
         if self._journal is not None:
             raise RelmapError("a run that keeps a journal begins with an empty map")
-        seen = self._checked(points, beams)
-        if self._onto is None:
-            submaps = self.submaps
-            before = MapOfBefore.of(self.planes, submaps)
-            frame = KeptFrame.of(submaps, self.n_iterations)
+        is_found = self.locate(points, beams).n_places == 1
+        if not self._onto:
+            frame = KeptFrame.of(self.submaps, self.n_iterations)
             with self._guard.change():
                 self._planes.begin_run()
-                self._onto, self._frame = RunOnto(before), frame
-        return self._onto.before.finder.find(seen).n_places == 1
-
-    def _attach(self) -> None:
-        """Tie the submaps of the last log to the map, where their place is certain."""
-        run, links = self._onto, self._planes.links
-        if run is None:
-            return
-        for first, T_map_first, same in run.ties(links):
-            before = run.before.carried_on(links.motions[:first])
-            into = from_matrices((np.linalg.inv(T_map_first) @ before)[None])[0]
-            links.attach(first, into, run.before.scan, same)
-        self._onto = None
+                self._onto, self._frame = True, frame
+        return is_found
 
     def _segmented(self, points: Any) -> Any:
         if self._segmenter is None:
