@@ -95,10 +95,10 @@ class Assembled:
     """Walls and poses that fit all observations.
 
     `given`: equations with compact numbers of iterations, walls and corners. `typical_m`: noise of
-    a typical single observation of a wall. `iterations`, `walls`, `corners`: original
-    numbers of the compact ones. `rows` (n,): rows of the history. `all_corners` (m,): every corner
-    ever numbered. `settled`: whether the last solution converged. `reach` (w, 2), metres: extent of
-    each wall along itself; None if given by the observations.
+    a typical single observation of a wall. `iterations`, `walls`, `corners`: original numbers of
+    the compact ones. `rows` (n,): rows of the history. `settled`: whether the last solution
+    converged. `reach` (w, 2), metres: extent of each wall along itself; None if given by the
+    observations.
     """
 
     given: WallEquations
@@ -108,7 +108,6 @@ class Assembled:
     walls: Ints
     corners: Ints
     rows: Ints
-    all_corners: Ints
     settled: bool = True
     reach: Floats | None = None
 
@@ -194,8 +193,7 @@ def assemble(
     given = WallEquations(iteration, wall, ends, sd, row, end, corner, corner_sd, missed_m, motions)
     state = laid_out(given, poses[iterations])
     typical = float(np.median(history.sd[rows]))
-    every = np.arange(len(numbers.corner_of))
-    return Assembled(given, typical, state, iterations, walls, corners, rows, every)
+    return Assembled(given, typical, state, iterations, walls, corners, rows)
 
 
 def _missed_m(iteration: Ints, ends: Floats, spacing_rad: float) -> Floats:

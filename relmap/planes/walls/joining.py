@@ -35,10 +35,8 @@ def join_walls(assembled: Assembled, numbers: WallNumbers) -> WallNumbers:
     """Return the association with collinear tracks joined, and false corners removed (-1)."""
     low, high = wall_extents(assembled)
     first = first_of(len(assembled.walls), _pairs(assembled, low, high))
-    corner_of = joined_corners(assembled, first)
     return WallNumbers(
-        _renamed(assembled, numbers, first),
-        np.where(numbers.corner_of < 0, -1, corner_of[numbers.corner_of]),
+        _renamed(assembled, numbers, first), _joined_corners(assembled, numbers.corner_of, first)
     )
 
 
@@ -84,7 +82,8 @@ def _pairs(assembled: Assembled, low: Floats, high: Floats) -> Ints:
     across = (offset * normal[a]).sum(axis=1) + (middle - shift) * tilt
     if not len(a):
         return np.empty((0, 2), dtype=np.int64)  # not supported by scipy's sparse arrays
-    both = np.asarray(seen_together(assembled)[a, b] > 0).reshape(-1)
+    seen = seen_in(assembled)
+    both = np.asarray((seen @ seen.T).tocsr()[a, b] > 0).reshape(-1)
     limit = np.where(both, BESIDE_M, ACROSS_M)
     on_one_another = (end - begin >= OVERLAP * shorter) & (np.abs(across) <= limit)
     return np.column_stack([a[on_one_another], b[on_one_another]])
@@ -112,18 +111,14 @@ def seen_in(assembled: Assembled) -> Any:
     return coo_array((np.ones(len(given.wall)), (given.wall, given.iteration)), shape).tocsr()
 
 
-def seen_together(assembled: Assembled) -> Any:
-    """Return in how many scans each pair of walls was seen together; a sparse array (w, w)."""
-    seen = seen_in(assembled)
-    return (seen @ seen.T).tocsr()
+def _joined_corners(assembled: Assembled, corner_of: Ints, wall_of: Ints) -> Ints:
+    """Return the corner (c,) of every corner number after walls are joined; -1 if it is none.
 
-
-def joined_corners(assembled: Assembled, wall_of: Ints) -> Ints:
-    """Return the corner of every corner number; -1 if it is none."""
+    `corner_of` (c,): the same before; `wall_of` (w,): the wall that each became part of.
+    """
     given, corners = assembled.given, assembled.corners
-    every = np.arange(1 + int(max(corners.max(initial=-1), assembled.all_corners.max(initial=-1))))
     if not len(corners):
-        return every
+        return corner_of
     count = np.bincount(given.corner, minlength=len(corners))
     end = np.zeros(len(corners), dtype=np.int64)
     end[given.corner] = given.corner_end
@@ -140,8 +135,9 @@ def joined_corners(assembled: Assembled, wall_of: Ints) -> Ints:
             else:
                 taken.append(row)
     beyond = _times_seen_beyond(assembled, wall_of, wall, place)
+    every = np.arange(len(corner_of))
     every[corners] = np.where((beyond > count)[same], -1, corners[same])
-    return every
+    return np.where(corner_of < 0, -1, every[corner_of])
 
 
 def _times_seen_beyond(assembled: Assembled, wall_of: Ints, wall: Ints, place: Floats) -> Ints:
