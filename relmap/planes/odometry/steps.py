@@ -151,7 +151,7 @@ def steps_of(
         n = max(round(way[known & ~hanging].sum() / length), 1)
         sd = np.array([found.sigma_rad, found.sigma_way * length])
         variance = np.maximum(way, STILL_M)[:, None] / length * sd**2
-        steps = _again(found, steps)
+        steps = corrected(found, matrices(steps))
     # Systematic errors, unlike noise, grow linearly with the length of the run of steps that hang.
     run = np.cumsum(np.diff(hanging, prepend=False))
     together = np.bincount(run, np.nan_to_num(way) * hanging)[run]
@@ -210,14 +210,7 @@ def stretches(steps: Floats, true: Floats, way_m: Floats, length_m: float) -> tu
 
 def corrected(noise: MotionNoise, steps: Floats) -> Floats:
     """Return planar steps (k, 4, 4) without the systematic errors (k, 3): yaw, x, y."""
-    return _again(noise, from_matrices(steps))
-
-
-def _again(noise: MotionNoise, steps: Floats) -> Floats:
-    """Return steps (k, 3) without systematic errors."""
-    way = np.hypot(steps[:, 1], steps[:, 2])
-    yaw = steps[:, 0] + way * noise.turn_per_m[2]
-    return np.column_stack([yaw, noise.scale * steps[:, 1:]])
+    return from_matrices(noise.corrected(steps))
 
 
 def path_of(steps: Floats) -> Floats:

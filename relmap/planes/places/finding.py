@@ -68,19 +68,14 @@ class JudgedPlaces:
         return self.explained + self.share
 
     @property
-    def fits(self) -> Bools:
-        """Which placements explain the scan, (k,)."""
-        enough = (self.overlap_m >= LEAST_M) & (self.share >= SHARE)
-        return enough & (self.explained >= EXPLAINED)
-
-    @property
     def may_fit(self) -> Bools:
         """Which placements (k,) explain the scan, if no other one scores nearly as well."""
+        long, explained = self.overlap_m >= LEAST_M, self.explained
+        fits = long & (self.share >= SHARE) & (explained >= EXPLAINED)
         if self.n_walls < FEW:
-            return self.fits & (self.explained >= WHOLLY)
-        enough = (self.overlap_m >= LEAST_M) & (self.share >= LOW_SHARE)
-        explained = (self.explained >= LOW_EXPLAINED) & (self.through <= THROUGH)
-        return self.fits | enough & explained
+            return fits & (explained >= WHOLLY)
+        low = long & (self.share >= LOW_SHARE) & (explained >= LOW_EXPLAINED)
+        return fits | low & (self.through <= THROUGH)
 
     def has_rival(self, best: int) -> bool:
         """Return whether another placement scores nearly as well as the best one."""
