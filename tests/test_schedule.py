@@ -54,6 +54,19 @@ def test_one_that_found_no_group_is_due_again_after_as_many_more() -> None:
     assert tried == [AFTER, 2 * AFTER]
 
 
+@pytest.mark.parametrize(("unplaced", "due"), [(2, []), (3, [17, 18, 19])])
+def test_a_few_without_a_position_wait_for_a_higher_level(unplaced: int, due: list[int]) -> None:
+    schedule, table = begun()
+    see(schedule, table, list(range(20)), 0)
+    table.weight[: 20 - unplaced] = 1.0
+    for k in range(1, 3 * AFTER):
+        see(schedule, table, list(range(20)), k)
+        if k == 2 * AFTER - 1:
+            queued = iter(schedule.next_due, None)
+            assert sorted(seed for seed, level in queued if level == 1) == due
+    assert sorted(seed for seed, _ in iter(schedule.next_due, None)) == list(range(20))
+
+
 def test_lower_levels_come_first_and_then_those_seen_longest() -> None:
     schedule, table = begun()
     for k in range(3 * AFTER):

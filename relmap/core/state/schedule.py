@@ -14,13 +14,17 @@ LONGEST_INTERVAL = 128
 """Maximum number of iterations kept, even if a landmark has found no group."""
 RIPE = 0.75
 """Fraction of the longest interval above which one is complete when a neighbour's is."""
+FEW = 0.1
+"""Fraction of the landmarks in view up to which those without a position wait for a group of a
+higher level."""
 
 
 class GroupingSchedule:
     """The current interval of each landmark, and which landmarks are due at which level.
 
-    A landmark is due at level 1 after a few observations, at level 2 when there are enough to
-    detect motion, and at level 3 when it has left the view and its whole interval is known.
+    A landmark without a position is due at level 1 after a few observations, every landmark at
+    level 2 when there are enough to detect motion, and at level 3 when it has left the view and its
+    whole interval is known.
 
     `config`: when each level is due; level 3 waits for the end of the interval, but at most
     `third_pass`: the observations of a landmark that stays in view are split into several
@@ -67,9 +71,9 @@ class GroupingSchedule:
         from relmap.core.state.seeing_kernels import see
 
         of, waiting = self._table, (self._in_view, self._gone)
-        columns = of.last, of.observations, of.in_interval, of.is_gone, of.begin, of.level
+        columns = of.last, of.observations, of.in_interval, of.is_gone, of.begin, of.level, of.weight
         self._in_view, self._gone, left, ready, self._first = see(
-            columns, landmarks, waiting, iteration, self._max_missed, self._thresholds
+            columns, landmarks, waiting, iteration, self._max_missed, self._thresholds, FEW
         )
         if len(ready):
             fresh = ready[~np.isin(ready, self._due)] if len(self._due) else ready
@@ -86,7 +90,8 @@ class GroupingSchedule:
         from relmap.core.state.seeing_kernels import due
 
         of = self._table
-        self._due, level = due(of.in_interval, of.level, self._due, self._thresholds, 1)
+        columns = of.in_interval, of.level, of.weight
+        self._due, level = due(columns, self._due, self._thresholds, 1, -1.0, self._due)
         if not len(self._due):
             return None
         counts, begin = self._table.in_interval[self._due], self._table.begin[self._due]

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from relmap.core.arrays import Bools, Ints
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.linalg.compiling import compiled, helper
 
-Columns = tuple[Ints, Ints, Ints, Bools, Ints, Ints]
-"""Of the landmark table: last, observations, in_interval, is_gone, begin, level."""
+Columns = tuple[Ints, Ints, Ints, Bools, Ints, Ints, Floats]
+"""Of the landmark table: last, observations, in_interval, is_gone, begin, level, weight."""
 
 
 @compiled
@@ -28,20 +28,31 @@ def enter(columns: tuple[Ints, Ints, Ints], tracks: Ints, iteration: int) -> Int
 
 @compiled
 def due(
-    in_interval: Ints, level: Ints, landmarks: Ints, thresholds: Ints, every: int
+    columns: tuple[Ints, Ints, Floats],
+    landmarks: Ints,
+    thresholds: Ints,
+    every: int,
+    few: float,
+    in_view: Ints,
 ) -> tuple[Ints, Ints]:
     """Return the landmarks (k,) whose level is below that of their observations, and that level.
 
-    Only those with a multiple of so many observations.
+    Only those with a multiple of so many observations. Level 1 is for landmarks without a position,
+    if they are more than a few of those `in_view` (n,), as a fraction. `columns`, of the landmark
+    table: in_interval, level, weight.
     """
-    most, n = len(landmarks), 0
+    in_interval, level, weight = columns
+    most, n, least = len(landmarks), 0, few * len(in_view)
     found, levels = np.empty(most, dtype=np.int64), np.empty(most, dtype=np.int64)
+    for one in in_view:
+        least -= weight[one] == 0
     for one in landmarks:
         if in_interval[one] % every == 0:
             reached = 0
             for threshold in thresholds:
                 reached += in_interval[one] >= threshold
-            if reached > level[one]:
+            is_needed = reached > 1 or (weight[one] == 0 and least < 0)
+            if is_needed and reached > level[one]:
                 found[n], levels[n], n = one, reached, n + 1
     return found[:n], levels[:n]
 
@@ -62,6 +73,7 @@ def see(
     iteration: int,
     max_missed: int,
     thresholds: Ints,
+    few: float,
 ) -> tuple[Ints, Ints, Ints, Ints, int]:
     """Record that landmarks (k,) are seen.
 
@@ -69,7 +81,7 @@ def see(
     allowed, and those that left (g,). Returns both as they are now, those that left now, those that
     have become due, and the first iteration of the intervals of all that are in view or have left.
     """
-    last, observations, in_interval, is_gone, begin, level = columns
+    last, observations, in_interval, is_gone, begin, level, weight = columns
     in_view, before = waiting
     n, n_left, n_arrived = len(in_view), 0, 0
     arrived, left = np.empty(len(landmarks), dtype=np.int64), np.empty(n, dtype=np.int64)
@@ -98,5 +110,6 @@ def see(
         now[n_now + k] = arrived[k]
     now, gone = now[: n_now + n_arrived], gone[:n_gone]
     first = _earliest(begin, gone, _earliest(begin, now, iteration + 1))
-    ready, _ = due(in_interval, level, landmarks, thresholds, thresholds[0])
+    own = in_interval, level, weight
+    ready, _ = due(own, landmarks, thresholds, thresholds[0], few, now)
     return now, gone, left[:n_left], ready, first
