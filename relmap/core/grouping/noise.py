@@ -14,6 +14,8 @@ RAISED = 1.8
 """Factor from the variance at the upper end of that fraction to a typical one."""
 RIGID = 1e-9
 """Deviation, as a fraction of a distance, below which the distance is exact by construction."""
+MEMBERS = 64
+"""Maximum number of members of a group used; more would hardly improve the estimate."""
 PAIRED = 40
 """Number of landmarks used for a first guess."""
 
@@ -46,14 +48,15 @@ class NoiseEstimate:
 
     def add(self, block: Floats) -> None:
         """Add a group's observations (g, i, d), robot frame, metres."""
-        g, n = block.shape[:2]
+        few = np.ascontiguousarray(block[:: -(-len(block) // MEMBERS)])
+        g, n = few.shape[:2]
         freedoms = (g - 1) * (n - 1)
         if freedoms == 0:
             return
         from relmap.core.grouping.averaging_kernels import steady_variance
 
         # The median of chi-square over its mean (Wilson and Hilferty, 1931).
-        typical = steady_variance(block, (1 - 2 / (9 * (n - 1))) ** 3)
+        typical = steady_variance(few, (1 - 2 / (9 * (n - 1))) ** 3)
         self._squares = FORGETTING * self._squares + typical * freedoms
         self._freedoms = FORGETTING * self._freedoms + freedoms
 
