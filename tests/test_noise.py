@@ -37,6 +37,11 @@ def estimated(blocks: list[Floats]) -> float:
     return noise.sigma_m
 
 
+def test_of_a_large_group_every_so_many_members_are_used() -> None:
+    block = seen_block(640, 10, 3, np.random.default_rng(0))
+    assert estimated([block]) == estimated([block[::10]]) == pytest.approx(SIGMA, rel=0.05)
+
+
 @both_dimensions
 @pytest.mark.parametrize(("g", "i"), [(4, 10), (4, 40), (10, 4), (10, 10), (40, 10)])
 def test_estimate_is_unbiased(d: int, g: int, i: int) -> None:

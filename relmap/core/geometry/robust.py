@@ -13,6 +13,8 @@ CHI_MEDIAN = {2: 1.177, 3: 1.538}
 """Median length of a standard normal vector."""
 EXACT = 1e-9
 """Residual, as a fraction of the map's size, treated as rounding."""
+MANY = 1000
+"""Values from which numpy's median is faster."""
 ROUNDS = 8
 """Iterations towards the least sum of distances: with one outlier in five, each divides the error
 by four."""
@@ -30,7 +32,8 @@ def limit_of(residual: Floats, dimension: int, size: float) -> float:
     `residual` (n,), metres: lengths, each normalised by its number of observations; `dimension`: 2
     or 3; `size`: size of the map, metres.
     """
-    scale = float(np.median(residual)) / CHI_MEDIAN[dimension] if len(residual) else 0.0
+    middle = median if len(residual) < MANY else np.median
+    scale = float(middle(residual)) / CHI_MEDIAN[dimension] if len(residual) else 0.0
     return max(OUTLIER * scale, EXACT * size, 1e-300)
 
 

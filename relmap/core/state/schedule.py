@@ -71,7 +71,8 @@ class GroupingSchedule:
         from relmap.core.state.seeing_kernels import see
 
         of, waiting = self._table, (self._in_view, self._gone)
-        columns = of.last, of.observations, of.in_interval, of.is_gone, of.begin, of.level, of.weight
+        counts = of.last, of.observations, of.in_interval
+        columns = *counts, of.is_gone, of.begin, of.level, of.weight
         self._in_view, self._gone, left, ready, self._first = see(
             columns, landmarks, waiting, iteration, self._max_missed, self._thresholds, FEW
         )
