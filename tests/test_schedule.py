@@ -54,7 +54,7 @@ def test_one_that_found_no_group_is_due_again_after_as_many_more() -> None:
     assert tried == [AFTER, 2 * AFTER]
 
 
-@pytest.mark.parametrize(("unplaced", "due"), [(2, []), (3, [17, 18, 19])])
+@pytest.mark.parametrize(("unplaced", "due"), [(2, []), (3, list(range(20)))])
 def test_a_few_without_a_position_wait_for_a_higher_level(unplaced: int, due: list[int]) -> None:
     schedule, table = begun()
     see(schedule, table, list(range(20)), 0)

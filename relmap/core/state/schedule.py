@@ -15,16 +15,15 @@ LONGEST_INTERVAL = 128
 RIPE = 0.75
 """Fraction of the longest interval above which one is complete when a neighbour's is."""
 FEW = 0.1
-"""Fraction of the landmarks in view up to which those without a position wait for a group of a
-higher level."""
+"""Fraction of the landmarks in view up to which those without a position wait: a group of a higher
+level places them soon. Level 1 is due only if there are more."""
 
 
 class GroupingSchedule:
     """The current interval of each landmark, and which landmarks are due at which level.
 
-    A landmark without a position is due at level 1 after a few observations, every landmark at
-    level 2 when there are enough to detect motion, and at level 3 when it has left the view and its
-    whole interval is known.
+    A landmark is due at level 1 after a few observations, at level 2 when there are enough to
+    detect motion, and at level 3 when it has left the view and its whole interval is known.
 
     `config`: when each level is due; level 3 waits for the end of the interval, but at most
     `third_pass`: the observations of a landmark that stays in view are split into several

@@ -37,9 +37,9 @@ def due(
 ) -> tuple[Ints, Ints]:
     """Return the landmarks (k,) whose level is below that of their observations, and that level.
 
-    Only those with a multiple of so many observations. Level 1 is for landmarks without a position,
-    if they are more than a few of those `in_view` (n,), as a fraction. `columns`, of the landmark
-    table: in_interval, level, weight.
+    Only those with a multiple of so many observations. Level 1 waits while at most a few of those
+    `in_view` (n,), as a fraction, have no position. `columns`, of the landmark table: in_interval,
+    level, weight.
     """
     in_interval, level, weight = columns
     most, n, least = len(landmarks), 0, few * len(in_view)
@@ -51,8 +51,7 @@ def due(
             reached = 0
             for threshold in thresholds:
                 reached += in_interval[one] >= threshold
-            is_needed = reached > 1 or (weight[one] == 0 and least < 0)
-            if is_needed and reached > level[one]:
+            if reached > level[one] and (reached > 1 or least < 0):
                 found[n], levels[n], n = one, reached, n + 1
     return found[:n], levels[:n]
 
