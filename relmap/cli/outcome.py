@@ -75,7 +75,7 @@ def report(job: Job) -> None:
         trust = summary["association_trust"]
         has_ids = summary["association"] == "known"
         warning = doubtful(summary["refinement"], trust["contradicting"], has_ids)
-        warning += leapt(trust["leaps"]) + crept(trust["creep_m"])
+        warning += leapt(trust["leaps"]) + crept(trust["creep_m"]) + missed(summary["submaps"])
     typer.echo(f"{message}{still(run.result.poses)}{warning}")
     if job.onto and job.association == "nearest" and summary["tied_at"] is None:
         typer.echo(
@@ -280,6 +280,20 @@ def crept(creep_m: float | None) -> str:
         f"\nWARNING: in the map landmarks move by about {creep_m:.1g} m per iteration along one "
         "direction: it may be wrong, as many may move slowly together, or the observations have "
         "systematic errors"
+    )
+
+
+def missed(submaps: list[dict[str, Any]]) -> str:
+    """Return a warning that scans contradict submaps of points, as `leapt` does."""
+    found = [(k, one["contradicted_at"]) for k, one in enumerate(submaps)]
+    at = [f"{iteration} (submap {k})" for k, iteration in found if iteration is not None]
+    if not at:
+        return ""
+    more = ", ..." if len(at) > FEW else ""
+    return (
+        f"\nWARNING: landmarks that should be in view are not seen in iteration"
+        f"{'s' * (len(at) > 1)} {', '.join(at[:FEW])}{more}: places that look the same may have "
+        "been taken for one, or many landmarks were removed"
     )
 
 

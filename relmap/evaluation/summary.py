@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.odometry import OdometryUse
+from relmap.core.readout import contradicted_at
 from relmap.core.refinement.joint import Refined
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.scans import ScanLog
@@ -59,6 +60,8 @@ def summary_of(
         steps = steps_of(paths, np.append(mapper.weak_links, mapper.begun), view_rad)
         free = mapper.weak_directions.tolist()
         return summary | {"weak_links": weak, "weak_directions": free, "steps": steps}
+    for row, at in zip(summary["submaps"], contradicted_at(mapper.engine), strict=True):
+        row["contradicted_at"] = None if at is None else offset + at
     if summary["refinement"] is not None:
         engine = mapper.engine
         # With odometry, one landmark in a scan may be enough for a map, but not for a segment.
