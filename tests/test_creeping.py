@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from relmap import PointMapper
-from relmap.cli.outcome import crept
+from relmap.cli.warned import crept
 from relmap.core.readout import creep
 from tests.worlds import turn
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from relmap import PointMapper
-from relmap.cli.outcome import doubtful, overruled
+from relmap.cli.outcome import overruled
+from relmap.cli.warned import doubtful
 from relmap.comparison.baselines.batch import Batch, batch_least_squares
 from relmap.core.arrays import Floats, Ints
 from relmap.datasets import ObservationLog

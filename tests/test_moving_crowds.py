@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from relmap import PointMapper
-from relmap.cli.outcome import OUTLYING
+from relmap.cli.warned import OUTLYING
 from relmap.core.geometry.alignment import fit_rigid
 from relmap.evaluation.metrics import majority_ids
 from relmap.evaluation.run import run_mapper

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from relmap import PointMapper
-from relmap.cli.outcome import MISREAD
+from relmap.cli.warned import MISREAD
 from relmap.core.arrays import Floats, Ints
 from relmap.datasets import ObservationLog
 from relmap.evaluation.run import Run, map_log

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from relmap import PointMapper
-from relmap.cli.outcome import doubted, leapt
+from relmap.cli.outcome import doubted
+from relmap.cli.warned import leapt
 from relmap.core.arrays import Floats
 from relmap.core.readout import gaps
 from relmap.datasets import ObservationLog

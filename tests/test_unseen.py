@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from relmap import PointMapper
-from relmap.cli.outcome import missed
+from relmap.cli.warned import missed
 from relmap.core.arrays import Floats
 from relmap.core.readout import contradicted_at
 from tests.worlds import turn

@@ -179,3 +179,8 @@ def figure(value: float | None, kind: str = "") -> str:
     if kind == "share":
         return f"{100 * value:.0f} %"
     return f"{value:.2g}" if kind == "time" else f"{value:.4f}"
+
+
+def counted(n: int, what: str = "scan") -> str:
+    """Return a number of scans, or others, as part of a message."""
+    return f"{n} {what}{'' if n == 1 else 's'}"

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 import typer
 
-from relmap.cli.console import INTERRUPTED, lasting
+from relmap.cli.console import INTERRUPTED, counted, lasting
 from relmap.cli.job import Job
 from relmap.cli.mapping import map_log
+from relmap.cli.warned import warned
 from relmap.core.arrays import Floats
 from relmap.core.refinement.hinges import DOMINANT
 from relmap.io.results import Result
@@ -21,16 +22,8 @@ FEWEST = 4
 """Scans that must show a wall of the map; smaller submaps are never refined."""
 WHOLE = 0.9
 """Minimum fraction of the scans in the largest submap of an unbroken run."""
-CONTRADICTED = 0.1
-"""Noise, as a fraction of the distance of the landmarks, that no sensor of landmarks has."""
 STILL_SCANS, STILL_M, STILL_RAD = 10, 0.1, 0.05
 """Fewest scans that show that a robot stood still, and the largest error of its poses then."""
-MISREAD = 0.04
-"""Fraction of the observations contradicting their ids above which a map may be wrong: of 49
-simulated ones one of 12 with 2 % wrong ids was, 3 of 13 with 5 %, 5 of 14 with 10 %, 8 of 10 with
-20 %."""
-OUTLYING = 0.02
-"""The same without ids: of right maps at most 0.016, with the noise of a stereo camera."""
 FEW = 5
 """Most iterations that a message lists."""
 NOTHING = (
@@ -72,10 +65,7 @@ def report(job: Job) -> None:
             f"{each(timing['median_ms'])}{took}{untied(counts, len(run.result.submaps) - 1)}"
             f"{'' if counts['mapped'] else NOTHING}{doubted(summary)}{overruled(summary)}{hanging}"
         )
-        trust = summary["association_trust"]
-        has_ids = summary["association"] == "known"
-        warning = doubtful(summary["refinement"], trust["contradicting"], has_ids)
-        warning += leapt(trust["leaps"]) + crept(trust["creep_m"]) + missed(summary["submaps"])
+        warning = warned(summary)
     typer.echo(f"{message}{still(run.result.poses)}{warning}")
     if job.onto and job.association == "nearest" and summary["tied_at"] is None:
         typer.echo(
@@ -160,11 +150,6 @@ def broken(summary: dict[str, Any]) -> str:
     if not summary["counts"]["planes_static"]:
         return f"{parts}, the largest of {of}"
     return f"{parts}: the largest, of {of}, is the map"
-
-
-def counted(n: int, what: str = "scan") -> str:
-    """Return a number of scans, or others, as part of a message."""
-    return f"{n} {what}{'' if n == 1 else 's'}"
 
 
 def advice(summary: dict[str, Any]) -> str:
@@ -257,73 +242,3 @@ def untied(counts: dict[str, int], submaps: int) -> str:
     placed = counts["iterations"] - counts["iterations_without_pose"]
     apart = f"; {counted(submaps, 'submap')} could not be connected to the map"
     return f"{apart}, in which {placed} of {counted(counts['iterations'])} have a pose"
-
-
-def leapt(leaps: dict[str, Any] | None) -> str:
-    """Return a warning that the robot leaps in the map, as a line after a message."""
-    if not leaps or not leaps["count"]:
-        return ""
-    (before, after), others = leaps["steps"][0], leaps["count"] - 1
-    more = f", and {counted(others, 'time')} more" if others else ""
-    return (
-        f"\nWARNING: in the map the robot leaps {leaps['way_m'][0]:.1f} m from iteration {before} "
-        f"to {after}{more}: unless it was carried there, places that look the same were taken for "
-        "one"
-    )
-
-
-def crept(creep_m: float | None) -> str:
-    """Return a warning that landmarks creep in the map, metres per iteration, as `leapt` does."""
-    if not creep_m:
-        return ""
-    return (
-        f"\nWARNING: in the map landmarks move by about {creep_m:.1g} m per iteration along one "
-        "direction: it may be wrong, as many may move slowly together, or the observations have "
-        "systematic errors"
-    )
-
-
-def missed(submaps: list[dict[str, Any]]) -> str:
-    """Return a warning that scans contradict submaps of points, as `leapt` does."""
-    found = [(k, one["contradicted_at"]) for k, one in enumerate(submaps)]
-    at = [f"{iteration} (submap {k})" for k, iteration in found if iteration is not None]
-    if not at:
-        return ""
-    more = ", ..." if len(at) > FEW else ""
-    return (
-        f"\nWARNING: landmarks that should be in view are not seen in iteration"
-        f"{'s' * (len(at) > 1)} {', '.join(at[:FEW])}{more}: places that look the same may have "
-        "been taken for one, or many landmarks were removed"
-    )
-
-
-def doubtful(
-    refinement: dict[str, Any] | None, contradicting: float | None, has_ids: bool = True
-) -> str:
-    """Return a warning that the map may be wrong, as a line after a message.
-
-    `contradicting`: fraction of the observations that contradict their ids or the map.
-    """
-    if refinement and refinement["noise_m"] > CONTRADICTED * refinement["median_range_m"]:
-        noise_m, range_m = refinement["noise_m"], refinement["median_range_m"]
-        return (
-            f"\nWARNING: the observations contradict the map by {noise_m:.2g} m (standard "
-            f"deviation), at distances of {range_m:.2g} m in the median, so it is probably wrong; "
-            "check the ids, or map without them"
-        )
-    if contradicting is not None and not has_ids and contradicting > OUTLYING:
-        return (
-            f"\nWARNING: {100 * contradicting:.1f} % of the observations contradict the map: it "
-            "may be wrong, as where most landmarks in view move, or many move slowly together"
-        )
-    if contradicting is not None and has_ids and contradicting > MISREAD:
-        return (
-            f"\nWARNING: {100 * contradicting:.0f} % of the observations contradict their ids or "
-            "the map: it may be wrong; check the ids, or compare with a map without them"
-        )
-    if not refinement or refinement["converged"]:
-        return ""
-    return (
-        "\nWARNING: the refinement did not converge, so the map is the best one found and may be "
-        "wrong; check for wrong ids or matches, or compare with --no-refine"
-    )
