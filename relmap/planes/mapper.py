@@ -246,7 +246,7 @@ class PlaneMapper(LocatingMapper):
         found = refined_submaps(replace(self._grouped, known=known), self._moving, links)
         torn = torn_in(found.submaps, self.history)
         if keep or not len(torn):
-            submaps, numbers, self._moved = planned_submaps(found, links.beams)
+            submaps, numbers, self._moved = planned_submaps(found, self._moving, links.beams)
             self._refined_walls = submaps, numbers
         return torn
 

@@ -14,6 +14,7 @@ import numpy as np
 from relmap.core.arrays import Bools, Ints
 from relmap.planes.plan.evidence import BIN_M, Stretches, stretches_of
 from relmap.planes.plan.pieces import SHORTEST_M, Pieces, met, with_corners, without_clutter
+from relmap.planes.plan.regrouping import regrouped
 from relmap.planes.scans.beams import BeamStore
 from relmap.planes.submaps.submap import WallSubmap
 from relmap.planes.walls.assembly import OFTEN, Assembled, WallNumbers, directions
@@ -30,55 +31,24 @@ GAP_M = 0.5
 """A gap longer than this is kept even if no beam passed through."""
 DOUBLED_M, PARALLEL = 0.12, np.cos(np.deg2rad(12.0))
 """Distance and rotation (cosine) up to which a wall is a duplicate of another."""
-SCATTER_M, SCATTER, MOSTLY = 0.08, 6.0, 0.75
-"""A track moved if more than a quarter of its observations are farther from its line than this, in
-metres and in typical distances."""
-SLID_M = 0.25
-"""The same for a corner along that line."""
 
 
 def floor_plan(
-    submap: WallSubmap, numbers: WallNumbers, history: PlaneHistory, beams: BeamStore
+    submap: WallSubmap, numbers: WallNumbers, history: PlaneHistory, beams: BeamStore, moving: Bools
 ) -> tuple[WallSubmap, WallNumbers, Ints]:
     """Return a submap with only the walls of its floor plan; one without walls unchanged.
 
-    `numbers`: its association; `beams`: if empty, only the observed walls are used. Returns `moved`
-    (m,): tracks found to have moved, which are not among the walls.
+    `numbers`: its association; `beams`: if empty, only the observed walls are used; `moving` (p,):
+    plane tracks that move. Returns `moved` (m,): tracks found to have moved.
     """
-    walls = submap.assembled
-    if walls is None:
+    if submap.assembled is None:
         return submap, numbers, np.empty(0, dtype=np.int64)
-    moved = _moved(walls, history)
-    still = ~np.isin(history.plane[walls.rows], moved)
-    walls = walls.only(still) if still.any() else walls
+    walls, numbers, moved = regrouped(submap, numbers, history, moving)
     stretches = stretches_of(walls, submap.poses, submap.span, beams)
     pieces = with_corners(_pieces(stretches, _standing(stretches)), walls)
     pieces = without_clutter(met(pieces, stretches), stretches)
     drawn, numbers = drawn_walls(walls, pieces, numbers, history)
     return WallSubmap.of(submap.span, submap.poses, drawn, submap.refined), numbers, moved
-
-
-def _moved(assembled: Assembled, history: PlaneHistory) -> Ints:
-    """Return the tracks that do not keep to their lines, or whose corners slide along them."""
-    from relmap.core.linalg.order_kernels import medians, quantiles
-
-    given, track = assembled.given, history.plane[assembled.rows]
-    tracks, of = np.unique(track, return_inverse=True)
-    ends = placed_ends(assembled)
-    x, y = (np.bincount(of, axis) for axis in (ends[:, 1] - ends[:, 0]).T)
-    normal, along = (each[of] for each in directions(np.arctan2(x, -y)))
-    across = np.einsum("nei,ni->ne", ends, normal)
-    off = np.abs(across - medians(of, across.mean(axis=1))[of][:, None]).max(axis=1)
-    row, end = given.corner_row, given.corner_end
-    corners, corner = np.unique(history.corner[assembled.rows[row], end], return_inverse=True)
-    place = (ends[row, end] * along[row]).sum(axis=1)
-    slid = np.abs(place - medians(corner, place)[corner])
-    owner = np.zeros(len(corners), dtype=np.int64)
-    owner[corner] = track[row]
-    limit_m = max(SCATTER_M, SCATTER * float(np.median(off)))
-    scattered = quantiles(of, off, MOSTLY) > limit_m
-    slides = quantiles(corner, slid, MOSTLY) > max(SLID_M, limit_m)
-    return np.union1d(tracks[scattered], owner[slides])
 
 
 def _standing(walls: Stretches) -> Bools:

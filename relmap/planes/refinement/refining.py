@@ -62,16 +62,16 @@ def refined_submaps(grouped: GroupedMap, moving: Bools, links: ScanLinks) -> Ref
 
 
 def planned_submaps(
-    refined: RefinedWalls, beams: BeamStore
+    refined: RefinedWalls, moving: Bools, beams: BeamStore
 ) -> tuple[list[WallSubmap], WallNumbers, Ints]:
     """Return refined submaps with the walls of their floor plans, and their association.
 
-    `beams`: remove walls that are seen through. Returns also the plane tracks (k,) that do not fit
-    the submaps.
+    `moving` (p,): plane tracks ignored because they move; `beams`: remove walls that are seen
+    through. Returns also the plane tracks (k,) that do not fit the submaps.
     """
     submaps, numbers, moved = list[WallSubmap](), refined.numbers, [np.empty(0, dtype=np.int64)]
     for submap in refined.submaps:
-        plan, numbers, gone = floor_plan(submap, numbers, refined.history, beams)
+        plan, numbers, gone = floor_plan(submap, numbers, refined.history, beams, moving)
         submaps.append(replace(plan, torn=submap.torn))
         moved.append(gone)
     return submaps, numbers, np.concatenate(moved)

@@ -36,7 +36,7 @@ def join_walls(assembled: Assembled, numbers: WallNumbers) -> WallNumbers:
     low, high = wall_extents(assembled)
     first = first_of(len(assembled.walls), _pairs(assembled, low, high))
     return WallNumbers(
-        _renamed(assembled, numbers, first), _joined_corners(assembled, numbers.corner_of, first)
+        _renamed(assembled, numbers, first), joined_corners(assembled, numbers.corner_of, first)
     )
 
 
@@ -82,8 +82,7 @@ def _pairs(assembled: Assembled, low: Floats, high: Floats) -> Ints:
     across = (offset * normal[a]).sum(axis=1) + (middle - shift) * tilt
     if not len(a):
         return np.empty((0, 2), dtype=np.int64)  # not supported by scipy's sparse arrays
-    seen = seen_in(assembled)
-    both = np.asarray((seen @ seen.T).tocsr()[a, b] > 0).reshape(-1)
+    both = np.asarray(seen_together(assembled)[a, b] > 0).reshape(-1)
     limit = np.where(both, BESIDE_M, ACROSS_M)
     on_one_another = (end - begin >= OVERLAP * shorter) & (np.abs(across) <= limit)
     return np.column_stack([a[on_one_another], b[on_one_another]])
@@ -111,7 +110,13 @@ def seen_in(assembled: Assembled) -> Any:
     return coo_array((np.ones(len(given.wall)), (given.wall, given.iteration)), shape).tocsr()
 
 
-def _joined_corners(assembled: Assembled, corner_of: Ints, wall_of: Ints) -> Ints:
+def seen_together(assembled: Assembled) -> Any:
+    """Return in how many scans each pair of walls was seen together; a sparse array (w, w)."""
+    seen = seen_in(assembled)
+    return (seen @ seen.T).tocsr()
+
+
+def joined_corners(assembled: Assembled, corner_of: Ints, wall_of: Ints) -> Ints:
     """Return the corner (c,) of every corner number after walls are joined; -1 if it is none.
 
     `corner_of` (c,): the same before; `wall_of` (w,): the wall that each became part of.
