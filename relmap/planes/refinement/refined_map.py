@@ -169,7 +169,7 @@ def _last(best: Assembled, held: float, history: PlaneHistory) -> Assembled:
     pieces = in_pieces(best, history)
     if pieces is None:
         return best
-    found = _settled(pieces, held)
+    found = _settled(refined(pieces, ROUGHLY, held), held)
     path = found.poses(history.n_iterations)[best.iterations]
     return replace(best, state=laid_out(best.given, path), settled=found.settled)
 

@@ -16,8 +16,9 @@ from relmap.planes.walls.joining import placed_ends
 
 PIECE_M = 20.0
 """Length of the pieces of a wall."""
-UNEVEN = 5.0
-"""Deviation of observations from a wall, in standard deviations, above which it is not straight."""
+UNEVEN, UNEVEN_M = 5.0, 0.05
+"""Deviation of observations from a wall above which it is not straight: in standard deviations, and
+at least."""
 
 
 def in_pieces(assembled: Assembled, history: PlaneHistory) -> Assembled | None:
@@ -31,7 +32,7 @@ def in_pieces(assembled: Assembled, history: PlaneHistory) -> Assembled | None:
     along = directions(state.angle)[1][given.wall]
     middle = placed_ends(assembled).mean(axis=1) - state.centre[given.wall]
     piece = np.rint((middle * along).sum(axis=1) / PIECE_M).astype(np.int64)
-    piece[given.sd < UNEVEN * sd] = 0
+    piece[given.sd < np.maximum(UNEVEN * sd, UNEVEN_M)] = 0
     wall = _numbered(given.wall, piece)
     piece[np.bincount(wall)[wall] < OFTEN] = 0
     wall = _numbered(given.wall, piece)
