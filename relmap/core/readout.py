@@ -12,7 +12,7 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup, Submap, in_space
 from relmap.core.map.leaps import Gaps, gaps_of
 from relmap.core.map.pose import known_poses, trajectory
-from relmap.core.map.unseen import Part, contradicted
+from relmap.core.map.unseen import Part, contradicting
 from relmap.core.mapper import RelativeMapper
 from relmap.core.refinement.creeping import creep_of
 from relmap.core.state.table import NONE, LandmarkState
@@ -131,7 +131,7 @@ def creep(engine: RelativeMapper) -> float | None:
 
 
 def contradicted_at(engine: RelativeMapper) -> list[int | None]:
-    """Return for each submap the iteration that contradicts it, see `contradicted`, if one does.
+    """Return for each submap the iteration that contradicts it, see `contradicting`, if one does.
 
     None before refinement, and with ids or odometry.
     """
@@ -140,7 +140,7 @@ def contradicted_at(engine: RelativeMapper) -> list[int | None]:
     if is_used or engine.association.has_ids or not engine.refined:
         return [None] * len(found)
     parts = [Part(engine.table.position[ranks == k], *own) for k, own in enumerate(found)]
-    return contradicted(engine.rows, parts, _noise_m(engine))
+    return contradicting(engine.rows, parts, _noise_m(engine))
 
 
 def paths(engine: RelativeMapper) -> list[tuple[Ints, Floats]]:

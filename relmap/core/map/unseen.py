@@ -69,7 +69,7 @@ class _InView(NamedTuple):
     missed: Bools
 
 
-def contradicted(rows: SegmentRows, parts: list[Part], noise_m: float) -> list[int | None]:
+def contradicting(rows: SegmentRows, parts: list[Part], noise_m: float) -> list[int | None]:
     """Return of each submap the iteration that contradicts it most, if one does.
 
     `rows`: of all iterations; `noise_m`: standard deviation of an observed coordinate.
