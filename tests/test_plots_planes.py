@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from relmap.cli import main
 from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.evaluation.metrics import align_poses
-from relmap.evaluation.sources import truth_of
+from relmap.evaluation.sources import log_of, truth_of
 from relmap.figures import figure04, figure06
 from relmap.figures.figure04 import corner_tests
 from relmap.figures.figure06 import PartialWall, longest, run_partial_wall
@@ -107,33 +108,35 @@ def test_verdict_on_the_corner_test_is_that_of_all_pairs() -> None:
 # Figure 5.
 
 
+class Bench(NamedTuple):
+    """Frames of a run at intervals, and the last scan with the map at the end."""
+
+    frames: list[BenchFrame]
+    last: BenchFrame
+
+
 @pytest.fixture(scope="module")
-def bench() -> BenchRecorder:
-    """A recorder after 40 scans of a building."""
+def bench() -> Bench:
+    """The bench after 40 scans of a building."""
     building = simulate_building(points=400, sigma=0.02, iterations=40, seed=3)
-    truth = truth_of(building)
-    mapper, segmenter = PlaneMapper(), PlaneSegmenter()
-    recorder = BenchRecorder(mapper, segmenter, truth, every=frame_step(40, 8))
-    scans = [
-        SimpleNamespace(iteration=k, points_robot=scan.points, stamp_s=float(stamp))
-        for k, (scan, stamp) in enumerate(zip(building.scans, building.stamps_s, strict=True))
-    ]
-    for scan in recorder.watch(scans):  # type: ignore[arg-type]
+    mapper, segmenter, log = PlaneMapper(), PlaneSegmenter(), log_of(building)
+    recorder = BenchRecorder(log, segmenter, truth_of(building), every=frame_step(40, 8))
+    for scan in recorder.watch(mapper, log.scans()):
         segmenter.fit(scan.points_robot)
         mapper.update(segmenter.planes_, stamp_s=scan.stamp_s)
     mapper.finish()
     mapper.refine()
-    return recorder
+    return Bench(recorder.frames, recorder.frame(mapper))
 
 
-def test_a_frame_is_kept_at_intervals(bench: BenchRecorder) -> None:
+def test_a_frame_is_kept_at_intervals(bench: Bench) -> None:
     assert [frame.iteration for frame in bench.frames] == [4, 9, 14, 19, 24, 29, 34, 39]
     assert frame_step(281) == 4
     assert frame_step(3) == 1
 
 
-def test_mapped_walls_lie_on_true_ones_in_the_frame(bench: BenchRecorder) -> None:
-    last = bench.last()
+def test_mapped_walls_lie_on_true_ones_in_the_frame(bench: Bench) -> None:
+    last = bench.last
     assert len(last.walls) >= 4
     first, across = last.true_walls[:, 0], last.true_walls[:, 1] - last.true_walls[:, 0]
     for end in last.walls.reshape(-1, 2):
@@ -145,16 +148,16 @@ def test_mapped_walls_lie_on_true_ones_in_the_frame(bench: BenchRecorder) -> Non
     assert np.median(off.min(axis=1)) < 0.04  # noise of 0.02 m, and the pose's error
 
 
-def test_links_tie_the_middles_of_walls(bench: BenchRecorder) -> None:
-    last = bench.last()
+def test_links_tie_the_middles_of_walls(bench: Bench) -> None:
+    last = bench.last
     middles = last.walls.mean(axis=1)
     assert len(last.links) >= 2
     apart = np.linalg.norm(last.links[:, 1][:, None] - middles, axis=2)
     assert apart.min(axis=1).max() < 1e-12
 
 
-def test_rows_of_the_bench_hold_every_point_and_wall(bench: BenchRecorder) -> None:
-    last = bench.last()
+def test_rows_of_the_bench_hold_every_point_and_wall(bench: Bench) -> None:
+    last = bench.last
     whats = [row[0] for row in last.rows()]
     assert whats.count("point (robot)") == len(last.points_robot) == 400
     assert whats.count("wall") == len(last.walls)
@@ -162,29 +165,27 @@ def test_rows_of_the_bench_hold_every_point_and_wall(bench: BenchRecorder) -> No
     assert whats.count("pose") == len(last.path)
 
 
-def test_bench_has_the_four_panels_of_the_paper(bench: BenchRecorder) -> None:
-    titles = [axes.get_title() for axes in plot_bench(bench.last()).axes]
+def test_bench_has_the_four_panels_of_the_paper(bench: Bench) -> None:
+    titles = [axes.get_title() for axes in plot_bench(bench.last).axes]
     assert titles[0] == "mapped walls over the true ones"
     assert titles[1] == "what the robot sees: 400 points"
-    assert titles[2] == f"segmented: {len(bench.last().ends_robot)} planes"
+    assert titles[2] == f"segmented: {len(bench.last.ends_robot)} planes"
     assert titles[3] == "the map with group connectivity"
 
 
-def test_bench_says_that_the_scan_is_not_in_the_map(bench: BenchRecorder) -> None:
-    apart = replace(bench.last(), T_world_robot=np.full((4, 4), np.nan))
+def test_bench_says_that_the_scan_is_not_in_the_map(bench: Bench) -> None:
+    apart = replace(bench.last, T_world_robot=np.full((4, 4), np.nan))
     said = "mapped walls over the true ones; this scan is in another submap"
     assert plot_bench(apart).axes[0].get_title() == said
 
 
-def test_bench_calls_itself_a_figure_of_the_paper_only_there(bench: BenchRecorder) -> None:
-    assert plot_bench(bench.last()).get_suptitle() == "the test bench, iteration 39"
-    in_paper = plot_bench(bench.last(), "Figure 5: the test bench").get_suptitle()
+def test_bench_calls_itself_a_figure_of_the_paper_only_there(bench: Bench) -> None:
+    assert plot_bench(bench.last).get_suptitle() == "the test bench, iteration 39"
+    in_paper = plot_bench(bench.last, "Figure 5: the test bench").get_suptitle()
     assert in_paper == "Figure 5: the test bench, iteration 39"
 
 
-def test_animation_holds_every_frame_and_the_last_for_long(
-    bench: BenchRecorder, tmp_path: Path
-) -> None:
+def test_animation_holds_every_frame_and_the_last_for_long(bench: Bench, tmp_path: Path) -> None:
     seen = []
 
     def counted(frames: list[BenchFrame]) -> list[BenchFrame]:

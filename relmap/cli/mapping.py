@@ -72,11 +72,12 @@ def _mapped_into(folder: Path, job: Job, log: Log, began: float) -> Run:
     seen, about = journaled_labels(job, log), _about(job, log)
     with ExitStack() as afterwards:
         counter = afterwards.enter_context(closing(Counter("mapping")))
-        bench = _bench(job, log, len(seen))
-        mapper = job.mapper(partial(bench.see_again, cast("ScanLog", log)) if bench else None)
+        bench = _bench(job, log)
+        mapper = job.mapper(bench.see if bench else None)
         afterwards.callback(mapper.close)
-        if bench is not None:
-            bench.follow(cast("PlaneMapper", mapper), mapper.n_iterations if job.onto else 0)
+        walls = cast("PlaneMapper", mapper)  # where there is a bench
+        if bench is not None and job.onto is not None:
+            bench.n_before = mapper.n_iterations
         view = afterwards.enter_context(closing(LiveView(job.live_file))) if job.live else None
 
         def watched(scans: Iterable[Any]) -> Iterator[Any]:
@@ -84,7 +85,7 @@ def _mapped_into(folder: Path, job: Job, log: Log, began: float) -> Run:
             if job.onto is not None:
                 followed = _taken_up(mapper, log, followed, about)
             followed = view.watch(mapper, followed) if view else followed
-            yield from bench.watch(followed) if bench else followed
+            yield from bench.watch(walls, followed) if bench else followed
             counter.close()
             afterwards.enter_context(busy("refining and writing"))
 
@@ -109,7 +110,7 @@ def _mapped_into(folder: Path, job: Job, log: Log, began: float) -> Run:
         _write(folder, run, job, getattr(log, "names", None))
         mapper.save(folder / results.MAPPER)
     if bench is not None:
-        _draw_bench(folder, bench, job.animate)
+        _draw_bench(folder, bench, walls, job.animate)
     return run
 
 
@@ -175,23 +176,20 @@ def _write(folder: Path, run: Run, job: Job, names: Sequence[str] | None) -> Non
     write_pictures(folder, run.result, run.groups, job.command, job.source.name)
 
 
-def _bench(job: Job, log: Log, n_seen: int) -> BenchRecorder | None:
+def _bench(job: Job, log: Log) -> BenchRecorder | None:
     """Return the recorder of wall mapping; None for other variants."""
     if job.variant != "planes" or not isinstance(log, ScanLog):
         return None
     every = frame_step(len(log)) if job.animate else 0
-    before_s, truth = log.stamps_s[:n_seen].tolist(), _truth_beside(job.at(job.source))
-    segmenter = segmenter_for(log.sensor, job.segmenter)
-    return BenchRecorder(None, segmenter, truth, every, log.sensor, before_s)
+    segmenter, truth = segmenter_for(log.sensor, job.segmenter), _truth_beside(job.at(job.source))
+    return BenchRecorder(log, segmenter, truth, every)
 
 
-def _draw_bench(folder: Path, bench: BenchRecorder, animate: bool) -> None:
+def _draw_bench(folder: Path, bench: BenchRecorder, mapper: PlaneMapper, animate: bool) -> None:
     from relmap.plots.bench import plot_bench, write_bench_gif
     from relmap.plots.sheet import write_png
 
-    last = bench.last()
-    if last is None:
-        return
+    last = bench.frame(mapper)
     write_png(folder / results.BENCH_PNG, plot_bench, last)
     if animate:
         show = partial(tracked, total=len(bench.frames) + 1, what="drawing")

@@ -31,17 +31,16 @@ def _run(quick: bool, data: Path | None, watch: Watch) -> Bench:
     assert truth is not None
     mapper, segmenter = PlaneMapper(), PlaneSegmenter()
     every = frame_step(len(log), QUICK_FRAMES if quick else FRAMES)
-    recorder = BenchRecorder(mapper, segmenter, truth, every)
+    recorder = BenchRecorder(log, segmenter, truth, every)
     run = run_mapper(
         mapper,
         log,
-        through=lambda scans: recorder.watch(watch(list(scans))),
+        through=lambda scans: recorder.watch(mapper, watch(list(scans))),
         refine=True,
         segmenter=segmenter,
     )
-    last = recorder.last()
-    assert last is not None
-    return [*recorder.frames, last], len(log), evaluate(run.result, truth)
+    frames = [*recorder.frames, recorder.frame(mapper)]
+    return frames, len(log), evaluate(run.result, truth)
 
 
 def _judge(bench: Bench) -> Outcome:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.geometry.motions import transforms
-from relmap.datasets.scans import PointScan, ScanLog, SensorView
+from relmap.datasets.scans import PointScan, ScanLog
 from relmap.evaluation.feeding import segment_scan
 from relmap.evaluation.truth import Truth
 from relmap.planes import PlaneMapper
@@ -68,88 +69,65 @@ class BenchFrame:
 
 
 class BenchRecorder:
-    """Records a mapper between scans.
+    """Records frames of a plane mapper that maps a log.
 
-    `mapper`: the mapper of the run; see `see_again` for resumed runs. `segmenter`: the segmenter of
-    the run. `every`: scans between frames; 0: only the last one, on request. `view`: pose of the
-    sensor on the robot. `before_s`: times of the scans already processed, seconds.
+    `segmenter`: the segmenter of the run. `every`: scans between frames; 0: none.
+
+    Attributes: `n_before`: scans of earlier logs that the mapper has processed; their times are
+    unknown.
     """
 
     def __init__(
-        self,
-        mapper: PlaneMapper | None,
-        segmenter: PlaneSegmenter,
-        truth: Truth | None,
-        every: int,
-        view: SensorView | None = None,
-        before_s: Iterable[float] = (),
+        self, log: ScanLog, segmenter: PlaneSegmenter, truth: Truth | None, every: int
     ) -> None:
-        self.mapper, self.segmenter = mapper, segmenter
-        self._truth, self._every = truth, every
-        self._view = view or SensorView()
-        self._stamps_s = list(before_s)
-        self._scan: PointScan | None = None
+        self.segmenter = segmenter
+        self.n_before = 0
         self.frames: list[BenchFrame] = []
+        self._log, self._truth, self._every = log, truth, every
 
-    def follow(self, mapper: PlaneMapper, n_before: int) -> None:
-        """Record a mapper that has processed scans of earlier logs, whose times are unknown."""
-        self.mapper = mapper
-        self._stamps_s += [math.nan] * n_before
-
-    def watch(self, scans: Iterable[PointScan]) -> Iterator[PointScan]:
+    def watch(self, mapper: PlaneMapper, scans: Iterable[PointScan]) -> Iterator[PointScan]:
         """Yield the scans of a run; record a frame at intervals, once the scan is mapped."""
         for scan in scans:
             yield scan
-            self._scan = scan
-            self._stamps_s.append(scan.stamp_s)
-            if self._every and len(self._stamps_s) % self._every == 0:
-                self.frames.append(self._frame(scan))
+            self.see(mapper)
 
-    def see_again(self, log: ScanLog, mapper: PlaneMapper) -> None:
-        """Record a mapper that is restored from its journal, scan by scan."""
-        self.mapper, n = mapper, mapper.n_iterations
-        wanted = bool(self._every) and n % self._every == 0
-        if not wanted and n < len(self._stamps_s):
-            return
-        k = log.first_iteration + n - 1
-        for scan in log.between(k, k + 1).scans():
-            segment_scan(self.segmenter, scan.points_robot, self._view)
-            self._scan = scan
-            if wanted:
-                self.frames.append(self._frame(scan))
+    def see(self, mapper: PlaneMapper) -> None:
+        """Record a frame if one is due after the scan that was mapped last."""
+        if self._every and mapper.n_iterations % self._every == 0:
+            self.frames.append(self.frame(mapper))
 
-    def last(self) -> BenchFrame | None:
-        """Return the last scan with the current map; None if there was no scan."""
-        return None if self._scan is None else self._frame(self._scan)
-
-    def _frame(self, scan: PointScan) -> BenchFrame:
-        assert self.mapper is not None
-        poses, planes = self.mapper.trajectory, self.mapper.planes
+    def frame(self, mapper: PlaneMapper) -> BenchFrame:
+        """Return the scan that was mapped last, with the current map."""
+        n = mapper.n_iterations - self.n_before
+        last = self._log.first_iteration + n - 1
+        (scan,) = self._log.between(last, last + 1).scans()
+        stamps_s = np.append(np.full(self.n_before, np.nan), self._log.stamps_s[:n])
+        poses, planes = mapper.trajectory, mapper.planes
         mapped = planes.status == "static"
-        R, t = self._world(poses)
+        R, t = self._world(stamps_s, poses)
         walls = planes.ends[mapped] @ R.T + t
-        seen, view = self.segmenter.planes_, self._view
-        c, s = np.cos(view.yaw_rad), np.sin(view.yaw_rad)
+        view, segmenter = self._log.sensor, copy(self.segmenter)
+        segment_scan(segmenter, scan.points_robot, view)
+        seen, c, s = segmenter.planes_, np.cos(view.yaw_rad), np.sin(view.yaw_rad)
         ends_robot = seen.ends @ np.array([[c, s], [-s, c]]) + [view.x_m, view.y_m]
         return BenchFrame(
             scan.iteration,
             scan.points_robot[:, :2],
-            self.segmenter.labels_,
+            segmenter.labels_,
             ends_robot,
             seen.end_type == "corner",
             walls,
             walls[planes.corner[mapped] >= 0],
-            _links(self.mapper.group_walls, planes.plane[mapped], walls.mean(axis=1)),
+            _links(mapper.group_walls, planes.plane[mapped], walls.mean(axis=1)),
             poses[:, :2, 3] @ R.T + t,
             transforms(R, t) @ poses[-1],
             np.empty((0, 2, 2)) if self._truth is None else self._truth.ends,
         )
 
-    def _world(self, poses: Floats) -> tuple[Floats, Floats]:
+    def _world(self, stamps_s: Floats, poses: Floats) -> tuple[Floats, Floats]:
         """Return the motion R (2, 2), t (2,) from the map to the world frame."""
-        placed = np.flatnonzero(np.isfinite(poses[:, 0, 0]))
-        stamps_s = np.array(self._stamps_s)[placed]
-        found = self._truth and fit_to_truth(stamps_s, poses[placed], self._truth)
+        placed = np.isfinite(poses[:, 0, 0])
+        found = self._truth and fit_to_truth(stamps_s[placed], poses[placed], self._truth)
         return found or (np.eye(2), np.zeros(2))
 
 
