@@ -20,11 +20,10 @@ from relmap.core.odometry import OdometryUse
 from relmap.core.refinement.joint import Refined
 from relmap.core.scan import checked_labels
 from relmap.core.stamps import Stamps
-from relmap.shown import Shown
 
 
 @reads_whole()
-class Mapped(Shown, ABC):
+class Mapped(ABC):
     """The results of an engine.
 
     Attributes

@@ -1,10 +1,11 @@
-"""A mapper with a journal and a saved state, whatever it maps."""
+"""A mapper with a journal, a saved state, a picture and a result folder, whatever it maps."""
 
 from __future__ import annotations
 
 import platform
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
+from importlib import import_module
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeVar
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
     from relmap.io.journal import Journal, JournalReader, RecordedScan
 
 M = TypeVar("M", bound="Recorded")
+# Plots and results are layers above the mappers and are imported by name only when used.
+RESULTS = "relmap.plots.of_mapper"
 
 _MAPS = {
     "PointMapper": "a map of points",
@@ -182,6 +185,33 @@ class Recorded(ABC):
         if self._journal is not None:
             self._journal.close()
             self._journal = None
+
+    def plot(self) -> Any:
+        """Draw the current map: landmarks of points, the floor plan of walls by submap, or planes.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+        """
+        return import_module(RESULTS).plot_mapper(self)
+
+    def save_results(self, folder: PathLike[str] | str) -> None:
+        """Write the files that `relmap map` writes of a map, except the tracks, into a folder.
+
+        The trajectory has the times given to `update` if every scan had one, else the numbers of
+        the iterations. ``tracks.csv.gz`` is empty: the log is not known here.
+
+        Parameters
+        ----------
+        folder : path
+            Created if missing.
+
+        Raises
+        ------
+        RelmapError
+            If the folder cannot be written; an earlier result in it is then left unchanged.
+        """
+        import_module(RESULTS).save_results(self, Path(folder))
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out the journal: a copy has none."""

@@ -30,13 +30,12 @@ MAY_IMPORT = {
     "io": {"core", "datasets"},
     "segmentation": {"core"},
     "simulation": {"core", "datasets"},
-    "shown": {"core"},
-    "mapped": {"core", "shown"},
+    "mapped": {"core"},
     "recorded": {"core", "io"},
     "mapper": {"core", "mapped", "recorded"},
     "points": {"core", "io", "mapper"},
     "planes": {"core", "io", "mapper", "segmentation"},
-    "planes3d": {"core", "io", "recorded", "segmentation", "shown"},
+    "planes3d": {"core", "io", "recorded", "segmentation"},
     ROOT: {"core", "planes", "planes3d", "points", "segmentation"},
 }
 MAY_IMPORT["evaluation"] = {*MAY_IMPORT} - {"mapper"}

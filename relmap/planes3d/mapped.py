@@ -15,11 +15,10 @@ from relmap.planes3d.submap import Submap
 from relmap.planes3d.table import Plane3dTable, plane_table
 from relmap.recorded import Recorded
 from relmap.segmentation.space import PatchSegmenter
-from relmap.shown import Shown
 
 
 @reads_whole()
-class Mapped3d(Recorded, Shown):
+class Mapped3d(Recorded):
     """The results of `Plane3dMapper`."""
 
     segmenter: PatchSegmenter
