@@ -191,13 +191,13 @@ def test_types_of_ends_in_their_order() -> None:
             [[4.0, np.sqrt(48) * 0.5], [7.0, np.sqrt(15)]],  # ends at the range
         ]
     )
-    spread, joined = np.full((4, 2), 0.01), np.zeros((4, 2), dtype=bool)
-    kinds = type_ends(ends, spread, joined, (float(half), reach))
+    spread, (joined, hidden) = np.full((4, 2), 0.01), np.zeros((2, 4, 2), dtype=bool)
+    kinds = type_ends(ends, spread, joined, (float(half), reach), hidden)
     assert kinds[0].tolist() == ["view", "corner"]
     assert kinds[1].tolist() == ["occluded", "corner"]
     assert kinds[3, 1] == "range"
     joined[1, 0] = True
-    assert type_ends(ends, spread, joined, (float(half), reach))[1, 0] == "corner"
+    assert type_ends(ends, spread, joined, (float(half), reach), hidden)[1, 0] == "corner"
 
 
 def test_a_laser_scan_of_a_room_is_four_walls() -> None:

@@ -263,12 +263,10 @@ def planes_of(
     number = np.full(len(ends) + 1, -1)
     number[kept] = np.arange(len(kept))
     labels, ends = number[labels], ends[kept]
-    spread, joined = sharp.spread[kept], sharp.joined[kept]
+    spread, joined, hidden = sharp.spread[kept], sharp.joined[kept], sharp.hidden[kept]
     turned = ends[:, 0, 0] * ends[:, 1, 1] < ends[:, 0, 1] * ends[:, 1, 0]
-    hidden = None if sharp.hidden is None else sharp.hidden[kept]
     for pair in (ends, spread, joined, hidden) if turned.any() else ():
-        if pair is not None:
-            pair[turned] = pair[turned][:, ::-1]
+        pair[turned] = pair[turned][:, ::-1]
     limits = sensor_limits(ends, spread, joined, view_rad, range_m)
     kind = type_ends(ends, spread, joined, limits, hidden)
     return labels, make_planes(xyz, labels, ends, kind, sharp.mixture.sigma)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from relmap.core.arrays import Bools, Floats
 from relmap.segmentation.em.mixture import WallMixture, maximise
 from relmap.segmentation.wall import SHARE
@@ -19,13 +21,13 @@ class Sharpened:
 
     `spread` (k, 2), metres: standard deviation of the start and end of each wall along itself.
     `joined` (k, 2): whether the end is in a corner with another wall. `hidden` (k, 2): whether the
-    next beam meets something nearer; None if points are in no order.
+    next beam meets something nearer; unknown, so false, if points are in no order.
     """
 
     mixture: WallMixture
     spread: Floats
     joined: Bools
-    hidden: Bools | None = None
+    hidden: Bools
 
 
 def sharpen(mixture: WallMixture, xy: Floats) -> Sharpened:
@@ -60,4 +62,4 @@ def meet(mixture: WallMixture, n: int) -> Sharpened:
     from relmap.segmentation.ends.meeting_kernels import met
 
     moved, spread, joined = met(mixture.walls, mixture.sigma, n, mixture.beam)
-    return Sharpened(mixture.with_walls(moved), spread, joined)
+    return Sharpened(mixture.with_walls(moved), spread, joined, np.zeros_like(joined))

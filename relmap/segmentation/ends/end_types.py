@@ -52,7 +52,7 @@ def bearings(points: Floats) -> Floats:
 
 
 def type_ends(
-    ends: Floats, spread: Floats, joined: Bools, limits: Limits, hidden: Bools | None = None
+    ends: Floats, spread: Floats, joined: Bools, limits: Limits, hidden: Bools
 ) -> NDArray[np.str_]:
     """Return the type of each end (m, 2), one of `END_TYPES`.
 
@@ -74,10 +74,8 @@ def type_ends(
     cut_by = {
         "view": SIDES * bearing > limits[0] - turn,
         "range": far > limits[1] - SURE * spread * np.maximum(radial, 0.1) - SLACK_M,
-        "occluded": _hidden(bearing, far, turn, spread) & ~joined,
+        "occluded": (_hidden(bearing, far, turn, spread) | hidden) & ~joined,
     }
-    if hidden is not None:
-        cut_by["occluded"] |= hidden & ~joined
     kind = np.zeros(far.shape, dtype=np.int64)
     for reason in ("occluded", "range", "view"):  # in reverse: the first type in order wins
         kind[cut_by[reason]] = END_TYPES.index(reason)
