@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from relmap import RelmapError
+from relmap import PlaneSegmenter, RelmapError
 from relmap.cli import main
 from relmap.datasets import write_scans_npz
 from relmap.datasets.scans import ScanLog
@@ -79,6 +80,9 @@ def test_floors_are_seen_in_rings_far_apart_too(has_floor: bool) -> None:
     cloud = (ways.reshape(3, -1) * (inside / np.abs(ways.reshape(3, -1))).min(axis=0)).T
     log = ScanLog(3, np.zeros(1), lambda _: cloud)
     assert shows_floors(log) == has_floor
+    refused = pytest.raises(RelmapError, match="not upright") if has_floor else nullcontext()
+    with refused:
+        PlaneSegmenter().fit(cloud)
 
 
 def test_a_carried_lidar_gives_a_floor_plan(

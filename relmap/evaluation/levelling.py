@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
 from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.datasets.scans import ScanLog
 from relmap.segmentation.segmenter import CHECKED
 from relmap.segmentation.space import PatchSegmenter, level_scan
-from relmap.segmentation.upright import MOST_SHARE, TILTED, tilted_share
+from relmap.segmentation.upright import tilted_share
 
 ON_FLOORS = 0.05
 """Fraction of points on planes that are not upright above which a cloud shows floors: it is 0 in
@@ -23,20 +21,7 @@ def shows_floors(log: ScanLog) -> bool:
 
     Raises `RelmapError` if a scan of the log is damaged.
     """
-    return log.dimension == 3 and any(
-        tilted_share(cloud) > MOST_SHARE or _share_on_floors(cloud) > ON_FLOORS
-        for cloud in _first(log)
-    )
-
-
-def _share_on_floors(cloud: Floats) -> float:
-    """Return the fraction of points on planes that are not upright.
-
-    The rings of a lidar are too far apart on a floor for the small surfaces of `tilted_share`.
-    """
-    segmenter = PatchSegmenter().fit(cloud)
-    tilted = np.abs(segmenter.patches_.normal[:, 2]) > TILTED
-    return float(np.append(tilted, False)[segmenter.labels_].mean())
+    return log.dimension == 3 and any(tilted_share(cloud) > ON_FLOORS for cloud in _first(log))
 
 
 def levelled(log: ScanLog) -> ScanLog:

@@ -3,30 +3,19 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
+from relmap.segmentation.space import PatchSegmenter
 
 TILTED = np.sin(np.deg2rad(15.0))
-"""Largest vertical component of the normal of an upright surface."""
+"""Largest vertical component of the normal of an upright plane."""
 MOST_SHARE = 0.15
-"""Largest fraction of points on surfaces that are not upright."""
-POINTS, PATCHES = 10000, 100
-"""Number of random points and patches examined."""
-LEAST = 10
-"""Minimum number of points of a patch."""
-RADIUS = 0.15
-"""Size of a patch, in heights of the cloud: larger patches would be as high as a low band."""
-HEIGHT = (0.05, 0.95)
-"""Quantiles that define the height of a cloud."""
-FLAT, BROAD = 0.1, 0.15
-"""Largest ratio of the least to the middle variance of a surface patch, and smallest ratio of the
-middle to the largest: edges and lines have no normal."""
+"""Largest fraction of points on planes that are not upright."""
 
 
 def require_upright(xyz: Floats) -> None:
-    """Raise a `RelmapError` if too many surfaces in points (n, 3) are not upright."""
+    """Raise a `RelmapError` if too many points (n, 3) lie on planes that are not upright."""
     share = tilted_share(xyz)
     if share > MOST_SHARE:
         raise RelmapError(
@@ -38,14 +27,7 @@ def require_upright(xyz: Floats) -> None:
 
 
 def tilted_share(xyz: Floats) -> float:
-    """Return the fraction of points (n, 3) around which the surface is not upright."""
-    low, high = np.quantile(xyz[:, 2], HEIGHT)
-    some = np.random.default_rng(0).permutation(xyz)[:POINTS]
-    middles = some[:PATCHES]
-    tilted = 0
-    for rows in cKDTree(some).query_ball_point(middles, RADIUS * (high - low)):
-        if len(rows) >= LEAST:
-            variance, axes = np.linalg.eigh(np.cov(some[rows], rowvar=False))
-            surface = variance[0] < FLAT * variance[1] and variance[1] > BROAD * variance[2]
-            tilted += surface and abs(axes[2, 0]) > TILTED
-    return tilted / len(middles)
+    """Return the fraction of points (n, 3) on planes that are not upright."""
+    segmenter = PatchSegmenter().fit(xyz)
+    tilted = np.abs(segmenter.patches_.normal[:, 2]) > TILTED
+    return float(np.append(tilted, False)[segmenter.labels_].mean())
