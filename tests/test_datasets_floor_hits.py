@@ -26,9 +26,10 @@ def down_a_corridor(floor_m: float = np.inf, long_m: float = 40.0) -> list[Float
     return scans
 
 
-def usable(scans: list[Floats]) -> tuple[Floats, float]:
+def usable(scans: list[Floats], range_m: float = np.inf) -> tuple[Floats, float]:
     """Return the largest usable range of each scan, and the range below which beams are usable."""
-    kept, limit_m = usable_beams(Path("a.log"), scans, [BEARING] * len(scans))
+    bearings = [BEARING] * len(scans)
+    kept, limit_m = usable_beams(Path("a.log"), scans, bearings, range_m=range_m)
     pairs = zip(scans, kept, strict=True)
     return np.array([ranges[there].max() for ranges, there in pairs]), limit_m
 
@@ -62,3 +63,10 @@ def test_a_robot_that_rests_before_its_longest_view_does_not_see_the_floor() -> 
     farthest_m, limit_m = usable(at_rest + scans)
     assert limit_m == np.inf
     assert farthest_m.max() > 39.0
+
+
+def test_the_end_of_the_range_is_not_the_floor() -> None:
+    """What is seen ahead ends at the range of the laser, as at the floor."""
+    scans = down_a_corridor(FLOOR_M)
+    assert usable(scans, 1.05 * FLOOR_M)[1] == np.inf
+    assert usable(scans, 1.5 * FLOOR_M)[1] < FLOOR_M

@@ -23,6 +23,8 @@ fraction of all."""
 NEARER = 0.5
 """The same fraction is shorter than this fraction of the longest: else the robot may stand before a
 wall, or drive about in the middle of a room."""
+BELOW = 0.9
+"""Fraction of the range of the laser above which that range is why nothing is seen farther."""
 FEWEST = 20
 """Minimum number of scans."""
 MOVED_M, MOVED = 0.1, 0.05
@@ -30,12 +32,14 @@ MOVED_M, MOVED = 0.1, 0.05
 counted: else the robot rests, and what it sees ahead is as far as before."""
 
 
-def floor_m(path: Path, ranges_m: list[Floats], bearings_rad: list[Floats]) -> float:
+def floor_m(
+    path: Path, ranges_m: list[Floats], bearings_rad: list[Floats], limit_m: float = np.inf
+) -> float:
     """Return the range from which beams may end on the floor, infinity if none do.
 
     The floor moves with the robot as a wall ahead would, at nearly the same distance in many scans,
     with hardly anything beyond. `path`: the log, for warnings. `ranges_m`, `bearings_rad`, list of
-    k (b,): beams of each scan, 0 for those without a return.
+    k (b,): beams of each scan, 0 for those without a return. `limit_m`: range of the laser.
     """
     views = [
         (ranges * np.cos(bearings))[np.abs(bearings) <= AHEAD_RAD].max(initial=0.0)
@@ -50,7 +54,7 @@ def floor_m(path: Path, ranges_m: list[Floats], bearings_rad: list[Floats]) -> f
     below = np.count_nonzero((ahead_m < least_m) & (ahead_m >= 2 * least_m - far_m))
     nearer = np.count_nonzero(ahead_m < NEARER * far_m)
     few = min(within, nearer) < SCANS * len(ahead_m)
-    if few or within < PEAK * below or least_m < NARROW * far_m:
+    if few or within < PEAK * below or least_m < NARROW * far_m or far_m > BELOW * limit_m:
         return np.inf
     share = f"{100 * within / len(views):.3g} % of the scans in motion"
     seen = f"{share} see {least_m:.3g} to {far_m:.3g} m ahead, hardly any farther"

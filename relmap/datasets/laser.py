@@ -107,19 +107,24 @@ def _view(scans: Sequence[Beams], limit_m: float) -> SensorView:
 
 
 def usable_beams(
-    path: Path, ranges_m: list[Floats], bearings_rad: list[Floats], limit_m: float = np.inf
+    path: Path,
+    ranges_m: list[Floats],
+    bearings_rad: list[Floats],
+    limit_m: float = np.inf,
+    range_m: float = np.inf,
 ) -> tuple[list[Bools], float]:
     """Return which beams of each scan, list of k (b,), are usable, and the range below which.
 
     `path`: the log, for warnings. `ranges_m`, `bearings_rad`, list of k (b,): beams of each scan,
     in their order. `limit_m`: the range of beams without a return as stated by the log; see also
-    `no_return_m`, `floor_m` and `on_robot`. RelmapError as for `require_near`.
+    `no_return_m`, `floor_m` and `on_robot`. `range_m`: that of the laser, if beams without a return
+    are missing. RelmapError as for `require_near`.
     """
     require_near(path, ranges_m)
     below_m = [np.where(ranges < limit_m, ranges, 0.0) for ranges in ranges_m]
     limit_m = min(limit_m, no_return_m(path, below_m, bearings_rad))
     below_m = [np.where(ranges < limit_m, ranges, 0.0) for ranges in below_m]
-    limit_m = min(limit_m, floor_m(path, below_m, bearings_rad))
+    limit_m = min(limit_m, floor_m(path, below_m, bearings_rad, min(limit_m, range_m)))
     known_m = [np.where((r > 0) & (r < limit_m), r, 0.0) for r in ranges_m]
     own = on_robot(path, known_m, bearings_rad)
     return [(r > 0) & ~robot for r, robot in zip(known_m, own, strict=True)], limit_m

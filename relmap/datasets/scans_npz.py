@@ -85,10 +85,11 @@ class ScansNpz:
         iteration, points_robot = iteration[order], points[order].astype(np.float64, copy=False)
         if points_robot.shape[1] == 2:
             _doubt_axes(file, points_robot, iteration)
-            returned, limit_m = _returned(file, points_robot, iteration)
+            within_m = limits.get("range_m", np.inf)
+            returned, limit_m = _returned(file, points_robot, iteration, within_m)
             iteration, points_robot = iteration[returned], points_robot[returned]
             if np.isfinite(limit_m):
-                limits["range_m"] = min(limit_m, limits.get("range_m", limit_m))
+                limits["range_m"] = min(limit_m, within_m)
         offsets = np.searchsorted(iteration, np.arange(len(stamps_s) + 1))
         sensor = SensorView(**limits)
         log = stored_scans(points_robot, offsets.astype(np.int64), stamps_s, sensor=sensor)
@@ -105,11 +106,17 @@ def _doubt_axes(file: Path, points: Floats, iteration: NDArray[Any]) -> None:
         warn(file, f"the points look like {which}, expected x (ahead) and y (left), metres")
 
 
-def _returned(file: Path, points: Floats, iteration: NDArray[Any]) -> tuple[Bools, float]:
-    """Return which beams, points (n, 2), are usable, and the range of those that did not return."""
+def _returned(
+    file: Path, points: Floats, iteration: NDArray[Any], within_m: float
+) -> tuple[Bools, float]:
+    """Return which beams, points (n, 2), are usable, and the range of those that did not return.
+
+    `within_m`: range of the laser, infinity if unknown.
+    """
     range_m, bearing = np.hypot(*points.T), np.arctan2(points[:, 1], points[:, 0])
     bounds = np.flatnonzero(np.diff(iteration)) + 1
-    usable, limit_m = usable_beams(file, np.split(range_m, bounds), np.split(bearing, bounds))
+    beams = np.split(range_m, bounds), np.split(bearing, bounds)
+    usable, limit_m = usable_beams(file, *beams, range_m=within_m)
     return np.concatenate(usable), limit_m
 
 
