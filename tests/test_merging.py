@@ -68,7 +68,8 @@ def test_old_landmarks_are_found_where_the_map_has_moved_them() -> None:
     submap = global_map.new_submap()
     global_map.place(submap, old, places, np.full(6, 10.0))
     GroupingSchedule(table, MapperConfig()).see(old, 1)
-    assert not len(merger.find(old, np.full(6, 3), 0.01))
+    table.highest_level[:] = 3
+    assert not len(merger.find(old, 0.01))
     merger.leave(old)
     global_map.move(old, places + 100.0)
     merger.look_again()
@@ -76,7 +77,7 @@ def test_old_landmarks_are_found_where_the_map_has_moved_them() -> None:
     table.first[new] = 50
     GroupingSchedule(table, MapperConfig()).see(new, 60)
     global_map.place(submap, new, places + 100.0, np.full(6, 10.0))
-    found = merger.find(new, np.full(6, 3), 0.01)
+    found = merger.find(new, 0.01)
     assert sorted(found.tolist()) == np.column_stack([new, old]).tolist()
 
 
@@ -118,7 +119,8 @@ def test_index_finds_all_that_is_near(seed: int, d: int) -> None:
     table = LandmarkState()
     table.resize(60, 0, d)
     index = SpatialIndex(table, 2.0)
-    index.add(np.arange(60), positions)
+    table.position[:], table.weight[:] = positions, 1.0
+    index.add(np.arange(60))
     table.last[:] = rng.integers(0, 9, 60)
     asked, before = rng.normal(0, 5, (10, d)), rng.integers(0, 10, 10)
     of, found = index.near(asked, before)

@@ -81,8 +81,8 @@ class SignModel:
     def least_noise_m(self, rows: Rows) -> float:
         return 0.0
 
-    def is_compared(self, landmarks: Ints) -> Bools:
-        return np.asarray(landmarks % 2 == 0)
+    def compared(self, landmarks: Ints) -> Ints:
+        return landmarks[landmarks % 2 == 0]
 
     def may_be(self, table: LandmarkState, new: Ints, old: Ints) -> Bools:
         return np.ones(len(new), dtype=bool)

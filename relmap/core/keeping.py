@@ -66,10 +66,10 @@ def variances_of(engine: RelativeMapper, landmarks: Ints, begin: int) -> Floats 
     Square metres; None if observations are unweighted.
     """
     kept = engine.kept
-    rows = slice(int(np.searchsorted(kept.iteration, begin)), len(kept))
-    covariances = kept.covariance[rows]
     if not len(kept.covariance):
         return None
+    rows = slice(int(np.searchsorted(kept.iteration, begin)), len(kept))
+    covariances = kept.covariance[rows]
     order = np.argsort(landmarks)
     seen = engine.table.now(kept.landmark[rows])
     at = np.searchsorted(landmarks[order], seen).clip(0, len(landmarks) - 1)

@@ -147,8 +147,7 @@ class RelativeMapper:
 
         `noise_m`: standard deviation of an observed coordinate, metres.
         """
-        levels = self.table.highest_level[placed]
-        return self.merge_pairs(self.merger.find(placed, levels, noise_m))
+        return self.merge_pairs(self.merger.find(placed, noise_m))
 
     def merge_pairs(self, pairs: Ints) -> int:
         """Merge each pair (k, 2) of a landmark and the older one that it is; return how many."""

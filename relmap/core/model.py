@@ -73,8 +73,8 @@ class LandmarkModel(Protocol):
         """
         ...
 
-    def is_compared(self, landmarks: Ints) -> Bools:
-        """Return which points (n,) are compared with older ones when they are re-observed."""
+    def compared(self, landmarks: Ints) -> Ints:
+        """Return those of points (n,) that are compared with older ones when re-observed."""
         ...
 
     def may_be(self, table: LandmarkState, new: Ints, old: Ints) -> Bools:

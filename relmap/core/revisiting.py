@@ -112,7 +112,7 @@ def merge_doubles_in_place(engine: RelativeMapper) -> None:
     accuracy = _Accuracy(engine)
 
     def merge(placed: Ints) -> int:
-        pairs = engine.merger.find(placed, table.highest_level[placed], noise_m)
+        pairs = engine.merger.find(placed, noise_m)
         if not len(pairs):
             return 0
         others = np.setdiff1d(np.flatnonzero(table.weight > 0), pairs[:, 0])

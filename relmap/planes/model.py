@@ -86,12 +86,12 @@ class WallModel:
         """
         return BLUNT * median(rows["sd"]) if len(rows["sd"]) else 0.0
 
-    def is_compared(self, landmarks: Ints) -> Bools:
-        """Return which points (n,) are compared with older ones: corners.
+    def compared(self, landmarks: Ints) -> Ints:
+        """Return those of points (n,) that are compared with older ones: corners.
 
         Midpoints are not: their distance from the corner differs between tracks.
         """
-        return np.asarray(landmarks % 2 == 0)
+        return landmarks[landmarks % 2 == 0]
 
     def may_be(self, table: LandmarkState, new: Ints, old: Ints) -> Bools:
         """Return which corners (n,) may be older ones: same end, and a wall with its direction."""

@@ -28,8 +28,8 @@ class PointModel:
 
     def rows(self, seen: Floats, landmarks: Ints) -> Rows:
         """Return the stored columns of the identified points (n, d) of one scan."""
-        known = landmarks >= 0
-        if not known.all():
+        if len(landmarks) and landmarks[landmarks.argmin()] < 0:
+            known = landmarks >= 0
             landmarks, seen = landmarks[known], seen[known]
         return {"landmark": landmarks, "location": seen}
 
@@ -60,9 +60,9 @@ class PointModel:
         """Return that nothing is known of the noise."""
         return 0.0
 
-    def is_compared(self, landmarks: Ints) -> Bools:
-        """Return which points (n,) are compared with older ones: all of them."""
-        return np.ones(len(landmarks), dtype=bool)
+    def compared(self, landmarks: Ints) -> Ints:
+        """Return those of points (n,) that are compared with older ones: all of them."""
+        return landmarks
 
     def may_be(self, table: LandmarkState, new: Ints, old: Ints) -> Bools:
         """Return which points (n,) may be older ones (n,): all of them."""

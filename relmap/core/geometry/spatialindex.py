@@ -32,12 +32,13 @@ class SpatialIndex:
         """Link the landmarks of the restored table."""
         self._link(BUCKETS)
 
-    def add(self, landmarks: Ints, positions: Floats) -> None:
-        """Insert landmarks (k,) at positions (k, d), replacing earlier positions."""
+    def add(self, landmarks: Ints) -> None:
+        """Insert the mapped ones of landmarks (k,), replacing earlier positions."""
         from relmap.core.geometry.spatialindex_kernels import enter
 
-        following, key = self._table.next_in_cell, self._table.cell
-        self._n += enter(self._first, following, key, landmarks, positions, self.cell_m)
+        of = self._table
+        columns = of.next_in_cell, of.cell, of.position, of.weight
+        self._n += enter(self._first, columns, landmarks, self.cell_m)
         if self._n > len(self._first):
             self._link(len(self._first))
 

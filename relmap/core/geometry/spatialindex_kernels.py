@@ -50,18 +50,20 @@ def _remove(first: Ints, following: Ints, one: int, bucket: int) -> None:
 
 @compiled
 def enter(
-    first: Ints, following: Ints, key: Ints, landmarks: Ints, positions: Floats, cell_m: float
+    first: Ints, columns: tuple[Ints, Ints, Floats, Floats], landmarks: Ints, cell_m: float
 ) -> int:
-    """Insert landmarks (k,) at positions (k, d); return how many were not in the index.
+    """Insert those of landmarks (k,) that are mapped; return how many were not in the index.
 
-    `first` (n,) is the first landmark of each bucket, n a power of two; `following` and `key` (m,)
-    are the next landmark in the bucket of each landmark and the key of its cell; -1 for none.
+    `first` (n,) is the first landmark of each bucket, n a power of two. `columns`, of the landmark
+    table: next_in_cell and cell, -1 for none; position, weight.
     """
+    following, key, position, weight = columns
     n_new = 0
-    for k in range(len(landmarks)):
-        one = landmarks[k]
-        x, y = cell_at(positions[k, 0], cell_m), cell_at(positions[k, 1], cell_m)
-        now = key_of(x, y, cell_at(positions[k, 2], cell_m) if positions.shape[1] == 3 else 0)
+    for one in landmarks:
+        if weight[one] == 0:
+            continue
+        x, y = cell_at(position[one, 0], cell_m), cell_at(position[one, 1], cell_m)
+        now = key_of(x, y, cell_at(position[one, 2], cell_m) if position.shape[1] == 3 else 0)
         if now == key[one]:
             continue
         if key[one] >= 0:

@@ -56,7 +56,7 @@ class RelativeMap:
 
     def only(self, rows: Bools) -> RelativeMap:
         """Return the map restricted to some of its landmarks."""
-        if rows.all():
+        if np.count_nonzero(rows) == len(rows):
             return self
         return replace(
             self,

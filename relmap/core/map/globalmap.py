@@ -115,10 +115,11 @@ class GlobalMap:
     def join(self, submap: int, landmarks: Ints, positions: Floats) -> None:
         """Join other submaps to one whose landmarks (g,) determine their relative pose."""
         for other in self.submaps_of(landmarks).tolist():
+            if other == submap:
+                continue
             shared = self.table.submap[landmarks] == other
             there = self.table.position[landmarks[shared]]
-            determined = other != submap and fixes_rotation(there)
-            if determined and self.is_fixed(other, landmarks[shared]):
+            if fixes_rotation(there) and self.is_fixed(other, landmarks[shared]):
                 self.tie(other, submap, *fit_rigid(there, positions[shared]))
 
     def is_fixed(self, submap: int, shared: Ints) -> bool:

@@ -102,7 +102,8 @@ class LandmarkState(Columns):
         """
         from relmap.core.state.seeing_kernels import enter
 
-        self.resize(int(landmarks.max(initial=-1)) + 1, iteration, points.shape[1])
+        n = int(landmarks[landmarks.argmax()]) + 1 if len(landmarks) else 0
+        self.resize(n, iteration, points.shape[1])
         columns = self.landmark_of, self.track_end, self.track_observations
         return enter(columns, landmarks, iteration)
 
@@ -110,7 +111,10 @@ class LandmarkState(Columns):
         """Return the landmarks (any shape) after merging, given their numbers; -1 stays."""
         if not self._merged_into:
             return landmarks.copy()
-        return np.where(landmarks >= 0, self.landmark_of[landmarks], landmarks)
+        found = self.landmark_of[landmarks]
+        if landmarks.size and landmarks.item(landmarks.argmin()) < 0:
+            found[landmarks < 0] = landmarks[landmarks < 0]
+        return found
 
     def settle(self, landmarks: Ints) -> None:
         """Settle the positions of landmarks (k,): later positions are averaged with them."""
@@ -202,7 +206,9 @@ class LandmarkState(Columns):
         self._rooms[name][: self._filled] = before[: self._filled]
 
     def _show(self, n: int) -> None:
-        self.__dict__.update({name: room[:n] for name, room in self._rooms.items()})
+        columns, rows = self.__dict__, slice(n)
+        for name, room in self._rooms.items():
+            columns[name] = room[rows]
 
 
 def _average(positions: Floats, weights: Floats, new: Ints, old: Ints) -> None:

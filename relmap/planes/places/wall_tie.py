@@ -89,7 +89,7 @@ class WallPoints:
         n, cell_m = len(self.at), FIRST * NEAR_M + SAMPLE_M
         first = np.full(1 << (2 * n).bit_length(), NONE)
         following, key = np.full(n, NONE), np.full(n, NONE)
-        enter(first, following, key, np.arange(n), self.at, cell_m)
+        enter(first, (following, key, self.at, np.ones(n)), np.arange(n), cell_m)
         return self.at, self.normal, first, following, key, cell_m
 
 

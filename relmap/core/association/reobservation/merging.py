@@ -74,10 +74,10 @@ class Merger:
         """Record that landmarks have left the view: from now on they may be re-observed."""
         if self._index is None or not len(landmarks):
             return
-        landmarks = landmarks[self._model.is_compared(landmarks)]
+        landmarks = self._model.compared(landmarks)
         for landmark in landmarks.tolist():
             self._old_near.pop(landmark, None)
-        self._enter(landmarks)
+        self._index.add(landmarks)
 
     def look_again(self) -> None:
         """Re-enter all landmarks, because the map has moved; `go_on` does it incrementally."""
@@ -94,7 +94,7 @@ class Merger:
             self._index = self._begun(mapped)
         if self._index is None or not len(mapped):
             return np.empty(0, dtype=np.int64)
-        self._enter(mapped)
+        self._index.add(mapped)
         tolerance_m = TOLERANCE * self._model.position_spread * np.nan_to_num(noise_m)
         near = cKDTree(self._table.position[mapped]).query_pairs(
             max(self._index.cell_m, tolerance_m), output_type="ndarray"
@@ -110,27 +110,21 @@ class Merger:
         if self._index is not None and self._entered < len(self._table):
             end = min(self._entered + SLICE, len(self._table))
             landmarks = np.arange(self._entered, end)
-            self._enter(landmarks[self._index.holds(landmarks)])
+            self._index.add(landmarks[self._index.holds(landmarks)])
             self._entered = end
 
-    def _enter(self, landmarks: Ints) -> None:
-        mapped = landmarks[self._table.weight[landmarks] > 0]
-        if self._index is not None and len(mapped):
-            self._index.add(mapped, self._table.position[mapped])
-
-    def find(self, landmarks: Ints, levels: Ints, noise_m: float) -> Ints:
+    def find(self, landmarks: Ints, noise_m: float) -> Ints:
         """Return pairs (k, 2) of a new landmark and the older one that it is.
 
-        `landmarks` (n,): landmarks just placed by a group; `levels` (n,): grouping level of each:
-        at a higher level its position is more accurate and is compared again; `noise_m`: standard
-        deviation of an observed coordinate.
+        `landmarks` (n,): landmarks just placed by a group: at a higher level the position of one is
+        more accurate and is compared again; `noise_m`: standard deviation of an observed
+        coordinate.
         """
-        compared = self._model.is_compared(landmarks)
-        landmarks, levels = landmarks[compared], levels[compared]
+        landmarks = self._model.compared(landmarks)
         if self._index is None:
             self._index = self._begun(landmarks)
         mature = self._table.weight[landmarks] >= self._mature
-        asked = self._table.asked_level[landmarks]
+        levels, asked = self._table.highest_level[landmarks], self._table.asked_level[landmarks]
         ask = landmarks[mature & (levels > asked)]
         self._table.asked_level[landmarks] = np.maximum(asked, levels * mature)
         self._ask(ask)
