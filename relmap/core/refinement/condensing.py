@@ -169,36 +169,33 @@ class CondensedSegments:
         self._make_room(k, d)
         present, _, block = store.seen_with(-1, begin, end)
         steady = ~dynamic[store.now(present)]
-        own = block if steady.all() else block[steady]
-        free = np.isfinite(own[:, :, :1]).sum(axis=(0, 2)) >= 2
-        while free.any():
-            joined, R, t, points, visible, squares = align_iterations(own, free, FAR)
+        moves = np.count_nonzero(steady) < len(steady)
+        own, landmarks = (block[steady], present[steady]) if moves else (block, present)
+        free = np.isfinite(own[:, :, 0]).sum(axis=0) >= 2
+        while np.count_nonzero(free):
+            joined, R, t, points, visible, squares, freedoms = align_iterations(own, free, FAR)
             free &= ~joined
-            fitted = 3 * d - 3
-            n_seen, n_points = SEEN[visible].sum(), (visible > 0).sum()
-            freedoms = d * (n_seen - n_points) - fitted * (joined.sum() - 1)
-            if not np.isfinite(squares):  # gross outliers displaced the iterations
-                squares = freedoms = 0
-            self._squares.extend(np.array([squares]))
-            self._freedoms.extend(np.array([freedoms]))
+            is_sound = np.isfinite(squares)  # no gross outliers displaced the iterations
+            self._squares.append(squares if is_sound else 0.0)
+            self._freedoms.append(freedoms if is_sound else 0)
             at = begin + np.flatnonzero(joined)
             self._iteration_segment.values[at] = len(self._squares) - 1
             self._R.values[at], self._t.values[at] = R[joined], t[joined]
-            self._enter(begin, present[steady], points, visible)
-            if not steady.all():
+            self._enter(begin, landmarks, points, visible)
+            if moves:
                 self._enter(begin, present[~steady], *_means(block[~steady], joined, R, t))
 
     def _enter(
         self, begin: int, landmarks: Ints, points: Floats, visible: NDArray[np.uint8]
     ) -> None:
         """Append rows of the latest segment."""
-        there = (visible > 0) & np.isfinite(points).all(axis=1)
+        there = visible > 0
         self._landmark.extend(landmarks[there])
-        self._segment.extend(np.full(there.sum(), len(self._squares) - 1))
+        self._segment.resize(len(self._landmark), len(self._squares) - 1)
         self._points.extend(points[there])
         self._visible.extend(visible[there])
         if len(self._first_iteration) < len(self._squares):
-            self._first_iteration.extend(np.array([begin]))
+            self._first_iteration.append(begin)
 
     def _make_room(self, k: int, d: int) -> None:
         """Reserve space for k more iterations, in d dimensions from now on."""
@@ -228,4 +225,5 @@ def _means(block: Floats, joined: Bools, R: Floats, t: Floats) -> tuple[Floats, 
     seen = np.isfinite(block[:, :, 0]) & joined
     placed = np.where(seen[:, :, None], np.einsum("kab,nkb->nka", R, block) + t, 0.0)
     means = placed.sum(axis=1) / np.maximum(seen.sum(axis=1), 1)[:, None]
+    seen &= np.isfinite(means).all(axis=1)[:, None]
     return means, np.packbits(seen, axis=1, bitorder="little")[:, 0]

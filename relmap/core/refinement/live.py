@@ -96,12 +96,12 @@ class LiveRefinement:
     def _note(self) -> None:
         """Record which landmarks came back into view after a long time; extend the bodies."""
         rows = self._segments.rows
-        first = int(np.searchsorted(rows.segment, self._noted))
+        first = int(rows.segment.searchsorted(self._noted))
         for segment in range(self._noted, rows.n_segments):
-            end = int(np.searchsorted(rows.segment, segment, side="right"))
+            end = int(rows.segment.searchsorted(segment, side="right"))
             landmark = self._table.landmark_of[rows.landmark[first:end]]
             last = self._table.last_segment[landmark]
-            self._back += int(((last != NONE) & (last < segment - LEAST)).sum())
+            self._back += int(np.count_nonzero((last != NONE) & (last < segment - LEAST)))
             self._table.last_segment[landmark] = segment
             weight = SEEN[rows.visible[first:end]].astype(np.float64)
             self._add(Body(landmark, rows.points[first:end].copy(), weight))
@@ -197,7 +197,7 @@ def merged(one: Body, other: Body) -> Body | None:
     n, d = one.points.shape
     rows = np.full((2, len(landmark)), NONE)
     rows[0, of[:n]], rows[1, of[n:]] = np.arange(n), np.arange(len(of) - n)
-    mine, its = rows[:, (rows != NONE).all(axis=0)]
+    mine, its = rows[:, (rows[0] != NONE) & (rows[1] != NONE)]
     if len(mine) < d:
         return None
     counts = np.minimum(one.weight[mine], other.weight[its])

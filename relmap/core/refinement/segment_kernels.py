@@ -219,14 +219,15 @@ def _trim(deviation: Floats, mean: Floats, counts: Floats, seen: Bools) -> bool:
 @helper
 def _condensed(
     block: Floats, places: Floats, deviation: Floats, seen: Bools, t: Floats, far: float
-) -> tuple[NDArray[np.uint8], float]:
+) -> tuple[NDArray[np.uint8], float, int]:
     """Return in which iterations each landmark is seen, as bits (n,), and the sum of squares.
 
-    Wrong matches can leave a landmark or an iteration without support: what is placed beyond the
-    largest coordinate of the block (n, k, d) times `far` is not seen, and t is NaN.
+    And how many coordinates are observed beyond the first of each landmark. Wrong matches can leave
+    a landmark or an iteration without support: what is placed beyond the largest coordinate of the
+    block (n, k, d) times `far` is not seen, and t is NaN.
     """
     n, k, d = block.shape
-    visible, squares, largest = np.zeros(n, dtype=np.uint8), 0.0, 0.0
+    visible, squares, largest, n_again = np.zeros(n, dtype=np.uint8), 0.0, 0.0, 0
     for i in range(n):
         for m in range(k):
             for a in range(d):
@@ -239,25 +240,27 @@ def _condensed(
             within &= abs(places[i, a]) <= far * largest
         for m in range(k):
             visible[i] |= (seen[i, m] and within) << m
+            n_again += seen[i, m] and within
+        n_again -= visible[i] > 0
     for m in range(k):
         within = True
         for a in range(d):
             within &= abs(t[m, a]) <= far * largest
         for a in range(d):
             t[m, a] = t[m, a] if within else np.nan
-    return visible, squares
+    return visible, squares, d * n_again
 
 
 @compiled
 def align_iterations(
     block: Floats, free: Bools, far: float
-) -> tuple[Bools, Floats, Floats, Floats, NDArray[np.uint8], float]:
+) -> tuple[Bools, Floats, Floats, Floats, NDArray[np.uint8], float, int]:
     """Align the largest consistent set of the free iterations (k,) of a block (n, k, d).
 
     Returns these iterations, their poses R (k, d, d) and t (k, d), the positions (n, d) of the
-    landmarks, and what `_condensed` does.
+    landmarks, what `_condensed` does of visibility and squares, and their degrees of freedom.
     """
-    n, k, _ = block.shape
+    n, k, d = block.shape
     seen = np.zeros((n, k), dtype=np.bool_)
     for i in range(n):
         for m in range(k):
@@ -273,5 +276,8 @@ def align_iterations(
         if rounds == TRIMS or not _trim(deviation, places, counts, seen):
             break
         rounds += 1
-    visible, squares = _condensed(block, places, deviation, seen, t, far)
-    return joined, R, t, places, visible, squares
+    visible, squares, freedoms = _condensed(block, places, deviation, seen, t, far)
+    freedoms += 3 * d - 3
+    for m in range(k):
+        freedoms -= (3 * d - 3) * joined[m]
+    return joined, R, t, places, visible, squares, freedoms
