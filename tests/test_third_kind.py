@@ -82,7 +82,7 @@ class SignModel:
         return 0.0
 
     def compared(self, landmarks: Ints) -> Ints:
-        return landmarks[landmarks % 2 == 0]
+        return np.asarray(landmarks[landmarks % 2 == 0])
 
     def may_be(self, table: LandmarkState, new: Ints, old: Ints) -> Bools:
         return np.ones(len(new), dtype=bool)

@@ -153,7 +153,7 @@ class RelativeMapper:
         """Merge each pair (k, 2) of a landmark and the older one that it is; return how many."""
         if not len(pairs):
             return 0
-        are_distinct = len(np.unique(pairs)) == pairs.size
+        are_distinct = len(set(pairs.ravel().tolist())) == pairs.size
         for new, old in [pairs.T] if are_distinct else pairs[:, :, None]:
             for part in (self.table, self.schedule, self.merger):
                 part.merge(new, old)

@@ -91,7 +91,7 @@ class WallModel:
 
         Midpoints are not: their distance from the corner differs between tracks.
         """
-        return landmarks[landmarks % 2 == 0]
+        return np.asarray(landmarks[landmarks % 2 == 0])
 
     def may_be(self, table: LandmarkState, new: Ints, old: Ints) -> Bools:
         """Return which corners (n,) may be older ones: same end, and a wall with its direction."""

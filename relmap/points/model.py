@@ -47,9 +47,9 @@ class PointModel:
         `block` (g, i, d), robot frame, metres: every member seen in every iteration. Returns
         (g, d), group frame, metres, or None if the group determines no basis.
         """
-        from relmap.points.basis_kernels import average_in_basis
+        import relmap.points.basis_kernels as kernels
 
-        mean, is_determined = average_in_basis(block)
+        mean, is_determined = kernels.average_in_basis(block)
         return mean if is_determined else None
 
     def min_shared(self, dimension: int) -> int:

@@ -192,18 +192,23 @@ class Constellation(Numbered):
         self, tracks: LiveTracks, placement: Placement, points: Floats, metric: Floats | None
     ) -> Ints:
         """Continue the tracks, placed in a scan; return the landmarks of its points (n,)."""
-        from relmap.core.association.tracking_kernels import carried, followed, tracked
+        import relmap.core.association.tracking_kernels as kernels
 
         pose, limits = (placement.R, placement.t), (MEMORY, CAREFUL, self._max_missed)
         if self._scale.is_blurred:
-            columns, variance = carried(tracks.columns, *pose), self._scale.variances(tracks.seen)
+            columns, variance = (
+                kernels.carried(tracks.columns, *pose),
+                self._scale.variances(tracks.seen),
+            )
             expected = columns[1]
             rows, found = likely_links(expected, variance, tracks.seen, points, metric)
             n_static = len(rows)
-            now = followed(points, columns, (rows, found, n_static), self.n_landmarks, limits)
+            now = kernels.followed(
+                points, columns, (rows, found, n_static), self.n_landmarks, limits
+            )
         else:
             reaches = self._reaches(metric)
-            expected, (rows, found, n_static), now = tracked(
+            expected, (rows, found, n_static), now = kernels.tracked(
                 points, tracks.columns, pose, reaches, metric, self.n_landmarks, (YOUNG, *limits)
             )
         landmarks, of, places, counts, square = now

@@ -88,7 +88,7 @@ class RayNoise:
         `expected`, `found` (n, d), robot frame, metres: predicted and observed; `n_seen` (n,):
         observations before.
         """
-        from relmap.core.association.ray_kernels import update
+        import relmap.core.association.ray_kernels as kernels
 
         distance, ray = _rays(found)
         self._unit_m = self._unit_m or float(distance.max())
@@ -98,7 +98,7 @@ class RayNoise:
         squares = np.column_stack([distance, along, across])
         self._squares = np.concatenate([self._squares, squares])[-RECENT:]
         if len(self._squares) >= ENOUGH:
-            update(self._squares, self._unit_m, self._coefficients)
+            kernels.update(self._squares, self._unit_m, self._coefficients)
             sigma = self._typical()
             is_negligible = sigma.max() < NEGLIGIBLE * self._unit_m
             self.is_unequal = bool(sigma.max() >= UNEQUAL * sigma.min() and not is_negligible)

@@ -48,15 +48,16 @@ def trimmed_fit(
     `source`, `target` (n, d), metres; `metric` (n, d, d): of the targets: misfits and the tolerance
     are in its units. Returns None if fewer than d matches are left.
     """
-    from relmap.core.geometry.fitting_kernels import trimmed_fit_rows
-    from relmap.core.geometry.weighted_kernels import weighted_fit_rows
-
     if len(source) < source.shape[1]:
         return None
     if metric is None:
-        R, t, n_agreeing = trimmed_fit_rows(source, target, tolerance_m)
+        import relmap.core.geometry.fitting_kernels as fitting
+
+        R, t, n_agreeing = fitting.trimmed_fit_rows(source, target, tolerance_m)
     else:
-        R, t, n_agreeing = weighted_fit_rows(source, target, tolerance_m, metric)
+        import relmap.core.geometry.weighted_kernels as weighted
+
+        R, t, n_agreeing = weighted.weighted_fit_rows(source, target, tolerance_m, metric)
     return Placement(R, t, n_agreeing) if n_agreeing >= 0 else None
 
 
@@ -71,10 +72,12 @@ def consistent_set(source: Floats, target: Floats, pairs: Ints, tolerance_m: flo
     row of `target`; `tolerance_m`: largest difference between two distances that agree. Returns
     (k,): rows of `pairs`, ascending.
     """
-    from relmap.core.association.clique_kernels import agreeing, largest_clique
+    import relmap.core.association.clique_kernels as kernels
 
     a, b = np.ascontiguousarray(pairs.T)
-    return largest_clique(agreeing(source[a], target[b], a, b, tolerance_m), MOST_STEPS)
+    return kernels.largest_clique(
+        kernels.agreeing(source[a], target[b], a, b, tolerance_m), MOST_STEPS
+    )
 
 
 def consistent_placements(

@@ -143,11 +143,11 @@ class TrackPlacing(PatternPlacing):
 
         Also returns whether it is None because several placements explain most of the scan.
         """
-        from relmap.core.association.matching_kernels import matched_sample
-        from relmap.core.association.tracking_kernels import agreement
+        import relmap.core.association.matching_kernels as matching
+        import relmap.core.association.tracking_kernels as tracking
 
         (n, d), metric, scale = points.shape, self.metric, self.scale
-        sample, rows, target, distance, here, there, spacing_m = matched_sample(
+        sample, rows, target, distance, here, there, spacing_m = matching.matched_sample(
             points, tracks.expected, tracks.missed, SAMPLE, scale.spacing_m, SLOWNESS
         )
         if not len(sample):
@@ -160,7 +160,7 @@ class TrackPlacing(PatternPlacing):
         share = NEAR_SHARE * min(len(sample), n)
         if near is not None:
             of = (here, there), tracks.expected, (near.R, near.t)
-            square, step_m = agreement(*of, tolerance_m, own)
+            square, step_m = tracking.agreement(*of, tolerance_m, own)
             is_usual = is_sharp and not missed and self._is_usual(square / CHI2_MEDIAN[d])
             is_safe = self._is_short(
                 np.inf if missed or self.chance.idle else step_m, tracks, points

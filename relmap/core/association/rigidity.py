@@ -168,7 +168,7 @@ class Rigidity:
 
         `ids` (n,) and `points` (n, d) of the scan are returned in ascending order.
         """
-        from relmap.core.association.rigidity_kernels import fitted
+        import relmap.core.association.rigidity_kernels as kernels
 
         order = ids.argsort()
         if places is None or len(ids) < PLENTY:
@@ -179,7 +179,7 @@ class Rigidity:
         if self._usual_m is not None:
             least_m, share = 2 * self._usual_m, CLEAR / UNLIKE
         limits = PLENTY, SAMPLE, least_m, share
-        found = fitted(places.ids, places.points, ids, points, order, limits)
+        found = kernels.fitted(places.ids, places.points, ids, points, order, limits)
         self._extent_m = found[2]
         return _Scan(*found[:2]), _Fit(*found[3:]) if len(found[3]) else None
 
@@ -251,8 +251,8 @@ class Rigidity:
 
     def _carry(self, fit: _Fit, ids: Ints, points: Floats) -> None:
         """Make landmarks of a scan, ids ascending, the last; others are predicted in its frame."""
-        from relmap.core.association.rigidity_kernels import carry
+        import relmap.core.association.rigidity_kernels as kernels
 
         assert self._last is not None
-        self._last = _Places(*carry(self._last.parts, ids, points, fit.R, fit.t, CARRIED))
+        self._last = _Places(*kernels.carry(self._last.parts, ids, points, fit.R, fit.t, CARRIED))
         self._strayed = None

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -118,9 +120,9 @@ class Scale:
 
     def _learn_variance(self, variance: float) -> None:
         if self.noise_m is None:
-            self.noise_m = float(np.sqrt(variance))
+            self.noise_m = math.sqrt(variance)
         else:
-            self.noise_m = float(np.sqrt(self.noise_m**2 + SLOWNESS * (variance - self.noise_m**2)))
+            self.noise_m = math.sqrt(self.noise_m**2 + SLOWNESS * (variance - self.noise_m**2))
 
 
 def spacing_of(points: Floats) -> float:

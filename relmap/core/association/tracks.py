@@ -84,7 +84,7 @@ class LiveTracks(Tracks):
 
     def possible(self, points: Floats) -> int:
         """Return the number of matches with points (n, d) that a search may find."""
-        return min(int(np.count_nonzero(self.missed == 0)), len(points), SEARCH)
+        return min(len(self) - int(np.count_nonzero(self.missed)), len(points), SEARCH)
 
     def crowd(self, points: Floats, most: int = SEARCH) -> tuple[Ints, Ints]:
         """Return the tracks (k,) and which of points (n, d), (l,), a search uses."""

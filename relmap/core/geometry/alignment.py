@@ -66,33 +66,35 @@ def fit_rigid_each(
     each pair, 0 to n - 1; `n`: number of sets. Returns `R` (n, d, d); `t` (n, d); `fixed` (n,):
     whether the points of a set determine its rotation; otherwise R and t are undefined.
     """
-    from relmap.core.geometry.each_kernels import fit_each
+    import relmap.core.geometry.each_kernels as kernels
 
     source, target = np.ascontiguousarray(source), np.ascontiguousarray(target)
-    return fit_each(source, target, np.minimum(weights, HEAVIEST), np.ascontiguousarray(at), n)
+    return kernels.fit_each(
+        source, target, np.minimum(weights, HEAVIEST), np.ascontiguousarray(at), n
+    )
 
 
 def place_each(R: Floats, t: Floats, at: Ints, points: Floats) -> Floats:
     """Return points (k, d), each transformed by R and t of its placement `at` (k,)."""
-    from relmap.core.geometry import each_kernels
+    import relmap.core.geometry.each_kernels as kernels
 
     R, t, points = (np.ascontiguousarray(each) for each in (R, t, points))
-    return each_kernels.place_each(R, t, np.ascontiguousarray(at), points)
+    return kernels.place_each(R, t, np.ascontiguousarray(at), points)
 
 
 def extent_of(points: Floats) -> float:
     """Return the longest side of the box around points (n, d), 0 if there are none."""
-    from relmap.core.geometry import each_kernels
+    import relmap.core.geometry.each_kernels as kernels
 
-    return each_kernels.extent_of(np.ascontiguousarray(points))
+    return kernels.extent_of(np.ascontiguousarray(points))
 
 
 def sums_each(values: Floats, at: Ints, n: int) -> Floats:
     """Sum values (k, ...) by set `at` (k,), 0 to n - 1; (n, ...)."""
-    from relmap.core.geometry import each_kernels
+    import relmap.core.geometry.each_kernels as kernels
 
     columns = np.ascontiguousarray(values).reshape(len(values), math.prod(values.shape[1:]))
-    sums = each_kernels.sums_each(columns, np.ascontiguousarray(at), n)
+    sums = kernels.sums_each(columns, np.ascontiguousarray(at), n)
     return sums.reshape(n, *values.shape[1:])
 
 

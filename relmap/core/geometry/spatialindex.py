@@ -34,11 +34,11 @@ class SpatialIndex:
 
     def add(self, landmarks: Ints) -> None:
         """Insert the mapped ones of landmarks (k,), replacing earlier positions."""
-        from relmap.core.geometry.spatialindex_kernels import enter
+        import relmap.core.geometry.spatialindex_kernels as kernels
 
         of = self._table
         columns = of.next_in_cell, of.cell, of.position, of.weight
-        self._n += enter(self._first, columns, landmarks, self.cell_m)
+        self._n += kernels.enter(self._first, columns, landmarks, self.cell_m)
         if self._n > len(self._first):
             self._link(len(self._first))
 
@@ -48,11 +48,11 @@ class SpatialIndex:
         All landmarks within a cell's side of a position that were last seen `before` (k,) an
         iteration are included, and some others.
         """
-        from relmap.core.geometry.spatialindex_kernels import near
+        import relmap.core.geometry.spatialindex_kernels as kernels
 
         of = self._table
         grid = self._first, of.next_in_cell, of.cell, of.last
-        return near(grid, positions, self.cell_m, before)
+        return kernels.near(grid, positions, self.cell_m, before)
 
     def holds(self, landmarks: Ints) -> Bools:
         """Return which landmarks (k,) are in the index."""
@@ -60,10 +60,10 @@ class SpatialIndex:
 
     def _link(self, n_buckets: int) -> None:
         """Link all landmarks anew, with four times as many buckets as landmarks or more."""
-        from relmap.core.geometry.spatialindex_kernels import link
+        import relmap.core.geometry.spatialindex_kernels as kernels
 
         n = int(np.sum(self._table.cell != NONE))
         while n_buckets < 4 * n:
             n_buckets *= 2
         self._first = np.full(n_buckets, NONE)
-        self._n = link(self._first, self._table.next_in_cell, self._table.cell)
+        self._n = kernels.link(self._first, self._table.next_in_cell, self._table.cell)

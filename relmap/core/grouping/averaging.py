@@ -113,11 +113,11 @@ class Averaging:
 
         Comparisons are limited to the n log2 n of the whole chart.
         """
-        if len(chart.iterations) < LONG:
-            return
         often = chart.common_interval >= FEWEST
+        rest = (often & self._table.dynamic[chart.landmarks]).nonzero()[0]
+        if len(chart.iterations) < LONG or not len(rest):
+            return
         allowed = n_log_n(int(often.sum()))
-        rest = np.flatnonzero(often & self._table.dynamic[chart.landmarks])
         together: list[Ints] = []
         while len(rest) > 1 and self.n_comparisons < allowed:
             block, none = chart.points_robot[rest], np.zeros(len(rest))

@@ -51,9 +51,9 @@ class PointChart:
     @cached_property
     def counted(self) -> tuple[Ints, float]:
         """The common intervals (n,), and the largest coordinate, metres."""
-        from relmap.core.grouping.binning_kernels import counted
+        import relmap.core.grouping.binning_kernels as kernels
 
-        return counted(self.points_robot)
+        return kernels.counted(self.points_robot)
 
     @property
     def common_interval(self) -> Ints:
@@ -97,10 +97,10 @@ def grow_group(
     size of a group. `min_shared`: minimum number of mapped landmarks in it; 0 for the first group
     of a map. Returns None if the chart contains no such group.
     """
-    from relmap.core.grouping.chart_kernels import grown
+    import relmap.core.grouping.chart_kernels as kernels
 
     if len(candidates) < min_members:
         return None
     fewest = min_members, min_shared
-    found = grown(chart.points_robot, candidates, chart.common_interval, weights, fewest)
+    found = kernels.grown(chart.points_robot, candidates, chart.common_interval, weights, fewest)
     return Group(*found) if len(found[0]) else None

@@ -78,8 +78,8 @@ def complete(landmarks: Ints, iterations: Ints, block: Floats, reference: Floats
     relative map to fit to; NaN for other landmarks. Returns the map of the landmarks seen in an
     iteration whose pose the reference determines.
     """
-    from relmap.core.grouping.averaging_kernels import place_iterations
+    import relmap.core.grouping.averaging_kernels as kernels
 
-    R, t, used, n_used, positions, variance, amplified = place_iterations(block, reference)
+    R, t, used, n_used, positions, variance, amplified = kernels.place_iterations(block, reference)
     whole = RelativeMap(landmarks, positions, variance, amplified, used, n_used, iterations, R, t)
     return whole.only(n_used > 0)

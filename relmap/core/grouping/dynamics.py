@@ -83,14 +83,14 @@ class DynamicStatus:
         A landmark whose position varies more than noise explains, in several consecutive groups, is
         dynamic; one that has been at rest for long is static again.
         """
-        from relmap.core.grouping.motion_kernels import tested
+        import relmap.core.grouping.motion_kernels as kernels
 
         of, still = self.table, rests(relative, noise_m)
         strikes, until = (of.strikes, of.struck_until), (of.tested_until, of.moved_until)
         columns = of.restless, *strikes, of.dynamic, *until, of.moving_bin
         seen = relative.used, relative.n_used, relative.iterations
         limits = FEWEST, ENOUGH, STRIKES, STILL, NONE
-        return tested(columns, relative.landmarks, still, *seen, limits)
+        return kernels.tested(columns, relative.landmarks, still, *seen, limits)
 
 
 def rests(relative: RelativeMap, noise_m: float) -> Bools:
@@ -98,10 +98,10 @@ def rests(relative: RelativeMap, noise_m: float) -> Bools:
 
     The noise is that of most landmarks, or the landmark's own if known.
     """
-    from relmap.core.grouping.motion_kernels import steady
+    import relmap.core.grouping.motion_kernels as kernels
 
     of = relative.positions, relative.variance, relative.amplified, relative.given
-    return steady(*of, noise_m, EXACT, LIMIT)
+    return kernels.steady(*of, noise_m, EXACT, LIMIT)
 
 
 def binned(
@@ -120,19 +120,18 @@ def binned(
     `allowed`: maximum number of comparisons; by default n log2 n for the n landmarks with enough
     observations. `counts`: see `PointChart.counted`; by default counted here.
     """
-    from relmap.core.grouping.binning_kernels import counted, sort_into_bins
+    import relmap.core.grouping.binning_kernels as kernels
 
-    n_seen, largest_m = counts or counted(block)
-    often, exact_m = n_seen >= FEWEST, EXACT * float(np.sqrt(block.shape[2]) * largest_m)
+    n_seen, largest_m = counts or kernels.counted(block)
+    often, exact_m = n_seen >= FEWEST, EXACT * (math.sqrt(block.shape[2]) * largest_m)
     if allowed is None:
-        allowed = n_log_n(int(often.sum()))
+        allowed = n_log_n(int(np.count_nonzero(often)))
     limit = LIMIT * 2 * max(noise_m, exact_m) ** 2
-    bin_of, n_comparisons = sort_into_bins(
+    bin_of, n_comparisons = kernels.sort_into_bins(
         block, often, priority, limit, FEWEST, SAMPLE, int(allowed)
     )
-    sizes = np.bincount(bin_of + 1)[1:]
-    bins = np.argsort(-sizes, kind="stable")
-    return Bins([np.flatnonzero(bin_of == number) for number in bins], n_comparisons)
+    bins = (-np.bincount(bin_of + 1)[1:]).argsort(kind="stable")
+    return Bins([(bin_of == number).nonzero()[0] for number in bins], n_comparisons)
 
 
 def n_log_n(n: int) -> float:

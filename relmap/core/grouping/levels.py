@@ -41,12 +41,12 @@ class GroupLevels:
         `placed` (n, d), frame of the submap, metres; `reached`, `n_averaged` (n,): the level that
         the group gives to each, and the number of observations averaged. Returns which (n,).
         """
-        from relmap.core.grouping.level_kernels import take
+        import relmap.core.grouping.level_kernels as kernels
 
         of, offered = self._table, (reached, n_averaged)
         columns = of.submap, of.group, of.level, of.highest_level, of.averaged
         places = of.position, of.weight, of.settled_position, of.settled_weight
-        best, before = take(
+        best, before = kernels.take(
             columns, places, submap, group.landmarks, placed, offered, self.n_groups
         )
         self._release(before)

@@ -53,10 +53,10 @@ class NoiseEstimate:
         freedoms = (g - 1) * (n - 1)
         if freedoms == 0:
             return
-        from relmap.core.grouping.averaging_kernels import steady_variance
+        import relmap.core.grouping.averaging_kernels as kernels
 
         # The median of chi-square over its mean (Wilson and Hilferty, 1931).
-        typical = steady_variance(few, (1 - 2 / (9 * (n - 1))) ** 3)
+        typical = kernels.steady_variance(few, (1 - 2 / (9 * (n - 1))) ** 3)
         self._squares = FORGETTING * self._squares + typical * freedoms
         self._freedoms = FORGETTING * self._freedoms + freedoms
 

@@ -2,7 +2,7 @@
 
 Compiled code is cached on disk, beside the package or else in the user's cache folder, so that only
 the first run on a machine waits for it. Importing the compiler takes time too, so these modules are
-imported where they are used.
+imported where they are used; within an iteration by `import`, as `from` takes 1 µs longer.
 
 Compile time depends on the number and length of functions. A scalar loop takes about 0.01 s,
 whereas a slice assignment, `np.full`, `np.sort`, `np.dot` and array arithmetic take 0.1 to 0.2 s

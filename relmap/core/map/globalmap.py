@@ -81,10 +81,12 @@ class GlobalMap:
         submap, metres, or None if the members determine no rotation: NaN for landmarks whose
         position is poorly determined by the rotation.
         """
-        from relmap.core.map.aligning_kernels import aligned
+        import relmap.core.map.aligning_kernels as kernels
 
         columns = self.table.position, self.table.weight, self.table.submap
-        placed, is_fixed = aligned(columns, submap, landmarks, relative_map, n_iterations, LOOSE)
+        placed, is_fixed = kernels.aligned(
+            columns, submap, landmarks, relative_map, n_iterations, LOOSE
+        )
         return placed if is_fixed else None
 
     def new_submap(self) -> int:
@@ -124,10 +126,10 @@ class GlobalMap:
 
     def is_fixed(self, submap: int, shared: Ints) -> bool:
         """Return whether some landmarks determine the positions of their whole submap well."""
-        from relmap.core.geometry.fitting_kernels import swings
+        import relmap.core.geometry.fitting_kernels as kernels
 
         members = np.flatnonzero(self.table.submap == submap)
-        swing = swings(self.table.position[members], np.isin(members, shared))
+        swing = kernels.swings(self.table.position[members], np.isin(members, shared))
         return bool((swing <= LOOSE_SUBMAP).all())
 
     def tie(self, other: int, submap: int, R: Floats, t: Floats) -> None:

@@ -163,7 +163,7 @@ class CondensedSegments:
         return whole.rows
 
     def _condense(self, store: ObservationStore, end: int, dynamic: Bools) -> None:
-        from relmap.core.refinement.segment_kernels import align_iterations
+        import relmap.core.refinement.segment_kernels as kernels
 
         begin, k, d = self.end, end - self.end, store.dimension
         self._make_room(k, d)
@@ -171,9 +171,11 @@ class CondensedSegments:
         steady = ~dynamic[store.now(present)]
         moves = np.count_nonzero(steady) < len(steady)
         own, landmarks = (block[steady], present[steady]) if moves else (block, present)
-        free = np.isfinite(own[:, :, 0]).sum(axis=0) >= 2
+        free = np.isfinite(own[:, :, :1]).sum(axis=(0, 2)) >= 2
         while np.count_nonzero(free):
-            joined, R, t, points, visible, squares, freedoms = align_iterations(own, free, FAR)
+            joined, R, t, points, visible, squares, freedoms = kernels.align_iterations(
+                own, free, FAR
+            )
             free &= ~joined
             is_sound = np.isfinite(squares)  # no gross outliers displaced the iterations
             self._squares.append(squares if is_sound else 0.0)

@@ -67,12 +67,12 @@ class GroupingSchedule:
         Those that have become due are queued. A landmark whose group fails is due again after as
         many more observations.
         """
-        from relmap.core.state.seeing_kernels import see
+        import relmap.core.state.seeing_kernels as kernels
 
         of, waiting = self._table, (self._in_view, self._gone)
         counts = of.last, of.observations, of.in_interval
         columns = *counts, of.is_gone, of.begin, of.level, of.weight
-        self._in_view, self._gone, left, ready, self._first = see(
+        self._in_view, self._gone, left, ready, self._first = kernels.see(
             columns, landmarks, waiting, iteration, self._max_missed, self._thresholds, FEW
         )
         if len(ready):
@@ -87,18 +87,17 @@ class GroupingSchedule:
         """
         if not len(self._due):
             return None
-        from relmap.core.state.seeing_kernels import due
+        import relmap.core.state.seeing_kernels as kernels
 
         of = self._table
         columns = of.in_interval, of.level, of.weight
-        self._due, level = due(columns, self._due, self._thresholds, 1, -1.0, self._due)
+        self._due, level = kernels.due(columns, self._due, self._thresholds, 1, -1.0, self._due)
         if not len(self._due):
             return None
         counts, begin = self._table.in_interval[self._due], self._table.begin[self._due]
-        first = np.lexsort((self._due, begin, -counts, level))[0]
-        seed = int(self._due[first])
-        self._due = np.delete(self._due, first)
-        return seed, int(level[first])
+        order = np.lexsort((self._due, begin, -counts, level))
+        seed, self._due = int(self._due[order[0]]), self._due[order[1:]]
+        return seed, int(level[order[0]])
 
     def waited(self, iteration: int) -> Ints:
         """Return the landmarks due at level 3 because they left the view long ago; (k,)."""
@@ -127,9 +126,9 @@ class GroupingSchedule:
 
     def merge(self, new: Ints, old: Ints) -> None:
         """Let older landmarks (k,) wait in place of the new ones (k,) merged into them."""
-        self._in_view = self._in_view[~np.isin(self._in_view, old)]
+        self._in_view = self._in_view[(self._in_view != old[:, None]).all(axis=0)]
         self._first = None
-        order = np.argsort(new)
+        order = new.argsort()
         new, old = new[order], old[order]
         for waiting in (self._in_view, self._due, self._gone):
             at = np.minimum(np.searchsorted(new, waiting), len(new) - 1)

@@ -153,15 +153,16 @@ class ObservationStore:
         `landmarks` (n,): the seed, then the others, ascending, `iterations` (i,), ascending and
         `block` (n, i, d), robot frame, metres: NaN where missing.
         """
-        from relmap.core.grouping.chart_kernels import chart_block, seen_with
+        import relmap.core.grouping.chart_kernels as kernels
 
         shown, offsets = self._shown(begin, end)
         seen = shown.landmarks if seed < 0 else self.now(shown.landmarks)
-        self._slots.resize(max(seed, int(seen.max(initial=-1))) + 1, -1)
+        last = int(seen[seen.argmax()]) if len(seen) else -1
+        self._slots.resize(max(seed, last) + 1, -1)
         slots = self._slots.values
-        landmarks, columns = seen_with(seen, offsets, seed, slots)
+        landmarks, columns = kernels.seen_with(seen, offsets, seed, slots)
         landmarks[seed >= 0 :].sort()  # several times as fast as a compiled loop
-        block = chart_block(seen, shown.points_robot, offsets, landmarks, columns, slots)
+        block = kernels.chart_block(seen, shown.points_robot, offsets, landmarks, columns, slots)
         return landmarks, columns + begin, block
 
     def _rows(self, begin: int, end: int) -> tuple[slice, Ints]:

@@ -91,7 +91,6 @@ class LandmarkState(Columns):
         if n > self._filled:
             self._fill(n + AHEAD)
         self._show(n)
-        self.landmark_of[before:] = np.arange(before, n)
         for column in (self.track_begin, self.first, self.since):
             column[before:] = iteration
 
@@ -100,12 +99,12 @@ class LandmarkState(Columns):
 
         Returns the landmarks after merging.
         """
-        from relmap.core.state.seeing_kernels import enter
+        import relmap.core.state.seeing_kernels as kernels
 
         n = int(landmarks[landmarks.argmax()]) + 1 if len(landmarks) else 0
         self.resize(n, iteration, points.shape[1])
         columns = self.landmark_of, self.track_end, self.track_observations
-        return enter(columns, landmarks, iteration)
+        return kernels.enter(columns, landmarks, iteration)
 
     def now(self, landmarks: Ints) -> Ints:
         """Return the landmarks (any shape) after merging, given their numbers; -1 stays."""
@@ -198,6 +197,7 @@ class LandmarkState(Columns):
             if n > len(self._rooms[name]):
                 self._grow(name, n)
             self._rooms[name][self._filled : n] = column.fill
+        self._rooms["landmark_of"][self._filled : n] = np.arange(self._filled, n)
         self._filled = n
 
     def _grow(self, name: str, n: int) -> None:
