@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from relmap.core.arrays import Floats
+from relmap.core.grouping.chart import PointChart
 from relmap.core.grouping.completion import RelativeMap, complete
 from tests.worlds import random_rotation
 
@@ -31,7 +32,8 @@ def seen_block(
 
 def completed(block: Points, reference: Points) -> RelativeMap:
     n, i = block.shape[:2]
-    return complete(np.arange(n), np.arange(i), block, reference)
+    chart = PointChart(np.arange(n), np.arange(i), block)
+    return complete(chart, reference, np.zeros(n, dtype=bool), np.nan)
 
 
 def reference_of(places: Points, members: slice | list[int]) -> Points:

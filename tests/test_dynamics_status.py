@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from relmap.core.grouping.chart import PointChart
 from relmap.core.grouping.completion import RelativeMap, complete
 from relmap.core.grouping.dynamics import FEWEST, LIMIT, STILL, DynamicStatus, rests
 from relmap.core.state.table import LandmarkState
@@ -20,7 +21,8 @@ def relative_map(
     n = len(landmarks)
     places = np.random.default_rng(0).uniform(-5, 5, (n + 2, 2))
     block = np.repeat(places[:, None], 10, axis=1)
-    whole = complete(np.arange(n + 2), np.arange(end - 9, end + 1), block, places)
+    chart = PointChart(np.arange(n + 2), np.arange(end - 9, end + 1), block)
+    whole = complete(chart, places, np.zeros(n + 2, dtype=bool), np.nan)
     used = np.zeros((n, 10), dtype=bool)
     used[:, :n_used] = True
     return replace(

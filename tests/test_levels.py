@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 from relmap import PointMapper
 from relmap.core import turns
 from relmap.core.arrays import Bools, Ints
+from relmap.core.grouping.completion import RelativeMap
 from relmap.core.grouping.levels import GroupLevels
-from relmap.core.landmarks import MappedGroup
 from relmap.core.mapper import RelativeMapper
+from relmap.core.state.schedule import LONGEST_INTERVAL
 from relmap.core.state.table import LandmarkState
 from relmap.simulation import simulate_figure_eight
 from tests.worlds import walk
@@ -28,11 +29,6 @@ offers = st.lists(
 )
 
 
-def empty_group(number: int, landmarks: Ints) -> MappedGroup:
-    """Return a group of landmarks that is known by its only iteration."""
-    return MappedGroup(landmarks, np.empty(0), np.empty(0, dtype=np.int64), np.array([number]))
-
-
 def begun(n: int) -> tuple[LandmarkState, GroupLevels]:
     table = LandmarkState()
     table.resize(n, 0, 2)
@@ -43,11 +39,24 @@ def numbers(levels: GroupLevels) -> list[int]:
     return [int(group.iterations[0]) for group in levels.groups]
 
 
-def offered(levels: GroupLevels, number: int, rows: list[tuple[int, int, int]]) -> Bools:
-    """Let a group offer positions, as the engine does; return which were accepted."""
-    landmarks, reached, n_averaged = np.array(rows, dtype=np.int64).reshape(-1, 3).T
-    placed = np.zeros((len(rows), 2))
-    return levels.take(empty_group(number, landmarks), 0, placed, reached, n_averaged)
+def offered(
+    table: LandmarkState, levels: GroupLevels, number: int, rows: list[tuple[int, int, int]]
+) -> Bools:
+    """Let a group offer positions, as the engine does; return which were accepted.
+
+    A landmark reaches level 3 if it is gone, level 1 if the group has few of its observations.
+    """
+    landmarks, reached, n_averaged = np.array(rows, dtype=np.int64).reshape(-1, 3).T.copy()
+    n, seen, none = len(rows), np.arange(5) < n_averaged[:, None], np.empty(0)
+    places, iterations = np.zeros((n, 2)), np.arange(5)
+    own = landmarks, places, none, none, seen, n_averaged, iterations, none, none
+    relative = RelativeMap(*own, common_interval=np.array([number]))
+    table.is_gone[landmarks] = reached == 3
+    table.in_interval[landmarks] = np.where(reached == 1, 2 * n_averaged + 1, 0)
+    whole = levels.take(relative, 0, places, (3, np.inf, LONGEST_INTERVAL))
+    taken = table.group[landmarks] == levels.n_groups - 1
+    assert whole.tolist() == landmarks[taken & (reached == 3)].tolist()
+    return np.asarray(taken)
 
 
 @settings(max_examples=100)
@@ -63,7 +72,7 @@ def test_the_highest_level_wins_and_of_equal_ones_the_one_with_more(
     for number, (what, rows) in enumerate(steps):
         landmarks = np.array([row[0] for row in rows], dtype=np.int64)
         if what == "group":
-            taken = offered(levels, number, rows)
+            taken = offered(table, levels, number, rows)
             for (landmark, reached, n), wins in zip(rows, taken.tolist(), strict=True):
                 assert wins == (n > 0 and (reached, n) > present[landmark])
                 if wins:
@@ -84,23 +93,23 @@ def test_the_highest_level_wins_and_of_equal_ones_the_one_with_more(
 
 
 def test_a_lower_group_goes_when_the_last_of_its_members_is_in_a_higher_one() -> None:
-    _, levels = begun(3)
-    offered(levels, 0, [(0, 1, 4), (1, 1, 4), (2, 1, 4)])
-    offered(levels, 1, [(0, 2, 9), (1, 2, 9)])
+    table, levels = begun(3)
+    offered(table, levels, 0, [(0, 1, 4), (1, 1, 4), (2, 1, 4)])
+    offered(table, levels, 1, [(0, 2, 9), (1, 2, 9)])
     assert numbers(levels) == [0, 1]
-    offered(levels, 2, [(2, 2, 3)])
+    offered(table, levels, 2, [(2, 2, 3)])
     assert numbers(levels) == [1, 2]
 
 
 def test_one_merged_into_another_goes_on_with_its_group() -> None:
     table, levels = begun(2)
-    offered(levels, 0, [(0, 3, 30)])
+    offered(table, levels, 0, [(0, 3, 30)])
     levels.close(np.array([0]))
-    offered(levels, 1, [(1, 1, 10)])
+    offered(table, levels, 1, [(1, 1, 10)])
     table.merge(np.array([1]), np.array([0]))
     assert (table.level[0], table.highest_level[0]) == (1, 3)
-    assert not offered(levels, 2, [(0, 1, 9)])[0]
-    assert offered(levels, 3, [(0, 2, 20)])[0]
+    assert not offered(table, levels, 2, [(0, 1, 9)])[0]
+    assert offered(table, levels, 3, [(0, 2, 20)])[0]
     assert numbers(levels) == [0, 3]
 
 

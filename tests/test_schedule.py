@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from relmap.core.config import MapperConfig
+from relmap.core.grouping.level_kernels import reached
 from relmap.core.state.schedule import LONGEST_INTERVAL, WAIT, GroupingSchedule
 from relmap.core.state.table import LandmarkState
 
@@ -25,6 +26,13 @@ def see(
     seen = np.array(landmarks, dtype=np.int64)
     table.resize(max(landmarks, default=-1) + 1, iteration, 2)
     return sorted(schedule.see(seen, iteration).tolist())
+
+
+def level_of(
+    schedule: GroupingSchedule, table: LandmarkState, landmark: int, n_averaged: int, level: int
+) -> int:
+    seen, is_gone = int(table.in_interval[landmark]), bool(table.is_gone[landmark])
+    return reached(level, n_averaged, seen, is_gone, *schedule.limits)
 
 
 @pytest.mark.parametrize("passes", [(3, 6), (2, 9)])
@@ -127,9 +135,9 @@ def test_what_was_seen_less_than_half_the_time_reaches_the_first_level_only() ->
     for k in range(10):
         see(schedule, table, [0, 1, 2], k)
     table.is_gone[2] = True
-    landmarks, n = np.array([0, 1, 2]), np.array([4, 5, 5])
-    assert schedule.reached(landmarks, n, 3).tolist() == [1, 2, 3]
-    assert schedule.reached(landmarks, n, 2).tolist() == [1, 2, 2]
+    for level in (2, 3):
+        found = [level_of(schedule, table, k, n, level) for k, n in enumerate([4, 5, 5])]
+        assert found == [1, 2, level]
 
 
 @pytest.mark.parametrize("after", [1, 4, 10, 100])
@@ -137,8 +145,7 @@ def test_what_is_not_stored_any_longer_does_not_stand_in_the_way_of_level_3(afte
     schedule, table = begun(after)
     for k in range(6 * max(after, LONGEST_INTERVAL)):
         see(schedule, table, [0], k)
-    stored = np.array([LONGEST_INTERVAL])
-    assert schedule.reached(np.array([0]), stored, 3).tolist() == [3]
+    assert level_of(schedule, table, 0, LONGEST_INTERVAL, 3) == 3
 
 
 def test_one_merged_into_another_goes_on_in_its_place() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from relmap.core.arrays import Floats, Ints
+from relmap.core.arrays import Floats, Ints, entries
 from relmap.core.association.base import UNIDENTIFIED, Registration
 from relmap.core.association.rigidity import Rigidity
 from relmap.core.state.growing import GrowingArray
@@ -57,7 +57,7 @@ class KnownAssociation(Registration):
         """Return the ids of landmarks (n,); `UNIDENTIFIED` stays."""
         if not len(self._labels):
             return landmarks.copy()
-        return np.where(landmarks >= 0, self._labels.values[landmarks], UNIDENTIFIED)
+        return entries(self._labels.values, landmarks)
 
     def match(self, points_robot: Floats, ids: Ints | None) -> Ints:
         """Return the landmark of each id (n,).
@@ -74,7 +74,7 @@ class KnownAssociation(Registration):
 
         Record the rows that changed.
         """
-        if len(ids) and ids.min() >= 0:
+        if len(ids) and ids[ids.argmin()] >= 0:
             good = self._rigidity.checked(ids, points_robot)
             if good is ids:
                 return ids

@@ -7,18 +7,10 @@ import numpy as np
 from relmap.core.arrays import Floats, Ints
 from relmap.core.grouping.chart import Group, PointChart
 from relmap.core.grouping.completion import RelativeMap, complete
-from relmap.core.grouping.dynamics import FEWEST, Bins, DynamicStatus, binned, n_log_n, rests
+from relmap.core.grouping.dynamics import FEWEST, Bins, DynamicStatus, binned, n_log_n
 from relmap.core.grouping.noise import NoiseEstimate, guess_noise
 from relmap.core.state.table import LandmarkState
 
-ROUNDS = 6
-"""Maximum number of refits of a relative map as it grows."""
-AMPLE = 1.5
-"""Growth factor of the well-placed part of the chart that triggers a refit."""
-PLENTY, NEARLY = 100, 0.95
-"""Number of well-placed members, and their fraction of a chart, for which it is not refitted."""
-SOLID = 1.0
-"""Largest variance of a position used in a fit, relative to that of an observation."""
 FEW = 0.2
 """Fraction of a chart, and of its known landmarks, in the static bin, below which the bin is
 doubted."""
@@ -54,37 +46,15 @@ class Averaging:
         `average` (g, d), group frame, metres: the relative map.
         """
         self.noise.add(group.points_robot)
-        relative = self._completed(chart, group, average)
+        reference = np.full((len(chart.landmarks), average.shape[1]), np.nan)
+        reference[group.rows] = average
+        moves = self._table.dynamic[chart.landmarks]
+        relative = complete(chart, reference, moves, self._tolerated_m)
         at_rest = self._motion.test(relative, self._tolerated_m)
         self._bin_movers(chart)
         resting = relative.only(at_rest)
         resting.common_interval = chart.iterations[group.columns]
         return resting
-
-    def _completed(self, chart: PointChart, group: Group, average: Floats) -> RelativeMap:
-        """Complete a relative map by the whole chart, from the group outwards.
-
-        With few members the rotation of the far end of the chart is poorly determined: landmarks
-        placed accurately enough are used for the fit too, repeatedly.
-        """
-        landmarks, block = chart.landmarks, chart.points_robot
-        reference = np.full((len(block), block.shape[2]), np.nan)
-        reference[group.rows] = average
-        n_members = len(group.rows)
-        for _ in range(ROUNDS):
-            relative = complete(landmarks, chart.iterations, block, reference)
-            if chart.variance is not None:
-                relative.given = chart.variance[_rows_of(relative, landmarks)]
-            solid = (relative.n_used >= FEWEST) & rests(relative, self._tolerated_m)
-            solid &= ~self._table.dynamic[relative.landmarks]
-            solid &= relative.amplified <= SOLID * relative.n_used
-            n_solid = int(np.count_nonzero(solid))
-            is_settled = n_members >= PLENTY and n_solid >= NEARLY * len(solid)
-            if is_settled or n_solid <= AMPLE * n_members:
-                break
-            n_members, reference = n_solid, np.full_like(reference, np.nan)
-            reference[_rows_of(relative, landmarks)[solid]] = relative.positions[solid]
-        return relative
 
     def static(self, chart: PointChart, weights: Floats) -> Ints:
         """Return the rows of the chart that keep their distances and are not known to move."""
@@ -130,10 +100,3 @@ class Averaging:
         compared = self.n_comparisons + len(rest) <= allowed  # none was skipped for lack of budget
         alone = chart.landmarks[rest] if compared else rest[:0]
         self._motion.go_together(together, alone)
-
-
-def _rows_of(relative: RelativeMap, landmarks: Ints) -> Ints:
-    """Return the rows of a relative map's landmarks among those of its chart (n,), in order."""
-    if len(relative.landmarks) == len(landmarks):
-        return np.arange(len(landmarks))
-    return np.flatnonzero(np.isin(landmarks, relative.landmarks))

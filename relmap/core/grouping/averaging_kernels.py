@@ -6,9 +6,14 @@ import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.geometry.fitting_kernels import enter_swings, fit_rows, set_placement
+from relmap.core.grouping.completion import AMPLE, NEARLY, PLENTY, ROUNDS, SOLID
+from relmap.core.grouping.dynamics import EXACT, FEWEST, LIMIT
+from relmap.core.grouping.motion_kernels import steady
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import median, smallest
 from relmap.core.linalg.small_kernels import identity
+
+Completed = tuple[Floats, Floats, Bools, Ints, Floats, Floats, Floats]
 
 
 @helper
@@ -92,10 +97,8 @@ def _enter_matches(
     return n
 
 
-@compiled
-def place_iterations(
-    block: Floats, reference: Floats
-) -> tuple[Floats, Floats, Bools, Ints, Floats, Floats, Floats]:
+@helper
+def _place_iterations(block: Floats, reference: Floats) -> Completed:
     """Fit every iteration of a block (n, i, d) to a reference (n, d) and average; see `complete`.
 
     Returns R (i, d, d), t (i, d), which observations are placed (n, i), and how many of each
@@ -138,6 +141,36 @@ def place_iterations(
     for k in range(n):
         variance[k] = variance[k] / (d * (counts[k] - 2)) if counts[k] > 2 else np.nan
     return R, t, used, counts, mean, variance, amplified
+
+
+@compiled
+def completed(
+    block: Floats, reference: Floats, moves: Bools, given: Floats | None, noise_m: float
+) -> Completed:
+    """Complete a reference (n, d) by the landmarks of a block (n, i, d); see `complete`.
+
+    `given` (n,): variance of an observed coordinate. Returns what `_place_iterations` does.
+    """
+    n, d = reference.shape
+    n_members, solid, rounds = 0, np.empty(n, dtype=np.bool_), 0
+    for k in range(n):
+        n_members += not np.isnan(reference[k, 0])
+    while True:
+        whole = _place_iterations(block, reference)
+        _, _, _, counts, mean, variance, amplified = whole
+        still = steady(mean, variance, amplified, given, noise_m, EXACT, LIMIT)
+        n_placed, n_solid, rounds = 0, 0, rounds + 1
+        for k in range(n):
+            solid[k] = counts[k] >= FEWEST and still[k] and not moves[k]
+            solid[k] = solid[k] and amplified[k] <= SOLID * counts[k]
+            n_placed, n_solid = n_placed + (counts[k] > 0), n_solid + solid[k]
+        is_settled = n_members >= PLENTY and n_solid >= NEARLY * n_placed
+        if is_settled or n_solid <= AMPLE * n_members or rounds == ROUNDS:
+            return whole
+        n_members = n_solid
+        for k in range(n):
+            for a in range(d):
+                reference[k, a] = mean[k, a] if solid[k] else np.nan
 
 
 @helper

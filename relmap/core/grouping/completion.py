@@ -7,11 +7,21 @@ to the relative map by least squares, and its observations are averaged as well.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.grouping.chart import PointChart
+
+ROUNDS = 6
+"""Maximum number of refits of a relative map as it grows."""
+AMPLE = 1.5
+"""Growth factor of the well-placed part of the chart that triggers a refit."""
+PLENTY, NEARLY = 100, 0.95
+"""Number of well-placed members, and their fraction of a chart, for which it is not refitted."""
+SOLID = 1.0
+"""Largest variance of a position used in a fit, relative to that of an observation."""
 
 
 @dataclass(eq=False)
@@ -58,28 +68,37 @@ class RelativeMap:
         """Return the map restricted to some of its landmarks."""
         if np.count_nonzero(rows) == len(rows):
             return self
-        return replace(
-            self,
+        return RelativeMap(
             landmarks=self.landmarks[rows],
             positions=self.positions[rows],
             variance=self.variance[rows],
             amplified=self.amplified[rows],
             used=self.used[rows],
             n_used=self.n_used[rows],
+            iterations=self.iterations,
+            R=self.R,
+            t=self.t,
+            common_interval=self.common_interval,
             given=None if self.given is None else self.given[rows],
         )
 
 
-def complete(landmarks: Ints, iterations: Ints, block: Floats, reference: Floats) -> RelativeMap:
+def complete(chart: PointChart, reference: Floats, moves: Bools, noise_m: float) -> RelativeMap:
     """Average a whole chart in the frame of a relative map of some of its landmarks.
 
-    `landmarks` (n,); `iterations` (i,); `block` (n, i, d), robot frame, metres: observations of the
-    landmarks in the iterations; NaN where missing. `reference` (n, d), group frame, metres: the
-    relative map to fit to; NaN for other landmarks. Returns the map of the landmarks seen in an
-    iteration whose pose the reference determines.
+    With few members the rotation of the far end of the chart is poorly determined: landmarks placed
+    accurately enough are used for the fit too, repeatedly, from the relative map outwards.
+
+    `reference` (n, d), group frame, metres, changed: the relative map to fit to; NaN for others;
+    `moves` (n,): landmarks known to move; `noise_m`: standard deviation of a static landmark; NaN
+    if unknown. Returns the map of the landmarks seen in an iteration whose pose the reference
+    determines.
     """
     import relmap.core.grouping.averaging_kernels as kernels
 
-    R, t, used, n_used, positions, variance, amplified = kernels.place_iterations(block, reference)
-    whole = RelativeMap(landmarks, positions, variance, amplified, used, n_used, iterations, R, t)
+    block, seen, given = chart.points_robot, chart.iterations, chart.variance
+    found = kernels.completed(block, reference, moves, given, noise_m)
+    R, t, used, n_used, mean, variance, amplified = found
+    whole = RelativeMap(chart.landmarks, mean, variance, amplified, used, n_used, seen, R, t)
+    whole.given = given
     return whole.only(n_used > 0)

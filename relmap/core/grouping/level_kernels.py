@@ -7,10 +7,25 @@ import numpy as np
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.linalg.compiling import compiled
 
-Counts = tuple[Ints, Ints, Ints, Ints, Ints]
-"""Of the landmark table: submap, group, level, highest_level, averaged."""
+Counts = tuple[Ints, Ints, Ints, Ints, Ints, Ints, Ints, Bools]
+"""Of the landmark table: submap, group, level, highest_level, averaged; begin, in_interval,
+is_gone."""
 Places = tuple[Floats, Floats, Floats, Floats]
 """Of the landmark table: position, weight, settled_position, settled_weight."""
+
+
+@compiled
+def reached(
+    level: int, n_averaged: int, in_interval: int, is_gone: bool, ripe: float, longest: int
+) -> int:
+    """Return the level that a group of some level gives to a landmark.
+
+    Level 3 requires the whole interval: the landmark is gone, or has as many observations as are
+    `ripe`. A group with less than half of those stored, at most `longest`, gives it only level 1.
+    """
+    if 2 * n_averaged < min(in_interval, longest):
+        return 1
+    return level if is_gone or in_interval >= ripe else min(level, 2)
 
 
 @compiled
@@ -18,37 +33,40 @@ def take(
     columns: Counts,
     places: Places,
     submap: int,
+    number: int,
     landmarks: Ints,
     placed: Floats,
-    offered: tuple[Ints, Ints],
-    number: int,
-) -> tuple[Bools, Ints]:
+    seen: tuple[Bools, Ints],
+    limits: tuple[int, float, int],
+) -> tuple[Ints, Ints]:
     """Place the landmarks (n,) for which a group is the best at `placed` (n, d) of a submap.
 
-    `offered`: the level that each reaches, and the number of observations averaged; `number`: of
-    the group. Positions are averaged with the settled ones. Returns which are placed (n,), and the
-    groups that they had before.
+    `number`: of the group; `seen`: observations averaged (n, i), and iterations (i,); `limits`: the
+    pass, and the last two of `reached`. Positions are averaged with the settled ones. Returns the
+    landmarks that are complete, and the groups that those placed had before.
     """
-    submap_of, group, level, highest, averaged = columns
+    submap_of, group, level, highest, averaged, begin, in_interval, is_gone = columns
     position, weight, settled_position, settled_weight = places
-    levels, counts = offered
-    best, n = np.zeros(len(landmarks), dtype=np.bool_), 0
-    before = np.empty(len(landmarks), dtype=np.int64)
+    before, n = np.empty(len(landmarks), dtype=np.int64), 0
+    whole, n_whole = np.empty(len(landmarks), dtype=np.int64), 0
     for k in range(len(landmarks)):
-        one = landmarks[k]
-        if counts[k] > averaged[one]:
-            best[k] = levels[k] >= level[one]
-        else:
-            best[k] = levels[k] > level[one] and counts[k] > 0
-        if best[k]:
+        one, count = landmarks[k], 0
+        # If its interval began within the chart, the earlier positions are settled.
+        for i in range(len(seen[1])):
+            count += seen[0][k, i] and seen[1][i] >= begin[one]
+        to = reached(limits[0], count, in_interval[one], is_gone[one], limits[1], limits[2])
+        better = to >= level[one] if count > averaged[one] else to > level[one] and count > 0
+        if better:
             if submap_of[one] != submap:
                 settled_weight[one] = 0.0
-            weight[one] = settled_weight[one] + counts[k]
-            share = counts[k] / weight[one]
+            weight[one] = settled_weight[one] + count
+            share = count / weight[one]
             for a in range(placed.shape[1]):
                 settled = settled_position[one, a]
                 position[one, a] = settled + share * (placed[k, a] - settled)
             before[n], n = group[one], n + 1
-            submap_of[one], group[one], level[one] = submap, number, levels[k]
-            highest[one], averaged[one] = max(highest[one], levels[k]), counts[k]
-    return best, before[:n]
+            submap_of[one], group[one], level[one] = submap, number, to
+            highest[one], averaged[one] = max(highest[one], to), count
+            if to == 3:
+                whole[n_whole], n_whole = one, n_whole + 1
+    return whole[:n_whole], before[:n]

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections import Counter
 
-from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.arrays import Floats, Ints
+from relmap.core.grouping.completion import RelativeMap
 from relmap.core.landmarks import MappedGroup
 from relmap.core.state.table import NONE, LandmarkState
 
@@ -32,29 +33,35 @@ class GroupLevels:
         return list(self._groups.values())
 
     def take(
-        self, group: MappedGroup, submap: int, placed: Floats, reached: Ints, n_averaged: Ints
-    ) -> Bools:
-        """Take the positions of those landmarks of a group (n,) for which it is the best.
+        self, relative: RelativeMap, submap: int, placed: Floats, limits: tuple[int, float, int]
+    ) -> Ints:
+        """Take the positions of those landmarks (n,) for which a relative map is the best group.
 
         They are averaged with the settled ones, and groups that are no longer needed are dropped.
 
-        `placed` (n, d), frame of the submap, metres; `reached`, `n_averaged` (n,): the level that
-        the group gives to each, and the number of observations averaged. Returns which (n,).
+        `placed` (n, d), frame of the submap, metres; `limits`: the pass, and those of the schedule.
+        Returns the landmarks (k,) that are complete.
         """
         import relmap.core.grouping.level_kernels as kernels
 
-        of, offered = self._table, (reached, n_averaged)
-        columns = of.submap, of.group, of.level, of.highest_level, of.averaged
+        of, seen = self._table, (relative.used, relative.iterations)
+        interval = of.begin, of.in_interval, of.is_gone
+        columns = of.submap, of.group, of.level, of.highest_level, of.averaged, *interval
         places = of.position, of.weight, of.settled_position, of.settled_weight
-        best, before = kernels.take(
-            columns, places, submap, group.landmarks, placed, offered, self.n_groups
+        whole, before = kernels.take(
+            columns, places, submap, self.n_groups, relative.landmarks, placed, seen, limits
         )
         self._release(before)
         if len(before):
-            self._groups[self.n_groups] = group
+            self._groups[self.n_groups] = MappedGroup(
+                landmarks=relative.landmarks,
+                relative_map=relative.positions,
+                n_observations=relative.n_used,
+                iterations=relative.common_interval,
+            )
             self._users[self.n_groups] = len(before)
         self.n_groups += 1
-        return best
+        return whole
 
     def leave(self, landmarks: Ints) -> None:
         """Remove landmarks that turned out to move from their groups."""

@@ -59,7 +59,7 @@ class GlobalMap:
         """Return the submaps that contain enough of the landmarks, the oldest first."""
         own = self.table.submap[landmarks]
         own = own[own != NONE]
-        if len(own) and (own == own[0]).all():
+        if len(own) and np.count_nonzero(own == own[0]) == len(own):
             return np.asarray(own[:1] if len(own) >= at_least else own[:0])
         submaps, counts = np.unique(own, return_counts=True)
         return np.asarray(submaps[counts >= at_least])

@@ -9,7 +9,6 @@ import numpy as np
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.grouping.completion import RelativeMap
 from relmap.core.grouping.dynamics import FEWEST
-from relmap.core.landmarks import MappedGroup
 
 if TYPE_CHECKING:
     from relmap.core.mapper import RelativeMapper
@@ -23,22 +22,13 @@ def place(
     `level`: the pass: 1, 2 or 3; `placed` (n, d), frame of the submap, metres: the relative map,
     aligned. Returns (k,): the newly mapped landmarks.
     """
-    table, landmarks = engine.table, relative.landmarks
+    landmarks = relative.landmarks
     engine.map.join(submap, landmarks, placed)
-    group = MappedGroup(
-        landmarks=landmarks,
-        relative_map=relative.positions,
-        n_observations=relative.n_used,
-        iterations=relative.common_interval,
-    )
-    # For a landmark whose interval began within the chart, the earlier positions are settled.
-    begin = table.begin[landmarks][:, None]
-    n_averaged = np.sum(relative.used & (relative.iterations >= begin), axis=1)
-    reached = engine.schedule.reached(landmarks, n_averaged, level)
-    best = engine.levels.take(group, submap, placed, reached, n_averaged)
+    limits = level, *engine.schedule.limits
+    whole = engine.levels.take(relative, submap, placed, limits)
     if level == 3:
-        _close(engine, landmarks[best & (reached == 3)])
-    return landmarks[table.weight[landmarks] > 0]
+        _close(engine, whole)
+    return landmarks[engine.table.weight[landmarks] > 0]
 
 
 def leave_out_moving(engine: RelativeMapper, landmarks: Ints) -> None:

@@ -51,7 +51,6 @@ class GroupingSchedule:
     @property
     def gone(self) -> Ints:
         """Landmarks that have left the view and wait for level 3, in the order of leaving; (k,)."""
-        self._gone = self._gone[self._table.is_gone[self._gone]]
         return self._gone
 
     def needed_from(self, end: int) -> int:
@@ -77,7 +76,7 @@ class GroupingSchedule:
         )
         if len(ready):
             fresh = ready[~np.isin(ready, self._due)] if len(self._due) else ready
-            self._due = np.append(self._due, fresh)
+            self._due = np.concatenate([self._due, fresh])
         return left
 
     def next_due(self) -> tuple[int, int] | None:
@@ -113,16 +112,10 @@ class GroupingSchedule:
         self._table.is_gone[self._in_view] = True
         self._first = None
 
-    def reached(self, landmarks: Ints, n_averaged: Ints, level: int) -> Ints:
-        """Return the level (n,) that a group of some level gives to its landmarks.
-
-        Level 3 requires the whole interval; a group with less than half of a landmark's stored
-        observations gives it only level 1.
-        """
-        counts = self._table.in_interval[landmarks]
-        whole = self._table.is_gone[landmarks] | (counts >= RIPE * self._thresholds[-1])
-        reached = np.where(whole, level, min(level, 2))
-        return np.where(2 * n_averaged >= np.minimum(counts, LONGEST_INTERVAL), reached, 1)
+    @property
+    def limits(self) -> tuple[float, int]:
+        """Observations with which an interval is complete, and of which one may be stored."""
+        return RIPE * float(self._thresholds[-1]), LONGEST_INTERVAL
 
     def merge(self, new: Ints, old: Ints) -> None:
         """Let older landmarks (k,) wait in place of the new ones (k,) merged into them."""
@@ -133,6 +126,7 @@ class GroupingSchedule:
         for waiting in (self._in_view, self._due, self._gone):
             at = np.minimum(np.searchsorted(new, waiting), len(new) - 1)
             waiting[:] = np.where(new[at] == waiting, old[at], waiting)
+        self._gone = self._gone[self._table.is_gone[self._gone]]
 
     def part(self, track: int, iteration: int) -> None:
         """Begin an interval of a track that is no longer another landmark's, in view if just seen.
@@ -147,6 +141,7 @@ class GroupingSchedule:
     def begin_anew(self, landmarks: Ints, iteration: int) -> None:
         """End the interval of landmarks; those in view begin a new one."""
         self._table.is_gone[landmarks] = False
+        self._gone = self._gone[self._table.is_gone[self._gone]]
         self._table.begin[landmarks] = iteration
         self._table.in_interval[landmarks] = 0
         self._first = None

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.arrays import Bools, Floats, Ints, entries
 from relmap.core.state.columns import COLUMNS, MERGED, NONE, Columns
 
 __all__ = ["NONE", "LandmarkState"]
@@ -110,10 +110,7 @@ class LandmarkState(Columns):
         """Return the landmarks (any shape) after merging, given their numbers; -1 stays."""
         if not self._merged_into:
             return landmarks.copy()
-        found = self.landmark_of[landmarks]
-        if landmarks.size and landmarks.item(landmarks.argmin()) < 0:
-            found[landmarks < 0] = landmarks[landmarks < 0]
-        return found
+        return entries(self.landmark_of, landmarks)
 
     def settle(self, landmarks: Ints) -> None:
         """Settle the positions of landmarks (k,): later positions are averaged with them."""
