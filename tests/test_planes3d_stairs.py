@@ -7,6 +7,7 @@ import pytest
 
 from relmap import Plane3dMapper
 from relmap.core.arrays import Floats
+from relmap.planes3d.fitting import repeats
 from relmap.planes3d.gathering import is_rough
 from relmap.planes3d.hypothesis_kernels import best_ways
 from relmap.segmentation.space import PatchSegmenter
@@ -87,11 +88,24 @@ def test_a_slope_over_stairs_is_rough(scans: list[Floats]) -> None:
 @pytest.mark.parametrize("rise", [-2, 0, 3])
 def test_of_equal_motions_on_stairs_the_one_closest_to_the_prediction_is_first(rise: int) -> None:
     # Two walls, and two treads that match all others but for the ends of the flight.
-    shifts = range(-6, 7)
-    of = np.array([0, 1, *[2] * len(shifts), *[3] * len(shifts)])
+    steps = range(-6, 7)
+    of = np.array([0, 1, *[2] * len(steps), *[3] * len(steps)])
     normal = np.eye(3)[np.minimum(of, 2)]
-    off = np.array([0.0, 0.0, *[RISE_M * k for k in shifts] * 2])
+    off = np.array([0.0, 0.0, *[RISE_M * k for k in steps] * 2])
     gate, weight, held = np.full(len(of), 0.01), np.full(4, 0.25), np.array([0, 0, RISE_M * rise])
     ways, support = best_ways(normal, off, of, gate, weight, held, 0.02)
     assert support.min() == 1.0
     np.testing.assert_allclose(ways[0], held, atol=1e-12)
+
+
+@pytest.mark.parametrize("steps", [-1, 1])
+def test_from_the_next_step_of_stairs_the_right_one_is_tried(steps: int) -> None:
+    # All treads and risers match those of the next step, but for the ends of the flight.
+    up, around = np.meshgrid(np.linspace(-0.9, 0.5, 200), np.linspace(-0.9, 0.9, 300))
+    level = np.cos(up)
+    rays = np.stack([level * np.cos(around), level * np.sin(around), np.sin(up)], -1).reshape(-1, 3)
+    range_m, _ = cast_rays(np.array([-1.6, 0.7, 1.5]), rays, *faces())
+    seen = PatchSegmenter().fit((range_m[:, None] * rays)[range_m < 30.0]).patches_
+    away = steps * np.array([TREAD_M, 0.0, RISE_M])
+    ways = repeats(np.eye(3), away, seen, seen)
+    assert min(np.linalg.norm(way) for way in ways) < 0.01

@@ -6,7 +6,7 @@ import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.geometry.motions import rotations
-from relmap.planes3d.hypotheses import SKEW, Held, importance
+from relmap.planes3d.hypotheses import LEADERS, SKEW, Held, gates, importance, leaders
 from relmap.planes3d.submap import Pose
 from relmap.planes3d.surfaces import SIDE
 from relmap.segmentation.space import Patches
@@ -27,6 +27,9 @@ exceeded."""
 
 BESIDE, SHIFTS = (0.012, 0.1), 2
 """Length of shifts from a placement that are tried, as fractions of the range, and their number."""
+FARTHEST, PARALLELS = 0.2, 4
+"""Largest distance of planes that may repeat, as a fraction of the range, and number of the nearest
+parallel ones that are tried for each plane of a scan."""
 SHIFTED = 2.0
 """Tolerance of the matches after a shift, as a multiple of the usual one."""
 
@@ -81,6 +84,31 @@ def shifts(R: Floats, t: Floats, seen: Patches, planes: Patches, near: Bools) ->
         found.append((importance(seen) @ np.where(match >= 0, 1 - off**2, 0.0), way))
     found.sort(key=lambda each: -each[0])
     return [way for _, way in found[:SHIFTS]]
+
+
+def repeats(R: Floats, t: Floats, seen: Patches, planes: Patches) -> list[Floats]:
+    """Return the translations (3,) of a pose to where most planes match if they repeat.
+
+    Where planes repeat, as on stairs, the next ones are not at the surfaces of a scan: each plane
+    of the scan may be any of the nearest parallel ones. Parameters as of `matched`.
+    """
+    from relmap.planes3d.hypothesis_kernels import best_ways
+
+    mine = leaders(seen, 2 * LEADERS)
+    across = (seen.centre[mine] @ R.T + t) @ planes.normal.T - planes.offset
+    alike = (seen.normal[mine] @ R.T) @ planes.normal.T > SIDE
+    off_m = np.where(alike, np.abs(across), np.inf)
+    rows = np.argsort(off_m, axis=1, kind="stable")[:, :PARALLELS]
+    nearest = np.zeros_like(alike)
+    np.put_along_axis(nearest, rows, True, axis=1)
+    k, j = np.nonzero(nearest & (off_m < FARTHEST * seen.reach_m))
+    if not len(k):
+        return []
+    gate, still = gates(seen)[mine[k]], np.zeros(3)
+    apart_m = 2 * float(np.median(gate))
+    weight = importance(seen)[mine]
+    ways, _ = best_ways(planes.normal[j], -across[k, j], k, gate, weight, still, apart_m)
+    return [t + way for way in ways if np.linalg.norm(way) > apart_m]
 
 
 def distances(R: Floats, t: Floats, seen: Patches, planes: Patches) -> Floats:

@@ -56,7 +56,7 @@ def motions(seen: Patches, there: Patches, held: Held) -> tuple[Floats, Floats]:
 
     size, mine, others = importance(seen), leaders(seen), leaders(there, 2 * LEADERS)
     a, b, weight = seen.normal[mine], there.normal[others], size[mine]
-    gate = OFF_M * seen.spread[mine, 2] + OFF_SHARE * np.linalg.norm(seen.centre[mine], axis=1)
+    gate = gates(seen)[mine]
     turns, found = distinct_turns(_turns(a, b), a, b, weight), list[tuple[Floats, Floats]]()
     for R in turns:
         i, j = np.nonzero((a @ R.T) @ b.T > PARALLEL)
@@ -70,6 +70,11 @@ def motions(seen: Patches, there: Patches, held: Held) -> tuple[Floats, Floats]:
     R, t = np.repeat(turns, count, axis=0), np.concatenate([ways for ways, _ in found])
     order = np.argsort(-np.concatenate([support for _, support in found]), kind="stable")
     return R[order], t[order]
+
+
+def gates(seen: Patches) -> Floats:
+    """Return the tolerance of the offset of each patch (m,), metres."""
+    return np.asarray(OFF_M * seen.spread[:, 2] + OFF_SHARE * np.linalg.norm(seen.centre, axis=1))
 
 
 def importance(seen: Patches) -> Floats:

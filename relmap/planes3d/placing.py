@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
-from relmap.planes3d.fitting import SHIFTED, fitted, fixes_turn, matched, ratios, shifts
+from relmap.planes3d.fitting import SHIFTED, fitted, fixes_turn, matched, ratios, repeats, shifts
 from relmap.planes3d.hypotheses import Held, importance, motions
 from relmap.planes3d.submap import Pose
 from relmap.planes3d.surfaces import Surfaces
@@ -157,7 +157,8 @@ def _settled_all(seen: Patches, there: Surfaces, last: Pose | None, held: Held) 
 
 def _better(best: Placed, seen: Patches, there: Surfaces, held: Held) -> list[Placed]:
     """Return placements that explain more than the best one, which clutter misled: from shifts."""
-    ways = shifts(*best.pose, seen, there.planes, there.overlapping(*best.pose, seen))
+    near = there.overlapping(*best.pose, seen)
+    ways = shifts(*best.pose, seen, there.planes, near) + repeats(*best.pose, seen, there.planes)
     placed = [_settled((best.R, t), seen, there, held, [], loose=SHIFTED) for t in ways]
     return [each for each in placed if each is not None and each.share > best.share + GAIN]
 
@@ -248,12 +249,7 @@ def _promising(seen: Patches, there: Surfaces, held: Held) -> list[Pose]:
 
 
 def _settled(
-    pose: Pose,
-    seen: Patches,
-    there: Surfaces,
-    held: Held,
-    known: list[Placed],
-    loose: float = 4.0,
+    pose: Pose, seen: Patches, there: Surfaces, held: Held, known: list[Placed], loose: float = 4.0
 ) -> Placed | None:
     """Fit a hypothesis to its matches, three times, and judge it; None if it fails, or is known.
 
