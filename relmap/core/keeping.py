@@ -27,7 +27,8 @@ def keep_observations(
 ) -> None:
     """Keep what refinement needs of each observation of the scan that was stored last.
 
-    The first scans are kept until it is known whether the noise is unequal.
+    The first scans are kept until it is known whether the noise is unequal; all are where it makes
+    matches ambiguous.
 
     `found` (n,): their landmarks; the others as given to `RelativeMapper.update`.
     """
@@ -37,7 +38,7 @@ def keep_observations(
     rays = engine.association.current.estimated if covariances is None else None
     waits = rays is not None and rays.weighs is None
     weighs = rays is not None and rays.weighs
-    if not (moves or waits or weighs or covariances is not None):
+    if not (moves or waits or weighs or covariances is not None or len(engine.kept)):
         return
     named = found >= 0
     if not named.any():
@@ -49,7 +50,7 @@ def keep_observations(
     if rays is not None and waits:
         rays.decide(len(engine.kept), engine.averaging.noise.sigma_m)
         weigh_by_estimate(engine)
-        if rays.weighs is False and not moves:
+        if rays.weighs is False and not moves and not engine.association.current.is_blurred:
             engine.kept = KeptObservations()
 
 

@@ -46,9 +46,9 @@ def rebuild(engine: RelativeMapper) -> None:
     sure = seen_in(own, CONFIRMED)
     table.take_off_map(np.flatnonzero(mapped))
     found_rest(engine.map, sure)
-    engine.refined = refine_submaps(engine, sure, None)
+    engine.refined = refine_submaps(engine, sure)
     if extend_submaps(engine.map, sure):
-        engine.refined = refine_submaps(engine, sure, None)
+        engine.refined = refine_submaps(engine, sure)
     # Single observations place nothing: a few wrong ones would again join what is apart.
     extend_submaps(engine.map, seen_in(own, CONFIRMED - 1), table.submap == NONE)
     refine_map(engine)

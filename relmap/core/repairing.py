@@ -30,7 +30,8 @@ from relmap.core.refinement.condensing import SegmentRows
 from relmap.core.refinement.extending import extend_submaps
 from relmap.core.refinement.hinges import Hinges, hinges_of
 from relmap.core.refinement.misread import take_off_misread
-from relmap.core.refining import refine_map
+from relmap.core.refining import ambiguous, refine_map
+from relmap.core.refinement.reassigning import reassign
 from relmap.core.revisiting import gather, merge_in_place, mergeable
 from relmap.core.state.table import NONE
 
@@ -136,6 +137,8 @@ def _repair(engine: RelativeMapper) -> None:
         refine_map(engine)
     if not is_bridged(engine) and _merge_compatible(engine, at_last=True):
         refine_map(engine)
+    if not is_bridged(engine):
+        _follow(engine)
 
 
 def _wrong(engine: RelativeMapper) -> Bools:
@@ -221,6 +224,31 @@ def _undo(engine: RelativeMapper) -> int:
     return len(tracks)
 
 
+def _follow(engine: RelativeMapper) -> None:
+    """Let each track stand for the landmark to which most of its observations are assigned."""
+    table, seen = engine.table, ambiguous(engine)
+    if seen is None:
+        return
+    refine_map(engine)
+    kept = engine.kept.landmark[~table.dynamic[table.now(engine.kept.landmark)]]
+    goal = table.landmark_of.copy()
+    for refined in engine.refined:
+        now = reassign(refined, *seen)[1]
+        pairs = np.stack([kept, now])[:, now != NONE]
+        (track, landmark), counts = np.unique(pairs, axis=1, return_counts=True)
+        most = 2 * counts > table.track_observations[track]
+        goal[track[most]] = landmark[most]
+    moved = goal != table.landmark_of
+    changed = np.union1d(goal[moved], table.landmark_of[moved])
+    some = np.flatnonzero(np.isin(goal, changed) | np.isin(table.landmark_of, changed))
+    _part(engine, engine.rows, some[~table.is_own[some]], are_wrong=False)
+    some = some[np.argsort(table.weight[some] == 0, kind="stable")]  # the oldest that is mapped
+    first, of = np.unique(goal[some], return_index=True, return_inverse=True)[1:]
+    pairs = np.column_stack([some, some[first[of]]])
+    engine.merge_pairs(pairs[pairs[:, 0] != pairs[:, 1]])
+    refine_map(engine)
+
+
 def _cut_loose(engine: RelativeMapper) -> bool:
     """Cut off what only a hinge connects to the rest of a submap; return whether there is any.
 
@@ -242,8 +270,13 @@ def _cut_loose(engine: RelativeMapper) -> bool:
     return found
 
 
-def _part(engine: RelativeMapper, rows: SegmentRows, tracks: Ints) -> None:
-    """Make merged tracks (k,) separate landmarks again, mapped where they were seen."""
+def _part(
+    engine: RelativeMapper, rows: SegmentRows, tracks: Ints, are_wrong: bool = True
+) -> None:
+    """Make merged tracks (k,) separate landmarks again, mapped where they were seen.
+
+    `are_wrong`: whether they were wrongly merged, which may happen only once more.
+    """
     table = engine.table
     places, seen = places_of(table, rows, tracks)
     for track, place, weight in zip(tracks.tolist(), places, seen.tolist(), strict=True):
@@ -252,7 +285,8 @@ def _part(engine: RelativeMapper, rows: SegmentRows, tracks: Ints) -> None:
         table.part(track)
         engine.levels.close(np.array([track]))
         engine.schedule.part(track, engine.store.n_iterations)
-        engine.merger.keep_apart(track, others)
+        if are_wrong:
+            engine.merger.keep_apart(track, others)
         submap = int(table.submap[landmark])
         if weight > 0:
             at, of = np.array([track]), np.array([weight])

@@ -9,7 +9,7 @@ from relmap.core.state.growing import GrowingArray
 
 
 class KeptObservations:
-    """Every observation of a run with odometry, with covariances, or with unequal noise.
+    """Every observation of a run with odometry, covariances, or unequal or large noise.
 
     Scans with too few landmarks to be condensed count too.  An observation takes 40 bytes in the
     plane and 48 in space, and its covariance another 32 or 72.  Observations that

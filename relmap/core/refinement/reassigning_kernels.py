@@ -1,0 +1,117 @@
+"""Fitting few landmarks to the observations near them, compiled; see `reassigning`."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from relmap.core.arrays import Floats, Ints
+from relmap.core.linalg.compiling import compiled, helper
+
+ROUNDS = 8
+"""Maximum number of rounds of assigning observations and averaging them."""
+
+
+@helper
+def _assign(gain: Floats, best: Floats, choice: Ints, found: Ints, begin: int, n: int) -> float:
+    """Assign the observations of a scan to landmarks so that the sum of the gains is largest.
+
+    Exact, by dynamic programming over the sets of landmarks that are taken. `gain` (n, k), positive
+    where an assignment is possible; `best`, `choice`: overwritten; `found`: written from `begin`.
+    """
+    k = gain.shape[1]
+    n_sets = 1 << k
+    for taken in range(n_sets):
+        best[taken] = 0.0 if taken == 0 else -np.inf
+    for i in range(n):
+        for taken in range(n_sets - 1, -1, -1):
+            choice[i, taken] = -1
+            for j in range(k):
+                if taken >> j & 1 and gain[i, j] > 0.0:
+                    score = best[taken ^ (1 << j)] + gain[i, j]
+                    if score > best[taken]:
+                        best[taken], choice[i, taken] = score, j
+    most = 0
+    for taken in range(n_sets):
+        most = taken if best[taken] > best[most] else most
+    taken = most
+    for i in range(n - 1, -1, -1):
+        j = choice[i, taken]
+        found[begin + i] = j
+        taken ^= 0 if j < 0 else 1 << j
+    return float(best[most])
+
+
+@compiled
+def fit_few(
+    placed: Floats, begin: Ints, odds: Floats, cost: float, limit: float, means: Floats, found: Ints
+) -> float:
+    """Fit landmarks to the observations around them; return how well these are explained.
+
+    In turns, each scan is assigned to the landmarks, at most one observation to each, and each
+    landmark is moved to the mean of its observations.
+
+    Parameters
+    ----------
+    placed : (n, d) float64
+        Observations in the frame of the map, in standard deviations, scan by scan.
+    begin : (s + 1,) int64
+        Where the observations of each scan begin, and the end.
+    odds : (s,) float64
+        Log odds that the scan shows a landmark here.
+    cost : float
+        Of each landmark, whether seen or not.
+    limit : float
+        Squared distance of an observation that fits no better than none.
+    means : (k, d) float64
+        Landmarks, overwritten.
+    found : (n,) int64
+        Overwritten with the landmark of each observation, or -1.
+
+    Returns
+    -------
+    float
+        Log likelihood, relative to observations of no landmark.
+    """
+    (n, d), k, longest = placed.shape, len(means), 0
+    for s in range(len(odds)):
+        longest = max(longest, begin[s + 1] - begin[s])
+    best, choice = np.empty(1 << k), np.empty((longest, 1 << k), dtype=np.int64)
+    gain, before, counts = np.empty((longest, k)), np.empty(n, dtype=np.int64), np.empty(k)
+    score = 0.0
+    for _ in range(ROUNDS):
+        score = -cost * k
+        for i in range(n):
+            before[i] = found[i]
+        for s in range(len(odds)):
+            for i in range(begin[s], begin[s + 1]):
+                for j in range(k):
+                    square = 0.0
+                    for a in range(d):
+                        square += (placed[i, a] - means[j, a]) ** 2
+                    gain[i - begin[s], j] = (limit - square) / 2 + odds[s]
+            score += _assign(gain, best, choice, found, begin[s], begin[s + 1] - begin[s])
+        is_same = True
+        for i in range(n):
+            is_same &= before[i] == found[i]
+        if is_same:
+            break
+        _average(placed, found, means, counts)
+    return score
+
+
+@helper
+def _average(placed: Floats, found: Ints, means: Floats, counts: Floats) -> None:
+    """Move each landmark with observations to their mean."""
+    k, d = means.shape
+    for j in range(k):
+        counts[j] = 0.0
+    for i in range(len(found)):
+        if found[i] >= 0:
+            counts[found[i]] += 1
+    for j in range(k):
+        for a in range(d):
+            means[j, a] = 0.0 if counts[j] > 0 else means[j, a]
+    for i in range(len(found)):
+        for a in range(d):
+            if found[i] >= 0:
+                means[found[i], a] += placed[i, a] / counts[found[i]]
