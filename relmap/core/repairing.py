@@ -30,8 +30,8 @@ from relmap.core.refinement.condensing import SegmentRows
 from relmap.core.refinement.extending import extend_submaps
 from relmap.core.refinement.hinges import Hinges, hinges_of
 from relmap.core.refinement.misread import take_off_misread
-from relmap.core.refining import ambiguous, refine_map
 from relmap.core.refinement.reassigning import reassign
+from relmap.core.refining import ambiguous, refine_map
 from relmap.core.revisiting import gather, merge_in_place, mergeable
 from relmap.core.state.table import NONE
 
@@ -270,9 +270,7 @@ def _cut_loose(engine: RelativeMapper) -> bool:
     return found
 
 
-def _part(
-    engine: RelativeMapper, rows: SegmentRows, tracks: Ints, are_wrong: bool = True
-) -> None:
+def _part(engine: RelativeMapper, rows: SegmentRows, tracks: Ints, are_wrong: bool = True) -> None:
     """Make merged tracks (k,) separate landmarks again, mapped where they were seen.
 
     `are_wrong`: whether they were wrongly merged, which may happen only once more.

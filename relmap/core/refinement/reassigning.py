@@ -113,9 +113,7 @@ class _Mixture:
         self.positions[number[:-1]] = means
 
 
-def reassign(
-    refined: Refined, points: Floats, seen: Ints, when: Ints
-) -> tuple[Refined, Ints]:
+def reassign(refined: Refined, points: Floats, seen: Ints, when: Ints) -> tuple[Refined, Ints]:
     """Return a refined submap with each observation assigned anew to a landmark of it.
 
     Landmarks that explain no more than one observation are left out. The covariances are those of
@@ -129,7 +127,9 @@ def reassign(
     own = np.where(refined.landmarks[at] == seen, at, NONE)
     exists = np.ones(m, dtype=np.bool_)
     for _ in range(ROUNDS):
-        rows, scan, placed = _placed(_of_landmarks(points, own, when, positions), points, when, positions)
+        rows, scan, placed = _placed(
+            _of_landmarks(points, own, when, positions), points, when, positions
+        )
         mixture = _Mixture(placed / noise_m, scan, own[rows], positions / noise_m, exists)
         mixture.fit()
         own = np.full(len(points), NONE)

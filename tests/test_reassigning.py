@@ -1,0 +1,96 @@
+"""Where the noise makes single matches ambiguous, each observation is assigned anew."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.optimize import linear_sum_assignment
+
+from relmap import PointMapper
+from relmap.core.arrays import Floats, Ints
+from relmap.core.geometry.alignment import fit_rigid
+from relmap.core.refinement.reassigning_kernels import fit_few
+from relmap.simulation import WorldSpec, simulate_world
+from tests.worlds import mapped_world, stands_for
+
+LIMIT, COST = 12.25, 3.0
+
+
+def drawn(seed: int, dimension: int) -> tuple[Floats, Ints, Floats, Floats]:
+    """Return observations of five landmarks in twelve scans, which miss some and show others.
+
+    Observations (n, d), where each scan begins, and ends, the log odds of the scans, and positions
+    near the landmarks; in standard deviations.
+    """
+    rng = np.random.default_rng(seed)
+    landmarks = rng.uniform(-3, 3, (5, dimension))
+    seen = rng.uniform(size=(12, 5)) < 0.8
+    scans = [landmarks[row] + rng.normal(size=(row.sum(), dimension)) for row in seen]
+    scans[3] = np.vstack([scans[3], rng.uniform(-5, 5, (2, dimension))])
+    begin = np.cumsum([0, *map(len, scans)])
+    odds = rng.uniform(-1, 2, len(scans))
+    return np.concatenate(scans), begin, odds, landmarks + rng.normal(size=landmarks.shape)
+
+
+def best_assignment(gain: Floats) -> float:
+    positive = np.maximum(gain, 0)
+    return float(positive[linear_sum_assignment(positive, maximize=True)].sum())
+
+
+def likelihood_at(placed: Floats, begin: Ints, odds: Floats, means: Floats) -> float:
+    """Return the likelihood of the best assignment, scan by scan."""
+    square = np.sum((placed[:, None] - means) ** 2, axis=2)
+    gains = (LIMIT - square) / 2 + np.repeat(odds, np.diff(begin))[:, None]
+    scans = np.split(gains, begin[1:-1])
+    return sum(map(best_assignment, scans)) - COST * len(means)
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+@pytest.mark.parametrize("seed", range(5))
+def test_a_fit_is_a_best_assignment_and_its_means(seed: int, dimension: int) -> None:
+    placed, begin, odds, start = drawn(seed, dimension)
+    means, found = start.copy(), np.full(len(placed), -1)
+    likelihood = fit_few(placed, begin, odds, COST, LIMIT, means, found)
+    assert likelihood >= likelihood_at(placed, begin, odds, start)
+    assert likelihood == pytest.approx(likelihood_at(placed, begin, odds, means), rel=1e-12)
+    for k in np.unique(found[found >= 0]):
+        np.testing.assert_allclose(means[k], placed[found == k].mean(axis=0), atol=1e-12)
+    for scan in np.split(found, begin[1:-1]):
+        named = scan[scan >= 0]
+        assert len(named) == len(np.unique(named))
+
+
+@pytest.mark.parametrize("seed", [5, 8])
+def test_ambiguous_matches_do_not_spoil_a_map(seed: int) -> None:
+    """With a fifth of the spacing as noise, landmarks were doubled, and others between two."""
+    spec = WorldSpec(kind="field", length_m=150.0, iterations=110, sigma=0.4, seed=seed)
+    mapper, rmse_m = mapped_world(spec)
+    ids = simulate_world(spec).true_ids
+    assert len(mapper.map) == np.count_nonzero(np.bincount(ids[ids >= 0]) >= 3)
+    assert rmse_m < 0.13
+
+
+def test_tracks_follow_their_observations() -> None:
+    """Each landmark of the map is most often seen under a label of its own."""
+    world = simulate_world(
+        WorldSpec(kind="field", length_m=150.0, iterations=110, sigma=0.4, seed=5)
+    )
+    mapper = PointMapper()
+    labels = np.concatenate([mapper.update(scan.points_robot) for scan in world.log.scans()])
+    mapper.finish()
+    mapper.refine()
+    names = stands_for(mapper.landmarks_of(labels), world.true_ids)
+    ids = np.array([names[label] for label in mapper.map.landmark_ids.tolist()])
+    assert len(np.unique(ids)) == len(ids)
+    at = np.searchsorted(world.landmark_ids, ids)
+    R, t = fit_rigid(mapper.map.positions, world.landmarks_map[at])
+    off_m = np.linalg.norm(mapper.map.positions @ R.T + t - world.landmarks_map[at], axis=1)
+    assert off_m.max() < 0.6
+
+
+def test_without_ambiguity_observations_are_not_kept() -> None:
+    world = simulate_world(WorldSpec(length_m=150.0, iterations=110, seed=5))
+    mapper = PointMapper()
+    for scan in world.log.scans():
+        mapper.update(scan.points_robot)
+    assert not len(mapper.engine.kept)
