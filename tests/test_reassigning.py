@@ -71,7 +71,7 @@ def test_ambiguous_matches_do_not_spoil_a_map(seed: int) -> None:
 
 
 def test_tracks_follow_their_observations() -> None:
-    """Each landmark of the map is most often seen under a label of its own."""
+    """No two landmarks of the map are most often the same one."""
     world = simulate_world(
         WorldSpec(kind="field", length_m=150.0, iterations=110, sigma=0.4, seed=5)
     )

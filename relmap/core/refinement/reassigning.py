@@ -12,7 +12,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Bools, Floats, Ints
@@ -76,7 +75,7 @@ class _Mixture:
 
         `shown`: scans that show the landmarks around, once for each of them.
         """
-        from relmap.core.refinement.reassigning_kernels import fit_few
+        import relmap.core.refinement.reassigning_kernels as kernels
 
         scans, begin = np.unique(self.scan[rows], return_index=True)
         every, times = np.unique(shown, return_counts=True)
@@ -88,7 +87,7 @@ class _Mixture:
         fits = []
         for start in self._starts(some, rows, begin):
             means, found = start.copy(), np.full(len(rows), NONE)
-            likelihood = fit_few(placed, begin, odds, cost, LIMIT, means, found)
+            likelihood = kernels.fit_few(placed, begin, odds, cost, LIMIT, means, found)
             fits.append((likelihood, means, found))
         self._take(some, rows, *max(fits, key=lambda fit: fit[0])[1:])
 
@@ -102,6 +101,8 @@ class _Mixture:
 
     def _take(self, some: Ints, rows: Ints, means: Floats, found: Ints) -> None:
         """Take over a fit; the landmarks keep the numbers of most of their observations."""
+        from scipy.optimize import linear_sum_assignment
+
         both = (found != NONE) & (self.own[rows] != NONE)
         shared = np.zeros((len(means), len(some)))
         np.add.at(shared, (found[both], np.searchsorted(some, self.own[rows[both]])), 1)
