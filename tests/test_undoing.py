@@ -10,7 +10,6 @@ import pytest
 from relmap import MapperConfig, PointMapper
 from relmap.core.arrays import Ints
 from relmap.core.association.reobservation.sightings import Sightings
-from relmap.core.association.reobservation.undoing import nearer_another
 from relmap.core.map.leaps import gaps_of, may_have_gaps
 from relmap.core.map.pose import known_poses
 from relmap.core.state.schedule import GroupingSchedule
@@ -85,24 +84,6 @@ def test_wrong_merges_are_undone_and_right_ones_are_not() -> None:
     assert purity_of(mapper.landmarks_of(labels), world.log.ids) == 1
     assert len(mapper.map.landmark_ids) == len(world.landmark_ids)
     assert len(mapper.submaps) == 1
-
-
-@pytest.mark.parametrize("exchanged", [False, True])
-def test_tracks_exchanged_between_neighbours_are_found(exchanged: bool) -> None:
-    """Each was seen together with a track of the landmark that it is not."""
-    rng = np.random.default_rng(7)
-    places = np.vstack([rng.uniform(-8, 8, (20, 2)), [[1.0, 1.0], [1.3, 1.0]]])
-    mapper = PointMapper()
-    for k in range(40):
-        ids = np.r_[np.arange(20), [20, 21] if k < 20 else [22, 23]]
-        mapper.update(places + rng.normal(0, 0.1, places.shape), ids)
-    mapper.finish()
-    engine = mapper.engine
-    engine.merge_pairs(np.array([[22, 21], [23, 20]] if exchanged else [[22, 20], [23, 21]]))
-    mapper.refine()
-    sightings = Sightings(engine.rows, engine.table)
-    tracks = nearer_another(engine.refined[0], engine.table, engine.rows, sightings)
-    assert tracks.tolist() == ([22, 23] if exchanged else [])
 
 
 def test_a_map_that_wrong_merges_bend_is_repaired() -> None:

@@ -27,7 +27,6 @@ class Sightings:
         self._segment, self._visible = rows.segment[order], rows.visible[order]
         self._begin = np.searchsorted(rows.landmark[order], np.arange(len(table) + 1))
         self._table = table
-        self._known: dict[int, Ints] = {}
 
     def together(self, one: int, other: int, share: float = 0.0) -> bool:
         """Return whether two landmarks share more than a fraction of the scans of the rarer."""
@@ -38,21 +37,6 @@ class Sightings:
         """Return those of pairs (k, 2) of landmarks that no scan shows together."""
         apart = [not self.together(one, other) for one, other in pairs.tolist()]
         return np.asarray(pairs[np.array(apart, dtype=bool)])
-
-    def tracks_met(self, track: int, others: Ints, share: float = 0.0) -> Bools:
-        """Return which other tracks (k,) share more than a fraction of the scans of the rarer.
-
-        Merging is ignored.
-        """
-        own, scans = self._scans_of(track), [self._scans_of(other) for other in others.tolist()]
-        met = [len(np.intersect1d(own, each, assume_unique=True)) for each in scans]
-        rarer = [min(len(own), len(each)) for each in scans]
-        return np.asarray(np.array(met) > share * np.array(rarer))
-
-    def _scans_of(self, track: int) -> Ints:
-        if track not in self._known:
-            self._known[track] = self._scans(np.arange(*self._begin[[track, track + 1]]))
-        return self._known[track]
 
     def seen_with_both(self, pairs: Ints, others: Ints) -> Ints:
         """Return the number of others (n,) seen in one scan with each of a pair (k, 2); (k,)."""

@@ -118,21 +118,11 @@ class _Placed:
         """Return the mean positions (k, d) of tracks (k,)."""
         return np.asarray(self.sums[tracks] / self.seen[tracks][:, None])
 
-    def between(self, some: Ints, others: Ints) -> float:
-        """Return the squared distance of the means of two sets of tracks, scaled likewise."""
-        n, m = self.seen[some].sum(), self.seen[others].sum()
-        apart = self.sums[some].sum(axis=0) / n - self.sums[others].sum(axis=0) / m
-        return float(apart @ apart / (1 / n + 1 / m))
-
 
 def nearer_another(
     refined: Refined, table: LandmarkState, rows: SegmentRows, sightings: Sightings
 ) -> Ints:
-    """Return the merged tracks (k,) that another landmark of a refined map explains far better.
-
-    Two landmarks close to each other may have exchanged tracks, so that each contains one that was
-    seen together with one of the other: then these are returned.
-    """
+    """Return the merged tracks (k,) that another landmark of a refined map explains far better."""
     tracks, of = np.unique(refined.merges.track), table.landmark_of
     if len(refined.landmarks) <= CANDIDATES or not len(tracks) or _is_exact(refined):
         return np.empty(0, dtype=np.int64)
@@ -145,45 +135,10 @@ def nearer_another(
     apart /= 1 / placed.seen[tracks][:, None] + 1 / np.maximum(placed.whole[other], 1)
     apart[other == of[tracks][:, None]] = np.inf
     best, least = other[np.arange(len(tracks)), apart.argmin(axis=1)], apart.min(axis=1)
-    found: set[int] = set()
-    for k in np.flatnonzero(misfit - least > enough).tolist():
-        if not sightings.together(int(tracks[k]), int(best[k]), RARELY):
-            found.add(int(tracks[k]))
-    worst = np.zeros(len(table))
-    np.maximum.at(worst, of, placed.misfit)
-    gain = misfit[:, None] + worst[other]  # the exchange of one track gains no more
-    for k, j in np.argwhere((gain > enough) & (apart < gain)).tolist():
-        pair = int(tracks[k]), int(other[k, j])
-        found.update(_exchanged(placed, table, sightings, *pair, enough))
-    return np.array(sorted(found), dtype=np.int64)
-
-
-def _exchanged(
-    placed: _Placed,
-    table: LandmarkState,
-    sightings: Sightings,
-    track: int,
-    rival: int,
-    enough: float,
-) -> list[int]:
-    """Return a track and those to part from another landmark, for which it is exchanged.
-
-    None unless the exchange is possible and reduces the misfit enough.
-    """
-    members = np.array(table.members(rival))
-    met = sightings.tracks_met(track, members)
-    here = np.setdiff1d(table.members(int(table.landmark_of[track])), [track])
-    mine, theirs, stay = np.array([track]), members[met], members[~met]
-    if not all(placed.seen[one].sum() for one in (here, theirs, stay)):
-        return []
-    if any(sightings.tracks_met(one, here, RARELY).any() for one in theirs.tolist()):
-        return []
-    now = placed.between(mine, here) + placed.between(theirs, stay)
-    then = placed.between(mine, stay) + placed.between(theirs, here)
-    if now - then <= enough:
-        return []
-    # The first track of a landmark cannot be parted from it: the others are.
-    return [track, *(stay if rival in theirs else theirs).tolist()]
+    better = misfit - least > enough
+    pairs = zip(tracks[better].tolist(), best[better].tolist(), strict=True)
+    found = [track for track, rival in pairs if not sightings.together(track, rival, RARELY)]
+    return np.array(found, dtype=np.int64)
 
 
 def merged_across(refined: Refined, table: LandmarkState, rows: SegmentRows) -> Ints:
