@@ -25,17 +25,3 @@ def test_landmarks_that_were_seen_together() -> None:
     both = [together[one] & together[other] for one, other in pairs]
     expected = [b.sum() - b[one] - b[other] for b, (one, other) in zip(both, pairs, strict=True)]
     np.testing.assert_array_equal(sightings.seen_with_both(own[pairs], own), expected)
-
-
-def test_tracks_that_were_seen_together_although_they_were_merged() -> None:
-    world, mapper = simulate_world(WorldSpec(length_m=200.0, iterations=140, seed=1)), PointMapper()
-    labels = [mapper.update(scan.points_robot) for scan in world.log.scans()]
-    mapper.finish()
-    merged = np.flatnonzero(mapper.engine.table.landmark_of != np.arange(len(mapper.engine.table)))
-    tracks = np.union1d(merged, mapper.engine.table.landmark_of[merged])[:40]
-    assert len(merged) > 5
-    sightings = Sightings(mapper.engine.rows, mapper.engine.table)
-    shown = np.array([np.isin(tracks, seen) for seen in labels])
-    together = (shown.T.astype(int) @ shown) > 0
-    for k, track in enumerate(tracks.tolist()):
-        np.testing.assert_array_equal(sightings.tracks_met(track, tracks), together[k])
