@@ -70,6 +70,14 @@ def test_ambiguous_matches_do_not_spoil_a_map(seed: int) -> None:
     assert rmse_m < 0.13
 
 
+def test_mixed_tracks_do_not_hide_a_loop() -> None:
+    """Forty landmarks were mapped twice, a metre apart, as their tracks were mixed."""
+    spec = WorldSpec(kind="field", length_m=150.0, iterations=110, sigma=0.4, seed=9)
+    mapper, rmse_m = mapped_world(spec)
+    assert 100 <= len(mapper.map) <= len(simulate_world(spec).landmark_ids)
+    assert rmse_m < 0.2
+
+
 def test_tracks_follow_their_observations() -> None:
     """No two landmarks of the map are most often the same one."""
     world = simulate_world(
