@@ -9,6 +9,7 @@ from scipy.optimize import linear_sum_assignment
 from relmap import PointMapper
 from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import fit_rigid
+from relmap.core.refinement.reassigning import reassign
 from relmap.core.refinement.reassigning_kernels import fit_few
 from relmap.simulation import WorldSpec, simulate_world
 from tests.worlds import mapped_world, stands_for
@@ -102,3 +103,13 @@ def test_without_ambiguity_observations_are_not_kept() -> None:
     for scan in world.log.scans():
         mapper.update(scan.points_robot)
     assert not len(mapper.engine.kept)
+
+
+def test_scans_that_determine_nothing_leave_a_submap_as_it_is() -> None:
+    """Each scan shows one landmark: it has no pose of its own."""
+    mapper, _ = mapped_world(WorldSpec(kind="field", length_m=60.0, iterations=40, seed=5))
+    (refined,) = mapper.refined
+    seen, when = refined.landmarks, np.arange(len(refined.landmarks))
+    same, assigned = reassign(refined, np.ones((len(seen), 2)), seen, when)
+    assert same is refined
+    np.testing.assert_array_equal(assigned, seen)

@@ -117,7 +117,7 @@ def _extend_by_ids(engine: RelativeMapper) -> bool:
 def _repair(engine: RelativeMapper) -> None:
     """Repair a refined map and refine it again, as long as this changes enough."""
     grouped = engine.table.weight > 0
-    _follow(engine)  # tracks that mix landmarks hide doubles and open loops
+    _reassign_tracks(engine)  # tracks that mix landmarks hide doubles and open loops
     for k in range(ROUNDS):
         before = extent(engine)[0]
         found, (after, mapped) = _look_over(engine), extent(engine)
@@ -138,7 +138,7 @@ def _repair(engine: RelativeMapper) -> None:
         refine_map(engine)
     if not is_bridged(engine) and _merge_compatible(engine, at_last=True):
         refine_map(engine)
-    _follow(engine)
+    _reassign_tracks(engine)
 
 
 def _wrong(engine: RelativeMapper) -> Bools:
@@ -224,7 +224,7 @@ def _undo(engine: RelativeMapper) -> int:
     return len(tracks)
 
 
-def _follow(engine: RelativeMapper) -> None:
+def _reassign_tracks(engine: RelativeMapper) -> None:
     """Let each track stand for the landmark to which most of its observations are assigned."""
     table, seen = engine.table, ambiguous(engine)
     if seen is None or is_bridged(engine):

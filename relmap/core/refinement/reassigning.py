@@ -79,8 +79,9 @@ class _Mixture:
 
         scans, begin = np.unique(self.scan[rows], return_index=True)
         every, times = np.unique(shown, return_counts=True)
-        share = (np.minimum(times, AROUND) + 0.5) / (AROUND + 1)
-        cost, odds = -np.log1p(-share).sum(), np.full(len(scans), -np.log(2 * AROUND + 1))
+        n_around = min(AROUND, len(self.positions))
+        share = (np.minimum(times, n_around) + 0.5) / (n_around + 1)
+        cost, odds = -np.log1p(-share).sum(), np.full(len(scans), -np.log(2 * n_around + 1))
         at = np.searchsorted(every, scans).clip(0, len(every) - 1)
         odds = np.where(every[at] == scans, np.log(share / (1 - share))[at], odds)
         begin, placed = np.append(begin, len(rows)), self.placed[rows]
@@ -117,8 +118,9 @@ class _Mixture:
 def reassign(refined: Refined, points: Floats, seen: Ints, when: Ints) -> tuple[Refined, Ints]:
     """Return a refined submap with each observation assigned anew to a landmark of it.
 
-    Landmarks that explain no more than one observation are left out. The covariances are those of
-    the refined submap.
+    Landmarks that explain no more than one observation are left out; the submap stays as it is if
+    single scans, or what is left, do not determine it. The covariances are those of the refined
+    submap.
 
     `points` (n, d), robot frame, metres; `seen` (n,): landmark of each observation; `when` (n,),
     ascending: its iteration. Returns also the landmarks (n,) to which they are assigned, or `NONE`.
@@ -126,18 +128,21 @@ def reassign(refined: Refined, points: Floats, seen: Ints, when: Ints) -> tuple[
     m, noise_m, positions = len(refined.landmarks), refined.noise_m, refined.positions
     at = np.searchsorted(refined.landmarks, seen).clip(0, m - 1)
     own = np.where(refined.landmarks[at] == seen, at, NONE)
-    exists = np.ones(m, dtype=np.bool_)
-    for _ in range(ROUNDS):
-        rows, scan, placed = _placed(
-            _of_landmarks(points, own, when, positions), points, when, positions
-        )
+    before, exists = own, np.ones(m, dtype=np.bool_)
+    found = _of_landmarks(points, own, when, positions)
+    for _ in range(ROUNDS if noise_m > 0 and len(found.points) else 0):
+        rows, scan, placed = _placed(found, points, when, positions)
         mixture = _Mixture(placed / noise_m, scan, own[rows], positions / noise_m, exists)
         mixture.fit()
         own = np.full(len(points), NONE)
         own[rows], positions = mixture.own, mixture.positions * noise_m
         found = _of_landmarks(points, own, when, positions)
+        if not len(found.points):
+            break
         positions = PowerSolution.of(found, positions).towards(2).state.positions
     exists &= np.bincount(found.landmark, minlength=m) > 1
+    if exists.sum() <= points.shape[1]:
+        return refined, np.append(refined.landmarks, NONE)[before]
     R, t = fit_rigid(positions[exists], refined.positions[exists])
     moved = replace(refined.only(exists), positions=positions[exists] @ R.T + t)
     return moved, np.append(refined.landmarks, NONE)[own]
