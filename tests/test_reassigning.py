@@ -106,7 +106,7 @@ def test_without_ambiguity_observations_are_not_kept() -> None:
 
 
 def test_scans_that_determine_nothing_leave_a_submap_as_it_is() -> None:
-    """Each scan shows one landmark: it has no pose of its own."""
+    """Each scan shows one landmark, which does not determine its pose."""
     mapper, _ = mapped_world(WorldSpec(kind="field", length_m=60.0, iterations=40, seed=5))
     (refined,) = mapper.refined
     seen, when = refined.landmarks, np.arange(len(refined.landmarks))
