@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from scipy.optimize import linear_sum_assignment
@@ -9,8 +11,9 @@ from scipy.optimize import linear_sum_assignment
 from relmap import PointMapper
 from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import fit_rigid
+from relmap.core.refinement.mixture import Mixture
+from relmap.core.refinement.mixture_kernels import fit_few, weigh
 from relmap.core.refinement.reassigning import reassign
-from relmap.core.refinement.reassigning_kernels import fit_few
 from relmap.simulation import WorldSpec, simulate_world
 from tests.worlds import mapped_world, stands_for
 
@@ -59,6 +62,41 @@ def test_a_fit_is_a_best_assignment_and_its_means(seed: int, dimension: int) -> 
     for scan in np.split(found, begin[1:-1]):
         named = scan[scan >= 0]
         assert len(named) == len(np.unique(named))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_assignments_are_weighed_as_by_listing_them(seed: int) -> None:
+    odds = np.exp(np.random.default_rng(seed).normal(size=(5, 3)))
+    begin = np.array([0, 3, 3, 5])
+    share = weigh(odds, begin)
+    for scan in (slice(0, 3), slice(3, 5)):
+        here, total = odds[scan], 0.0
+        expected = np.zeros_like(here)
+        for choice in itertools.product(range(-1, 3), repeat=len(here)):
+            named = [j for j in choice if j >= 0]
+            if len(named) == len(set(named)):
+                pairs = [(i, j) for i, j in enumerate(choice) if j >= 0]
+                each = np.prod([here[pair] for pair in pairs])
+                total += each
+                for pair in pairs:
+                    expected[pair] += each
+        np.testing.assert_allclose(share[scan], expected / total, rtol=1e-12)
+
+
+def test_landmarks_closer_than_the_noise_are_not_biased_apart() -> None:
+    """Two among others, 1.2 standard deviations apart: means of best assignments are 1.8 apart."""
+    rng = np.random.default_rng(3)
+    truth = np.array([[0.0, 0], [1.2, 0], [9, 1], [1, 9], [-8, 2], [3, -9], [9, 9]])
+    seen = rng.uniform(size=(400, 7)) < 0.9
+    points = np.concatenate([truth[row] + rng.normal(size=(row.sum(), 2)) for row in seen])
+    scan, own = np.nonzero(seen)
+    mixture = Mixture(points, scan, own, truth.copy(), np.ones(7, dtype=np.bool_))
+    mixture.fit()
+    settled, square = mixture.settled()
+    apart, biased = (np.linalg.norm(at[1] - at[0]) for at in (settled, mixture.positions))
+    assert biased > 1.6
+    assert apart == pytest.approx(1.2, abs=0.15)
+    assert square == pytest.approx(1.0, abs=0.05)
 
 
 @pytest.mark.parametrize("seed", [5, 8])

@@ -1,4 +1,4 @@
-"""Fitting few landmarks to the observations near them, compiled; see `reassigning`."""
+"""Fitting few landmarks to the observations near them, compiled; see `mixture`."""
 
 from __future__ import annotations
 
@@ -115,3 +115,55 @@ def _average(placed: Floats, found: Ints, means: Floats, counts: Floats) -> None
         for a in range(d):
             if found[i] >= 0:
                 means[found[i], a] += placed[i, a] / counts[found[i]]
+
+
+@compiled
+def weigh(odds: Floats, begin: Ints) -> Floats:
+    """Return how probable it is that an observation is that of a landmark; (n, k).
+
+    Each scan shows a landmark at most once. Exact, by sums over the sets of landmarks that the
+    observations before, and after, one are of.
+
+    Parameters
+    ----------
+    odds : (n, k) float64
+        Of each assignment by itself, relative to that of no landmark.
+    begin : (s + 1,) int64
+        Where the observations of each scan begin, and the end.
+    """
+    (n, k), longest = odds.shape, 0
+    for s in range(len(begin) - 1):
+        longest = max(longest, begin[s + 1] - begin[s])
+    before, after = np.zeros((longest + 1, 1 << k)), np.zeros((longest + 1, 1 << k))
+    share = np.zeros((n, k))
+    for s in range(len(begin) - 1):
+        here = slice(begin[s], begin[s + 1])
+        _weigh(odds[here], before, after, share[here])
+    return share
+
+
+@helper
+def _weigh(odds: Floats, before: Floats, after: Floats, share: Floats) -> None:
+    """Weigh the assignments of a scan's observations (n, k); `share` (n, k): zeros.
+
+    `before`, `after` (n + 1, 2^k): sums over the observations before and from each one on, by the
+    set of landmarks taken before it.
+    """
+    (n, k), n_sets = odds.shape, before.shape[1]
+    before[0], after[n] = 0.0, 1.0
+    before[0, 0] = 1.0
+    for i in range(n):
+        for taken in range(n_sets):
+            before[i + 1, taken] = before[i, taken]
+            for j in range(k):
+                if taken >> j & 1:
+                    before[i + 1, taken] += before[i, taken ^ 1 << j] * odds[i, j]
+    for i in range(n - 1, -1, -1):
+        for taken in range(n_sets):
+            after[i, taken] = after[i + 1, taken]
+            for j in range(k):
+                if not taken >> j & 1:
+                    one = odds[i, j] * after[i + 1, taken | 1 << j]
+                    after[i, taken] += one
+                    share[i, j] += before[i, taken] * one
+    share /= after[0, 0]
