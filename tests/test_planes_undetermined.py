@@ -156,6 +156,16 @@ def test_a_step_unlike_those_around_it_must_exclude_what_walls_imply_near_theirs
     assert cut.tolist() == [LEAP] * (len(lines) > 1)  # where beams show which one is right
 
 
+def test_no_small_changes_that_beams_prefer_lead_away_from_a_step() -> None:
+    """It is too short by less than the difference that makes a step unusual."""
+    mapper = mapped(FAR, NEAR)
+    [submap], poses = mapper.submaps, mapper.submaps[0].poses.copy()
+    poses[LEAP:, 0, 3] -= 0.28
+    links, history = registration_of(mapper).links, mapper.history
+    assert len(undetermined_steps([submap], history, links)) == 0
+    assert undetermined_steps([replace(submap, poses=poses)], history, links).tolist() == [LEAP]
+
+
 def test_without_beams_the_walls_decide() -> None:
     assert len(mapped(FAR, with_beams=False).weak_links) == 0
 

@@ -79,10 +79,10 @@ class Break:
     def link_by_beams(self, most_m: float, most_rad: float) -> Link | None:
         """Return the same with candidates by beams, too, at one of which some wall matches."""
         walls, rough = self._candidates(most_m, most_rad)[0], self._rough(most_m, most_rad)
-        motions = np.array([_climbed(one, FINER, self._better) for one in (*walls, *rough)])
+        motions = np.array([climbed(one, FINER, self._better) for one in (*walls, *rough)])
         order = np.argsort(-self._value(motions, NEAR_M, 1), kind="stable")
         few = motions[distinct(motions, order, FEW, APART_M, APART_RAD)]
-        few = np.array([_climbed(one, FINER[1:], self._odds) for one in few])
+        few = np.array([climbed(one, FINER[1:], self._odds) for one in few])
         motions = np.vstack([walls, motions, few])
         best = self._certain(motions, TIE_AGREES)
         if best is None:
@@ -212,7 +212,7 @@ def _within(motions: Floats, most_m: float, most_rad: float) -> Bools:
     return np.asarray(usual & (np.abs(wrapped(motions[:, 0])) <= most_rad))
 
 
-def _climbed(
+def climbed(
     motion: Floats, steps_m: Sequence[float], gain: Callable[[Floats, Floats], Floats]
 ) -> Floats:
     """Return the motion (3,) reached from another by smaller and smaller steps that gain.

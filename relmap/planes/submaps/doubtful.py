@@ -13,6 +13,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Bools, Floats, Ints
+from relmap.planes.linking.adjoining import climbed
 from relmap.planes.linking.link_record import LinkRecord
 from relmap.planes.linking.placement import STILL
 from relmap.planes.linking.tying import Scans
@@ -37,6 +38,8 @@ either side these are."""
 NEARER, GAP = 0.5, 3
 """Distance of another motion from the usual step, as a fraction of that of an unusual step, below
 which beams must exclude it, too; and how many scans apart both scans may be."""
+CHANGE_M, AWAY_M = 0.1, 0.25
+"""Size of the changes by which beams may improve a step, and distance beyond which it is listed."""
 LOOSE = np.diag([1e-3, 1e-4, 1e-4])
 """Information that keeps directions finite that no wall determines: rotation, x, y; as of so many
 metres of wall."""
@@ -63,11 +66,12 @@ def undetermined_steps(
     the robot about them. So a step is moved by 0.3 m in the direction that the walls in common
     determine least, and turned as they allow. It is also replaced by the usual steps of the four
     before and of the four after it, if they differ, and by motions nearer to these that the walls
-    of both scans imply. It is determined if the beams of both scans exclude all of these, and
-    neither scan shows one wall only. Where a submap continues after scans
-    that are not part of it, the motion is since the last one that is. Without beams, and with
-    odometry, the walls decide (`PlaneHistory.weak_links`). From one log to the next there is no
-    step: the place of a log in the map is determined by a stretch of it.
+    of both scans imply. It is determined if the beams of both scans exclude all of these, neither
+    shows one wall only, and, if few common walls cross, no small changes that the beams prefer lead
+    away from it, one after the other. Where a submap continues after scans that are not part of it,
+    the motion is since the last one that is. Without beams, and with odometry, the walls decide
+    (`PlaneHistory.weak_links`). From one log to the next there is no step: the place of a log in
+    the map is determined by a stretch of it.
     """
     if _have_odometry(links):
         return np.setdiff1d(history.weak_links, links.begun)
@@ -86,6 +90,8 @@ def undetermined_steps(
             rivals = _rivals(scans, (first, scan), step, free[scan], ways)
             excluded = _excluded(step, rivals, earlier, later)
             weak[scan] = one_wall or excluded < least[scan]
+            if history.hardly_crossed[scan] and not weak[scan]:
+                weak[scan] = _leads_away(step, earlier, later)
     weak[after[between_logs(links.begun, before, after)]] = False
     return np.flatnonzero(weak)
 
@@ -212,6 +218,15 @@ def _excluded(step: Floats, changes: Floats, earlier: Beams, later: Beams) -> fl
     odds, share = odds_over([(later, earlier, np.vstack([step, step + changes]))])
     excluded, clear = -float(odds.max()), share.max() < -LEAST_SHARE
     return excluded if clear else min(excluded, 0.0)
+
+
+def _leads_away(step: Floats, earlier: Beams, later: Beams) -> bool:
+    """Return whether small changes that beams prefer lead away from a step (3,)."""
+
+    def gain(motions: Floats, motion: Floats) -> Floats:
+        return odds_over([(later, earlier, np.vstack([motion, motions]))])[0]
+
+    return bool(np.hypot(*(climbed(step, [CHANGE_M], gain) - step)[1:]) > AWAY_M)
 
 
 def free_directions(history: PlaneHistory) -> Floats:

@@ -96,7 +96,7 @@ class PlaneHistory:
         before, after = iterations[:-1], iterations[1:]
         sure = self.measured[after] & ~np.isin(after, self.weak_links)
         bent = np.isin(after, self.bent)
-        known = ((self._shared[0][after] < CROSSINGS) | bent) & (after == before + 1)
+        known = (self.hardly_crossed[after] | bent) & (after == before + 1)
         if self.odometry:
             known &= ~self.odometry.needed[after]
         pairs = np.flatnonzero(known & (self.submap[before] == self.submap[after]))
@@ -133,6 +133,11 @@ class PlaneHistory:
         along = self.ends[row, 1] - self.ends[row, 0]
         along /= np.linalg.norm(along, axis=1, keepdims=True)
         return spread(along, iteration, n), np.bincount(iteration[both], minlength=n) > 0
+
+    @property
+    def hardly_crossed(self) -> Bools:
+        """Whether few walls that each scan (i,) shares with the one before cross."""
+        return self._shared[0] < CROSSINGS
 
     @cached_property
     def weak_links(self) -> Ints:
