@@ -46,16 +46,15 @@ def refined_submaps(grouped: GroupedMap, moving: Bools, links: ScanLinks) -> Ref
 
     `moving` (p,): plane tracks ignored because they move; `links`: provides beams and odometry.
     """
-    merged = grouped.at_rest(grouped.numbers)
-    first = partial(grouped.submaps, merged, moving)
+    first = partial(grouped.submaps, grouped.at_rest(grouped.unmerged), moving)
     grouped = with_odometry(grouped, odometry_steps(links, grouped.history, first))
-    found = _refined(grouped, merged, moving, links.beams)
+    found = _refined(grouped, moving, links.beams)
     odometry = grouped.history.odometry
     if odometry and odometry.needed.any():  # estimated again, more accurately
         grouped = with_odometry(
             grouped, odometry_steps(links, grouped.history, lambda: found.submaps)
         )
-        found = _refined(grouped, merged, moving, links.beams)
+        found = _refined(grouped, moving, links.beams)
     # Without beams no link was verified, and the chained map is as good as any part of it.
     submaps = [replace(one, torn=one.torn[: len(links.beams)]) for one in found.submaps]
     return RefinedWalls(submaps, found.numbers, found.history)
@@ -77,22 +76,16 @@ def planned_submaps(
     return submaps, numbers, np.concatenate(moved)
 
 
-def _refined(
-    grouped: GroupedMap, merged: WallNumbers, moving: Bools, beams: BeamStore
-) -> RefinedWalls:
-    """Return the refined submaps; `merged` is the association of the grouped map."""
+def _refined(grouped: GroupedMap, moving: Bools, beams: BeamStore) -> RefinedWalls:
+    """Return the refined submaps."""
     numbers, submaps = grouped.at_rest(grouped.unmerged), list[WallSubmap]()
     history = grouped.history
     for submap in grouped.submaps(numbers, moving):
         found, own = refined_map(history, numbers, submap, moving)
         if found.refined:
             found, history = _straight(found, own, history, moving, beams)
-            submaps.append(at_the_noise(found, history))
-            numbers = own
-        else:
-            chained = grouped.submap(submap.span, merged, moving)
-            submaps.append(replace(chained, torn=found.torn))
-            numbers = grouped.with_those_of(submap.span, numbers, merged)
+            found, numbers = at_the_noise(found, history), own
+        submaps.append(found)
     return RefinedWalls(submaps, numbers, history)
 
 

@@ -80,18 +80,6 @@ class GroupedMap:
         corner_of[self.moving_corners] = -1
         return WallNumbers(numbers.wall_of, corner_of)
 
-    def with_those_of(
-        self, span: tuple[int, int], numbers: WallNumbers, others: WallNumbers
-    ) -> WallNumbers:
-        """Return the association, with that of others within one submap."""
-        there = self.history.plane[self.history.within(span)]
-        own = np.isin(np.arange(self.walls.n_planes), there)
-        corner = own[self.walls.wall_end // 2]
-        return WallNumbers(
-            np.where(own, others.wall_of, numbers.wall_of),
-            np.where(corner, others.corner_of, numbers.corner_of),
-        )
-
     @property
     def moving_corners(self) -> Ints:
         """Corners (k,) that were seen moving."""
