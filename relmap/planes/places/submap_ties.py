@@ -189,8 +189,8 @@ def tied_parts(parts: Sequence[MapPart], refute: Refute | None = None) -> list[M
     `refute`: returns whether something else speaks against an alignment of two parts.
     """
 
-    def certain(a: int, b: int, also: Sequence[WallTie] = ()) -> SubmapTie | None:
-        found = unrivalled(left[a], left[b], also)
+    def certain(a: int, b: int) -> SubmapTie | None:
+        found = unrivalled(left[a], left[b])
         return None if found and refute and refute(left[a], left[b], found.tie) else found
 
     left = dict(enumerate(parts))
@@ -204,35 +204,14 @@ def tied_parts(parts: Sequence[MapPart], refute: Refute | None = None) -> list[M
         found = {pair: tie for pair, tie in found.items() if b not in pair}
         for c in left.keys() - {a}:
             first, second = sorted((a, c))
-            also = _carried(sure, (a, b), c)
-            found[first, second] = certain(first, second, also)
+            found[first, second] = certain(first, second)
 
 
-def _carried(
-    sure: dict[tuple[int, int], SubmapTie], joined: tuple[int, int], c: int
-) -> list[WallTie]:
-    """Return the alignments of a part with each of two that are joined now.
-
-    Among the walls of a large map, those of a small one lie on many others, and the search may miss
-    them.
-    """
-    ties = []
-    for member in joined:
-        if (member, c) in sure or (c, member) in sure:
-            tie = sure[member, c].tie if (member, c) in sure else sure[c, member].tie.inverse()
-            tie = tie if member == joined[0] else sure[joined].tie.after(tie)
-            ties.append(tie if joined[0] < c else tie.inverse())
-    return ties
-
-
-def unrivalled(part: MapPart, other: MapPart, also: Sequence[WallTie] = ()) -> SubmapTie | None:
-    """Return the alignment of another part to this one, if it is certain and the only one.
-
-    `also`: alignments to consider beside those found by a search.
-    """
+def unrivalled(part: MapPart, other: MapPart) -> SubmapTie | None:
+    """Return the alignment of another part to this one, if it is certain and the only one."""
     if min(part.crossing_m, other.crossing_m) < CROSSING_M:
         return None
-    ties = [*also, *wall_ties(other.ends, part.ends)[:ALIGNMENTS]]
+    ties = wall_ties(other.ends, part.ends)[:ALIGNMENTS]
     if not any(_crosses(tie) for tie in ties):
         return None
     judged = [_judged(part, other, tie) for tie in ties]

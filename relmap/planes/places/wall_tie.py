@@ -117,14 +117,6 @@ class WallTie:
         """The motion as a matrix (4, 4)."""
         return transforms(self.R, self.t)
 
-    def inverse(self) -> WallTie:
-        """Return the motion back."""
-        return replace(self, R=self.R.T, t=-self.R.T @ self.t)
-
-    def after(self, first: WallTie) -> WallTie:
-        """Return another motion, followed by this one."""
-        return replace(first, R=self.R @ first.R, t=self.R @ first.t + self.t)
-
 
 def wall_ties(ends: Floats, others: Floats) -> list[WallTie]:
     """Return candidate alignments of walls (w, 2, 2) to others (v, 2, 2), by overlap."""
