@@ -154,18 +154,6 @@ def test_a_corner_parts_a_wall() -> None:
     assert np.linalg.norm(mapper.map.positions[:, :2] - [3.0, 0.0], axis=1).min() < 1e-6
 
 
-def test_short_walls_that_meet_no_longer_one_are_clutter() -> None:
-    """Unless they may be longer."""
-    alone, longer = ([[2.9, 0.2], [2.9, y]] for y in (0.5, 0.8))
-    for wall, kind, expected in (
-        (alone, WHOLE, "unmapped"),
-        (alone, ["corner", "view"], "static"),
-        (longer, WHOLE, "static"),
-    ):
-        mapper, (number,) = mapped((wall, kind, ALWAYS), there=[wall])
-        assert status(mapper, number) == expected
-
-
 def test_tracks_that_leave_their_line_moved() -> None:
     mapper = PlaneMapper()
     last = -1

@@ -13,7 +13,7 @@ import numpy as np
 
 from relmap.core.arrays import Bools, Ints
 from relmap.planes.plan.evidence import BIN_M, Stretches, stretches_of
-from relmap.planes.plan.pieces import SHORTEST_M, Pieces, met, with_corners, without_clutter
+from relmap.planes.plan.pieces import SHORTEST_M, Pieces, met, with_corners
 from relmap.planes.plan.regrouping import regrouped
 from relmap.planes.scans.beams import BeamStore
 from relmap.planes.submaps.submap import WallSubmap
@@ -46,8 +46,7 @@ def floor_plan(
     walls, numbers, moved = regrouped(submap, numbers, history, moving)
     stretches = stretches_of(walls, submap.poses, submap.span, beams)
     pieces = with_corners(_pieces(stretches, _standing(stretches)), walls)
-    pieces = without_clutter(met(pieces, stretches), stretches)
-    drawn, numbers = drawn_walls(walls, pieces, numbers, history)
+    drawn, numbers = drawn_walls(walls, met(pieces, stretches), numbers, history)
     return WallSubmap.of(submap.span, submap.poses, drawn, submap.refined), numbers, moved
 
 

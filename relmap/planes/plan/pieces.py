@@ -1,4 +1,4 @@
-"""Parts of walls in a floor plan: their ends, and which are clutter."""
+"""Parts of walls in a floor plan, and their ends."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from scipy.spatial import cKDTree
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.planes.plan.evidence import Stretches
 from relmap.planes.walls.assembly import Assembled
-from relmap.planes.walls.history import first_of
 from relmap.planes.walls.joining import CORNER_M
 
 SHORTEST_M = 0.12
@@ -19,9 +18,6 @@ MEETING_M = 0.25
 """A wall that ends this close to another one is extended or cut to meet it."""
 CROSSING = np.sin(np.deg2rad(30.0))
 """Walls that cross at a smaller angle (sine) have no well-defined crossing."""
-ALONE_M, IN_PART_M, FEW = 0.5, 0.15, 2
-"""Walls shorter than this that meet no longer wall are clutter: with both ends seen, or in part,
-for which the number of observations must be small."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,16 +139,3 @@ def _beside(pieces: Pieces, walls: Stretches) -> tuple[Ints, Ints]:
     other = piece[np.concatenate(near).astype(np.int64)]
     pairs = np.unique(np.column_stack([end, other])[end // 2 != other], axis=0)
     return pairs[:, 0], pairs[:, 1]
-
-
-def without_clutter(pieces: Pieces, walls: Stretches) -> Pieces:
-    """Return pieces without groups of short ones that are not connected to a longer one."""
-    n = len(pieces)
-    if not n:
-        return pieces
-    ends = pieces.ends(walls).reshape(-1, 2)
-    part = first_of(n, cKDTree(ends).query_pairs(MEETING_M, output_type="ndarray") // 2)
-    whole = (pieces.corner >= 0).all(axis=1) | (np.bincount(part)[part] > FEW)
-    clutter = np.ones(n, dtype=np.bool_)
-    clutter[part[pieces.length_m >= np.where(whole, ALONE_M, IN_PART_M)]] = False
-    return pieces.only(~clutter[part])
