@@ -5,7 +5,7 @@ A motion is fitted to the walls that match, slid along the longest of them, and 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -67,7 +67,7 @@ class ScanComparison:
     `beams`: beams of the same scan; `views`: the last scans, latest first, at most `VERIFYING`;
     `before`: recent motion of the robot; `expected`: motion expected from odometry; `firm`: whether
     to leave out walls and beams on small free-standing objects; `more`: the scans before `views`;
-    `varies_m`: variation of the last steps.
+    `varies_m`: returns the variation of the last steps.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class ScanComparison:
         expected: Expected | None = None,
         firm: bool = True,
         more: Iterable[View] = (),
-        varies_m: float = 0.0,
+        varies_m: Callable[[], float] = float,
     ) -> None:
         self._beams, self._views, self._more = beams, views, more
         self._varies_m = varies_m
@@ -171,7 +171,7 @@ class ScanComparison:
         motion, match = one.motions[0], one.matches[0]
         usual_m = self._usual_m(motion, match)
         turn = abs(float(wrapped(motion[0] - self._usual[0])))
-        scale_m = self._scale_m + self._varies_m + TURNING_M * turn
+        scale_m = self._scale_m + self._varies_m() + TURNING_M * turn
         way_m = np.append(COARSE_M, usual_m + COARSE_M)
         odds = self._clear_odds(motion, self._moved(motion, match, way_m))
         way_m = _likeliest(odds, way_m, usual_m, scale_m, USUAL_WEIGHT)[0] + FINE_M
@@ -252,8 +252,9 @@ class ScanComparison:
         """
         usual_m = float(np.hypot(*self._recent[1:]))
         slower_m = usual_m - float(np.hypot(*judged.motions[k, 1:]))
-        stops = slower_m > max(STOPS * usual_m, STOPS_VARY * self._varies_m)
-        return bool(stops and self._crossing(judged.matches[k]) < CROSSING)
+        if slower_m <= STOPS * usual_m or slower_m <= STOPS_VARY * self._varies_m():
+            return False
+        return bool(self._crossing(judged.matches[k]) < CROSSING)
 
     def _excluded(self, motions: Floats, motion: Floats) -> Bools:
         """Return which motions (k, 3) the beams of the last scans exclude in favour of one (3,)."""

@@ -6,7 +6,7 @@ Walls imply a motion; for a laser it is verified by beams (`search`), otherwise 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import islice
 
 import numpy as np
@@ -107,7 +107,8 @@ class ScanLinks(LinkRecord):
             if len(self) in FIRST or len(self) % AGAIN == 0:
                 self._at_rest = share_at_rest(self.scans, self._known()[0], LATELY) > OFTEN
             firm = not self._at_rest
-            context = recent, expected, firm, every, varies_m(self.motions[self.measured])
+            varies: Callable[[], float] = lambda: varies_m(self.motions[self.measured])
+            context = recent, expected, firm, every, varies
             judged = Search(tracks, seen, beams, views, *context).found()
             return judged if judged and self._confirmed(judged, seen, beams, views, firm) else None
         found = place(tracks, seen, self.usual, farthest_m(self._last_links))
