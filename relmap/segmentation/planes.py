@@ -58,12 +58,14 @@ def make_planes(
     every plane has points. `ends` (m, 2, 2): x, y of the right and the left end of each. `end_type`
     (m, 2); `sigma`: noise, metres.
     """
-    m, own = len(ends), labels >= 0
+    m, own = len(ends), (labels >= 0).nonzero()[0]
     along = ends[:, 1] - ends[:, 0]
     size = np.hypot(along[:, 0], along[:, 1])
     normal = np.column_stack([-along[:, 1], along[:, 0]]) / size[:, None]
     middle, at = ends.mean(axis=1), labels[own]
-    off, direction = points[own, :2] - middle[at], normal[at]
+    # `take`, as rows by index take ten times as long.
+    off = points[:, :2].take(own, axis=0) - middle.take(at, axis=0)
+    direction = normal.take(at, axis=0)
     across = off[:, 0] * direction[:, 0] + off[:, 1] * direction[:, 1]
     n_points = np.bincount(at, minlength=m)
     squares = np.bincount(at, weights=across**2, minlength=m)

@@ -156,7 +156,9 @@ class PlaneSegmenter:
             many surfaces that are not upright, such as floors, or no scan so far is in order.
         """
         xyz = checked_points(points, 0)
-        method, returned = self._validated(xyz.shape[1]), np.asarray(xyz.any(axis=1))
+        method, returned = self._validated(xyz.shape[1]), xyz[:, 0] != 0
+        for column in xyz.T[1:]:  # `any` takes five times as long
+            returned |= column != 0
         xyz = xyz if returned.all() else xyz[returned]
         xy = np.ascontiguousarray(xyz[:, :2])
         if len(xyz) and self._checked < CHECKED:
@@ -202,7 +204,7 @@ class PlaneSegmenter:
         if method == "scanlines":
             other = xy[1:] != xy[:-1]
             once = np.append(True, other[:, 0] | other[:, 1])
-            every, xy = np.cumsum(once) - 1, xy[once]
+            xy = xy if once.all() else xy[once]
             scan = lines.LaserScan(xy)
             mixture, labels = lines.scan_walls(scan, self.noise)
             bounds = lines.first_and_last(labels)
@@ -210,7 +212,8 @@ class PlaneSegmenter:
             curved = lines.on_curves(mixture, xy, labels, bounds)
             hidden = lines.hidden_ends(scan, bounds) | curved
             joined = sharp.joined & ~curved
-            return Sharpened(sharp.mixture, sharp.spread, joined, hidden), labels[every]
+            labels = labels if len(xy) == len(once) else labels[np.cumsum(once) - 1]
+            return Sharpened(sharp.mixture, sharp.spread, joined, hidden), labels
         rng = np.random.default_rng(self.random_state)
         if method == "em":
             mixture = search.fit_walls(xy, self.noise, rng)

@@ -6,7 +6,7 @@ Walls imply a motion; for a laser it is verified by beams (`search`), otherwise 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from itertools import islice
 
 import numpy as np
@@ -107,8 +107,7 @@ class ScanLinks(LinkRecord):
             if len(self) in FIRST or len(self) % AGAIN == 0:
                 self._at_rest = share_at_rest(self.scans, self._known()[0], LATELY) > OFTEN
             firm = not self._at_rest
-            varies: Callable[[], float] = lambda: varies_m(self.motions[self.measured])
-            context = recent, expected, firm, every, varies
+            context = recent, expected, firm, every, self._varies_m
             judged = Search(tracks, seen, beams, views, *context).found()
             return judged if judged and self._confirmed(judged, seen, beams, views, firm) else None
         found = place(tracks, seen, self.usual, farthest_m(self._last_links))
@@ -157,6 +156,10 @@ class ScanLinks(LinkRecord):
         last = slice(-USUAL, None)
         motions, submaps = self.motions[last], self.submaps[last]
         return np.asarray(motions[1:][(np.diff(submaps) == 0) & (submaps[1:] >= 0)])
+
+    def _varies_m(self) -> float:
+        """Return how much the length of the last measured steps varies, metres."""
+        return varies_m(self.motions[self.measured])
 
     def _views(self, seen: PlaneObservation) -> Iterator[View]:
         """Yield the beams of the last scans of the submap, latest first."""

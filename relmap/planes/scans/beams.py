@@ -108,7 +108,9 @@ class GivenBeams:
             )
         if not all((np.abs(values) <= FARTHEST_M).all() for values in (points, origin)):
             raise RelmapError(f"beams must be finite, metres, and at most {FARTHEST_M:g}")
-        in_order, points = points.shape[1] == 2, points[(points[:, :2] != origin).any(axis=1)]
+        in_order = points.shape[1] == 2
+        returned = (points[:, 0] != origin[0]) | (points[:, 1] != origin[1])
+        points = points if returned.all() else points[returned]
         every = max(-(-len(points) // PER_SCAN), 1)
         return cls(points[::every, :2].astype(np.float32), origin, in_order)
 
@@ -118,7 +120,7 @@ class GivenBeams:
         points = self.points.astype(np.float64)
         bearings = np.arctan2(points[:, 1] - self.origin[1], points[:, 0] - self.origin[0])
         order = np.argsort(bearings, kind="stable")
-        return points[order], bearings[order]
+        return points.take(order, axis=0), bearings[order]
 
     @cached_property
     def loose(self) -> Bools:

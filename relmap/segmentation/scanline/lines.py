@@ -35,6 +35,8 @@ APART = 0.5
 medians. In random order it is about 1; where half of the beams hit clutter it is 0.3."""
 ONWARD = 0.75
 """Fraction of the beams that turn the same way about the robot; half of them in random order."""
+STEEP = np.sin(np.deg2rad(3.0))
+"""Beams that meet a wall at a smaller angle (sine) do not extend it."""
 LEAST = 50
 """Minimum number of points to judge the order by."""
 
@@ -139,7 +141,7 @@ def scan_walls(scan: LaserScan, noise: float | None) -> tuple[WallMixture, Ints]
     xy = scan.xy
     sigma = scan.noise_m if noise is None else max(noise, FLOOR_M)
     solid = _beyond_clutter(scan.marks[0] if noise is None else scan.marks_at(sigma)[0])
-    own = np.ascontiguousarray(xy[solid])
+    own = xy.take(solid, axis=0)  # a tenth of the time of `xy[solid]`
     if noise is None and len(own) < len(xy):
         sigma = beam_noise(own)
     pieces, walls = line_pieces(own, solid, max(sigma, NOISE_AT_LEAST_M))
@@ -182,7 +184,7 @@ def extend_to_beams(
         bearing = scan.bearing[rows] + side * step
         c, s = np.cos(bearing), np.sin(bearing)
         across = walls[:, UX] * s - walls[:, UY] * c
-        steep = np.abs(across) >= np.sin(np.deg2rad(3.0))
+        steep = np.abs(across) >= STEEP
         met = (walls[:, PY] * c - walls[:, PX] * s) / np.where(steep, across, 1.0)
         inside = (rows > 0) & (rows < len(scan.xy) - 1)
         walls[:, end] = np.where(inside & steep, met, walls[:, end])
