@@ -129,9 +129,12 @@ def carried(tracks: Tracks, motion: Floats) -> Tracks:
 def half_turn(angle: float) -> float:
     """Return an angle wrapped to half a turn around 0."""
     turned = angle + math.pi
-    if 0 <= turned < 2 * math.pi:  # the remainder is slow
-        return turned - math.pi
-    return turned % (2 * math.pi) - math.pi
+    near = turned  # the remainder is slow, and the same within a turn
+    if near < 0:
+        near += 2 * math.pi
+    elif near >= 2 * math.pi:
+        near -= 2 * math.pi
+    return (near if 0 <= near < 2 * math.pi else turned % (2 * math.pi)) - math.pi
 
 
 @helper
@@ -155,8 +158,7 @@ def agreement(tracks: Tracks, seen: Seen, widened: float) -> Floats:
     angle, offset, ends, sd, corner_at = tracks
     _, along, _, size, wall_sd, static = seen
     n, m, wall = len(angle), len(size), _lines(seen)
-    found = np.zeros((n, m))
-    gap_gate = GAP_M * widened
+    found, gap_gate = np.zeros((n, m)), GAP_M * widened
     for i in range(n):
         nx, ny = math.cos(angle[i]), math.sin(angle[i])
         own = math.hypot(ends[i, 1, 0] - ends[i, 0, 0], ends[i, 1, 1] - ends[i, 0, 1])
@@ -171,15 +173,20 @@ def agreement(tracks: Tracks, seen: Seen, widened: float) -> Floats:
             )
             if gap >= gap_gate:
                 continue
+            across = nx * wall[j, 1] + ny * wall[j, 2] - offset[i]
+            if abs(across) >= ACROSS_M * widened + SIGMAS * (sd[i] + wall_sd[j]):
+                continue  # most walls that are parallel, without a root and a quotient
             spread = math.hypot(sd[i], wall_sd[j])
             blunt = SIGMAS * math.sqrt(12.0) * spread / min(own, size[j])
             turn_gate = TURN_RAD * widened + min(blunt, WIDEST_TURN_RAD)
-            across = nx * wall[j, 1] + ny * wall[j, 2] - offset[i]
             across_gate = ACROSS_M * widened + SIGMAS * spread
             if abs(turn) >= turn_gate or abs(across) >= across_gate:
                 continue
-            worth = 1 - CLOSE * ((turn / turn_gate) ** 2 + (across / across_gate) ** 2)
-            worth -= BEYOND * max(gap / gap_gate, 0.0)
+            worth = (
+                1
+                - CLOSE * ((turn / turn_gate) ** 2 + (across / across_gate) ** 2)
+                - BEYOND * max(gap / gap_gate, 0.0)
+            )
             for e in range(2):
                 if static[j, e]:
                     at = left if e else right
@@ -270,20 +277,15 @@ def settled(
 
 @helper
 def _settled(tracks: Tracks, seen: Seen, guess: Floats, rounds: int) -> tuple[Floats, Ints, float]:
-    motion, widened = guess, ROUGHLY
-    for _ in range(rounds):
+    motion, widened, left = guess, ROUGHLY, rounds
+    while True:
         there = carried(tracks, motion)
-        track_of = assigned(agreement(there, seen, widened))
-        matched = 0
+        worth = agreement(there, seen, widened if left > 0 else 1.0)
+        track_of, score = assigned(worth), 0.0
         for j in range(len(track_of)):
-            matched += track_of[j] >= 0
-        if matched == 0:
-            return motion, track_of, 0.0
+            if track_of[j] >= 0:
+                score += worth[track_of[j], j]
+        if left == 0 or score == 0:
+            return motion, track_of, score
         motion = _then(motion, correction(there, seen, track_of))
-        widened = max(1.0, widened / 2)
-    worth = agreement(carried(tracks, motion), seen, 1.0)
-    track_of, score = assigned(worth), 0.0
-    for j in range(len(track_of)):
-        if track_of[j] >= 0:
-            score += worth[track_of[j], j]
-    return motion, track_of, score
+        widened, left = max(1.0, widened / 2), left - 1
