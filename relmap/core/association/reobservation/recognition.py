@@ -71,16 +71,6 @@ class PlaceFinder:
             self._tolerance_m = float(np.clip(SIGMAS * noise_m, least, most))
             self._noise_m = max(noise_m, least / SIGMAS)
 
-    def find(self, points: Floats) -> Placement | None:
-        """Return the placement of a scan's frame in the map's; None if it is ambiguous.
-
-        `points` (n, d), robot frame, metres.
-        """
-        places = self.places(points)
-        if not places or self.elsewhere(points, places) >= DISTINCT * places[0].n_agreeing:
-            return None
-        return places[0]
-
     def is_certain(self, points: Floats, places: list[Placement], searches: int) -> bool:
         """Return whether the first placement of points (n, d) fits far better than all others.
 

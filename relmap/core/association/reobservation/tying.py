@@ -25,8 +25,6 @@ NEIGHBOURHOOD = 20
 """Number of landmarks in a neighbourhood."""
 OVERLAP = 3
 """One in this many landmarks starts a neighbourhood even if it lies within another."""
-SAME = 0.1
-"""Largest error of the round trip, in sizes of a neighbourhood."""
 APART = 4.0
 """Spacing at which submaps are laid out side by side, in sizes of the largest."""
 
@@ -82,18 +80,9 @@ def _found_elsewhere(
         mine, its = around[found[0] >= 0], found[0][found[0] >= 0]
         averaged = table.weight[np.stack([own[mine], others[its]])]
         close = finder.is_close(table.position[own[mine]], its, averaged, n_maps=2)
-        if sure and clear and close and _leads_back(back, positions[hits[0]], places[0], points):
+        if sure and clear and close:
             return other, replace(places[0], t=places[0].t - shifts[other])
     return None
-
-
-def _leads_back(back: PlaceFinder, hit: Floats, placement: Placement, points: Floats) -> bool:
-    """Return whether the matches (k, d) are found at the points (n, d), and only there."""
-    returned = back.find(hit)
-    if returned is None:
-        return False
-    off_m = np.abs(returned.apply(placement.apply(points)) - points).max()
-    return bool(off_m <= SAME * np.ptp(points, axis=0).max())
 
 
 def _laid_out(table: LandmarkState, landmarks: Ints) -> tuple[Floats, dict[int, Floats], Ints]:
