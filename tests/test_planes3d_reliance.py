@@ -124,6 +124,31 @@ def test_a_step_that_planes_leave_open_in_two_directions_slides_in_none() -> Non
     assert 4 in part.weak
 
 
+def test_what_follows_an_open_step_moves_with_the_scans_before_it() -> None:
+    # A wall that the first three scans see, of which the second and third were placed 0.3 m off;
+    # the others see no end of the corridor.
+    part = Submap()
+    for k in range(8):
+        x, off = 0.1 * k, 0.3 * (k > 0)
+        walls = [wall(1, 2.0), wall(2, -2.0), *([wall(0, 3.0 - x)] if k < 3 else [])]
+        pose = np.eye(3), np.array([x + off, 0.0, 0.0])
+        part.add(k, patches(*walls), pose, np.arange(len(walls)))
+        if k > 2:
+            part.weak[k] = np.array([1.0, 0.0, 0.0])
+            part.held.add(k)
+    part, _ = refined(part, 3)
+    assert scene(part).t[:, 0] == pytest.approx(0.1 * np.arange(8), abs=1e-3)
+
+
+def test_a_direction_that_later_scans_determine_is_not_kept() -> None:
+    # It was weak when the scan was placed.
+    part = carried([0.0, 0.1, 0.23, 0.3, 0.4], 3.0)
+    part.weak[2] = np.array([1.0, 0.0, 0.0])
+    R, t = part.poses[2]
+    part.poses[2] = R, t + np.array([0.05, 0.0, 0.0])
+    assert scene(refined(part, 3)[0]).t[2, 0] == pytest.approx(0.23, abs=1e-3)
+
+
 def turned(yaw: float) -> Floats:
     return Rotation.from_rotvec([0.0, 0.0, yaw]).as_matrix()
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -22,6 +24,10 @@ FEW = 6
 """Number of scans of a submap of a broken run whose steps are too few to be compared."""
 UNSURE = 0.0125
 """Standard deviation of an unsure step, as a fraction of the range."""
+ACROSS = 0.2
+"""Cosine of a normal and a direction above which the plane shows where a scan is along it."""
+MOVING = 1e-6
+"""Weight of the observations of what moves: it holds a scan only where nothing else does."""
 ONE = 2.0
 """Largest distance of two landmarks that are one plane, in standard deviations of their points."""
 BENT, COVERED = 0.003, 0.5
@@ -35,28 +41,30 @@ def refined(part: Submap, number: int) -> tuple[Submap, dict[int, int]]:
     `number`: of the first of the landmarks that are found in the points of all scans together.
     Returns `name`: new numbers of landmarks that were joined to others.
     """
-    free = _open_steps(part)
-    part.weak = {k: directed(along[-1]) for k, along in free.items()} | part.weak
-    # What a scan was placed with is one direction.
-    free |= {k: along[None] for k, along in part.weak.items() if len(free.get(k, ())) < 2}
-    part, names = _settled(part, free, ROUGHLY)
+    loose, unsure = _open_steps(part)
+    part.weak = {k: directed(along[-1]) for k, along in loose.items()} | part.weak
+    # A scan was placed with one such direction, which later ones may have determined since.
+    free = {k: along[None] for k, along in part.weak.items() if k in unsure | part.held}
+    free |= {k: along for k, along in loose.items() if k not in free or len(along) > 1}
+    part, names = _settled(part, free, set(loose), ROUGHLY)
     part.sights = sights_of(part)
     more = gathered(part, number)
-    part, later = _settled(part if more is None else more, free, GAIN)
+    part, later = _settled(part if more is None else more, free, set(loose), GAIN)
     return part, {old: later.get(new, new) for old, new in names.items()} | later
 
 
 def _settled(
-    part: Submap, free: dict[int, Floats], least_gain: float
+    part: Submap, free: dict[int, Floats], loose: set[int], least_gain: float
 ) -> tuple[Submap, dict[int, int]]:
     """Adjust a submap and join landmarks that are one surface, in turns; see `refined`.
 
-    `free`: iterations and the directions (k, 3), robot frame, in which their position is kept.
+    `free`: iterations and the directions (k, 3), robot frame, in which their position is kept;
+    `loose`: those of them whose step from the scan before is kept, as nothing else is known.
     """
     names: dict[int, int] = {}
     gain = ROUGHLY
     for _ in range(ROUNDS):
-        part = _adjusted(part, free, gain)
+        part = _adjusted(part, free, loose, gain)
         doubles = _doubles(part)
         if not doubles and gain == least_gain:
             break
@@ -65,7 +73,7 @@ def _settled(
             part = part.again(part.poses, doubles)
             names = {old: doubles.get(new, new) for old, new in names.items()} | doubles
     else:
-        part = _adjusted(part, free, least_gain)
+        part = _adjusted(part, free, loose, least_gain)
     return part, names
 
 
@@ -95,18 +103,19 @@ def unsure_steps(part: Submap, is_broken: bool = False) -> dict[int, Floats]:
     return {part.iteration[k + 1]: directed(axes[k, :, 2]) for k in rows}
 
 
-def _open_steps(part: Submap) -> dict[int, Floats]:
+def _open_steps(part: Submap) -> tuple[dict[int, Floats], set[int]]:
     """Return the iterations whose step planes leave open, and in which directions (k, 3).
 
     The last is the least certain, robot frame. Least squares would let all that follows slide
-    along them.
+    along them. Returns also the iterations whose step is unsure.
     """
     covariance = step_covariances(sightings(part), scene(part), SYSTEMATIC)
     variance, axes = np.linalg.eigh(covariance[:, 3:, 3:])
     reach_m = np.array([each.reach_m for each in part.seen[1:]])
     is_open = variance > ((OPEN * reach_m) ** 2)[:, None]
     rows = np.flatnonzero(is_open.any(axis=1)).tolist()
-    return {part.iteration[k + 1]: axes[k].T[is_open[k]] for k in rows}
+    unsure = np.array(part.iteration[1:])[variance[:, 2] > (UNSURE * reach_m) ** 2]
+    return {part.iteration[k + 1]: axes[k].T[is_open[k]] for k in rows}, set(unsure.tolist())
 
 
 def covariances_of(part: Submap) -> Floats:
@@ -120,13 +129,15 @@ def _observed(part: Submap) -> tuple[Sightings, Scene, float]:
 
 
 def sightings(part: Submap) -> Sightings:
-    """Return the observations of a submap."""
+    """Return the observations of a submap; those of what moves hardly count."""
     scan = np.concatenate([np.full(len(seen), k) for k, seen in enumerate(part.seen)])
     columns = [
         np.concatenate([getattr(seen, name) for seen in part.seen])
         for name in ("centre", "axes", "information", "spread")
     ]
-    return Sightings(scan, np.concatenate(part.match), *columns)
+    seen = Sightings(scan, np.concatenate(part.match), *columns)
+    weight = np.where(part.is_dynamic, MOVING, 1.0)[seen.plane]
+    return replace(seen, information=weight[:, None] * seen.information)
 
 
 def scene(part: Submap) -> Scene:
@@ -136,17 +147,40 @@ def scene(part: Submap) -> Scene:
     return Scene(R, t, planes.normal.copy(), planes.centre, np.zeros(len(part)))
 
 
-def _adjusted(part: Submap, free: dict[int, Floats], least_gain: float) -> Submap:
+def _adjusted(part: Submap, free: dict[int, Floats], loose: set[int], least_gain: float) -> Submap:
     """Return a submap adjusted by least squares.
 
-    `free`: see `_settled`; `least_gain`: see `PlaneAdjustment.solve`.
+    `free`, `loose`: see `_settled`; `least_gain`: see `PlaneAdjustment.solve`.
     """
     seen, state, share = _observed(part)
     problem = PlaneAdjustment(seen, share, {part.iteration.index(k): free[k] for k in sorted(free)})
     state = problem.solve(state, least_gain)
-    again = part.again(list(zip(state.R, state.t, strict=True)), {})
+    t = _kept(part, state, {k: free[k] for k in sorted(loose)})
+    again = part.again(list(zip(state.R, t, strict=True)), {})
     again.share = problem.systematic_share(state)
     return again
+
+
+def _kept(part: Submap, state: Scene, loose: dict[int, Floats]) -> Floats:
+    """Return the adjusted positions (p, 3), with loose steps as they were along some directions.
+
+    All that follows such a step moves with the scans before it: kept itself, it would be off by as
+    much as these were. It does not if landmarks across the direction were seen on both sides.
+    """
+    scan = np.repeat(np.arange(len(part.match)), [len(match) for match in part.match])
+    plane = np.concatenate(part.match)
+    first, last = np.full(len(part), len(part.match)), np.full(len(part), -1)
+    np.minimum.at(first, plane, scan)
+    np.maximum.at(last, plane, scan)
+    moved, static = np.zeros_like(state.t), ~part.is_dynamic
+    for k, along in loose.items():
+        row = part.iteration.index(k)
+        tie = state.normal[(first < row) & (row <= last) & static] @ state.R[row]
+        along = along[(np.abs(along @ tie.T) < ACROSS).all(axis=1)]
+        (R, t), (_, before) = part.poses[row], part.poses[row - 1]
+        change = R.T @ (t - before) - state.R[row].T @ (state.t[row] - state.t[row - 1])
+        moved[row] = state.R[row] @ along.T @ along @ change
+    return np.asarray(state.t + np.cumsum(moved, axis=0))
 
 
 def _doubles(part: Submap) -> dict[int, int]:
