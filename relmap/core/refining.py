@@ -26,18 +26,19 @@ def refine_map(engine: RelativeMapper, to_the_last: bool = True) -> None:
     engine.refined = refine_submaps(engine, engine.rows, to_the_last)
 
 
-def ambiguous(engine: RelativeMapper) -> tuple[Floats, Ints, Ints] | None:
+def ambiguous(engine: RelativeMapper) -> tuple[Floats, Ints, Ints, Floats | None] | None:
     """Return points, landmarks and iterations of all observations where matches are ambiguous.
 
-    Without those of landmarks that move. None if the noise is small, or observations have
-    covariances.
+    Also their covariances, if any; without those of landmarks that move. None if the noise is
+    small.
     """
     kept, table = engine.kept, engine.table
-    if not (engine.association.current.is_blurred and len(kept)) or len(kept.covariance):
+    if not (engine.association.current.is_blurred and len(kept)):
         return None
     seen = table.now(kept.landmark)
     static = ~table.dynamic[seen]
-    return kept.location[static], seen[static], kept.iteration[static]
+    covariances = kept.covariance[static] if len(kept.covariance) else None
+    return kept.location[static], seen[static], kept.iteration[static], covariances
 
 
 def refine_submaps(
@@ -58,11 +59,12 @@ def refine_submaps(
         chosen, since = submaps == submap, engine.map.kept_anchor
         is_known = bool(engine.association.is_known)
         refined = refine_jointly(rows, table.position, chosen, of, others, since, is_known)
-        if refined is not None and len(engine.kept.covariance):
+        weighed = len(engine.kept.covariance) > 0
+        if refined is not None and weighed:
             refined = refine_weighed(refined, engine.kept, of)
-        elif refined is not None and seen is not None:
+        if refined is not None and seen is not None:
             refined, _ = reassign(refined, *seen)
-        elif refined is not None and has_all:
+        elif refined is not None and has_all and not weighed:
             points, (shown, when) = kept.points(0, end), kept.seen(0, end)
             own = refined.landmarks, refined.positions
             refined = refine_by_powers(refined, observations_of(points, of[shown], when, *own)[0])

@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
-from scipy.spatial.distance import cdist
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.association.base import nearest
@@ -25,6 +24,8 @@ MOST = 6
 """Maximum number of landmarks fitted together."""
 WEIGHINGS = 10
 """Number of rounds of weighing all assignments."""
+FAINT = 1e-9
+"""Weight, in observations, of where a landmark is: some have no observation nearby."""
 STARTS = 4
 """Number of scans whose observations are tried as landmarks."""
 AROUND = 8
@@ -52,11 +53,13 @@ class _Group(NamedTuple):
 class Mixture:
     """Observations in the frame of the map, and the landmarks to which they are assigned.
 
-    `placed` (n, d), of scans (n,), ascending, and `positions` (m, d), both in standard deviations
-    of an observation; `own` (n,): landmark of each observation, or `NONE`; `exists` (m,).
+    `placed` (n, d), of scans (n,), ascending, and `positions` (m, d), both in the usual standard
+    deviation; differences multiplied by `metric` (n, d, d) are in that of the observation; `own`
+    (n,): landmark of each observation, or `NONE`; `exists` (m,).
     """
 
     placed: Floats
+    metric: Floats
     scan: Ints
     own: Ints
     positions: Floats
@@ -67,8 +70,8 @@ class Mixture:
         for group in self._groups():
             self._fit(group)
         found = np.flatnonzero(self.own != NONE)
-        off = self.placed[found] - self.positions[self.own[found]]
-        self.own[found[np.sum(off**2, axis=1) > LIMIT]] = NONE
+        off = self._squares(found, self.positions[self.own[found]][:, None])[:, 0]
+        self.own[found[off > LIMIT]] = NONE
 
     def settled(self) -> tuple[Floats, float]:
         """Return the likeliest positions (m, d) over all assignments, and the mean squared error.
@@ -80,7 +83,7 @@ class Mixture:
         for group in self._groups():
             others = group.some[self.exists[group.some]]
             means, share = self._weighed(group, self.positions[others])
-            off = cdist(self.placed[group.rows], means, "sqeuclidean")
+            off = self._squares(group.rows, means[None])
             square, weight = square + np.sum(share * off), weight + share.sum()
             own = others == group.landmark
             settled[others[own]] = means[own]
@@ -93,12 +96,21 @@ class Mixture:
         """
         from relmap.core.refinement.mixture_kernels import weigh
 
-        placed, share = self.placed[group.rows], np.empty((0, 0))
+        metric, share = self.metric[group.rows], np.empty((0, 0))
+        weights = np.swapaxes(metric, 1, 2) @ metric
+        weighted = np.einsum("nij,nj->ni", weights, self.placed[group.rows])
         odds = np.repeat(group.odds, np.diff(group.begin))[:, None] + LIMIT / 2
         for _ in range(WEIGHINGS):
-            share = weigh(np.exp(odds - cdist(placed, means, "sqeuclidean") / 2), group.begin)
-            means = share.T @ placed / share.sum(axis=0)[:, None]
+            share = weigh(np.exp(odds - self._squares(group.rows, means[None]) / 2), group.begin)
+            total = np.tensordot(share, weights, (0, 0)) + FAINT * np.eye(means.shape[1])
+            sums = share.T @ weighted + FAINT * means
+            means = np.linalg.solve(total, sums[:, :, None])[:, :, 0]
         return means, share
+
+    def _squares(self, rows: Ints, positions: Floats) -> Floats:
+        """Return the squared distances (n, k) of rows (n,) from positions (1 or n, k, d)."""
+        apart = self.placed[rows][:, None] - positions
+        return np.asarray(np.sum(np.einsum("nij,nkj->nki", self.metric[rows], apart) ** 2, axis=2))
 
     def _groups(self) -> Iterator[_Group]:
         m, tree = len(self.positions), cKDTree(self.positions)
@@ -134,10 +146,10 @@ class Mixture:
         import relmap.core.refinement.mixture_kernels as kernels
 
         _, some, rows, begin, odds, cost = group
-        placed, fits = self.placed[rows], []
+        placed, metric, fits = self.placed[rows], self.metric[rows], []
         for start in self._starts(some, rows, begin):
             means, found = start.copy(), np.full(len(rows), NONE)
-            likelihood = kernels.fit_few(placed, begin, odds, cost, LIMIT, means, found)
+            likelihood = kernels.fit_few(placed, metric, begin, odds, cost, LIMIT, means, found)
             fits.append((likelihood, means, found))
         self._take(some, rows, *max(fits, key=lambda fit: fit[0])[1:])
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.linalg.compiling import compiled, helper
+from relmap.core.linalg.small_kernels import factorise, solve, square_between
 
 ROUNDS = 8
 """Maximum number of rounds of assigning observations and averaging them."""
@@ -43,7 +44,14 @@ def _assign(gain: Floats, best: Floats, choice: Ints, found: Ints, begin: int, n
 
 @compiled
 def fit_few(
-    placed: Floats, begin: Ints, odds: Floats, cost: float, limit: float, means: Floats, found: Ints
+    placed: Floats,
+    metric: Floats,
+    begin: Ints,
+    odds: Floats,
+    cost: float,
+    limit: float,
+    means: Floats,
+    found: Ints,
 ) -> float:
     """Fit landmarks to the observations around them; return how well these are explained.
 
@@ -53,7 +61,9 @@ def fit_few(
     Parameters
     ----------
     placed : (n, d) float64
-        Observations in the frame of the map, in standard deviations, scan by scan.
+        Observations in the frame of the map, scan by scan.
+    metric : (n, d, d) float64
+        Of each observation: multiplied by it, differences are in standard deviations.
     begin : (s + 1,) int64
         Where the observations of each scan begin, and the end.
     odds : (s,) float64
@@ -76,8 +86,8 @@ def fit_few(
     for s in range(len(odds)):
         longest = max(longest, begin[s + 1] - begin[s])
     best, choice = np.empty(1 << k), np.empty((longest, 1 << k), dtype=np.int64)
-    gain, before, counts = np.empty((longest, k)), np.empty(n, dtype=np.int64), np.empty(k)
-    score = 0.0
+    gain, before, apart = np.empty((longest, k)), np.empty(n, dtype=np.int64), np.empty(d)
+    weights, sums, score = np.empty((k, d, d)), np.empty((k, d)), 0.0
     for _ in range(ROUNDS):
         score = -cost * k
         for i in range(n):
@@ -85,9 +95,7 @@ def fit_few(
         for s in range(len(odds)):
             for i in range(begin[s], begin[s + 1]):
                 for j in range(k):
-                    square = 0.0
-                    for a in range(d):
-                        square += (placed[i, a] - means[j, a]) ** 2
+                    square = square_between(placed[i], means[j], metric, i, apart)
                     gain[i - begin[s], j] = (limit - square) / 2 + odds[s]
             score += _assign(gain, best, choice, found, begin[s], begin[s + 1] - begin[s])
         is_same = True
@@ -95,26 +103,30 @@ def fit_few(
             is_same &= before[i] == found[i]
         if is_same:
             break
-        _average(placed, found, means, counts)
+        _average(placed, metric, found, means, weights, sums)
     return score
 
 
 @helper
-def _average(placed: Floats, found: Ints, means: Floats, counts: Floats) -> None:
-    """Move each landmark with observations to their mean."""
+def _average(
+    placed: Floats, metric: Floats, found: Ints, means: Floats, weights: Floats, sums: Floats
+) -> None:
+    """Move each landmark with observations to their mean; `weights`, `sums` are overwritten."""
     k, d = means.shape
-    for j in range(k):
-        counts[j] = 0.0
+    weights[:], sums[:] = 0.0, 0.0
     for i in range(len(found)):
-        if found[i] >= 0:
-            counts[found[i]] += 1
+        for a in range(d if found[i] >= 0 else 0):
+            for b in range(d):
+                weight = 0.0
+                for c in range(d):
+                    weight += metric[i, c, a] * metric[i, c, b]
+                weights[found[i], a, b] += weight
+                sums[found[i], a] += weight * placed[i, b]
     for j in range(k):
-        for a in range(d):
-            means[j, a] = 0.0 if counts[j] > 0 else means[j, a]
-    for i in range(len(found)):
-        for a in range(d):
-            if found[i] >= 0:
-                means[found[i], a] += placed[i, a] / counts[found[i]]
+        if weights[j, 0, 0] > 0:
+            factorise(weights[j])
+            solve(weights[j], sums[j])
+            means[j] = sums[j]
 
 
 @compiled

@@ -11,12 +11,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import fit_rigid
+from relmap.core.refinement.chain.chained import Chained
+from relmap.core.refinement.chain.weighed import solve_weighed
 from relmap.core.refinement.joint import Refined
 from relmap.core.refinement.mixture import Mixture
-from relmap.core.refinement.observations import Observations, observations_of
-from relmap.core.refinement.powers import PowerSolution
+from relmap.core.refinement.observations import observations_of
+from relmap.core.refinement.powers import Placed, PowerSolution
 from relmap.core.state.table import NONE
 
 ROUNDS = 2
@@ -28,53 +30,67 @@ class _Assigned:
     """All observations, and the landmarks of a submap to which they are assigned.
 
     `points` (n, d), robot frame, and `positions` (m, d), metres; `when` (n,), ascending: iteration
-    of each observation; `own` (n,): landmark, or `NONE`; `exists` (m,).
+    of each observation; `own` (n,): landmark, or `NONE`; `noise` (n, d, d): covariances, relative
+    to the variance `noise_m`^2, or None if they are equal.
     """
 
     points: Floats
     when: Ints
     own: Ints
-    positions: Floats
+    noise: Floats | None
     noise_m: float
-    exists: Bools
+    positions: Floats
 
-    def of_landmarks(self) -> Observations:
-        """Return the observations of landmarks in scans that these determine."""
-        every = np.arange(len(self.positions))
-        return observations_of(self.points, self.own, self.when, every, self.positions)[0]
+    def solve(self) -> bool:
+        """Solve for the map and the poses; return whether observations determine them."""
+        (m, d), at = self.positions.shape, self.positions
+        found, rows = observations_of(self.points, self.own, self.when, np.arange(m), at)
+        seen = np.bincount(found.landmark, minlength=m)
+        self.exists, some = seen > 1, np.flatnonzero(seen)
+        if self.exists.sum() <= d:
+            return False
+        found = replace(found, landmark=np.searchsorted(some, found.landmark))
+        state: Placed | Chained
+        if self.noise is None:
+            state = PowerSolution.of(found, at[some]).towards(2).state
+        else:
+            noise = self.noise[rows] * self.noise_m**2
+            state = solve_weighed(found, noise, at[some], 0)[1].state
+        at[some], self._R, self._t = state.positions, state.R, state.t
+        self._iterations = found.iterations
+        return True
 
-    def assign(self) -> Observations:
-        """Assign the observations anew, and solve for the map; return those of landmarks."""
+    def assign(self) -> None:
+        """Assign the observations of iterations with known poses anew."""
         rows, mixture = self._mixture()
         mixture.fit()
         self.own = np.full(len(self.points), NONE)
         self.own[rows], self.positions = mixture.own, mixture.positions * self.noise_m
-        found = self.of_landmarks()
-        if len(found.points):
-            self.positions = PowerSolution.of(found, self.positions).towards(2).state.positions
-        return found
 
-    def settle(self, found: Observations) -> None:
+    def settle(self) -> None:
         """Move the landmarks to the likeliest positions, with the noise as it is then."""
-        d, n = self.points.shape[1], found.points.size
-        known = d * self.exists.sum() + d * (d + 1) // 2 * len(found.iterations)
-        square = self._mixture()[1].settled()[1] * n / max(n - known, 1)
-        self.noise_m *= np.sqrt(square)
+        mixture, d = self._mixture()[1], self.points.shape[1]
+        n = d * np.count_nonzero(mixture.own != NONE)
+        known = d * self.exists.sum() + d * (d + 1) // 2 * len(self._iterations)
+        self.noise_m *= np.sqrt(mixture.settled()[1] * n / max(n - known, 1))
         self.positions = self._mixture()[1].settled()[0] * self.noise_m
 
     def _mixture(self) -> tuple[Ints, Mixture]:
-        """Return the rows (k,) of the scans that landmarks determine, and where they are."""
-        found = self.of_landmarks()
-        R, t, fixed = found.placed_on(self.positions)
-        at = np.searchsorted(found.iterations, self.when).clip(0, len(fixed) - 1)
-        rows = np.flatnonzero((found.iterations[at] == self.when) & fixed[at])
-        scan, unit = at[rows], self.noise_m
-        placed = np.einsum("nij,nj->ni", R[scan], self.points[rows]) + t[scan]
+        """Return the rows (n,) of the iterations with known poses, and where they are."""
+        at = np.searchsorted(self._iterations, self.when).clip(0, len(self._iterations) - 1)
+        rows = np.flatnonzero(self._iterations[at] == self.when)
+        scan, R, unit = at[rows], self._R[at[rows]], self.noise_m
+        placed = np.einsum("nij,nj->ni", R, self.points[rows]) + self._t[scan]
+        metric = np.swapaxes(R, 1, 2)
+        if self.noise is not None:
+            metric = np.linalg.inv(np.linalg.cholesky(self.noise[rows])) @ metric
         own, positions = self.own[rows], self.positions / unit
-        return rows, Mixture(placed / unit, scan, own, positions, self.exists)
+        return rows, Mixture(placed / unit, metric, scan, own, positions, self.exists)
 
 
-def reassign(refined: Refined, points: Floats, seen: Ints, when: Ints) -> tuple[Refined, Ints]:
+def reassign(
+    refined: Refined, points: Floats, seen: Ints, when: Ints, covariances: Floats | None
+) -> tuple[Refined, Ints]:
     """Return a refined submap with each observation assigned anew to a landmark of it.
 
     Landmarks that explain no more than one observation are left out; the submap stays as it is if
@@ -82,20 +98,25 @@ def reassign(refined: Refined, points: Floats, seen: Ints, when: Ints) -> tuple[
     submap.
 
     `points` (n, d), robot frame, metres; `seen` (n,): landmark of each observation; `when` (n,),
-    ascending: its iteration. Returns also the landmarks (n,) to which they are assigned, or `NONE`.
+    ascending: its iteration; `covariances` (n, d, d), square metres, or None if the noise is
+    equal. Returns also the landmarks (n,) to which they are assigned, or `NONE`.
     """
-    m, names = len(refined.landmarks), np.append(refined.landmarks, NONE)
-    at = np.searchsorted(refined.landmarks, seen).clip(0, m - 1)
-    before, exists = np.where(refined.landmarks[at] == seen, at, NONE), np.ones(m, dtype=np.bool_)
-    new = _Assigned(points, when, before, refined.positions, refined.noise_m, exists)
-    found = new.of_landmarks()
-    for _ in range(ROUNDS if refined.noise_m > 0 else 0):
-        found = new.assign() if len(found.points) else found
-    exists &= np.bincount(found.landmark, minlength=m) > 1
-    if exists.sum() <= points.shape[1]:
+    d, names = points.shape[1], np.append(refined.landmarks, NONE)
+    at = np.searchsorted(refined.landmarks, seen).clip(0, len(refined.landmarks) - 1)
+    before, noise_m = np.where(refined.landmarks[at] == seen, at, NONE), refined.noise_m
+    noise = None
+    if covariances is not None:
+        noise_m = float(np.sqrt(np.trace(covariances, axis1=1, axis2=2).mean() / d))
+        noise = covariances / noise_m**2
+    new = _Assigned(points, when, before, noise, noise_m, refined.positions.copy())
+    determined = noise_m > 0 and new.solve()
+    for _ in range(ROUNDS if determined else 0):
+        new.assign()
+        if not (determined := new.solve()):
+            break
+    if not determined:
         return refined, names[before]
-    if refined.noise_m > 0:
-        new.settle(found)
-    R, t = fit_rigid(new.positions[exists], refined.positions[exists])
-    moved = replace(refined.only(exists), positions=new.positions[exists] @ R.T + t)
-    return moved, names[new.own]
+    new.settle()
+    moved, exists = new.positions[new.exists], new.exists
+    R, t = fit_rigid(moved, refined.positions[exists])
+    return replace(refined.only(exists), positions=moved @ R.T + t), names[new.own]

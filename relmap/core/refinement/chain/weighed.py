@@ -11,12 +11,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from relmap.core.arrays import Ints
+from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import fit_rigid_each
 from relmap.core.refinement.chain.chained import Chain, Chained, ChainProblem, Sigmas
-from relmap.core.refinement.gauss_newton import settle
+from relmap.core.refinement.gauss_newton import Solution, settle
 from relmap.core.refinement.joint import Refined, Spread
-from relmap.core.refinement.observations import observations_of
+from relmap.core.refinement.observations import Observations, observations_of
 from relmap.core.state.kept import KeptObservations
 
 
@@ -32,14 +32,8 @@ def refine_weighed(refined: Refined, kept: KeptObservations, of: Ints) -> Refine
     counts = np.bincount(seen.landmark, minlength=len(refined.landmarks))
     if anchor == len(seen.iterations) or not counts.all():
         return refined
-    root = np.linalg.inv(np.linalg.cholesky(kept.covariance[rows]))
-    there, weight = refined.positions[seen.landmark], np.sum(root**2, axis=(1, 2))
-    R, t, _ = fit_rigid_each(seen.points, there, weight, seen.iteration, len(seen.iterations))
-    d, none = seen.points.shape[1], np.full((len(t) - 1, 4, 4), np.nan)
-    chain = Chain(seen.points, seen.landmark, seen.iteration, root, none)
-    step_sd = none[:, 0, 0], none[:, 0, 0]
-    problem = ChainProblem(chain, step_sd, Sigmas(), refined.positions, anchor, turns_whole=False)
-    settled = settle(problem, Chained(refined.positions, R, t, np.zeros(2 * d - 1)))
+    problem, settled = solve_weighed(seen, kept.covariance[rows], refined.positions, anchor)
+    d = seen.points.shape[1]
     state, explained = settled.state, settled.weight == 1
     freedoms = max(problem.freedoms - d * np.sum(~explained), 1)
     unit = np.sqrt(np.sum(problem.residuals(state)[explained] ** 2) / freedoms)
@@ -51,3 +45,20 @@ def refine_weighed(refined: Refined, kept: KeptObservations, of: Ints) -> Refine
         spread=Spread(problem, settled, every, unit * R),
         converged=settled.converged,
     )
+
+
+def solve_weighed(
+    seen: Observations, covariance: Floats, positions: Floats, anchor: int
+) -> tuple[ChainProblem, Solution[Chained]]:
+    """Solve for landmarks, starting from positions (m, d), and poses; return also the problem.
+
+    `covariance` (n, d, d) of the observations `seen`; `anchor`: index of the fixed iteration.
+    """
+    root = np.linalg.inv(np.linalg.cholesky(covariance))
+    there, weight = positions[seen.landmark], np.sum(root**2, axis=(1, 2))
+    R, t, _ = fit_rigid_each(seen.points, there, weight, seen.iteration, len(seen.iterations))
+    d, none = seen.points.shape[1], np.full((len(t) - 1, 4, 4), np.nan)
+    chain = Chain(seen.points, seen.landmark, seen.iteration, root, none)
+    step_sd = none[:, 0, 0], none[:, 0, 0]
+    problem = ChainProblem(chain, step_sd, Sigmas(), positions, anchor, turns_whole=False)
+    return problem, settle(problem, Chained(positions, R, t, np.zeros(2 * d - 1)))
