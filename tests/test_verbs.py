@@ -89,11 +89,12 @@ def test_evaluate_and_compare(
     """Both take the same truth and find the same, for both map the log in the same way."""
     if truth not in DRAWN:
         monkeypatch.setattr("relmap.cli.compared.draw", lambda *_: None)
-    folder = mapped(source)
+    folder = tmp_path / "map"
     if source == WITH_ODOMETRY:  # compare uses none
-        folder = tmp_path / "map"
         mapping = ["map", str(logs / source), "-o", str(folder), "--variant", "planes"]
         assert main([*mapping, "--odometry", "none"]) == 0
+    else:
+        shutil.copytree(mapped(source), folder)  # `evaluate` writes into it
     against = ["--truth", str(logs / truth)]
     assert main(["evaluate", str(folder), *against]) == 0
     found = load(folder / "evaluation.json")
