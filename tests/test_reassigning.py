@@ -11,9 +11,9 @@ from scipy.optimize import linear_sum_assignment
 from relmap import PointMapper
 from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import fit_rigid
-from relmap.core.refinement.mixture import Mixture
-from relmap.core.refinement.mixture_kernels import fit_few, weigh
-from relmap.core.refinement.reassigning import reassign
+from relmap.core.refinement.assignment.mixture import Mixture
+from relmap.core.refinement.assignment.mixture_kernels import fit_few, weigh
+from relmap.core.refinement.assignment.reassigning import reassign
 from relmap.simulation import WorldSpec, simulate_world
 from tests.worlds import mapped_world, stands_for
 

@@ -8,13 +8,13 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.gaps import bridge_gaps
 from relmap.core.keeping import weigh_by_estimate
 from relmap.core.mapper import RelativeMapper
+from relmap.core.refinement.assignment.reassigning import reassign
 from relmap.core.refinement.chain.weighed import refine_weighed
 from relmap.core.refinement.condensing import SegmentRows
 from relmap.core.refinement.joint import Refined
 from relmap.core.refinement.joint import refine as refine_jointly
 from relmap.core.refinement.observations import observations_of
 from relmap.core.refinement.powers import refine_by_powers
-from relmap.core.refinement.reassigning import reassign
 from relmap.core.state.table import NONE
 
 

@@ -26,11 +26,11 @@ from relmap.core.map.leaps import gaps_of
 from relmap.core.map.pose import known_poses
 from relmap.core.mapper import RelativeMapper
 from relmap.core.rebuilding import rebuild
+from relmap.core.refinement.assignment.reassigning import reassign
 from relmap.core.refinement.condensing import SegmentRows
 from relmap.core.refinement.extending import extend_submaps
 from relmap.core.refinement.hinges import Hinges, hinges_of
 from relmap.core.refinement.misread import take_off_misread
-from relmap.core.refinement.reassigning import reassign
 from relmap.core.refining import ambiguous, refine_map
 from relmap.core.revisiting import gather, merge_in_place, mergeable
 from relmap.core.state.table import NONE

@@ -94,7 +94,7 @@ class Mixture:
 
         Expectation and maximisation in turns (Dempster, Laird and Rubin, 1977).
         """
-        from relmap.core.refinement.mixture_kernels import weigh
+        from relmap.core.refinement.assignment.mixture_kernels import weigh
 
         metric, share = self.metric[group.rows], np.empty((0, 0))
         weights = np.swapaxes(metric, 1, 2) @ metric
@@ -143,7 +143,7 @@ class Mixture:
         return np.append(begin, len(rows)), odds, -np.log1p(-share).sum()
 
     def _fit(self, group: _Group) -> None:
-        import relmap.core.refinement.mixture_kernels as kernels
+        import relmap.core.refinement.assignment.mixture_kernels as kernels
 
         _, some, rows, begin, odds, cost = group
         placed, metric, fits = self.placed[rows], self.metric[rows], []

@@ -1,0 +1,1 @@
+"""Assigning observations anew, where the noise makes single matches ambiguous."""
