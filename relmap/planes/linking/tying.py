@@ -96,6 +96,11 @@ class Scans:
         steady = unsure_m(self.motions[self.measured]) <= VARYING_M
         return link.measured or (bool(near.any()) and steady)
 
+    def agree(self, link: Link) -> bool:
+        """Return whether the walls of two scans have the numbers that a link implies."""
+        both = np.intersect1d(self.plane(link.earlier), self.plane(link.later))
+        return np.array_equal(np.unique(link.walls), both) and not np.diff(link.walls).any()
+
     @cached_property
     def seen(self) -> Callable[[int], PlaneObservation]:
         """Returns the walls of one scan; the last ones are kept."""
@@ -152,7 +157,9 @@ def judged_links(scans: Scans, is_tied: Bools, in_doubt: Bools) -> tuple[list[Li
             if not is_tied[judged.later]:
                 links += [link for link in judged.accepted if scans.holds(link)]
             elif in_doubt[judged.later] and judged.is_doubted(scans):
-                cut.append(judged.later)
+                same = [link for link in judged.accepted if scans.agree(link)]
+                links += same
+                cut += [] if same else [judged.later]
     is_tied = is_tied.copy()
     is_tied[[link.later for link in links]] = True
     is_tied[cut] = False
