@@ -13,7 +13,7 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import fit_rigid
 from relmap.core.refinement.assignment.mixture import Mixture
 from relmap.core.refinement.assignment.mixture_kernels import fit_few, weigh
-from relmap.core.refinement.assignment.reassigning import reassign
+from relmap.core.refinement.assignment.reassigning import reassign, reassigned
 from relmap.simulation import WorldSpec, simulate_world
 from tests.worlds import mapped_world, stands_for
 
@@ -156,9 +156,9 @@ def test_scans_that_determine_nothing_leave_a_submap_as_it_is() -> None:
     mapper, _ = mapped_world(WorldSpec(kind="field", length_m=60.0, iterations=40, seed=5))
     (refined,) = mapper.refined
     seen, when = refined.landmarks, np.arange(len(refined.landmarks))
-    same, assigned = reassign(refined, np.ones((len(seen), 2)), seen, when, None)
-    assert same is refined
-    np.testing.assert_array_equal(assigned, seen)
+    single = np.ones((len(seen), 2)), seen, when, None
+    assert reassign(refined, *single) is refined
+    np.testing.assert_array_equal(reassigned(refined, *single), seen)
 
 
 @pytest.mark.parametrize("seed", [4, 6])

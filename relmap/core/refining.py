@@ -63,7 +63,7 @@ def refine_submaps(
         if refined is not None and weighed:
             refined = refine_weighed(refined, engine.kept, of)
         if refined is not None and seen is not None:
-            refined, _ = reassign(refined, *seen)
+            refined = reassign(refined, *seen)
         elif refined is not None and has_all and not weighed:
             points, (shown, when) = kept.points(0, end), kept.seen(0, end)
             own = refined.landmarks, refined.positions

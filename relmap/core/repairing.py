@@ -26,7 +26,7 @@ from relmap.core.map.leaps import gaps_of
 from relmap.core.map.pose import known_poses
 from relmap.core.mapper import RelativeMapper
 from relmap.core.rebuilding import rebuild
-from relmap.core.refinement.assignment.reassigning import reassign
+from relmap.core.refinement.assignment.reassigning import reassigned
 from relmap.core.refinement.condensing import SegmentRows
 from relmap.core.refinement.extending import extend_submaps
 from relmap.core.refinement.hinges import Hinges, hinges_of
@@ -233,7 +233,7 @@ def _reassign_tracks(engine: RelativeMapper) -> None:
     kept = engine.kept.landmark[~table.dynamic[table.now(engine.kept.landmark)]]
     goal = table.landmark_of.copy()
     for refined in engine.refined:
-        now = reassign(refined, *seen)[1]
+        now = reassigned(refined, *seen)
         pairs = np.stack([kept, now])[:, now != NONE]
         (track, landmark), counts = np.unique(pairs, axis=1, return_counts=True)
         most = 2 * counts > table.track_observations[track]

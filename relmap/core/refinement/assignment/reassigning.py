@@ -90,33 +90,49 @@ class _Assigned:
 
 def reassign(
     refined: Refined, points: Floats, seen: Ints, when: Ints, covariances: Floats | None
-) -> tuple[Refined, Ints]:
+) -> Refined:
     """Return a refined submap with each observation assigned anew to a landmark of it.
 
     Landmarks that explain no more than one observation are left out; the submap stays as it is if
     single scans, or what is left, do not determine it. The covariances are those of the refined
-    submap.
-
-    `points` (n, d), robot frame, metres; `seen` (n,): landmark of each observation; `when` (n,),
-    ascending: its iteration; `covariances` (n, d, d), square metres, or None if the noise is
-    equal. Returns also the landmarks (n,) to which they are assigned, or `NONE`.
+    submap. Parameters as of `reassigned`.
     """
-    d, names = points.shape[1], np.append(refined.landmarks, NONE)
-    at = np.searchsorted(refined.landmarks, seen).clip(0, len(refined.landmarks) - 1)
-    before, noise_m = np.where(refined.landmarks[at] == seen, at, NONE), refined.noise_m
-    noise = None
-    if covariances is not None:
-        noise_m = float(np.sqrt(np.trace(covariances, axis1=1, axis2=2).mean() / d))
-        noise = covariances / noise_m**2
-    new = _Assigned(points, when, before, noise, noise_m, refined.positions.copy())
-    determined = noise_m > 0 and new.solve()
-    for _ in range(ROUNDS if determined else 0):
-        new.assign()
-        if not (determined := new.solve()):
-            break
+    new, determined = _assigned(refined, points, seen, when, covariances)
     if not determined:
-        return refined, names[before]
+        return refined
     new.settle()
     moved, exists = new.positions[new.exists], new.exists
     R, t = fit_rigid(moved, refined.positions[exists])
-    return replace(refined.only(exists), positions=moved @ R.T + t), names[new.own]
+    return replace(refined.only(exists), positions=moved @ R.T + t)
+
+
+def reassigned(
+    refined: Refined, points: Floats, seen: Ints, when: Ints, covariances: Floats | None
+) -> Ints:
+    """Return the landmarks (n,) of a refined submap to which observations are assigned, or `NONE`.
+
+    `points` (n, d), robot frame, metres; `seen` (n,): landmark of each observation; `when` (n,),
+    ascending: its iteration; `covariances` (n, d, d), square metres, or None if the noise is
+    equal.
+    """
+    new, _ = _assigned(refined, points, seen, when, covariances)
+    return np.append(refined.landmarks, NONE)[new.own]
+
+
+def _assigned(
+    refined: Refined, points: Floats, seen: Ints, when: Ints, covariances: Floats | None
+) -> tuple[_Assigned, bool]:
+    """Return a new assignment, or the former one, and whether single scans determine it."""
+    at = np.searchsorted(refined.landmarks, seen).clip(0, len(refined.landmarks) - 1)
+    own, noise_m, noise = np.where(refined.landmarks[at] == seen, at, NONE), refined.noise_m, None
+    if covariances is not None:
+        variance = np.trace(covariances, axis1=1, axis2=2).mean() / points.shape[1]
+        noise_m, noise = float(np.sqrt(variance)), covariances / variance
+    new = _Assigned(points, when, own, noise, noise_m, refined.positions.copy())
+    determined = noise_m > 0 and new.solve()
+    for _ in range(ROUNDS if determined else 0):
+        new.assign()
+        if not new.solve():
+            new.own = own
+            return new, False
+    return new, determined
