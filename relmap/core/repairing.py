@@ -229,7 +229,6 @@ def _reassign_tracks(engine: RelativeMapper) -> None:
     table, seen = engine.table, ambiguous(engine)
     if seen is None or is_bridged(engine):
         return
-    refine_map(engine)
     kept = engine.kept.landmark[~table.dynamic[table.now(engine.kept.landmark)]]
     goal = table.landmark_of.copy()
     for refined in engine.refined:
