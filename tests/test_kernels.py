@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from relmap.core.arrays import Floats
+from relmap.core.arrays import Floats, Ints
 from relmap.core.association import matching_kernels, tracking_kernels
 from relmap.core.geometry import fitting_kernels, rotation_kernels
 from relmap.core.geometry.alignment import fit_rigid, rotation_of_moment
@@ -23,7 +23,9 @@ from tests.kernels import callable_here
 from tests.worlds import random_rotation
 
 claims = callable_here(matching_kernels.claims)
-nearest_within = callable_here(matching_kernels.nearest_within)
+buckets = callable_here(matching_kernels.buckets)
+nearest_to = callable_here(matching_kernels.nearest_to)
+matched = callable_here(matching_kernels.matched)
 continued = callable_here(tracking_kernels.continued)
 nearest_of_sample = callable_here(matching_kernels.nearest_of_sample)
 fit_rows = callable_here(fitting_kernels.fit_rows)
@@ -43,6 +45,13 @@ def distances(queries: Points, points: Points) -> Points:
 
 
 # Matching.
+
+
+def nearest_within(points: Points, queries: Points, reach: float) -> tuple[Points, Ints]:
+    grid, apart = buckets(points, reach, reach), np.empty(points.shape[1])
+    found = [nearest_to(query, points, grid, None, apart) for query in queries]
+    square, index = np.array(found).reshape(-1, 2).T
+    return np.where(index < len(points), np.sqrt(square), np.inf), index.astype(np.int64)
 
 
 @given(seeds, dimensions, sizes, sizes, st.floats(0.01, 30))
@@ -122,9 +131,11 @@ def test_tracks_are_continued_where_expected_or_else_where_seen_last(
     seen = rng.integers(1, 5, m)
     near, young = (1.5, 0.7), 3
     distance, target = nearest_within(points, latest + 0.1, 0.3)
-    counts, reaches = (missed, seen, restless), (*near, young)
-    rows, found, n_static = continued(points, (target, distance), latest, counts, reaches)
-    linked = claims(target, distance, n)
+    counts, reaches, linked = (missed, seen, restless), (*near, young), claims(target, distance, n)
+    match, grid = np.empty(m, dtype=np.int64), buckets(points, 0.3, 0.3)
+    assert matched(latest + 0.1, points, grid, None, match) == linked.sum()
+    np.testing.assert_array_equal(match, np.where(linked, target, -1))
+    rows, found, n_static = continued(points, match, latest, counts, reaches)
     np.testing.assert_array_equal(rows[:n_static], np.flatnonzero(linked))
     np.testing.assert_array_equal(found[:n_static], target[linked])
     wanted, apart = np.full(m, n), np.full(m, np.inf)

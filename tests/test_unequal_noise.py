@@ -15,7 +15,7 @@ from relmap import PointMapper
 from relmap.comparison.baselines.batch import Batch, batch_least_squares
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association import matching_kernels, ray_kernels
-from relmap.core.association.metric import LONGEST, OUTLIER, WAIT, RayNoise, stretch_of
+from relmap.core.association.metric import LONGEST, OUTLIER, WAIT, RayNoise, farthest
 from relmap.core.association.placement import trimmed_fit
 from relmap.core.association.reobservation.coinciding import compatible
 from relmap.evaluation.metrics import majority_ids
@@ -24,7 +24,8 @@ from relmap.simulation.worlds import covariances_of
 from tests.kernels import callable_here
 from tests.worlds import random_rotation
 
-nearest_within = callable_here(matching_kernels.nearest_within)
+buckets = callable_here(matching_kernels.buckets)
+nearest_to = callable_here(matching_kernels.nearest_to)
 fit_variance = callable_here(ray_kernels.fit)
 Array = Floats
 SIGMA = 0.05
@@ -138,15 +139,15 @@ def test_nearest_by_a_metric_is_what_trying_all_finds(d: int) -> None:
     rng = np.random.default_rng(d)
     points, queries = rng.uniform(-4, 4, (40, d)), rng.uniform(-4, 4, (60, d))
     metric, reach = random_metric(40, d, rng), 1.5
-    stretch = stretch_of(metric)
-    cell = reach * float(stretch.max())
-    distance, index = nearest_within(points, queries, reach, metric, cell)
+    grid, apart = buckets(points, reach, farthest(reach, metric)), np.empty(d)
+    found = [nearest_to(query, points, grid, metric, apart) for query in queries]
+    square, index = np.array(found).T
     off = np.einsum("nij,knj->kni", metric, queries[:, None] - points)
     every = np.linalg.norm(off, axis=2)
     within = every.min(axis=1) < reach
     assert 0 < within.sum() < 60
     np.testing.assert_array_equal(index, np.where(within, every.argmin(axis=1), 40))
-    np.testing.assert_allclose(distance[within], every.min(axis=1)[within])
+    np.testing.assert_allclose(square[within], every.min(axis=1)[within] ** 2)
 
 
 @pytest.mark.parametrize("d", [2, 3])

@@ -17,7 +17,7 @@ from relmap.core.association.base import UNIDENTIFIED, Numbered, middle
 from relmap.core.association.chance import ENOUGH, Chance
 from relmap.core.association.guiding import OdometryGuide
 from relmap.core.association.likelihood import CLEAR
-from relmap.core.association.metric import RayNoise, scaled, stretch_of
+from relmap.core.association.metric import RayNoise, farthest, scaled
 from relmap.core.association.placement import Placement
 from relmap.core.association.registering import BLIND, TrackPlacing
 from relmap.core.association.scale import FEW, Scale, spacing_of
@@ -274,6 +274,5 @@ class Constellation(Numbered):
         one only as far as it could drift unnoticed: a jump means another landmark. Returns those of
         a moving and of a static one, in the metric (n, d, d), and the latter in metres.
         """
-        gate_m, stretch = self._scale.gate_m, stretch_of(metric)
-        reach_m = gate_m if stretch is None else gate_m * float(stretch.max())
-        return max(CONTINUITY * self._scale.spacing_m, gate_m), gate_m, reach_m
+        gate_m = self._scale.gate_m
+        return max(CONTINUITY * self._scale.spacing_m, gate_m), gate_m, farthest(gate_m, metric)

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from relmap.core.arrays import Bools, Floats
+from relmap.core.arrays import Floats
 from relmap.core.association.placement import Placement
 from relmap.core.geometry.motions import transforms
 from relmap.core.motion_noise import MotionNoise, misses_most, missing_way, motion_noise
@@ -110,24 +110,19 @@ class OdometryGuide:
         `noise_m`: standard deviation of a coordinate's difference between two scans; `most_m`:
         largest distance of a match.
         """
-        from relmap.core.association.tracking_kernels import claimed_within
-
         guess = self.predicted(points.shape[1])
         there = guess.apply(expected)
-        reach = np.minimum(SIGMAS * np.hypot(self.sigma_at(there), noise_m), most_m)
+        reach_m = np.minimum(SIGMAS * np.hypot(self.sigma_at(there), noise_m), most_m)
         if not len(there) or not len(points):
             return guess
-        found = claimed_within(points, there, reach, float(reach.max()) / ALONE)
-        distance, target, claimed = found
-        rows = np.flatnonzero(claimed & self._clear(there, points, distance))
+        apart_m = np.linalg.norm(there[:, None] - points, axis=2)
+        target, distance = apart_m.argmin(axis=1), apart_m.min(axis=1)
+        apart_m[np.arange(len(there)), target] = np.inf
+        near = np.flatnonzero(distance <= reach_m)
+        near = near[np.argsort(distance[near], kind="stable")]
+        rows = near[np.unique(target[near], return_index=True)[1]]  # each point once
+        rows = np.sort(rows[distance[rows] <= ALONE * apart_m[rows].min(axis=1)])
         return self._fitted(guess, there[rows], points[target[rows]], noise_m)
-
-    def _clear(self, there: Floats, points: Floats, distance: Floats) -> Bools:
-        """Return for which tracks no other point is nearly as close as the nearest."""
-        apart = np.linalg.norm(there[:, None] - points[None], axis=2)
-        if apart.shape[1] < 2:
-            return np.ones(len(there), dtype=bool)
-        return np.asarray(distance <= ALONE * np.partition(apart, 1, axis=1)[:, 1])
 
     def _fitted(self, guess: Placement, here: Floats, there: Floats, noise_m: float) -> Placement:
         """Return a guess corrected by matches, weighted by the noise of both."""

@@ -5,15 +5,19 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.geometry.fitting_kernels import placed_at
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import smallest
-from relmap.core.linalg.small_kernels import square_of, unset
+from relmap.core.linalg.small_kernels import square_between, square_of, unset
 
 PAIR_RATIO, MANY = 4.0, 6
 """Ratio of the distances to the second and to the nearest neighbour above which landmarks count as
 pairs, and minimum number of landmarks for that: of three, two are often close by chance."""
 CELL, MARGIN = 4.0, 0.2501
 """Side of a cell of the grid, in reaches, and a reach in sides, with room for rounding."""
+Buckets = tuple[Ints, Ints, float, float]
+"""First point of each bucket of a grid, and the next one of each point; -1 ends. Then the largest
+distance of points that are near, metres, and the same in units of their metric."""
 
 
 @helper
@@ -42,66 +46,74 @@ def _bucket(x: int, y: int, z: int, n_buckets: int) -> int:
 
 
 @helper
-def buckets(points: Floats, cell: float) -> tuple[Ints, Ints]:
-    """Put points (n, d) into the buckets of a hashed grid of cells.
-
-    Returns the first point of each bucket, and the next point in the bucket of each point; -1 ends.
-    """
+def buckets(points: Floats, reach: float, farthest_m: float) -> Buckets:
+    """Put points (n, d) into the buckets of a hashed grid, for `nearest_to`."""
     n, d = points.shape
-    n_buckets = 16
+    n_buckets, side = 16, CELL * farthest_m
     while n_buckets < 2 * n:
         n_buckets *= 2
     first, following = unset(n_buckets), np.empty(n, dtype=np.int64)
     for i in range(n):
         z = points[i, 2] if d == 3 else 0.0
-        x, y, z = np.floor(points[i, 0] / cell), np.floor(points[i, 1] / cell), np.floor(z / cell)
+        x, y, z = np.floor(points[i, 0] / side), np.floor(points[i, 1] / side), np.floor(z / side)
         bucket = _bucket(int(x), int(y), int(z), n_buckets)
         following[i] = first[bucket]
         first[bucket] = i
-    return first, following
+    return first, following, farthest_m, reach
 
 
 @helper
-def nearest_within(
-    points: Floats,
-    queries: Floats,
-    reach: float,
-    metric: Floats | None = None,
-    cell: float = 0.0,
-) -> tuple[Floats, Ints]:
-    """Return distance and index (k,) of the point (n, d) nearest to each query (k, d).
+def nearest_to(
+    query: Floats, points: Floats, grid: Buckets, metric: Floats | None, apart: Floats
+) -> tuple[float, int]:
+    """Return the squared distance to the nearest of points (n, d), and which it is; n if none.
 
-    Only points within reach count; if there is none, the distance is infinite and the index n. Ties
-    go to the first point. With a metric (n, d, d) of the points, reach and distance are in its
-    units, and `cell` is the largest distance of a point within reach, metres.
+    Only points within the reach of the grid count. Ties go to the first point. With a metric
+    (n, d, d) of the points, reach and distance are in its units. `apart` (d,): work space.
     """
-    n, d = points.shape
-    side = CELL * (reach if metric is None else cell)
-    first, following = buckets(points, side)
-    apart = np.empty(d)
-    distance, index = np.empty(len(queries)), np.empty(len(queries), dtype=np.int64)
-    margin_z = MARGIN if d == 3 else 0.0
-    for k in range(len(queries)):
-        index[k] = n
-        z = queries[k, 2] if d == 3 else 0.0
-        cx, cy, cz = queries[k, 0] / side, queries[k, 1] / side, z / side
-        best = reach * reach
-        for x in range(int(np.floor(cx - MARGIN)), int(np.floor(cx + MARGIN)) + 1):
-            for y in range(int(np.floor(cy - MARGIN)), int(np.floor(cy + MARGIN)) + 1):
-                for layer in range(int(np.floor(cz - margin_z)), int(np.floor(cz + margin_z)) + 1):
-                    i = first[_bucket(x, y, layer, len(first))]
-                    while i >= 0:
-                        square = 0.0
-                        for a in range(d):
-                            apart[a] = points[i, a] - queries[k, a]
-                            square += apart[a] ** 2
-                        if metric is not None:
-                            square = square_of(metric[i], apart)
-                        if square < best or (square == best and i < index[k]):
-                            best, index[k] = square, i
-                        i = following[i]
-        distance[k] = np.sqrt(best) if index[k] < n else np.inf
-    return distance, index
+    first, following, farthest_m, reach = grid
+    side, stretch = CELL * farthest_m, 1.001 * (farthest_m / reach) ** 2  # with room for rounding
+    best, nearest, space = reach * reach, len(points), len(query) == 3
+    z, margin_z = query[2] if space else 0.0, MARGIN if space else 0.0
+    cx, cy, cz = query[0] / side, query[1] / side, z / side
+    for x in range(int(np.floor(cx - MARGIN)), int(np.floor(cx + MARGIN)) + 1):
+        for y in range(int(np.floor(cy - MARGIN)), int(np.floor(cy + MARGIN)) + 1):
+            for layer in range(int(np.floor(cz - margin_z)), int(np.floor(cz + margin_z)) + 1):
+                i = first[_bucket(x, y, layer, len(first))]
+                while i >= 0:
+                    square = 0.0
+                    for a in range(len(query)):
+                        apart[a] = points[i, a] - query[a]
+                        square += apart[a] ** 2
+                    if metric is not None:
+                        is_far = square > stretch * best
+                        square = np.inf if is_far else square_of(metric[i], apart)
+                    if square < best or (square == best and i < nearest):
+                        best, nearest = square, i
+                    i = following[i]
+    return best, nearest
+
+
+@helper
+def matched(
+    placed: Floats, target: Floats, grid: Buckets, metric: Floats | None, match: Ints
+) -> int:
+    """Write the target (m, d) nearest to each placed point (n, d), or -1; return how many have one.
+
+    Each target is matched at most once, to the nearest point. See `nearest_to`.
+    """
+    m, count = len(target), 0
+    owner, nearest, apart = unset(m), np.empty(m), np.empty(target.shape[1])
+    for i in range(len(placed)):
+        match[i] = -1
+        square, at = nearest_to(placed[i], target, grid, metric, apart)
+        if at < m and (owner[at] < 0 or square < nearest[at]):
+            if owner[at] >= 0:
+                match[owner[at]] = -1
+            else:
+                count += 1
+            owner[at], nearest[at], match[i] = i, square, at
+    return count
 
 
 @helper
@@ -180,16 +192,9 @@ def middle_square(
     The misfits are in the metric (n, d, d) of the targets; infinite if none is within.
     """
     (n, d), found = source.shape, 0
-    squares, apart = np.empty(n), np.empty(d)
+    placed, squares, apart = placed_at(source, R, t), np.empty(n), np.empty(d)
     for i in range(n):
-        square = 0.0
-        for a in range(d):
-            apart[a] = target[i, a] - t[a]
-            for b in range(d):
-                apart[a] -= R[a, b] * source[i, b]
-            square += apart[a] * apart[a]
-        if metric is not None:
-            square = square_of(metric[i], apart)
+        square = square_between(target[i], placed[i], metric, i, apart)
         if square <= tolerance_m * tolerance_m:
             squares[found] = square
             found += 1

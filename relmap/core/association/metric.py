@@ -178,9 +178,9 @@ def rows_of(metric: Floats | None, rows: Ints) -> Floats | None:
     return None if metric is None else metric[rows]
 
 
-def stretch_of(metric: Floats | None) -> Floats | None:
-    """Return the largest length (n,) of a unit of a metric (n, d, d), metres; None without one."""
-    return None if metric is None else np.asarray(1 / np.linalg.eigvalsh(metric)[:, 0])
+def farthest(reach: float, metric: Floats | None) -> float:
+    """Return the largest distance within a reach in units of a metric (n, d, d), metres."""
+    return reach if metric is None else reach / float(np.linalg.eigvalsh(metric)[:, 0].min())
 
 
 def scaled(metric: Floats | None, differences: Floats) -> Floats:

@@ -13,7 +13,7 @@ from itertools import combinations
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.association.metric import rows_of, stretch_of
+from relmap.core.association.metric import farthest, rows_of
 from relmap.core.association.placement import Placement, trimmed_fit
 
 TRIANGLES = 120
@@ -64,8 +64,9 @@ def search(
     triangles = triangles_of(source, 2 * tolerance_m)
     if not len(triangles) or min(len(source), len(target)) < fewest:
         return None
+    reach = 1.5 * tolerance_m
     R, t, matches = placements_by_triangles(
-        source, target, triangles, 1.5 * tolerance_m, fewest, metric, stretch_of(metric)
+        source, target, triangles, reach, fewest, metric, farthest(reach, metric)
     )
     if np.isfinite(reach_m) and len(R):
         moved = np.einsum("hij,nj->hni", R, source) + t[:, None] - source
@@ -132,8 +133,8 @@ def _matches(
     """Return the target matched to each source point (n,), or -1."""
     from relmap.core.association.search_kernels import matched_at
 
-    R, t, stretch = placement.R, placement.t, stretch_of(metric)
-    return matched_at(source, target, R, t, tolerance_m, metric, stretch)
+    R, t, farthest_m = placement.R, placement.t, farthest(tolerance_m, metric)
+    return matched_at(source, target, R, t, tolerance_m, metric, farthest_m)
 
 
 def triangles_of(points: Floats, least_m: float) -> Ints:

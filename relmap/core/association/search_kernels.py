@@ -5,14 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
+from relmap.core.association.matching_kernels import buckets, matched
 from relmap.core.association.search import MOST
-from relmap.core.geometry.fitting_kernels import fit_rows, set_placement
+from relmap.core.geometry.fitting_kernels import fit_rows, placed_at, set_placement
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import ordered, smallest
-from relmap.core.linalg.small_kernels import identity, square_between, square_of, unset
-
-Along = tuple[Ints, float, float]
-"""Order of the targets along the first axis, how far matches are along it, and the tolerance."""
+from relmap.core.linalg.small_kernels import identity, square_of
 
 
 @helper
@@ -56,91 +54,16 @@ def matched_at(
     t: Floats,
     tolerance_m: float,
     metric: Floats | None,
-    stretch: Floats | None,
+    farthest_m: float,
 ) -> Ints:
     """Return the target point (m, d) nearest to each placed source point (n, d), or -1; (n,).
 
-    Each target is matched at most once, to the nearest in its metric (m, d, d). `stretch` (m,) is
-    the largest length of a unit of the metric, metres.
+    Each target is matched at most once, to the nearest in its metric (m, d, d). `farthest_m`:
+    largest distance of a match, metres.
     """
-    match = np.empty(len(source), dtype=np.int64)
-    along = _along_first_axis(target, tolerance_m, stretch)
-    _matched(source, target, along, R, t, match, metric, stretch)
+    match, grid = np.empty(len(source), dtype=np.int64), buckets(target, tolerance_m, farthest_m)
+    matched(placed_at(source, R, t), target, grid, metric, match)
     return match
-
-
-@helper
-def _along_first_axis(target: Floats, tolerance_m: float, stretch: Floats | None) -> Along:
-    """Return the order of targets (m, d), and how far matches are, along the first axis."""
-    longest = 1.0
-    if stretch is not None:
-        longest = 0.0
-        for k in range(len(stretch)):
-            longest = max(longest, stretch[k])
-    return ordered(target[:, 0].copy()), (1 + 1e-9) * tolerance_m * longest, tolerance_m
-
-
-@helper
-def _matched(
-    source: Floats,
-    target: Floats,
-    along: Along,
-    R: Floats,
-    t: Floats,
-    match: Ints,
-    metric: Floats | None,
-    stretch: Floats | None,
-) -> int:
-    """Write the matches as `matched_at` returns them; return their number."""
-    (n, d), m, tolerance_m = source.shape, len(target), along[2]
-    owner, nearest = unset(m), np.empty(m)
-    placed, apart = np.empty(d), np.empty(d)
-    count = 0
-    for k in range(m):
-        nearest[k] = tolerance_m * tolerance_m
-    for i in range(n):
-        match[i] = -1
-        for a in range(d):
-            placed[a] = t[a]
-            for b in range(d):
-                placed[a] += R[a, b] * source[i, b]
-        best, at = _nearest(placed, target, along, metric, stretch, apart)
-        if at >= 0 and best < nearest[at]:
-            if owner[at] >= 0:
-                match[owner[at]] = -1
-            else:
-                count += 1
-            owner[at], nearest[at], match[i] = i, best, at
-    return count
-
-
-@helper
-def _nearest(
-    placed: Floats,
-    target: Floats,
-    along: Along,
-    metric: Floats | None,
-    stretch: Floats | None,
-    apart: Floats,
-) -> tuple[float, int]:
-    """Return the least squared distance within the tolerance, and the first target at it, or -1."""
-    order, reach_m, tolerance_m = along
-    best, at, begin, end = tolerance_m * tolerance_m, -1, 0, len(target)
-    while begin < end:
-        middle = (begin + end) // 2
-        if target[order[middle], 0] < placed[0] - reach_m:
-            begin = middle + 1
-        else:
-            end = middle
-    while begin < len(target) and target[order[begin], 0] <= placed[0] + reach_m:
-        k, begin = order[begin], begin + 1
-        limit = best if stretch is None else best * stretch[k] ** 2
-        square = (placed[0] - target[k, 0]) ** 2
-        if square <= limit:
-            square = square_between(placed, target[k], metric, k, apart)
-            if square < best or (square == best and k < at):
-                best, at = square, k
-    return best, at
 
 
 @compiled
@@ -151,19 +74,19 @@ def placements_by_triangles(
     tolerance_m: float,
     fewest: int,
     metric: Floats | None,
-    stretch: Floats | None,
+    farthest_m: float,
 ) -> tuple[Floats, Floats, Ints]:
     """Return placements from triangles of source points found among the target points.
 
     `source` (n, d), `target` (m, d), metres. `triangles` (k, 3): rows of the source points.
     `tolerance_m`: largest difference between two sides that agree, and largest distance of a match.
-    `fewest`: minimum number of matches of a placement. `metric`, `stretch`: as for `matched_at`;
+    `fewest`: minimum number of matches of a placement. `metric`, `farthest_m`: as for `matched_at`;
     the tolerance is in units of the metric. Returns `R` (h, d, d), `t` (h, d) and `matches` (h, n):
     the target point of each source point, or -1.
     """
     (n, d), m = source.shape, len(target)
     here, there = distances(source), distances(target)
-    along = _along_first_axis(target, tolerance_m, stretch)
+    grid = buckets(target, tolerance_m, farthest_m)
     allowed = _allowances(target, tolerance_m, metric)
     R, t, matches = np.empty((MOST, d, d)), np.empty((MOST, d)), np.empty((MOST, n), dtype=np.int64)
     corners, found, every = np.empty((3, d)), np.empty((3, d)), np.ones(3, dtype=np.bool_)
@@ -183,10 +106,8 @@ def placements_by_triangles(
                     turn, shift, fixed, _, _ = fit_rows(corners, found, every, turn)
                     if fixed and tried < MOST:
                         tried += 1
-                        n_agreeing = _matched(
-                            source, target, along, turn, shift, matches[h], metric, stretch
-                        )
-                        if n_agreeing >= fewest:
+                        placed = placed_at(source, turn, shift)
+                        if matched(placed, target, grid, metric, matches[h]) >= fewest:
                             set_placement(R, t, h, turn, shift)
                             h += 1
         if tried == MOST:

@@ -17,7 +17,7 @@ from functools import cached_property
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.core.association.metric import rows_of, scaled, stretch_of
+from relmap.core.association.metric import farthest, rows_of, scaled
 from relmap.core.association.placement import Placement
 from relmap.core.association.search import triangles_of
 from relmap.core.association.tracks import sampled
@@ -134,9 +134,9 @@ class SoftMatching:
         source = self.source[sampled(len(self.source), SOURCES)]
         triangles = triangles_of(source, CORNERS * sigma_m)
         fewest = max(3, round(SEEN * min(len(source), len(self.target))))
-        within, stretch = (2 * sigma_m, fewest), stretch_of(self.metric)
+        within, farthest_m = (2 * sigma_m, fewest), farthest(2 * sigma_m, self.metric)
         R, t, matches = placements_by_triangles(
-            source, self.target, triangles, *within, self.metric, stretch
+            source, self.target, triangles, *within, self.metric, farthest_m
         )
         best = np.argsort(-np.sum(matches >= 0, axis=1), kind="stable")[:SUGGESTED]
         return R[best], t[best]

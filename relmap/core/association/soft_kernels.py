@@ -6,7 +6,7 @@ import numpy as np
 
 from relmap.core.arrays import Bools, Floats
 from relmap.core.association.soft import BOUNDS, LEAST, ROUNDS, SETTLED, UNEXPLAINED
-from relmap.core.association.tracking_kernels import placed_at
+from relmap.core.geometry.fitting_kernels import placed_at
 from relmap.core.geometry.weighted_kernels import weighted_step
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.small_kernels import square_between

@@ -4,33 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 
-from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.arrays import Floats, Ints
 from relmap.core.association.matching_kernels import (
+    buckets,
     claims,
+    matched,
     middle_square,
-    nearest_within,
     three_nearest,
 )
+from relmap.core.geometry.fitting_kernels import placed_at
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import smallest
 from relmap.core.linalg.small_kernels import unset
 
 Columns = tuple[Ints, Floats, Floats, Ints, Ints, Ints]
 """The columns of `LiveTracks`."""
-
-
-@helper
-def placed_at(points: Floats, R: Floats, t: Floats) -> Floats:
-    """Return points (n, d) transformed by R (d, d) and t (d,)."""
-    n, d = points.shape
-    placed = np.empty((n, d))
-    for i in range(n):
-        for a in range(d):
-            place = 0.0
-            for b in range(d):
-                place += R[a, b] * points[i, b]
-            placed[i, a] = place + t[a]
-    return placed
 
 
 @compiled
@@ -69,32 +57,31 @@ def carried(tracks: Columns, R: Floats, t: Floats) -> Columns:
 @helper
 def continued(
     points: Floats,
-    nearest: tuple[Ints, Floats],
+    match: Ints,
     latest: Floats,
     counts: tuple[Ints, Ints, Ints],
     reaches: tuple[float, float, int],
 ) -> tuple[Ints, Ints, int]:
     """Return the tracks (k,) that points (n, d) continue, these points, and how many are static.
 
-    Static tracks, which come first, claim the point nearest to their prediction, at a known
-    distance. The others that were seen last claim the point nearest to their latest observation,
-    within a reach for those that may move or, if seen often and never moving, for static ones.
+    Static tracks, which come first, continue at the point that matches their prediction, -1 if none
+    does. The others that were seen last claim the point nearest to their latest observation, within
+    a reach for those that may move or, if seen often and never moving, for static ones.
     """
-    target, distance = nearest
     missed, seen, restless = counts
     widest, narrow, young = reaches
-    n, m = len(points), len(target)
+    n, m = len(points), len(match)
     rows, found, k = np.empty(m, dtype=np.int64), np.empty(m, dtype=np.int64), 0
-    linked, taken = claims(target, distance, n), np.zeros(n + 1, dtype=np.bool_)
+    taken = np.zeros(n + 1, dtype=np.bool_)
     for row in range(m):
-        if linked[row]:
-            rows[k], found[k], taken[target[row]] = row, target[row], True
+        if match[row] >= 0:
+            rows[k], found[k], taken[match[row]] = row, match[row], True
             k += 1
     n_static = k
     wanted, apart = np.empty(m, dtype=np.int64), np.empty(m)
     for row in range(m):
         apart[row] = np.inf
-        if not linked[row] and missed[row] == 0:
+        if match[row] < 0 and missed[row] == 0:
             square, _, _, wanted[row] = three_nearest(points, latest[row])
             may_move = restless[row] > 0 or seen[row] < young
             if np.sqrt(square) <= (widest if may_move else narrow) and not taken[wanted[row]]:
@@ -198,27 +185,13 @@ def tracked(
     classify, then those of `followed`. Returns the predicted positions (m, d), the links, and what
     `followed` does.
     """
-    widest, narrow, cell_m = reaches
+    widest, narrow, farthest_m = reaches
     young, memory, careful, longest = limits
     placed = carried(tracks, pose[0], pose[1])
     _, expected, latest, missed, seen, restless = placed
-    distance, target = nearest_within(points, expected, narrow, metric, cell_m)
+    match, grid = np.empty(len(expected), dtype=np.int64), buckets(points, narrow, farthest_m)
+    matched(expected, points, grid, metric, match)
     counts, within = (missed, seen, restless), (widest, narrow, young)
-    pairs = continued(points, (target, distance), latest, counts, within)
+    pairs = continued(points, match, latest, counts, within)
     found = followed(points, placed, pairs, n_landmarks, (memory, careful, longest))
     return expected, pairs, found
-
-
-@compiled
-def claimed_within(
-    points: Floats, queries: Floats, reach_m: Floats, farthest_m: float
-) -> tuple[Floats, Ints, Bools]:
-    """Return what `nearest_within` does, and which queries (k, d) claim the point found.
-
-    `reach_m` (k,): largest distance at which each does; `farthest_m`: that of points found.
-    """
-    distance, target = nearest_within(points, queries, farthest_m)
-    apart = np.empty(len(distance))
-    for row in range(len(apart)):
-        apart[row] = distance[row] if distance[row] <= reach_m[row] else np.inf
-    return distance, target, claims(target, apart, len(points))

@@ -141,6 +141,20 @@ def set_placement(R: Floats, t: Floats, i: int, turn: Floats, shift: Floats) -> 
 
 
 @helper
+def placed_at(points: Floats, R: Floats, t: Floats) -> Floats:
+    """Return points (n, d) transformed by R (d, d) and t (d,)."""
+    n, d = points.shape
+    placed = np.empty((n, d))
+    for i in range(n):
+        for a in range(d):
+            place = 0.0
+            for b in range(d):
+                place += R[a, b] * points[i, b]
+            placed[i, a] = place + t[a]
+    return placed
+
+
+@helper
 def _misfits(source: Floats, target: Floats, R: Floats, t: Floats, misfit: Floats) -> None:
     """Write the distance of each placed point (n,) from its target (n, d)."""
     n, d = source.shape
