@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.association.search_kernels import distances
 from relmap.core.linalg.compiling import compiled, helper
 
 
@@ -20,17 +21,12 @@ def agreeing(source: Floats, target: Floats, a: Ints, b: Ints, tolerance_m: floa
     indices of these points; `tolerance_m`: largest difference between two distances that agree.
     Returns (p, p), symmetric.
     """
-    n, d = source.shape
+    here, there, n = distances(source), distances(target), len(source)
     agree = np.zeros((n, n), dtype=np.bool_)
     for i in range(n):
         for j in range(i):
             if a[i] != a[j] and b[i] != b[j]:
-                here, there = 0.0, 0.0
-                for k in range(d):
-                    here += (source[i, k] - source[j, k]) ** 2
-                    there += (target[i, k] - target[j, k]) ** 2
-                agree[i, j] = abs(np.sqrt(here) - np.sqrt(there)) <= tolerance_m
-                agree[j, i] = agree[i, j]
+                agree[i, j] = agree[j, i] = abs(here[i, j] - there[i, j]) <= tolerance_m
     return agree
 
 

@@ -6,22 +6,16 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.each_kernels import extent_of
-from relmap.core.geometry.fitting_kernels import trimmed_fit_rows
+from relmap.core.geometry.fitting_kernels import misfits, trimmed_fit_rows
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import smallest
 
 
 @helper
-def _matched(
-    ids: Ints, points: Floats, scan_ids: Ints, scan_points: Floats, most: int
-) -> tuple[Ints, Ints, Floats, Floats]:
-    """Return the rows (k,) in two ascending lists of the ids in both, and a sample of the points.
-
-    The sample contains at most `most` pairs of landmarks (n, d) and of the scan (m, d).
-    """
-    n, m, d = len(ids), len(scan_ids), points.shape[1]
+def _common(ids: Ints, scan_ids: Ints) -> tuple[Ints, Ints]:
+    """Return the rows (k,) in two ascending lists (n,) and (m,) of the ids in both."""
+    n, m, k, i, j = len(ids), len(scan_ids), 0, 0, 0
     rows, shared = np.empty(min(n, m), dtype=np.int64), np.empty(min(n, m), dtype=np.int64)
-    k, i, j = 0, 0, 0
     while i < n and j < m:
         if ids[i] == scan_ids[j]:
             rows[k], shared[k] = i, j
@@ -30,34 +24,17 @@ def _matched(
             i += 1
         else:
             j += 1
-    every = max(-(-k // most), 1)
-    n_sample = -(-k // every)
-    source, target = np.empty((n_sample, d)), np.empty((n_sample, d))
-    for pair in range(n_sample):
-        for a in range(d):
-            source[pair, a] = points[rows[pair * every], a]
-            target[pair, a] = scan_points[shared[pair * every], a]
-    return rows[:k], shared[:k], source, target
+    return rows[:k], shared[:k]
 
 
 @helper
-def _misfits(
-    points: Floats, scan_points: Floats, pairs: tuple[Ints, Ints], R: Floats, t: Floats
-) -> tuple[Floats, float, float]:
-    """Return the misfits (k,) of placed pairs of points, their upper median and the largest."""
-    rows, shared = pairs
-    k, d, largest = len(rows), points.shape[1], 0.0
-    misfit, listed = np.empty(k), np.empty(k)
-    for pair in range(k):
-        square = 0.0
-        for a in range(d):
-            apart = t[a] - scan_points[shared[pair], a]
-            for b in range(d):
-                apart += R[a, b] * points[rows[pair], b]
-            square += apart * apart
-        misfit[pair] = listed[pair] = np.sqrt(square)
-        largest = max(largest, misfit[pair])
-    return misfit, smallest(listed, k // 2), largest
+def _picked(points: Floats, rows: Ints, every: int) -> Floats:
+    """Return one in `every` of some rows of points (n, d)."""
+    picked = np.empty((-(-len(rows) // every), points.shape[1]))
+    for k in range(len(picked)):
+        for a in range(points.shape[1]):
+            picked[k, a] = points[rows[k * every], a]
+    return picked
 
 
 @compiled
@@ -84,14 +61,18 @@ def fitted(
         here[i] = scan_ids[order[i]]
         for a in range(scan_points.shape[1]):
             there[i, a] = scan_points[order[i], a]
-    rows, shared, source, target = _matched(ids, points, here, there, most)
+    rows, shared = _common(ids, here)
     misfit, none = np.empty(0), np.empty((0, 0))
     if len(rows) < fewest:
         return here, there, extent_m, rows[:0], shared[:0], none, misfit, misfit, np.inf, np.inf
-    R, t, n_agreeing = trimmed_fit_rows(source, target, max(least_m, share * extent_m))
+    every, tolerance_m = max(-(-len(rows) // most), 1), max(least_m, share * extent_m)
+    source, target = _picked(points, rows, every), _picked(there, shared, every)
+    R, t, n_agreeing = trimmed_fit_rows(source, target, tolerance_m)
     if n_agreeing < 0:
         return here, there, extent_m, rows, shared, R, t, misfit, np.inf, np.inf
-    misfit, usual, largest = _misfits(points, there, (rows, shared), R, t)
+    misfit = misfits(_picked(points, rows, 1), _picked(there, shared, 1), R, t)
+    listed, k = misfit.copy(), len(rows)
+    usual, largest = smallest(listed, k // 2), smallest(listed, k - 1)
     return here, there, extent_m, rows, shared, R, t, misfit, usual, largest
 
 

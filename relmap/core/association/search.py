@@ -81,13 +81,13 @@ def search(
             best = placed
     if best is None or best.n_agreeing < fewest:
         return None
-    match = _matches(source, target, best, 1.5 * tolerance_m, metric)
+    match = matches_of(source, target, best, 1.5 * tolerance_m, metric)
     others = np.sum((matches >= 0) & (matches != match), axis=1)
     rival = 0
     for row in np.argsort(-others, kind="stable")[:RIVALS]:
         placed = settled(source, target, Placement(R[row], t[row], 0), tolerance_m, metric)
         if placed is not None and others[row]:
-            other = _matches(source, target, placed, tolerance_m, metric)
+            other = matches_of(source, target, placed, tolerance_m, metric)
             apart_m = np.linalg.norm(placed.apply(source) - best.apply(source), axis=1)
             # The other way round, points on the axis of a pattern match as before.
             is_other = np.median(apart_m) > APART * tolerance_m
@@ -110,7 +110,7 @@ def settled(
     """
     n_agreeing = 0
     for _ in range(ROUNDS):
-        match = _matches(source, target, placement, 1.5 * tolerance_m, metric)
+        match = matches_of(source, target, placement, 1.5 * tolerance_m, metric)
         rows = np.flatnonzero(match >= 0)
         own = rows_of(metric, match[rows])
         fitted = trimmed_fit(source[rows], target[match[rows]], tolerance_m, own)
@@ -123,14 +123,14 @@ def settled(
     return placement
 
 
-def _matches(
+def matches_of(
     source: Floats,
     target: Floats,
     placement: Placement,
     tolerance_m: float,
-    metric: Floats | None,
+    metric: Floats | None = None,
 ) -> Ints:
-    """Return the target matched to each source point (n,), or -1."""
+    """Return the target matched to each source point (n,), or -1; each is matched once at most."""
     from relmap.core.association.search_kernels import matched_at
 
     R, t, farthest_m = placement.R, placement.t, farthest(tolerance_m, metric)

@@ -8,7 +8,7 @@ from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.geometry.rotation_kernels import best_rotation, fixes
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import smallest
-from relmap.core.linalg.small_kernels import identity, inverse3
+from relmap.core.linalg.small_kernels import identity, inverse3, square_between
 
 TRIMMING_ROUNDS = 8
 
@@ -155,17 +155,17 @@ def placed_at(points: Floats, R: Floats, t: Floats) -> Floats:
 
 
 @helper
-def _misfits(source: Floats, target: Floats, R: Floats, t: Floats, misfit: Floats) -> None:
-    """Write the distance of each placed point (n,) from its target (n, d)."""
-    n, d = source.shape
-    for i in range(n):
-        square = 0.0
-        for a in range(d):
-            apart = t[a] - target[i, a]
-            for b in range(d):
-                apart += R[a, b] * source[i, b]
-            square += apart * apart
-        misfit[i] = np.sqrt(square)
+def misfits(
+    source: Floats, target: Floats, R: Floats, t: Floats, metric: Floats | None = None
+) -> Floats:
+    """Return the distance (n,) of each placed point from its target (n, d).
+
+    With a metric (n, d, d) of the targets, in its units.
+    """
+    placed, found, apart = placed_at(source, R, t), np.empty(len(source)), np.empty(len(t))
+    for i in range(len(source)):
+        found[i] = np.sqrt(square_between(target[i], placed[i], metric, i, apart))
+    return found
 
 
 @helper
@@ -211,7 +211,7 @@ def trimmed_fit_rows(
         if last and same:
             break
         R, t, _, _, _ = fit_rows(source, target, kept, R)
-        _misfits(source, target, R, t, misfit)
+        misfit = misfits(source, target, R, t)
         limit = trimming_limit(misfit, kept, listed, tolerance_m)
     for i in range(n):
         n_agreeing += misfit[i] <= tolerance_m

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats
-from relmap.core.geometry.fitting_kernels import fit_rows, keep_within, trimming_limit
+from relmap.core.geometry.fitting_kernels import fit_rows, keep_within, misfits, trimming_limit
 from relmap.core.geometry.rotation_kernels import turn_by
 from relmap.core.linalg.compiling import compiled, helper
-from relmap.core.linalg.small_kernels import factorise, identity, product, solve, square_of
+from relmap.core.linalg.small_kernels import factorise, identity, product, solve
 
 HELD = 1e-9
 """Relative increase of the diagonal, for matches that leave a direction undetermined."""
@@ -63,13 +63,11 @@ def weighted_fit_rows(
     As `trimmed_fit_rows` does; see `trimmed_fit`.
     """
     n, d = source.shape
-    kept, misfit, listed, off = np.ones(n, dtype=np.bool_), np.empty(n), np.empty(n), np.empty(d)
+    kept, misfit, listed = np.ones(n, dtype=np.bool_), np.empty(n), np.empty(n)
     R, t, _, _, _ = fit_rows(source, target, kept, identity(d))
     for _ in range(TRIMMING_ROUNDS):
         step_m = weighted_step(source, target, metric, kept, R, t)
-        for i in range(n):
-            _misfit(off, R, t, source[i], target[i])
-            misfit[i] = np.sqrt(square_of(metric[i], off))
+        misfit = misfits(source, target, R, t, metric)
         limit = trimming_limit(misfit, kept, listed, tolerance_m)
         n_kept, same = keep_within(misfit, limit, kept)
         if n_kept < d:
@@ -80,15 +78,6 @@ def weighted_fit_rows(
     for i in range(n):
         n_agreeing += misfit[i] <= tolerance_m
     return R, t, n_agreeing if n_agreeing >= d else -1
-
-
-@helper
-def _misfit(off: Floats, R: Floats, t: Floats, source: Floats, target: Floats) -> None:
-    """Write the distance of a placed point from its target."""
-    for a in range(len(off)):
-        off[a] = target[a] - t[a]
-        for c in range(len(off)):
-            off[a] -= R[a, c] * source[c]
 
 
 @helper

@@ -20,7 +20,7 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.association.base import nearest
 from relmap.core.association.placement import Placement, consistent_placements
 from relmap.core.association.reobservation.recognition import BY_CHANCE, CLEAR
-from relmap.core.association.search import settled
+from relmap.core.association.search import matches_of, settled
 from relmap.core.motion_noise import FLOOR_M
 from relmap.core.refinement.chain.drift import Drift
 from relmap.core.refinement.condensing import LENGTH
@@ -260,18 +260,13 @@ def _places(stretch: Stretch, tolerance_m: float) -> list[tuple[Placement, Ints]
         every = consistent_placements(points, there, pairs, tolerance_m)
         return list(islice(every, 2))
     found: list[tuple[Placement, Ints]] = []
-    tree = cKDTree(there)
     for guess in _voted(stretch, tolerance_m):
         placement = settled(points, there, guess, tolerance_m)
         if placement is None:
             continue
-        distance, index = nearest(tree, placement.apply(points))
-        far, row = distance[:, 0], index[:, 0]
-        order = np.argsort(far, kind="stable")
-        _, first = np.unique(row[order], return_index=True)
-        of = np.sort(order[first])
-        of = of[far[of] <= tolerance_m]
-        matches: Ints = np.column_stack([of, row[of]])
+        match = matches_of(points, there, placement, tolerance_m)
+        of = np.flatnonzero(match >= 0)
+        matches: Ints = np.column_stack([of, match[of]])
         if not any(_elsewhere(matches, other) == 0 for _, other in found):
             found.append((placement, matches))
     found.sort(key=lambda place: -len(place[1]))
