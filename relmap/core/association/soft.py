@@ -84,8 +84,7 @@ class SoftMatching:
         """
         from relmap.core.association.soft_kernels import scores
 
-        _, metric, peak = self._blank()
-        likely = scores(self._terms(COARSE), R, t, metric, peak)
+        likely = scores(self._terms(COARSE), self.metric, R, t)
         fitted: list[tuple[Placement, float]] = []
         while len(fitted) < STARTS and np.isfinite(likely).any():
             k = int(likely.argmax())
@@ -102,29 +101,25 @@ class SoftMatching:
         """Return the most likely placement near one, and its log likelihood ratio."""
         from relmap.core.association.soft_kernels import climb
 
-        R, t, (_, metric, peak) = R.copy(), t.copy(), self._blank()
-        score, n_agreeing = climb(self._terms(1.0), R, t, metric, peak)
+        R, t = R.copy(), t.copy()
+        score, n_agreeing = climb(self._terms(1.0), self.metric, R, t)
         return Placement(R, t, round(n_agreeing)), score
 
     def misfit(self, placement: Placement) -> float:
         """Return the variance of matches after placement, relative to that assumed."""
         from relmap.core.association.soft_kernels import soft_matches
 
-        share, metric, peak = self._blank()
-        soft_matches(self._terms(1.0), UNEXPLAINED, placement.R, placement.t, share, metric, peak)
+        share, at = np.empty((len(self.source), len(self.target))), (placement.R, placement.t)
+        soft_matches(self._terms(1.0), self.metric, UNEXPLAINED, *at, share)
         i, j = np.nonzero(share > LEAST)
-        off = scaled(rows_of(metric, j), self.target[j] - placement.apply(self.source)[i])
+        off = scaled(rows_of(self.metric, j), self.target[j] - placement.apply(self.source)[i])
         d, weight = self.source.shape[1], share[i, j]
         freedoms: float = max(d * float(weight.sum()) - d * (d + 1) / 2, 1.0)
         return float(np.sum(weight * np.sum(off**2, axis=1) / self.variance[i])) / freedoms
 
-    def _terms(self, factor: float) -> tuple[Floats, Floats, Floats, float, float]:
-        spread = factor * self.variance
-        return self.source, spread, self.target, self.density, FURTHEST
-
-    def _blank(self) -> tuple[Floats, Floats | None, Floats | None]:
-        peak = None if self.metric is None else np.linalg.det(self.metric)
-        return np.empty((len(self.source), len(self.target))), self.metric, peak
+    def _terms(self, factor: float) -> tuple[Floats, Floats, Floats, float, Floats]:
+        peak = np.ones(len(self.target)) if self.metric is None else np.linalg.det(self.metric)
+        return self.source, factor * self.variance, self.target, self.density, peak
 
     def by_triangles(self) -> tuple[Floats, Floats]:
         """Return the placements R (h, d, d), t (h, d) that triangles suggest."""
