@@ -36,12 +36,9 @@ class PointChart:
 
     def only(self, rows: Bools) -> PointChart:
         """Return the chart restricted to some of its landmarks, including the seed."""
-        return PointChart(
-            self.landmarks[rows],
-            self.iterations,
-            self.points_robot[rows],
-            None if self.variance is None else self.variance[rows],
-        )
+        variance = None if self.variance is None else self.variance[rows]
+        own = self.landmarks[rows], self.iterations, self.points_robot[rows]
+        return PointChart(*own, variance)
 
     @cached_property
     def visible(self) -> Bools:

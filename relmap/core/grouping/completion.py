@@ -7,7 +7,7 @@ to the relative map by least squares, and its observations are averaged as well.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -68,19 +68,9 @@ class RelativeMap:
         """Return the map restricted to some of its landmarks."""
         if np.count_nonzero(rows) == len(rows):
             return self
-        return RelativeMap(
-            landmarks=self.landmarks[rows],
-            positions=self.positions[rows],
-            variance=self.variance[rows],
-            amplified=self.amplified[rows],
-            used=self.used[rows],
-            n_used=self.n_used[rows],
-            iterations=self.iterations,
-            R=self.R,
-            t=self.t,
-            common_interval=self.common_interval,
-            given=None if self.given is None else self.given[rows],
-        )
+        names = "landmarks", "positions", "variance", "amplified", "used", "n_used"
+        own = {name: getattr(self, name)[rows] for name in names}
+        return replace(self, **own, given=None if self.given is None else self.given[rows])
 
 
 def complete(chart: PointChart, reference: Floats, moves: Bools, noise_m: float) -> RelativeMap:
@@ -99,6 +89,5 @@ def complete(chart: PointChart, reference: Floats, moves: Bools, noise_m: float)
     block, seen, given = chart.points_robot, chart.iterations, chart.variance
     found = kernels.completed(block, reference, moves, given, noise_m)
     R, t, used, n_used, mean, variance, amplified = found
-    whole = RelativeMap(chart.landmarks, mean, variance, amplified, used, n_used, seen, R, t)
-    whole.given = given
-    return whole.only(n_used > 0)
+    own = chart.landmarks, mean, variance, amplified, used, n_used
+    return RelativeMap(*own, seen, R, t, given=given).only(n_used > 0)
