@@ -185,8 +185,7 @@ def _merge_compatible(engine: RelativeMapper, at_last: bool = False) -> bool:
     sightings = Sightings(engine.rows, engine.table)
     for refined in engine.refined:
         pairs = refined.landmarks[compatible(refined.positions, refined.covariances)]
-        later = engine.table.first[pairs[:, 0]] < engine.table.first[pairs[:, 1]]
-        pairs[later] = pairs[later, ::-1]
+        pairs = mergeable(engine.table, pairs)
         if not at_last:
             pairs = pairs[engine.merger.allowed(pairs)]
         merged += engine.merge_pairs(sightings.apart(pairs))

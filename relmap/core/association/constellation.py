@@ -180,12 +180,14 @@ class Constellation(Numbered):
         placement = placing.placement(tracks, points) if len(points) and len(tracks) else None
         if placement is not None:
             is_unique = placing.is_unique(placement, tracks, points)
-            if is_unique and is_last:
-                self._guide.learn(placement, tracks.expected, self._noise_m)
-            elif is_last and self._is_unlikely(placement, tracks):
-                placement = self._guided(tracks, points)
-        elif self._guide.knows and is_last:
-            placement = self._guided(tracks, points)
+        guide, expected, noise_m = self._guide, tracks.expected, self._noise_m
+        if placement is not None and is_unique and is_last:
+            guide.learn(placement, expected, noise_m)
+        elif (is_last and guide.knows) and (
+            placement is None or guide.contradicts(placement, expected, noise_m)
+        ):
+            most_m = NEAR * self._scale.spacing_m
+            placement = guide.placement(expected, points, noise_m, most_m)
         return None if placement is None else _Placed(tracks, since, placement, is_unique)
 
     def _followed(
@@ -225,22 +227,10 @@ class Constellation(Numbered):
         self._guide.forget()
         return landmarks
 
-    def _is_unlikely(self, placement: Placement, tracks: LiveTracks) -> bool:
-        """Return whether odometry contradicts a placement that may be due to chance."""
-        knows, guide = self._guide.knows, self._guide
-        return knows and guide.contradicts(placement, tracks.expected, self._noise_m)
-
     @property
     def _noise_m(self) -> float:
         """Standard deviation of a coordinate's difference between two scans."""
         return max(self._scale.noise_m or self._scale.gate_m, TINY_M)
-
-    def _guided(self, tracks: LiveTracks, points_robot: Floats) -> Placement:
-        """Return the tracks as predicted by odometry, corrected by the few that are in view."""
-        if not len(points_robot):
-            return self._guide.predicted(tracks.expected.shape[1])
-        most_m = NEAR * self._scale.spacing_m
-        return self._guide.placement(tracks.expected, points_robot, self._noise_m, most_m)
 
     def _begin_anew(self, begun: LiveTracks) -> None:
         """Defer a scan that could not be matched to the tracks: the next one may match either.

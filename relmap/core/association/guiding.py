@@ -110,7 +110,7 @@ class OdometryGuide:
         `noise_m`: standard deviation of a coordinate's difference between two scans; `most_m`:
         largest distance of a match.
         """
-        guess = self.predicted(points.shape[1])
+        guess = self.predicted(expected.shape[1])
         there = guess.apply(expected)
         reach_m = np.minimum(SIGMAS * np.hypot(self.sigma_at(there), noise_m), most_m)
         if not len(there) or not len(points):

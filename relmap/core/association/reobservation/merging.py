@@ -99,11 +99,7 @@ class Merger:
         near = cKDTree(self._table.position[mapped]).query_pairs(
             max(self._index.cell_m, tolerance_m), output_type="ndarray"
         )
-        found: dict[int, list[int]] = {}
-        for new, old in sorted(self._possible(mapped[np.vstack([near, near[:, ::-1]])])):
-            found.setdefault(new, []).append(old)
-        self._old_near.update(found)
-        return np.array(list(found), dtype=np.int64)
+        return self._note(mapped[np.vstack([near, near[:, ::-1]])])
 
     def go_on(self) -> None:
         """Re-enter some more landmarks at their current positions."""
@@ -212,10 +208,15 @@ class Merger:
         new = landmarks[of]
         close = np.linalg.norm(positions[near] - positions[new], axis=1) <= self._index.cell_m
         close &= self._table.submap[near] == self._table.submap[new]
+        self._note(np.column_stack([new[close], near[close]]))
+
+    def _note(self, pairs: Ints) -> Ints:
+        """Keep the possible ones of pairs (k, 2), to be compared; return the landmarks (n,)."""
         found: dict[int, list[int]] = {}
-        for one, old in self._possible(np.column_stack([new[close], near[close]])):
-            found.setdefault(one, []).append(old)
-        self._old_near.update((one, sorted(old)) for one, old in found.items())
+        for new, old in sorted(self._possible(pairs)):
+            found.setdefault(new, []).append(old)
+        self._old_near.update(found)
+        return np.array(list(found), dtype=np.int64)
 
     def _possible(self, pairs: Ints) -> list[tuple[int, int]]:
         """Return pairs (k, 2) of a landmark and an older one that may be the same.

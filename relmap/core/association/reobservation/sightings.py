@@ -30,7 +30,7 @@ class Sightings:
 
     def together(self, one: int, other: int, share: float = 0.0) -> bool:
         """Return whether two landmarks share more than a fraction of the scans of the rarer."""
-        here, there = (self._scans(self._rows(landmark)) for landmark in (one, other))
+        here, there = map(self._scans, (one, other))
         return len(np.intersect1d(here, there)) > share * min(len(here), len(there))
 
     def apart(self, pairs: Ints) -> Ints:
@@ -41,7 +41,7 @@ class Sightings:
     def seen_with_both(self, pairs: Ints, others: Ints) -> Ints:
         """Return the number of others (n,) seen in one scan with each of a pair (k, 2); (k,)."""
         every = np.union1d(pairs, others).tolist()
-        scans = {landmark: set(self._scans(self._rows(landmark)).tolist()) for landmark in every}
+        scans = {landmark: set(self._scans(landmark).tolist()) for landmark in every}
         met = [
             [
                 other not in pair and not any(scans[other].isdisjoint(scans[one]) for one in pair)
@@ -64,7 +64,7 @@ class Sightings:
             known = own[~rare[own]]
             if len(known) <= n:
                 continue
-            scans = {landmark: self._scans(self._rows(landmark)) for landmark in own.tolist()}
+            scans = {landmark: self._scans(landmark) for landmark in own.tolist()}
             near = cKDTree(table.position[known]).query(table.position[own], n + 1)[1]
             for landmark, others in zip(own.tolist(), known[near].tolist(), strict=True):
                 beside = [scans[other] for other in others if other != landmark][:n]
@@ -73,11 +73,9 @@ class Sightings:
                 found[landmark] = len(scans[landmark]) < SELDOM * shown
         return found
 
-    def _scans(self, rows: Ints) -> Ints:
-        """Return the scans (k,) of some rows, ascending."""
+    def _scans(self, landmark: int) -> Ints:
+        """Return the scans (k,) that show a landmark, ascending."""
+        numbers = self._table.members(landmark)
+        rows = np.concatenate([np.arange(*self._begin[[k, k + 1]]) for k in numbers])
         bits = (self._visible[rows][:, None] >> np.arange(LENGTH)) & 1 > 0
         return np.unique((LENGTH * self._segment[rows][:, None] + np.arange(LENGTH))[bits])
-
-    def _rows(self, landmark: int) -> Ints:
-        numbers = self._table.members(landmark)
-        return np.concatenate([np.arange(*self._begin[[k, k + 1]]) for k in numbers])

@@ -82,10 +82,9 @@ def places_of(table: LandmarkState, rows: SegmentRows, tracks: Ints) -> tuple[Fl
     kept = (table.weight[landmark] > 0) & ~wanted
     placed, fixed, _ = placed_segments(rows, table.position, kept, landmark)
     at = np.flatnonzero(wanted & fixed)
-    seen = np.zeros(len(table))
-    np.add.at(seen, rows.landmark[at], rows.n_seen[at])
-    places = np.zeros_like(table.position)
-    np.add.at(places, rows.landmark[at], rows.n_seen[at][:, None] * placed[at])
+    track, n_seen = rows.landmark[at], rows.n_seen[at]
+    seen = np.asarray(np.bincount(track, n_seen, len(table)), dtype=np.float64)
+    places = sums_each(n_seen[:, None] * placed[at], track, len(table))
     return places[tracks] / np.maximum(seen[tracks], 1)[:, None], seen[tracks]
 
 
