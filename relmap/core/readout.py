@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.arrays import Floats, Ints
+from relmap.core.gaps import is_bridged
 from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup, Submap, in_space
 from relmap.core.map.leaps import Gaps, gaps_of
 from relmap.core.map.pose import known_poses, trajectory
@@ -115,8 +116,7 @@ def gaps(engine: RelativeMapper, known: Ints, places_map: Floats) -> Gaps | None
 
     `known` (k,): iterations with a pose, ascending; `places_map` (k, 3): positions, metres.
     """
-    is_used = engine.odometry is not None and engine.odometry.is_used
-    if is_used or engine.association.has_ids or not len(engine.table):
+    if is_bridged(engine) or engine.association.has_ids or not len(engine.table):
         return None
     positions, of = mapped_positions(engine), engine.table.landmark_of
     return gaps_of(engine.rows, positions, of, known, places_map)
@@ -136,8 +136,7 @@ def contradicted_at(engine: RelativeMapper) -> list[int | None]:
     None before refinement, and with ids or odometry.
     """
     found, ranks = paths(engine), engine.map.ranks
-    is_used = engine.odometry is not None and engine.odometry.is_used
-    if is_used or engine.association.has_ids or not engine.refined:
+    if is_bridged(engine) or engine.association.has_ids or not engine.refined:
         return [None] * len(found)
     parts = [Part(engine.table.position[ranks == k], *own) for k, own in enumerate(found)]
     return contradicting(engine.rows, parts, _noise_m(engine))

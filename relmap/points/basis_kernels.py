@@ -68,7 +68,7 @@ def choose_basis(points: Floats) -> Ints:
         rows[k] = True
         for a in range(d):
             centre[a] += points[k, a]
-    if g < d or not fixes(scatter_of(points, rows), d):
+    if g < d or not fixes(scatter_of(points, rows)[0], d):
         return basis[:0]
     for a in range(d):
         centre[a] /= g

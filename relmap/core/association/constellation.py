@@ -198,11 +198,8 @@ class Constellation(Numbered):
 
         pose, limits = (placement.R, placement.t), (MEMORY, CAREFUL, self._max_missed)
         if self._scale.is_blurred:
-            columns, variance = (
-                kernels.carried(tracks.columns, *pose),
-                self._scale.variances(tracks.seen),
-            )
-            expected = columns[1]
+            columns = kernels.carried(tracks.columns, *pose)
+            expected, variance = columns[1], self._scale.variances(tracks.seen)
             rows, found = likely_links(expected, variance, tracks.seen, points, metric)
             n_static = len(rows)
             now = kernels.followed(

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.core.geometry.fitting_kernels import placed_at
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import smallest
-from relmap.core.linalg.small_kernels import square_between, square_of, unset
+from relmap.core.linalg.small_kernels import square_of, unset
 
 PAIR_RATIO, MANY = 4.0, 6
 """Ratio of the distances to the second and to the nearest neighbour above which landmarks count as
@@ -176,29 +175,6 @@ def nearest_of_sample(
         first, _, _, target[i] = three_nearest(points, expected[latest[i]])
         distance[i] = np.sqrt(first)
     return latest[:k], target, distance, spacing
-
-
-@compiled
-def middle_square(
-    source: Floats,
-    target: Floats,
-    R: Floats,
-    t: Floats,
-    tolerance_m: float,
-    metric: Floats | None = None,
-) -> float:
-    """Return the upper median of the squared misfits of matches (n, d) within a tolerance.
-
-    The misfits are in the metric (n, d, d) of the targets; infinite if none is within.
-    """
-    (n, d), found = source.shape, 0
-    placed, squares, apart = placed_at(source, R, t), np.empty(n), np.empty(d)
-    for i in range(n):
-        square = square_between(target[i], placed[i], metric, i, apart)
-        if square <= tolerance_m * tolerance_m:
-            squares[found] = square
-            found += 1
-    return smallest(squares[:found], found // 2) if found else np.inf
 
 
 @compiled

@@ -9,10 +9,9 @@ from relmap.core.association.matching_kernels import (
     buckets,
     claims,
     matched,
-    middle_square,
     three_nearest,
 )
-from relmap.core.geometry.fitting_kernels import placed_at
+from relmap.core.geometry.fitting_kernels import misfits, placed_at
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import smallest
 from relmap.core.linalg.small_kernels import unset
@@ -39,11 +38,16 @@ def agreement(
     tolerance_m: float,
     metric: Floats | None,
 ) -> tuple[float, float]:
-    """Return how closely matches agree, and how far all tracks move; see `middle_square`.
+    """Return the upper median of the squared misfits of matches, and how far all tracks move.
 
-    `matches`: tracks and points (k, d); `expected` (m, d): all tracks.
+    `matches`: tracks and points (k, d); `expected` (m, d): all tracks. Misfits are in the metric
+    (k, d, d) of the points; only those within the tolerance count, without any it is infinite.
     """
-    square = middle_square(matches[0], matches[1], pose[0], pose[1], tolerance_m, metric)
+    misfit, found = misfits(matches[0], matches[1], pose[0], pose[1], metric), 0
+    for i in range(len(misfit)):
+        if misfit[i] <= tolerance_m:
+            misfit[found], found = misfit[i], found + 1
+    square = smallest(misfit[:found], found // 2) ** 2 if found else np.inf
     return square, middle_step(expected, pose[0], pose[1])
 
 
@@ -138,11 +142,8 @@ def followed(
         point_of[rows[j]], rests[rows[j]] = found[j], j < n_static
     square = _middle_square(points, expected, links)
     size = _n_kept(point_of, missed, longest) + n - len(rows)
-    landmarks, counts, places = (
-        np.empty(size, dtype=np.int64),
-        np.empty((3, size), dtype=np.int64),
-        np.empty((2, size, d)),
-    )
+    landmarks, places = np.empty(size, dtype=np.int64), np.empty((2, size, d))
+    counts = np.empty((3, size), dtype=np.int64)
     for row in range(m):
         p = point_of[row]
         if p < 0 and missed[row] >= longest:

@@ -81,13 +81,13 @@ def fit_rows(
 
 
 @helper
-def scatter_of(points: Floats, rows: Bools) -> Floats:
-    """Return the scatter (3, 3) of some rows of points (n, d) about their mean."""
+def scatter_of(points: Floats, rows: Bools) -> tuple[Floats, Floats, int]:
+    """Return the scatter (3, 3) of some rows of points (n, d), their mean, twice, and number."""
     means = np.empty((2, 3))
-    means[0, 0], means[0, 1], means[0, 2], _ = centre_of(points, rows)
+    means[0, 0], means[0, 1], means[0, 2], count = centre_of(points, rows)
     for a in range(3):
         means[1, a] = means[0, a]
-    return _moments(points, points, rows, means)[1]
+    return _moments(points, points, rows, means)[1], means, count
 
 
 @compiled
@@ -97,11 +97,8 @@ def swings(points: Floats, rows: Bools) -> Floats:
     In units of the variance of one of these rows. It is large far from the line of the rows, where
     the rotation is poorly determined.
     """
-    means, swing = np.empty((2, 3)), np.empty(len(points))
-    means[0, 0], means[0, 1], means[0, 2], count = centre_of(points, rows)
-    for a in range(3):
-        means[1, a] = means[0, a]
-    enter_swings(points, means, float(count), _moments(points, points, rows, means)[1], swing)
+    (scatter, means, count), swing = scatter_of(points, rows), np.empty(len(points))
+    enter_swings(points, means, float(count), scatter, swing)
     return swing
 
 

@@ -64,11 +64,8 @@ def _by_iteration(block: Floats) -> tuple[Ints, Ints, Floats]:
     In the order of the landmarks; (i,), (i, n) and (i, n, d).
     """
     n, m, d = block.shape
-    n_seen, seen, points = (
-        np.zeros(m, dtype=np.int64),
-        np.empty((m, n), dtype=np.int64),
-        np.empty((m, n, d)),
-    )
+    n_seen, points = np.zeros(m, dtype=np.int64), np.empty((m, n, d))
+    seen = np.empty((m, n), dtype=np.int64)
     for k in range(n):
         for i in range(m):
             if not np.isnan(block[k, i, 0]):

@@ -12,11 +12,8 @@ from relmap.core.linalg.order_kernels import ordered
 @compiled
 def seen_with(landmarks: Ints, offsets: Ints, seed: int, slots: Ints) -> tuple[Ints, Ints]:
     """Return the landmarks seen with a seed, the seed first, and when; see `chart_block`."""
-    columns, members = (
-        np.empty(len(offsets) - 1, dtype=np.int64),
-        np.empty(len(landmarks) + 1, dtype=np.int64),
-    )
-    j, n = 0, 0
+    columns, j = np.empty(len(offsets) - 1, dtype=np.int64), 0
+    members, n = np.empty(len(landmarks) + 1, dtype=np.int64), 0
     if seed >= 0:
         members[0], slots[seed], n = seed, 0, 1
     for i in range(len(offsets) - 1):

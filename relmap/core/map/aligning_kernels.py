@@ -58,4 +58,4 @@ def aligned(
             placed[i, a] = means[1, a] if swing[i] <= loose else np.nan
             for b in range(d):
                 placed[i, a] += R[a, b] * (relative[i, b] - means[0, b])
-    return placed, fixes(scatter_of(there, rows), d)
+    return placed, fixes(scatter_of(there, rows)[0], d)
