@@ -7,7 +7,7 @@ import numpy as np
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import smallest
-from relmap.core.linalg.small_kernels import square_of, unset
+from relmap.core.linalg.small_kernels import picked, square_of, unset
 
 PAIR_RATIO, MANY = 4.0, 6
 """Ratio of the distances to the second and to the nearest neighbour above which landmarks count as
@@ -146,19 +146,16 @@ def nearest_of_sample(
     Returns the tracks (k,), at most `most`, the point nearest to each, its distance, and the
     spacing, see `scale.spacing_of`; no tracks if two matches are impossible.
     """
-    (n, d), m, fewest, n_latest = points.shape, len(missed), missed[0], 0
+    n, m, fewest, n_latest = len(points), len(missed), missed[0], 0
     for row in range(m):
         fewest = min(fewest, missed[row])
-    crowd, latest = np.empty((m, d)), np.empty(m, dtype=np.int64)
+    latest = np.empty(m, dtype=np.int64)
     for row in range(m):
         if missed[row] == fewest:
-            latest[n_latest] = row
-            for a in range(d):
-                crowd[n_latest, a] = expected[row, a]
-            n_latest += 1
+            latest[n_latest], n_latest = row, n_latest + 1
     if min(n, n_latest) < 2:
         return latest[:0], latest[:0], np.empty(0), 0.0
-    crowd = points if n >= n_latest else crowd[:n_latest]
+    crowd = points if n >= n_latest else picked(expected, latest[:n_latest])
     every = -(-len(crowd) // most)
     neighbour = np.empty((2, -(-len(crowd) // every)))
     for k in range(neighbour.shape[1]):
@@ -188,9 +185,8 @@ def matched_sample(
     positions of both (k, d); and the spacing.
     """
     sample, target, distance, spacing = nearest_of_sample(points, expected, missed, most)
-    (m, d), k = (len(sample), points.shape[1]), 0
+    m, k = len(sample), 0
     rows, found, apart = np.empty(m, dtype=np.int64), np.empty(m, dtype=np.int64), np.empty(m)
-    here, there = np.empty((m, d)), np.empty((m, d))
     if np.isfinite(known):
         spacing = known + slowness * (spacing - known) if m else known
     for j in range(m):
@@ -199,7 +195,7 @@ def matched_sample(
     for j in range(m):
         if won[j]:
             rows[k], found[k], apart[k] = sample[j], target[j], distance[j]
-            for a in range(d):
-                here[k, a], there[k, a] = expected[sample[j], a], points[target[j], a]
             k += 1
-    return sample, rows[:k], found[:k], apart[:k], here[:k], there[:k], spacing
+    rows, found = rows[:k], found[:k]
+    here, there = picked(expected, rows), picked(points, found)
+    return sample, rows, found, apart[:k], here, there, spacing

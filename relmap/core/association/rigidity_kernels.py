@@ -9,6 +9,7 @@ from relmap.core.geometry.each_kernels import extent_of
 from relmap.core.geometry.fitting_kernels import misfits, trimmed_fit_rows
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import smallest
+from relmap.core.linalg.small_kernels import picked
 
 
 @helper
@@ -25,16 +26,6 @@ def _common(ids: Ints, scan_ids: Ints) -> tuple[Ints, Ints]:
         else:
             j += 1
     return rows[:k], shared[:k]
-
-
-@helper
-def _picked(points: Floats, rows: Ints, every: int) -> Floats:
-    """Return one in `every` of some rows of points (n, d)."""
-    picked = np.empty((-(-len(rows) // every), points.shape[1]))
-    for k in range(len(picked)):
-        for a in range(points.shape[1]):
-            picked[k, a] = points[rows[k * every], a]
-    return picked
 
 
 @compiled
@@ -55,22 +46,20 @@ def fitted(
     median and the largest: none and infinite if too few agree within the tolerance.
     """
     fewest, most, least_m, share = limits
-    here, there = np.empty(len(order), dtype=np.int64), np.empty(scan_points.shape)
+    here, there = np.empty(len(order), dtype=np.int64), picked(scan_points, order)
     extent_m = extent_of(scan_points)
     for i in range(len(order)):
         here[i] = scan_ids[order[i]]
-        for a in range(scan_points.shape[1]):
-            there[i, a] = scan_points[order[i], a]
     rows, shared = _common(ids, here)
     misfit, none = np.empty(0), np.empty((0, 0))
     if len(rows) < fewest:
         return here, there, extent_m, rows[:0], shared[:0], none, misfit, misfit, np.inf, np.inf
     every, tolerance_m = max(-(-len(rows) // most), 1), max(least_m, share * extent_m)
-    source, target = _picked(points, rows, every), _picked(there, shared, every)
+    source, target = picked(points, rows, every), picked(there, shared, every)
     R, t, n_agreeing = trimmed_fit_rows(source, target, tolerance_m)
     if n_agreeing < 0:
         return here, there, extent_m, rows, shared, R, t, misfit, np.inf, np.inf
-    misfit = misfits(_picked(points, rows, 1), _picked(there, shared, 1), R, t)
+    misfit = misfits(picked(points, rows), picked(there, shared), R, t)
     listed, k = misfit.copy(), len(rows)
     usual, largest = smallest(listed, k // 2), smallest(listed, k - 1)
     return here, there, extent_m, rows, shared, R, t, misfit, usual, largest

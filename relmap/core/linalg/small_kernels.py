@@ -32,6 +32,16 @@ def unset(n: int) -> Ints:
 
 
 @helper
+def picked(points: Floats, rows: Ints, every: int = 1) -> Floats:
+    """Return one in `every` of some rows of points (n, d): compiles faster than indexing."""
+    found = np.empty((-(-len(rows) // every), points.shape[1]))
+    for k in range(len(found)):
+        for a in range(points.shape[1]):
+            found[k, a] = points[rows[k * every], a]
+    return found
+
+
+@helper
 def square_of(A: Floats, x: Floats) -> float:
     """Return the squared length of the product of a matrix (n, m) and a vector (m,)."""
     square = 0.0
