@@ -7,9 +7,14 @@ import pytest
 
 from relmap import Plane3dMapper
 from relmap.core.arrays import Floats
+from relmap.planes3d import refining
+from relmap.planes3d.certainty import usual_steps
 from relmap.planes3d.fitting import repeats
 from relmap.planes3d.gathering import is_rough
 from relmap.planes3d.hypothesis_kernels import best_ways
+from relmap.planes3d.refining import unsure_steps
+from relmap.planes3d.sights import is_led_away, with_ends
+from relmap.planes3d.submap import Submap
 from relmap.segmentation.space import PatchSegmenter
 from relmap.simulation.storey import cast_rays
 from tests.worlds import fed, refined
@@ -49,6 +54,14 @@ def scans() -> list[Floats]:
         noisy = range_m[seen] + 0.01 * rng.standard_normal(seen.sum())
         found.append(noisy[:, None] * rays[seen])
     return found
+
+
+def camera_view(at: Floats) -> Floats:
+    up, around = np.meshgrid(np.linspace(-0.9, 0.5, 200), np.linspace(-0.9, 0.9, 300))
+    level = np.cos(up)
+    rays = np.stack([level * np.cos(around), level * np.sin(around), np.sin(up)], -1).reshape(-1, 3)
+    range_m, _ = cast_rays(at, rays, *faces())
+    return np.asarray((range_m[:, None] * rays)[range_m < 30.0])
 
 
 def test_stairs_are_mapped_as_treads(scans: list[Floats]) -> None:
@@ -101,11 +114,31 @@ def test_of_equal_motions_on_stairs_the_one_closest_to_the_prediction_is_first(r
 @pytest.mark.parametrize("steps", [-1, 1])
 def test_from_the_next_step_of_stairs_the_right_one_is_tried(steps: int) -> None:
     # All treads and risers match those of the next step, but for the ends of the flight.
-    up, around = np.meshgrid(np.linspace(-0.9, 0.5, 200), np.linspace(-0.9, 0.9, 300))
-    level = np.cos(up)
-    rays = np.stack([level * np.cos(around), level * np.sin(around), np.sin(up)], -1).reshape(-1, 3)
-    range_m, _ = cast_rays(np.array([-1.6, 0.7, 1.5]), rays, *faces())
-    seen = PatchSegmenter().fit((range_m[:, None] * rays)[range_m < 30.0]).patches_
+    seen = PatchSegmenter().fit(camera_view(np.array([-1.6, 0.7, 1.5]))).patches_
     away = steps * np.array([TREAD_M, 0.0, RISE_M])
     ways = repeats(np.eye(3), away, seen, seen)
     assert min(np.linalg.norm(way) for way in ways) < 0.01
+
+
+@pytest.mark.parametrize("steps", [-1, 0, 1])
+def test_points_lead_away_from_a_step_off_by_a_tread(steps: int) -> None:
+    # Steps of 0.09, 0.18 and 0.26 m in turn.
+    path = PATH[[k for k in range(len(PATH)) if k % 6 in (0, 1, 3)]]
+    part = Submap()
+    for k, at in enumerate(path):
+        seen = with_ends(PatchSegmenter().fit(camera_view(at)).patches_)
+        place = at + (k >= 6) * steps * np.array([TREAD_M, 0.0, RISE_M])
+        part.add(k, seen, (np.eye(3), place), np.arange(len(seen)))
+    R, t = (np.array(each) for each in zip(*part.poses, strict=True))
+    usual = usual_steps(R, t, np.array(part.iteration))
+    led = [k for k in range(1, len(path)) if is_led_away(part, k, usual[k - 1][1:])]
+    assert led == [6] * (steps != 0)
+
+
+def test_a_step_that_points_lead_away_from_is_listed(
+    scans: list[Floats], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (part,) = fed(Plane3dMapper(), scans).submaps
+    assert not unsure_steps(part)
+    monkeypatch.setattr(refining, "is_led_away", lambda part, k, usual: k == 7)
+    assert list(unsure_steps(part)) == [7]

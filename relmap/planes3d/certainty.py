@@ -221,20 +221,25 @@ def unreliable_steps(
     return found
 
 
+def usual_steps(R: Floats, t: Floats, iteration: Ints) -> list[Floats]:
+    """Return each step (p - 1), and the medians of those before and of those after it: (1..3, 3).
+
+    Per iteration, along the axes of the earlier scan, metres; medians of at least half of `NEARBY`
+    steps. `R` (p, 3, 3), `t` (p, 3), `iteration` (p,): of the scans.
+    """
+    step = np.einsum("nji,nj->ni", R[:-1], np.diff(t, axis=0)) / np.diff(iteration)[:, None]
+    around = [(step[max(k - NEARBY, 0) : k], step[k + 1 :][:NEARBY]) for k in range(len(step))]
+    usual = [[np.median(x, axis=0) for x in each if 2 * len(x) >= NEARBY] for each in around]
+    return [np.array([own, *each]) for own, each in zip(step, usual, strict=True)]
+
+
 def _unlike_around(scene: Scene, iteration: Ints) -> Floats:
     """Return by how much steps (p - 1,) differ from the median of those before, or after.
 
-    The larger counts, of at least half of `NEARBY` steps each. Per iteration, metres; `iteration`
-    (p,): of the scans.
+    The larger counts. Per iteration, metres; `iteration` (p,): of the scans.
     """
-    step = np.einsum("nji,nj->ni", scene.R[:-1], np.diff(scene.t, axis=0))
-    step /= np.diff(iteration)[:, None]
-    off_m = np.zeros(len(step))
-    for k in range(len(step)):
-        for near in (step[max(k - NEARBY, 0) : k], step[k + 1 : k + 1 + NEARBY]):
-            if 2 * len(near) >= NEARBY:
-                off_m[k] = max(off_m[k], np.linalg.norm(step[k] - np.median(near, axis=0)))
-    return off_m
+    steps = usual_steps(scene.R, scene.t, iteration)
+    return np.array([np.linalg.norm(each - each[0], axis=1).max() for each in steps])
 
 
 def _unlike_others(step: Floats, own: Ints) -> Floats:

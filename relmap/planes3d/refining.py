@@ -9,10 +9,15 @@ from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Bools, Floats
 from relmap.planes3d.adjustment import GAIN, PlaneAdjustment, Scene, Sightings
-from relmap.planes3d.certainty import plane_covariances, step_covariances, unreliable_steps
+from relmap.planes3d.certainty import (
+    plane_covariances,
+    step_covariances,
+    unreliable_steps,
+    usual_steps,
+)
 from relmap.planes3d.fitting import OPEN, SYSTEMATIC, directed, distances
 from relmap.planes3d.gathering import gathered
-from relmap.planes3d.sights import sights_of
+from relmap.planes3d.sights import is_led_away, sights_of
 from relmap.planes3d.submap import Submap
 from relmap.planes3d.surfaces import SIDE, Surfaces
 from relmap.segmentation.space import Patches
@@ -83,7 +88,8 @@ def unsure_steps(part: Submap, is_broken: bool = False) -> dict[int, Floats]:
     A step is unsure if in some direction the standard deviation of the translation, or of the
     displacement by the rotation at the range, exceeds 1.25 % of the range. So is a step that is
     unsteady in a direction in which a single landmark determines it, unsteady by far, or unlike
-    those around it, or turns so, see `relmap.planes3d.certainty`. `is_broken`: whether there are
+    those around it, or turns so, see `relmap.planes3d.certainty`, or if a step near the usual ones
+    explains more points, see `is_led_away`. `is_broken`: whether there are
     other submaps; then so are all steps of a submap of at most six scans, as what broke the run
     before or after them may have misled them.
 
@@ -99,6 +105,9 @@ def unsure_steps(part: Submap, is_broken: bool = False) -> dict[int, Floats]:
     for variance in (turn_m2 * reach_m**2, way_m2[:, 2]):
         unsure |= variance > (UNSURE * reach_m) ** 2
     unsure |= is_broken and len(part.iteration) <= FEW
+    usual, gap = usual_steps(state.R, state.t, np.array(part.iteration)), np.diff(part.iteration)
+    for k in np.flatnonzero(~unsure).tolist():
+        unsure[k] = is_led_away(part, k + 1, gap[k] * usual[k][1:])
     rows = np.flatnonzero(unsure).tolist()
     return {part.iteration[k + 1]: directed(axes[k, :, 2]) for k in rows}
 

@@ -53,6 +53,45 @@ BEYOND, EVERY = 2.0, 4
 """Distance of the points beyond a surface from its cells, in cells; one of so many cells is tried
 in a scan, others in the next ones."""
 
+COMPARED, CLOSER, BETTER = 400, (3.0, 2.0, 1.0), 1.06
+"""Number of points of a scan that are compared with those of the scan before; how near to these, in
+cells, points are that pull a step, three times; and how many times as many a better step explains.
+"""
+
+
+def is_led_away(part: Submap, k: int, usual: Floats) -> bool:
+    """Return whether a step near a usual one explains more points of scan `k` than its own.
+
+    Points on no plane count as well: where planes repeat, as on stairs, they tell steps apart. Only
+    steps off by more than a cell are told apart. `usual` (u, 3): steps from the scan before, along
+    its axes, metres.
+    """
+    before, ends = part.seen[k - 1].ends, part.seen[k].ends
+    if min(len(before), len(ends)) < FEWEST:
+        return False
+    (S, s), (R, t) = part.poses[k - 1], part.poses[k]
+    ends = ends[np.linspace(0, len(ends) - 1, COMPARED).astype(np.int64)].astype(np.float64)
+    cell_m = _cell_m(part.seen[k], np.linalg.norm(ends, axis=1))
+    way, far_m = S.T @ (t - s), float(cell_m.max())
+    usual = usual[np.linalg.norm(usual - way, axis=1) > far_m]
+    if not len(usual):
+        return False
+    tree, points = cKDTree(before), ends @ (S.T @ R).T
+
+    def near(at: Floats, cells: float) -> tuple[Ints, Ints]:
+        off_m, nearest = tree.query(points + at, distance_upper_bound=cells * far_m)
+        rows = np.flatnonzero(off_m < cells * cell_m)
+        return rows, np.asarray(nearest)[rows]
+
+    least = BETTER * len(near(way, 1.0)[0])
+    for at in usual:
+        for cells in CLOSER:
+            rows, nearest = near(at, cells)
+            at = (before[nearest] - points[rows]).mean(axis=0) if len(rows) else at
+        if np.linalg.norm(at - way) > far_m and len(near(at, 1.0)[0]) > least:
+            return True
+    return False
+
 
 def is_doubtful(placed: Placed, seen: Patches, planes: Patches, part: Submap, gap: int) -> bool:
     """Return whether a scan, `gap` scans after the last one of a submap, cannot be there.
