@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,6 +13,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from relmap import PlaneMapper
+from relmap.planes.linking.registration import PlaneRegistration
+from relmap.planes.submaps.doubtful import undetermined_steps
 from relmap.simulation.odometry import wheel_odometry
 from tests.drives import (
     BAY,
@@ -45,6 +48,19 @@ def mapped_with_wheels() -> PlaneMapper:
     mapper = mapped(scans, odometry_of(poses))
     mapper.refine()
     return mapper
+
+
+@pytest.mark.parametrize(("off_m", "listed"), [(0.1, []), (0.4, [5])])
+def test_a_step_that_contradicts_odometry_is_listed(off_m: float, listed: list[int]) -> None:
+    """Walls in view of both scans may be matched wrongly, as doors that look alike."""
+    mapper = mapped_with_wheels()
+    assert 5 not in mapper.weak_links
+    registration, (submap,) = mapper.engine.association.registration, mapper.submaps
+    assert isinstance(registration, PlaneRegistration)
+    poses = submap.poses.copy()
+    poses[5:, 0, 3] += off_m
+    weak = undetermined_steps([replace(submap, poses=poses)], mapper.history, registration.links)
+    assert np.setdiff1d(weak, mapper.weak_links).tolist() == listed
 
 
 def test_a_bare_corridor_is_one_submap_and_as_long_as_wheels_tell() -> None:

@@ -18,6 +18,8 @@ from relmap.planes.linking.link_record import LinkRecord
 from relmap.planes.linking.placement import STILL
 from relmap.planes.linking.tying import Scans
 from relmap.planes.motions import from_matrices, inverse
+from relmap.planes.odometry.prediction import OTHERWISE
+from relmap.planes.odometry.steps import corrected
 from relmap.planes.scans.beams import NEAR_M, Beams, BeamStore, compared, odds_over
 from relmap.planes.submaps.submap import WallSubmap, between_logs
 from relmap.planes.walls.history import PlaneHistory
@@ -39,7 +41,8 @@ NEARER, GAP = 0.5, 3
 """Distance of another motion from the usual step, as a fraction of that of an unusual step, below
 which beams must exclude it, too; and how many scans apart both scans may be."""
 CHANGE_M, AWAY_M = 0.1, 0.25
-"""Size of the changes by which beams may improve a step, and distance beyond which it is listed."""
+"""Size of the changes by which beams may improve a step, and distance beyond which it is listed; so
+is one as far from odometry."""
 LOOSE = np.diag([1e-3, 1e-4, 1e-4])
 """Information that keeps directions finite that no wall determines: rotation, x, y; as of so many
 metres of wall."""
@@ -70,11 +73,12 @@ def undetermined_steps(
     shows one wall only, and, if few common walls cross, no small changes that the beams prefer lead
     away from it, one after the other. Where a submap continues after scans that are not part of it,
     the motion is since the last one that is. Without beams, and with odometry, the walls decide
-    (`PlaneHistory.weak_links`). From one log to the next there is no step: the place of a log in
-    the map is determined by a stretch of it.
+    (`PlaneHistory.weak_links`); steps that contradict odometry are listed, too. From one log to the
+    next there is no step: the place of a log in the map is determined by a stretch of it.
     """
     if _have_odometry(links):
-        return np.setdiff1d(history.weak_links, links.begun)
+        against = _against_odometry(submaps, links)
+        return np.setdiff1d(np.union1d(history.weak_links, against), links.begun)
     weak = np.zeros(history.n_iterations, dtype=np.bool_)
     weak[history.weak_links] = True
     free, least = free_directions(history), np.where(weak, CLEARLY, EXCLUDED)
@@ -110,6 +114,24 @@ def _steps(submaps: Sequence[WallSubmap]) -> tuple[Ints, Ints, Floats]:
     (before, after), every = np.concatenate(found, axis=1), np.concatenate(steps)
     order = np.argsort(after, kind="stable")
     return before[order], after[order], every[order]
+
+
+def _against_odometry(submaps: Sequence[WallSubmap], links: LinkRecord) -> Ints:
+    """Return the scans (k,) into which the step of the map contradicts odometry, but no link does.
+
+    Where walls measured another motion than odometry, odometry is rejected and reported.
+    """
+    wheels, motions, measured = links.wheels, links.motions, links.measured
+    noise = wheels.noise_over_all(motions, measured)
+    assert noise is not None
+    before, after, steps = _steps(submaps)
+    kept = (after == before + 1) & ~wheels.left_out(motions, measured)[after]
+    given = wheels.given.over(len(motions))[after]
+    kept &= np.isfinite(given[:, 0, 0])
+    after, steps, given = after[kept], steps[kept], given[kept]
+    off, (sd_m, _) = corrected(noise, given) - steps, noise.sigmas(given)
+    off_m = np.hypot(off[:, 1], off[:, 2])
+    return after[(off_m > AWAY_M) & (off_m > OTHERWISE * sd_m)]
 
 
 def _around(moved: Floats) -> Floats:
