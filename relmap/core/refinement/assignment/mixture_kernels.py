@@ -167,19 +167,27 @@ def settle_few(
                     squares[i, j] = np.exp((limit - squares[i, j]) / 2 + odds[s])
         share = weigh(squares, begin)
         for j in range(k):
-            for a in range(d):
-                for b in range(d):
-                    weights[a, b] = FAINT if a == b else 0.0
-                sums[a] = FAINT * means[j, a]
-            for i in range(n):
-                _add(placed[i], metric[i], share[i, j], weights, sums)
-            _divide(weights, sums, means[j])
+            _settle(placed, metric, share[:, j], means[j], weights, sums)
     _enter_squares(placed, metric, means, squares, apart)
     for i in range(n):
         for j in range(k):
             square += share[i, j] * squares[i, j]
             weight += share[i, j]
     return square, weight
+
+
+@helper
+def _settle(
+    placed: Floats, metric: Floats, share: Floats, mean: Floats, weights: Floats, sums: Floats
+) -> None:
+    """Move a landmark to the mean of shares (n,); `weights`, `sums` are overwritten."""
+    for a in range(len(mean)):
+        for b in range(len(mean)):
+            weights[a, b] = FAINT if a == b else 0.0
+        sums[a] = FAINT * mean[a]
+    for i in range(len(share)):
+        _add(placed[i], metric[i], share[i], weights, sums)
+    _divide(weights, sums, mean)
 
 
 @helper
