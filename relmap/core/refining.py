@@ -52,7 +52,8 @@ def refine_submaps(
     table, kept = engine.table, engine.store
     of, submaps = table.landmark_of, table.submap
     others = (submaps == NONE) & ~table.dynamic
-    seen = ambiguous(engine) if to_the_last else None
+    rays = engine.association.current.estimated
+    estimated = rays.covariances if rays is not None and rays.weighs else None
     has_all = to_the_last and engine.config.keep_observations
     found, end = [], kept.n_iterations
     for submap in sorted(table.submaps):
@@ -61,7 +62,8 @@ def refine_submaps(
         refined = refine_jointly(rows, table.position, chosen, of, others, since, is_known)
         weighed = len(engine.kept.covariance) > 0
         if refined is not None and weighed:
-            refined = refine_weighed(refined, engine.kept, of)
+            refined = refine_weighed(refined, engine.kept, of, estimated)
+        seen = ambiguous(engine) if to_the_last else None
         if refined is not None and seen is not None:
             refined = reassign(refined, *seen)
         elif refined is not None and has_all and not weighed:

@@ -117,7 +117,9 @@ def _extend_by_ids(engine: RelativeMapper) -> bool:
 def _repair(engine: RelativeMapper) -> None:
     """Repair a refined map and refine it again, as long as this changes enough."""
     grouped = engine.table.weight > 0
-    _reassign_tracks(engine)  # tracks that mix landmarks hide doubles and open loops
+    mixes = _reassign_tracks(engine)  # tracks that mix landmarks hide doubles and open loops
+    if mixes:
+        refine_map(engine, to_the_last=False)
     for k in range(ROUNDS):
         before = extent(engine)[0]
         found, (after, mapped) = _look_over(engine), extent(engine)
@@ -135,10 +137,11 @@ def _repair(engine: RelativeMapper) -> None:
         rare |= _wrong(engine)
     engine.table.take_off_map(np.flatnonzero(rare))
     if undone or rare.any() or engine.config.keep_observations or is_bridged(engine):
-        refine_map(engine)
+        refine_map(engine, to_the_last=not mixes)
     if not is_bridged(engine) and _merge_compatible(engine, at_last=True):
+        refine_map(engine, to_the_last=not mixes)
+    if _reassign_tracks(engine):
         refine_map(engine)
-    _reassign_tracks(engine)
 
 
 def _wrong(engine: RelativeMapper) -> Bools:
@@ -223,11 +226,14 @@ def _undo(engine: RelativeMapper) -> int:
     return len(tracks)
 
 
-def _reassign_tracks(engine: RelativeMapper) -> None:
-    """Let each track stand for the landmark to which most of its observations are assigned."""
+def _reassign_tracks(engine: RelativeMapper) -> bool:
+    """Let each track stand for the landmark to which most of its observations are assigned.
+
+    Returns whether tracks may mix landmarks; otherwise nothing is changed.
+    """
     table, seen = engine.table, ambiguous(engine)
     if seen is None or is_bridged(engine):
-        return
+        return False
     kept = engine.kept.landmark[~table.dynamic[table.now(engine.kept.landmark)]]
     goal = table.landmark_of.copy()
     for refined in engine.refined:
@@ -244,7 +250,7 @@ def _reassign_tracks(engine: RelativeMapper) -> None:
     first, of = np.unique(goal[some], return_index=True, return_inverse=True)[1:]
     pairs = np.column_stack([some, some[first[of]]])
     engine.merge_pairs(pairs[pairs[:, 0] != pairs[:, 1]])
-    refine_map(engine)
+    return True
 
 
 def _cut_loose(engine: RelativeMapper) -> bool:

@@ -22,10 +22,6 @@ REACH, BEYOND = 4.0, 1.0
 observations may be."""
 MOST = 6
 """Maximum number of landmarks fitted together."""
-WEIGHINGS = 10
-"""Number of rounds of weighing all assignments."""
-FAINT = 1e-9
-"""Weight, in observations, of where a landmark is: some have no observation nearby."""
 STARTS = 4
 """Number of scans whose observations are tried as landmarks."""
 AROUND = 8
@@ -79,33 +75,16 @@ class Mixture:
         The means of the best assignments are biased apart where landmarks are closer to each other
         than the noise. The error is that of a coordinate.
         """
-        settled, square, weight = self.positions.copy(), 0.0, 0.0
-        for group in self._groups():
-            others = group.some[self.exists[group.some]]
-            means, share = self._weighed(group, self.positions[others])
-            off = self._squares(group.rows, means[None])
-            square, weight = square + np.sum(share * off), weight + share.sum()
-            own = others == group.landmark
+        import relmap.core.refinement.assignment.mixture_kernels as kernels
+
+        settled, errors = self.positions.copy(), np.zeros(2)
+        for landmark, some, rows, begin, odds, _ in self._groups():
+            others = some[self.exists[some]]
+            means, placed, metric = self.positions[others], self.placed[rows], self.metric[rows]
+            errors += kernels.settle_few(placed, metric, begin, odds, LIMIT, means)
+            own = others == landmark
             settled[others[own]] = means[own]
-        return settled, square / (weight * self.placed.shape[1])
-
-    def _weighed(self, group: _Group, means: Floats) -> tuple[Floats, Floats]:
-        """Return means (k, d) of the observations (n, d), and the weights of these (n, k).
-
-        Expectation and maximisation in turns (Dempster, Laird and Rubin, 1977).
-        """
-        from relmap.core.refinement.assignment.mixture_kernels import weigh
-
-        metric, share = self.metric[group.rows], np.empty((0, 0))
-        weights = np.swapaxes(metric, 1, 2) @ metric
-        weighted = np.einsum("nij,nj->ni", weights, self.placed[group.rows])
-        odds = np.repeat(group.odds, np.diff(group.begin))[:, None] + LIMIT / 2
-        for _ in range(WEIGHINGS):
-            share = weigh(np.exp(odds - self._squares(group.rows, means[None]) / 2), group.begin)
-            total = np.tensordot(share, weights, (0, 0)) + FAINT * np.eye(means.shape[1])
-            sums = share.T @ weighted + FAINT * means
-            means = np.linalg.solve(total, sums[:, :, None])[:, :, 0]
-        return means, share
+        return settled, errors[0] / (errors[1] * self.placed.shape[1])
 
     def _squares(self, rows: Ints, positions: Floats) -> Floats:
         """Return the squared distances (n, k) of rows (n,) from positions (1 or n, k, d)."""

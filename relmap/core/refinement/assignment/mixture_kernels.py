@@ -10,6 +10,10 @@ from relmap.core.linalg.small_kernels import factorise, solve, square_between
 
 ROUNDS = 8
 """Maximum number of rounds of assigning observations and averaging them."""
+WEIGHINGS = 10
+"""Number of rounds of weighing all assignments."""
+FAINT = 1e-9
+"""Weight, in observations, of where a landmark is: some have no observation nearby."""
 
 
 @helper
@@ -112,21 +116,88 @@ def _average(
     placed: Floats, metric: Floats, found: Ints, means: Floats, weights: Floats, sums: Floats
 ) -> None:
     """Move each landmark with observations to their mean; `weights`, `sums` are overwritten."""
-    k, d = means.shape
     weights[:], sums[:] = 0.0, 0.0
     for i in range(len(found)):
-        for a in range(d if found[i] >= 0 else 0):
-            for b in range(d):
-                weight = 0.0
-                for c in range(d):
-                    weight += metric[i, c, a] * metric[i, c, b]
-                weights[found[i], a, b] += weight
-                sums[found[i], a] += weight * placed[i, b]
-    for j in range(k):
+        if found[i] >= 0:
+            _add(placed[i], metric[i], 1.0, weights[found[i]], sums[found[i]])
+    for j in range(len(means)):
         if weights[j, 0, 0] > 0:
-            factorise(weights[j])
-            solve(weights[j], sums[j])
-            means[j] = sums[j]
+            _divide(weights[j], sums[j], means[j])
+
+
+@helper
+def _add(point: Floats, metric: Floats, share: float, weights: Floats, sums: Floats) -> None:
+    """Add the weights (d, d) of a share of an observation, and the weighted sums (d,)."""
+    d = len(point)
+    for a in range(d):
+        for b in range(d):
+            weight = 0.0
+            for c in range(d):
+                weight += metric[c, a] * metric[c, b]
+            weights[a, b] += share * weight
+            sums[a] += share * weight * point[b]
+
+
+@helper
+def _divide(weights: Floats, sums: Floats, mean: Floats) -> None:
+    """Write the mean (d,); `weights`, `sums` are overwritten."""
+    factorise(weights)
+    solve(weights, sums)
+    for a in range(len(mean)):
+        mean[a] = sums[a]
+
+
+@compiled
+def settle_few(
+    placed: Floats, metric: Floats, begin: Ints, odds: Floats, limit: float, means: Floats
+) -> tuple[float, float]:
+    """Move landmarks to the means of all observations, by how probable it is that they are theirs.
+
+    Expectation and maximisation in turns (Dempster, Laird and Rubin, 1977). The arguments are those
+    of `fit_few`. Returns the sum of the squared errors, and the number of observations.
+    """
+    (n, d), k, square, weight = placed.shape, len(means), 0.0, 0.0
+    squares, share, apart = np.empty((n, k)), np.empty((n, k)), np.empty(d)
+    weights, sums = np.empty((d, d)), np.empty(d)
+    for _ in range(WEIGHINGS):
+        _enter_squares(placed, metric, means, squares, apart)
+        for s in range(len(odds)):
+            for i in range(begin[s], begin[s + 1]):
+                for j in range(k):
+                    squares[i, j] = np.exp((limit - squares[i, j]) / 2 + odds[s])
+        share = weigh(squares, begin)
+        for j in range(k):
+            _settle(placed, metric, share[:, j], means[j], weights, sums)
+    _enter_squares(placed, metric, means, squares, apart)
+    for i in range(n):
+        for j in range(k):
+            square += share[i, j] * squares[i, j]
+            weight += share[i, j]
+    return square, weight
+
+
+@helper
+def _settle(
+    placed: Floats, metric: Floats, share: Floats, mean: Floats, weights: Floats, sums: Floats
+) -> None:
+    """Move a landmark to the mean of shares (n,); `weights`, `sums` are overwritten."""
+    for a in range(len(mean)):
+        for b in range(len(mean)):
+            weights[a, b] = FAINT if a == b else 0.0
+        sums[a] = FAINT * mean[a]
+    for i in range(len(share)):
+        _add(placed[i], metric[i], share[i], weights, sums)
+    _divide(weights, sums, mean)
+
+
+@helper
+def _enter_squares(
+    placed: Floats, metric: Floats, means: Floats, squares: Floats, apart: Floats
+) -> None:
+    """Write the squared distances (n, k); `apart` (d,) is overwritten."""
+    for i in range(len(placed)):
+        for j in range(len(means)):
+            squares[i, j] = square_between(placed[i], means[j], metric, i, apart)
 
 
 @compiled

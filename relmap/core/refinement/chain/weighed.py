@@ -1,4 +1,4 @@
-"""Refinement by single observations, weighted by their given covariances.
+"""Refinement by single observations, weighted by their covariances, given or estimated.
 
 Observations with different, anisotropic noise cannot be summarised by segments. So they are kept,
 and the map refined by segments is the initial estimate. The problem is that of a chain of poses
@@ -7,6 +7,7 @@ without odometry.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -20,11 +21,18 @@ from relmap.core.refinement.observations import Observations, observations_of
 from relmap.core.state.kept import KeptObservations
 
 
-def refine_weighed(refined: Refined, kept: KeptObservations, of: Ints) -> Refined:
+def refine_weighed(
+    refined: Refined,
+    kept: KeptObservations,
+    of: Ints,
+    estimated: Callable[[Floats], Floats] | None = None,
+) -> Refined:
     """Return the landmark positions by observations weighted with their covariances.
 
     `refined`: the map refined by segments; `of` (k,): the landmark that each number stands for,
-    after merging.
+    after merging. `estimated`: covariances of points, robot frame. They are kept as they are where
+    the map predicts the observations: by measured distances, those that are measured too short
+    would weigh more, and landmarks be too near.
     """
     own = refined.landmarks, refined.positions
     seen, rows = observations_of(kept.location, of[kept.landmark], kept.iteration, *own)
@@ -32,7 +40,13 @@ def refine_weighed(refined: Refined, kept: KeptObservations, of: Ints) -> Refine
     counts = np.bincount(seen.landmark, minlength=len(refined.landmarks))
     if anchor == len(seen.iterations) or not counts.all():
         return refined
-    problem, settled = solve_weighed(seen, kept.covariance[rows], refined.positions, anchor)
+    covariance = kept.covariance.copy()
+    if estimated is not None:
+        R, t = _poses(seen, _root(covariance[rows]), refined.positions)
+        away = refined.positions[seen.landmark] - t[seen.iteration]
+        covariance[rows] = estimated(np.einsum("nji,nj->ni", R[seen.iteration], away))
+        kept.weigh(covariance)
+    problem, settled = solve_weighed(seen, covariance[rows], refined.positions, anchor)
     d = seen.points.shape[1]
     state, explained = settled.state, settled.weight == 1
     freedoms = max(problem.freedoms - d * np.sum(~explained), 1)
@@ -54,11 +68,21 @@ def solve_weighed(
 
     `covariance` (n, d, d) of the observations `seen`; `anchor`: index of the fixed iteration.
     """
-    root = np.linalg.inv(np.linalg.cholesky(covariance))
-    there, weight = positions[seen.landmark], np.sum(root**2, axis=(1, 2))
-    R, t, _ = fit_rigid_each(seen.points, there, weight, seen.iteration, len(seen.iterations))
+    root = _root(covariance)
+    R, t = _poses(seen, root, positions)
     d, none = seen.points.shape[1], np.full((len(t) - 1, 4, 4), np.nan)
     chain = Chain(seen.points, seen.landmark, seen.iteration, root, none)
     step_sd = none[:, 0, 0], none[:, 0, 0]
     problem = ChainProblem(chain, step_sd, Sigmas(), positions, anchor, turns_whole=False)
     return problem, settle(problem, Chained(positions, R, t, np.zeros(2 * d - 1)))
+
+
+def _root(covariance: Floats) -> Floats:
+    """Return matrices (n, d, d) that convert differences to standard deviations."""
+    return np.linalg.inv(np.linalg.cholesky(covariance))
+
+
+def _poses(seen: Observations, root: Floats, positions: Floats) -> tuple[Floats, Floats]:
+    """Return approximate poses (k, d, d) and (k, d) of the iterations; see `solve_weighed`."""
+    weight, there = np.sum(root**2, axis=(1, 2)), positions[seen.landmark]
+    return fit_rigid_each(seen.points, there, weight, seen.iteration, len(seen.iterations))[:2]
