@@ -131,7 +131,7 @@ def _against_odometry(submaps: Sequence[WallSubmap], links: LinkRecord) -> Ints:
     after, steps, given = after[kept], steps[kept], given[kept]
     off, (sd_m, _) = corrected(noise, given) - steps, noise.sigmas(given)
     off_m = np.hypot(off[:, 1], off[:, 2])
-    return after[(off_m > AWAY_M) & (off_m > OTHERWISE * sd_m)]
+    return np.asarray(after[(off_m > AWAY_M) & (off_m > OTHERWISE * sd_m)])
 
 
 def _around(moved: Floats) -> Floats:
