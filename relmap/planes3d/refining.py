@@ -89,9 +89,9 @@ def unsure_steps(part: Submap, is_broken: bool = False) -> dict[int, Floats]:
     displacement by the rotation at the range, exceeds 1.25 % of the range. So is a step that is
     unsteady in a direction in which a single landmark determines it, unsteady by far, or unlike
     those around it, or turns so, see `relmap.planes3d.certainty`, or if a step near the usual ones
-    explains more points, see `is_led_away`. `is_broken`: whether there are
-    other submaps; then so are all steps of a submap of at most six scans, as what broke the run
-    before or after them may have misled them.
+    explains more points, see `is_led_away`. `is_broken`: whether there are other submaps; then so
+    are all steps of a submap of at most six scans, as what broke the run before or after them may
+    have misled them.
 
     Each has the direction (3,) in which the translation is least certain, sensor frame.
     """
