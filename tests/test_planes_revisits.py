@@ -8,7 +8,7 @@ import pytest
 from relmap import PlaneMapper
 from relmap.core.arrays import Floats
 from relmap.datasets.scans import planar_poses
-from relmap.planes.submaps.doubtful import contradicted_revisits
+from relmap.planes.submaps.contradictions import contradicted_revisits
 from relmap.simulation import simulate_building
 from tests.worlds import fed
 

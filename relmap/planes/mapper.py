@@ -26,7 +26,8 @@ from relmap.planes.places.submap_ties import MapPart, tied_parts
 from relmap.planes.refinement.refining import planned_submaps, refined_submaps
 from relmap.planes.scans.beams import GivenBeams
 from relmap.planes.scans.observation import PlaneObservation, checked_planes, journaled, of_journal
-from relmap.planes.submaps.doubtful import contradicted_revisits, unsupported_links
+from relmap.planes.submaps.contradictions import contradicted_revisits
+from relmap.planes.submaps.doubtful import unsupported_links
 from relmap.planes.submaps.submap import torn_in
 
 if TYPE_CHECKING:

@@ -60,8 +60,9 @@ def fitted(
     if n_agreeing < 0:
         return here, there, extent_m, rows, shared, R, t, misfit, np.inf, np.inf
     misfit = misfits(picked(points, rows), picked(there, shared), R, t)
-    listed, k = misfit.copy(), len(rows)
-    usual, largest = smallest(listed, k // 2), smallest(listed, k - 1)
+    usual, largest = smallest(misfit.copy(), len(rows) // 2), 0.0
+    for off in misfit:
+        largest = max(largest, off)
     return here, there, extent_m, rows, shared, R, t, misfit, usual, largest
 
 
