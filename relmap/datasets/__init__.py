@@ -129,12 +129,10 @@ def open_scans(path: Path | str, format: str | None = None, topics: Sequence[str
 
     Parameters
     ----------
-    path : Path or str
-        A file, or a folder that holds a log.
+    path, topics
+        As for `open_log`.
     format : str or None
         One of `SCAN_FORMATS`; None: recognised by the content.
-    topics : sequence of str
-        Topics of a bag to read if there are several of a kind.
 
     Returns
     -------

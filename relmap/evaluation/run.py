@@ -85,22 +85,16 @@ def run_mapper(
         space, other logs.
     log : ObservationLog or ScanLog
         Landmarks for a point mapper, point scans for the others.
-    association : "nearest" or "known"
-        ``known`` passes the ids of the log to the mapper, ``nearest`` does not.
+    association, refine, odometry, progress
+        As for `map_log`.
     about : dict, optional
         Additional entries of the summary, such as the input.
     through : callable, optional
         Wraps the iterable of scans; if it ends early, so does the run.
-    refine : bool
-        Whether to refine the map at the end.
     seen : sequence of (n,) int64
         The labels of the scans of the log that the mapper has already processed.
     segmenter : PlaneSegmenter, optional
         Finds walls; by default one with the sensor limits given by the log.
-    odometry : bool
-        Whether to give the odometry of the log, if it has any, to the mapper.
-    progress : callable, optional
-        Called after each scan with the number of scans done and the total.
 
     Returns
     -------
