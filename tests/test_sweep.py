@@ -56,7 +56,7 @@ def expected() -> str:
             "seed": [0, 1],
         }
     )
-    return accuracy_csv(cells, [run_cell(cell) for cell in cells])
+    return accuracy_csv(cells, [run_cell(cell)[1] for cell in cells])
 
 
 def finished_cells(out: Path) -> dict[str, int]:
@@ -165,7 +165,7 @@ def test_a_missing_extra_is_tried_again(tmp_path: Path) -> None:
 
 
 def test_failures_are_listed_in_the_table() -> None:
-    finished = run_cell(Cell(density=0.3, iterations=3, method="batch"))
+    _, finished = run_cell(Cell(density=0.3, iterations=3, method="batch"))
     assert finished.note.startswith("failed: ")
     assert set(finished.figures.values()) == {None}
 
@@ -234,7 +234,7 @@ def test_a_killed_worker_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     def killed(cell: Cell) -> None:
         os.kill(os.getpid(), signal.SIGKILL)
 
-    monkeypatch.setattr(sweep_module, "with_its_cell", killed)
+    monkeypatch.setattr(sweep_module, "run_cell", killed)
     with pytest.raises(RelmapError, match="a worker process of the sweep was killed"):
         list(run_cells([Cell(), Cell(seed=1)], 2))
 

@@ -40,14 +40,14 @@ class Finished:
     again: bool = False
 
 
-def run_cell(cell: Cell) -> Finished:
+def run_cell(cell: Cell) -> tuple[Cell, Finished]:
     """Simulate the world of a cell and run its method; if it fails, the note gives the reason."""
     none: dict[str, float | None] = dict.fromkeys((*ACCURACY, *TIMES))
     missing = find_method(cell.method).missing
     if missing:
-        return Finished(none, f"not run: {missing}", again=True)
+        return cell, Finished(none, f"not run: {missing}", again=True)
     run, note = try_method(cell.method, cell.source(), cell.association, cell.sigma or None)
-    return Finished({name: run.figures[name] for name in none} if run else none, note)
+    return cell, Finished({name: run.figures[name] for name in none} if run else none, note)
 
 
 class CellStore:
@@ -99,7 +99,7 @@ def run_cells(
     """
     from joblib import Parallel, delayed
 
-    jobs = (delayed(with_its_cell)(cell) for cell in cells)
+    jobs = (delayed(run_cell)(cell) for cell in cells)
     with _cluster(scheduler) if scheduler else nullcontext():
         settings = {} if scheduler else {"n_jobs": workers}
         parallel = Parallel(return_as="generator_unordered", batch_size=1, **settings)
@@ -110,11 +110,6 @@ def run_cells(
                 "a worker process of the sweep was killed, perhaps because memory ran out: "
                 "the same command continues, with --workers 1 in less memory"
             ) from error
-
-
-def with_its_cell(cell: Cell) -> tuple[Cell, Finished]:
-    """Run a cell, and return it with its result."""
-    return cell, run_cell(cell)
 
 
 def _cluster(scheduler: str) -> AbstractContextManager[Any]:
