@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from matplotlib.figure import Figure
 
 from relmap.evaluation.surface_points import HALF, wall_points
-from relmap.figures.base import Outcome, PaperFigure, Table, Watch, judged
+from relmap.figures.base import Outcome, PaperFigure, Table, judged
 from relmap.plots.bench_recorder import COLUMNS, rows_of
 from relmap.plots.variants import BothMaps, both_maps, plot_both
 
@@ -16,11 +14,6 @@ MUCH = 2.0
 SPACING_M = 0.2
 NOISE = 0.3
 """Sigma over the spacing: points are no longer distinguishable from one scan to the next."""
-
-
-def _run(quick: bool, data: Path | None, watch: Watch) -> BothMaps:
-    """Map fixed points on the walls of a building as planes, and as points."""
-    return both_maps(wall_points(SPACING_M, NOISE, 0, QUICK_ITERATIONS if quick else None))
 
 
 def _judge(maps: BothMaps) -> Outcome:
@@ -62,7 +55,9 @@ FIGURE = PaperFigure(
         f"{HALF:.0%} of them are, or they are {MUCH:g} times as far off; partly where one holds"
     ),
     unit="RMSE of the corners in m",
-    run=_run,
+    run=lambda quick, data, watch: both_maps(
+        wall_points(SPACING_M, NOISE, 0, QUICK_ITERATIONS if quick else None)
+    ),
     judge=_judge,
     draw=_plot,
 )
