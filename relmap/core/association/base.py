@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.arrays import Floats, Ints
 
 if TYPE_CHECKING:
     from relmap.core.association.metric import RayNoise
@@ -76,13 +76,11 @@ class Numbered(Registration):
     def __init__(self) -> None:
         self.n_landmarks = 0
 
-    def number_new(self, landmarks: Ints) -> Bools:
-        """Give every `UNIDENTIFIED` entry (n,) a new number, in place; return which ones."""
-        new = landmarks == UNIDENTIFIED
-        n_new = int(new.sum())
-        landmarks[new] = self.n_landmarks + np.arange(n_new)
-        self.n_landmarks += n_new
-        return np.asarray(new)
+    def number_new(self, landmarks: Ints) -> None:
+        """Give every `UNIDENTIFIED` entry (n,) a new number, in place."""
+        new = np.flatnonzero(landmarks == UNIDENTIFIED)
+        landmarks[new] = self.n_landmarks + np.arange(len(new))
+        self.n_landmarks += len(new)
 
 
 def middle(values: Floats) -> float:

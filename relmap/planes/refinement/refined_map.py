@@ -158,7 +158,7 @@ def _solved(
             break
         before = poses
         numbers, (best, poses) = joined, again(joined, ROUGHLY)
-        if _moved_m(before, poses) < RESTING_M:
+        if np.nanmax(np.hypot(*(poses - before)[:, :2, 3].T)) < RESTING_M:
             break
     return _refined(_last(best, held, history), span, history), numbers
 
@@ -181,11 +181,6 @@ def _settled(best: Assembled, held: float) -> Assembled:
         if best.settled:
             break
     return best
-
-
-def _moved_m(before: Floats, poses: Floats) -> float:
-    """Return the largest movement of a scan between poses (k, 4, 4), NaN for other scans."""
-    return float(np.nanmax(np.hypot(*(poses - before)[:, :2, 3].T)))
 
 
 def _better(found: WallSubmap, chained: WallSubmap, history: PlaneHistory) -> bool:

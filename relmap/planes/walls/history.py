@@ -155,12 +155,6 @@ class PlaneHistory:
         """Return which iterations (k,) of the span of a submap belong to it."""
         return np.asarray(self.submap[slice(*span)] == self.submap[span[0]])
 
-    def within(self, span: tuple[int, int]) -> Ints:
-        """Return the rows of the iterations of a submap, by its span."""
-        begin, end = np.searchsorted(self.iteration, span).tolist()
-        own = self.own(span)[self.iteration[begin:end] - span[0]]
-        return np.arange(begin, end)[own]
-
 
 def first_of(n: int, pairs: Ints) -> Ints:
     """Return for each of n walls the first wall joined to it by pairs (k, 2)."""
