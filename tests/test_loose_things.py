@@ -18,6 +18,8 @@ from tests.worlds import refined, submap_ate_m
 BEARING = np.linspace(-np.pi / 2, np.pi / 2, 361)
 BODY_M = 0.2
 NO_WALLS = np.empty((0, 2, 2))
+EVERY = 7
+"""Of so many beams one hits clutter."""
 
 
 def seen_from(x_m: float, person: tuple[float, float] | None) -> Floats:
@@ -34,6 +36,13 @@ def seen_from(x_m: float, person: tuple[float, float] | None) -> Floats:
     return np.asarray(range_m[:, None] * ray)
 
 
+def cluttered(points: Floats, seed: int = 0) -> Floats:
+    """Return a scan in which some beams end at half of their range or less, at random."""
+    points, rng = points.copy(), np.random.default_rng(seed)
+    points[seed % EVERY :: EVERY] *= rng.uniform(0.2, 0.5, (len(points[seed % EVERY :: EVERY]), 1))
+    return points
+
+
 @pytest.mark.parametrize("person", [None, (2.0, 0.3), (4.0, -0.5)])
 def test_points_on_a_person_are_loose_and_those_on_walls_are_not(
     person: tuple[float, float] | None,
@@ -43,6 +52,16 @@ def test_points_on_a_person_are_loose_and_those_on_walls_are_not(
     if person is not None:
         on = np.hypot(*(beams.points - person).T) < BODY_M + 1e-6
     np.testing.assert_array_equal(beams.loose, on)
+
+
+def test_clutter_does_not_divide_a_person() -> None:
+    points = seen_from(0.0, (2.0, 0.3))
+    beams = GivenBeams.checked(cluttered(points), np.zeros(2))
+    on = np.hypot(*(beams.by_bearing[0] - [2.0, 0.3]).T) < BODY_M + 1e-6
+    assert on.sum() > 15
+    assert beams.loose[on].all()
+    on_wall = np.arange(len(points)) % EVERY != 0
+    assert not beams.loose[on_wall & ~on].any()
 
 
 def test_walls_on_a_person_are_loose_also_in_a_journal() -> None:
@@ -56,14 +75,17 @@ def test_walls_on_a_person_are_loose_also_in_a_journal() -> None:
     np.testing.assert_array_equal(checked_planes(of_journal(journaled(seen))).kind, seen.kind)
 
 
+@pytest.mark.parametrize("clutter", [False, True])
 @pytest.mark.parametrize("walks", [False, True])
-def test_whether_share_at_rest_is_known_from_accepted_links(walks: bool) -> None:
+def test_whether_share_at_rest_is_known_from_accepted_links(walks: bool, clutter: bool) -> None:
     n, step_m = 20, 0.1
     beams, none = BeamStore(), np.empty(0, dtype=np.int64)
     store = ObservationStore({"landmark": none, "location": NO_WALLS})
     for k in range(n):
         person = (3.0 + 0.1 * k * walks, 0.3)
-        beams.append(GivenBeams.checked(seen_from(step_m * k, person), np.zeros(2)))
+        points = seen_from(step_m * k, person)
+        points = cluttered(points, k) if clutter else points
+        beams.append(GivenBeams.checked(points, np.zeros(2)))
         store.append(none, NO_WALLS)
     motions, measured = np.tile([0.0, -step_m, 0.0], (n, 1)), np.ones(n, dtype=np.bool_)
     scans = Scans(store, beams, motions, measured, lambda a, b: None, none)

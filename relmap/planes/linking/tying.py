@@ -278,6 +278,7 @@ def _judged(scans: Scans, run: Sequence[int], fixed: bool) -> list[_Judged]:
 def share_at_rest(scans: Scans, is_tied: Bools, most: int = LINKS) -> float:
     """Return the fraction of the points on small free-standing objects that are still there later.
 
+    Clutter is left out of both scans: it differs in each, but by chance may be where an object was.
     `is_tied` (i,): whether the motion into each scan is accepted; `most`: approximate number of
     links to examine. Returns 0 if there is none.
     """
@@ -291,8 +292,11 @@ def share_at_rest(scans: Scans, is_tied: Bools, most: int = LINKS) -> float:
         if not is_tied[between].all():
             continue
         before, given = (scans.beams.given(scan) for scan in (later - apart, later))
-        if before.loose.any() and len(given.points):
-            motion, seen = motion_over(scans.motions[between]), (*given.by_bearing, given.origin)
-            stays, goes = seen_again(before.by_bearing[0][before.loose], seen, motion)
+        objects, firm = before.loose & ~before.clutter, ~given.clutter
+        if objects.any() and firm.any():
+            points, bearings = given.by_bearing
+            seen = points[firm], bearings[firm], given.origin
+            motion = motion_over(scans.motions[between])
+            stays, goes = seen_again(before.by_bearing[0][objects], seen, motion)
             there, gone = there + stays, gone + goes
     return there / (there + gone + UNKNOWN)

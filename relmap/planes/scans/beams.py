@@ -25,6 +25,9 @@ RECENT = 16
 """Number of scans whose beams are kept in order: neighbouring scans are compared repeatedly."""
 PER_SCAN = 2000
 """Maximum number of beams kept per scan, by subsampling: a cloud has a hundred thousand."""
+CLUTTER = 1 / 24
+"""Fraction of isolated points of a scan from which they are clutter: in other scans, an isolated
+one is more likely an object at rest."""
 ONE_WALL_M = 0.2
 """Standard deviation of the points of a scan across their main direction below which it shows one
 wall only: the motion along it is not determined by bends of decimetres."""
@@ -123,11 +126,23 @@ class GivenBeams:
         return points.take(order, axis=0), bearings[order]
 
     @cached_property
+    def clutter(self) -> Bools:
+        """Which points by bearing (n,) are isolated specks, if many are; otherwise none."""
+        from relmap.planes.scans.loose_kernels import isolated_points
+
+        found = isolated_points(*self.by_bearing, self.origin)
+        return np.asarray(found & (np.count_nonzero(found) >= CLUTTER * len(found)))
+
+    @cached_property
     def loose(self) -> Bools:
-        """Which points by bearing (n,) are on loose objects."""
+        """Which points by bearing (n,) are on loose objects; clutter does not divide them."""
         from relmap.planes.scans.loose_kernels import free_standing
 
-        return free_standing(*self.by_bearing, self.origin)
+        points, bearings = self.by_bearing
+        found, rest = free_standing(points, bearings, self.origin), ~self.clutter
+        if not rest.all():
+            found[rest] = free_standing(points[rest], bearings[rest], self.origin)
+        return found
 
     def to_bytes(self) -> bytes:
         """Return the values stored in a journal: order flag, origin and points."""

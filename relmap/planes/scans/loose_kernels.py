@@ -88,6 +88,16 @@ def _starts(points: Floats, origin: Floats) -> Bools:
     return starts
 
 
+@compiled
+def isolated_points(points: Floats, bearings: Floats, origin: Floats) -> Bools:
+    """Return which points (n,) are apart from those before and after them, and nearer."""
+    found, seen = _starts(points, origin), (points, bearings, origin)
+    for k in range(len(points)):
+        found[k] &= k + 1 < len(points) and found[k + 1]
+        found[k] &= _is_behind(seen, k, k - 1) and _is_behind(seen, k, k + 1)
+    return found
+
+
 @helper
 def _mark_free(
     seen: tuple[Floats, Floats, Floats], starts: Bools, known: Bools, found: Bools
