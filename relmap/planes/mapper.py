@@ -168,7 +168,9 @@ class PlaneMapper(LocatingMapper):
         self._onto, self._weak = False, None
         self._planes.links.tie()
         super()._finish()
-        self._planes.links.cut(unsupported_links(self.history, self._planes.links))
+        unsupported = unsupported_links(self.history, self._planes.links)
+        self._planes.links.cut(unsupported)
+        self._planes.links.tie_adjoining(unsupported.tolist())
         for span in self.history.spans:
             afterwards.found_late(self.engine, *span)
 
