@@ -109,6 +109,25 @@ def test_landmarks_closer_than_the_noise_are_not_biased_apart() -> None:
     assert square == pytest.approx(1.0, abs=0.05)
 
 
+def test_a_landmark_that_the_map_lacks_is_found() -> None:
+    """One of two, 2.5 standard deviations apart, is not mapped, and the other is between them."""
+    rng = np.random.default_rng(3)
+    truth = np.array([[0.0, 0], [9, 1], [1, 9], [-8, 2], [3, -9], [9, 9], [2.5, 0]])
+    seen = rng.uniform(size=(40, 7)) < 0.9
+    points = np.concatenate([truth[row] + rng.normal(size=(row.sum(), 2)) for row in seen])
+    scan, own = np.nonzero(seen)
+    equal = np.broadcast_to(np.eye(2), (len(points), 2, 2))
+    positions = truth[:6].copy()
+    positions[0, 0], own[own == 6] = 1.25, -1
+    mixture = Mixture(points, equal, scan, own, positions, np.ones(6, dtype=np.bool_))
+    mixture.fit()
+    settled = mixture.settled()[0]
+    assert len(settled) == 7
+    assert mixture.exists.all()
+    pair = settled[[0, 6]]
+    np.testing.assert_allclose(pair[np.argsort(pair[:, 0])], truth[[0, 6]], atol=0.6)
+
+
 @pytest.mark.parametrize("seed", [5, 8])
 def test_ambiguous_matches_do_not_spoil_a_map(seed: int) -> None:
     """With a fifth of the spacing as noise, landmarks were doubled, and others between two."""

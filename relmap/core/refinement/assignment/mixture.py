@@ -62,7 +62,7 @@ class Mixture:
     exists: Bools
 
     def fit(self) -> None:
-        """Fit each landmark together with those around."""
+        """Fit each landmark together with those around; those that the map lacks come last."""
         for group in self._groups():
             self._fit(group)
         found = np.flatnonzero(self.own != NONE)
@@ -133,17 +133,25 @@ class Mixture:
         self._take(some, rows, *max(fits, key=lambda fit: fit[0])[1:])
 
     def _starts(self, some: Ints, rows: Ints, begin: Ints) -> list[Floats]:
-        """Return positions (j, d) of landmarks, at most as many as `some`, to start from."""
+        """Return positions (j, d) of landmarks, at most one more than `some`, to start from."""
         now, placed = self.positions[some[self.exists[some]]], self.placed[rows]
         fewer = [np.delete(now, k, axis=0) for k in range(len(now))] if len(now) > 1 else []
         fullest = np.argsort(-np.diff(begin), kind="stable")[:STARTS]
         shown = [placed[begin[k] : begin[k + 1]] for k in fullest]
-        return [now, *fewer, *(points for points in shown if len(points) <= len(some))]
+        most = min(len(some) + 1, MOST)
+        return [now, *fewer, *(points for points in shown if len(points) <= most)]
 
     def _take(self, some: Ints, rows: Ints, means: Floats, found: Ints) -> None:
-        """Take over a fit; the landmarks keep the numbers of most of their observations."""
+        """Take over a fit; the landmarks keep the numbers of most of their observations.
+
+        If there is one more than before, it is added.
+        """
         from scipy.optimize import linear_sum_assignment
 
+        if len(means) > len(some):
+            some = np.append(some, len(self.positions))
+            self.positions = np.append(self.positions, means[:1], axis=0)
+            self.exists = np.append(self.exists, False)
         both = (found != NONE) & (self.own[rows] != NONE)
         shared = np.zeros((len(means), len(some)))
         np.add.at(shared, (found[both], np.searchsorted(some, self.own[rows[both]])), 1)

@@ -93,15 +93,17 @@ def reassign(
 ) -> Refined:
     """Return a refined submap with each observation assigned anew to a landmark of it.
 
-    Landmarks that explain no more than one observation are left out; the submap stays as it is if
-    single scans, or what is left, do not determine it. The covariances are those of the refined
+    Landmarks that explain no more than one observation are left out, and so are those found beside
+    them, which no track stands for; the submap stays as it is if single scans, or what is left, do
+    not determine it. The covariances are those of the refined
     submap. Parameters as of `reassigned`.
     """
     new, determined = _assigned(refined, points, seen, when, covariances)
     if not determined:
         return refined
     new.settle()
-    moved, exists = new.positions[new.exists], new.exists
+    exists = new.exists[: len(refined.landmarks)]
+    moved = new.positions[: len(exists)][exists]
     R, t = fit_rigid(moved, refined.positions[exists])
     return replace(refined.only(exists), positions=moved @ R.T + t)
 
@@ -116,7 +118,9 @@ def reassigned(
     equal.
     """
     new, _ = _assigned(refined, points, seen, when, covariances)
-    return np.append(refined.landmarks, NONE)[new.own]
+    landmarks = np.full(len(new.positions) + 1, NONE)  # the last one is that of no landmark
+    landmarks[: len(refined.landmarks)] = refined.landmarks
+    return landmarks[new.own]
 
 
 def _assigned(
