@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -70,6 +72,20 @@ def test_a_path_is_eliminated_without_filling() -> None:
     pattern = Pattern.of_cliques(np.ones(n, dtype=np.int64), 2 * np.arange(n), pairs.ravel())
     # The last two stand in one panel, a square.
     assert pattern.size == 2 * n
+
+
+def test_couplings_over_a_long_way_are_in_the_pattern() -> None:
+    n = 4000
+    ring = np.column_stack([np.arange(n), (np.arange(n) + 1) % n])
+    hub = np.column_stack([np.arange(n), np.full(n, n)])
+    cliques = np.concatenate([ring, hub]).ravel()
+    width = np.ones(n + 1, dtype=np.int64)
+    pattern = Pattern.of_cliques(width, 2 * np.arange(2 * n + 1), cliques)
+    start, panel_of, begin, rows, _ = pattern.layout
+    panels = [set(rows[first:stop].tolist()) for first, stop in itertools.pairwise(begin)]
+    for p, panel in enumerate(panels):
+        below = {row for row in panel if row >= start[p + 1]}
+        assert not below or below <= panels[panel_of[min(below)]]
 
 
 def test_a_singular_pivot_leaves_its_unknown_unchanged() -> None:

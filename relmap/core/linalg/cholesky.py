@@ -21,10 +21,6 @@ if TYPE_CHECKING:
     from relmap.core.linalg.cholesky_kernels import Layout
 
 
-FAINT = 1e-6
-"""Excess of a diagonal entry over the others of its row in a graph that is only ordered."""
-
-
 class Pattern:
     """Elimination order and sparsity pattern of the factor.
 
@@ -62,8 +58,8 @@ class Pattern:
         """
         from relmap.core.linalg.cholesky_kernels import panels
 
-        order, tied_begin, tied = _minimum_degree(len(width), begin, cliques)
-        first, (start, column_of, row_begin, rows, offset) = panels(width, order, tied_begin, tied)
+        order = _minimum_degree(len(width), begin, cliques)
+        first, (start, column_of, row_begin, rows, offset) = panels(width, order, begin, cliques)
         panel = len(column_of) * np.repeat(np.arange(len(start) - 1), np.diff(row_begin))
         return cls(first, (start, column_of, row_begin, np.sort(panel + rows) - panel, offset))
 
@@ -167,16 +163,14 @@ class Pattern:
         return found
 
 
-def _minimum_degree(n: int, begin: Ints, cliques: Ints) -> tuple[Ints, Ints, Ints]:
-    """Return SuperLU's fill-reducing elimination order (n,), and the blocks coupled to each.
+def _minimum_degree(n: int, begin: Ints, cliques: Ints) -> Ints:
+    """Return SuperLU's fill-reducing elimination order (n,).
 
-    As `begin` (n + 1,) and `tied`: those coupled to the first, second, ... when it is eliminated.
+    Its factor does not show which blocks are coupled: entries may underflow to zero.
     """
     member = sparse.csr_array((np.ones(len(cliques)), cliques, begin), (len(begin) - 1, n))
     shared = member.T @ member
-    # Off the diagonal no entry is positive: those of the factor neither cancel nor fade to zero.
-    graph = sparse.csc_array(sparse.diags_array(shared.sum(axis=1) + FAINT) - shared)
+    graph = sparse.csc_array(sparse.diags_array(shared.sum(axis=1)) + shared)
     options = {"SymmetricMode": True}
     found = splu(graph, "MMD_AT_PLUS_A", diag_pivot_thresh=0, relax=1, options=options)
-    order, below = np.argsort(found.perm_c), sparse.tril(found.L, -1, "csc")
-    return order, below.indptr.astype(np.int64), order[below.indices]
+    return np.argsort(found.perm_c)

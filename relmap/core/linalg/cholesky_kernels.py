@@ -46,18 +46,60 @@ def _heads(width: Ints, order: Ints, begin: Ints, place: Ints, tied: Ints) -> In
     return heads[: count + 1]
 
 
+@helper
+def _coupled(order: Ints, place: Ints, begin: Ints, cliques: Ints) -> tuple[Ints, Ints]:
+    """Return the blocks coupled to each when it is eliminated, as `begin` (n + 1,) and blocks.
+
+    A clique waits for the first of its blocks. There, all that wait are united, and what is left
+    waits for the next (symbolic multifrontal factorisation; Duff and Reid, 1983).
+    """
+    n, given = len(order), len(begin) - 1
+    stop, tied = np.zeros(n + 1, dtype=np.int64), np.empty(len(cliques), dtype=np.int64)
+    waiting, following = np.full(n, -1), np.full(given + n, -1)
+    taken = np.full(n, -1)
+    for c in range(given):
+        _wait(c, cliques[begin[c] : begin[c + 1]], place, waiting, following)
+    for p in range(n):
+        taken[p], count, c = p, stop[p], waiting[p]
+        while c >= 0:
+            if c < given:
+                blocks = cliques[begin[c] : begin[c + 1]]
+            else:
+                blocks = tied[stop[c - given] : stop[c - given + 1]]
+            for block in blocks:
+                if taken[place[block]] == p:
+                    continue
+                if count == len(tied):
+                    tied = np.append(tied, tied)
+                tied[count], taken[place[block]] = block, p
+                count += 1
+            c = following[c]
+        stop[p + 1] = count
+        _wait(given + p, tied[stop[p] : count], place, waiting, following)
+    return stop, tied
+
+
+@helper
+def _wait(clique: int, blocks: Ints, place: Ints, waiting: Ints, following: Ints) -> None:
+    """Let a clique wait for the first of its blocks to be eliminated."""
+    if len(blocks):
+        first = place[blocks].min()
+        following[clique], waiting[first] = waiting[first], clique
+
+
 @compiled
-def panels(width: Ints, order: Ints, begin: Ints, tied: Ints) -> tuple[Ints, Layout]:
+def panels(width: Ints, order: Ints, begin: Ints, cliques: Ints) -> tuple[Ints, Layout]:
     """Return the first unknown (b,) of each block, and the layout of the factor.
 
     The rows of a panel are not in order yet. `width` (n,): unknowns of each block; `order` (n,):
-    the blocks as they are eliminated; `begin` (n + 1,), `tied`: those coupled to each then.
+    the blocks as they are eliminated; `begin` (c + 1,), `cliques`: as of `Pattern.of_cliques`.
     """
     n = len(order)
     place, at = np.empty(n, dtype=np.int64), np.zeros(n + 1, dtype=np.int64)
     for p in range(n):
         place[order[p]] = p
         at[p + 1] = at[p] + width[order[p]]
+    begin, tied = _coupled(order, place, begin, cliques)
     heads = _heads(width, order, begin, place, tied)
     m = len(heads) - 1
     start, first = np.empty(m + 1, dtype=np.int64), np.empty(n, dtype=np.int64)
