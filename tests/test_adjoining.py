@@ -119,23 +119,6 @@ def test_ties_remain_when_a_map_is_finished_again() -> None:
     assert first[0] == first[1] == first[2]
 
 
-def test_a_link_that_is_cut_is_found_again_by_the_scans_around_it(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Beams of two scans may prefer another motion, those of eight know which it is."""
-    building = simulate_building(
-        points=361, sigma=0.01, sampling="laser", iterations=60, step_m=STEP_M
-    )
-    monkeypatch.setattr("relmap.planes.mapper.unsupported_links", lambda *_: np.array([20, 33]))
-    mapper = fed(PlaneMapper(), (scan.points[:, :2] for scan in building.scans))
-    mapper.finish()
-    assert len(mapper.submaps) == 1
-    links = mapper.engine.association.registration.links  # type: ignore[attr-defined]
-    for scan in (20, 33):
-        true = across(scan, building.trajectory)
-        np.testing.assert_allclose(links.motions[scan], true, atol=0.05)
-
-
 def test_a_torn_map_is_cut_where_only_the_beams_tied_it() -> None:
     record, still = LinkRecord(1.0), np.zeros(3)
     none: Any = SimpleNamespace(beams=GivenBeams.checked(np.empty((0, 2)), np.zeros(2)))

@@ -168,9 +168,7 @@ class PlaneMapper(LocatingMapper):
         self._onto, self._weak = False, None
         self._planes.links.tie()
         super()._finish()
-        unsupported = unsupported_links(self.history, self._planes.links)
-        self._planes.links.cut(unsupported)
-        self._planes.links.tie_adjoining(unsupported.tolist())
+        self._planes.links.cut(unsupported_links(self.history, self._planes.links))
         for span in self.history.spans:
             afterwards.found_late(self.engine, *span)
 

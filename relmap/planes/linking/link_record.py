@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import replace
 from functools import partial
@@ -156,10 +156,11 @@ class LinkRecord:
             in_doubt[:1] = False
             more, _ = judged_links(replace(self.scans, firm=True), is_tied, in_doubt)
             self._take(more)
-        self.tie_adjoining(range(1, len(self)))
+        self._take_adjoining(cut)
+        self.wheels.look_again()
 
-    def tie_adjoining(self, at: Iterable[int]) -> None:
-        """Tie submaps that are adjacent in time, at breaks before some scans.
+    def _take_adjoining(self, cut: Sequence[int]) -> None:
+        """Tie submaps that are adjacent in time, other than at scans where one was cut.
 
         The beams supply candidates only where no motion by walls is certain any more.
         """
@@ -167,16 +168,15 @@ class LinkRecord:
         by_beams, found = False, True
         while found or not by_beams:
             by_beams, found = not found, False
-            for scan in at:
+            for scan in range(1, len(self)):
                 own, other = self.submaps[scan - 1 : scan + 1].tolist()
-                if min(own, other) < 0 or own == other:
+                if min(own, other) < 0 or own == other or scan in cut:
                     continue
                 link = tied_across(scans, self.submaps, scan, failed if by_beams else None)
                 if link is not None:
                     self._take([link])
                     self.evidence[scan] = BY_BEAMS if by_beams else RIVAL
                     found = True
-        self.wheels.look_again()
 
     def _take(self, links: Sequence[Link]) -> None:
         """Add links that were accepted later."""
