@@ -93,10 +93,9 @@ def reassign(
 ) -> Refined:
     """Return a refined submap with each observation assigned anew to a landmark of it.
 
-    Landmarks that explain no more than one observation are left out, and so are those found beside
-    them, which no track stands for; the submap stays as it is if single scans, or what is left, do
-    not determine it. The covariances are those of the refined
-    submap. Parameters as of `reassigned`.
+    Landmarks that explain no more than one observation are left out, and so are those that were
+    added, which have no track. The submap stays as it is if single scans, or what is left, do not
+    determine it. The covariances are those of the refined submap. Parameters as of `reassigned`.
     """
     new, determined = _assigned(refined, points, seen, when, covariances)
     if not determined:
