@@ -56,7 +56,7 @@ class Pattern:
         `width` (b,): number of unknowns of each block; at least 1. `begin` (g + 1,); `cliques`
         (begin[-1],): the blocks of each clique, concatenated, without duplicates in a clique.
         """
-        from relmap.core.linalg.cholesky_kernels import panels
+        from relmap.core.linalg.symbolic_kernels import panels
 
         order = _minimum_degree(len(width), begin, cliques)
         first, (start, column_of, row_begin, rows, offset) = panels(width, order, begin, cliques)
