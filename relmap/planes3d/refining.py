@@ -29,9 +29,9 @@ FEW = 6
 """Number of scans of a submap of a broken run whose steps are too few to be compared."""
 UNSURE = 0.0125
 """Standard deviation of an unsure step, as a fraction of the range."""
-SMALL, BRIEF = 0.04, 6
+SMALL = 0.04
 """Extent of a landmark, the standard deviation of its points as a fraction of the range, below
-which it may be a piece of a person, unless more scans than the second value saw it."""
+which it may be a piece of a person if few scans saw it."""
 ACROSS = 0.2
 """Cosine of a normal and a direction above which the plane shows where a scan is along it."""
 MOVING = 1e-6
@@ -100,7 +100,7 @@ def unsure_steps(part: Submap, is_broken: bool = False) -> dict[int, Floats]:
     Each has the direction (3,) in which the translation is least certain, sensor frame.
     """
     seen, state, share = _observed(part)
-    covariance = step_covariances(_without(seen, _is_brief(part)), state, share)
+    covariance = step_covariances(_without(seen, _may_walk(part)), state, share)
     turn_m2 = np.linalg.eigvalsh(covariance[:, :3, :3])[:, 2]
     way_m2, axes = np.linalg.eigh(covariance[:, 3:, 3:])
     reach_m = np.array([each.reach_m for each in part.seen])
@@ -158,12 +158,11 @@ def _without(seen: Sightings, left_out: Bools) -> Sightings:
     return replace(seen, information=weight[:, None] * seen.information)
 
 
-def _is_brief(part: Submap) -> Bools:
-    """Return which landmarks (l,) are small, and were seen by few scans."""
+def _may_walk(part: Submap) -> Bools:
+    """Return which landmarks (l,) may be pieces of people: small ones that few scans saw."""
     reach_m = float(np.median([seen.reach_m for seen in part.seen]))
     extent_m = np.sqrt(part.all_planes().spread[:, :2].prod(axis=1))
-    scans = np.bincount(np.concatenate([np.unique(match) for match in part.match]))
-    return np.asarray((extent_m < SMALL * reach_m) & (scans <= BRIEF))
+    return np.asarray(part.is_brief & (extent_m < SMALL * reach_m))
 
 
 def scene(part: Submap) -> Scene:
