@@ -18,8 +18,8 @@ MOST_LOOSE = 20
 """Maximum number of points on no plane that are kept in a cube of half a cell of the map."""
 THROUGH, MANY, BRIEF = 0.2, 3, 6
 """A plane is dynamic if more than this fraction of the looks at its cells, and this number of them,
-go through: of a box that moves along one of its faces, a scan sees this plane somewhere else. Of a
-plane that at most so many scans saw as the third value, half of this fraction is enough."""
+go through: of a box that moves along one of its faces, a scan sees this plane somewhere else. If no
+more scans than the third value saw the plane, half of this fraction is enough."""
 
 
 class Submap:
