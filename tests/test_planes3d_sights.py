@@ -48,6 +48,7 @@ def test_a_plane_that_scans_saw_through_before_or_after_is_dynamic(
     [
         (6, (88, 12), True),
         (6, (92, 8), False),
+        (6, (30, 6), False),
         (7, (88, 12), False),
         (7, (78, 22), True),
         (7, (0, 4), True),

@@ -19,7 +19,7 @@ MOST_LOOSE = 20
 THROUGH, MANY, BRIEF = 0.2, 3, 6
 """A plane is dynamic if more than this fraction of the looks at its cells, and this number of them,
 go through: of a box that moves along one of its faces, a scan sees this plane somewhere else. If no
-more scans than the third value saw the plane, half of this fraction is enough."""
+more scans than the third value saw the plane, half of this fraction of twice as many is enough."""
 
 
 class Submap:
@@ -158,7 +158,7 @@ class Submap:
         none = np.zeros(2, dtype=np.int64)
         looks = [self.sights.get(number, none) for number in self.number.tolist()]
         there, through = np.reshape(looks, (-1, 2)).T
-        share = np.where(self.is_brief, THROUGH / 2, THROUGH)
+        share = np.where(self.is_brief & (through > 2 * MANY), THROUGH / 2, THROUGH)
         return np.asarray((through > MANY) & (through > share * (there + through)))
 
     @property
