@@ -4,11 +4,11 @@
 
 prints one table in markdown; DATA is a folder of the real data sets. relmap maps each log with
 default settings and the published ids, or where the row says so with its own association. The batch
-(in `references/`) has the ids. It starts from odometry, with `--from-map` from relmap's map, which
-takes minutes less on long logs; Huber's loss first makes the result independent of the start. GTSAM
-(``relmap[peers]``) starts where the batch does. Both get the residuals and the noise that relmap
-estimates, with Cauchy's loss. Errors are RMS over the mapped landmarks seen ten times, after rigid
-alignment.
+(in `references/`) has the published ids, or where the row says so relmap's matches as ids. It
+starts from odometry, with `--from-map` from relmap's map, which takes minutes less on long logs;
+Huber's loss first makes the result independent of the start. GTSAM (``relmap[peers]``) starts where
+the batch does. Both get the residuals and the noise that relmap estimates, with Cauchy's loss.
+Errors are RMS over the mapped landmarks seen ten times, after rigid alignment.
 
   error      from the true landmarks, where these are known
   apart      from those of the batch
@@ -48,12 +48,13 @@ from relmap.evaluation.metrics import majority_ids
 from relmap.evaluation.truth import read_truth
 
 MRCLAM = "mrclam-dataset6"
-OWN = ", own association"
+OWN, MATCHES = ", own association", ", own association; batch of its matches"
 LOGS = {
     "Victoria Park": ("victoria-park", ""),
     f"Victoria Park{OWN}": ("victoria-park", ""),
     "DLR circles": ("dlr-circles", ""),
     f"DLR circles{OWN}": ("dlr-circles", ""),
+    f"DLR circles{MATCHES}": ("dlr-circles", ""),
     "I-SLSJF simulation": ("slsjf-sim-8240", "slsjf-sim-8240"),
     **{
         f"MRCLAM 6, robot {k}": (f"{MRCLAM}/Robot{k}_Measurement.dat.gz", MRCLAM)
@@ -75,18 +76,26 @@ def main() -> None:
     header("log", "landmarks", *errors, *apart, "residuals")
     for name in filter(partial(fnmatch, pat=given.log), LOGS):
         path, truth = LOGS[name]
-        association: Association = "nearest" if name.endswith(OWN) else "known"
-        truth_folder = truth and given.data / truth
-        row(name, *_cells(given.data / path, truth_folder, association, given.from_map))
+        log, truth_folder = open_log(given.data / path), truth and given.data / truth
+        association: Association = "nearest" if OWN in name else "known"
+        takes = name.endswith(MATCHES)
+        row(name, *_cells(log, truth_folder, association, takes, given.from_map))
 
 
-def _cells(path: Path, truth: Path | str, association: Association, from_map: bool) -> list[str]:
-    log = open_log(path)
-    assert log.ids is not None
+def _cells(
+    log: ObservationLog,
+    truth: Path | str,
+    association: Association,
+    takes_matches: bool,
+    from_map: bool,
+) -> list[str]:
     mapper = PointMapper()
-    labels = feed(mapper, log, association, refine=True, odometry=True).labels
+    labels = np.concatenate(feed(mapper, log, association, refine=True, odometry=True).labels)
+    if takes_matches:
+        log = replace(log, ids=mapper.landmarks_of(labels))
+    assert log.ids is not None
     problem, ids = problem_of(log, mapper)
-    own = _placed(mapper, ids, log.ids, np.concatenate(labels))
+    own = _placed(mapper, ids, log.ids, labels)
     first = _begun(problem, own, mapper) if from_map else start(problem)
     begun = solved(problem, first, loss=CONVEX)
     batch = solved(problem, begun)

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 from numba.core import event
 from numba.core.compiler import Flags
+from numba.core.cpu import CPUContext
 from numba.core.runtime import nrt
 
 import relmap
@@ -320,6 +321,17 @@ def test_a_helper_is_compiled_once_whatever_constants_it_gets() -> None:
     powers = afresh(lambda x, n: raised(x, 2) + raised(x, 3) + raised(x, n))
     assert powers(2.0, 4) == 4 + 8 + 16
     assert len(raised.signatures) == 1
+
+
+def powers(x: float) -> tuple[float, ...]:
+    return x**2, (x + 1) ** 3, x**1, x**4
+
+
+def test_powers_are_multiplied_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    x = 0.1
+    assert afresh(powers)(x) == (x * x, (x + 1) * ((x + 1) * (x + 1)), x, x * x * (x * x))
+    monkeypatch.setattr(CPUContext, "compile_internal", None)  # would compile a loop over bits
+    assert afresh(lambda x: x**2 + x**3)(x) == x * x + x * (x * x)
 
 
 def test_options_are_compared_as_by_numba() -> None:

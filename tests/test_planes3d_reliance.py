@@ -85,6 +85,22 @@ def test_a_steady_path_that_depends_on_one_wall_is_not_listed() -> None:
     assert unsure_steps(part) == {}
 
 
+@pytest.mark.parametrize(
+    ("extent", "scans", "listed"), [(0.14, 6, True), (0.14, 7, False), (0.3, 6, False)]
+)
+def test_steps_that_only_small_planes_of_few_scans_determine_are_listed(
+    extent: float, scans: int, listed: bool
+) -> None:
+    # Along a corridor two people walk ahead of the sensor, which seems to stand still.
+    long, small = np.array([3.0, 1.0, 1.0]), np.array([1.0, extent, extent])
+    backs = [wall(0, 3.0) * small + [0.0, 0.8, 0.0], wall(0, 3.3) * small - [0.0, 0.8, 0.0]]
+    seen, part = patches(wall(1, 2.0) * long, wall(2, -2.0) * long, *backs), Submap()
+    for k in range(2 * scans):
+        number = np.array([0, 1, 2 + 2 * (k // scans), 3 + 2 * ((k + 3) // scans)])
+        part.add(k, seen, (np.eye(3), np.zeros(3)), number)
+    assert sorted(unsure_steps(part)) == (list(range(1, 2 * scans)) if listed else [])
+
+
 @pytest.mark.parametrize(("scans", "listed"), [(2, [1]), (6, [1, 2, 3, 4, 5]), (7, [])])
 def test_the_steps_of_a_few_scans_that_a_break_left_are_listed(
     scans: int, listed: list[int]

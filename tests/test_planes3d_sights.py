@@ -43,6 +43,26 @@ def test_a_plane_that_scans_saw_through_before_or_after_is_dynamic(
     assert mapped(*screens).planes.status.tolist() == ["static"] * 3 + ["dynamic"]
 
 
+@pytest.mark.parametrize(
+    ("scans", "looks", "dynamic"),
+    [
+        (6, (88, 12), True),
+        (6, (92, 8), False),
+        (6, (30, 6), False),
+        (7, (88, 12), False),
+        (7, (78, 22), True),
+        (7, (0, 4), True),
+        (7, (0, 3), False),
+    ],
+)
+def test_a_plane_that_few_scans_saw_is_dynamic_if_fewer_looks_go_through(
+    scans: int, looks: tuple[int, int], dynamic: bool
+) -> None:
+    part = mapped(*[STANDS] * scans, *[None] * 4).submaps[0]
+    part.sights[3] = np.array(looks)
+    assert part.is_dynamic.tolist() == [False] * 3 + [dynamic]
+
+
 def test_a_plane_that_is_always_there_is_static() -> None:
     assert (mapped(*[STANDS] * 8).planes.status == "static").all()
 

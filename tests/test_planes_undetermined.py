@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from relmap.planes import PlaneMapper
 from relmap.planes.linking.registration import PlaneRegistration
 from relmap.planes.places.implied_steps import ImpliedSteps
-from relmap.planes.places.submap_ties import MapPart
+from relmap.planes.places.map_part import MapPart
 from relmap.planes.places.wall_tie import WallTie
 from relmap.planes.scans.beams import PlacedBeams
 from relmap.planes.submaps.doubtful import (

@@ -13,7 +13,8 @@ from relmap import PlaneMapper
 from relmap.core.arrays import Floats, Ints
 from relmap.planes import mapper as planes_mapper
 from relmap.planes.places import submap_ties
-from relmap.planes.places.submap_ties import MapPart, tied_parts
+from relmap.planes.places.map_part import MapPart
+from relmap.planes.places.submap_ties import tied_parts
 from relmap.planes.places.wall_tie import WallPoints, WallTie
 from relmap.planes.places.wall_tie_kernels import fit
 from relmap.planes.scans.beams import PlacedBeams
@@ -132,6 +133,32 @@ def test_a_corridor_is_placed_by_its_doors() -> None:
     np.testing.assert_allclose(joined.members[1][1][:2, 3], T, atol=1e-3)
     even = corridor_past(np.arange(1.0, 58, 2))
     assert len(tied_parts([part_of(k, even, sensors, moved=bool(k)) for k in range(2)])) == 2
+
+
+def corridor_with_rooms(number: int, open_m: Sequence[float]) -> MapPart:
+    """Return a corridor with niches, and three doors: open to a room, or shut and not mapped."""
+    depth_m = dict.fromkeys((3.0, 8.5, 18.7), 0.3) | dict.fromkeys((5.5, 11.0, 21.0), 0.1)
+    depth_m |= dict.fromkeys(open_m, 3.0)
+    below = [
+        [[x, 0.0], [x, -depth], [x + 0.9, -depth], [x + 0.9, 0.0]]
+        for x, depth in sorted(depth_m.items())
+    ]
+    end = [[24.0, 0.0], [24.0, 2.4], [15.0, 2.4], [15.0, 4.0], [13.0, 4.0], [13.0, 2.4], [0.0, 2.4]]
+    sensors = np.column_stack([np.arange(1.0, 24.0), np.ones(23)])
+    part = part_of(number, np.concatenate([[[0.0, 0.0]], *below, end]), sensors)
+    mapped = (part.ends[:, :, 1] != -0.1).all(axis=1)
+    return replace(part, ends=part.ends[mapped], walls=part.walls[mapped])
+
+
+@pytest.mark.parametrize(
+    ("open_m", "others_m", "n_maps"), [([], [], 1), ([5.5], [], 1), ([5.5], [11.0], 2)]
+)
+def test_corridors_whose_doors_differ_are_two(
+    open_m: list[float], others_m: list[float], n_maps: int
+) -> None:
+    """Their walls are equal, and no beam passes through one; one door may have been opened."""
+    parts = [corridor_with_rooms(0, open_m), corridor_with_rooms(1, others_m)]
+    assert len(tied_parts(parts)) == n_maps
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from relmap.evaluation.truth import Variant
 from relmap.exports.content import MapContent
 from relmap.io.results import MAPPER, SUMMARY, TRACKS, TRAJECTORY
 from relmap.planes import PlaneMapper
-from relmap.planes.places.submap_ties import MapPart
+from relmap.planes.places.map_part import MapPart
 from relmap.planes.scans.beams import PlacedBeams
 from relmap.points import PointMapper
 

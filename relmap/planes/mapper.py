@@ -22,7 +22,8 @@ from relmap.planes.linking.registration import PlaneRegistration
 from relmap.planes.model import WallModel
 from relmap.planes.places.implied_steps import ImpliedSteps
 from relmap.planes.places.locating import LocatingMapper
-from relmap.planes.places.submap_ties import MapPart, tied_parts
+from relmap.planes.places.map_part import MapPart
+from relmap.planes.places.submap_ties import tied_parts
 from relmap.planes.refinement.refining import planned_submaps, refined_submaps
 from relmap.planes.scans.beams import GivenBeams
 from relmap.planes.scans.observation import PlaneObservation, checked_planes, journaled, of_journal

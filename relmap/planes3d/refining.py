@@ -29,6 +29,9 @@ FEW = 6
 """Number of scans of a submap of a broken run whose steps are too few to be compared."""
 UNSURE = 0.0125
 """Standard deviation of an unsure step, as a fraction of the range."""
+SMALL = 0.04
+"""Extent of a landmark, the standard deviation of its points as a fraction of the range, below
+which it may be a piece of a person if few scans saw it."""
 ACROSS = 0.2
 """Cosine of a normal and a direction above which the plane shows where a scan is along it."""
 MOVING = 1e-6
@@ -89,14 +92,15 @@ def unsure_steps(part: Submap, is_broken: bool = False) -> dict[int, Floats]:
     displacement by the rotation at the range, exceeds 1.25 % of the range. So is a step that is
     unsteady in a direction in which a single landmark determines it, unsteady by far, or unlike
     those around it, or turns so, see `relmap.planes3d.certainty`, or if a step near the usual ones
-    explains more points, see `is_led_away`. `is_broken`: whether there are other submaps; then so
-    are all steps of a submap of at most six scans, as what broke the run before or after them may
-    have misled them.
+    explains more points, see `is_led_away`. Small landmarks that few scans saw do not count: people
+    who walk ahead of the sensor make it seem to stand still. `is_broken`: whether there are other
+    submaps; then so are all steps of a submap of at most six scans, as what broke the run before or
+    after them may have misled them.
 
     Each has the direction (3,) in which the translation is least certain, sensor frame.
     """
     seen, state, share = _observed(part)
-    covariance = step_covariances(seen, state, share)
+    covariance = step_covariances(_without(seen, _may_walk(part)), state, share)
     turn_m2 = np.linalg.eigvalsh(covariance[:, :3, :3])[:, 2]
     way_m2, axes = np.linalg.eigh(covariance[:, 3:, 3:])
     reach_m = np.array([each.reach_m for each in part.seen])
@@ -145,8 +149,20 @@ def sightings(part: Submap) -> Sightings:
         for name in ("centre", "axes", "information", "spread")
     ]
     seen = Sightings(scan, np.concatenate(part.match), *columns)
-    weight = np.where(part.is_dynamic, MOVING, 1.0)[seen.plane]
+    return _without(seen, part.is_dynamic)
+
+
+def _without(seen: Sightings, left_out: Bools) -> Sightings:
+    """Return observations; those of some landmarks (l,) hardly count."""
+    weight = np.where(left_out, MOVING, 1.0)[seen.plane]
     return replace(seen, information=weight[:, None] * seen.information)
+
+
+def _may_walk(part: Submap) -> Bools:
+    """Return which landmarks (l,) may be pieces of people: small ones that few scans saw."""
+    reach_m = float(np.median([seen.reach_m for seen in part.seen]))
+    extent_m = np.sqrt(part.all_planes().spread[:, :2].prod(axis=1))
+    return np.asarray(part.is_brief & (extent_m < SMALL * reach_m))
 
 
 def scene(part: Submap) -> Scene:

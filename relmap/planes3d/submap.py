@@ -16,9 +16,10 @@ from relmap.segmentation.space.patches import reach_of
 Pose = tuple[Floats, Floats]
 MOST_LOOSE = 20
 """Maximum number of points on no plane that are kept in a cube of half a cell of the map."""
-THROUGH, MANY = 0.2, 6
+THROUGH, MANY, BRIEF = 0.2, 3, 6
 """A plane is dynamic if more than this fraction of the looks at its cells, and this number of them,
-go through: of a box that moves along one of its faces, a scan sees this plane somewhere else."""
+go through: of a box that moves along one of its faces, a scan sees this plane somewhere else. If no
+more scans than the third value saw the plane, half of this fraction of twice as many is enough."""
 
 
 class Submap:
@@ -157,7 +158,14 @@ class Submap:
         none = np.zeros(2, dtype=np.int64)
         looks = [self.sights.get(number, none) for number in self.number.tolist()]
         there, through = np.reshape(looks, (-1, 2)).T
-        return np.asarray((through > MANY) & (through > THROUGH * (there + through)))
+        share = np.where(self.is_brief & (through > 2 * MANY), THROUGH / 2, THROUGH)
+        return np.asarray((through > MANY) & (through > share * (there + through)))
+
+    @property
+    def is_brief(self) -> Bools:
+        """Which landmarks (l,) few scans saw."""
+        seen = np.concatenate([self.number[:0], *map(np.unique, self.match)])
+        return np.asarray(np.bincount(seen, minlength=len(self)) <= BRIEF)
 
     def _rims(self) -> list[Points]:
         return [_rim(*each) for each in zip(self.seen, self.poses, self.match, strict=True)]

@@ -8,6 +8,7 @@ of an array, 110 for a loop and a dozen to count a reference, of which nearly al
 
 from __future__ import annotations
 
+import operator
 from copy import copy
 from functools import cache
 from typing import Any, cast
@@ -118,9 +119,15 @@ class ShortLower(Lower):
 
     def lower_binop(self, resty: Any, expr: Any, op: Any) -> Any:
         is_typed = op is expr.fn and expr.static_lhs is expr.static_rhs is ir.UNDEFINED
-        if not is_typed:  # such as the square
+        if not is_typed:
             return super().lower_binop(resty, expr, op)
         signature = self.fndesc.calltypes[expr]
+        if op is operator.pow and signature.args[0] == resty == types.float64:
+            power = ir_utils.guard(ir_utils.find_const, self.func_ir, expr.rhs)
+            if power in (2, 3):  # by default a loop over the bits of the exponent
+                base = self._cast_var(expr.lhs, resty)
+                square = self.builder.fmul(base, base)
+                return square if power == 2 else self.builder.fmul(base, square)
         function = self.context.typing_context.resolve_value_type(op)
         code = self.context.get_function(function, signature)
         sides = zip((expr.lhs, expr.rhs), signature.args, strict=True)

@@ -10,6 +10,7 @@ import numpy as np
 from relmap.core.arrays import Ints
 from relmap.core.linalg.cholesky_kernels import Layout
 from relmap.core.linalg.compiling import compiled, helper
+from relmap.core.linalg.small_kernels import unset
 
 WIDE = 48
 """Maximum width of a panel, except for a single block: wider ones are multiplied by other code."""
@@ -46,8 +47,7 @@ def _coupled(order: Ints, place: Ints, begin: Ints, cliques: Ints) -> tuple[Ints
     """
     n, given = len(order), len(begin) - 1
     stop, tied = np.zeros(n + 1, dtype=np.int64), np.empty(len(cliques), dtype=np.int64)
-    waiting, following = np.full(n, -1), np.full(given + n, -1)
-    taken = np.full(n, -1)
+    waiting, following, taken = unset(n), unset(given + n), unset(n)
     for c in range(given):
         _wait(c, cliques[begin[c] : begin[c + 1]], place, waiting, following)
     for p in range(n):
@@ -61,7 +61,7 @@ def _coupled(order: Ints, place: Ints, begin: Ints, cliques: Ints) -> tuple[Ints
                 if taken[place[block]] == p:
                     continue
                 if count == len(tied):
-                    tied = np.append(tied, tied)
+                    tied = _doubled(tied)
                 tied[count], taken[place[block]] = block, p
                 count += 1
             c = following[c]
@@ -71,10 +71,20 @@ def _coupled(order: Ints, place: Ints, begin: Ints, cliques: Ints) -> tuple[Ints
 
 
 @helper
+def _doubled(values: Ints) -> Ints:
+    longer = np.empty(2 * len(values), dtype=np.int64)
+    for k in range(len(values)):
+        longer[k] = values[k]
+    return longer
+
+
+@helper
 def _wait(clique: int, blocks: Ints, place: Ints, waiting: Ints, following: Ints) -> None:
     """Let a clique wait for the first of its blocks to be eliminated."""
     if len(blocks):
-        first = place[blocks].min()
+        first = place[blocks[0]]
+        for block in blocks:
+            first = min(first, place[block])
         following[clique], waiting[first] = waiting[first], clique
 
 

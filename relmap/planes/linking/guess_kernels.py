@@ -83,12 +83,14 @@ def turns(tracks: Tracks, seen: Seen) -> Floats:
     Small rotations are preferred.
     """
     turn, weight = _turned(tracks, seen)
-    every, mean, size = turn.ravel(), turn.ravel().copy(), weight.ravel()
-    support = np.zeros(len(every))
-    for k in range(len(every)):
-        if size[k] > 0:
+    n, m = turn.shape
+    every, mean, support = np.empty(n * m), np.empty(n * m), np.zeros(n * m)
+    for k in range(n * m):
+        i, j = k // m, k % m
+        every[k] = turn[i, j]
+        if weight[i, j] > 0:
             total, off = _support(turn, weight, every[k])
-            mean[k] += off
+            mean[k] = every[k] + off
             unusual = half_turn(every[k]) / USUAL_RAD
             support[k] = total * math.exp(-0.5 * unusual**2)
     found, count = np.empty(TURNS), 0

@@ -13,7 +13,7 @@ from relmap.planes.linking.link_record import LinkRecord
 from relmap.planes.linking.placement import STILL
 from relmap.planes.linking.tying import Scans
 from relmap.planes.motions import from_matrices, inverse, others
-from relmap.planes.places.submap_ties import MapPart
+from relmap.planes.places.map_part import MapPart
 from relmap.planes.places.wall_tie import WallTie
 from relmap.planes.scans.beams import odds_over
 from relmap.planes.submaps.doubtful import EXCLUDED, GAP, beams_of

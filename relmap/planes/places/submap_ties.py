@@ -8,16 +8,15 @@ through them contradict it. The best pair is joined to one map, and the search r
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
 
-from relmap.core.arrays import Floats, Ints
+from relmap.core.arrays import Floats
 from relmap.core.geometry.motions import rotations
-from relmap.planes.linking.links import JUMP, JUMP_M
+from relmap.planes.places.map_part import MapPart
 from relmap.planes.places.wall_tie import (
     ALIKE_M,
     LEAST_M,
@@ -26,16 +25,10 @@ from relmap.planes.places.wall_tie import (
     coinciding_ends,
     wall_ties,
 )
-from relmap.planes.plan.evidence import BIN_M, Stretches, grid_over
-from relmap.planes.scans.beams import PlacedBeams
+from relmap.planes.plan.evidence import BIN_M
 
-NEAR_M = 0.25
-"""Largest distance of a beam's end from the wall it hits: submaps are bent a little. One that ends
-farther in front of a wall does not count: something else may stand there."""
 ALIGNMENTS = 12
 """Number of alignments of a pair that are scored, those with the longest overlap first."""
-OFTEN = 3
-"""Beams that support or contradict a stretch of wall."""
 AGAINST = 5.0
 """Weight of contradicted length."""
 SUPPORTED_M, CONTRADICTED = 5.0, 0.06
@@ -53,6 +46,10 @@ such places."""
 HARDLY, LOW_SIGMAS = 0.01, 2.5
 """The same if at most this fraction is contradicted, and of no other alignment a support remains:
 where corridors look alike, wrong ones are supported too."""
+OPENING = 2
+"""Ends that coincide and do not count for each opening, which may be counted once for each of the
+walls beside it: a few doors may have been opened or closed, but in places that only look alike most
+differ."""
 SYMMETRIC = 0.02
 """Largest contradicted fraction if the robot must have been carried, or scans are missing, between
 submaps: a corridor round a building looks the same after half a turn (0.037 and more)."""
@@ -62,108 +59,6 @@ best: along a corridor, walls support many alignments, and the ends at its doors
 TURNS_RAD = np.deg2rad(np.arange(15, 346, 15))
 """Turns about the middle of the walls in common that beams must exclude: a round room looks much
 the same after each of them, while its walls suggest only some."""
-
-
-@dataclass(frozen=True, eq=False)
-class MapPart:
-    """Submaps in one frame.
-
-    `members`, tuple of (int, (4, 4)): each submap, and the motion (4, 4) from its frame to this
-    one; `ends` (w, 2, 2), metres: right and left end of each wall, as seen from its front;
-    `begins`, `stops` (n, 2), metres: of each beam; `walls` (w,): number of each wall; `same`
-    (k, 2): pairs of numbers of the same wall in two members; `path` (s, 3): number of each scan,
-    and the position of the robot, metres.
-    """
-
-    members: tuple[tuple[int, Floats], ...]
-    ends: Floats
-    begins: Floats
-    stops: Floats
-    walls: Ints
-    same: Ints
-    path: Floats
-
-    @classmethod
-    def of(
-        cls, number: int, ends: Floats, walls: Ints, beams: PlacedBeams, path: Floats
-    ) -> MapPart:
-        """Return one submap, given its number, its walls, its beams and its path."""
-        motion, none = np.eye(4), np.empty((0, 2), dtype=np.int64)
-        return cls(((number, motion),), ends, beams.begins, beams.ends, walls, none, path)
-
-    def with_that(self, other: MapPart, tie: WallTie) -> MapPart:
-        """Return this and another part, moved to this frame."""
-        ends, begins, stops = (
-            each @ tie.R.T + tie.t for each in (other.ends, other.begins, other.stops)
-        )
-        rows = coinciding(other.ends, self.ends, tie)
-        same = np.column_stack([other.walls[rows[:, 0]], self.walls[rows[:, 1]]])
-        return MapPart(
-            self.members + tuple((number, tie.matrix @ motion) for number, motion in other.members),
-            np.concatenate([self.ends, ends]),
-            np.concatenate([self.begins, begins]),
-            np.concatenate([self.stops, stops]),
-            np.concatenate([self.walls, other.walls]),
-            np.concatenate([self.same, other.same, same]),
-            self._both_paths(other, tie),
-        )
-
-    def _both_paths(self, other: MapPart, tie: WallTie) -> Floats:
-        """Return the path, and that of another part after a motion."""
-        moved = other.path[:, 1:] @ tie.R.T + tie.t
-        return np.concatenate([self.path, np.column_stack([other.path[:, :1], moved])])
-
-    def jumps_to(self, other: MapPart, tie: WallTie) -> bool:
-        """Return whether an alignment implies a jump between a scan and the next one."""
-        path = self._both_paths(other, tie)
-        order = np.argsort(path[:, 0], kind="stable")
-        steps = np.abs(np.diff(path[order], axis=0))
-        between = np.diff(order >= len(self.path))
-        way_m, scans = np.hypot(*steps[:, 1:].T), np.maximum(steps[:, 0], 1.0)
-        usual_m = float(np.median(way_m[~between])) if not between.all() else 0.0
-        return bool((way_m > JUMP_M + JUMP * usual_m * scans)[between].any())
-
-    @cached_property
-    def crossing_m(self) -> float:
-        """Length of the walls across the others, metres: 0 if all are parallel."""
-        along = self.ends[:, 1] - self.ends[:, 0]
-        outer = np.einsum("wi,wj->ij", along, along / np.maximum(np.hypot(*along.T), 1e-9)[:, None])
-        return float(np.linalg.eigvalsh(outer)[0])
-
-    @cached_property
-    def stretches(self) -> Stretches:
-        """The walls, in stretches, without any observation."""
-        along = self.ends[:, 1] - self.ends[:, 0]
-        length = np.maximum(np.hypot(*along.T), 1e-9)
-        along = along / length[:, None]
-        first = np.concatenate([[0], np.cumsum(np.maximum(np.ceil(length / BIN_M), 1))])
-        first = first.astype(np.int64)
-        none = np.zeros(first[-1], dtype=np.int64)
-        normal = np.column_stack([-along[:, 1], along[:, 0]])
-        low = np.zeros(len(length))
-        return Stretches(self.ends[:, 0], normal, along, low, first, none, none, none)
-
-    @cached_property
-    def grid(self) -> tuple[Floats, Ints, Ints, Ints]:
-        """A grid over the walls."""
-        return grid_over(self.stretches)
-
-    def judged(self, begins: Floats, stops: Floats) -> tuple[float, float]:
-        """Return the length of wall that beams (n, 2) support, and contradict; metres."""
-        from relmap.planes.plan.evidence_kernels import beams_on_walls
-
-        walls = self.stretches
-        lines = walls.base, walls.normal, walls.low, walls.first
-        hits, against, _ = beams_on_walls((begins, stops), lines, self.grid, NEAR_M, 0.0)
-        support = (hits > against) & (hits >= OFTEN)
-        contradict = (against > hits) & (against >= OFTEN)
-        return BIN_M * float(support.sum()), BIN_M * float(contradict.sum())
-
-    def beams_from(self, ends: Floats) -> tuple[Floats, Floats]:
-        """Return start and end points of the beams from within the extent of walls (w, 2, 2)."""
-        low, high = ends.min(axis=(0, 1)), ends.max(axis=(0, 1))
-        there = ((self.begins >= low) & (self.begins <= high)).all(axis=1)
-        return self.begins[there], self.stops[there]
 
 
 class SubmapTie(NamedTuple):
@@ -180,6 +75,7 @@ class SubmapTie(NamedTuple):
         return supported and _crosses(self.tie)
 
 
+Beams = tuple[Floats, Floats]
 Refute = Callable[[MapPart, MapPart, WallTie], bool]
 
 
@@ -223,7 +119,8 @@ def unrivalled(part: MapPart, other: MapPart) -> SubmapTie | None:
     alone = best.contradicted <= HARDLY and all(each.support_m <= 0 for each in elsewhere)
     sigmas = LOW_SIGMAS if alone else SIGMAS
     by_chance = CHANCE * walls + sigmas * (CHANCE * (1 - CHANCE) * walls) ** 0.5
-    if walls < WALLS or ends < by_chance:
+    ends_left = ends - OPENING * _openings(part, other, best.tie)
+    if walls < WALLS or ends_left < by_chance:
         return None
     rivals = (each.tie for each in elsewhere if each.support_m > RIVAL * best.support_m)
     if any(coinciding_ends(other.ends, part.ends, tie)[1] > RIVAL * ends for tie in rivals):
@@ -256,11 +153,22 @@ def _crosses(tie: WallTie) -> bool:
 
 def _judged(part: MapPart, other: MapPart, tie: WallTie) -> SubmapTie:
     """Return an alignment of another part, scored by the beams of both."""
-    R, t = tie.R, tie.t
-    begins, stops = part.beams_from(other.ends @ R.T + t)
-    own = other.judged((begins - t) @ R, (stops - t) @ R)
-    begins, stops = other.beams_from((part.ends - t) @ R)
-    its = part.judged(begins @ R.T + t, stops @ R.T + t)
-    support_m, against_m = np.add(own, its)
+    own, its = _beams_of_both(part, other, tie)
+    support_m, against_m = np.add(other.judged(*own), part.judged(*its))
     share = against_m / max(support_m + against_m, BIN_M)
     return SubmapTie(tie, float(support_m - AGAINST * against_m) / 2, float(share))
+
+
+def _openings(part: MapPart, other: MapPart, tie: WallTie) -> int:
+    """Return the number of places where one part is closed, and the other one open."""
+    own, its = _beams_of_both(part, other, tie)
+    return other.longer.openings(*own) + part.longer.openings(*its)
+
+
+def _beams_of_both(part: MapPart, other: MapPart, tie: WallTie) -> tuple[Beams, Beams]:
+    """Return the beams of the first part in the frame of the second, and the other way round."""
+    R, t = tie.R, tie.t
+    begins, stops = part.beams_from(other.ends @ R.T + t)
+    own = (begins - t) @ R, (stops - t) @ R
+    begins, stops = other.beams_from((part.ends - t) @ R)
+    return own, (begins @ R.T + t, stops @ R.T + t)

@@ -2,10 +2,20 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.linalg.compiling import compiled
+from relmap.core.linalg.compiling import compiled, helper
+
+
+@helper
+def _directions(angle: Floats) -> tuple[Floats, Floats]:
+    cos, sin = np.empty(len(angle)), np.empty(len(angle))
+    for k in range(len(angle)):
+        cos[k], sin[k] = math.cos(angle[k]), math.sin(angle[k])
+    return cos, sin
 
 
 @compiled
@@ -25,7 +35,7 @@ def linearised(
     (yaw, t), (centre, angle, across, along) = poses, walls
     n = len(points)
     off, by_pose, by_wall = np.empty(n), np.empty((n, 3)), np.empty((n, 2))
-    cos, sin, cos_yaw, sin_yaw = np.cos(angle), np.sin(angle), np.cos(yaw), np.sin(yaw)
+    (cos, sin), (cos_yaw, sin_yaw) = _directions(angle), _directions(yaw)
     for r in range(n):
         i, w, k = iteration[r], wall[r], r - (n - len(corner))
         vx, vy, c, s, place = cos[w], sin[w], cos_yaw[i], sin_yaw[i], across[w]
