@@ -99,10 +99,9 @@ class Search(ScanComparison):
         if not measured and self._expected:
             return self._by_odometry(every, self._expected)
         one = one if measured else self._steady(one)
-        found = self._chosen(one, measured, float(every.evidence[best]))
-        if not unusual.any():
-            return found
-        return found._replace(ambiguous=True) if self._is_usual(one) else None
+        if unusual.any() and not self._is_usual(one):
+            return None
+        return self._chosen(one, measured, float(every.evidence[best]), bool(unusual.any()))
 
     def _outstanding(self, every: Judged, likely: Ints) -> tuple[int, Judged, Floats]:
         """Return the likely motion that the beams of the last scans prefer.
@@ -124,8 +123,11 @@ class Search(ScanComparison):
             rivals = rivals[:0]
         return best, one, every.motions[rivals]
 
-    def _chosen(self, one: Judged, measured: bool, evidence: float) -> Found:
-        return Found(one.motions[0], self._named(one.matches[0]), measured, evidence)
+    def _chosen(
+        self, one: Judged, measured: bool, evidence: float, ambiguous: bool = False
+    ) -> Found:
+        match = self._named(one.matches[0])
+        return Found(one.motions[0], match, measured, evidence, ambiguous=ambiguous)
 
     def _explains(self, expected: Expected, motion: Floats) -> bool:
         """Return whether beams agree with odometry almost as well as with another motion (3,)."""
