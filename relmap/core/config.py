@@ -49,7 +49,8 @@ class MapperConfig:
         Refine the map while it is being built, after landmarks come back into view.
     bridge_m : float
         Walls only, metres. Where neither walls nor odometry measure the motion in one direction,
-        constant motion is assumed until its error may exceed this length; the submap then ends.
+        constant motion is assumed until its error may exceed this length, or half of it where beams
+        prefer none of several places along parallel walls; the submap then ends.
 
     Notes
     -----

@@ -112,7 +112,8 @@ class Found(NamedTuple):
     """The accepted motion, and the resulting association.
 
     `measured`: whether the motion is determined in all directions; `evidence`: log odds that it is
-    right; `bridged`: whether it is given by odometry only.
+    right; `bridged`: whether it is given by odometry only; `ambiguous`: whether only the usual step
+    speaks against others along parallel walls.
     """
 
     motion: Floats
@@ -120,3 +121,4 @@ class Found(NamedTuple):
     measured: bool
     evidence: float
     bridged: bool = False
+    ambiguous: bool = False

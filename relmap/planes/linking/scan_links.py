@@ -46,6 +46,9 @@ FIRST, AGAIN, LATELY = (10, 20), 50, 50
 interval; and the approximate number of links examined."""
 TURNING = np.deg2rad(2.5)
 """Rotation from scan to scan above which a robot is expected to be slow."""
+AMBIGUOUS = 0.5
+"""Largest error, as a fraction of that of an unmeasured motion along walls, where beams prefer none
+of several motions along them."""
 VIEWS = 6
 """Number of last scans whose beams a scan is compared with."""
 
@@ -91,7 +94,8 @@ class ScanLinks(LinkRecord):
         self._unsure_m += self._unsure_each_m
         if abs(found.motion[0]) < TURNING:
             self._unsure_m += slower_m(self.motions[self.measured], self.usual)
-        if self._unsure_m > self._bridge_m or self._unsure_each_m > VARYING_M:
+        most_m = AMBIGUOUS * self._bridge_m if found.ambiguous else self._bridge_m
+        if self._unsure_m > most_m or self._unsure_each_m > VARYING_M:
             self._unsure_m = 0.0
             return None
         return found

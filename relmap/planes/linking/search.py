@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from relmap.core.arrays import Floats, Ints
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.planes.linking.judging import (
     MEASURED,
     NO_CANDIDATES,
@@ -23,7 +23,7 @@ from relmap.planes.linking.judging import (
 from relmap.planes.linking.links import CROSSING
 from relmap.planes.linking.placement import STILL, Match
 from relmap.planes.linking.scan_comparison import CONTRADICTING, ScanComparison
-from relmap.planes.motions import distinct, others
+from relmap.planes.motions import distinct, others, wrapped
 from relmap.planes.odometry.prediction import OTHERWISE, Expected
 
 ROUGH_M, ROUGH_STEP = 0.3, 12
@@ -51,6 +51,11 @@ which look the same farther along and from the other end, the largest fraction t
 and the largest rotation, radians."""
 SLID = 2
 """Number of motions slid along a wall."""
+TURNS_RAD = np.deg2rad(2.5)
+"""Largest difference of the turn from the usual one if the usual step decides between motions along
+parallel walls: steps vary with the turns."""
+USUALLY = 2.0
+"""Largest difference from the usual step then, as a multiple of its variation."""
 FREE_REACH_M = 1.0
 """Motions nearer than this are not rivals if the motion along a wall is undetermined: the previous
 motion decides."""
@@ -85,6 +90,8 @@ class Search(ScanComparison):
         best, one, rivals = self._outstanding(every, likely)
         stays = clear and np.array_equal(one.motions[0], motion)
         measured = stays or self._measured(one, 0)
+        unusual = self._unusual_along(one, every.motions[best], rivals)
+        rivals, measured = rivals[~unusual], measured and not unusual.any()
         if not measured:
             rivals = rivals[np.hypot(*(rivals - every.motions[best])[:, 1:].T) > FREE_REACH_M]
         if len(rivals):
@@ -92,7 +99,9 @@ class Search(ScanComparison):
         if not measured and self._expected:
             return self._by_odometry(every, self._expected)
         one = one if measured else self._steady(one)
-        return self._chosen(one, measured, float(every.evidence[best]))
+        if unusual.any() and not self._is_usual(one):
+            return None
+        return self._chosen(one, measured, float(every.evidence[best]), bool(unusual.any()))
 
     def _outstanding(self, every: Judged, likely: Ints) -> tuple[int, Judged, Floats]:
         """Return the likely motion that the beams of the last scans prefer.
@@ -114,8 +123,11 @@ class Search(ScanComparison):
             rivals = rivals[:0]
         return best, one, every.motions[rivals]
 
-    def _chosen(self, one: Judged, measured: bool, evidence: float) -> Found:
-        return Found(one.motions[0], self._named(one.matches[0]), measured, evidence)
+    def _chosen(
+        self, one: Judged, measured: bool, evidence: float, ambiguous: bool = False
+    ) -> Found:
+        match = self._named(one.matches[0])
+        return Found(one.motions[0], match, measured, evidence, ambiguous=ambiguous)
 
     def _explains(self, expected: Expected, motion: Floats) -> bool:
         """Return whether beams agree with odometry almost as well as with another motion (3,)."""
@@ -167,6 +179,24 @@ class Search(ScanComparison):
     def _is_parallel(self, one: Judged) -> bool:
         """Return whether the walls that match are parallel."""
         return bool(self._crossing(one.matches[0]) < CROSSING)
+
+    def _unusual_along(self, one: Judged, motion: Floats, rivals: Floats) -> Bools:
+        """Return which rivals (k, 3) of a motion (3,) the usual step refutes.
+
+        Those that differ along parallel walls only, if the robot turns as usual.
+        """
+        turns = abs(float(wrapped(one.motions[0, 0] - self._usual[0]))) > TURNS_RAD
+        if turns or self._expected or not self._is_parallel(one):
+            return np.zeros(len(rivals), dtype=np.bool_)
+        x, y = self._along_longest(one.matches[0])
+        turn, right, left = (rivals - motion).T
+        across = np.abs(y * right - x * left) <= ALIKE_M
+        return np.asarray(across & (np.abs(wrapped(turn)) <= ALIKE_RAD))
+
+    def _is_usual(self, one: Judged) -> bool:
+        """Return whether a motion along the longest wall is about as long as the usual step."""
+        off_m = abs(self._usual_m(one.motions[0], one.matches[0]))
+        return bool(off_m <= USUALLY * (self._scale_m + self._varies_m()))
 
     def _is_doubtful(self, one: Judged) -> bool:
         """Return whether too few points support a motion to tie two scans."""
