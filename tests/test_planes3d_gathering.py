@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from relmap.evaluation.space import Faces, judge_planes
 from relmap.planes3d.gathering import gathered
@@ -64,3 +65,23 @@ def test_points_of_a_plane_that_one_scan_shows_are_found_in_the_others() -> None
     found = judge_planes(mapper.planes, faces, mapper.trajectory, world.trajectory)
     assert found["plane_recall"] == 1.0
     assert found["plane_precision"] == 1.0
+
+
+@pytest.mark.parametrize(("through", "planes"), [(12, 2), (30, 1)])
+def test_points_beside_a_plane_are_found_unless_many_looks_go_through_it(
+    through: int, planes: int
+) -> None:
+    # Few scans show the wall by themselves, which twelve of 92 looks make dynamic until it is
+    # found in more of them: as a tread of stairs, whose neighbours are found in all scans.
+    rng, part = np.random.default_rng(4), Submap()
+    for k in range(4):
+        across = 4.0 + 0.01 * rng.standard_normal(4000)
+        wall = np.column_stack([across, rng.uniform(-3, 3, 4000), rng.uniform(-1, 2, 4000)])
+        seen = PatchSegmenter(voxel_m=0.2).fit(wall).patches_
+        up = 0.5 + 0.01 * rng.standard_normal(200)
+        ledge = np.column_stack([rng.uniform(3.7, 3.9, 200), rng.uniform(-1, 1, 200), up])
+        seen = replace(seen, loose=ledge)
+        part.extend([k], [seen], [(np.eye(3), np.zeros(3))], [np.arange(len(seen))])
+    part.sights[0] = np.array([80, through])
+    assert part.is_dynamic.tolist() == [True]
+    assert len(gathered(part, 10) or part) == planes

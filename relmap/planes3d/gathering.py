@@ -106,8 +106,11 @@ def _labels(
 
 
 def _moves(points: Floats, scan: Ints, part: Submap) -> Bools:
-    """Return which points (n, 3) are near a dynamic landmark at its time: of what moves."""
-    rows = np.flatnonzero(part.is_dynamic)
+    """Return which points (n, 3) are near what moves at its time.
+
+    A landmark that few scans show by themselves is not known to move yet: others may have points.
+    """
+    rows = np.flatnonzero(part.is_seen_through())
     if not len(rows):
         return np.zeros(len(points), dtype=bool)
     when = np.repeat(np.arange(len(part.match)), [len(match) for match in part.match])

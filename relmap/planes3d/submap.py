@@ -155,11 +155,19 @@ class Submap:
     @property
     def is_dynamic(self) -> Bools:
         """Which landmarks (l,) are not there all the time: scans saw through them."""
+        few = self.is_brief & self.is_seen_through(2)
+        return np.asarray(few | self.is_seen_through())
+
+    def is_seen_through(self, fewer: int = 1) -> Bools:
+        """Return through which landmarks (l,) scans saw often; see `THROUGH`.
+
+        `fewer`: a smaller fraction is enough, of as many times more looks.
+        """
         none = np.zeros(2, dtype=np.int64)
         looks = [self.sights.get(number, none) for number in self.number.tolist()]
         there, through = np.reshape(looks, (-1, 2)).T
-        share = np.where(self.is_brief & (through > 2 * MANY), THROUGH / 2, THROUGH)
-        return np.asarray((through > MANY) & (through > share * (there + through)))
+        many = through > fewer * MANY
+        return np.asarray(many & (fewer * through > THROUGH * (there + through)))
 
     @property
     def is_brief(self) -> Bools:
