@@ -188,15 +188,22 @@ class Search(ScanComparison):
         turns = abs(float(wrapped(one.motions[0, 0] - self._usual[0]))) > TURNS_RAD
         if turns or self._expected or not self._is_parallel(one):
             return np.zeros(len(rivals), dtype=np.bool_)
-        x, y = self._along_longest(one.matches[0])
-        turn, right, left = (rivals - motion).T
-        across = np.abs(y * right - x * left) <= ALIKE_M
-        return np.asarray(across & (np.abs(wrapped(turn)) <= ALIKE_RAD))
+        across_m = self._across_m(rivals - motion, one.matches[0])
+        turned = np.abs(wrapped(rivals[:, 0] - motion[0]))
+        return np.asarray((across_m <= ALIKE_M) & (turned <= ALIKE_RAD))
+
+    def _across_m(self, motions: Floats, match: Match) -> Floats:
+        """Return how far motions (k, 3) lead across the longest wall that matches (k,), metres."""
+        x, y = self._along_longest(match)
+        return np.abs(motions[:, 1] * y - motions[:, 2] * x)
 
     def _is_usual(self, one: Judged) -> bool:
-        """Return whether a motion along the longest wall is about as long as the usual step."""
-        off_m = abs(self._usual_m(one.motions[0], one.matches[0]))
-        return bool(off_m <= USUALLY * (self._scale_m + self._varies_m()))
+        """Return whether a motion is about as long as the usual one, and hardly aside."""
+        motion, match = one.motions[0], one.matches[0]
+        if self._across_m(one.motions - self._usual, match)[0] > ALIKE_M:
+            return False
+        most_m = USUALLY * (self._scale_m + self._varies_m())
+        return abs(self._usual_m(motion, match)) <= most_m
 
     def _is_doubtful(self, one: Judged) -> bool:
         """Return whether too few points support a motion to tie two scans."""
