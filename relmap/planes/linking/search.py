@@ -195,7 +195,7 @@ class Search(ScanComparison):
     def _across_m(self, motions: Floats, match: Match) -> Floats:
         """Return how far motions (k, 3) lead across the longest wall that matches (k,), metres."""
         x, y = self._along_longest(match)
-        return np.abs(motions[:, 1] * y - motions[:, 2] * x)
+        return np.asarray(np.abs(motions[:, 1] * y - motions[:, 2] * x))
 
     def _is_usual(self, one: Judged) -> bool:
         """Return whether a motion is about as long as the usual one, and hardly aside."""
