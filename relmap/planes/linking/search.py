@@ -91,7 +91,8 @@ class Search(ScanComparison):
         stays = clear and np.array_equal(one.motions[0], motion)
         measured = stays or self._measured(one, 0)
         unusual = self._unusual_along(one, every.motions[best], rivals)
-        rivals, measured = rivals[~unusual], measured and not unusual.any()
+        ambiguous = bool(unusual.any())
+        rivals, measured = rivals[~unusual], measured and not ambiguous
         if not measured:
             rivals = rivals[np.hypot(*(rivals - every.motions[best])[:, 1:].T) > FREE_REACH_M]
         if len(rivals):
@@ -99,9 +100,9 @@ class Search(ScanComparison):
         if not measured and self._expected:
             return self._by_odometry(every, self._expected)
         one = one if measured else self._steady(one)
-        if unusual.any() and not self._is_usual(one):
+        if ambiguous and not self._is_usual(one):
             return None
-        return self._chosen(one, measured, float(every.evidence[best]), bool(unusual.any()))
+        return self._chosen(one, measured, float(every.evidence[best]), ambiguous)
 
     def _outstanding(self, every: Judged, likely: Ints) -> tuple[int, Judged, Floats]:
         """Return the likely motion that the beams of the last scans prefer.

@@ -119,8 +119,7 @@ def unrivalled(part: MapPart, other: MapPart) -> SubmapTie | None:
     alone = best.contradicted <= HARDLY and all(each.support_m <= 0 for each in elsewhere)
     sigmas = LOW_SIGMAS if alone else SIGMAS
     by_chance = CHANCE * walls + sigmas * (CHANCE * (1 - CHANCE) * walls) ** 0.5
-    ends_left = ends - OPENING * _openings(part, other, best.tie)
-    if walls < WALLS or ends_left < by_chance:
+    if walls < WALLS or ends - OPENING * _openings(part, other, best.tie) < by_chance:
         return None
     rivals = (each.tie for each in elsewhere if each.support_m > RIVAL * best.support_m)
     if any(coinciding_ends(other.ends, part.ends, tie)[1] > RIVAL * ends for tie in rivals):
