@@ -88,6 +88,27 @@ def test_no_advice_where_the_largest_submap_is_all_but_whole(
     assert "More overlap" not in said
 
 
+@unrendered()
+def test_a_scan_that_fits_nowhere_is_not_a_break(
+    broken: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = dict(np.load(broken / "scans.npz"))
+    number, points = log["iteration"], log["points"]
+    foreign = number == 55  # a scan of the other building takes the place of the 16th
+    log["points"] = np.concatenate([points[number < 15], points[foreign], points[number > 15]])
+    at = np.full(np.count_nonzero(foreign), 15)
+    log["iteration"] = np.concatenate([number[number < 15], at, number[number > 15]])
+    np.savez(tmp_path / "scans.npz", **log)
+    mapping = ["map", str(tmp_path / "scans.npz"), "-o", str(tmp_path / "map")]
+    capsys.readouterr()
+    assert main([*mapping, "--variant", "planes", "--scans", "0:30"]) == 0
+    said = capsys.readouterr().out
+    assert "scans that fit nowhere, and are not in the map: 1 (iterations 15)" in said
+    assert "broke" not in said
+    parts = load(tmp_path / "map" / "summary.json")["submaps"]
+    assert [part["scans"] for part in parts] == [29, 1]
+
+
 def test_the_walls_of_each_submap_are_written(result: Path) -> None:
     first, second = (table(result / name) for name in ("planes.csv", "submap-1.csv"))
     assert list(first[0]) == list(second[0])

@@ -146,10 +146,28 @@ def broken(summary: dict[str, Any]) -> str:
     of = f"{counted(scans)} and {metres:.1f} m"
     if summary.get("onto"):
         return f"; there are {len(submaps)} submaps: that of the earlier map, of {of}, is the map"
+    alone = _left_out(submaps)
+    if len(alone) == len(submaps) - 1:
+        n_scans = sum(submap["scans"] for submap in alone)
+        at = ", ".join(str(submap["iterations"][0]) for submap in alone[:FEW])
+        at += ", ..." if len(alone) > FEW else ""
+        return f"; scans that fit nowhere, and are not in the map: {n_scans} (iterations {at})"
     parts = f"; the run broke into {len(submaps)} submaps"
     if not summary["counts"]["planes_static"]:
         return f"{parts}, the largest of {of}"
     return f"{parts}: the largest, of {of}, is the map"
+
+
+def _left_out(submaps: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the submaps of a few scans in the midst of the largest: not breaks of the run."""
+    begin, end = submaps[0]["iterations"]
+    return [
+        submap
+        for submap in submaps[1:]
+        if submap["scans"] < FEWEST
+        and begin < submap["iterations"][0]
+        and submap["iterations"][1] < end
+    ]
 
 
 def advice(summary: dict[str, Any]) -> str:
