@@ -152,7 +152,7 @@ def read_names(folder: Path) -> dict[int, str] | None:
     path = folder / NAMES
     if not path.is_file():
         return None
-    table = read_table(path, {"landmark": "int", "name": "text"})
+    table = read_table(path, {"landmark": "int", "name": "name"})
     names = dict(zip(table["landmark"].tolist(), table["name"].tolist(), strict=True))
     if len(names) < len(table["landmark"]):
         raise invalid(path, "a landmark occurs twice")
