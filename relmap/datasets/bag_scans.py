@@ -123,9 +123,12 @@ def _clouds(bag: Bag, topic: str, mounting: Mounting) -> tuple[ScanLog, str]:
 
 def cloud_points(message: Any, where: str) -> Floats:
     """Return the finite points (n, 3) of a ``PointCloud2``; RelmapError, at `where`, if damaged."""
-    n, step = int(message.width) * int(message.height), int(message.point_step)
+    n, step, row = int(message.width), int(message.point_step), int(message.row_step)
     order = ">" if message.is_bigendian else "<"
     data = np.asarray(message.data, dtype=np.uint8)
+    if row > n * step and row * int(message.height) == len(data):  # rows with bytes at their ends
+        data = data.reshape(-1, row)[:, : n * step].ravel()
+    n *= int(message.height)
     fields = {field.name: field for field in message.fields}
     there = all(axis in fields and fields[axis].datatype in _TYPES for axis in "xyz")
     if not there or n > MAX_POINTS or n * step > len(data):
