@@ -184,7 +184,7 @@ def _robotlaser(line: _Line) -> _Scan:
         robot,
         robot,
         values[-1],
-        values[4],
+        values[4] if values[4] > 0 else math.inf,
         values[n + m + 15 : n + m + 17],
     )
 
