@@ -245,6 +245,17 @@ def test_odometry_of_a_map_is_none(tmp_path: Path) -> None:
     assert "in a map frame" in log.no_odometry
 
 
+@pytest.mark.parametrize("what", ["scan", "cloud", "boxes"])
+def test_odometry_is_taken_at_the_times_also_where_they_repeat(tmp_path: Path, what: str) -> None:
+    types, times = Types("mcap"), [2.0, 2.0, 4.0]
+    given = {"scan": (RANGES, FIRST, STEP), "cloud": (np.eye(3),), "boxes": (PLACES.items(),)}[what]
+    seen = [("/seen", t, getattr(types, what)(t, *given)) for t in times]
+    path = write_bag(tmp_path, "mcap", types, [*transforms(types), *driven(types), *seen])
+    log = (open_log if what == "boxes" else open_scans)(path)
+    assert log.stamps_s.tolist() == [0, 1, 2]
+    assert_allclose(log.odometry[1:], motions(WAY[[1, 1, 3]])[1:], atol=1e-9)
+
+
 def test_several_odometries_are_none_until_one_is_named(tmp_path: Path) -> None:
     types = Types("ros1")
     second = [("/ekf", t, message) for _, t, message in driven(types)]
