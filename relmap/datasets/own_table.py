@@ -51,7 +51,7 @@ class OwnTable:
 
     def recognises(self, path: Path) -> bool:
         """Return whether it is a Parquet file: other tables are read as observation logs."""
-        return path.is_file() and foreign_at(path) == PARQUET
+        return foreign_at(path) == PARQUET
 
     def load(self, path: Path) -> ObservationLog:
         """Read the log."""
