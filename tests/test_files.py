@@ -253,7 +253,7 @@ def test_text_must_be_utf8(tmp_path: Path) -> None:
     ],
 )
 def test_a_path_that_cannot_be_is_reported(tmp_path: Path, use: Callable[..., object]) -> None:
-    """The file system refuses to tell whether there is such a file."""
+    """The file system does not say whether there is such a file."""
     with pytest.raises(RelmapError, match="a" * 300):
         use(tmp_path / ("a" * 300))
     assert names(tmp_path) == []
