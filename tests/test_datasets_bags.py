@@ -75,6 +75,14 @@ def test_laser_scans_are_on_the_robot(kind: str, tmp_path: Path) -> None:
     assert_allclose(log.odometry[1:], motions(WAY)[2:], atol=1e-9)
 
 
+def test_a_message_without_beams_is_an_empty_scan(tmp_path: Path) -> None:
+    types = Types("mcap")
+    scans = [("/scan", 1.0 + k, types.scan(1.0 + k, RANGES[: 7 * k], FIRST, STEP)) for k in (0, 1)]
+    log = open_scans(write_bag(tmp_path, "mcap", types, scans))
+    assert [len(scan.points_robot) for scan in log.scans()] == [0, 3]
+    assert log.sensor.view_rad == pytest.approx(2 * 0.3)
+
+
 def test_lasers_the_other_way_round(tmp_path: Path) -> None:
     types = Types("mcap")
     level = open_scans(write_bag(tmp_path, "mcap", types, scanned(types, step=-STEP)))
@@ -105,6 +113,16 @@ def test_clouds_are_on_the_robot(kind: str, tmp_path: Path) -> None:
     assert log.stamps_s.tolist() == [2, 3, 4]
     for scan, cloud in zip(log.scans(), clouds, strict=True):
         assert_allclose(scan.points_robot, on_robot(cloud[[0, 2]]), atol=1e-6)
+
+
+def test_rows_of_a_cloud_may_have_bytes_at_their_ends(tmp_path: Path) -> None:
+    types = Types("mcap")
+    points = np.arange(1.0, 19).reshape(6, 3)
+    cloud = types.cloud(1.0, points)
+    rows = np.pad(cloud.data.reshape(2, -1), ((0, 0), (0, 10)), constant_values=1)
+    cloud.height, cloud.width, cloud.row_step, cloud.data = 2, 3, rows.shape[1], rows.ravel()
+    log = open_scans(write_bag(tmp_path, "mcap", types, [("/points", 1.0, cloud)]))
+    assert_allclose(log.points_of(0), points)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -225,6 +243,17 @@ def test_odometry_of_a_map_is_none(tmp_path: Path) -> None:
     log = open_scans(path)
     assert log.odometry is None
     assert "in a map frame" in log.no_odometry
+
+
+@pytest.mark.parametrize("what", ["scan", "cloud", "boxes"])
+def test_odometry_is_taken_at_the_times_also_where_they_repeat(tmp_path: Path, what: str) -> None:
+    types, times = Types("mcap"), [2.0, 2.0, 4.0]
+    given = {"scan": (RANGES, FIRST, STEP), "cloud": (np.eye(3),), "boxes": (PLACES.items(),)}[what]
+    seen = [("/seen", t, getattr(types, what)(t, *given)) for t in times]
+    path = write_bag(tmp_path, "mcap", types, [*transforms(types), *driven(types), *seen])
+    log = (open_log if what == "boxes" else open_scans)(path)
+    assert log.stamps_s.tolist() == [0, 1, 2]
+    assert_allclose(log.odometry[1:], motions(WAY[[1, 1, 3]])[1:], atol=1e-9)
 
 
 def test_several_odometries_are_none_until_one_is_named(tmp_path: Path) -> None:

@@ -84,6 +84,13 @@ def test_graph_log(tmp_path: Path) -> None:
     np.testing.assert_allclose(log.poses[:, 0, 3], [7, 8])
 
 
+@pytest.mark.parametrize("limit", ["0", "-1"])
+def test_a_range_of_the_laser_that_is_not_above_zero_is_unknown(tmp_path: Path, limit: str) -> None:
+    log = open_scans(put(tmp_path, GRAPH.replace("0.5 50 0.1", f"0.5 {limit} 0.1"), "a.log"))
+    assert [len(scan.points_robot) for scan in log.scans()] == [3, 2]
+    assert log.sensor.range_m is None
+
+
 def test_a_log_without_vertices_gives_the_pose_of_its_scans(tmp_path: Path) -> None:
     text = "\n".join(line for line in GRAPH.splitlines() if line.startswith("ROBOT"))
     log = open_scans(put(tmp_path, text, "a.log"))

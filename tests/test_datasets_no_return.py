@@ -205,6 +205,14 @@ def test_a_wall_that_the_robot_follows_keeps_its_beams(tmp_path: Path) -> None:
     assert {len(scan.points_robot) for scan in log.scans()} == {180}
 
 
+def test_clouds_with_all_points_at_the_origin_are_opened(tmp_path: Path) -> None:
+    content = "ply\nformat ascii 1.0\nelement vertex 40\n"
+    content += "".join(f"property float {axis}\n" for axis in "xyz") + "end_header\n"
+    for k in range(3):
+        put(tmp_path, content + "0 0 0\n" * 40, f"{k}.ply")
+    assert [len(scan.points_robot) for scan in open_scans(tmp_path).scans()] == [40] * 3
+
+
 @pytest.mark.parametrize("written", [scans_npz, carmen_log])
 def test_a_log_without_any_return_is_opened(tmp_path: Path, written: Written) -> None:
     log = written(tmp_path, [np.full(180, REACH_M)] * 30)

@@ -71,6 +71,21 @@ def test_frames_are_logs(frames: Any) -> None:
     check(log_of_frame(frames.DataFrame(CELLS), NAMES))
 
 
+def test_columns_of_pandas_may_be_numbered() -> None:
+    pandas = pytest.importorskip("pandas")
+    frame = pandas.DataFrame(dict(enumerate(CELLS.values())))
+    check(log_of_frame(frame, {name: str([*CELLS].index(own)) for name, own in NAMES.items()}))
+
+
+@pytest.mark.parametrize("zone", [None, "UTC"])
+def test_a_missing_time_is_named_by_its_row(zone: str | None) -> None:
+    pandas = pytest.importorskip("pandas")
+    times = pandas.to_datetime(["2020-01-01", None, "2020-01-03"]).tz_localize(zone)
+    frame = pandas.DataFrame({"stamp": times, "x": [1.0, 2, 3], "y": [1.0, 2, 3]})
+    with pytest.raises(RelmapError, match="row 1, field stamp: nan is not finite"):
+        log_of_frame(frame)
+
+
 @pytest.mark.parametrize(
     ("header", "columns"),
     [

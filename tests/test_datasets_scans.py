@@ -145,6 +145,7 @@ def test_rows_may_come_in_any_order_and_as_float32(tmp_path: Path) -> None:
         ({"points": np.zeros((3, 3), dtype=complex)}, "array points: complex"),
         ({"points": np.array([[0, 0, 0], [0, np.nan, 0], [0, 0, 0]])}, "points, row 1: is not fin"),
         ({"points": np.full((3, 3), 1e12)}, "row 0: is not finite or out of range"),
+        ({"points": np.full((3, 3), np.inf, np.float16)}, "row 0: is not finite or out of range"),
         ({"iteration": np.zeros(3)}, r"array iteration: float64 \(3,\), expected whole numbers"),
         (
             {"iteration": np.zeros(2, int)},

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import io
+import struct
+import zlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -30,10 +33,16 @@ def kitti(points: Floats) -> bytes:
     return np.column_stack([points, np.full(len(points), 0.5)]).astype("<f4").tobytes()
 
 
-def png(image: NDArray[np.uint16]) -> bytes:
+def png(image: NDArray[Any]) -> bytes:
     stream = io.BytesIO()
     Image.fromarray(image).save(stream, "PNG")
     return stream.getvalue()
+
+
+_SIZE = b"IHDR" + struct.pack(">IIBBBBB", 20_000, 20_000, 16, 0, 0, 0, 0)
+HUGE = b"\x89PNG\r\n\x1a\n\0\0\0\r" + _SIZE + struct.pack(">I", zlib.crc32(_SIZE))
+HUGE += b"\0\0\0\0IDAT" + struct.pack(">I", zlib.crc32(b"IDAT"))
+"""The beginning of an image that would need 800 MB."""
 
 
 def images(folder: Path) -> Path:
@@ -142,6 +151,8 @@ def test_depth_images_come_out_ahead_left_and_up(tmp_path: Path) -> None:
         ("frame-000001.depth.png", b"no image", "frame-000001.depth.png"),
         ("frame-000001.depth.png", png(DEPTH)[:60], "frame-000001.depth.png"),
         ("frame-000001.depth.png", png(DEPTH.astype(np.uint8)), "one channel of 16 bits"),
+        ("frame-000001.depth.png", png(DEPTH > 0), "one channel of 16 bits"),
+        ("frame-000001.depth.png", HUGE, "400000000 pixels"),
     ],
 )
 def test_damaged_depth_images_are_refused(
@@ -170,6 +181,15 @@ def test_depth_images_of_tum_in_the_order_of_their_times(tmp_path: Path) -> None
     assert (log.poses[0] @ [2.0, 0.0, 0.0, 1.0]).tolist() == [0, 0, 10, 1]  # the camera's z
     assert np.isnan(log.poses[1]).all()
     assert read_truth(tmp_path / "a", "planes3d").stamps_s.tolist() == [2.5]
+
+
+def test_poses_of_tum_where_times_repeat(tmp_path: Path) -> None:
+    folder = tum(tmp_path / "a", "2 4")
+    put(folder, "4 depth/4.png\n2 depth/2.png\n2 depth/2.png\n", "depth.txt")
+    put(folder, "2 0 0 7 0 0 0 1\n4 0 0 9 0 0 0 1\n", "groundtruth.txt")
+    log = open_scans(folder)
+    assert log.stamps_s.tolist() == [0, 1, 2]
+    assert log.poses[:, 2, 3].tolist() == [7, 7, 9]
 
 
 def test_associations_of_tum_in_either_order(tmp_path: Path) -> None:

@@ -14,8 +14,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from relmap import RelmapError
+from relmap import PointMapper, RelmapError
+from relmap.exports.formats import export
 from relmap.io.files import atomic_write, read_text, read_tum, staged_folder, write_tum
+from relmap.io.journal import salvage
+from relmap.io.results import read_names, read_result
 from tests.tables import poses_along
 
 
@@ -235,3 +238,29 @@ def test_text_must_be_utf8(tmp_path: Path) -> None:
     path.write_bytes("ä\nö\n".encode() + b"\xff\n")
     with pytest.raises(RelmapError, match="line 3: byte 0xff is not UTF-8"):
         read_text(path)
+
+
+@pytest.mark.parametrize(
+    "use",
+    [
+        lambda path: PointMapper(journal=path),
+        PointMapper.resume,
+        PointMapper.load,
+        PointMapper().save,
+        PointMapper().save_results,
+        salvage,
+        read_result,
+    ],
+)
+def test_a_path_that_cannot_be_is_reported(tmp_path: Path, use: Callable[..., object]) -> None:
+    """The file system does not say whether there is such a file."""
+    with pytest.raises(RelmapError, match="a" * 300):
+        use(tmp_path / ("a" * 300))
+    assert names(tmp_path) == []
+
+
+def test_an_export_to_a_path_that_cannot_be_is_reported(tmp_path: Path) -> None:
+    PointMapper().save_results(tmp_path)
+    with pytest.raises(RelmapError, match="File name too long"):
+        export(tmp_path, "svg", tmp_path / ("a" * 300 + ".svg"))
+    assert read_names(tmp_path / ("a" * 300)) is None

@@ -12,6 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from relmap import RelmapError
+from relmap.datasets.own_table import MAX_NAME
+from relmap.io.results import read_names, write_names
 from relmap.io.tables import Kind, compressed, csv_text, read_table
 
 COLUMNS: dict[str, Kind] = {"n": "int", "x": "float", "sd": "float or empty", "word": "text"}
@@ -48,6 +50,15 @@ def test_header_alone_is_an_empty_table(tmp_path: Path) -> None:
     path = tmp_path / "table.csv"
     path.write_text("n,x,sd,word\n")
     assert [len(column) for column in read_table(path, COLUMNS).values()] == [0] * 4
+
+
+def test_names_of_any_length_that_a_log_may_have_come_back(tmp_path: Path) -> None:
+    names = {0: "a" * MAX_NAME, 3: 'b, "c"\nd'}
+    write_names(tmp_path, names)
+    assert read_names(tmp_path) == names
+    write_names(tmp_path, {0: "a" * (MAX_NAME + 1)})
+    with pytest.raises(RelmapError, match="not a name of at most 200 characters"):
+        read_names(tmp_path)
 
 
 @pytest.mark.parametrize(

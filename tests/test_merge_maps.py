@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from relmap import PointMapper
 from relmap.cli import main
 from relmap.core.arrays import Floats
 from relmap.core.geometry.alignment import fit_rigid
@@ -224,10 +225,28 @@ def test_a_merged_map_of_points_is_evaluated_by_place(
 
 
 @pytest.mark.parametrize(
+    ("one", "other", "scans"),
+    [
+        ("lab-a", "lab-b", [0, 170 + 162]),
+        ("eight-a", "eight-b", [0, 180 + 180]),
+        ("eight-b", "eight-a", [120, 300 + 180]),
+    ],
+)
+def test_the_iterations_of_the_second_follow_those_of_the_first(
+    halves: Path, tmp_path: Path, one: str, other: str, scans: list[int]
+) -> None:
+    run_relmap("merge", halves / one, halves / other, "-o", tmp_path)
+    merged = read_any(tmp_path)
+    assert merged.summary["scans"] == scans
+    assert merged.landmarks.last_iteration.max() == scans[1] - 1
+
+
+@pytest.mark.parametrize(
     ("one", "other", "said"),
     [
         ("lab-a", "eight-a", "lab-a is a map of walls and "),
         ("eight-a", "twin", "no place of one is found in the other"),
+        ("empty", "empty", "no place of one is found in the other"),
         ("lab-a", "corridor", "no unique alignment"),
         ("lab-a", "gone", "gone is not a result folder"),
     ],
@@ -243,6 +262,8 @@ def test_maps_without_an_alignment_are_refused(
     if other == "twin":  # another world
         run_relmap("simulate", "figure-eight", "-o", tmp_path, "--iterations", "100", "--seed", "5")
         run_relmap("map", tmp_path, "-o", halves / other)
+    if other == "empty":
+        PointMapper().save_results(halves / other)
     if other == "corridor":
         laser = ["--sampling", "laser", "--points", "181", "--iterations", "60"]
         run_relmap("simulate", "building", "--world", "corridor", "-o", tmp_path, *laser)

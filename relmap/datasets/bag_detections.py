@@ -56,14 +56,13 @@ class BagDetections:
         with bag_errors(path), closing(Bag(path)) as bag:
             topic = bag.chosen(DETECTIONS, self.topics, "detections")
             driven = Driven(bag, self.topics)
-            log, frame = _read(bag, topic, Mounting(bag, driven.base))
-        assert log.stamps_s is not None
-        odometry = driven.at(log.stamps_s, frame, path)
+            log, frame, times_s = _read(bag, topic, Mounting(bag, driven.base))
+        odometry = driven.at(times_s, frame, path)
         return replace(log, odometry=odometry, no_odometry=driven.reason)
 
 
-def _read(bag: Bag, topic: str, mounting: Mounting) -> tuple[ObservationLog, str]:
-    """Return the log of a topic, and the name of its frame."""
+def _read(bag: Bag, topic: str, mounting: Mounting) -> tuple[ObservationLog, str, Floats]:
+    """Return the log of a topic, the name of its frame, and the time of each message, seconds."""
     rows: list[list[float]] = []
     stamps: list[float] = []
     frame, ids, classes = "", Ids(), False
@@ -82,7 +81,8 @@ def _read(bag: Bag, topic: str, mounting: Mounting) -> tuple[ObservationLog, str
         raise RelmapError(f"{where} holds no detection, expected some")
     if classes:
         warn(where, "ids come twice in a message: they are classes, not used")
-    return _log(bag.path, np.array(rows), stamps, None if classes else ids), frame
+    log = _log(bag.path, np.array(rows), stamps, None if classes else ids)
+    return log, frame, np.sort(stamps)[log.first_iteration : log.end_iteration]
 
 
 def _log(path: Path, values: Floats, stamps: list[float], ids: Ids | None) -> ObservationLog:

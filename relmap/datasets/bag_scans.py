@@ -55,12 +55,13 @@ class BagScans:
             driven = Driven(bag, self.topics)
             mounting = Mounting(bag, driven.base)
             read = _lasers if bag.types[topic] == LASER else _clouds
-            log, frame = read(bag, topic, mounting)
-        odometry = driven.at(log.stamps_s, frame, path)
+            log, frame, times_s = read(bag, topic, mounting)
+        odometry = driven.at(times_s, frame, path)
         return replace(log, odometry=odometry, no_odometry=driven.reason)
 
 
-def _lasers(bag: Bag, topic: str, mounting: Mounting) -> tuple[ScanLog, str]:
+def _lasers(bag: Bag, topic: str, mounting: Mounting) -> tuple[ScanLog, str, Floats]:
+    """Return the log of a topic, the name of its frame, and the time of each scan, seconds."""
     stamps: list[float] = []
     scans, frames, limit_m, n_beams = [], set(), np.inf, 0
     for t, message in bag.messages(topic):
@@ -76,7 +77,7 @@ def _lasers(bag: Bag, topic: str, mounting: Mounting) -> tuple[ScanLog, str]:
         raise invalid(bag.path, f"topic {topic} holds no scan, expected some")
     order, stamps_s = in_time_order(bag.path, np.array(stamps))
     log = laser_scans(bag.path, [scans[k] for k in order], limit_m, stamps_s, None)
-    return replace(log, numbers=numbers_of(order)), min(frames)
+    return replace(log, numbers=numbers_of(order)), min(frames), np.sort(stamps)
 
 
 def _beams(bag: Bag, message: Any, T_robot_laser: Floats) -> Beams:
@@ -96,7 +97,8 @@ def _beams(bag: Bag, message: Any, T_robot_laser: Floats) -> Beams:
     return Beams(r, bearing, [*T_robot_laser[:2, 3].tolist(), float(yaw)])
 
 
-def _clouds(bag: Bag, topic: str, mounting: Mounting) -> tuple[ScanLog, str]:
+def _clouds(bag: Bag, topic: str, mounting: Mounting) -> tuple[ScanLog, str, Floats]:
+    """Return the same as `_lasers`."""
     stamps, places, frame = [], [], ""
     written: Counter[int] = Counter()
     for t, message in bag.messages(topic):
@@ -118,14 +120,18 @@ def _clouds(bag: Bag, topic: str, mounting: Mounting) -> tuple[ScanLog, str]:
             points = cloud_points(reopened[0].message_at(topic, t, nth), shown(bag.path))
         return np.asarray(points @ T[:3, :3].T + T[:3, 3])
 
-    return sorted_by_time(bag.path, ScanLog(3, stamps_s, points_of), stamps_s), frame
+    log = sorted_by_time(bag.path, ScanLog(3, stamps_s, points_of), stamps_s)
+    return log, frame, np.sort(stamps_s)
 
 
 def cloud_points(message: Any, where: str) -> Floats:
     """Return the finite points (n, 3) of a ``PointCloud2``; RelmapError, at `where`, if damaged."""
-    n, step = int(message.width) * int(message.height), int(message.point_step)
+    n, step, row = int(message.width), int(message.point_step), int(message.row_step)
     order = ">" if message.is_bigendian else "<"
     data = np.asarray(message.data, dtype=np.uint8)
+    if row > n * step and row * int(message.height) == len(data):  # rows with bytes at their ends
+        data = data.reshape(-1, row)[:, : n * step].ravel()
+    n *= int(message.height)
     fields = {field.name: field for field in message.fields}
     there = all(axis in fields and fields[axis].datatype in _TYPES for axis in "xyz")
     if not there or n > MAX_POINTS or n * step > len(data):

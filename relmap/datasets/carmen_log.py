@@ -18,11 +18,11 @@ N. Roy and S. Thrun, IROS 2003.
 from __future__ import annotations
 
 import math
-import os
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -87,11 +87,8 @@ class CarmenLog:
 
     def recognises(self, path: Path) -> bool:
         """Return whether the first line other than a comment begins like a CARMEN line."""
-        if os.path.isdir(path):
-            return False
         with suppress(RelmapError):
-            for line in _lines(path):
-                return line.cells[0] in _HALLMARKS
+            return any(line.cells[0] in _HALLMARKS for line in islice(_lines(path), 1))
         return False
 
     def load(self, path: Path) -> ScanLog:
@@ -184,7 +181,7 @@ def _robotlaser(line: _Line) -> _Scan:
         robot,
         robot,
         values[-1],
-        values[4],
+        values[4] if values[4] > 0 else math.inf,
         values[n + m + 15 : n + m + 17],
     )
 

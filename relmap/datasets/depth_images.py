@@ -80,9 +80,9 @@ def points_of(file: Path, K: Floats, unit_m: float = UNIT_M) -> Floats:
             if image.width * image.height > MOST_PIXELS:
                 raise invalid(file, f"more than {MOST_PIXELS} pixels")
             depth = np.asarray(image)[::EVERY, ::EVERY]
-    except DAMAGE as error:
+    except (*DAMAGE, Image.DecompressionBombError) as error:
         raise unreadable(file, error) from error
-    if depth.ndim != 2 or depth.dtype == np.uint8:
+    if depth.ndim != 2 or depth.dtype.itemsize < 2:
         raise invalid(file, "is not a depth image, expected one channel of 16 bits")
     row, column = np.nonzero(~np.isin(depth, NO_READING))
     z = depth[row, column] * unit_m

@@ -67,6 +67,6 @@ def _moving(scans: Iterable[tuple[Floats, Floats]]) -> Iterator[tuple[Floats, Fl
     last = np.empty(0)
     for ranges, bearings in scans:
         same = len(ranges) == len(last)
-        if not same or np.mean(np.abs(ranges - last) > MOVED_M) > MOVED:
+        if not same or np.count_nonzero(np.abs(ranges - last) > MOVED_M) > MOVED * len(ranges):
             last = ranges
             yield ranges, bearings

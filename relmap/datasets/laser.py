@@ -100,7 +100,8 @@ def _view(scans: Sequence[Beams], limit_m: float) -> SensorView:
     T_robot_laser = np.array([scan.T_robot_laser for scan in scans])
     if np.ptp(T_robot_laser, axis=0).max() > FIXED:
         return SensorView()
-    half = min(min(-scan.bearings_rad.min(), scan.bearings_rad.max()) for scan in scans)
+    bearings = [scan.bearings_rad for scan in scans if len(scan.bearings_rad)]
+    half = min(min(-bearing.min(), bearing.max()) for bearing in bearings)
     view_rad = 2 * float(half) if half > 0 else None
     range_m = float(limit_m) if np.isfinite(limit_m) else None
     return SensorView(view_rad, range_m, *T_robot_laser[0].tolist())

@@ -37,12 +37,12 @@ def without_no_return(path: Path, log: ScanLog) -> ScanLog:
     scans = [points for index in some.tolist() if len(points := _read(log, index))]
     if not scans:
         return log
-    ranges_m = [_ranges_m(log, points) for points in scans]
+    ranges_m = [np.linalg.norm(points, axis=1) for points in scans]
     require_near(path, ranges_m)
     same_m = _shared(np.concatenate(ranges_m))
     least_m, most_m = same_m[0], same_m[-1]
     there = [(r >= least_m) & (r <= most_m) for r in ranges_m]
-    if sum(map(_did_not_return, scans, there)) < WIDE_SCANS:
+    if most_m == 0 or sum(map(_did_not_return, scans, there)) < WIDE_SCANS:
         return log
     share = f"{100 * np.mean([np.mean(one) for one in there]):.3g} % of the points are"
     at = f"at the largest range, {np.median(same_m):.4g} m, and are treated as no return"
@@ -50,7 +50,7 @@ def without_no_return(path: Path, log: ScanLog) -> ScanLog:
 
     def points_of(index: int) -> Floats:
         points = log.points_of(index)
-        return np.asarray(points[_ranges_m(log, points) < least_m])
+        return np.asarray(points[np.linalg.norm(points, axis=1) < least_m])
 
     return replace(log, points_of=points_of)
 
@@ -69,11 +69,6 @@ def _did_not_return(points: Floats, there: Bools) -> bool:
         return False
     way = points[there] / np.linalg.norm(points[there], axis=1, keepdims=True)
     return bool(np.linalg.eigvalsh(np.cov(way.T))[0] >= SPREAD**2)
-
-
-def _ranges_m(log: ScanLog, points: Floats) -> Floats:
-    """Return the distances (n,) of points (n, 3) from the sensor."""
-    return np.asarray(np.linalg.norm(points - [log.sensor.x_m, log.sensor.y_m, 0.0], axis=1))
 
 
 def _read(log: ScanLog, index: int) -> Floats:

@@ -51,7 +51,7 @@ class OwnTable:
 
     def recognises(self, path: Path) -> bool:
         """Return whether it is a Parquet file: other tables are read as observation logs."""
-        return path.is_file() and foreign_at(path) == PARQUET
+        return foreign_at(path) == PARQUET
 
     def load(self, path: Path) -> ObservationLog:
         """Read the log."""
@@ -139,8 +139,9 @@ def log_of_frame(frame: Any, columns: Mapping[str, str] | None = None) -> Observ
     _check_columns(columns or {})
     if not (hasattr(frame, "columns") and hasattr(frame, "shape")):
         raise RelmapError(f"expected a DataFrame of pandas or polars, got a {type(frame).__name__}")
-    theirs = _chosen(path, [str(name) for name in frame.columns], columns or {})
-    found = {ours: frame[name].to_numpy() for ours, name in theirs.items()}
+    names = {str(name): name for name in frame.columns}  # pandas also has names other than texts
+    theirs = _chosen(path, [*map(str, frame.columns)], columns or {})
+    found = {ours: frame[names[text]].to_numpy() for ours, text in theirs.items()}
     return _log_of_columns(path, found, first=0)
 
 
@@ -188,7 +189,8 @@ def _as_floats(path: Path, column: Column, cells: NDArray[Any], first: int) -> F
         return np.where(np.isnat(cells), np.nan, seconds)
     try:
         if column.name == "stamp" and all(hasattr(cell, "timestamp") for cell in cells):
-            return np.array([cell.timestamp() for cell in cells])  # times in a time zone
+            # Times in a time zone; a missing one differs from itself.
+            return np.array([cell.timestamp() if cell == cell else np.nan for cell in cells])
         # Old versions of numpy convert a list with a single number.
         has_lists = cells.dtype.kind == "O" and any(map(np.ndim, cells))
         if cells.dtype.kind not in "biufO" or has_lists:

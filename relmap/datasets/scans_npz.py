@@ -74,6 +74,7 @@ class ScansNpz:
         arrays = _read_arrays(file)
         limits = {name: _limit(file, name, arrays[name]) for name in _LIMITS if name in arrays}
         _check_shapes(file, arrays)
+        arrays["points"] = arrays["points"].astype(np.float64, copy=False)
         _check_values(file, arrays)
         _check_view(file, arrays["points"], **limits)
         points, iteration, stamps_s = (arrays[name] for name in _KINDS)
@@ -82,7 +83,7 @@ class ScansNpz:
         order = np.argsort(iteration, kind="stable")
         if not points[:, 2:].any():
             points = points[:, :2]
-        iteration, points_robot = iteration[order], points[order].astype(np.float64, copy=False)
+        iteration, points_robot = iteration[order], points[order]
         if points_robot.shape[1] == 2:
             _doubt_axes(file, points_robot, iteration)
             within_m = limits.get("range_m", np.inf)

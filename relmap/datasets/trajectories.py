@@ -35,14 +35,16 @@ _RELATION_LIMITS = (1e12, 1e12, *[MAX_COORDINATE_M] * 6)
 
 def is_trajectory(path: Path) -> bool:
     """Return whether the first line other than a comment has 8 or 12 numbers."""
-    if not os.path.isfile(path):
-        return False
     with suppress(RelmapError):
-        for _, line in numbered_lines(path):
-            cells = line.partition("#")[0].split()
-            if cells:
-                return len(cells) in (_TUM, _KITTI) and bool(finite_numbers(cells))
+        cells = _first_row(path)
+        return len(cells) in (_TUM, _KITTI) and bool(finite_numbers(cells))
     return False
+
+
+def _first_row(path: Path) -> list[str]:
+    """Return the words of the first line other than a comment; none if there is no such line."""
+    rows = (line.partition("#")[0].split() for _, line in numbered_lines(path))
+    return next(filter(None, rows), [])
 
 
 def read_trajectory(path: Path) -> tuple[Floats, Floats]:
@@ -51,8 +53,7 @@ def read_trajectory(path: Path) -> tuple[Floats, Floats]:
     Returns `stamps_s` (k,): seconds, or the numbers of the lines and `poses` (k, 4, 4):
     T_map_robot. Raises `RelmapError` if a line is not a pose.
     """
-    _, first = next((n, s) for n, s in numbered_lines(path) if s.partition("#")[0].strip())
-    if len(first.partition("#")[0].split()) == _TUM:
+    if len(_first_row(path)) == _TUM:
         stamps_s, poses, _ = read_tum(path)
         return stamps_s, poses
     poses = read_poses(path)

@@ -13,7 +13,6 @@ warning.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -55,9 +54,9 @@ class TumRgbd:
             raise invalid(path, f"holds no {LISTS[0]} or {LISTS[1]}, expected {self.description}")
         stamps_s, names = _images(file)
         K = _intrinsics(path)
-        whole = ScanLog(3, stamps_s, lambda index: points_of(path / names[index], K, UNIT_M))
-        log = sorted_by_time(path, whole, stamps_s)
-        return replace(log, poses=_poses(path / TRUTH, log.stamps_s))
+        poses = _poses(path / TRUTH, stamps_s)
+        log = ScanLog(3, stamps_s, lambda index: points_of(path / names[index], K, UNIT_M), poses)
+        return sorted_by_time(path, log, stamps_s)
 
 
 def _list_of(path: Path) -> Path | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -35,7 +36,7 @@ def export(
     invalid, the map does not fit the format, or the file cannot be written.
     """
     endings, render = FORMATS[to]
-    path = out / f"{NAME}{endings[0]}" if out.is_dir() or not out.suffix else out
+    path = out / f"{NAME}{endings[0]}" if os.path.isdir(out) or not out.suffix else out
     if path.suffix.lower() not in endings:
         ends = " or ".join(endings)
         raise RelmapError(f"--to {to} writes {ends}, and {shown(out)} ends otherwise")

@@ -10,11 +10,9 @@ from numpy.typing import NDArray
 from relmap.core.arrays import Ints
 from relmap.core.linalg.compiling import compiled
 
-Cells = Ints
-
 
 @compiled
-def cast(begins: NDArray[Any], ends: NDArray[Any], passed: Cells, ended: Cells) -> None:
+def cast(begins: NDArray[Any], ends: NDArray[Any], passed: Ints, ended: Ints) -> None:
     """Count the cells in which lines end, and those through which they pass before.
 
     A line is followed only until it leaves the grid.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -150,9 +151,9 @@ def write_names(folder: Path, names: Mapping[int, str]) -> None:
 def read_names(folder: Path) -> dict[int, str] | None:
     """Return what `write_names` wrote, None without a file; RelmapError if it is damaged."""
     path = folder / NAMES
-    if not path.is_file():
+    if not os.path.isfile(path):
         return None
-    table = read_table(path, {"landmark": "int", "name": "text"})
+    table = read_table(path, {"landmark": "int", "name": "name"})
     names = dict(zip(table["landmark"].tolist(), table["name"].tolist(), strict=True))
     if len(names) < len(table["landmark"]):
         raise invalid(path, "a landmark occurs twice")
@@ -221,7 +222,7 @@ def read_result(folder: Path) -> Result:
     The result is without submaps, and without the iterations of its poses. Raises `RelmapError` if
     a file is missing or was not written by `write_result`.
     """
-    if not (folder / SUMMARY).is_file():
+    if not os.path.isfile(folder / SUMMARY):
         raise RelmapError(f"{folder} is not a result folder: no {SUMMARY} in it")
     table = read_table(folder / LANDMARKS, LANDMARK_COLUMNS, OPTIONAL)
     table.setdefault("submap", np.where(np.isfinite(table["x"]), 0, -1))

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import os
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -55,7 +56,7 @@ def load_state(path: Path, begin: Callable[[dict[str, Any]], list[Any]]) -> None
     `begin`: makes new parts from the additional content of the file. Raises `RelmapError` if the
     file is missing, damaged, or contains something else.
     """
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise RelmapError(f"there is no saved map {path}, expected one that 'relmap map' wrote")
     try:
         arrays = _read_arrays(path)

@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 
 from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
+from relmap.datasets.own_table import MAX_NAME
 from relmap.datasets.textfile import invalid, numbered_lines, quoted, shown
 
-Kind = Literal["int", "float", "float or empty", "text", "corners", "int list"]
+Kind = Literal["int", "float", "float or empty", "text", "name", "corners", "int list"]
 """Type of a column of a table.
 
 ``corners`` is points in space, ``x y z;x y z;...``, and reads as an array (k, 3), and ``int list``
@@ -31,12 +32,12 @@ is ``k;k;...``.
 MAX_RESULT_M = 1e70
 """Largest coordinate of a drifted map or path, metres: its square is still finite."""
 
-MAX_WORD = 32
-"""Maximum number of characters of a text: numpy allocates the longest for each row."""
+MOST = {"text": 32, "name": MAX_NAME}
+"""Maximum number of characters; numpy allocates the longest text, but not name, for each row."""
 
 WANTED = {
     "int": "a whole number",
-    "text": f"a word of at most {MAX_WORD} characters",
+    **{kind: f"a {kind} of at most {most} characters" for kind, most in MOST.items()},
     "corners": "corners x y z;x y z;...",
     "int list": "whole numbers k;k;...",
 }
@@ -124,8 +125,8 @@ def _column(kind: Kind) -> Any:
 
 def _value(kind: Kind, text: str) -> Any:
     """Return the content of a cell; ValueError if it is not of its kind."""
-    if kind == "text":
-        if len(text) > MAX_WORD:
+    if kind in MOST:
+        if len(text) > MOST[kind]:
             raise ValueError
         return sys.intern(text)
     if kind == "corners":
@@ -148,7 +149,7 @@ def _value(kind: Kind, text: str) -> Any:
 
 def _as_array(kind: Kind, values: Any) -> NDArray[Any]:
     """Return the cells of a column, (n,)."""
-    if kind in ("corners", "int list"):
+    if kind in ("name", "corners", "int list"):
         ragged = np.empty(len(values), dtype=object)
         ragged[:] = values
         return ragged

@@ -88,13 +88,12 @@ def _joined(
     a: Result, b: Result, texts: tuple[Texts, Texts], motion: Motion, record: Record
 ) -> tuple[Result, Motion, dict[int, str]]:
     """Merge two results, given an approximate alignment of the second; return it refined."""
-    shift = int(a.landmarks.last_iteration.max(initial=-1)) + 1
-    shift -= int(b.landmarks.first_iteration.min(initial=0))
-    planes = None
+    (first, end), (begin, last) = map(_span, (a, b))
+    shift, planes = end - begin, None
     if isinstance(a, PlaneResult) and isinstance(b, PlaneResult):
-        label = b.landmarks.landmark + int(a.landmarks.landmark.max(initial=-1)) + 1
+        base = int(a.landmarks.landmark.max(initial=-1)) + 1
+        label = b.landmarks.landmark + base
         others = shifted(moved(b.planes, motion), shift)
-        base = label[0] - b.landmarks.landmark[0] if len(label) else 0
         others = replace(others, corner=np.where(others.corner >= 0, others.corner + base, -1))
         planes, corners = joined_walls(a.planes, others)
         mine = positions_of(a.landmarks.landmark, corners[:, 1])
@@ -109,8 +108,16 @@ def _joined(
     table = joined(_alone(a.landmarks), theirs, same.pairs)
     record |= {"T_first_second": motion.matrix.tolist(), "common_landmarks": len(pairs)}
     tracks = Tracks(NOTHING, NOTHING, NOTHING)
-    result = Result(table, tracks, a.stamps_s, a.poses, _summary(a, b, table, record))
+    summary = _summary(a, b, table, record, [first, last + shift])
+    result = Result(table, tracks, a.stamps_s, a.poses, summary)
     return result if planes is None else _of_walls(result, planes), motion, same.names
+
+
+def _span(result: Result) -> tuple[int, int]:
+    """Return the first iteration that saw anything, and the one after the last."""
+    table = result.planes if isinstance(result, PlaneResult) else result.landmarks
+    end = int(table.last_iteration.max(initial=-1)) + 1
+    return int(table.first_iteration.min(initial=end)), end
 
 
 def _paired(a: Result, b: Result, motion: Motion) -> tuple[Motion, Ints]:
@@ -127,6 +134,9 @@ def _tie_of_points(a: Result, b: Result, named: str) -> tuple[Motion, Record]:
     d = 2 if a.planar else 3
     places = [result.landmarks.position[result.mapped][:, :d] for result in (a, b)]
     n = [len(each) for each in places]
+    failed = f"{named} have no unique alignment: no place of one is found in the other"
+    if not all(n):
+        raise RelmapError(failed)
     state = LandmarkState()
     state.resize(sum(n), 0, d)
     both = GlobalMap(state)
@@ -136,9 +146,7 @@ def _tie_of_points(a: Result, b: Result, named: str) -> tuple[Motion, Record]:
     sd = np.concatenate([result.landmarks.sd[result.mapped] for result in (a, b)])
     noise_m = float(np.median(sd[sd > 0])) if (sd > 0).any() else 0.0
     if not any(True for _ in tie_submaps(both, np.sqrt(2) * noise_m)):
-        raise RelmapError(
-            f"{named} have no unique alignment: no place of one is found in the other"
-        )
+        raise RelmapError(failed)
     R, t = (fit_rigid(own, state.position[k]) for own, k in zip(places, numbers, strict=True))
     back = np.linalg.inv(Motion(*R).matrix) @ Motion(*t).matrix
     return Motion(back[:d, :d], back[:d, 3]), {}
@@ -198,14 +206,14 @@ def _of_walls(result: Result, planes: PlaneTable) -> PlaneResult:
     return PlaneResult(**vars(replace(result, landmarks=table, summary=summary)), planes=planes)
 
 
-def _summary(a: Result, b: Result, table: LandmarkTable, record: Record) -> Record:
+def _summary(
+    a: Result, b: Result, table: LandmarkTable, record: Record, scans: list[int]
+) -> Record:
     mapped = int(np.isfinite(table.position[:, 0]).sum())
     counts = {"landmarks": len(table.landmark), "mapped": mapped, **by_status(table.status)}
     about = {name: a.summary.get(name) for name in ("variant", "association", "dimensions")}
     if b.summary.get("association") != about["association"]:
         about["association"] = "nearest"
-    first, last = table.first_iteration.min(initial=0), table.last_iteration.max(initial=-1)
-    scans = [int(first), int(last) + 1]
     return about | {"merged": record, "scans": scans, "versions": versions(), "counts": counts}
 
 

@@ -24,7 +24,7 @@ THERE = "journal {} already exists: resume its run, or name another"
 
 def create_file(path: Path, layout: Layout, meta: dict[str, Any]) -> End:
     """Create an empty journal atomically, and return its end; RelmapError if it cannot be done."""
-    if path.exists():
+    if os.path.exists(path):
         raise RelmapError(THERE.format(path))
     # Files left by a killed run beside a deleted journal would be taken for this one's.
     remove(path, BESIDE)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from contextlib import suppress
 from pathlib import Path
@@ -22,16 +23,17 @@ def salvage(path: Path) -> int:
     recovered. Raises `RelmapError` if nothing can be recovered, or a file cannot be written.
     """
     damaged, whole, rest = (_beside(path, name) for name in (".damaged", ".whole", ".rest"))
-    if damaged.exists() and whole.exists() and not path.exists():  # killed before the last step
+    there = [os.path.exists(file) for file in (damaged, whole, path)]
+    if there == [True, True, False]:  # killed before the last step
         whole.replace(path)
         with JournalReader(path) as reader:
             return sum(1 for _ in reader.scans())
-    if damaged.exists():
+    if there[0]:
         raise RelmapError(
             f"{damaged} already exists: {path} was recovered before: resume it without --salvage, "
             f"or move {damaged} away first"
         )
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise RelmapError(f"there is no journal {path}")
     try:
         _copy(path, rest)
