@@ -12,6 +12,7 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
+from relmap.core.geometry.motions import rotations
 from relmap.core.landmarks import LandmarkMap, LandmarkTable, Submap
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.scans import ScanLog, SensorView
@@ -183,18 +184,20 @@ def segment_scan(
     Returns `ends`, `end_type`, `noise`, `n_points` and `z_extent` as in
     `relmap.segmentation.Planes`, in the robot frame, and `origin`, the position of the sensor.
     """
-    c, s = np.cos(view.yaw_rad), np.sin(view.yaw_rad)
-    R, t = np.array([[c, -s], [s, c]]), np.array([view.x_m, view.y_m])
+    R, t = pose_on_robot(view)
     points_sensor = points_robot.copy()
     points_sensor[:, :2] = (points_robot[:, :2] - t) @ R
     found = segmenter.fit(points_sensor).planes_
     ends = found.ends @ R.T + t
     front = ends[:, 0, 0] * ends[:, 1, 1] > ends[:, 0, 1] * ends[:, 1, 0]
     names = ("end_type", "noise", "n_points", "z_extent")
-    columns = {name: getattr(found, name) for name in names} | {"ends": ends}
-    if not front.all():
-        columns = {name: values[front] for name, values in columns.items()}
-    return SimpleNamespace(**columns, origin=t)
+    columns = {name: getattr(found, name)[front] for name in names}
+    return SimpleNamespace(**columns, ends=ends[front], origin=t)
+
+
+def pose_on_robot(view: SensorView) -> tuple[Floats, Floats]:
+    """Return rotation (2, 2) and position (2,), metres, of a sensor on the robot."""
+    return rotations(np.array([[view.yaw_rad]]))[0], np.array([view.x_m, view.y_m])
 
 
 def stamps_of(log: Log) -> Floats:

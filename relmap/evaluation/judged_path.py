@@ -6,6 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.arrays import Floats
+from relmap.core.geometry.alignment import rotation_of_moment
+from relmap.core.geometry.motions import transforms
 from relmap.evaluation import metrics
 from relmap.evaluation.truth import Truth
 from relmap.io.results import Result
@@ -115,11 +117,8 @@ def _rpe(
     moved, truly = (
         np.linalg.solve(each[step], each[step + 1])[:, :3, 3] for each in (poses, true_poses)
     )
-    u, _, vt = np.linalg.svd(truly.T @ moved)
-    u[:, -1] *= np.sign(np.linalg.det(u @ vt))
-    T = np.eye(4)
-    T[:3, :3] = u @ vt  # turns steps in the axes of the result into those of the truth
-    turned_m = metrics.rpe(poses, true_poses @ T, instant)
+    R = rotation_of_moment(truly.T @ moved).T  # from the axes of the result to the truth's
+    turned_m = metrics.rpe(poses, true_poses @ transforms(R, np.zeros(3)), instant)
     lengths = np.linalg.norm(moved, axis=1) @ np.linalg.norm(truly, axis=1)
     alike = (moved * truly).sum() >= np.cos(TURNED_RAD) * lengths
     assert turned_m is not None

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.geometry.alignment import fit_rigid
+from relmap.core.geometry.alignment import fit_rigid, rotation_of_moment
 
 MATCH_S = 0.01
 """Tolerance for matching two stamps (that of the TUM benchmark's tools)."""
@@ -65,9 +65,7 @@ def align_poses(poses: Floats, others: Floats, d: int) -> tuple[Floats, Floats]:
     `R` (d, d), `t` (d,): ``others ~ poses @ R.T + t`` for the positions.
     """
     turns = others[:, :d, :d] @ poses[:, :d, :d].transpose(0, 2, 1)
-    u, _, vt = np.linalg.svd(turns.sum(axis=0))
-    u[:, -1] *= np.sign(np.linalg.det(u @ vt))
-    R = np.asarray(u @ vt)
+    R = rotation_of_moment(turns.sum(axis=0)).T
     return R, (others[:, :d, 3] - poses[:, :d, 3] @ R.T).mean(axis=0)
 
 

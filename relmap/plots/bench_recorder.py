@@ -12,7 +12,7 @@ import numpy as np
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.geometry.motions import transforms
 from relmap.datasets.scans import PointScan, ScanLog
-from relmap.evaluation.feeding import segment_scan
+from relmap.evaluation.feeding import pose_on_robot, segment_scan
 from relmap.evaluation.truth import Truth
 from relmap.planes import PlaneMapper
 from relmap.plots.path import fit_to_truth
@@ -108,13 +108,12 @@ class BenchRecorder:
         walls = planes.ends[mapped] @ R.T + t
         view, segmenter = self._log.sensor, copy(self.segmenter)
         segment_scan(segmenter, scan.points_robot, view)
-        seen, c, s = segmenter.planes_, np.cos(view.yaw_rad), np.sin(view.yaw_rad)
-        ends_robot = seen.ends @ np.array([[c, s], [-s, c]]) + [view.x_m, view.y_m]
+        seen, (R_sensor, t_sensor) = segmenter.planes_, pose_on_robot(view)
         return BenchFrame(
             scan.iteration,
             scan.points_robot[:, :2],
             segmenter.labels_,
-            ends_robot,
+            seen.ends @ R_sensor.T + t_sensor,
             seen.end_type == "corner",
             walls,
             walls[planes.corner[mapped] >= 0],
