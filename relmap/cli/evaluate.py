@@ -14,6 +14,7 @@ from relmap.core.errors import RelmapError
 if TYPE_CHECKING:
     from relmap.datasets.base import ObservationLog
     from relmap.evaluation.evaluate import Evaluation
+    from relmap.evaluation.truth import Judged
     from relmap.io.results import Result
 
 NEVER_KNOWN: dict[str, tuple[str, ...]] = {
@@ -137,7 +138,6 @@ def _false_corners(counts: dict[str, int]) -> str:
 def evaluate_folder(folder: Path, truth: Path, log: Path | None = None) -> Evaluation:
     """Evaluate a result folder and write its ``evaluation.json``; draw walls over the true ones."""
     from relmap.evaluation.evaluate import evaluate, match_walls
-    from relmap.evaluation.space_run import VARIANT
     from relmap.evaluation.truth import read_truth
     from relmap.io.files import atomic_write, staged_folder
     from relmap.io.results import EVALUATION, MAP_PNG, json_text
@@ -147,13 +147,12 @@ def evaluate_folder(folder: Path, truth: Path, log: Path | None = None) -> Evalu
     from relmap.plots.sheet import write_png
 
     result = read_any(folder)
-    walls = isinstance(result, PlaneResult)
-    if in_space := result.summary.get("variant") == VARIANT:
-        result, known = read_result3d(folder), read_truth(truth, "planes3d")
-    else:
-        known = read_truth(truth, "planes" if walls else "points")
-    no_ids = walls or in_space
-    evaluation = evaluate(result, known, None if no_ids else find_log(result, truth, log))
+    judged: Judged = "planes" if isinstance(result, PlaneResult) else "points"
+    if result.summary.get("variant") == "planes3d":
+        result, judged = read_result3d(folder), "planes3d"
+    known = read_truth(truth, judged)
+    mapped = find_log(result, truth, log) if judged == "points" else None
+    evaluation = evaluate(result, known, mapped)
     with staged_folder(folder) as staging:
         atomic_write(staging / EVALUATION, json_text(evaluation.as_dict()))
         if isinstance(result, PlaneResult) and (matched := match_walls(result, known)):

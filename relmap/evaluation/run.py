@@ -179,8 +179,9 @@ def result_of(
     in space a `Plane3dResult`. Otherwise its summary only contains association, dimensions and
     iterations.
     """
+    tracks = _tracks(method, log, labels, association)
     if isinstance(method, Plane3dMapper):
-        return result_in_space(method, log, labels)
+        return result_in_space(method, log, tracks)
     first, k = log.first_iteration, len(log)
     poses, stamps_s = method.trajectory[first - offset :], stamps_of(log)
     there = np.flatnonzero(np.isfinite(poses).all(axis=(1, 2)))
@@ -189,7 +190,7 @@ def result_of(
     scans = [first, first + k]
     result = Result(
         shifted(method.landmarks, offset),
-        _tracks(method, log, labels, association),
+        tracks,
         stamps_s[there],
         poses[there],
         {"association": association, "dimensions": dimensions, "scans": scans},
@@ -245,8 +246,10 @@ def _drawn(
     )
 
 
-def _tracks(method: Method, log: Log, labels: Sequence[Ints], association: Association) -> Tracks:
-    """Return the landmark of each observation; for walls, `row` is the wall's index in its scan."""
+def _tracks(
+    method: Method | Plane3dMapper, log: Log, labels: Sequence[Ints], association: Association
+) -> Tracks:
+    """Return the landmark of each observation; of planes, `row` is the index in the scan."""
     counts = [len(each) for each in labels]
     iteration = log.first_iteration + np.repeat(np.arange(len(counts)), counts)
     if isinstance(log, ObservationLog):

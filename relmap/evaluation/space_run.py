@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -19,12 +18,11 @@ from relmap.planes3d.submap import Submap
 from relmap.planes3d.table import Plane3dTable, is_mapped
 from relmap.recorded import versions
 
-VARIANT = "planes3d"
 NOWHERE = SubmapPath(np.empty(0, dtype=np.int64), np.empty(0), np.empty((0, 4, 4)))
 
 
-def result_in_space(mapper: Plane3dMapper, log: Log, labels: Sequence[Ints]) -> Plane3dResult:
-    """Return the result of a mapper for the scans of a log, given the labels (n,) of each."""
+def result_in_space(mapper: Plane3dMapper, log: Log, tracks: Tracks) -> Plane3dResult:
+    """Return the result of a mapper for the scans of a log."""
     first = log.first_iteration
     table = shifted(mapper.planes, first)
     parts, times_s = mapper.submaps, stamps_of(log)
@@ -34,10 +32,6 @@ def result_in_space(mapper: Plane3dMapper, log: Log, labels: Sequence[Ints]) -> 
         for scans, part in zip(own, parts, strict=True)
     ]
     main = paths[0] if paths else NOWHERE
-    counts = np.array([len(each) for each in labels], dtype=np.int64)
-    rows = np.concatenate([*map(np.arange, counts), np.empty(0, np.int64)])
-    named = mapper.landmarks_of(np.concatenate([*labels, np.empty(0, np.int64)]))
-    tracks = Tracks(first + np.repeat(np.arange(len(counts)), counts), rows, named)
     weak = mapper.weak_links
     path = [span for part in parts for span in consecutive(part)]
     summary = {
@@ -47,7 +41,7 @@ def result_in_space(mapper: Plane3dMapper, log: Log, labels: Sequence[Ints]) -> 
         "versions": versions(),
         "counts": {
             "iterations": len(log),
-            "observations": len(named),
+            "observations": len(tracks.row),
             "planes": len(table.plane),
             **by_status(table.status, "planes_"),
             "iterations_without_pose": len(log) - len(main.poses),

@@ -14,7 +14,6 @@ from relmap.datasets.base import ObservationLog
 from relmap.datasets.scans import stored_scans
 from relmap.evaluation.feeding import AnyMapper, Association, Log
 from relmap.evaluation.run import result_of, write_tables
-from relmap.evaluation.space_run import VARIANT, result_in_space
 from relmap.evaluation.summary import is_refined, summary_of
 from relmap.io.files import atomic_write, staged_folder
 from relmap.io.results import MAP_PNG, MAPPER, REPORT, Result, stale_files
@@ -52,8 +51,8 @@ def result_of_mapper(mapper: AnyMapper) -> Result:
         times_s = np.arange(float(n))
     log: Log = stored_scans(np.empty((0, 2)), np.zeros(n + 1, dtype=np.int64), times_s)
     if isinstance(mapper, Plane3dMapper):
-        result: Result = result_in_space(mapper, log, [none] * n)
-        variant, found = VARIANT, result.summary
+        result = result_of(mapper, log, [none] * n, "nearest", 0)
+        variant, found = "planes3d", result.summary
     else:
         variant = "planes" if walls else "points"
         association: Association = "known" if mapper.engine.association.has_ids else "nearest"
