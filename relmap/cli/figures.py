@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 import typer
 
 from relmap.cli.arguments import Out
-from relmap.cli.console import busy
+from relmap.cli.console import busy, counted
 from relmap.core.errors import RelmapError
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ def command(
     drawn = sum(each.outcome is not None for each in made)
     if not drawn:
         raise RelmapError("no figure could be made")
-    typer.echo(f"wrote index.html and {drawn} figure{'s' if drawn != 1 else ''} to {out}")
+    typer.echo(f"wrote index.html and {counted(drawn, 'figure')} to {out}")
 
 
 def _counting(show: Callable[[str], None], what: str) -> Watch:

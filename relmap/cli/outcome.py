@@ -197,7 +197,7 @@ def doubted(summary: dict[str, Any]) -> str:
             f"; {100 * tied:.1f} % of the scans were matched to earlier ones, {100 * unique:.1f} % "
             f"with more matches than expected by chance"
         )
-    message += f"; {undone} merge{'s' if undone > 1 else ''} undone" if undone else ""
+    message += f"; {counted(undone, 'merge')} undone" if undone else ""
     if trust["gaps"]:
         message += (
             f"; only places that look the same bridge {counted(trust['gaps'], 'gap')} of up to "

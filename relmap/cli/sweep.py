@@ -12,7 +12,7 @@ import typer
 
 from relmap.cli.arguments import Out, refuse
 from relmap.cli.compare import COLUMNS, OF_CORNERS
-from relmap.cli.console import figure, print_table, tracked
+from relmap.cli.console import counted, figure, print_table, tracked
 from relmap.core.errors import RelmapError
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ def command(
     notes = {f"{c.method}: {f.note}" for c, f in zip(cells, finished, strict=True) if f.note}
     for note in sorted(notes):
         typer.echo(f"relmap: {note}", err=True)
-    typer.echo(f"wrote {len(cells)} cells to {out}")
+    typer.echo(f"wrote {counted(len(cells), 'cell')} to {out}")
 
 
 def _sweep_into(

@@ -7,7 +7,7 @@ import json
 from collections.abc import Iterator, Sequence
 from concurrent.futures import BrokenExecutor
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, astuple, dataclass
 from pathlib import Path
 from typing import Any, cast
 
@@ -147,7 +147,7 @@ def _rows(
 ) -> Iterator[list[object]]:
     for cell, done in zip(cells, finished, strict=True):
         figures, note = map(done.figures.__getitem__, names), done.note.replace(",", ";")
-        yield [*asdict(cell).values(), *figures, *([note] * notes)]
+        yield [*astuple(cell), *figures, *([note] * notes)]
 
 
 def write_parquet(path: Path, cells: Sequence[Cell], finished: Sequence[Finished]) -> None:
@@ -159,7 +159,7 @@ def write_parquet(path: Path, cells: Sequence[Cell], finished: Sequence[Finished
         raise RelmapError(
             f"no {path.name}: pyarrow is not installed: pip install 'relmap[parquet]'"
         ) from error
-    columns: dict[str, Any] = {key: [asdict(cell)[key] for cell in cells] for key in KEYS}
+    columns: dict[str, Any] = {key: [getattr(cell, key) for cell in cells] for key in KEYS}
     for name in ACCURACY:
         columns[name] = pa.array([done.figures[name] for done in finished], pa.float64())
     columns["note"] = [done.note for done in finished]

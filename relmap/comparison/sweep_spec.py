@@ -14,6 +14,7 @@ from relmap.comparison.methods.registry import check_method, find_method
 from relmap.core.errors import RelmapError, brief, known_name
 from relmap.evaluation.feeding import Association
 from relmap.evaluation.sources import BuildingSource, EightSource, Source
+from relmap.simulation.figure_eight import LOOP_ITERATIONS
 from relmap.simulation.noise import Noise
 
 MOST_CELLS = 1_000_000
@@ -57,7 +58,7 @@ class Cell:
         """Return the world."""
         if self.world == "building":
             return BuildingSource(self.iterations or None, self.noise, self.sigma, self.seed)
-        loop = self.iterations or 900
+        loop = self.iterations or LOOP_ITERATIONS
         return EightSource(self.density, loop, self.noise, self.sigma, self.dynamic, self.seed)
 
 

@@ -134,7 +134,7 @@ def _true_plane(points: Floats, normal: Floats, faces: Faces) -> tuple[int, int]
         corners = faces.corners[k]
         sides = np.stack([corners[1] - corners[0], corners[3] - corners[0]])
         share = (points - corners[0]) @ np.linalg.pinv(sides)
-        beyond = NEAR_M / np.array([np.linalg.norm(side) for side in sides])
+        beyond = NEAR_M / np.linalg.norm(sides, axis=1)
         off = points - corners[0] - share @ sides
         inside = ((share > -beyond) & (share < 1 + beyond)).all(axis=1)
         hits[k] = (inside & (np.linalg.norm(off, axis=1) < NEAR_M)).mean()

@@ -119,7 +119,7 @@ def _row(entry: Made) -> str:
 def _section(entry: Made) -> str:
     figure, outcome = entry.figure, entry.outcome
     ours = entry.note if outcome is None else outcome.ours
-    named = escape(f"{figure.heading}: {figure.title}", quote=True)
+    named = escape(f"{figure.heading}: {figure.title}")
     parts = [
         f'<section id="f{figure.name}"><h2>{named}</h2>',
         f'<div class="beside"><div><h3>The paper</h3><p>{escape(figure.claim)}</p></div>',

@@ -314,7 +314,7 @@
       words[0] = `landmark ${view.dotNames[k]}`;
       if (view.dotSeen.length) words[0] += `, seen ${view.dotSeen[k]} times`;
     }
-    words.unshift(`${"xyz"[0]} ${x.toFixed(2)}, ${"xyz"[up]} ${y.toFixed(2)} m`);
+    words.unshift(`x ${x.toFixed(2)}, ${"xyz"[up]} ${y.toFixed(2)} m`);
     element("under").textContent = words.join("; ");
   }
 

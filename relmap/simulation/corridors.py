@@ -8,9 +8,8 @@ import numpy as np
 
 from relmap.core.arrays import Floats
 from relmap.simulation.rooms import CORRIDOR_M
-from relmap.simulation.shapes import FloorPlan, cut, edges, ring, rounded
+from relmap.simulation.shapes import NOTHING, FloorPlan, cut, edges, ring, rounded
 
-NO_FLOORS: Floats = np.empty((0, 4))
 WIDTH_M, DEPTH_M, DOOR_M = 4.0, 4.5, 1.1
 """Size of all twin rooms."""
 TWINS = 3
@@ -47,7 +46,7 @@ def twin_rooms() -> FloorPlan:
     )
     fronts = [cut(edge, all_doors) for edge in edges(hall)]
     loop = np.vstack([way, middle - (way - middle)])
-    return FloorPlan(np.vstack([both.reshape(-1, 4), *fronts]), NO_FLOORS, loop, all_doors)
+    return FloorPlan(np.vstack([both.reshape(-1, 4), *fronts]), NOTHING, loop, all_doors)
 
 
 def corridor() -> FloorPlan:
@@ -77,7 +76,7 @@ def curved(rng: np.random.Generator) -> FloorPlan:
         for end in range(2)
         for k in range(PILLARS)
     ]
-    return FloorPlan(np.vstack([*around, *pillars]), NO_FLOORS, _stadium(RADIUS_M - CORRIDOR_M / 2))
+    return FloorPlan(np.vstack([*around, *pillars]), NOTHING, _stadium(RADIUS_M - CORRIDOR_M / 2))
 
 
 def _with_doors(edge: Floats) -> Floats:

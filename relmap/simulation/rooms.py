@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from relmap.core.arrays import Floats
-from relmap.simulation.shapes import FloorPlan, boxes, cut, edges, panels, ring, rounded
+from relmap.simulation.shapes import NOTHING, FloorPlan, boxes, cut, edges, panels, ring, rounded
 
 CORRIDOR_M = 2.4
 """Width of the corridor round a block of rooms; further rooms lie along its outer side."""
@@ -119,4 +119,4 @@ def oblique(rng: np.random.Generator) -> FloorPlan:
         return np.asarray(scale_m * sheared / (1 + u @ away)[..., None])
 
     walls = moved(plan.walls.reshape(-1, 2, 2)).reshape(-1, 4)
-    return FloorPlan(walls, np.empty((0, 4)), moved(plan.loop), moved(plan.doors))
+    return FloorPlan(walls, NOTHING, moved(plan.loop), moved(plan.doors))

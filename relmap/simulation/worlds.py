@@ -199,11 +199,7 @@ def _seen(
     points = ((landmarks_map - T_map_robot[:3, 3]) @ T_map_robot[:3, :3])[:, :d]
     half_view = np.deg2rad(spec.view_deg) / 2
     bearing = np.abs(np.arctan2(np.linalg.norm(points[:, 1:], axis=1), points[:, 0]))
-    if d == 2 or spec.view_deg < 360:
-        seen = bearing <= half_view
-    else:
-        seen = np.ones(len(points), dtype=bool)
-    seen &= np.linalg.norm(points, axis=1) <= REACH_M
+    seen = (bearing <= half_view) & (np.linalg.norm(points, axis=1) <= REACH_M)
     ids = np.flatnonzero(seen)
     n_false = rng.poisson(spec.spurious * len(ids))
     ids = ids[rng.random(len(ids)) >= spec.missed]
