@@ -61,6 +61,11 @@ def test_planes_found_right_and_off() -> None:
     assert told["doubled_area"] == 0
 
 
+def test_a_true_face_without_area_matches_nothing() -> None:
+    told = judge_planes(table(([0, 0, 0], 1.0)), faces(0 * SQUARE, SQUARE), POSES, POSES)
+    assert (told["plane_recall"], told["plane_precision"]) == (0.5, 1)
+
+
 def test_what_was_hardly_seen_is_not_due() -> None:
     told = judge_planes(table(([0, 0, 0], 1.0)), faces(SQUARE, seen_m2=0.2), POSES, POSES)
     assert told["plane_recall"] is None

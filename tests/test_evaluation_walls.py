@@ -7,7 +7,7 @@ import pytest
 
 from relmap.core.arrays import Floats
 from relmap.evaluation.truth import Truth
-from relmap.evaluation.walls import doubled_length, judge_walls
+from relmap.evaluation.walls import doubled_length, judge_walls, match_corners
 from relmap.planes.walls.table import PlaneTable
 from tests.tables import poses_along, wall_table
 from tests.worlds import turn
@@ -38,6 +38,15 @@ ROOM = segments((0, 0, 4, 0), (4, 0, 4, 3), (4, 3, 0, 3), (0, 3, 0, 0))
 
 def test_the_truth_itself_is_found_and_right() -> None:
     assert judged(ROOM, ROOM) == (1.0, 1.0)
+
+
+def test_a_true_wall_without_length_matches_nothing() -> None:
+    truth = Truth(ends=np.concatenate([segments((0, 0, 0, 0)), ROOM]))
+    inside = np.array([[0.0, 1], [-1, 0], [0, -1], [1, 0]])
+    mapped = wall_table(ROOM, corner=np.arange(8).reshape(4, 2), normal=inside)
+    matched = match_corners(mapped, truth, POSES, POSES)
+    assert matched is not None
+    assert np.unique(matched.wall).tolist() == [1, 2, 3, 4]
 
 
 def test_shares_are_of_the_length() -> None:

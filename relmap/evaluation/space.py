@@ -124,7 +124,7 @@ def _within(points: Floats, outline: Floats) -> Bools:
 
 def _normals(corners: Floats) -> Floats:
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 3] - corners[:, 0])
-    return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
+    return np.asarray(normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12))
 
 
 def _true_plane(points: Floats, normal: Floats, faces: Faces) -> tuple[int, int]:

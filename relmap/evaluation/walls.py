@@ -184,7 +184,7 @@ def match_corners(
     if not fixes_rotation(true_poses[:, :2, 3]) or not len(row) or not len(truth.ends):
         return None
     along = truth.ends[:, 1] - truth.ends[:, 0]
-    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
     front = np.column_stack([-along[:, 1], along[:, 0]])
     R, t = fit_rigid(poses[:, :2, 3], true_poses[:, :2, 3])
     for _ in range(ROUNDS):
