@@ -15,6 +15,7 @@ import pytest
 from PIL import Image
 
 from relmap.cli import main
+from relmap.cli.job import Job
 from tests.browser import Page, browser, found
 from tests.commands import load, table
 from tests.everyformat import Mapped
@@ -102,6 +103,19 @@ def test_the_command_maps_the_same_again(logs: Path, tmp_path: Path) -> None:
     assert (tmp_path / "b" / "landmarks.csv").read_bytes() == (
         tmp_path / "a" / "landmarks.csv"
     ).read_bytes()
+
+
+def test_the_command_has_what_the_log_needs() -> None:
+    given: dict[str, Any] = {"columns": {"x": "px", "id": "my name"}, "topics": ("/a", "/b")}
+    job = Job(source=Path("seen.csv"), out=Path("out"), odometry="none", **given)
+    assert job.command == (
+        "relmap map seen.csv -o RESULT --columns 'x=px,id=my name' --odometry none "
+        "--topic /a --topic /b"
+    )
+    for level, more in (("none", " --level none"), ("auto", "")):
+        given = {"variant": "planes", "odometry": "auto", "level": level}
+        job = Job(source=Path("hall"), out=Path("out"), **given)
+        assert job.command == f"relmap map hall -o RESULT --variant planes{more}"
 
 
 NASTY = "a <script>alert(1)<script> & $x$ \"q\" 'p'.csv"

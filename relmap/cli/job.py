@@ -110,11 +110,14 @@ class Job:
             "--association": None if self.association == "nearest" else self.association,
             "--scans": self.interval and "{}:{}".format(*self.interval),
             "--format": self.log_format,
+            "--columns": self.columns and ",".join(map("=".join, self.columns.items())),
+            "--odometry": None if self.odometry == "auto" else self.odometry,
+            "--level": "none" if (self.variant, self.level) == ("planes", "none") else None,
             **dict(zip(sigmas, self.sigmas or (), strict=False)),
             "--onto": self.onto and self.onto.name,
         }
         words = ["relmap", "map", self.source.name, "-o", "RESULT"]
-        for name, value in options.items():
+        for name, value in [*options.items(), *(("--topic", topic) for topic in self.topics)]:
             words += [] if value is None else [name, str(value)]
         return shlex.join(words if self.refine else [*words, "--no-refine"])
 

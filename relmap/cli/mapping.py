@@ -34,7 +34,8 @@ from relmap.points import PointMapper
 
 def map_input(source: Path, out: Path, association: Association) -> Run:
     """Map a log of points into a result folder with the usual settings; see `map_log`."""
-    job = Job(source=source, out=out, settings=read_config(None), association=association)
+    settings = read_config(None)
+    job = Job(source=source, out=out, settings=settings, association=association, odometry="auto")
     return map_log(job)[0]
 
 
