@@ -208,6 +208,7 @@ def test_grid() -> None:
         ),
         ({"method": "relmap-planes"}, "cannot map a log of landmarks"),
         ({"method": "ekf", "sigma": 10**400}, "sigma is 1000.*; it must be 0 to 1000 metres"),
+        ({"method": "ekf", "seed": 2**63}, "seed is 9223372036854775808; it must be 0 to"),
         ({"method": "ekf", "seed": 10**5000}, "seed is a number with thousands of digits"),
         ({"method": "ekf", "noise": [[10**5000]]}, "noise is .* thousands of digits"),
     ],

@@ -23,7 +23,7 @@ _LIMITS: dict[str, tuple[float, float, str]] = {
     "density": (1e-3, 1e5, "0.001 to 100000"),
     "dynamic": (0.0, 1.0, "a fraction, 0 to 1"),
     "iterations": (0, 10**7, "0, for one loop, to 10000000"),
-    "seed": (0, 2**63, "0 or more"),
+    "seed": (0, 2**63 - 1, f"0 to {2**63 - 1}"),
 }
 """Smallest and largest value of a number, and a description of both."""
 _CHOICES = {
