@@ -158,6 +158,8 @@ def test_simulate_writes_odometry(
     way = motions(poses)[1:, 0, 3]
     assert_allclose((step[:, 0] / way)[way > 0.1].mean(), 0.02, atol=0.006)
     assert np.rad2deg(np.abs(turn).max()) < 0.5
+    assert main(["simulate", *WORLDS[name], "--seed", "1", "-o", str(moved)]) == 0
+    assert not (moved / "odometry.csv").exists()  # it was of the path before
 
 
 @pytest.mark.parametrize("fault", ["slip", "reversed", "stale"])

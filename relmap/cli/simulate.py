@@ -101,11 +101,11 @@ def storey_command(
     ] = 0,
 ) -> None:
     """Write a simulated storey; the help text explains the arguments."""
-    from relmap.cli.simulated import write_storey
+    from relmap.cli.simulated import ODOMETRY, write_storey
     from relmap.io.files import staged_folder
     from relmap.simulation.storey import simulate_storey
 
-    with staged_folder(out) as staging, busy("simulating"):
+    with staged_folder(out, [ODOMETRY]) as staging, busy("simulating"):
         storey = simulate_storey(sensor, sigma, iterations, seed, storeys, moving)
         write_storey(staging, storey)
     count = sum(map(len, storey.scans))
@@ -178,7 +178,7 @@ def world_command(
     seed: args.Seed = 0,
 ) -> None:
     """Write a simulated world; the help text explains the arguments."""
-    from relmap.cli.simulated import write_odometry, write_points
+    from relmap.cli.simulated import ODOMETRY, write_odometry, write_points
     from relmap.evaluation.sources import truth_of
     from relmap.io.files import atomic_write, staged_folder
     from relmap.io.tables import csv_text
@@ -200,7 +200,7 @@ def world_command(
         seed=seed,
     )
     errors = args.wheels_of(odometry, odometry_bias, odometry_fault)
-    with staged_folder(out) as staging, busy("simulating"):
+    with staged_folder(out, [ODOMETRY]) as staging, busy("simulating"):
         world = simulate_world(spec)
         n_files = 4 + write_odometry(staging, errors, odometry_fault, world.trajectory, seed)
         counts = write_points(staging, world.log, truth_of(world))
@@ -263,7 +263,7 @@ def building_command(
     seed: args.Seed = 0,
 ) -> None:
     """Write a simulated building; the help text explains the arguments."""
-    from relmap.cli.simulated import write_building, write_odometry
+    from relmap.cli.simulated import ODOMETRY, write_building, write_odometry
     from relmap.io.files import staged_folder
     from relmap.simulation import simulate_building
     from relmap.simulation.sensor import sensor_of
@@ -276,7 +276,7 @@ def building_command(
         args.refuse(points is not None or sampling not in (None, "laser"), message)
         points, sampling = beams, "laser"
     points, sampling = 2000 if points is None else points, sampling or "surface"
-    with staged_folder(out) as staging, busy("simulating"):
+    with staged_folder(out, [ODOMETRY]) as staging, busy("simulating"):
         building = simulate_building(
             points,
             sigma,

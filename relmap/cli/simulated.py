@@ -19,6 +19,8 @@ from relmap.simulation import Building, odometry
 from relmap.simulation.odometry import Wheels
 from relmap.simulation.storey import Storey
 
+ODOMETRY = "odometry.csv"
+"""That of an earlier simulation in the same folder is removed: it is of another path."""
 SLIPS = 0.1
 """Fraction of steps that slipping wheels count twice."""
 LATE_S, LATE_ITERATIONS = 0.5, 3.0
@@ -29,7 +31,7 @@ def write_figure_eight(
     out: Path, source: EightSource, errors: Wheels | None = None, fault: Fault | None = None
 ) -> str:
     """Simulate the figure eight into a folder and return a line with counts."""
-    with staged_folder(out) as staging, busy("simulating"):
+    with staged_folder(out, [ODOMETRY]) as staging, busy("simulating"):
         data = source.load()
         assert data.truth is not None
         write_odometry(staging, errors, fault, data.truth.poses, source.seed)
@@ -100,5 +102,5 @@ def write_odometry(
         iterations = np.arange(float(len(poses)))
         clock = (iterations, LATE_ITERATIONS) if stamps_s is None else (stamps_s, LATE_S)
         motion = odometry.stale(motion, *clock)
-    write_odometry_csv(folder / "odometry.csv", motion)
+    write_odometry_csv(folder / ODOMETRY, motion)
     return 1
