@@ -22,6 +22,7 @@ from relmap.comparison.methods.registry import (
 from relmap.comparison.methods.running import ACCURACY, COST, PATH, MethodRun, run_method, setup_for
 from relmap.core.errors import RelmapError
 from relmap.datasets.base import ObservationLog
+from relmap.datasets.scans import ScanLog
 from relmap.evaluation.metrics import align, rms
 from relmap.evaluation.sources import Data, EightSource, log_of, truth_of
 from relmap.evaluation.truth import Truth
@@ -124,6 +125,9 @@ def test_setup_contains_noise_and_range(eight: Landmarks) -> None:
     told = setup_for(eight)
     assert told.sigma_m == pytest.approx(0.05, rel=0.2)
     assert told.range_m == pytest.approx(80.0, abs=1.0)
+    scans = [np.empty((0, 2)), np.array([[3.0, 4.0]])]
+    late = ScanLog(2, np.arange(2.0), scans.__getitem__)
+    assert setup_for(Data(late, None)).range_m == 5.0
 
 
 def test_unidentified_observations_are_ignored(eight: Landmarks) -> None:

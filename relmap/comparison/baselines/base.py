@@ -24,7 +24,8 @@ class Setup:
     """Information given to a method before it starts.
 
     `dimension`: 2 for a planar world, else 3; `sigma_m`: standard deviation of each observed
-    coordinate, metres; `range_m`: distance of the farthest observation of the log, metres.
+    coordinate, metres; `range_m`: distance of the farthest observation of the log, or of the
+    farthest point of its first scan with any, metres.
     """
 
     dimension: int = 3

@@ -120,7 +120,8 @@ def setup_for(data: Data[Log], sigma_m: float | None = None) -> Setup:
     """
     log = data.log
     if isinstance(log, ScanLog):
-        points = log.points_of(0) if len(log) else np.empty((0, log.dimension))
+        clouds = (scan.points_robot for scan in log.scans() if len(scan.points_robot))
+        points = next(clouds, np.empty((0, log.dimension)))
         return Setup(log.dimension, sigma_m or FEW_M, _reach(points))
     if not sigma_m:
         mapper, first = PointMapper(), log.first_iteration
