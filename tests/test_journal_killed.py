@@ -17,7 +17,7 @@ from relmap.io.journal.layout import POINTS
 from relmap.plots import bench as plots_bench
 from relmap.plots.bench_recorder import BenchFrame
 from relmap.simulation import simulate_building, simulate_figure_eight
-from tests.commands import load, names, run_changed, run_process, table, unrendered
+from tests.commands import GOOD, load, names, run_changed, run_process, table, unrendered
 from tests.journals import end_after, kill_after
 
 SAME = ["landmarks.csv", "map.ply", "mapper.npz", "submaps.csv", "tracks.csv.gz", "trajectory.tum"]
@@ -53,6 +53,21 @@ def eight(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def same(result: Path, whole: Path) -> bool:
     return all((result / name).read_bytes() == (whole / name).read_bytes() for name in SAME)
+
+
+@unrendered()
+def test_resume_says_where_it_wrote(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("log.csv").write_text(GOOD)
+    Path("elsewhere").mkdir()
+    assert main(["map", "log.csv", "-o", "out", "--journal", "run.journal"]) == 0
+    assert main(["resume", "run.journal"]) == 0
+    assert capsys.readouterr().out.count(" files to out: ") == 2
+    monkeypatch.chdir("elsewhere")
+    assert main(["resume", "../run.journal"]) == 0
+    assert f" files to {tmp_path / 'out'}: " in capsys.readouterr().out
 
 
 @unrendered()

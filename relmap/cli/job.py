@@ -141,8 +141,8 @@ class Job:
             raise RelmapError(f"journal {path}: its run cannot be read: {error!r}") from error
 
     def at(self, path: Path) -> Path:
-        """Return the location of a path of the job."""
-        return self.folder / path if self.resumed else path
+        """Return a path of the job as seen from the current folder."""
+        return self.folder / path if self.resumed and self.folder != Path.cwd() else path
 
     def mapper(self, after: Callable[[Any], object] | None) -> AnyMapper:
         """Return the mapper to start or to continue with; `after` as for `Mapper.resume`."""

@@ -47,7 +47,8 @@ def report(job: Job) -> None:
     counts, timing = summary["counts"], summary["timing"]
     iterations = counted(counts["iterations"], "iteration")
     begun = f"stopped after {counts['iterations']} of {summary['input_iterations']}: "
-    message = f"{begun if summary['interrupted'] else ''}wrote {n_files} files to {job.out}: "
+    message = begun if summary["interrupted"] else ""
+    message += f"wrote {n_files} files to {job.at(job.out)}: "
     hanging, warning = on_odometry(summary.get("odometry")), ""
     if job.variant == "planes3d":
         planes = f"{counts['planes_static']} planes mapped in {iterations}"
