@@ -1,1 +1,1 @@
-"""Methods that can be compared: one small file each, behind one protocol."""
+"""The methods that can be compared, by name, and the run of one of them."""

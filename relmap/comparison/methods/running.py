@@ -85,12 +85,11 @@ def run_method(
         fed = feed(method, log, association, info.refine, clock=process_time)
         peak_kb = _kibibytes("VmHWM")
         result = result_of(method, log, fed.labels, association, first)
-        path_coverage = len(result.poses) / len(log) if len(log) else None
-        accuracy, notes = _accuracy(result, data)
-        figures = {**accuracy, "path_coverage": path_coverage}
+        figures, notes = _accuracy(result, data)
         durations_s = fed.durations_s.sum(axis=1)
         times = timing_of(durations_s)
         figures |= {
+            "path_coverage": len(result.poses) / len(log) if len(log) else None,
             "median_ms": times["median_ms"],
             "mean_ms": 1e3 * float(durations_s.mean()) if len(durations_s) else None,
             "last_100_median_ms": times["last_100_median_ms"],
