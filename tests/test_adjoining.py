@@ -19,6 +19,7 @@ from relmap.planes.motions import from_matrices
 from relmap.planes.scans.beams import GivenBeams
 from relmap.simulation import simulate_building
 from relmap.simulation.floor_plan import World
+from relmap.simulation.sensor import Sensor
 from tests.worlds import fed
 
 STEP_M = 0.5
@@ -117,6 +118,27 @@ def test_ties_remain_when_a_map_is_finished_again() -> None:
         mapper.finish()
         first.append([submap.first_iteration for submap in mapper.submaps])
     assert first[0] == first[1] == first[2]
+
+
+def test_a_map_that_is_finished_again_keeps_its_cuts() -> None:
+    mapper, firsts = PlaneMapper(), list[list[int]]()
+    corridor = simulate_building(
+        points=91,
+        sigma=0.02,
+        sampling="laser",
+        iterations=60,
+        world="corridor",
+        step_m=0.6,
+        sensor=Sensor(8.0, np.pi),
+    )
+    for scan in corridor.scans:
+        mapper.update(scan.points[:, :2])
+    for call in (mapper.finish, mapper.finish, mapper.refine, mapper.finish):
+        call()
+        firsts.append([submap.first_iteration for submap in mapper.submaps])
+    assert len(firsts[0]) > 1
+    assert firsts[0] == firsts[1]
+    assert firsts[2] == firsts[3]
 
 
 def test_a_torn_map_is_cut_where_only_the_beams_tied_it() -> None:

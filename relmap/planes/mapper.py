@@ -87,7 +87,7 @@ class PlaneMapper(LocatingMapper):
     _unused = WITH_WALLS
     _variant = "planes"
 
-    STATE = "walls=_planes refined_walls=_refined_walls _moved _frame _onto"
+    STATE = "walls=_planes refined_walls=_refined_walls _moved _frame _onto _n_finished"
 
     def __init__(
         self,
@@ -103,6 +103,7 @@ class PlaneMapper(LocatingMapper):
         self._segmenter = segmenter
         self._refined_walls = None
         self._moved, self._frame = np.empty(0, dtype=np.int64), None
+        self._n_finished = 0
 
     def update(
         self,
@@ -166,7 +167,10 @@ class PlaneMapper(LocatingMapper):
         return walls
 
     def _finish(self) -> None:
-        self._onto, self._weak = False, None
+        self._onto = False
+        if self._n_finished == self.n_iterations:  # links cut since would be tied again
+            return
+        self._n_finished, self._weak = self.n_iterations, None
         self._planes.links.tie()
         super()._finish()
         self._planes.links.cut(unsupported_links(self.history, self._planes.links))
