@@ -59,7 +59,7 @@ def test_a_fit_is_a_best_assignment_and_its_means(seed: int, dimension: int) -> 
     shape = (n, dimension, dimension)
     metric = np.eye(dimension) + 0.3 * np.random.default_rng(seed).normal(size=shape)
     means, found = start.copy(), np.full(n, -1)
-    likelihood = fit_few(placed, metric, begin, odds, COST, LIMIT, means, found)
+    likelihood = fit_few(placed, metric, begin, odds, COST, means, found)
     assert likelihood >= likelihood_at(placed, metric, begin, odds, start)
     expected = likelihood_at(placed, metric, begin, odds, means)
     assert likelihood == pytest.approx(expected, rel=1e-12)

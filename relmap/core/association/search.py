@@ -180,5 +180,4 @@ def period_of(points: Floats, tolerance_m: float, within_m: float = np.inf) -> f
     """
     from relmap.core.association.search_kernels import shortest_period
 
-    sizes = REPEATED, PATCH, CENTRES, NEIGHBOURS
-    return float(shortest_period(points, tolerance_m, within_m, *sizes))
+    return float(shortest_period(points, tolerance_m, within_m))

@@ -6,7 +6,7 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association.matching_kernels import buckets, matched
-from relmap.core.association.search import MOST
+from relmap.core.association.search import CENTRES, MOST, NEIGHBOURS, PATCH, REPEATED
 from relmap.core.geometry.fitting_kernels import fit_rows, placed_at, set_placement
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import ordered, smallest
@@ -142,28 +142,20 @@ def _patch(points: Floats, most: int) -> Floats:
 
 
 @compiled
-def shortest_period(
-    points: Floats,
-    tolerance_m: float,
-    within_m: float,
-    share: float,
-    most: int,
-    centres: int,
-    neighbours: int,
-) -> float:
+def shortest_period(points: Floats, tolerance_m: float, within_m: float) -> float:
     """Return the shortest shift that brings a share of a patch of points (n, d) onto others, m.
 
-    `within_m`: only shorter ones are tried; `most`: points of the patch, amid all. Shifts are those
-    from each of its first points, the `centres`, to its nearest neighbours. Infinite if there is
-    none; shorter ones than twice the tolerance bring points near themselves.
+    `within_m`: only shorter ones are tried. Shifts are those from each of its first points, the
+    centres, to its nearest neighbours. Infinite if there is none; shorter ones than twice the
+    tolerance bring points near themselves.
     """
     if len(points) <= 2:
         return np.inf
-    patch, shortest, limit = _patch(points, most), np.inf, within_m * within_m
-    fewest = max(2.0, share * (len(patch) - 1))
-    for c in range(min(centres, len(patch))):
+    patch, shortest, limit = _patch(points, PATCH), np.inf, within_m * within_m
+    fewest = max(2.0, REPEATED * (len(patch) - 1))
+    for c in range(min(CENTRES, len(patch))):
         last = 4 * tolerance_m * tolerance_m
-        for _ in range(neighbours):
+        for _ in range(NEIGHBOURS):
             to, square = -1, np.inf
             for j in range(len(patch)):
                 apart = _shifted(patch, c, c, c, j)

@@ -89,8 +89,7 @@ class DynamicStatus:
         strikes, until = (of.strikes, of.struck_until), (of.tested_until, of.moved_until)
         columns = of.restless, *strikes, of.dynamic, *until, of.moving_bin
         seen = relative.used, relative.n_used, relative.iterations
-        limits = FEWEST, ENOUGH, STRIKES, STILL, NONE
-        return kernels.tested(columns, relative.landmarks, still, *seen, limits)
+        return kernels.tested(columns, relative.landmarks, still, *seen)
 
 
 def rests(relative: RelativeMap, noise_m: float) -> Bools:
@@ -101,7 +100,7 @@ def rests(relative: RelativeMap, noise_m: float) -> Bools:
     import relmap.core.grouping.motion_kernels as kernels
 
     of = relative.positions, relative.variance, relative.amplified, relative.given
-    return kernels.steady(*of, noise_m, EXACT, LIMIT)
+    return kernels.steady(*of, noise_m)
 
 
 def binned(

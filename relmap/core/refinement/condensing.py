@@ -23,8 +23,6 @@ from relmap.core.state.store import ObservationStore
 
 ROOM = 2**22
 """Initial capacity, in rows of segments."""
-FAR = 10.0
-"""Largest distance of a condensed landmark, relative to the largest observed distance."""
 LENGTH = 8
 """Iterations in a segment: one bit each in the landmarks' visibility."""
 NOWHERE = -1
@@ -173,9 +171,7 @@ class CondensedSegments:
         own, landmarks = (block[steady], present[steady]) if moves else (block, present)
         free = np.isfinite(own[:, :, :1]).sum(axis=(0, 2)) >= 2
         while np.count_nonzero(free):
-            joined, R, t, points, visible, squares, freedoms = kernels.align_iterations(
-                own, free, FAR
-            )
+            joined, R, t, points, visible, squares, freedoms = kernels.align_iterations(own, free)
             free &= ~joined
             is_sound = np.isfinite(squares)  # no gross outliers displaced the iterations
             self._squares.append(squares if is_sound else 0.0)

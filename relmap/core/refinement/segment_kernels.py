@@ -12,6 +12,8 @@ from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import median
 from relmap.core.linalg.small_kernels import diagonalise, identity
 
+FAR = 10.0
+"""Largest distance of a condensed landmark, relative to the largest observed distance."""
 LEVERAGE = 20.0
 """Largest distance of an iteration's points, relative to those that align it to its segment."""
 ROUNDS, STILL = 10, 0.01
@@ -218,13 +220,13 @@ def _trim(deviation: Floats, mean: Floats, counts: Floats, seen: Bools) -> bool:
 
 @helper
 def _condensed(
-    block: Floats, places: Floats, deviation: Floats, seen: Bools, t: Floats, far: float
+    block: Floats, places: Floats, deviation: Floats, seen: Bools, t: Floats
 ) -> tuple[NDArray[np.uint8], float, int]:
     """Return in which iterations each landmark is seen, as bits (n,), and the sum of squares.
 
     And how many coordinates are observed beyond the first of each landmark. Wrong matches can leave
     a landmark or an iteration without support: what is placed beyond the largest coordinate of the
-    block (n, k, d) times `far` is not seen, and t is NaN.
+    block (n, k, d) times `FAR` is not seen, and t is NaN.
     """
     n, k, d = block.shape
     visible, squares, largest, n_again = np.zeros(n, dtype=np.uint8), 0.0, 0.0, 0
@@ -237,7 +239,7 @@ def _condensed(
     for i in range(n):
         within = True
         for a in range(d):
-            within &= abs(places[i, a]) <= far * largest
+            within &= abs(places[i, a]) <= FAR * largest
         for m in range(k):
             visible[i] |= (seen[i, m] and within) << m
             n_again += seen[i, m] and within
@@ -245,7 +247,7 @@ def _condensed(
     for m in range(k):
         within = True
         for a in range(d):
-            within &= abs(t[m, a]) <= far * largest
+            within &= abs(t[m, a]) <= FAR * largest
         for a in range(d):
             t[m, a] = t[m, a] if within else np.nan
     return visible, squares, d * n_again
@@ -253,7 +255,7 @@ def _condensed(
 
 @compiled
 def align_iterations(
-    block: Floats, free: Bools, far: float
+    block: Floats, free: Bools
 ) -> tuple[Bools, Floats, Floats, Floats, NDArray[np.uint8], float, int]:
     """Align the largest consistent set of the free iterations (k,) of a block (n, k, d).
 
@@ -276,7 +278,7 @@ def align_iterations(
         if rounds == TRIMS or not _trim(deviation, places, counts, seen):
             break
         rounds += 1
-    visible, squares, freedoms = _condensed(block, places, deviation, seen, t, far)
+    visible, squares, freedoms = _condensed(block, places, deviation, seen, t)
     freedoms += 3 * d - 3
     for m in range(k):
         freedoms -= (3 * d - 3) * joined[m]

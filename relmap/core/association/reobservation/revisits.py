@@ -224,8 +224,8 @@ class RevisitFinder:
         """Return the expected number of placements with as many matches by chance, in the map.
 
         There may be many matches within the tolerance, or fewer within a smaller one. The number of
-        placements is that of those distinguishable within the drift or, in the plane, of those on
-        which two matches agree, whichever is smaller.  Only landmarks near older ones can match.
+        placements is that of those distinguishable within the drift.  Only landmarks near older
+        ones can match.
         """
         n, d = stretch.points.shape
         nearest_m = nearest(cKDTree(stretch.there), placement.apply(stretch.points))[0][:, 0]
@@ -243,9 +243,6 @@ class RevisitFinder:
             trials *= max(1.0, len(self._own) / n)
             agreeing = int(np.sum(off_m <= tolerance_m))
             chance.append(trials * float(bdtrc(agreeing - 1, overlapping, share)))
-            if d == 2:
-                pairs = _pairs_alike(stretch, tolerance_m) * max(1.0, len(self._own) / n)
-                chance.append(pairs * float(bdtrc(agreeing - 3, overlapping - 2, share)))
         return float(len(chance) * min(chance))
 
 
@@ -271,17 +268,6 @@ def _places(stretch: Stretch, tolerance_m: float) -> list[tuple[Placement, Ints]
             found.append((placement, matches))
     found.sort(key=lambda place: -len(place[1]))
     return found
-
-
-def _pairs_alike(stretch: Stretch, tolerance_m: float) -> float:
-    """Return the number of candidates of pairs of landmarks, by distance and direction."""
-    i, j = np.triu_indices(len(stretch.points), 1)
-    lengths = np.linalg.norm(stretch.points[i] - stretch.points[j], axis=1)
-    k, m = np.triu_indices(len(stretch.there), 1)
-    others = np.sort(np.linalg.norm(stretch.there[k] - stretch.there[m], axis=1))
-    begin = np.searchsorted(others, lengths - 2 * tolerance_m)
-    end = np.searchsorted(others, lengths + 2 * tolerance_m)
-    return float(2 * np.sum(end - begin) * min(stretch.turn_rad / np.pi, 1.0))
 
 
 def _elsewhere(matches: Ints, others: Ints) -> int:

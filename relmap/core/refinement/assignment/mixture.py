@@ -81,7 +81,7 @@ class Mixture:
         for landmark, some, rows, begin, odds, _ in self._groups():
             others = some[self.exists[some]]
             means, placed, metric = self.positions[others], self.placed[rows], self.metric[rows]
-            errors += kernels.settle_few(placed, metric, begin, odds, LIMIT, means)
+            errors += kernels.settle_few(placed, metric, begin, odds, means)
             own = others == landmark
             settled[others[own]] = means[own]
         return settled, errors[0] / (errors[1] * self.placed.shape[1])
@@ -128,7 +128,7 @@ class Mixture:
         placed, metric, fits = self.placed[rows], self.metric[rows], []
         for start in self._starts(some, rows, begin):
             means, found = start.copy(), np.full(len(rows), NONE)
-            likelihood = kernels.fit_few(placed, metric, begin, odds, cost, LIMIT, means, found)
+            likelihood = kernels.fit_few(placed, metric, begin, odds, cost, means, found)
             fits.append((likelihood, means, found))
         self._take(some, rows, *max(fits, key=lambda fit: fit[0])[1:])
 

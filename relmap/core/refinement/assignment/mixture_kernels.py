@@ -7,6 +7,7 @@ import numpy as np
 from relmap.core.arrays import Floats, Ints
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.small_kernels import factorise, solve, square_between
+from relmap.core.refinement.assignment.mixture import LIMIT
 
 ROUNDS = 8
 """Maximum number of rounds of assigning observations and averaging them."""
@@ -53,7 +54,6 @@ def fit_few(
     begin: Ints,
     odds: Floats,
     cost: float,
-    limit: float,
     means: Floats,
     found: Ints,
 ) -> float:
@@ -74,8 +74,6 @@ def fit_few(
         Log odds that the scan shows a landmark here.
     cost : float
         Of each landmark, whether seen or not.
-    limit : float
-        Squared distance of an observation that fits no better than none.
     means : (k, d) float64
         Landmarks, overwritten.
     found : (n,) int64
@@ -100,7 +98,7 @@ def fit_few(
             for i in range(begin[s], begin[s + 1]):
                 for j in range(k):
                     square = square_between(placed[i], means[j], metric, i, apart)
-                    gain[i - begin[s], j] = (limit - square) / 2 + odds[s]
+                    gain[i - begin[s], j] = (LIMIT - square) / 2 + odds[s]
             score += _assign(gain, best, choice, found, begin[s], begin[s + 1] - begin[s])
         is_same = True
         for i in range(n):
@@ -149,7 +147,7 @@ def _divide(weights: Floats, sums: Floats, mean: Floats) -> None:
 
 @compiled
 def settle_few(
-    placed: Floats, metric: Floats, begin: Ints, odds: Floats, limit: float, means: Floats
+    placed: Floats, metric: Floats, begin: Ints, odds: Floats, means: Floats
 ) -> tuple[float, float]:
     """Move landmarks to the means of all observations, by how probable it is that they are theirs.
 
@@ -164,7 +162,7 @@ def settle_few(
         for s in range(len(odds)):
             for i in range(begin[s], begin[s + 1]):
                 for j in range(k):
-                    squares[i, j] = np.exp((limit - squares[i, j]) / 2 + odds[s])
+                    squares[i, j] = np.exp((LIMIT - squares[i, j]) / 2 + odds[s])
         share = weigh(squares, begin)
         for j in range(k):
             _settle(placed, metric, share[:, j], means[j], weights, sums)
