@@ -9,7 +9,6 @@ from relmap.core.association.base import UNIDENTIFIED, Registration
 from relmap.core.association.rigidity import Rigidity
 from relmap.core.state.growing import GrowingArray
 
-
 LARGEST = 2**21
 """Ids below it are looked up in an array."""
 

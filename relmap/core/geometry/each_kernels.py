@@ -27,7 +27,7 @@ def place_each(R: Floats, t: Floats, at: Ints, points: Floats) -> Floats:
 
 @compiled
 def misfits_each(R: Floats, t: Floats, at: Ints, source: Floats, target: Floats) -> Floats:
-    """Return the distances (k,) of points (k, d), placed as in `place_each`, from targets (k, d)."""
+    """Return the distances (k,) of points (k, d), placed as by `place_each`, from targets."""
     n, d = source.shape
     apart = np.empty(n)
     for i in range(n):

@@ -13,9 +13,9 @@ from relmap.core.linalg.small_kernels import unset
 def united(listed: Ints, order: Ints, n: int) -> tuple[Ints, Ints, Ints]:
     """Return the distinct landmarks (m,) of two lists, one after the other, and where they are.
 
-    `listed` (k,): the first list has n entries; `order` (k,): they ascend in this stable order. Then
-    follow which landmark each entry is (k,), and the last entry in each list (2, s) of those in
-    both.
+    `listed` (k,): the first list has n entries; `order` (k,): they ascend in this stable order.
+    Then follow which landmark each entry is (k,), and the last entry in each list (2, s) of those
+    in both.
     """
     k, m, s = len(listed), 0, 0
     landmark, of, both = np.empty(k, dtype=np.int64), np.empty(k, dtype=np.int64), unset(2 * k)
@@ -33,7 +33,7 @@ def united(listed: Ints, order: Ints, n: int) -> tuple[Ints, Ints, Ints]:
 
 @compiled
 def averages(points: Floats, weight: Floats, of: Ints, n: int) -> tuple[Floats, Floats]:
-    """Return the weighted means (n, d) of points (k, d) by set `of` (k,), and total weights (n,)."""
+    """Return weighted means (n, d) of points (k, d) by set `of` (k,), and total weights (n,)."""
     means, total = np.zeros((n, points.shape[1])), np.zeros(n)
     for i in range(len(points)):
         total[of[i]] += weight[i]
