@@ -12,8 +12,9 @@ from relmap.core.linalg.small_kernels import picked, square_of, unset
 PAIR_RATIO, MANY = 4.0, 6
 """Ratio of the distances to the second and to the nearest neighbour above which landmarks count as
 pairs, and minimum number of landmarks for that: of three, two are often close by chance."""
-REACH, SHARE = 1.5, 1 / 16
-"""How far neighbours are searched in a grid, in spacings, and up to how many cells, per point."""
+REACH, CROWDED, SHARE = 1.5, 100, 1 / 12
+"""How far neighbours of a sample are searched in a grid, in spacings; points from which a grid is
+searched, and up to how many of its cells, per point."""
 CELL, MARGIN = 4.0, 0.2501
 """Side of a cell of the grid, in reaches, and a reach in sides, with room for rounding."""
 Buckets = tuple[Ints, Ints, float, float]
@@ -147,6 +148,8 @@ def three_within(
 
     Only the cells of the grid within the radius are searched, unless they are many.
     """
+    if len(points) < CROWDED:
+        return three_nearest(points, query)
     first, following, farthest_m, _ = grid
     side, r, space = CELL * farthest_m, 1.001 * radius, len(query) == 3  # with room for rounding
     z, r_z = query[2] if space else 0.0, r if space else 0.0
@@ -195,12 +198,13 @@ def nearest_of_sample(
     if min(n, n_latest) < 2:
         return latest[:0], latest[:0], np.empty(0), 0.0
     crowd = points if n >= n_latest else picked(expected, latest[:n_latest])
-    grid, every = buckets(crowd, radius, 2 * radius / CELL), -(-len(crowd) // most)
+    used = crowd if np.isfinite(radius) else crowd[:0]
+    grid, every = buckets(used, radius, 2 * radius / CELL), -(-len(crowd) // most)
     neighbour = np.empty((2, -(-len(crowd) // every)))
     for k in range(neighbour.shape[1]):
         found = three_within(crowd[k * every], crowd, grid, radius)
         neighbour[0, k], neighbour[1, k] = found[1], found[2]
-    if n < n_latest:
+    if len(used) > n:
         grid = buckets(points, radius, 2 * radius / CELL)
     half = neighbour.shape[1] // 2
     spacing = np.sqrt(smallest(neighbour[0], half))
@@ -226,7 +230,7 @@ def matched_sample(
     it. Returns the sample; the tracks matched (k,), their points and the distances to them; the
     positions of both (k, d); and the spacing.
     """
-    radius = REACH * known
+    radius = REACH * known if len(points) >= CROWDED else np.inf
     while True:
         sample, target, distance, spacing = nearest_of_sample(
             points, expected, missed, most, radius
