@@ -257,14 +257,18 @@ def align_iterations(
 ) -> tuple[Bools, Floats, Floats, Floats, NDArray[np.uint8], float, int]:
     """Align the largest consistent set of the free iterations (k,) of a block (n, k, d).
 
-    Returns these iterations, their poses R (k, d, d) and t (k, d), the positions (n, d) of the
-    landmarks, what `_condensed` does of visibility and squares, and their degrees of freedom.
+    Those that show fewer than two landmarks are free no longer. Returns the aligned iterations,
+    their poses R (k, d, d) and t (k, d), the positions (n, d) of the landmarks, what `_condensed`
+    does of visibility and squares, and their degrees of freedom.
     """
     n, k, d = block.shape
-    seen = np.zeros((n, k), dtype=np.bool_)
+    seen, n_shown = np.empty((n, k), dtype=np.bool_), np.zeros(k)
     for i in range(n):
         for m in range(k):
             seen[i, m] = free[m] and not np.isnan(block[i, m, 0])
+            n_shown[m] += seen[i, m]
+    for m in range(k):
+        free[m] = n_shown[m] >= 2
     joined, R, t = _join(block, seen, free)
     for i in range(n):
         for m in range(k):
