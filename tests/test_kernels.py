@@ -19,6 +19,7 @@ from relmap.core.grouping import binning_kernels
 from relmap.core.grouping.averaging_kernels import steady_variance
 from relmap.core.grouping.chart_kernels import chart_block, seen_with
 from relmap.core.linalg import small_kernels
+from relmap.core.refinement.live_kernels import united
 from tests.kernels import callable_here
 from tests.worlds import random_rotation
 
@@ -183,6 +184,19 @@ def test_claims_go_to_the_nearest_and_of_equals_to_the_first(
         nearest = min(rows, key=lambda row: (distance[row], row), default=None)
         assert [row for row in rows if won[row]] == ([] if nearest is None else [nearest])
     assert not won[np.isinf(distance)].any()
+
+
+@given(seeds, sizes, sizes)
+def test_the_landmarks_of_two_lists_are_united(seed: int, n: int, m: int) -> None:
+    listed = np.random.default_rng(seed).integers(0, 30, n + m)
+    landmark, of, both = united(listed, listed.argsort(kind="stable"), n)
+    expected, at = np.unique(listed, return_inverse=True)
+    np.testing.assert_array_equal(landmark, expected)
+    np.testing.assert_array_equal(of, at)
+    last = [{int(listed[i]): i for i in rows} for rows in (range(n), range(n, n + m))]
+    shared = [one for one in expected.tolist() if one in last[0] and one in last[1]]
+    places = [[rows[one] for one in shared] for rows in last]
+    np.testing.assert_array_equal(both, np.array(places).reshape(2, -1))
 
 
 # Rotations.

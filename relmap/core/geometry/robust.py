@@ -80,7 +80,8 @@ def fit_robust_each(
     """
     import relmap.core.geometry.each_kernels as kernels
 
-    source, target, at = (np.ascontiguousarray(each) for each in (source, target, at))
+    source, target = np.ascontiguousarray(source), np.ascontiguousarray(target)
+    at = np.ascontiguousarray(at)
     size = extent_of(target)
     least, root = max(EXACT * size, 1e-300), np.sqrt(counts)
 
