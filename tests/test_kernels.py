@@ -19,6 +19,7 @@ from relmap.core.grouping import binning_kernels
 from relmap.core.grouping.averaging_kernels import steady_variance
 from relmap.core.grouping.chart_kernels import chart_block, seen_with
 from relmap.core.linalg import small_kernels
+from relmap.core.refinement.live_kernels import united
 from tests.kernels import callable_here
 from tests.worlds import random_rotation
 
@@ -27,6 +28,8 @@ buckets = callable_here(matching_kernels.buckets)
 nearest_to = callable_here(matching_kernels.nearest_to)
 matched = callable_here(matching_kernels.matched)
 continued = callable_here(tracking_kernels.continued)
+three_nearest = callable_here(matching_kernels.three_nearest)
+three_within = callable_here(matching_kernels.three_within)
 nearest_of_sample = callable_here(matching_kernels.nearest_of_sample)
 fit_rows = callable_here(fitting_kernels.fit_rows)
 best_rotation = callable_here(rotation_kernels.best_rotation)
@@ -94,6 +97,24 @@ def test_nearest_within_any_reach(d: int) -> None:
     np.testing.assert_allclose(distance, distances(points + 1.0, points).min(axis=1))
 
 
+@given(seeds, dimensions, st.integers(0, 300), st.sampled_from([0.0, 0.3, 1.0, 2.0, np.inf]))
+def test_the_three_nearest_within_a_radius_are_those_of_all_points(
+    seed: int, d: int, n: int, radius: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    points, queries = rng.normal(0, 4, (n, d)), rng.normal(0, 4, (9, d))
+    if seed % 2:
+        points, queries = points.round(), queries.round()  # many ties, and points at one place
+    grid = buckets(points, radius, radius / 2)
+    for query in queries:
+        *near, index = three_within(query, points, grid, radius)
+        *nearest, first = three_nearest(points, query)
+        within = np.array(nearest) <= radius**2
+        np.testing.assert_array_equal(np.array(near)[within], np.array(nearest)[within])
+        assert (np.array(near)[~within] > radius**2).all()
+        assert index == first or not within[0]
+
+
 @given(seeds, dimensions, sizes, sizes, st.integers(1, 9), st.booleans())
 def test_the_nearest_of_a_sample_of_the_tracks_seen_last(
     seed: int, d: int, n: int, m: int, most: int, ties: bool
@@ -103,7 +124,7 @@ def test_the_nearest_of_a_sample_of_the_tracks_seen_last(
     if ties:
         points, tracks = points.round(), tracks.round()
     missed = rng.integers(0, 3, m + 1)
-    sample, target, distance, spacing = nearest_of_sample(points, tracks, missed, most)
+    sample, target, distance, spacing = nearest_of_sample(points, tracks, missed, most, np.inf)
     latest = np.flatnonzero(missed == missed.min())
     if min(n, len(latest)) < 2:
         assert not len(sample)
@@ -135,7 +156,7 @@ def test_tracks_are_continued_where_expected_or_else_where_seen_last(
     match, grid = np.empty(m, dtype=np.int64), buckets(points, 0.3, 0.3)
     assert matched(latest + 0.1, points, grid, None, match) == linked.sum()
     np.testing.assert_array_equal(match, np.where(linked, target, -1))
-    rows, found, n_static = continued(points, match, latest, counts, reaches)
+    rows, found, n_static = continued(points, match, latest, counts, grid, reaches)
     np.testing.assert_array_equal(rows[:n_static], np.flatnonzero(linked))
     np.testing.assert_array_equal(found[:n_static], target[linked])
     wanted, apart = np.full(m, n), np.full(m, np.inf)
@@ -163,6 +184,19 @@ def test_claims_go_to_the_nearest_and_of_equals_to_the_first(
         nearest = min(rows, key=lambda row: (distance[row], row), default=None)
         assert [row for row in rows if won[row]] == ([] if nearest is None else [nearest])
     assert not won[np.isinf(distance)].any()
+
+
+@given(seeds, sizes, sizes)
+def test_the_landmarks_of_two_lists_are_united(seed: int, n: int, m: int) -> None:
+    listed = np.random.default_rng(seed).integers(0, 30, n + m)
+    landmark, of, both = united(listed, listed.argsort(kind="stable"), n)
+    expected, at = np.unique(listed, return_inverse=True)
+    np.testing.assert_array_equal(landmark, expected)
+    np.testing.assert_array_equal(of, at)
+    last = [{int(listed[i]): i for i in rows} for rows in (range(n), range(n, n + m))]
+    shared = [one for one in expected.tolist() if one in last[0] and one in last[1]]
+    places = [[rows[one] for one in shared] for rows in last]
+    np.testing.assert_array_equal(both, np.array(places).reshape(2, -1))
 
 
 # Rotations.

@@ -200,3 +200,14 @@ def test_two_halls_joined_by_two_landmarks_side_by_side_are_straight(seed: int) 
     mapper.refine()
     assert len(mapper.map) == len(true)
     assert aligned_rmse(mapper.map.positions[:, :2], true[mapper.map.landmark_ids]) < 0.15
+
+
+def test_labels_are_the_ids_given_small_or_large() -> None:
+    scans = list(simulate_figure_eight(density=40, iterations=30).log.scans())
+    mapper, rng = PointMapper(), np.random.default_rng(0)
+    for scan in scans:
+        ids = np.where(scan.ids % 3 == 0, scan.ids + 2**40, scan.ids)
+        ids[::7] = -1
+        order = rng.permutation(len(ids))
+        labels = mapper.update(scan.points_robot[order], ids[order])
+        np.testing.assert_array_equal(labels, ids[order])

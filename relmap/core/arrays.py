@@ -15,7 +15,7 @@ Bools = np.ndarray[tuple[Any, ...], np.dtype[np.bool_]]
 
 def entries(values: Ints, at: Ints) -> Ints:
     """Return the entries of values at places (any shape); -1 stays."""
-    found = values[at]
+    found = values.take(at)
     if at.size and at.item(at.argmin()) < 0:  # seldom, and `np.where` takes several times as long
         found[at < 0] = -1
     return found

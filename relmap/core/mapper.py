@@ -115,7 +115,8 @@ class RelativeMapper:
             placed = self.map.align(submap, relative.landmarks, relative.positions, relative.n_used)
             if placed is not None:
                 sure = np.isfinite(placed[:, 0])
-                return place(self, submap, level, placed[sure], relative.only(sure))
+                placed = placed.take(sure.nonzero()[0], axis=0)
+                return place(self, submap, level, placed, relative.only(sure))
         return np.empty(0, dtype=np.int64)
 
     def chart(self, seed: int) -> PointChart:

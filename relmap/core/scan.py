@@ -103,7 +103,7 @@ def checked_ids(ids: ArrayLike, n_points: int) -> Ints:
     if array.dtype.kind == "u" and array.max() > np.iinfo(np.int64).max:
         raise RelmapError(f"ids holds {array.max()}; the largest id is {np.iinfo(np.int64).max}")
     array = array.astype(np.int64)
-    if len(set(array.tolist())) < n_points:
+    if np.count_nonzero(array[1:] > array[:-1]) < n_points - 1:  # not ascending
         ordered = np.sort(array)
         twice = ordered[1:][(ordered[1:] == ordered[:-1]) & (ordered[1:] >= 0)]
         if len(twice):

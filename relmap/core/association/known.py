@@ -9,6 +9,9 @@ from relmap.core.association.base import UNIDENTIFIED, Registration
 from relmap.core.association.rigidity import Rigidity
 from relmap.core.state.growing import GrowingArray
 
+LARGEST = 2**21
+"""Ids below it are looked up in an array."""
+
 
 class _Numbers(dict[int, int]):
     """The number of each id, in the order of first observation; `labels`: the ids so far."""
@@ -16,6 +19,7 @@ class _Numbers(dict[int, int]):
     def __init__(self, labels: GrowingArray[np.int64]) -> None:
         super().__init__((label, k) for k, label in enumerate(labels.values.tolist()))
         self._labels = labels
+        self._small = np.full(1, UNIDENTIFIED)  # number of each id; the last entry is of no id
 
     def __missing__(self, label: int) -> int:
         if label < 0:
@@ -23,6 +27,21 @@ class _Numbers(dict[int, int]):
         self[label] = len(self)
         self._labels.append(label)
         return self[label]
+
+    def of(self, ids: Ints) -> Ints:
+        """Return the numbers of ids (n,); `UNIDENTIFIED` stays."""
+        largest = ids.item(ids.argmax()) if len(ids) else UNIDENTIFIED
+        if len(self._small) - 1 <= largest < LARGEST:
+            more = np.full(max(largest + 1, len(self._small)), UNIDENTIFIED)
+            self._small = np.concatenate([self._small, more])
+        at = np.minimum(ids, len(self._small) - 1)
+        numbers = self._small.take(at)
+        unknown = (numbers < 0).nonzero()[0]
+        if len(unknown):
+            numbers[unknown] = [self[label] for label in ids[unknown].tolist()]
+            self._small[at[unknown]] = numbers[unknown]
+            self._small[-1] = UNIDENTIFIED
+        return numbers
 
 
 class KnownAssociation(Registration):
@@ -66,8 +85,7 @@ class KnownAssociation(Registration):
         """
         known = np.empty(0, dtype=np.int64) if ids is None else ids
         self._n_scans += 1
-        given = self._checked(known, points_robot).tolist()
-        return np.fromiter(map(self._number.__getitem__, given), np.int64, len(given))
+        return self._number.of(self._checked(known, points_robot))
 
     def _checked(self, ids: Ints, points_robot: Floats) -> Ints:
         """Return the ids (n,), replaced or `UNIDENTIFIED` for inconsistent observations.

@@ -12,6 +12,9 @@ from relmap.core.linalg.small_kernels import picked, square_of, unset
 PAIR_RATIO, MANY = 4.0, 6
 """Ratio of the distances to the second and to the nearest neighbour above which landmarks count as
 pairs, and minimum number of landmarks for that: of three, two are often close by chance."""
+REACH, CROWDED, SHARE = 1.5, 100, 1 / 12
+"""How far neighbours of a sample are searched in a grid, in spacings; points from which a grid is
+searched, and up to how many of its cells, per point."""
 CELL, MARGIN = 4.0, 0.2501
 """Side of a cell of the grid, in reaches, and a reach in sides, with room for rounding."""
 Buckets = tuple[Ints, Ints, float, float]
@@ -138,13 +141,52 @@ def three_nearest(points: Floats, query: Floats) -> tuple[float, float, float, i
 
 
 @helper
+def three_within(
+    query: Floats, points: Floats, grid: Buckets, radius: float
+) -> tuple[float, float, float, int]:
+    """Return what `three_nearest` does, but distances beyond a radius, metres, may be too large.
+
+    Only the cells of the grid within the radius are searched, unless they are many.
+    """
+    if len(points) < CROWDED:
+        return three_nearest(points, query)
+    first, following, farthest_m, _ = grid
+    side, r, space = CELL * farthest_m, 1.001 * radius, len(query) == 3  # with room for rounding
+    z, r_z = query[2] if space else 0.0, r if space else 0.0
+    left, right = np.floor((query[0] - r) / side), np.floor((query[0] + r) / side)
+    front, back = np.floor((query[1] - r) / side), np.floor((query[1] + r) / side)
+    low, high = np.floor((z - r_z) / side), np.floor((z + r_z) / side)
+    if not (right - left + 1) * (back - front + 1) * (high - low + 1) <= SHARE * len(points):
+        return three_nearest(points, query)
+    a, b, c, one, two, three = np.inf, np.inf, np.inf, len(points), -1, -1
+    for x in range(int(left), int(right) + 1):
+        for y in range(int(front), int(back) + 1):
+            for layer in range(int(low), int(high) + 1):
+                i = first[_bucket(x, y, layer, len(first))]
+                while i >= 0:
+                    u, v = points[i, 0] - query[0], points[i, 1] - query[1]
+                    w = points[i, 2] - z if space else 0.0
+                    square = u * u + v * v + w * w
+                    if square <= c and i not in (one, two, three):  # cells may share a bucket
+                        if square < a or (square == a and i < one):
+                            a, b, c, one, two, three = square, a, b, i, one, two
+                        elif square < b:
+                            b, c, two, three = square, b, i, two
+                        else:
+                            c, three = square, i
+                    i = following[i]
+    return a, b, c, one
+
+
+@helper
 def nearest_of_sample(
-    points: Floats, expected: Floats, missed: Ints, most: int
+    points: Floats, expected: Floats, missed: Ints, most: int, radius: float
 ) -> tuple[Ints, Ints, Floats, float]:
     """Return the points (n, d) nearest to a sample of the tracks (m, d) that were seen last.
 
     Returns the tracks (k,), at most `most`, the point nearest to each, its distance, and the
-    spacing, see `scale.spacing_of`; no tracks if two matches are impossible.
+    spacing, see `scale.spacing_of`; no tracks if two matches are impossible. A spacing or a
+    distance above the radius, metres, may be too large.
     """
     n, m, fewest, n_latest = len(points), len(missed), missed[0], 0
     for row in range(m):
@@ -156,10 +198,14 @@ def nearest_of_sample(
     if min(n, n_latest) < 2:
         return latest[:0], latest[:0], np.empty(0), 0.0
     crowd = points if n >= n_latest else picked(expected, latest[:n_latest])
-    every = -(-len(crowd) // most)
+    used = crowd if np.isfinite(radius) else crowd[:0]
+    grid, every = buckets(used, radius, 2 * radius / CELL), -(-len(crowd) // most)
     neighbour = np.empty((2, -(-len(crowd) // every)))
     for k in range(neighbour.shape[1]):
-        _, neighbour[0, k], neighbour[1, k], _ = three_nearest(crowd, crowd[k * every])
+        found = three_within(crowd[k * every], crowd, grid, radius)
+        neighbour[0, k], neighbour[1, k] = found[1], found[2]
+    if len(used) > n:
+        grid = buckets(points, radius, 2 * radius / CELL)
     half = neighbour.shape[1] // 2
     spacing = np.sqrt(smallest(neighbour[0], half))
     if len(crowd) >= MANY:
@@ -169,8 +215,8 @@ def nearest_of_sample(
     target, distance = np.empty(k, dtype=np.int64), np.empty(k)
     for i in range(k):
         latest[i] = latest[i * every]
-        first, _, _, target[i] = three_nearest(points, expected[latest[i]])
-        distance[i] = np.sqrt(first)
+        found = three_within(expected[latest[i]], points, grid, radius)
+        distance[i], target[i] = np.sqrt(found[0]), found[3]
     return latest[:k], target, distance, spacing
 
 
@@ -184,7 +230,14 @@ def matched_sample(
     it. Returns the sample; the tracks matched (k,), their points and the distances to them; the
     positions of both (k, d); and the spacing.
     """
-    sample, target, distance, spacing = nearest_of_sample(points, expected, missed, most)
+    radius = REACH * known if len(points) >= CROWDED else np.inf
+    while True:
+        sample, target, distance, spacing = nearest_of_sample(
+            points, expected, missed, most, radius
+        )
+        if spacing <= radius:
+            break
+        radius = np.inf
     m, k = len(sample), 0
     rows, found, apart = np.empty(m, dtype=np.int64), np.empty(m, dtype=np.int64), np.empty(m)
     if np.isfinite(known):

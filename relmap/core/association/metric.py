@@ -90,12 +90,8 @@ class RayNoise:
         """
         import relmap.core.association.ray_kernels as kernels
 
-        distance, ray = _rays(found)
-        self._unit_m = self._unit_m or float(distance.max())
-        off = (expected - found) / np.sqrt(1 + 1 / np.minimum(n_seen, MEMORY))[:, None]
-        along = np.sum(off * ray, axis=1) ** 2
-        across = np.maximum(np.sum(off**2, axis=1) - along, 0) / (found.shape[1] - 1)
-        squares = np.column_stack([distance, along, across])
+        squares = kernels.residuals(expected, found, n_seen, MEMORY)
+        self._unit_m = self._unit_m or float(squares[:, 0].max())
         self._squares = np.concatenate([self._squares, squares])[-RECENT:]
         if len(self._squares) >= ENOUGH:
             kernels.update(self._squares, self._unit_m, self._coefficients)

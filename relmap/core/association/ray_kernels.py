@@ -4,11 +4,33 @@ from __future__ import annotations
 
 import numpy as np
 
-from relmap.core.arrays import Floats
+from relmap.core.arrays import Floats, Ints
 from relmap.core.association.metric import CHI2_MEDIAN, LEAST, OUTLIER, RIDGE, ROUNDS, TINY
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import smallest
 from relmap.core.linalg.small_kernels import factorise, solve
+
+
+@compiled
+def residuals(expected: Floats, found: Floats, n_seen: Ints, most: int) -> Floats:
+    """Return the distance (n, 3) of each point (n, d), metres, and its squared residuals.
+
+    Along and across the ray, of one observation: the prediction `expected` (n, d) averages those
+    before, `n_seen` (n,), at most `most`.
+    """
+    (n, d), squares = found.shape, np.empty((len(found), 3))
+    for i in range(n):
+        square, along, whole = 0.0, 0.0, 0.0
+        for a in range(d):
+            square += found[i, a] * found[i, a]
+        distance, spread = np.sqrt(square), np.sqrt(1 + 1 / min(n_seen[i], most))
+        for a in range(d):
+            off = (expected[i, a] - found[i, a]) / spread
+            along += off * (found[i, a] / max(distance, 1e-12))
+            whole += off * off
+        squares[i, 0], squares[i, 1] = distance, along * along
+        squares[i, 2] = max(whole - along * along, 0.0) / (d - 1)
+    return squares
 
 
 @helper

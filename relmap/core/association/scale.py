@@ -77,7 +77,7 @@ class Scale:
     @property
     def is_blurred(self) -> bool:
         """Whether the noise is known and many single matches are ambiguous."""
-        return self.noise_m is not None and not self.is_sharp and np.isfinite(self.spacing_m)
+        return self.noise_m is not None and not self.is_sharp and math.isfinite(self.spacing_m)
 
     @property
     def assumed_m(self) -> float:

@@ -6,10 +6,11 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association.matching_kernels import (
+    Buckets,
     buckets,
     claims,
     matched,
-    three_nearest,
+    three_within,
 )
 from relmap.core.geometry.fitting_kernels import misfits, placed_at
 from relmap.core.linalg.compiling import compiled, helper
@@ -64,6 +65,7 @@ def continued(
     match: Ints,
     latest: Floats,
     counts: tuple[Ints, Ints, Ints],
+    grid: Buckets,
     reaches: tuple[float, float, int],
 ) -> tuple[Ints, Ints, int]:
     """Return the tracks (k,) that points (n, d) continue, these points, and how many are static.
@@ -86,7 +88,7 @@ def continued(
     for row in range(m):
         apart[row] = np.inf
         if match[row] < 0 and missed[row] == 0:
-            square, _, _, wanted[row] = three_nearest(points, latest[row])
+            square, _, _, wanted[row] = three_within(latest[row], points, grid, widest)
             may_move = restless[row] > 0 or seen[row] < young
             if np.sqrt(square) <= (widest if may_move else narrow) and not taken[wanted[row]]:
                 apart[row] = np.sqrt(square)
@@ -193,6 +195,6 @@ def tracked(
     match, grid = np.empty(len(expected), dtype=np.int64), buckets(points, narrow, farthest_m)
     matched(expected, points, grid, metric, match)
     counts, within = (missed, seen, restless), (widest, narrow, young)
-    pairs = continued(points, match, latest, counts, within)
+    pairs = continued(points, match, latest, counts, grid, within)
     found = followed(points, placed, pairs, n_landmarks, (memory, careful, longest))
     return expected, pairs, found

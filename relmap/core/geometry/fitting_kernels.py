@@ -68,16 +68,26 @@ def fit_rows(
     Returns R, t, whether the rows determine R, and the scatter (3, 3) of their source points about
     the first of the means (2, 3), which follow.  An initial guess of R (d, d) saves time.
     """
-    d, means = source.shape[1], np.empty((2, 3))
+    means = np.empty((2, 3))
     means[0, 0], means[0, 1], means[0, 2], _ = centre_of(source, rows)
     means[1, 0], means[1, 1], means[1, 2], _ = centre_of(target, rows)
+    R, t, is_fixed, scatter = fit_about(means, source, target, rows, guess)
+    return R, t, is_fixed, scatter, means
+
+
+@helper
+def fit_about(
+    means: Floats, source: Floats, target: Floats, rows: Bools, guess: Floats
+) -> tuple[Floats, Floats, bool, Floats]:
+    """Fit rows as `fit_rows` does, given their means (2, 3); returns all but these."""
     moment, scatter = _moments(source, target, rows, means)
-    R, t = best_rotation(moment, guess), np.empty(d)
+    d, R = source.shape[1], best_rotation(moment, guess)
+    t = np.empty(d)
     for a in range(d):
         t[a] = means[1, a]
         for b in range(d):
             t[a] -= R[a, b] * means[0, b]
-    return R, t, fixes(scatter, d), scatter, means
+    return R, t, fixes(scatter, d), scatter
 
 
 @helper

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.core.geometry.alignment import extent_of, fit_rigid_each, place_each
+from relmap.core.geometry.alignment import extent_of, fit_rigid_each
 
 OUTLIER = 7.0
 """Standard deviations beyond which a residual is down-weighted as an outlier."""
@@ -78,11 +78,15 @@ def fit_robust_each(
     Returns `R` (n, d, d); `t` (n, d); `fixed` (n,); `weight` (k,): weight of one observation; 1 if
     noise explains all residuals.
     """
+    import relmap.core.geometry.each_kernels as kernels
+
+    source, target = np.ascontiguousarray(source), np.ascontiguousarray(target)
+    at = np.ascontiguousarray(at)
     size = extent_of(target)
     least, root = max(EXACT * size, 1e-300), np.sqrt(counts)
 
     def apart() -> Floats:
-        return np.asarray(np.linalg.norm(place_each(R, t, at, source) - target, axis=1))
+        return kernels.misfits_each(R, t, at, source, target)
 
     def weights() -> Floats:
         residual = root * apart()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.core.geometry.fitting_kernels import enter_swings, fit_rows, set_placement
+from relmap.core.geometry.fitting_kernels import enter_swings, fit_about, set_placement
 from relmap.core.grouping.completion import AMPLE, NEARLY, PLENTY, ROUNDS, SOLID
 from relmap.core.grouping.dynamics import FEWEST
 from relmap.core.grouping.motion_kernels import steady
@@ -78,19 +78,24 @@ def _by_iteration(block: Floats) -> tuple[Ints, Ints, Floats]:
 
 @helper
 def _enter_matches(
-    own: Floats, landmarks: Ints, reference: Floats, source: Floats, there: Floats
+    own: Floats, landmarks: Ints, reference: Floats, source: Floats, there: Floats, means: Floats
 ) -> int:
     """Write the points (k, d) of landmarks (k,) in a reference (n, d), and where; return how many.
 
-    The reference is NaN for other landmarks.
+    The reference is NaN for other landmarks. Also writes the means (2, 3) of both.
     """
-    n, d = 0, own.shape[1]
+    n, x, y, z, u, v, w = 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for j in range(len(own)):
         k = landmarks[j]
         if not np.isnan(reference[k, 0]):
-            for a in range(d):
+            for a in range(own.shape[1]):
                 source[n, a], there[n, a] = own[j, a], reference[k, a]
-            n += 1
+            x, y, u, v, n = x + own[j, 0], y + own[j, 1], u + there[n, 0], v + there[n, 1], n + 1
+            if own.shape[1] == 3:
+                z, w = z + own[j, 2], w + reference[k, 2]
+    share = 1 / max(n, 1)
+    means[0, 0], means[0, 1], means[0, 2] = x * share, y * share, z * share
+    means[1, 0], means[1, 1], means[1, 2] = u * share, v * share, w * share
     return n
 
 
@@ -108,14 +113,14 @@ def _place_iterations(block: Floats, reference: Floats) -> Completed:
     n_seen, seen, here = _by_iteration(block)
     source, there, rows = np.empty((n, d)), np.empty((n, d)), np.empty(n, dtype=np.bool_)
     placed, mean, guess = np.empty((n, d)), np.zeros((n, d)), identity(d)
-    amplified, swing = np.zeros(n), np.empty(n)
+    amplified, swing, means = np.zeros(n), np.empty(n), np.empty((2, 3))
     for k in range(n):
         rows[k] = True
     for i in range(m):
         own = here[i, : n_seen[i]]
-        n_fitted = _enter_matches(own, seen[i], reference, source, there)
-        turn, shift, is_fixed, scatter, means = fit_rows(
-            source[:n_fitted], there[:n_fitted], rows, guess
+        n_fitted = _enter_matches(own, seen[i], reference, source, there, means)
+        turn, shift, is_fixed, scatter = fit_about(
+            means, source[:n_fitted], there[:n_fitted], rows, guess
         )
         set_placement(R, t, i, turn, shift)
         if is_fixed:

@@ -69,7 +69,8 @@ class RelativeMap:
         if np.count_nonzero(rows) == len(rows):
             return self
         names = "landmarks", "positions", "variance", "amplified", "used", "n_used"
-        own = {name: getattr(self, name)[rows] for name in names}
+        at = rows.nonzero()[0]  # `take` is several times as fast as indexing by a mask
+        own = {name: getattr(self, name).take(at, axis=0) for name in names}
         return replace(self, **own, given=None if self.given is None else self.given[rows])
 
 

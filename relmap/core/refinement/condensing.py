@@ -169,9 +169,11 @@ class CondensedSegments:
         steady = ~dynamic[store.now(present)]
         moves = np.count_nonzero(steady) < len(steady)
         own, landmarks = (block[steady], present[steady]) if moves else (block, present)
-        free = np.isfinite(own[:, :, :1]).sum(axis=(0, 2)) >= 2
+        free = np.ones(k, dtype=bool)
         while np.count_nonzero(free):
             joined, R, t, points, visible, squares, freedoms = kernels.align_iterations(own, free)
+            if not np.count_nonzero(joined):
+                break
             free &= ~joined
             is_sound = np.isfinite(squares)  # no gross outliers displaced the iterations
             self._squares.append(squares if is_sound else 0.0)
@@ -187,11 +189,11 @@ class CondensedSegments:
         self, begin: int, landmarks: Ints, points: Floats, visible: NDArray[np.uint8]
     ) -> None:
         """Append rows of the latest segment."""
-        there = visible > 0
-        self._landmark.extend(landmarks[there])
+        there = visible.nonzero()[0]  # `take` is several times as fast as indexing by a mask
+        self._landmark.extend(landmarks.take(there))
         self._segment.resize(len(self._landmark), len(self._squares) - 1)
-        self._points.extend(points[there])
-        self._visible.extend(visible[there])
+        self._points.extend(points.take(there, axis=0))
+        self._visible.extend(visible.take(there))
         if len(self._first_iteration) < len(self._squares):
             self._first_iteration.append(begin)
 

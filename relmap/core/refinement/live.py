@@ -193,21 +193,20 @@ class LiveRefinement:
 
 def merged(one: Body, other: Body) -> Body | None:
     """Align one body to another and merge them; None if they share too little."""
-    landmark, of = np.unique(np.append(one.landmark, other.landmark), return_inverse=True)
-    n, d = one.points.shape
-    rows = np.full((2, len(landmark)), NONE)
-    rows[0, of[:n]], rows[1, of[n:]] = np.arange(n), np.arange(len(of) - n)
-    mine, its = rows[:, (rows[0] != NONE) & (rows[1] != NONE)]
+    import relmap.core.refinement.live_kernels as kernels
+
+    (n, d), listed = one.points.shape, np.concatenate([one.landmark, other.landmark])
+    landmark, of, (mine, its) = kernels.united(listed, listed.argsort(kind="stable"), n)
     if len(mine) < d:
         return None
+    its = its - n
     counts = np.minimum(one.weight[mine], other.weight[its])
     R, t, fixed, _ = fit_robust_each(other.points[its], one.points[mine], counts, 0 * mine, 1)
     if not fixed[0]:
         return None
-    weight = np.append(one.weight, other.weight)
+    weight = np.concatenate([one.weight, other.weight])
     placed = np.concatenate([one.points, other.points @ R[0].T + t[0]])
-    total = np.bincount(of, weights=weight).astype(np.float64)
-    means = sums_each(weight[:, None] * placed, of, len(landmark)) / total[:, None]
+    means, total = kernels.averages(placed, weight, of, len(landmark))
     return Body(landmark, means, total, one.n_segments + other.n_segments)
 
 

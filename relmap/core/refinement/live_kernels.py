@@ -6,6 +6,43 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.linalg.compiling import compiled, helper
+from relmap.core.linalg.small_kernels import unset
+
+
+@compiled
+def united(listed: Ints, order: Ints, n: int) -> tuple[Ints, Ints, Ints]:
+    """Return the distinct landmarks (m,) of two lists, one after the other, and where they are.
+
+    `listed` (k,): the first list has n entries; `order` (k,): they ascend in this stable order.
+    Then follow which landmark each entry is (k,), and the last entry in each list (2, s) of those
+    in both.
+    """
+    k, m, s = len(listed), 0, 0
+    landmark, of, both = np.empty(k, dtype=np.int64), np.empty(k, dtype=np.int64), unset(2 * k)
+    for j in range(k):
+        i = order[j]
+        if j == 0 or listed[i] != landmark[m - 1]:
+            s += m > 0 and both[s] >= 0 and both[k + s] >= 0
+            both[s] = both[k + s] = -1
+            landmark[m], m = listed[i], m + 1
+        of[i] = m - 1
+        both[s if i < n else k + s] = i
+    s += m > 0 and both[s] >= 0 and both[k + s] >= 0
+    return landmark[:m], of, both.reshape((2, k))[:, :s]
+
+
+@compiled
+def averages(points: Floats, weight: Floats, of: Ints, n: int) -> tuple[Floats, Floats]:
+    """Return weighted means (n, d) of points (k, d) by set `of` (k,), and total weights (n,)."""
+    means, total = np.zeros((n, points.shape[1])), np.zeros(n)
+    for i in range(len(points)):
+        total[of[i]] += weight[i]
+        for a in range(points.shape[1]):
+            means[of[i], a] += weight[i] * points[i, a]
+    for k in range(n):
+        for a in range(points.shape[1]):
+            means[k, a] /= total[k]
+    return means, total
 
 
 @helper

@@ -6,7 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.core.geometry.fitting_kernels import centre_of, fit_rows, set_placement
+from relmap.core.geometry.fitting_kernels import (
+    centre_of,
+    fit_about,
+    fit_rows,
+    set_placement,
+)
 from relmap.core.grouping.averaging_kernels import place
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import median
@@ -142,17 +147,40 @@ def _shared(block: Floats, seen: Bools) -> tuple[Ints, Ints, Floats, Ints]:
 def _middle(
     here: Floats, n_of: Ints, of: Ints, counts: Ints, R: Floats, t: Floats, placed: Floats
 ) -> Floats:
-    """Return the mean positions (n, d) of shared landmarks; see `_shared`."""
+    """Place the points of shared landmarks, (k, n, d); return their means (n, d); see `_shared`."""
     mean = np.zeros((len(counts), here.shape[2]))
     for m in range(len(n_of)):
-        place(here[m, : n_of[m]], R, t, m, placed)
+        place(here[m, : n_of[m]], R, t, m, placed[m])
         for j in range(n_of[m]):
             for a in range(here.shape[2]):
-                mean[of[m, j], a] += placed[j, a]
+                mean[of[m, j], a] += placed[m, j, a]
     for i in range(len(counts)):
         for a in range(here.shape[2]):
             mean[i, a] /= max(counts[i], 1)
     return mean
+
+
+@helper
+def _enter_targets(
+    here: Floats, of: Ints, placed: Floats, mean: Floats, square: float, means: Floats
+) -> float:
+    """Replace the places of points (c, d) by the means of their landmarks `of`.
+
+    Returns the sum of squares so far plus that of the deviations, over c squared. Also writes the
+    means (2, 3) of points and targets.
+    """
+    c, x, y, z, u, v, w = len(here), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for j in range(c):
+        for a in range(here.shape[1]):
+            square += ((placed[j, a] - mean[of[j], a]) / c) ** 2
+            placed[j, a] = mean[of[j], a]
+        x, y, u, v = x + here[j, 0], y + here[j, 1], u + placed[j, 0], v + placed[j, 1]
+        if here.shape[1] == 3:
+            z, w = z + here[j, 2], w + placed[j, 2]
+    share = 1 / max(c, 1)
+    means[0, 0], means[0, 1], means[0, 2] = x * share, y * share, z * share
+    means[1, 0], means[1, 1], means[1, 2] = u * share, v * share, w * share
+    return square
 
 
 @helper
@@ -163,7 +191,7 @@ def _settle(block: Floats, seen: Bools, joined: Bools, R: Floats, t: Floats) -> 
     """
     n, k, d = block.shape
     n_of, of, here, counts = _shared(block, seen)
-    placed, rows = np.empty((n, d)), np.empty(n, dtype=np.bool_)
+    placed, rows, means = np.empty((k, n, d)), np.empty(n, dtype=np.bool_), np.empty((2, 3))
     for i in range(n):
         rows[i] = True
     for _ in range(ROUNDS):
@@ -172,12 +200,9 @@ def _settle(block: Floats, seen: Bools, joined: Bools, R: Floats, t: Floats) -> 
             if not joined[m]:
                 continue
             c = n_of[m]
-            place(here[m, :c], R, t, m, placed)
-            for j in range(c):
-                for a in range(d):
-                    square += ((placed[j, a] - mean[of[m, j], a]) / c) ** 2
-                    placed[j, a] = mean[of[m, j], a]
-            turn, shift, fixed, _, _ = fit_rows(here[m, :c], placed[:c], rows[:c], R[m].copy())
+            own, there = here[m, :c], placed[m, :c]
+            square = _enter_targets(own, of[m], there, mean, square, means)
+            turn, shift, fixed, _ = fit_about(means, own, there, rows[:c], R[m].copy())
             if fixed:
                 for a in range(d):
                     moved += (shift[a] - t[m, a]) ** 2
@@ -259,14 +284,18 @@ def align_iterations(
 ) -> tuple[Bools, Floats, Floats, Floats, NDArray[np.uint8], float, int]:
     """Align the largest consistent set of the free iterations (k,) of a block (n, k, d).
 
-    Returns these iterations, their poses R (k, d, d) and t (k, d), the positions (n, d) of the
-    landmarks, what `_condensed` does of visibility and squares, and their degrees of freedom.
+    Those that show fewer than two landmarks are free no longer. Returns the aligned iterations,
+    their poses R (k, d, d) and t (k, d), the positions (n, d) of the landmarks, what `_condensed`
+    does of visibility and squares, and their degrees of freedom.
     """
     n, k, d = block.shape
-    seen = np.zeros((n, k), dtype=np.bool_)
+    seen, n_shown = np.empty((n, k), dtype=np.bool_), np.zeros(k)
     for i in range(n):
         for m in range(k):
             seen[i, m] = free[m] and not np.isnan(block[i, m, 0])
+            n_shown[m] += seen[i, m]
+    for m in range(k):
+        free[m] = n_shown[m] >= 2
     joined, R, t = _join(block, seen, free)
     for i in range(n):
         for m in range(k):

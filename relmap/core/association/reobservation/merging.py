@@ -183,9 +183,11 @@ class Merger:
         return np.array([not self._are_apart(*pair) for pair in pairs.tolist()], dtype=bool)
 
     def _are_apart(self, one: int, other: int) -> bool:
+        if not self._apart:
+            return False
         of = self._table.landmark_of
         noted = (self._apart.get(track, []) for track in self._table.members(one))
-        return bool(self._apart) and any(
+        return any(
             of[track] == other and tracks.count(track) > 1 for tracks in noted for track in tracks
         )
 
@@ -226,8 +228,14 @@ class Merger:
         table, (new, old) = self._table, pairs.T
         fits = (table.submap[old] == table.submap[new]) & (table.submap[new] != NONE)
         fits[fits] = self._model.may_be(table, new[fits], old[fits])
-        found = zip(new[fits].tolist(), old[fits].tolist(), strict=True)
-        return [pair for pair in found if self._is_later(*pair) and not self._are_apart(*pair)]
+        new, old = new[fits], old[fits]
+        is_later = (table.last[old] < table.first[new]).tolist()
+        found = zip(new.tolist(), old.tolist(), is_later, strict=True)
+        return [
+            (one, other)
+            for one, other, later in found
+            if (later or self._is_later(one, other)) and not self._are_apart(one, other)
+        ]
 
     def _is_later(self, new: int, old: int) -> bool:
         table = self._table
