@@ -7,7 +7,7 @@ import numpy as np
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.geometry.fitting_kernels import enter_swings, fit_rows, set_placement
 from relmap.core.grouping.completion import AMPLE, NEARLY, PLENTY, ROUNDS, SOLID
-from relmap.core.grouping.dynamics import EXACT, FEWEST, LIMIT
+from relmap.core.grouping.dynamics import FEWEST
 from relmap.core.grouping.motion_kernels import steady
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import median, smallest
@@ -155,7 +155,7 @@ def completed(
     while True:
         whole = _place_iterations(block, reference)
         _, _, _, counts, mean, variance, amplified = whole
-        still = steady(mean, variance, amplified, given, noise_m, EXACT, LIMIT)
+        still = steady(mean, variance, amplified, given, noise_m)
         n_placed, n_solid, rounds = 0, 0, rounds + 1
         for k in range(n):
             solid[k] = counts[k] >= FEWEST and still[k] and not moves[k]

@@ -89,8 +89,7 @@ class DynamicStatus:
         strikes, until = (of.strikes, of.struck_until), (of.tested_until, of.moved_until)
         columns = of.restless, *strikes, of.dynamic, *until, of.moving_bin
         seen = relative.used, relative.n_used, relative.iterations
-        limits = FEWEST, ENOUGH, STRIKES, STILL, NONE
-        return kernels.tested(columns, relative.landmarks, still, *seen, limits)
+        return kernels.tested(columns, relative.landmarks, still, *seen)
 
 
 def rests(relative: RelativeMap, noise_m: float) -> Bools:
@@ -101,7 +100,7 @@ def rests(relative: RelativeMap, noise_m: float) -> Bools:
     import relmap.core.grouping.motion_kernels as kernels
 
     of = relative.positions, relative.variance, relative.amplified, relative.given
-    return kernels.steady(*of, noise_m, EXACT, LIMIT)
+    return kernels.steady(*of, noise_m)
 
 
 def binned(
@@ -127,9 +126,7 @@ def binned(
     if allowed is None:
         allowed = n_log_n(int(np.count_nonzero(often)))
     limit = LIMIT * 2 * max(noise_m, exact_m) ** 2
-    bin_of, n_comparisons = kernels.sort_into_bins(
-        block, often, priority, limit, FEWEST, SAMPLE, int(allowed)
-    )
+    bin_of, n_comparisons = kernels.sort_into_bins(block, often, priority, limit, int(allowed))
     bins = (-np.bincount(bin_of + 1)[1:]).argsort(kind="stable")
     return Bins([(bin_of == number).nonzero()[0] for number in bins], n_comparisons)
 

@@ -9,6 +9,7 @@ from relmap.core.geometry.fitting_kernels import scatter_of, swings
 from relmap.core.geometry.rotation_kernels import best_rotation, fixes
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.small_kernels import identity
+from relmap.core.map.globalmap import LOOSE
 
 Columns = tuple[Floats, Floats, Ints]
 """Of the landmark table: position, weight, submap."""
@@ -34,12 +35,11 @@ def _weighted(source: Floats, target: Floats, weights: Floats) -> tuple[Floats, 
 
 @compiled
 def aligned(
-    columns: Columns, submap: int, landmarks: Ints, relative: Floats, counts: Ints, loose: float
+    columns: Columns, submap: int, landmarks: Ints, relative: Floats, counts: Ints
 ) -> tuple[Floats, bool]:
     """Return a relative map (n, d) in the frame of a submap; see `GlobalMap.align`.
 
-    `counts` (n,): iterations averaged into it; `loose`: largest variance of a position. Returns
-    also whether the rotation is determined.
+    `counts` (n,): iterations averaged into it. Returns also whether the rotation is determined.
     """
     position, weight, submap_of = columns
     (n, d), there, placed = relative.shape, np.empty(relative.shape), np.empty(relative.shape)
@@ -55,7 +55,7 @@ def aligned(
     R, swing = best_rotation(moment, identity(d)), swings(relative, rows)
     for i in range(n):
         for a in range(d):
-            placed[i, a] = means[1, a] if swing[i] <= loose else np.nan
+            placed[i, a] = means[1, a] if swing[i] <= LOOSE else np.nan
             for b in range(d):
                 placed[i, a] += R[a, b] * (relative[i, b] - means[0, b])
     return placed, fixes(scatter_of(there, rows)[0], d)

@@ -84,9 +84,7 @@ class GlobalMap:
         import relmap.core.map.aligning_kernels as kernels
 
         columns = self.table.position, self.table.weight, self.table.submap
-        placed, is_fixed = kernels.aligned(
-            columns, submap, landmarks, relative_map, n_iterations, LOOSE
-        )
+        placed, is_fixed = kernels.aligned(columns, submap, landmarks, relative_map, n_iterations)
         return placed if is_fixed else None
 
     def new_submap(self) -> int:

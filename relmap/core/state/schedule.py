@@ -72,7 +72,7 @@ class GroupingSchedule:
         counts = of.last, of.observations, of.in_interval
         columns = *counts, of.is_gone, of.begin, of.level, of.weight
         self._in_view, self._gone, left, ready, self._first = kernels.see(
-            columns, landmarks, waiting, iteration, self._max_missed, self._thresholds, FEW
+            columns, landmarks, waiting, iteration, self._max_missed, self._thresholds
         )
         if len(ready):
             fresh = ready[~np.isin(ready, self._due)] if len(self._due) else ready
