@@ -210,8 +210,8 @@ class PlaneSegmenter:
             other = xy[1:] != xy[:-1]
             once = np.append(True, other[:, 0] | other[:, 1])
             xy = xy if once.all() else xy[once]
-            scan = lines.LaserScan(xy)
-            mixture, labels = lines.scan_walls(scan, self.noise)
+            scan = lines.LaserScan(xy, self.noise)
+            mixture, labels = lines.scan_walls(scan)
             bounds = lines.first_and_last(labels)
             sharp = meet(lines.extend_to_beams(mixture, scan, bounds), len(xy))
             curved = lines.on_curves(mixture, xy, labels, bounds)
