@@ -8,7 +8,7 @@ from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.grouping.dynamics import FEWEST, SAMPLE
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import smallest
-from relmap.core.linalg.small_kernels import unset
+from relmap.core.linalg.small_kernels import true_rows, unset
 
 TRIES = 2
 """Maximum number of attempts of a landmark to start a bin."""
@@ -135,17 +135,6 @@ def _next_pivot(free: Bools, tries: Ints, priority: Floats) -> int:
     return best
 
 
-@helper
-def _others(free: Bools) -> Ints:
-    """Return the free rows."""
-    rows, n = np.empty(len(free), dtype=np.int64), 0
-    for row in range(len(free)):
-        if free[row]:
-            rows[n] = row
-            n += 1
-    return rows[:n]
-
-
 @compiled
 def counted(block: Floats) -> tuple[Ints, float]:
     """Return the number of observations of each row (n,) of a block, and its largest coordinate."""
@@ -176,7 +165,7 @@ def sort_into_bins(
     pivot = _next_pivot(free, tries, priority)
     while pivot >= 0 and n_comparisons < allowed:
         free[pivot] = False
-        others = _others(free)
+        others = true_rows(free)
         if largest > len(others):
             break
         every = max(len(others) // SAMPLE, 1)
