@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -188,7 +189,8 @@ def test_range_and_bearing_become_covariances(dimension: int) -> None:
 
 
 def test_sigmas_that_are_none_are_refused() -> None:
-    for sigmas in ((0.0, 1.0), (1.0, np.nan), (1.0, 1.0, -1.0)):
+    odd: Any = [("1", 1.0), (1.0, np.ones(2))]
+    for sigmas in ((0.0, 1.0), (1.0, np.nan), (1.0, 1.0, -1.0), *odd):
         with pytest.raises(RelmapError, match="must be above 0"):
             range_bearing_covariances(np.ones((1, 3)), *sigmas)
     above = range_bearing_covariances(np.array([[0.0, 0.0, 2.0], [0.0, 0.0, 0.0]]), 0.1, 0.01)

@@ -18,6 +18,7 @@ from relmap.core.geometry.alignment import fit_rigid, rotation_of_moment
 from relmap.core.grouping import binning_kernels
 from relmap.core.grouping.averaging_kernels import steady_variance
 from relmap.core.grouping.chart_kernels import chart_block, seen_with
+from relmap.core.grouping.dynamics import FEWEST
 from relmap.core.linalg import small_kernels
 from relmap.core.refinement.live_kernels import united
 from tests.kernels import callable_here
@@ -307,9 +308,9 @@ def test_steady_variance_is_numpys(seed: int, d: int, g: int, m: int, movers: in
     assert steady_variance(block, 0.9) == pytest.approx(np.median(variance) / 0.9)
 
 
-@given(seeds, dimensions, st.integers(0, 12), st.integers(1, 6))
+@given(seeds, dimensions, st.integers(0, 12))
 def test_a_distance_is_kept_where_its_variance_is_within_the_limit(
-    seed: int, d: int, m: int, fewest: int
+    seed: int, d: int, m: int
 ) -> None:
     rng = np.random.default_rng(seed)
     block = rng.normal(0, 1, (2, m, d))
@@ -318,9 +319,9 @@ def test_a_distance_is_kept_where_its_variance_is_within_the_limit(
     apart = apart[np.isfinite(apart)]
     variance = apart.var(ddof=1) if len(apart) > 1 else 0.0
     for limit in (0.9 * variance, 1.1 * variance + 1e-12):
-        kept = len(apart) >= fewest and (len(apart) < 2 or variance <= limit)
-        assert keeps_distance(block, 0, 1, limit, fewest) == kept
-        assert keeps_distance(block, 1, 0, limit, fewest) == kept
+        kept = len(apart) >= FEWEST and variance <= limit
+        assert keeps_distance(block, 0, 1, limit) == kept
+        assert keeps_distance(block, 1, 0, limit) == kept
 
 
 @given(seeds, dimensions, st.integers(1, 8), st.integers(0, 10), st.floats(0, 1))

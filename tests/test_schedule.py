@@ -169,6 +169,18 @@ def test_one_in_view_is_there_once_after_a_merge() -> None:
     assert schedule.in_view.tolist() == [0]
 
 
+def test_one_in_view_stays_there_if_one_that_is_done_is_merged_into_it() -> None:
+    schedule, table = begun()
+    for k in range(20):
+        see(schedule, table, [0, 1] if k == 2 else [0], k)
+    schedule.begin_anew(np.array([1]), 20)
+    table.merge(np.array([1]), np.array([0]))
+    schedule.merge(np.array([1]), np.array([0]))
+    assert schedule.in_view.tolist() == [0]
+    left = [one for k in range(20, 27) for one in see(schedule, table, [], k)]
+    assert left == schedule.gone.tolist() == [0]
+
+
 def test_one_merged_before_it_leaves_has_left_once() -> None:
     schedule, table = begun()
     for k, seen in enumerate([[0], [], [], [], [1], [], []]):

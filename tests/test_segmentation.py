@@ -245,6 +245,12 @@ def test_walls_under_uniform_noise_are_not_doubled() -> None:
         ({"view_rad": 0.0}, np.zeros((3, 3)), "view_rad"),
         ({"view_rad": 180}, np.zeros((3, 2)), "it must be radians, 2 pi at most"),
         ({"range_m": np.nan}, np.zeros((3, 3)), "range_m"),
+        ({"range_m": "8"}, np.zeros((3, 3)), "range_m is '8'"),
+        ({"noise": True}, np.zeros((3, 3)), "noise is True"),
+        ({"noise": np.full(1000, 0.1)}, np.zeros((3, 3)), "noise is array"),
+        ({"random_state": -1}, np.zeros((3, 3)), "random_state is -1; it must be a whole number"),
+        ({"random_state": 1.5}, np.zeros((3, 3)), "random_state is 1.5"),
+        ({"random_state": 2**32}, np.zeros((3, 3)), "random_state is 4294967296"),
     ],
 )
 def test_bad_input_is_refused_in_one_line(

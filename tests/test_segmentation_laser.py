@@ -27,7 +27,7 @@ def beams(distance_m: float, count: int, step_deg: float = 1.0) -> Floats:
     ("distance_m", "count", "walls"), [(8.0, 4, 1), (1.0, 5, 0), (1.0, 8, 1), (0.1, 8, 0)]
 )
 def test_a_long_line_needs_fewer_points(distance_m: float, count: int, walls: int) -> None:
-    assert len(scan_walls(LaserScan(beams(distance_m, count)), 0.005)[0].walls) == walls
+    assert len(scan_walls(LaserScan(beams(distance_m, count), 0.005))[0].walls) == walls
 
 
 @pytest.mark.parametrize("length", [100, 10, 5])

@@ -30,7 +30,7 @@ def test_clutter_hardly_parts_a_wall(seed: int) -> None:
     met = rng.uniform(size=len(ranges)) < 0.2
     met[:6] = met[-6:] = False
     ranges = np.where(met, rng.uniform(0.1, 0.95, len(ranges)) * ranges, ranges)
-    mixture, labels = scan_walls(LaserScan(ranges[:, None] * RAY), None)
+    mixture, labels = scan_walls(LaserScan(ranges[:, None] * RAY))
     assert len(mixture.walls) <= 4
     assert (labels[~met] >= 0).mean() > 0.95
     assert (labels[met] < 0).mean() > 0.95

@@ -204,7 +204,7 @@ def test_a_laser_scan_of_a_room_is_four_walls() -> None:
     bearing = np.deg2rad(np.arange(-180, 180, 0.5))
     reach = np.minimum(3 / np.abs(np.cos(bearing)), 2 / np.abs(np.sin(bearing) + 1e-12))
     xy = np.column_stack([reach * np.cos(bearing), reach * np.sin(bearing)])
-    mixture, labels = scan_walls(LaserScan(xy), None)
+    mixture, labels = scan_walls(LaserScan(xy))
     assert len(mixture.walls) in (4, 5)  # the scan begins in the middle of one
     assert (labels < 0).sum() <= 4  # at most the beams into the corners
     distance = np.abs(
@@ -240,7 +240,7 @@ def corridor(bearing: np.ndarray, door: tuple[float, float], beyond: float) -> n
 @pytest.mark.parametrize("beyond", [2.5, 100.0], ids=["a room beyond", "nothing beyond"])
 def test_a_door_seen_at_a_flat_angle_parts_a_wall(beyond: float) -> None:
     xy = corridor(np.deg2rad(np.arange(5, 60, 0.5)), (4.5, 5.7), beyond)
-    _, labels = scan_walls(LaserScan(xy), 0.01)
+    _, labels = scan_walls(LaserScan(xy, 0.01))
     own = [labels[(xy[:, 1] == 1.0) & side] for side in (xy[:, 0] < 4.5, xy[:, 0] > 5.7)]
     assert len(set(own[0])) == len(set(own[1])) == 1
     assert own[0][0] != own[1][0]
@@ -250,7 +250,7 @@ def test_what_hides_an_end_need_not_be_a_wall() -> None:
     bearing = np.deg2rad(np.arange(-30, 30, 0.5))
     reach = np.where(np.abs(bearing - 0.2) < 0.02, 1.5, 4 / np.cos(bearing))
     xy = np.column_stack([reach * np.cos(bearing), reach * np.sin(bearing)])
-    _, labels = scan_walls(LaserScan(xy), 0.01)
+    _, labels = scan_walls(LaserScan(xy, 0.01))
     assert (labels[reach == 1.5] == -1).all()
     hidden = hidden_ends(LaserScan(xy), first_and_last(labels))
     np.testing.assert_array_equal(hidden, [[False, True], [True, False]])

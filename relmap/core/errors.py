@@ -24,7 +24,7 @@ def reason(error: Exception) -> str:
 def brief(value: object) -> str:
     """Return a value for use in a line: never too long."""
     try:
-        text = repr(value)
+        text = repr(value).replace("\n", " ")
     except (ValueError, RecursionError):
         return "a number with thousands of digits, or deeply nested"
     return text if len(text) <= 200 else f"{text[:200]}..."

@@ -17,8 +17,8 @@ HALF_DONE = (
     "resume from its journal, load a saved state, or map again"
 )
 BUSY = "another thread is updating this mapper: use one mapper per thread"
-NOBODY = -1
-"""Marks a change left incomplete by some thread; no thread has this number."""
+NO_THREAD = -1
+"""Marks a change that was left incomplete; no thread has this number."""
 
 
 class ChangeGuard:
@@ -42,7 +42,7 @@ class ChangeGuard:
         """
         holder = self._holder.get("thread")
         if holder is not None and holder[0] != get_ident():
-            raise RelmapError(HALF_DONE if holder[0] == NOBODY else BUSY)
+            raise RelmapError(HALF_DONE if holder[0] == NO_THREAD else BUSY)
 
     def change(self, spoils: bool = True) -> Change:
         """Return a context manager for a change; on `RelmapError` the change did not begin.
@@ -78,7 +78,7 @@ class Change:
     def __enter__(self) -> None:
         holder = self._holder.setdefault("thread", self._mine)
         if holder is not self._mine:
-            raise RelmapError(HALF_DONE if holder[0] in (NOBODY, self._mine[0]) else BUSY)
+            raise RelmapError(HALF_DONE if holder[0] in (NO_THREAD, self._mine[0]) else BUSY)
         if self._spoils:
             self._guard.latest = self._mine
 
@@ -86,7 +86,7 @@ class Change:
         if kind is None or not self._spoils or issubclass(kind, RelmapError):
             self._holder.clear()
         else:
-            self._mine[0] = NOBODY
+            self._mine[0] = NO_THREAD
 
 
 def reads_whole(*changing: str) -> Callable[[type[T]], type[T]]:

@@ -36,9 +36,8 @@ def keep_observations(
         return
     moves = len(engine.motions) > 0
     rays = engine.association.current.estimated if covariances is None else None
-    waits = rays is not None and rays.weighs is None
-    weighs = rays is not None and rays.weighs
-    if not (moves or waits or weighs or covariances is not None or len(engine.kept)):
+    weighs = False if rays is None else rays.weighs  # None while it is not known
+    if not (moves or weighs is not False or covariances is not None or len(engine.kept)):
         return
     named = found >= 0
     if not named.any():
@@ -47,7 +46,7 @@ def keep_observations(
         covariances = rays.covariances(seen)
     noise = None if covariances is None else covariances[named]
     engine.kept.append(found[named], seen[named], engine.store.n_iterations - 1, noise)
-    if rays is not None and waits:
+    if rays is not None and weighs is None:
         rays.decide(len(engine.kept), engine.averaging.noise.sigma_m)
         weigh_by_estimate(engine)
         if rays.weighs is False and not moves and not engine.association.current.is_blurred:

@@ -91,16 +91,12 @@ def _hinges(engine: RelativeMapper) -> Hinges | None:
     gaps = gaps_of(rows, positions, table.landmark_of, known, poses[:, :3, 3])
     row = np.full(len(table), NONE)
     row[first[0].landmarks] = np.arange(len(first[0].landmarks))
-    at, scan = rows.sightings
-    mapped = row[table.now(rows.landmark)[at]] != NONE
-    order = np.flatnonzero(mapped)[np.argsort(scan[mapped], kind="stable")]
-    begin = np.searchsorted(scan[order], np.arange(len(rows.iteration_segment) + 1))
-    landmark = row[table.now(rows.landmark)[at[order]]]
-
-    def shown(iteration: int) -> Ints:
-        return np.unique(landmark[slice(*begin[[iteration, iteration + 1]])])
-
-    return hinges_of(first[0], gaps.before, gaps.after, shown)
+    own = row[table.now(rows.landmark)]
+    at, scan = rows.only(np.flatnonzero(own != NONE)).sightings
+    shown = own[own != NONE][at[np.argsort(scan, kind="stable")]]
+    ends = np.cumsum(np.bincount(scan, minlength=len(rows.iteration_segment)))
+    by_scan = np.split(shown, ends[:-1])
+    return hinges_of(first[0], gaps.before, gaps.after, lambda scan: np.unique(by_scan[scan]))
 
 
 def _extend_by_ids(engine: RelativeMapper) -> bool:

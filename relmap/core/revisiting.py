@@ -228,13 +228,12 @@ def gather(engine: RelativeMapper) -> None:
     whole = own[gathered(middle, counts, scans, noise_m, spacing_of(table.position[mapped]))]
     became, oldest = np.arange(len(table)), np.arange(len(table))
     became[own] = whole
-    known, total = np.zeros(len(table), dtype=bool), np.zeros(len(table))
-    np.logical_or.at(known, whole, mapped[own])
-    np.add.at(total, whole, counts)
+    known = np.bincount(whole, mapped[own], len(table)) > 0
+    total = np.bincount(whole, counts, len(table))
     # Landmarks may belong to a moving object if none of them was mapped.
     known |= at_rest(became[landmark], places, mapped) & (total >= engine.config.group_after)
-    for one in own[np.argsort(-table.first[own], kind="stable")].tolist():
-        oldest[became[one]] = one
+    latest_first = own[np.argsort(-table.first[own], kind="stable")]
+    oldest[became[latest_first]] = latest_first  # the last of several stays
     pairs = np.column_stack([own, oldest[whole]])
     pairs = pairs[known[whole] & (pairs[:, 0] != pairs[:, 1])]
     seen_in = np.zeros(len(table), dtype=np.int64)

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from relmap.core.arrays import Floats
-from relmap.core.errors import RelmapError
-from relmap.core.scan import checked_points
+from relmap.core.errors import RelmapError, brief
+from relmap.core.scan import checked_points, numbers
 
 LEVEL = 0.01
 """Smallest horizontal distance of a point, relative to its range: right above the sensor the
@@ -53,8 +53,10 @@ def range_bearing_covariances(
         ("bearing", "radians", bearing_sigma_rad),
         ("elevation", "radians", elevation_sigma_rad),
     ):
-        if not 0 < sigma < np.inf:
-            raise RelmapError(f"the sigma of the {name} is {sigma}; it must be above 0, in {unit}")
+        what, wanted = f"the sigma of the {name}", f"above 0, in {unit}"
+        value = numbers(sigma, what, wanted, 0.0)
+        if value.shape or not 0 < value < np.inf:
+            raise RelmapError(f"{what} is {brief(sigma)}; it must be {wanted}")
     n, d = array.shape
     distance = np.maximum(np.linalg.norm(array, axis=1), range_sigma_m)
     level = np.maximum(np.hypot(array[:, 0], array[:, 1]), LEVEL * distance)

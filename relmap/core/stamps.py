@@ -47,7 +47,7 @@ class Stamps:
         """Add the time of an iteration, as checked; None if unknown."""
         if stamp_s is not None:
             self._stamps.resize(iteration, np.nan)
-            self._stamps.extend(np.array([stamp_s]))
+            self._stamps.append(stamp_s)
 
     def of(self, n_iterations: int) -> Floats:
         """Return the time of each iteration (n_iterations,); NaN if unknown."""

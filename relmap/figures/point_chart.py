@@ -70,7 +70,7 @@ def chart_picture(store: ObservationStore, seed: int, begin: int, end: int) -> C
     group = grow_group(chart, rows, unmapped, FEWEST_MEMBERS, 0) if len(rows) else None
     if group is None:
         raise RelmapError(f"landmark {seed} makes no group in iterations {begin} to {end - 1}")
-    landmarks = chart.landmarks[chart.sorted_by_common_interval(rows, unmapped)]
+    landmarks = chart.landmarks[np.argsort(-chart.common_interval, kind="stable")]  # Fig. 10
     seen, iterations = store.seen(begin, end)
     window = np.arange(begin, end)
     visible = np.array([np.isin(window, iterations[seen == each]) for each in landmarks])

@@ -68,7 +68,7 @@ def sequential_labels(points: Floats, sigma: float, seed: int) -> Ints:
 
 def _parts(own: Ints, t: Floats, sigma: float) -> list[Ints]:
     """Return points as the parts between gaps in their positions t along the plane."""
-    gap = widest_gap(np.sort(t), sigma) if len(t) > 5 else None
+    gap = widest_gap(np.sort(t), sigma)
     if gap is None:
         return [own]
     upper = t > 0.5 * sum(gap)

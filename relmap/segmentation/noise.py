@@ -59,7 +59,7 @@ def points_per_beam(xy: Floats) -> float:
 
     Together they locate a wall, but at most one of them bounds its extent.
     """
-    repeat = len(xy) / max(len(_distinct(xy)), 1)
+    repeat = len(xy) / len(_distinct(xy))
     return repeat if repeat > 1.5 else 1.0
 
 

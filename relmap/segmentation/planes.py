@@ -78,5 +78,5 @@ def make_planes(
         # The ends of a blurred box, as along the wall.
         z_extent = np.array([box_extent(part, sigma) for part in parts]).reshape(m, 2)
         middle = np.column_stack([middle, z_extent.mean(axis=1)])
-    noise = np.sqrt(squares / np.maximum(n_points, 1))
+    noise = np.sqrt(squares / n_points)
     return Planes(middle, normal, ends, size, z_extent, noise, n_points, end_type)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.errors import RelmapError
+from relmap.core.errors import RelmapError, brief
 from relmap.core.scan import checked_points
 from relmap.segmentation.em.mixture import WallMixture, scan_area
 from relmap.segmentation.ends.corners import Sharpened, meet, sharpen
@@ -22,6 +22,7 @@ METHODS = ("em", "ransac", "mixture", "ransac3d", "patches", "scanlines")
 SPATIAL = ("ransac3d", "patches")
 """Methods that distinguish floors and ceilings from walls."""
 DEFAULTS = {"method": None, "noise": None, "random_state": 0, "view_rad": None, "range_m": None}
+SEEDS = 2**32
 CHECKED = 5
 """Number of first scans that are checked for upright surfaces, or for the order of the beams."""
 UNORDERED = (
@@ -188,12 +189,16 @@ class PlaneSegmenter:
             raise RelmapError(f"method {method} needs points (n, 3); these are (n, 2)")
         for name in ("noise", "view_rad", "range_m"):
             value, may_be_zero = getattr(self, name), name == "noise"
-            if value is None or (np.isfinite(value) and value > 0) or (may_be_zero and value == 0):
-                continue
-            least = "0 or more" if may_be_zero else "positive"
-            raise RelmapError(f"{name} is {value!r}; it must be a finite number, {least}")
+            if value is not None and not _is_size(value, may_be_zero):
+                least = "0 or more" if may_be_zero else "positive"
+                raise RelmapError(f"{name} is {brief(value)}; it must be a finite number, {least}")
         if self.view_rad is not None and self.view_rad > 2 * np.pi + 1e-3:  # rounded
             raise RelmapError(f"view_rad is {self.view_rad!r}; it must be radians, 2 pi at most")
+        seed: Any = self.random_state
+        if seed is not None and not (isinstance(seed, int | np.integer) and 0 <= seed < SEEDS):
+            raise RelmapError(
+                f"random_state is {brief(seed)}; it must be a whole number, 0 to {SEEDS - 1}"
+            )
         return method
 
     def _segment(self, method: str, xyz: Floats, xy: Floats) -> tuple[Sharpened, Ints]:
@@ -205,8 +210,8 @@ class PlaneSegmenter:
             other = xy[1:] != xy[:-1]
             once = np.append(True, other[:, 0] | other[:, 1])
             xy = xy if once.all() else xy[once]
-            scan = lines.LaserScan(xy)
-            mixture, labels = lines.scan_walls(scan, self.noise)
+            scan = lines.LaserScan(xy, self.noise)
+            mixture, labels = lines.scan_walls(scan)
             bounds = lines.first_and_last(labels)
             sharp = meet(lines.extend_to_beams(mixture, scan, bounds), len(xy))
             curved = lines.on_curves(mixture, xy, labels, bounds)
@@ -247,6 +252,12 @@ class PlaneSegmenter:
 
             labels = gaussian_labels(xy, labels, self.random_state)
         return labels, sigma
+
+
+def _is_size(value: Any, may_be_zero: bool) -> bool:
+    if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
+        return False
+    return bool(0 < value < np.inf or (may_be_zero and value == 0))
 
 
 def planes_of(

@@ -8,7 +8,14 @@ from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.geometry.rotation_kernels import best_rotation, fixes
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import smallest
-from relmap.core.linalg.small_kernels import identity, inverse3, square_between
+from relmap.core.linalg.small_kernels import (
+    identity,
+    inverse3,
+    picked,
+    square_between,
+    true_rows,
+    unset,
+)
 
 TRIMMING_ROUNDS = 8
 
@@ -241,13 +248,12 @@ def trimmed_fit_each(
     (h, d, d) and t (h, d), and returns the numbers of matches within the tolerance (h,), -1 without
     a fit.
     """
-    n_agreeing = np.full(len(target), -1)
+    n_agreeing = unset(len(target))
     for k in range(len(target)):
-        rows = np.flatnonzero(near[k])
+        rows = true_rows(near[k])
         if len(rows) >= fewest:
             turn, shift, n_agreeing[k] = trimmed_fit_rows(
-                source[rows], target[k][rows], tolerance_m
+                picked(source, rows), picked(target[k], rows), tolerance_m
             )
-            R[k] = turn
-            t[k] = shift
+            set_placement(R, t, k, turn, shift)
     return n_agreeing

@@ -28,7 +28,7 @@ class Averaging:
 
     STATE = "noise n_comparisons _motion"
 
-    def __init__(self, table: LandmarkState, noise_spread: float = 1.0) -> None:
+    def __init__(self, table: LandmarkState, noise_spread: float) -> None:
         self.noise = NoiseEstimate()
         self.n_comparisons = 0
         self._table = table

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.grouping.dynamics import FEWEST, SAMPLE
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import smallest
-from relmap.core.linalg.small_kernels import unset
+from relmap.core.linalg.small_kernels import true_rows, unset
 
 TRIES = 2
 """Maximum number of attempts of a landmark to start a bin."""
@@ -16,10 +17,10 @@ VOTERS = 3
 
 
 @helper
-def keeps_distance(block: Floats, a: int, b: int, limit: float, fewest: int) -> bool:
+def keeps_distance(block: Floats, a: int, b: int, limit: float) -> bool:
     """Return whether the distance of two rows of a block (n, i, d) varies within a limit.
 
-    NaN marks missing observations; with fewer than `fewest` common iterations the answer is no.
+    NaN marks missing observations; with fewer than `FEWEST` common iterations the answer is no.
     """
     _, m, d = block.shape
     count, first, total, squares = 0, 0.0, 0.0, 0.0
@@ -34,7 +35,7 @@ def keeps_distance(block: Floats, a: int, b: int, limit: float, fewest: int) -> 
             count += 1
             total += distance - first
             squares += (distance - first) ** 2
-    return count >= fewest and squares - total * total / count <= limit * (count - 1)
+    return count >= FEWEST and squares - total * total / count <= limit * (count - 1)
 
 
 @helper
@@ -59,7 +60,7 @@ def _outward(block: Floats, near: Ints) -> Floats:
 
 
 @helper
-def _vote(block: Floats, near: Ints, n_voters: int, limit: float, fewest: int) -> tuple[Ints, int]:
+def _vote(block: Floats, near: Ints, n_voters: int, limit: float) -> tuple[Ints, int]:
     """Let some members of a bin, from the outermost to the innermost, vote on the others.
 
     This excludes landmarks that circle round the first member; none votes for itself. Returns the
@@ -77,7 +78,7 @@ def _vote(block: Floats, near: Ints, n_voters: int, limit: float, fewest: int) -
             voter = j if outward[j] == rank else voter
         for j in range(k):  # half of the voters are enough
             if j != voter:
-                agrees = keeps_distance(block, near[voter], near[j], limit, fewest)
+                agrees = keeps_distance(block, near[voter], near[j], limit)
                 votes[j] += 1 if agrees else -1
     for j in range(k):
         if votes[j] >= 0:
@@ -88,13 +89,7 @@ def _vote(block: Floats, near: Ints, n_voters: int, limit: float, fewest: int) -
 
 @helper
 def _bin_with(
-    block: Floats,
-    pivot: int,
-    others: Ints,
-    sample: tuple[int, int],
-    budget: int,
-    limit: float,
-    fewest: int,
+    block: Floats, pivot: int, others: Ints, sample: tuple[int, int], budget: int, limit: float
 ) -> tuple[Ints, int]:
     """Return the other members of the bin that a pivot begins, and the number of comparisons.
 
@@ -111,7 +106,7 @@ def _bin_with(
             return near[:0], n
         for j in range(len(others)):
             if (j % every == first) == in_sample:
-                agrees[j] = keeps_distance(block, pivot, others[j], limit, fewest)
+                agrees[j] = keeps_distance(block, pivot, others[j], limit)
                 n_near += agrees[j]
         n += n_asked
         if n_near == 0:
@@ -123,7 +118,7 @@ def _bin_with(
             n_near += 1
     n_voters = min(VOTERS, n_near, (budget - n) // max(n_near - 1, 1))
     if n_near > 1 and n_voters > 0:
-        stay, n_votes = _vote(block, near[:n_near], n_voters, limit, fewest)
+        stay, n_votes = _vote(block, near[:n_near], n_voters, limit)
         return stay, n + n_votes
     return near[:n_near], n
 
@@ -138,17 +133,6 @@ def _next_pivot(free: Bools, tries: Ints, priority: Floats) -> int:
             if fewer or (tries[row] == tries[best] and priority[row] > priority[best]):
                 best = row
     return best
-
-
-@helper
-def _others(free: Bools) -> Ints:
-    """Return the free rows."""
-    rows, n = np.empty(len(free), dtype=np.int64), 0
-    for row in range(len(free)):
-        if free[row]:
-            rows[n] = row
-            n += 1
-    return rows[:n]
 
 
 @compiled
@@ -166,7 +150,7 @@ def counted(block: Floats) -> tuple[Ints, float]:
 
 @compiled
 def sort_into_bins(
-    block: Floats, free: Bools, priority: Floats, limit: float, fewest: int, size: int, allowed: int
+    block: Floats, free: Bools, priority: Floats, limit: float, allowed: int
 ) -> tuple[Ints, int]:
     """Sort free rows of a block (n, i, d) into bins; see `relmap.core.grouping.dynamics.binned`.
 
@@ -181,12 +165,12 @@ def sort_into_bins(
     pivot = _next_pivot(free, tries, priority)
     while pivot >= 0 and n_comparisons < allowed:
         free[pivot] = False
-        others = _others(free)
+        others = true_rows(free)
         if largest > len(others):
             break
-        every = max(len(others) // size, 1)
+        every = max(len(others) // SAMPLE, 1)
         sample, budget = (every, tries[pivot] % every), allowed - n_comparisons
-        members, compared = _bin_with(block, pivot, others, sample, budget, limit, fewest)
+        members, compared = _bin_with(block, pivot, others, sample, budget, limit)
         n_comparisons += compared
         tries[pivot] += 1
         if len(members) == 0:

@@ -57,15 +57,6 @@ class PointChart:
         """Number of iterations each landmark shares with the seed; (n,)."""
         return self.counted[0]
 
-    def sorted_by_common_interval(self, rows: Ints, preference: Floats) -> Ints:
-        """Return some rows (k,) sorted by descending common interval (Fig. 10).
-
-        The seed shares all iterations with itself, so it comes first.
-
-        `rows` (k,); `preference` (k,): ties are ordered by descending preference.
-        """
-        return np.lexsort((-preference, -self.common_interval[rows]))
-
 
 @dataclass(frozen=True, eq=False)
 class Group:

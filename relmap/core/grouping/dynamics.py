@@ -126,9 +126,7 @@ def binned(
     if allowed is None:
         allowed = n_log_n(int(np.count_nonzero(often)))
     limit = LIMIT * 2 * max(noise_m, exact_m) ** 2
-    bin_of, n_comparisons = kernels.sort_into_bins(
-        block, often, priority, limit, FEWEST, SAMPLE, int(allowed)
-    )
+    bin_of, n_comparisons = kernels.sort_into_bins(block, often, priority, limit, int(allowed))
     bins = (-np.bincount(bin_of + 1)[1:]).argsort(kind="stable")
     return Bins([(bin_of == number).nonzero()[0] for number in bins], n_comparisons)
 

@@ -16,11 +16,7 @@ moving_bin."""
 
 @compiled
 def steady(
-    positions: Floats,
-    variance: Floats,
-    amplified: Floats,
-    given: Floats | None,
-    noise_m: float,
+    positions: Floats, variance: Floats, amplified: Floats, given: Floats | None, noise_m: float
 ) -> Bools:
     """Return which positions (n, d) vary no more than noise explains; see `dynamics.rests`."""
     (n, d), largest = positions.shape, 0.0
@@ -38,17 +34,12 @@ def steady(
 
 @compiled
 def tested(
-    columns: Columns,
-    landmarks: Ints,
-    still: Bools,
-    used: Bools,
-    n_used: Ints,
-    iterations: Ints,
+    columns: Columns, landmarks: Ints, still: Bools, used: Bools, n_used: Ints, iterations: Ints
 ) -> Bools:
     """Update which landmarks (n,) move, given which are still; see `dynamics.DynamicStatus.test`.
 
-    `used` (n, i): observations averaged; `n_used` (n,): how many; `iterations` (i,).
-    Returns which tested ones are at rest (n,).
+    `used` (n, i): observations averaged; `n_used` (n,): how many; `iterations` (i,). Returns
+    which tested ones are at rest (n,).
     """
     restless, strikes, struck_until, dynamic, tested_until, moved_until, moving_bin = columns
     n, m = used.shape
@@ -61,7 +52,8 @@ def tested(
                 fresh += iterations[i] > struck_until[one]
         begin, end = iterations[first % m], iterations[last]
         restless[one] = not still[k] and n_used[k] >= FEWEST
-        moves, is_tested = n_used[k] >= ENOUGH and not still[k], n_used[k] >= ENOUGH
+        is_tested = n_used[k] >= ENOUGH
+        moves = is_tested and not still[k]
         if is_tested and fresh >= FEWEST:
             strikes[one] = strikes[one] + 1 if moves else 0
             struck_until[one] = iterations[m - 1] if moves else struck_until[one]

@@ -27,7 +27,8 @@ class Pattern:
     `first` (b,): number of each block's first unknown; the others follow. `layout`: see
     `relmap.core.linalg.cholesky_kernels`.
 
-    Attributes: `size`: entries of the factor.
+    Attributes: `size`: entries of the factor; `flops`: approximate number of operations of a
+    factorisation.
     """
 
     def __init__(self, first: Ints, layout: Layout) -> None:
@@ -35,7 +36,7 @@ class Pattern:
         start, column_of, _, _, offset = layout
         self.size = int(offset[-1])
         heights = np.diff(offset) // np.maximum(np.diff(start), 1)
-        self._flops = np.diff(start) * heights.astype(np.float64) ** 2
+        self.flops = float((np.diff(start) * heights.astype(np.float64) ** 2).sum())
         within, width = np.arange(len(column_of)) - start[column_of], np.diff(start)[column_of]
         self._diagonal = offset[column_of] + within * (width + 1)
 
@@ -43,11 +44,6 @@ class Pattern:
     def n_unknowns(self) -> int:
         """Number of unknowns."""
         return len(self.layout[1])
-
-    @property
-    def flops(self) -> float:
-        """Approximate number of operations of a factorisation."""
-        return float(self._flops.sum())
 
     @classmethod
     def of_cliques(cls, width: Ints, begin: Ints, cliques: Ints) -> Pattern:
@@ -121,11 +117,8 @@ class Pattern:
         start, _, row_begin, rows, _ = self.layout
         found, place = np.empty_like(values), np.empty_like(rows, shape=self.n_unknowns)
         for p in range(len(start) - 2, -1, -1):
-            k, panel, target = (
-                start[p + 1] - start[p],
-                self._panel(values, p),
-                self._panel(found, p),
-            )
+            panel, target = self._panel(values, p), self._panel(found, p)
+            k = panel.shape[1]
             root = dtrtri(np.tril(panel[:k]), lower=1)[0]
             target[:k] = root.T @ root
             below = rows[row_begin[p] + k : row_begin[p + 1]]

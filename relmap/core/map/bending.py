@@ -42,9 +42,7 @@ def bend(global_map: GlobalMap, rows: SegmentRows, pairs: Ints, R: Floats, t: Fl
     motion = np.eye(len(t) + 1)
     motion[:-1, :-1], motion[:-1, -1] = R, t
     twist = np.real(logm(motion))
-    right = np.zeros(n)
-    np.add.at(right, later, STIFF)
-    np.add.at(right, older, -STIFF)
+    right = STIFF * (np.bincount(later, minlength=n) - np.bincount(older, minlength=n))
     share = splu(laplacian.tocsc()).solve(right)[:m]
     positions = table.position[members].copy()
     levels, of = np.unique(np.round(share, 3), return_inverse=True)

@@ -72,7 +72,7 @@ class GroupingSchedule:
         counts = of.last, of.observations, of.in_interval
         columns = *counts, of.is_gone, of.begin, of.level, of.weight
         self._in_view, self._gone, left, ready, self._first = kernels.see(
-            columns, landmarks, waiting, iteration, self._max_missed, self._thresholds, FEW
+            columns, landmarks, waiting, iteration, self._max_missed, self._thresholds
         )
         if len(ready):
             fresh = ready[~np.isin(ready, self._due)] if len(self._due) else ready
@@ -118,8 +118,12 @@ class GroupingSchedule:
         return RIPE * float(self._thresholds[-1]), LONGEST_INTERVAL
 
     def merge(self, new: Ints, old: Ints) -> None:
-        """Let older landmarks (k,) wait in place of the new ones (k,) merged into them."""
-        self._in_view = self._in_view[(self._in_view != old[:, None]).all(axis=0)]
+        """Let older landmarks (k,) wait in place of the new ones (k,) merged into them.
+
+        One in view stays there if the new one does not wait any more.
+        """
+        replaced = old[np.isin(new, np.concatenate([self._in_view, self._gone]))]
+        self._in_view = self._in_view[~np.isin(self._in_view, replaced)]
         self._first = None
         order = new.argsort()
         new, old = new[order], old[order]

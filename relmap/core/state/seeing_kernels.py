@@ -6,6 +6,7 @@ import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.linalg.compiling import compiled, helper
+from relmap.core.state.schedule import FEW
 
 Columns = tuple[Ints, Ints, Ints, Bools, Ints, Ints, Floats]
 """Of the landmark table: last, observations, in_interval, is_gone, begin, level, weight."""
@@ -72,7 +73,6 @@ def see(
     iteration: int,
     max_missed: int,
     thresholds: Ints,
-    few: float,
 ) -> tuple[Ints, Ints, Ints, Ints, int]:
     """Record that landmarks (k,) are seen.
 
@@ -110,5 +110,5 @@ def see(
     now, gone = now[: n_now + n_arrived], gone[:n_gone]
     first = _earliest(begin, gone, _earliest(begin, now, iteration + 1))
     own = in_interval, level, weight
-    ready, _ = due(own, landmarks, thresholds, thresholds[0], few, now)
+    ready, _ = due(own, landmarks, thresholds, thresholds[0], FEW, now)
     return now, gone, left[:n_left], ready, first

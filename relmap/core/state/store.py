@@ -95,9 +95,7 @@ class ObservationStore:
     @property
     def iterations(self) -> Ints:
         """Iteration of each stored observation; (n,) ascending."""
-        return np.repeat(
-            np.arange(self._stored_from, self.n_iterations), np.diff(self._offsets.values)
-        )
+        return self.between(self._stored_from, self.n_iterations)[1]
 
     def rows(self, iteration: int) -> slice:
         """Return the rows of one iteration."""

@@ -9,6 +9,7 @@ import numpy as np
 from relmap.core.arrays import Floats
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.segmentation.em.wall_kernels import (
+    INFORMATION,
     PEAK,
     bell,
     end_blur,
@@ -106,14 +107,13 @@ def fit_line(xy: Floats, wall: Floats, beam: float) -> None:
 def _score_ends(s: Floats, begin: float, end: float, blur: float) -> tuple[float, float]:
     """Return both ends, in the wall's measure, after a step of Fisher scoring, at most the blur.
 
-    With points of density rho at an end, its information is rho / blur times the integral of
-    phi**2 / Phi, which is 0.9032.
+    With points of density rho at an end, its information is `INFORMATION` * rho / blur.
     """
     if blur < EXACT_M:
         return s[9], s[10]
     rho = s[0] / max(end - begin, 1e-9)
-    first = (rho - PEAK * s[7] / blur) * blur / (0.9032 * rho)
-    last = (PEAK * s[8] / blur - rho) * blur / (0.9032 * rho)
+    first = (rho - PEAK * s[7] / blur) * blur / (INFORMATION * rho)
+    last = (PEAK * s[8] / blur - rho) * blur / (INFORMATION * rho)
     limit = min(blur, 0.2 * (end - begin))
     return begin + min(max(first, -blur), limit), end + min(max(last, -limit), blur)
 

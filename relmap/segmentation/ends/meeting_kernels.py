@@ -8,14 +8,13 @@ import numpy as np
 
 from relmap.core.arrays import Bools, Floats
 from relmap.core.linalg.compiling import compiled, helper
+from relmap.segmentation.em.wall_kernels import INFORMATION, foot_and_height
 from relmap.segmentation.wall import BEGIN, END, PX, PY, SHARE, UX, UY
 
 GATE = 3.0
 """Largest distance of an end from its corner, in standard deviations."""
 LEAST_SINE = 0.25
 """Smallest angle between walls that determines a corner."""
-INFORMATION = 0.9032
-"""Integral of phi**2 / Phi: the information of a blurred end, in units of density / sigma."""
 CONTESTED = 0.5
 """Additional error of the ends of two meeting walls, which compete for points, in units of the
 noise."""
@@ -32,8 +31,7 @@ def _end_spread(wall: Floats, sigma: float, n: int, beam: float, found: Floats) 
 
     They follow from the noise and the spacing of points; between two beams the position is uniform.
     """
-    px, py, ux, uy = wall[PX], wall[PY], wall[UX], wall[UY]
-    foot, height = -(px * ux + py * uy), max(abs(px * uy - py * ux), 1e-3)
+    foot, height = foot_and_height(wall)
     low, high = wall[BEGIN] - foot, wall[END] - foot
     span = high - low
     if beam > 0:  # points are uniform in angle

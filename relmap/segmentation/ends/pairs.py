@@ -11,7 +11,7 @@ import numpy as np
 
 from relmap.core.arrays import Floats
 from relmap.segmentation.em.mixture import WallMixture
-from relmap.segmentation.wall import BEGIN, END, PX, SHARE, UX, corners, cut
+from relmap.segmentation.wall import BEGIN, END, PX, PY, SHARE, UX, UY, corners, cut
 
 HIDDEN = 0.7
 """Fraction of the smaller wall's view in which two walls cannot both be seen: walls are opaque."""
@@ -34,19 +34,19 @@ LEAKED = 0.8
 
 def flush(w: Floats, v: Floats, sigma: float) -> bool:
     """Return whether the shorter of two walls lies on the longer one's line, within noise."""
-    if np.ptp(w[4:6]) < np.ptp(v[4:6]):
+    if w[END] - w[BEGIN] < v[END] - v[BEGIN]:
         w, v = v, w
-    if abs(w[2] * v[3] - w[3] * v[2]) > PARALLEL_SINE:
+    if abs(w[UX] * v[UY] - w[UY] * v[UX]) > PARALLEL_SINE:
         return False
-    return bool((np.abs((corners(v) - w[:2]) @ (-w[3], w[2])) < FLUSH * sigma).all())
+    return bool((np.abs((corners(v) - w[:2]) @ (-w[UY], w[UX])) < FLUSH * sigma).all())
 
 
 def side_by_side(w: Floats, v: Floats) -> bool:
     """Return whether most of the shorter of two walls lies beside the longer one."""
-    if np.ptp(w[4:6]) < np.ptp(v[4:6]):
+    if w[END] - w[BEGIN] < v[END] - v[BEGIN]:
         w, v = v, w
-    t = np.sort((corners(v) - w[:2]) @ w[2:4])
-    return bool(min(w[5], t[1]) - max(w[4], t[0]) > HIDDEN * (t[1] - t[0]))
+    t = np.sort((corners(v) - w[:2]) @ w[UX : UY + 1])
+    return bool(min(w[END], t[1]) - max(w[BEGIN], t[0]) > HIDDEN * (t[1] - t[0]))
 
 
 def one_hides_other(w: Floats, v: Floats, sigma: float) -> bool:
@@ -73,7 +73,7 @@ def within_reach(w: Floats, v: Floats, sigma: float) -> bool:
     reach = 4 * sigma + 0.1 * min(w[END] - w[BEGIN], v[END] - v[BEGIN])
     for one, other in ((w, v), (v, w)):
         offset = corners(other) - one[:2]
-        t, d = offset @ one[2:4], offset @ (-one[3], one[2])
+        t, d = offset @ one[UX : UY + 1], offset @ (-one[UY], one[UX])
         beyond = np.maximum(np.maximum(one[BEGIN] - t, t - one[END]), 0)
         if (np.hypot(beyond, d) < reach).any():
             return True
@@ -88,12 +88,12 @@ def shadows(walls: Floats, k: int, sigma: float, n: int) -> Floats:
     middle = 0.5 * (others[:, BEGIN] + others[:, END])
     t = np.column_stack([others[:, BEGIN], middle, others[:, END]])
     rays = others[:, None, PX : PX + 2] + t[:, :, None] * others[:, None, UX : UX + 2]
-    across = rays[..., 0] * wall[3] - rays[..., 1] * wall[2]
-    height = wall[0] * wall[3] - wall[1] * wall[2]
+    across = rays[..., 0] * wall[UY] - rays[..., 1] * wall[UX]
+    height = wall[PX] * wall[UY] - wall[PY] * wall[UX]
     met = height / np.where(np.abs(across) < 1e-9, 1e-9, across)  # in multiples of the ray
     nearer = (met[:, 1] - 1) * np.linalg.norm(rays[:, 1], axis=1) > BEFORE * sigma
     ahead = (met > 0).all(axis=1)
-    place = ((met[..., None] * rays - wall[:2]) @ wall[2:4])[:, [0, 2]]
+    place = ((met[..., None] * rays - wall[:2]) @ wall[UX : UY + 1])[:, [0, 2]]
     place = np.sort(place[nearer & ahead], axis=1)
     return np.asarray(place[place[:, 1] - place[:, 0] > NARROWEST * sigma])
 
@@ -121,7 +121,7 @@ def _empty(t: Floats, low: float, high: float, wall: Floats, sigma: float) -> bo
     if high - low < PLAIN * sigma:
         return True
     count = np.diff(np.searchsorted(t, [low, high]))[0]
-    seen = max(wall[5] - wall[4] - (high - low), sigma)
+    seen = max(wall[END] - wall[BEGIN] - (high - low), sigma)
     leaked = (len(t) - count) / seen * min(LEAKED * sigma, high - low)
     return bool(count < leaked + 3 * np.sqrt(leaked) + 1)
 
@@ -131,7 +131,7 @@ def parted(walls: Floats, i: int, j: int, sigma: float, n: int) -> bool:
     if walls[i, END] - walls[i, BEGIN] < walls[j, END] - walls[j, BEGIN]:
         i, j = j, i
     w, v = walls[i], walls[j]
-    low, high = np.sort((corners(v) - w[:2]) @ w[2:4])
+    low, high = np.sort((corners(v) - w[:2]) @ w[UX : UY + 1])
     if min(w[END], high) - max(w[BEGIN], low) > PLAIN * sigma:
         return False
     gap = (w[END], low) if low + high > w[BEGIN] + w[END] else (high, w[BEGIN])

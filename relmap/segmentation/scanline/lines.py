@@ -45,10 +45,12 @@ LEAST = 50
 class LaserScan:
     """The points of a 2-D laser scan and what several steps need to know of them.
 
-    `xy` (n, 2), robot frame, metres: in the order of their beams, right to left or left to right.
+    `xy` (n, 2), robot frame, metres: in the order of their beams, right to left or left to right;
+    `noise`: metres; None: estimated.
     """
 
     xy: Floats
+    noise: float | None = None
 
     @cached_property
     def bearing(self) -> Floats:
@@ -66,19 +68,15 @@ class LaserScan:
 
     @cached_property
     def noise_m(self) -> float:
-        """The noise; see `beam_noise`."""
-        return beam_noise(self.xy)
+        """The noise, as given or as `beam_noise` estimates it."""
+        return beam_noise(self.xy) if self.noise is None else max(self.noise, FLOOR_M)
 
     @cached_property
     def marks(self) -> tuple[Bools, Bools]:
         """Which points are specks, and after which ones the next beam hits something else; (n,)."""
-        return self.marks_at(self.noise_m)
-
-    def marks_at(self, noise_m: float) -> tuple[Bools, Bools]:
-        """Return the same for a given noise, metres."""
         from relmap.segmentation.scanline.speck_kernels import specks_and_breaks
 
-        return specks_and_breaks(self.xy, max(noise_m, NOISE_AT_LEAST_M))
+        return specks_and_breaks(self.xy, max(self.noise_m, NOISE_AT_LEAST_M))
 
 
 def is_ordered(xy: Floats) -> bool:
@@ -131,18 +129,13 @@ def _noise_of(off_m: float) -> float:
     return max(off_m / (MEDIAN * math.sqrt(1.5)), FLOOR_M)
 
 
-def scan_walls(scan: LaserScan, noise: float | None) -> tuple[WallMixture, Ints]:
-    """Return the walls of a scan of n points, and the wall of each point (n,), -1 for none.
-
-    `noise`: metres; None: estimated.
-    """
+def scan_walls(scan: LaserScan) -> tuple[WallMixture, Ints]:
+    """Return the walls of a scan of n points, and the wall of each point (n,), -1 for none."""
     from relmap.segmentation.scanline.beam_kernels import line_pieces
 
-    xy = scan.xy
-    sigma = scan.noise_m if noise is None else max(noise, FLOOR_M)
-    solid = _beyond_clutter(scan.marks[0] if noise is None else scan.marks_at(sigma)[0])
+    xy, sigma, solid = scan.xy, scan.noise_m, _beyond_clutter(scan.marks[0])
     own = xy.take(solid, axis=0)  # a tenth of the time of `xy[solid]`
-    if noise is None and len(own) < len(xy):
+    if scan.noise is None and len(own) < len(xy):
         sigma = beam_noise(own)
     pieces, walls = line_pieces(own, solid, max(sigma, NOISE_AT_LEAST_M))
     labels = np.full(len(xy), -1)
