@@ -18,7 +18,7 @@ from relmap.planes3d.certainty import (
 from relmap.planes3d.fitting import OPEN, SYSTEMATIC, directed, distances
 from relmap.planes3d.gathering import gathered
 from relmap.planes3d.misled import is_led_away, seen_through_steps
-from relmap.planes3d.sights import sights_of
+from relmap.planes3d.sights import BRIEF, is_dynamic, sights_of
 from relmap.planes3d.submap import Submap
 from relmap.planes3d.surfaces import SIDE, Surfaces
 from relmap.segmentation.space import Patches
@@ -103,7 +103,7 @@ def unsure_steps(part: Submap, is_broken: bool = False) -> dict[int, Floats]:
     """
     seen, state, share = _observed(part)
     extent = _extents(part)
-    walks = part.is_brief & (extent < SMALL)
+    walks = (part.n_scans <= BRIEF) & (extent < SMALL)
     covariance = step_covariances(_without(seen, walks), state, share)
     turn_m2 = np.linalg.eigvalsh(covariance[:, :3, :3])[:, 2]
     way_m2, axes = np.linalg.eigh(covariance[:, 3:, 3:])
@@ -157,7 +157,7 @@ def sightings(part: Submap) -> Sightings:
         for name in ("centre", "axes", "information", "spread")
     ]
     seen = Sightings(scan, np.concatenate(part.match), *columns)
-    return _without(seen, part.is_dynamic)
+    return _without(seen, is_dynamic(part))
 
 
 def _without(seen: Sightings, left_out: Bools) -> Sightings:
@@ -199,12 +199,8 @@ def _kept(part: Submap, state: Scene, loose: dict[int, Floats]) -> Floats:
     All that follows such a step moves with the scans before it: kept itself, it would be off by as
     much as these were. It does not if landmarks across the direction were seen on both sides.
     """
-    scan = np.repeat(np.arange(len(part.match)), [len(match) for match in part.match])
-    plane = np.concatenate(part.match)
-    first, last = np.full(len(part), len(part.match)), np.full(len(part), -1)
-    np.minimum.at(first, plane, scan)
-    np.maximum.at(last, plane, scan)
-    moved, static = np.zeros_like(state.t), ~part.is_dynamic
+    first, last = part.spans
+    moved, static = np.zeros_like(state.t), ~is_dynamic(part)
     for k, along in loose.items():
         row = part.iteration.index(k)
         tie = state.normal[(first < row) & (row <= last) & static] @ state.R[row]

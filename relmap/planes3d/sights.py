@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from relmap.core.arrays import Floats, Ints
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.planes3d.placing import LEAP, Placed, apart, moved_m
 from relmap.planes3d.submap import Pose, Submap
 from relmap.planes3d.surfaces import LOOKED_AT, some_cells
@@ -21,6 +21,10 @@ from relmap.segmentation.space.voxels import NEAR, cells_of
 
 FEWEST = 40
 """Number of looks at the cells of the map, below which more are assumed."""
+OFTEN, MANY, BRIEF = 0.2, 3, 6
+"""A plane is dynamic if more than this fraction of the looks at its cells, and this number of them,
+go through: of a box that moves along one of its faces, a scan sees this plane somewhere else. If no
+more scans than the third value saw the plane, half of this fraction of twice as many is enough."""
 FACING = 0.3
 """Minimum cosine at which a surface is seen."""
 THROUGH = 0.1
@@ -158,6 +162,24 @@ def sights_of(part: Submap) -> dict[int, Ints]:
         counts[:, 0] += np.bincount(of[there], minlength=count)
         counts[:, 1] += np.bincount(of[through], minlength=count)
     return {int(part.number[k]): counts[k] for k in np.flatnonzero(counts.any(axis=1))}
+
+
+def is_dynamic(part: Submap) -> Bools:
+    """Return which landmarks (l,) are not there all the time: scans saw through them."""
+    few = (part.n_scans <= BRIEF) & is_seen_through(part, 2)
+    return np.asarray(few | is_seen_through(part))
+
+
+def is_seen_through(part: Submap, fewer: int = 1) -> Bools:
+    """Return through which landmarks (l,) scans saw often; see `OFTEN`.
+
+    `fewer`: a smaller fraction is enough, of as many times more looks.
+    """
+    none = np.zeros(2, dtype=np.int64)
+    sights = [part.sights.get(number, none) for number in part.number.tolist()]
+    there, through = np.reshape(sights, (-1, 2)).T
+    many = through > fewer * MANY
+    return np.asarray(many & (fewer * through > OFTEN * (there + through)))
 
 
 def contradicted(part: Submap, other: Submap, pose: Pose) -> float:
