@@ -9,6 +9,7 @@ import pytest
 
 from relmap.evaluation.space import Faces, judge_planes
 from relmap.planes3d.gathering import gathered
+from relmap.planes3d.sights import is_dynamic
 from relmap.planes3d.submap import Submap
 from relmap.segmentation.space import PatchSegmenter
 from relmap.simulation.storey import simulate_storey
@@ -83,5 +84,5 @@ def test_points_beside_a_plane_are_found_unless_many_looks_go_through_it(
         seen = replace(seen, loose=ledge)
         part.extend([k], [seen], [(np.eye(3), np.zeros(3))], [np.arange(len(seen))])
     part.sights[0] = np.array([80, through])
-    assert part.is_dynamic.tolist() == [True]
+    assert is_dynamic(part).tolist() == [True]
     assert len(gathered(part, 10) or part) == planes

@@ -12,8 +12,9 @@ from relmap.planes3d.certainty import usual_steps
 from relmap.planes3d.fitting import repeats
 from relmap.planes3d.gathering import is_rough
 from relmap.planes3d.hypothesis_kernels import best_ways
+from relmap.planes3d.misled import is_led_away
 from relmap.planes3d.refining import unsure_steps
-from relmap.planes3d.sights import is_led_away, with_ends
+from relmap.planes3d.sights import with_ends
 from relmap.planes3d.submap import Submap
 from relmap.segmentation.space import PatchSegmenter
 from relmap.simulation.storey import cast_rays

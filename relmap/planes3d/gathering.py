@@ -18,6 +18,7 @@ from scipy.spatial import cKDTree
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.scan import TINY
 from relmap.planes3d.adjustment import NORMAL, across
+from relmap.planes3d.sights import is_seen_through
 from relmap.planes3d.submap import Submap
 from relmap.planes3d.surfaces import Surfaces
 from relmap.segmentation.space import Patches
@@ -54,8 +55,7 @@ def gathered(part: Submap, number: int) -> Submap | None:
     `part`: refined, so that its poses are consistent; `number`: of the first new landmark. Returns
     None if there are none.
     """
-    sights = np.bincount(np.concatenate([np.unique(match) for match in part.match]))
-    rough, enough = roughness(part), sights >= FEWEST_SCANS
+    rough, enough = roughness(part), part.n_scans >= FEWEST_SCANS
     planes = part.planes(np.flatnonzero(enough & (rough <= ROUGH)))
     # A plane that too few scans show by themselves is gathered, too, and joined afterwards.
     few = part.planes(np.flatnonzero(~enough & (rough <= SMOOTH)))
@@ -110,14 +110,10 @@ def _moves(points: Floats, scan: Ints, part: Submap) -> Bools:
 
     A landmark that few scans show by themselves is not known to move yet: others may have points.
     """
-    rows = np.flatnonzero(part.is_seen_through())
+    rows = np.flatnonzero(is_seen_through(part))
     if not len(rows):
         return np.zeros(len(points), dtype=bool)
-    when = np.repeat(np.arange(len(part.match)), [len(match) for match in part.match])
-    first, last = np.full(len(part), len(part.match)), np.full(len(part), -1)
-    np.minimum.at(first, np.concatenate(part.match), when)
-    np.maximum.at(last, np.concatenate(part.match), when)
-    moving = part.planes(rows)
+    (first, last), moving = part.spans, part.planes(rows)
     reach_m = BESIDE_CELLS * moving.cell_m
     near = Surfaces(moving, 2 * reach_m).nearest(points, reach_m, 8)
     of, at = rows[near], scan[:, None]

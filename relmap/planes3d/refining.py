@@ -17,7 +17,8 @@ from relmap.planes3d.certainty import (
 )
 from relmap.planes3d.fitting import OPEN, SYSTEMATIC, directed, distances
 from relmap.planes3d.gathering import gathered
-from relmap.planes3d.sights import is_led_away, sights_of
+from relmap.planes3d.misled import is_led_away, seen_through_steps
+from relmap.planes3d.sights import BRIEF, is_dynamic, sights_of
 from relmap.planes3d.submap import Submap
 from relmap.planes3d.surfaces import SIDE, Surfaces
 from relmap.segmentation.space import Patches
@@ -29,9 +30,9 @@ FEW = 6
 """Number of scans of a submap of a broken run whose steps are too few to be compared."""
 UNSURE = 0.0125
 """Standard deviation of an unsure step, as a fraction of the range."""
-SMALL = 0.04
+SMALL, LARGE = 0.04, 0.15
 """Extent of a landmark, the standard deviation of its points as a fraction of the range, below
-which it may be a piece of a person if few scans saw it."""
+which it may be a piece of a person if few scans saw it, and from which it does not move."""
 ACROSS = 0.2
 """Cosine of a normal and a direction above which the plane shows where a scan is along it."""
 MOVING = 1e-6
@@ -92,15 +93,18 @@ def unsure_steps(part: Submap, is_broken: bool = False) -> dict[int, Floats]:
     displacement by the rotation at the range, exceeds 1.25 % of the range. So is a step that is
     unsteady in a direction in which a single landmark determines it, unsteady by far, or unlike
     those around it, or turns so, see `relmap.planes3d.certainty`, or if a step near the usual ones
-    explains more points, see `is_led_away`. Small landmarks that few scans saw do not count: people
-    who walk ahead of the sensor make it seem to stand still. `is_broken`: whether there are other
-    submaps; then so are all steps of a submap of at most six scans, as what broke the run before or
-    after them may have misled them.
+    explains more points, see `is_led_away`, or if only small landmarks determine it and scans see
+    through large ones, see `seen_through_steps`. Small landmarks that few scans saw do not count:
+    people who walk ahead of the sensor make it seem to stand still. `is_broken`: whether there are
+    other submaps; then so are all steps of a submap of at most six scans, as what broke the run
+    before or after them may have misled them.
 
     Each has the direction (3,) in which the translation is least certain, sensor frame.
     """
     seen, state, share = _observed(part)
-    covariance = step_covariances(_without(seen, _may_walk(part)), state, share)
+    extent = _extents(part)
+    walks = (part.n_scans <= BRIEF) & (extent < SMALL)
+    covariance = step_covariances(_without(seen, walks), state, share)
     turn_m2 = np.linalg.eigvalsh(covariance[:, :3, :3])[:, 2]
     way_m2, axes = np.linalg.eigh(covariance[:, 3:, 3:])
     reach_m = np.array([each.reach_m for each in part.seen])
@@ -109,6 +113,10 @@ def unsure_steps(part: Submap, is_broken: bool = False) -> dict[int, Floats]:
     for variance in (turn_m2 * reach_m**2, way_m2[:, 2]):
         unsure |= variance > (UNSURE * reach_m) ** 2
     unsure |= is_broken and len(part.iteration) <= FEW
+    covariance = step_covariances(_without(seen, extent < LARGE), state, share)[:, 3:, 3:]
+    way_m2, way = np.linalg.eigh(covariance)
+    lost = np.flatnonzero(way_m2[:, 2] > (UNSURE * reach_m) ** 2)
+    unsure[seen_through_steps(part, extent >= LARGE, lost, way[lost, :, 2])] = True
     usual, gap = usual_steps(state.R, state.t, np.array(part.iteration)), np.diff(part.iteration)
     for k in np.flatnonzero(~unsure).tolist():
         unsure[k] = is_led_away(part, k + 1, gap[k] * usual[k][1:])
@@ -149,7 +157,7 @@ def sightings(part: Submap) -> Sightings:
         for name in ("centre", "axes", "information", "spread")
     ]
     seen = Sightings(scan, np.concatenate(part.match), *columns)
-    return _without(seen, part.is_dynamic)
+    return _without(seen, is_dynamic(part))
 
 
 def _without(seen: Sightings, left_out: Bools) -> Sightings:
@@ -158,11 +166,10 @@ def _without(seen: Sightings, left_out: Bools) -> Sightings:
     return replace(seen, information=weight[:, None] * seen.information)
 
 
-def _may_walk(part: Submap) -> Bools:
-    """Return which landmarks (l,) may be pieces of people: small ones that few scans saw."""
+def _extents(part: Submap) -> Floats:
+    """Return the extents (l,) of landmarks as fractions of the range, see `SMALL`."""
     reach_m = float(np.median([seen.reach_m for seen in part.seen]))
-    extent_m = np.sqrt(part.all_planes().spread[:, :2].prod(axis=1))
-    return np.asarray(part.is_brief & (extent_m < SMALL * reach_m))
+    return np.asarray(np.sqrt(part.all_planes().spread[:, :2].prod(axis=1)) / reach_m)
 
 
 def scene(part: Submap) -> Scene:
@@ -192,12 +199,8 @@ def _kept(part: Submap, state: Scene, loose: dict[int, Floats]) -> Floats:
     All that follows such a step moves with the scans before it: kept itself, it would be off by as
     much as these were. It does not if landmarks across the direction were seen on both sides.
     """
-    scan = np.repeat(np.arange(len(part.match)), [len(match) for match in part.match])
-    plane = np.concatenate(part.match)
-    first, last = np.full(len(part), len(part.match)), np.full(len(part), -1)
-    np.minimum.at(first, plane, scan)
-    np.maximum.at(last, plane, scan)
-    moved, static = np.zeros_like(state.t), ~part.is_dynamic
+    first, last = part.spans
+    moved, static = np.zeros_like(state.t), ~is_dynamic(part)
     for k, along in loose.items():
         row = part.iteration.index(k)
         tie = state.normal[(first < row) & (row <= last) & static] @ state.R[row]

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from relmap.core.arrays import Floats, Ints
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.planes3d.placing import LEAP, Placed, apart, moved_m
 from relmap.planes3d.submap import Pose, Submap
 from relmap.planes3d.surfaces import LOOKED_AT, some_cells
@@ -21,6 +21,10 @@ from relmap.segmentation.space.voxels import NEAR, cells_of
 
 FEWEST = 40
 """Number of looks at the cells of the map, below which more are assumed."""
+OFTEN, MANY, BRIEF = 0.2, 3, 6
+"""A plane is dynamic if more than this fraction of the looks at its cells, and this number of them,
+go through: of a box that moves along one of its faces, a scan sees this plane somewhere else. If no
+more scans than the third value saw the plane, half of this fraction of twice as many is enough."""
 FACING = 0.3
 """Minimum cosine at which a surface is seen."""
 THROUGH = 0.1
@@ -52,45 +56,6 @@ others may be further away."""
 BEYOND, EVERY = 2.0, 4
 """Distance of the points beyond a surface from its cells, in cells; one of so many cells is tried
 in a scan, others in the next ones."""
-
-COMPARED, CLOSER, BETTER = 400, (3.0, 2.0, 1.0), 1.06
-"""Number of points of a scan that are compared with those of the scan before; how near to these, in
-cells, points are that pull a step, three times; and how many times as many a better step explains.
-"""
-
-
-def is_led_away(part: Submap, k: int, usual: Floats) -> bool:
-    """Return whether a step near a usual one explains more points of scan `k` than its own.
-
-    Points on no plane count as well: where planes repeat, as on stairs, they tell steps apart. Only
-    steps off by more than a cell are told apart. `usual` (u, 3): steps from the scan before, along
-    its axes, metres.
-    """
-    before, ends = part.seen[k - 1].ends, part.seen[k].ends
-    if min(len(before), len(ends)) < FEWEST:
-        return False
-    (S, s), (R, t) = part.poses[k - 1], part.poses[k]
-    ends = ends[np.linspace(0, len(ends) - 1, COMPARED).astype(np.int64)].astype(np.float64)
-    cell_m = _cell_m(part.seen[k], np.linalg.norm(ends, axis=1))
-    way, far_m = S.T @ (t - s), float(cell_m.max())
-    usual = usual[np.linalg.norm(usual - way, axis=1) > far_m]
-    if not len(usual):
-        return False
-    tree, points = cKDTree(before), ends @ (S.T @ R).T
-
-    def near(at: Floats, cells: float) -> tuple[Ints, Ints]:
-        off_m, nearest = tree.query(points + at, distance_upper_bound=cells * far_m)
-        rows = np.flatnonzero(off_m < cells * cell_m)
-        return rows, np.asarray(nearest)[rows]
-
-    least = BETTER * len(near(way, 1.0)[0])
-    for at in usual:
-        for cells in CLOSER:
-            rows, nearest = near(at, cells)
-            at = (before[nearest] - points[rows]).mean(axis=0) if len(rows) else at
-        if np.linalg.norm(at - way) > far_m and len(near(at, 1.0)[0]) > least:
-            return True
-    return False
 
 
 def is_doubtful(placed: Placed, seen: Patches, planes: Patches, part: Submap, gap: int) -> bool:
@@ -160,7 +125,7 @@ def seen_through(pose: Pose, seen: Patches, planes: Patches) -> float:
     `pose`, R (3, 3) and t (3,): of the scan; `seen`, `planes`: of the scan, robot frame, and of the
     map, map frame.
     """
-    there, through = _looks(seen, pose, planes.cells, planes.normal[planes.cell_patch])
+    there, through = looks(seen, pose, planes.cells, planes.normal[planes.cell_patch])
     return len(through) / max(len(there) + len(through), FEWEST)
 
 
@@ -172,7 +137,7 @@ def with_rim(seen: Patches, iteration: int) -> Patches:
     way = np.stack([u, -u, v, -v], axis=1)
     beyond = (cells[:, None] + BEYOND * seen.cell_m * way).reshape(-1, 3)
     patch, still = np.repeat(of, 4), (np.eye(3), np.zeros(3))
-    _, through = _looks(seen, still, beyond, seen.normal[patch])
+    _, through = looks(seen, still, beyond, seen.normal[patch])
     return replace(seen, rim=beyond[through], rim_patch=patch[through])
 
 
@@ -193,10 +158,28 @@ def sights_of(part: Submap) -> dict[int, Ints]:
     cells, of = planes.cells[rows], planes.cell_patch[rows]
     counts = np.zeros((count, 2), dtype=np.int64)
     for seen, pose in zip(part.seen, part.poses, strict=True):
-        there, through = _looks(seen, pose, cells, planes.normal[of])
+        there, through = looks(seen, pose, cells, planes.normal[of])
         counts[:, 0] += np.bincount(of[there], minlength=count)
         counts[:, 1] += np.bincount(of[through], minlength=count)
     return {int(part.number[k]): counts[k] for k in np.flatnonzero(counts.any(axis=1))}
+
+
+def is_dynamic(part: Submap) -> Bools:
+    """Return which landmarks (l,) are not there all the time: scans saw through them."""
+    few = (part.n_scans <= BRIEF) & is_seen_through(part, 2)
+    return np.asarray(few | is_seen_through(part))
+
+
+def is_seen_through(part: Submap, fewer: int = 1) -> Bools:
+    """Return through which landmarks (l,) scans saw often; see `OFTEN`.
+
+    `fewer`: a smaller fraction is enough, of as many times more looks.
+    """
+    none = np.zeros(2, dtype=np.int64)
+    sights = [part.sights.get(number, none) for number in part.number.tolist()]
+    there, through = np.reshape(sights, (-1, 2)).T
+    many = through > fewer * MANY
+    return np.asarray(many & (fewer * through > OFTEN * (there + through)))
 
 
 def contradicted(part: Submap, other: Submap, pose: Pose) -> float:
@@ -205,18 +188,18 @@ def contradicted(part: Submap, other: Submap, pose: Pose) -> float:
     `pose`, R (3, 3) and t (3,): of the frame of the first one in that of the other. Surfaces count
     by their area, as what moved between two visits is small.
     """
-    back, looks = (pose[0].T, -pose[0].T @ pose[1]), np.zeros(2)
+    back, total = (pose[0].T, -pose[0].T @ pose[1]), np.zeros(2)
     for scans, there, (R, t) in ((part, other, pose), (other, part, back)):
         planes = there.planes(np.arange(len(there)))
         count = min(LOOKED_AT * len(planes), len(planes.cells))
         rows = np.linspace(0, len(planes.cells) - 1, count).astype(np.int64)
         cells, normal = planes.cells[rows], planes.normal[planes.cell_patch[rows]]
         for seen, (S, s) in zip(scans.seen, scans.poses, strict=True):
-            looks += [len(each) for each in _looks(seen, (R @ S, R @ s + t), cells, normal)]
-    return float(looks[1] / max(looks.sum(), 1.0))
+            total += [len(each) for each in looks(seen, (R @ S, R @ s + t), cells, normal)]
+    return float(total[1] / max(total.sum(), 1.0))
 
 
-def _looks(seen: Patches, pose: Pose, cells: Floats, normal: Floats) -> tuple[Ints, Ints]:
+def looks(seen: Patches, pose: Pose, cells: Floats, normal: Floats) -> tuple[Ints, Ints]:
     """Return the rows of cells (c, 3), submap frame, where a scan sees a surface, or through it.
 
     Only looks along new rays count. `normal` (c, 3): of their planes.
@@ -234,8 +217,8 @@ def _looks(seen: Patches, pose: Pose, cells: Floats, normal: Floats) -> tuple[In
     off, ray = cKDTree(ends / range_m[:, None]).query(at[rows] / away[rows, None], k=AROUND)
     is_new = np.append(seen.is_new, False)[np.asarray(ray)[:, 0]]
     range_m, away = np.append(range_m, far_m)[ray], away[rows, None]
-    near = off < NEXT * _cell_m(seen, range_m) / range_m * [1.0, *[FURTHER] * (AROUND - 1)]
-    beyond_m, cell_m = range_m - away, _cell_m(seen, away)
+    near = off < NEXT * cells_at(seen, range_m) / range_m * [1.0, *[FURTHER] * (AROUND - 1)]
+    beyond_m, cell_m = range_m - away, cells_at(seen, away)
     there = (near & (np.abs(beyond_m) < cell_m)).any(axis=1)
     # A ray beside the cell may graze the same surface farther away: one through it ends behind it.
     end = np.append(ends, [[0.0] * 3], axis=0)[ray][:, 0]
@@ -246,6 +229,6 @@ def _looks(seen: Patches, pose: Pose, cells: Floats, normal: Floats) -> tuple[In
     return rows[looks & there], rows[looks & through]
 
 
-def _cell_m(seen: Patches, range_m: Floats) -> Floats:
+def cells_at(seen: Patches, range_m: Floats) -> Floats:
     """Return the size of the cells of a scan at some ranges."""
     return seen.cell_m * np.sqrt(np.maximum(range_m / seen.reach_m, NEAR))

@@ -16,10 +16,6 @@ from relmap.segmentation.space.patches import reach_of
 Pose = tuple[Floats, Floats]
 MOST_LOOSE = 20
 """Maximum number of points on no plane that are kept in a cube of half a cell of the map."""
-THROUGH, MANY, BRIEF = 0.2, 3, 6
-"""A plane is dynamic if more than this fraction of the looks at its cells, and this number of them,
-go through: of a box that moves along one of its faces, a scan sees this plane somewhere else. If no
-more scans than the third value saw the plane, half of this fraction of twice as many is enough."""
 
 
 class Submap:
@@ -153,27 +149,18 @@ class Submap:
         return np.asarray(rows[at])
 
     @property
-    def is_dynamic(self) -> Bools:
-        """Which landmarks (l,) are not there all the time: scans saw through them."""
-        few = self.is_brief & self.is_seen_through(2)
-        return np.asarray(few | self.is_seen_through())
-
-    def is_seen_through(self, fewer: int = 1) -> Bools:
-        """Return through which landmarks (l,) scans saw often; see `THROUGH`.
-
-        `fewer`: a smaller fraction is enough, of as many times more looks.
-        """
-        none = np.zeros(2, dtype=np.int64)
-        looks = [self.sights.get(number, none) for number in self.number.tolist()]
-        there, through = np.reshape(looks, (-1, 2)).T
-        many = through > fewer * MANY
-        return np.asarray(many & (fewer * through > THROUGH * (there + through)))
+    def n_scans(self) -> Ints:
+        """How many scans saw each landmark, (l,)."""
+        seen = np.concatenate([self.number[:0], *map(np.unique, self.match)])
+        return np.bincount(seen, minlength=len(self))
 
     @property
-    def is_brief(self) -> Bools:
-        """Which landmarks (l,) few scans saw."""
-        seen = np.concatenate([self.number[:0], *map(np.unique, self.match)])
-        return np.asarray(np.bincount(seen, minlength=len(self)) <= BRIEF)
+    def spans(self) -> tuple[Ints, Ints]:
+        """The first and the last scan that saw each landmark, both (l,), counted from 0."""
+        scan = np.repeat(np.arange(len(self.match)), [len(match) for match in self.match])
+        seen, (first, last) = np.concatenate(self.match), np.empty((2, len(self)), dtype=np.int64)
+        first[seen[::-1]], last[seen] = scan[::-1], scan
+        return first, last
 
     def _rims(self) -> list[Points]:
         return [_rim(*each) for each in zip(self.seen, self.poses, self.match, strict=True)]

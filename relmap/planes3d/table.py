@@ -14,6 +14,7 @@ from relmap.core.columns import Table
 from relmap.planes3d.gathering import is_rough
 from relmap.planes3d.outlines import surfaces_of
 from relmap.planes3d.refining import covariances_of, scene
+from relmap.planes3d.sights import is_dynamic
 from relmap.planes3d.submap import Submap
 
 RAGGED = "outline", "meets"
@@ -101,24 +102,18 @@ def plane_table(submaps: list[Submap], is_refined: bool) -> Plane3dTable:
 
 def is_mapped(part: Submap) -> Bools:
     """Return which landmarks (l,) of a submap are planes, seen in two scans, that stay in place."""
-    found = np.concatenate([np.unique(match) for match in part.match])
-    sights = np.bincount(found, minlength=len(part))
-    return np.asarray((sights >= FEWEST) & ~is_rough(part) & ~part.is_dynamic)
+    return np.asarray((part.n_scans >= FEWEST) & ~is_rough(part) & ~is_dynamic(part))
 
 
 def _rows(part: Submap, rank: int, is_refined: bool) -> dict[str, Any]:
     order = np.argsort(part.number, kind="stable")
     planes = part.all_planes()
-    when = np.repeat(part.iteration, [len(match) for match in part.match])
-    landmark, scan = np.unique(np.column_stack([np.concatenate(part.match), when]), axis=0).T
-    first = np.full(len(part), np.iinfo(np.int64).max)
-    np.minimum.at(first, landmark, scan)
     mapped = is_mapped(part)
     surfaces = surfaces_of(planes, np.flatnonzero(mapped))
     outlines = [surfaces[k].outline() for k in order.tolist()]
     rasters = [surfaces[k].raster for k in order.tolist()]
     static = mapped & (rank == 0)
-    status = np.where(part.is_dynamic, "dynamic", np.where(static, "static", "unmapped"))
+    status = np.where(is_dynamic(part), "dynamic", np.where(static, "static", "unmapped"))
     return {
         "plane": part.number[order],
         "normal": planes.normal[order],
@@ -131,8 +126,8 @@ def _rows(part: Submap, rank: int, is_refined: bool) -> dict[str, Any]:
         "meets": [
             np.where(meets >= 0, part.number[np.maximum(meets, 0)], meets) for _, meets in outlines
         ],
-        "observations": np.bincount(landmark, minlength=len(part))[order],
-        "first_iteration": first[order],
+        "observations": part.n_scans[order],
+        "first_iteration": np.array(part.iteration)[part.spans[0][order]],
         "last_iteration": part.last[order],
         "status": status[order],
         "submap": np.full(len(part), rank),

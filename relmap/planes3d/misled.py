@@ -1,0 +1,105 @@
+"""Steps that what scans see contradicts: points that lead away from them, planes seen through."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from relmap.core.arrays import Bools, Floats, Ints
+from relmap.planes3d.certainty import NEARBY
+from relmap.planes3d.sights import FEWEST, cells_at, looks
+from relmap.planes3d.submap import Submap
+from relmap.segmentation.space import Patches
+
+COMPARED, CLOSER, BETTER = 400, (3.0, 2.0, 1.0), 1.06
+"""Number of points of a scan that are compared with those of the scan before; how near to these, in
+cells, points are that pull a step, three times; and how many times as many a better step explains.
+"""
+SHIFTS = np.linspace(-0.09, 0.09, 10)
+"""Other steps that are tried: shifts, as fractions of the range."""
+AT_LEAST, REMAINS = 8, 0.5
+"""Number of looks through large planes, in a step and those around it, that contradict it if there
+is one a step, and the largest fraction of them that goes through at another step."""
+EDGE = 1.8
+"""Half the width of a plane, in standard deviations of its points along it."""
+
+
+def is_led_away(part: Submap, k: int, usual: Floats) -> bool:
+    """Return whether a step near a usual one explains more points of scan `k` than its own.
+
+    Points on no plane count as well: where planes repeat, as on stairs, they tell steps apart. Only
+    steps off by more than a cell are told apart. `usual` (u, 3): steps from the scan before, along
+    its axes, metres.
+    """
+    before, ends = part.seen[k - 1].ends, part.seen[k].ends
+    if min(len(before), len(ends)) < FEWEST:
+        return False
+    (S, s), (R, t) = part.poses[k - 1], part.poses[k]
+    ends = ends[np.linspace(0, len(ends) - 1, COMPARED).astype(np.int64)].astype(np.float64)
+    cell_m = cells_at(part.seen[k], np.linalg.norm(ends, axis=1))
+    way, far_m = S.T @ (t - s), float(cell_m.max())
+    usual = usual[np.linalg.norm(usual - way, axis=1) > far_m]
+    if not len(usual):
+        return False
+    tree, points = cKDTree(before), ends @ (S.T @ R).T
+
+    def near(at: Floats, cells: float) -> tuple[Ints, Ints]:
+        off_m, nearest = tree.query(points + at, distance_upper_bound=cells * far_m)
+        rows = np.flatnonzero(off_m < cells * cell_m)
+        return rows, np.asarray(nearest)[rows]
+
+    least = BETTER * len(near(way, 1.0)[0])
+    for at in usual:
+        for cells in CLOSER:
+            rows, nearest = near(at, cells)
+            at = (before[nearest] - points[rows]).mean(axis=0) if len(rows) else at
+        if np.linalg.norm(at - way) > far_m and len(near(at, 1.0)[0]) > least:
+            return True
+    return False
+
+
+def seen_through_steps(part: Submap, large: Bools, rows: Ints, along: Floats) -> Ints:
+    """Return those of some steps (r,) at which scans see through large planes, and need not.
+
+    Two companions with flat backs, ahead of the sensor at its pace, make it seem to stand still.
+    Then walls seem to move, and a scan sees through their ends of the scan before; at another step
+    along the direction in doubt it does not. Looks in the steps around count as well.
+
+    `large` (l,): which landmarks do not move; `along` (r, 3): directions, axes of the later scan.
+    """
+    R = np.array([part.poses[k + 1][0] for k in rows]).reshape(-1, 3, 3)
+    along = np.einsum("nij,nj->ni", R, along)
+    points = {k: _points_on(part.seen[k], large[part.match[k]]) for k in {*rows, *(rows + 1)}}
+
+    def through(k: int, shift: Floats) -> int:
+        (S, s), (R, t), reach_m = *part.poses[k : k + 2], part.seen[k].reach_m
+        turn, way = S.T @ R, S.T @ (t + shift * reach_m - s)
+        looking = (k + 1, k, (turn, way)), (k, k + 1, (turn.T, -turn.T @ way))
+        return sum(len(looks(_anew(part.seen[a]), pose, *points[b])[1]) for a, b, pose in looking)
+
+    near = np.abs(np.subtract.outer(rows, rows)) <= NEARBY
+    now = near @ np.array([through(k, np.zeros(3)) for k in rows.tolist()], dtype=np.int64)
+    much = now >= np.maximum(AT_LEAST, near.sum(axis=1))
+    if not much.any():
+        return rows[:0]
+    shifts = along[:, None] * SHIFTS[:, None]
+    there = np.array([[through(k, x) for x in at] for k, at in zip(rows, shifts, strict=True)])
+    alike = along @ along.T >= 0
+    least = ((near & alike) @ there + (near & ~alike) @ there[:, ::-1]).min(axis=1)
+    return np.asarray(rows[much & (least <= REMAINS * now)])
+
+
+def _anew(seen: Patches) -> Patches:
+    """Return a scan all of whose rays count."""
+    return replace(seen, is_new=np.ones(len(seen.ends), dtype=np.bool_))
+
+
+def _points_on(seen: Patches, chosen: Bools) -> tuple[Floats, Floats]:
+    """Return the ends of rays (e, 3) on chosen planes of a scan, and the normals of these."""
+    axes, spread = seen.axes[chosen], seen.spread[chosen]
+    ends = seen.ends.astype(np.float64)
+    off = np.abs(np.einsum("mij,emj->emi", axes, ends[:, None] - seen.centre[chosen]))
+    ray, plane = np.nonzero((off < np.maximum(spread * [EDGE, EDGE, 3.0], 1e-6)).all(axis=2))
+    return ends[ray], axes[plane, 2]
