@@ -46,10 +46,13 @@ def error(mapper: PointMapper, truth: World) -> float:
 
 @pytest.mark.parametrize(("noise", "gain"), [("bearing", 2.0), ("stereo", 2.0), ("growing", 1.1)])
 @pytest.mark.parametrize("space", [False, True])
-def test_a_map_gains_by_covariances(noise: str, gain: float, space: bool) -> None:
+@pytest.mark.parametrize("given", [True, False])
+def test_a_map_gains_by_covariances(noise: str, gain: float, space: bool, given: bool) -> None:
+    """Given or estimated, over equal ones."""
     truth = world(noise, space=space)
-    plain = mapped(truth.log)
-    weighed = mapped(replace(truth.log, covariances=truth.covariances))
+    equal = np.broadcast_to(np.eye(truth.covariances.shape[1]), truth.covariances.shape)
+    plain = mapped(replace(truth.log, covariances=equal))
+    weighed = mapped(replace(truth.log, covariances=truth.covariances if given else None))
     assert len(weighed.map.positions) == len(plain.map.positions)
     assert error(weighed, truth) * gain < error(plain, truth)
 
@@ -242,7 +245,9 @@ def test_the_command_line_weighs_observations(tmp_path: Path) -> None:
         assert main(["resume", journal, "-o", str(tmp_path / f"{name}-again")]) == 0
         one, other = (tmp_path / f / "landmarks.csv" for f in (name, f"{name}-again"))
         assert one.read_bytes() == other.read_bytes()
-    assert errors[1] < 0.6 * errors[0]
+    equal = np.broadcast_to(np.eye(2), truth.covariances.shape)
+    unweighed = error(mapped(replace(truth.log, covariances=equal)), truth)
+    assert max(errors) < 0.6 * unweighed
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.gaps import bridge_gaps
+from relmap.core.association.metric import UNEQUAL
+from relmap.core.gaps import bridge_gaps, is_bridged
 from relmap.core.keeping import weigh_by_estimate
 from relmap.core.mapper import RelativeMapper
 from relmap.core.refinement.assignment.reassigning import reassign
@@ -39,6 +40,18 @@ def ambiguous(engine: RelativeMapper) -> tuple[Floats, Ints, Ints, Floats | None
     static = ~table.dynamic[seen]
     covariances = kept.covariance[static] if len(kept.covariance) else None
     return kept.location[static], seen[static], kept.iteration[static], covariances
+
+
+def is_unequal(engine: RelativeMapper) -> bool:
+    """Return whether observations are weighted by unequal noise, estimated or given.
+
+    Given noise weights the chain of odometry, where there is one.
+    """
+    covariance, estimates = engine.kept.covariance, engine.association.current.estimates_covariances
+    if estimates or is_bridged(engine) or not len(covariance):
+        return estimates
+    variances = np.linalg.eigvalsh(covariance)
+    return bool(variances.max() >= UNEQUAL**2 * variances.min())
 
 
 def refine_submaps(

@@ -31,7 +31,7 @@ from relmap.core.refinement.condensing import SegmentRows
 from relmap.core.refinement.extending import extend_submaps
 from relmap.core.refinement.hinges import Hinges, hinges_of
 from relmap.core.refinement.misread import take_off_misread
-from relmap.core.refining import ambiguous, refine_map
+from relmap.core.refining import ambiguous, is_unequal, refine_map
 from relmap.core.revisiting import gather, merge_in_place, mergeable
 from relmap.core.state.table import NONE
 
@@ -146,11 +146,11 @@ def _wrong(engine: RelativeMapper) -> Bools:
     They have few observations, or occur in few of the scans that show their neighbours; and they
     are where another landmark is.
     """
-    table, current = engine.table, engine.association.current
+    table = engine.table
     rare = rarely_seen(engine)
     wrong = doubtful(table, rare, engine.noise_m)
     seldom = Sightings(engine.rows, table).seldom(rare)
-    if current.is_blurred or current.estimates_covariances:
+    if engine.association.current.is_blurred or is_unequal(engine):
         wrong |= rare & seldom
     for refined in engine.refined:
         own = np.isin(np.arange(len(table)), refined.landmarks)
@@ -179,7 +179,7 @@ def _merge_compatible(engine: RelativeMapper, at_last: bool = False) -> bool:
     whether there were any.
     """
     merged = 0
-    if not engine.association.current.estimates_covariances:
+    if not is_unequal(engine):
         return False
     sightings = Sightings(engine.rows, engine.table)
     for refined in engine.refined:

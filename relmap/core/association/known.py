@@ -6,6 +6,7 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints, entries
 from relmap.core.association.base import UNIDENTIFIED, Registration
+from relmap.core.association.metric import RayNoise
 from relmap.core.association.rigidity import Rigidity
 from relmap.core.state.growing import GrowingArray
 
@@ -62,6 +63,15 @@ class KnownAssociation(Registration):
         self._rigidity = Rigidity()
         self._labels: GrowingArray[np.int64] = GrowingArray(np.int64)
         self._number = _Numbers(self._labels)
+
+    def inform(self, motion: Floats | None, covariances: Floats | None) -> None:
+        """Use the covariances (n, d, d) of the next scan, if known."""
+        self._rigidity.rays.given = covariances
+
+    @property
+    def estimated(self) -> RayNoise:
+        """Noise of observations that come without covariances."""
+        return self._rigidity.rays
 
     @property
     def rejected(self) -> list[int]:

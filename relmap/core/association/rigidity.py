@@ -3,8 +3,8 @@
 Static landmarks keep their relative locations, so one rotation and translation, never a reflection,
 brings most of them from the last scan to this one. A scan without such a motion, for example one
 that is mirrored or has shuffled ids, is rejected; a single observation far from its prediction is
-left out until it occurs twice. The usual misfit between scans is estimated from the scans; no map
-and no pose is used.
+left out until it occurs twice. The usual misfit between scans is estimated from the scans, and so
+is the noise by direction and distance; no map and no pose is used.
 """
 
 from __future__ import annotations
@@ -15,7 +15,9 @@ from typing import NamedTuple
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.association.base import UNIDENTIFIED
+from relmap.core.association.base import UNIDENTIFIED, middle
+from relmap.core.association.metric import RayNoise, scaled
+from relmap.core.association.placement import trimmed_fit
 from relmap.core.geometry.alignment import extent_of
 
 PLENTY = 6
@@ -40,6 +42,8 @@ WARY, MOST_WARY = 10, 60
 """Scans for which an inconsistent observation makes new ids doubtful, and the maximum total."""
 SURE = 3
 """Observations a landmark needs before the observation of another id is assigned to it."""
+WITHIN = 4.0
+"""Misfit, in units of the median, up to which landmarks determine a placement by unequal noise."""
 NEAR, ALONE = 4.0, 2.0
 """Misfit, in units of the usual one, up to which an observation is assigned to the landmark
 expected there; and the minimum ratio of the distance to any other landmark."""
@@ -96,15 +100,19 @@ class _Fit(NamedTuple):
 
 
 class Rigidity:
-    """Checks scans with known ids, one after the other."""
+    """Checks scans with known ids, one after the other.
+
+    `rays`: noise of the observations as a function of direction and distance.
+    """
 
     _last: _Places | None
     _doubted: _Places | None
     _strayed: _Places | None
     _usual_m: float | None
-    STATE = "_last _doubted _strayed _usual_m _n_doubted _wary _extent_m"
+    STATE = "rays _last _doubted _strayed _usual_m _n_doubted _wary _extent_m"
 
     def __init__(self) -> None:
+        self.rays = RayNoise()
         self._last = self._doubted = self._strayed = None
         self._usual_m = None
         self._n_doubted = 0
@@ -126,6 +134,8 @@ class Rigidity:
             return ids if self._fits_the_doubted(scan) else None
         self._learn(fit.usual_m)
         far = self._far(fit, scan)
+        if self.rays.given is None and self.rays.is_due():
+            self._learn_rays(fit, scan)
         self._wary = min(max(self._wary - 1, 0) + WARY * len(far), MOST_WARY)
         if not len(far) and not self._wary:
             self._carry(fit, *scan)
@@ -215,6 +225,21 @@ class Rigidity:
             self._usual_m = usual_m
         self._usual_m += SLOWNESS * (usual_m - self._usual_m)
         self._doubted, self._n_doubted = None, 0
+
+    def _learn_rays(self, fit: _Fit, scan: _Scan) -> None:
+        """Update the noise by direction from the landmarks of a fit that the last scan showed.
+
+        Where it is unequal, it weights them: the noise of the placement would pass for theirs.
+        """
+        assert self._last is not None
+        fresh = self._last.missed[fit.rows] == 0
+        before, found = self._last.points[fit.rows[fresh]], scan.points[fit.shared[fresh]]
+        expected, metric = fit.apply(before), self.rays.metric(found)
+        if metric is not None:
+            off = np.linalg.norm(scaled(metric, expected - found), axis=1)
+            placement = trimmed_fit(before, found, WITHIN * middle(off), metric)
+            expected = expected if placement is None else placement.apply(before)
+        self.rays.learn(expected, found, np.ones(len(found), dtype=np.int64))
 
     def _far(self, fit: _Fit, scan: _Scan) -> Ints:
         """Return the pairs of a fit that are inconsistent for the first time.
