@@ -41,8 +41,6 @@ FAR_M = 400.0
 a wall far away that is none, and all translations up to there would be tried."""
 LEAST_M = 6.0
 """Length of wall that must overlap."""
-RIVAL = 0.7
-"""Fraction of it that may overlap elsewhere."""
 COINCIDING = 0.5
 """Fraction of a wall that must lie on another one if both are the same."""
 ENDS_M = 0.15
