@@ -259,7 +259,8 @@ def test_evidence_of_a_beam_for_a_wall(
     end: list[float], hits: list[int], against: list[int]
 ) -> None:
     """One metre of wall at x = 2, seen from its front; counts of its two halves."""
-    grid = np.array([-1.0, -1.0]), np.array([32, 32]), np.arange(1025), np.zeros(1024, np.int64)
+    cells, walls = np.arange(1025), np.zeros(1024, np.int64)
+    grid = np.array([-1.0, -1.0]), np.array([32, 32]), cells, walls, 0.25
     lines = np.array([[2.0, 0.0]]), np.array([[-1.0, 0.0]]), np.array([0.0]), np.array([0, 20])
     beam = np.zeros((1, 2)), np.array([end])
     found = beams_on_walls(beam, lines, grid, 0.08, 0.28)

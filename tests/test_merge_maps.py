@@ -228,6 +228,7 @@ def test_a_merged_map_of_points_is_evaluated_by_place(
     ("one", "other", "scans"),
     [
         ("lab-a", "lab-b", [0, 170 + 162]),
+        ("lab-b", "lab-a", [120, 282 + 170]),
         ("eight-a", "eight-b", [0, 180 + 180]),
         ("eight-b", "eight-a", [120, 300 + 180]),
     ],
@@ -289,7 +290,20 @@ def test_an_ambiguous_alignment_is_refused(
     write_planes(tmp_path / "twice", PlaneTable(**twice))
     merge = ["merge", tmp_path / "twice", halves / "lab-b", "-o", tmp_path / "out"]
     assert main([str(word) for word in merge]) == 2
-    assert "m of walls overlap in one alignment, and " in capsys.readouterr().err
+    assert "common places in one alignment, and in " in capsys.readouterr().err
+
+
+def test_long_walls_that_end_elsewhere_do_not_align_maps(
+    halves: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Three sides of two halls: 45 m coincide, and no other alignment has as much."""
+    for name, low, high in (("one", 14.0, 14.0), ("other", 11.0, 17.0)):
+        shutil.copytree(halves / "lab-a", tmp_path / name)
+        hall = [[[0, 20], [0, 0]], [[0, 0], [low, 0]], [[high, 20], [0, 20]]]
+        write_planes(tmp_path / name, walls_of(np.array(hall, dtype=float), [[-1, -1]] * 3))
+    merge = ["merge", tmp_path / "one", tmp_path / "other", "-o", tmp_path / "out"]
+    assert main([str(word) for word in merge]) == 2
+    assert "3 walls coincide, but ends only in 2 places" in capsys.readouterr().err
 
 
 def test_a_map_in_other_units_is_refused(

@@ -232,6 +232,7 @@ def test_the_same_scans_give_the_same_map() -> None:
         ([[[1.0, np.nan], [1.0, 1.0]]], [["corner", "view"]], "finite"),
         ([[[1.0, 1.0], [1.0, -1.0]]], [["corner", "view"]], "from behind"),
         ([[[1.0, -1.0], [1.0, 1.0]]], [["corner"]], "end_type has shape"),
+        (ROOM[:3], np.full((2, 3), "corner"), "end_type has shape"),
     ],
 )
 def test_impossible_walls_are_refused(ends: Any, kind: Any, message: str) -> None:
@@ -239,6 +240,24 @@ def test_impossible_walls_are_refused(ends: Any, kind: Any, message: str) -> Non
     with pytest.raises(RelmapError, match=message):
         mapper.update(SimpleNamespace(ends=np.array(ends), end_type=np.array(kind)))
     assert len(mapper.planes.plane) == 0
+
+
+def test_walls_may_have_a_number_of_points_and_no_noise() -> None:
+    mapper = PlaneMapper()
+    mapper.update(SimpleNamespace(ends=ROOM[:3], n_points=[9, 9, 9]))
+    assert mapper.history.sd.tolist() == [0.0, 0.0, 0.0]
+
+
+def test_a_wall_far_away_does_not_fill_the_memory() -> None:
+    """A sensor that reports a large number where nothing returned sees walls there."""
+    far = np.array([[[5e6, 1e4], [5e6, 2e4]]])
+    mapper = PlaneMapper()
+    for k in range(12):
+        ends = np.concatenate([ROOM[:3], far]) - [0.1 * k, 0.0]
+        mapper.update(SimpleNamespace(ends=ends, end_type=np.full((4, 2), "corner")))
+    mapper.finish()
+    mapper.refine()
+    assert (mapper.planes.status == "static").sum() == 4
 
 
 CORRIDOR = np.array(

@@ -71,6 +71,12 @@ def test_walls_are_aligned_in_each_of_their_places(world: float) -> None:
     np.testing.assert_allclose(found[np.argsort(found[:, :2] @ at[1])], there, atol=1e-6)
 
 
+def test_a_wall_far_away_does_not_fill_the_memory() -> None:
+    far = np.array([[[1e6, 1e6], [1e6, 1e6 + 9.0]]])
+    best, *_ = wall_ties(ROOM, np.concatenate([np.add(ROOM, [20.0, 3.0]), far]))
+    np.testing.assert_allclose(best.t, [20.0, 3.0], atol=1e-6)
+
+
 def test_a_scan_larger_than_the_map_is_not_aligned(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delattr("relmap.planes.places.finding.wall_ties")
     assert place_in(0.5 * ROOM, HALL, 1.0, 1.0, 0.1).n_places == 0

@@ -21,7 +21,8 @@ from relmap.evaluation.pairing import Motion, paired
 from relmap.evaluation.summary import by_status
 from relmap.io.results import Result, Tracks, read_names, shifted
 from relmap.merging.tables import joined, joined_walls, moved
-from relmap.planes.places.wall_tie import ACROSS, LEAST_M, RIVAL, wall_ties
+from relmap.planes.places.submap_ties import RIVAL, WALLS, ends_by_chance
+from relmap.planes.places.wall_tie import ACROSS, LEAST_M, coinciding_ends, wall_ties
 from relmap.planes.walls.files import PlaneResult, read_any
 from relmap.planes.walls.table import PlaneTable
 from relmap.recorded import versions
@@ -30,6 +31,11 @@ Record = dict[str, Any]
 NOTHING = np.empty(0, dtype=np.int64)
 OTHER_UNITS = 20.0
 """Ratio of the lengths of their walls above which two maps are not in the same units."""
+NEARLY = 0.7
+"""Overlap of walls, as a fraction of the longest, of alignments that are compared by the ends of
+walls: halves of a building may have more of its outer walls in common after half a turn."""
+SIGMAS = 5.0
+"""As in `relmap.planes.places.submap_ties`, but no beams judge the alignment."""
 Texts = Mapping[int, str] | None
 
 
@@ -153,7 +159,7 @@ def _tie_of_points(a: Result, b: Result, named: str) -> tuple[Motion, Record]:
 
 
 def _tie_of_walls(a: PlaneTable, b: PlaneTable, named: str) -> tuple[Motion, Record]:
-    """Return the alignment of the second map, by the length of overlapping walls."""
+    """Return the alignment of the second map in which walls overlap, and most of their ends."""
     ends = [table.ends[table.status == "static"] for table in (b, a)]
     failed = f"{named} have no unique alignment"
     typical_m = [float(np.median(np.hypot(*(w[:, 1] - w[:, 0]).T))) for w in ends if len(w)]
@@ -168,16 +174,23 @@ def _tie_of_walls(a: PlaneTable, b: PlaneTable, named: str) -> tuple[Motion, Rec
         raise RelmapError(
             f"{failed}: {length_m:.1f} m of walls overlap at most, expected {LEAST_M:g} m"
         )
-    best = ties[0]
-    if len(ties) > 1 and ties[1].length_m > RIVAL * best.length_m:
-        raise RelmapError(
-            f"{failed}: {best.length_m:.1f} m of walls overlap in one alignment, and "
-            f"{ties[1].length_m:.1f} m in another"
-        )
+    alike = [tie for tie in ties if tie.length_m > NEARLY * ties[0].length_m]
+    judged = [(*coinciding_ends(ends[0], ends[1], tie), tie) for tie in alike]
+    (walls, places, best), *others = sorted(judged, key=lambda each: -each[1])
     if best.across < ACROSS:
         raise RelmapError(f"{failed}: the walls that they share are parallel")
-    record = {"common_walls_m": best.length_m, "rival_walls_m": [t.length_m for t in ties[1:2]]}
-    return Motion(best.R, best.t), record | {"rms_m": best.rms_m}
+    if walls < WALLS or places < ends_by_chance(walls, SIGMAS):
+        raise RelmapError(
+            f"{failed}: {walls} walls coincide, but ends only in {places} places, as by chance"
+        )
+    if others and others[0][1] > RIVAL * places:
+        raise RelmapError(
+            f"{failed}: walls end in {places} common places in one alignment, and in "
+            f"{others[0][1]} in another"
+        )
+    rivals_m = [tie.length_m for tie in ties if tie is not best][:1]
+    record = {"common_walls_m": best.length_m, "rival_walls_m": rivals_m, "rms_m": best.rms_m}
+    return Motion(best.R, best.t), record
 
 
 def _alone(table: LandmarkTable) -> LandmarkTable:

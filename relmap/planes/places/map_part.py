@@ -106,7 +106,7 @@ class MapPart:
         return Stretches(self.ends[:, 0], normal, along, low, first, none, none, none)
 
     @cached_property
-    def grid(self) -> tuple[Floats, Ints, Ints, Ints]:
+    def grid(self) -> tuple[Floats, Ints, Ints, Ints, float]:
         """A grid over the walls."""
         return grid_over(self.stretches)
 

@@ -7,6 +7,7 @@ through them contradict it. The best pair is joined to one map, and the search r
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
@@ -118,8 +119,9 @@ def unrivalled(part: MapPart, other: MapPart) -> SubmapTie | None:
     elsewhere = [each for each in others if not _alike(best.tie, each.tie, other.ends)]
     alone = best.contradicted <= HARDLY and all(each.support_m <= 0 for each in elsewhere)
     sigmas = LOW_SIGMAS if alone else SIGMAS
-    by_chance = CHANCE * walls + sigmas * (CHANCE * (1 - CHANCE) * walls) ** 0.5
-    if walls < WALLS or ends - OPENING * _openings(part, other, best.tie) < by_chance:
+    if walls < WALLS:
+        return None
+    if ends - OPENING * _openings(part, other, best.tie) < ends_by_chance(walls, sigmas):
         return None
     rivals = (each.tie for each in elsewhere if each.support_m > RIVAL * best.support_m)
     if any(coinciding_ends(other.ends, part.ends, tie)[1] > RIVAL * ends for tie in rivals):
@@ -128,6 +130,11 @@ def unrivalled(part: MapPart, other: MapPart) -> SubmapTie | None:
         return None
     turned = (_judged(part, other, tie) for tie in _turned(part, other, best.tie))
     return None if any(each.support_m > RIVAL * best.support_m for each in turned) else best
+
+
+def ends_by_chance(walls: int, sigmas: float) -> float:
+    """Return at how many places ends of walls that coincide do too by chance, at most."""
+    return CHANCE * walls + sigmas * math.sqrt(CHANCE * (1 - CHANCE) * walls)
 
 
 def _turned(part: MapPart, other: MapPart, tie: WallTie) -> Iterator[WallTie]:

@@ -36,10 +36,11 @@ ROUNDS, FIRST = 8, 4.0
 """Rounds of a fit, and initial tolerance, in units of `NEAR_M`."""
 ALIKE_M = 0.5
 """Motions that place all walls within this distance of each other are the same."""
+FAR_M = 400.0
+"""Points farther than this from the middle of their map propose no translation: a sensor may report
+a wall far away that is none, and all translations up to there would be tried."""
 LEAST_M = 6.0
 """Length of wall that must overlap."""
-RIVAL = 0.7
-"""Fraction of it that may overlap elsewhere."""
 COINCIDING = 0.5
 """Fraction of a wall that must lie on another one if both are the same."""
 ENDS_M = 0.15
@@ -75,6 +76,12 @@ class WallPoints:
     def moved(self, R: Floats, t: Floats) -> WallPoints:
         """Return the points rotated by R (2, 2) and shifted by t (2,)."""
         return WallPoints(self.at @ R.T + t, self.normal @ R.T, self.wall)
+
+    def central(self) -> WallPoints:
+        """Return the points that are not far from the one in the middle; see `FAR_M`."""
+        off = np.abs(self.at - np.median(self.at, axis=0)).sum(axis=1)
+        near = (np.abs(self.at - self.at[np.argmin(off)]) <= FAR_M).all(axis=1)
+        return self if near.all() else WallPoints(self.at[near], self.normal[near], self.wall[near])
 
     @property
     def angle(self) -> Floats:
@@ -125,7 +132,7 @@ def wall_ties(ends: Floats, others: Floats) -> list[WallTie]:
         return []
     found: list[WallTie] = []
     corners, moved = ends.reshape(-1, 2), np.empty((0, 2 * len(ends), 2))
-    for guess in _guesses(points, among):
+    for guess in _guesses(points.central(), among.central()):
         fitted = _fitted(points, among, guess)
         there = corners @ fitted.R.T + fitted.t
         if not (np.hypot(*np.moveaxis(moved - there, 2, 0)).max(axis=1) <= ALIKE_M).any():

@@ -13,7 +13,9 @@ from relmap.planes.walls.joining import placed_ends
 
 BIN_M = 0.05
 """Length of a stretch."""
-CELL_M = 0.25
+CELL_M, MOST_CELLS = 0.25, 4096
+"""Size of the cells of a grid over walls, and their largest number along an axis: those of a wider
+grid are larger, for a sensor may report a wall far away that is none."""
 RIM = 2
 """Number of stretches beyond either end of the observed part of a wall."""
 MOST_BEAMS = 400_000
@@ -103,15 +105,16 @@ def _crossed(walls: Stretches, beams: tuple[Floats, Floats]) -> tuple[Ints, Ints
     return hits, against
 
 
-def grid_over(walls: Stretches) -> tuple[Floats, Ints, Ints, Ints]:
+def grid_over(walls: Stretches) -> tuple[Floats, Ints, Ints, Ints, float]:
     """Return a grid over the walls, listing those in or next to each cell; see `beams_on_walls`."""
     wall, n = walls.wall, len(walls.low)
     points = walls.base[wall] + walls.place[:, None] * walls.along[wall]
-    corner = points.min(axis=0) - 2 * CELL_M
-    cell = ((points - corner) / CELL_M).astype(np.int64)
+    cell_m = max(CELL_M, float(np.ptp(points, axis=0).max()) / MOST_CELLS)
+    corner = points.min(axis=0) - 2 * cell_m
+    cell = ((points - corner) / cell_m).astype(np.int64)
     shape = cell.max(axis=0) + 3
     beside = (-1, 0, 1)
     at = [(cell[:, 0] + x) * shape[1] + cell[:, 1] + y for x in beside for y in beside]
     key = np.unique(np.concatenate([each * n + wall for each in at]))
     starts = np.searchsorted(key // n, np.arange(shape[0] * shape[1] + 1))
-    return corner, shape, starts, key % n
+    return corner, shape, starts, key % n, cell_m

@@ -7,7 +7,7 @@ import numpy as np
 from relmap.core.arrays import Floats, Ints
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.small_kernels import unset
-from relmap.planes.plan.evidence import BIN_M, CELL_M, LEAST_SINE
+from relmap.planes.plan.evidence import BIN_M, LEAST_SINE
 
 Four = tuple[float, float, float, float]
 
@@ -35,14 +35,14 @@ def _vote(line: Four, beam: Four, near_m: float, before_m: float) -> tuple[int, 
 
 
 @helper
-def _cells(beam: Four, corner: Floats, shape: Ints) -> Ints:
+def _cells(beam: Four, corner: Floats, shape: Ints, cell_m: float) -> Ints:
     """Return the cells of a grid along a beam, at steps of a cell's size."""
     x, y, dx, dy = beam
-    steps = int(np.hypot(dx, dy) / CELL_M) + 1
+    steps = int(np.hypot(dx, dy) / cell_m) + 1
     cells, n = np.empty(steps + 1, dtype=np.int64), 0
     for s in range(steps + 1):
-        i = int(np.floor((x + s / steps * dx - corner[0]) / CELL_M))
-        j = int(np.floor((y + s / steps * dy - corner[1]) / CELL_M))
+        i = int(np.floor((x + s / steps * dx - corner[0]) / cell_m))
+        j = int(np.floor((y + s / steps * dy - corner[1]) / cell_m))
         if 0 <= i < shape[0] and 0 <= j < shape[1]:
             cells[n] = i * shape[1] + j
             n += 1
@@ -53,7 +53,7 @@ def _cells(beam: Four, corner: Floats, shape: Ints) -> Ints:
 def beams_on_walls(
     beams: tuple[Floats, Floats],
     lines: tuple[Floats, Floats, Floats, Ints],
-    grid: tuple[Floats, Ints, Ints, Ints],
+    grid: tuple[Floats, Ints, Ints, Ints, float],
     near_m: float,
     before_m: float,
 ) -> tuple[Ints, Ints, Floats]:
@@ -64,17 +64,19 @@ def beams_on_walls(
 
     `beams`: origin and end (n, 2); `lines`: of each wall a point and the normal (w, 2), its start
     (w,) and its first bin (w + 1,); `grid`: its corner (2,), cells along x and y (2,), where the
-    walls of each cell begin (c + 1,), and the walls; `near_m`, `before_m`: largest distance of the
-    end of a beam that hits a wall, and distance in front of the wall that counts against it.
+    walls of each cell begin (c + 1,), the walls, and the size of a cell; `near_m`, `before_m`:
+    largest distance of the end of a beam that hits a wall, and distance in front of the wall that
+    counts against it.
     """
-    (origin, end), (base, normal, low, first), (corner, shape, starts, members) = beams, lines, grid
+    (origin, end), (base, normal, low, first) = beams, lines
+    corner, shape, starts, members, cell_m = grid
     hits, against = np.zeros(first[-1], dtype=np.int64), np.zeros(first[-1], dtype=np.int64)
     off, last = np.empty(len(end)), unset(len(base))
     for r in range(len(end)):
         off[r] = np.inf
         x, y = origin[r, 0], origin[r, 1]
         beam = x, y, end[r, 0] - x, end[r, 1] - y
-        for cell in _cells(beam, corner, shape):
+        for cell in _cells(beam, corner, shape, cell_m):
             for w in members[starts[cell] : starts[cell + 1]]:
                 if last[w] == r:
                     continue

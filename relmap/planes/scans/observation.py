@@ -109,7 +109,7 @@ def checked_planes(planes: Any, beams: Any = None) -> PlaneObservation:
     ends = checked_ends(planes.ends)
     m = len(ends)
     kind = np.asarray(getattr(planes, "end_type", np.full((m, 2), "unknown")))
-    if kind.size != 2 * m:
+    if kind.shape != (m, 2) and (m or kind.size):
         raise RelmapError(f"end_type has shape {kind.shape}; it must be ({m}, 2), as ends are")
     sd, z_extent = _measured(planes, m)
     given = NO_BEAMS
@@ -154,7 +154,7 @@ def checked_ends(ends: Any) -> Floats:
 def _measured(planes: Any, m: int) -> tuple[Floats, Floats]:
     """Return the standard deviations of wall distances (m,) and z extents (m, 2), metres."""
     sd, z_extent = np.zeros(m), np.zeros((m, 2))
-    if hasattr(planes, "n_points"):
+    if hasattr(planes, "n_points") and hasattr(planes, "noise"):
         n_points = _column(planes.n_points, "n_points", (m,))
         sd = _column(planes.noise, "noise", (m,)) / np.sqrt(np.maximum(n_points, 1))
     if hasattr(planes, "z_extent"):
