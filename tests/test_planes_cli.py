@@ -162,7 +162,11 @@ def test_first_metres_of_freiburg_079(real_scans: Callable[[str], ScanLog]) -> N
 def closing(*submaps: tuple[int, bool], walls: int = 9) -> str:
     """Return the end of the message about submaps, given their scans and whether refined."""
     steps = {"median_m": None, "median_deg": None, "view_deg": None}
-    rows = [{"scans": n, "refined": refined, "metres": 1.0} for n, refined in submaps]
+    rows, end = [], 0
+    for n, refined in submaps:
+        at = [end, end + n - 1]
+        rows.append({"scans": n, "refined": refined, "metres": 1.0, "iterations": at})
+        end += n
     about = {"submaps": rows, "weak_links": [], "steps": steps, "variant": "planes"}
     return torn(about | {"counts": {"planes_static": walls}}, refine=True)
 
