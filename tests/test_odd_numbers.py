@@ -89,6 +89,17 @@ def test_odometry_with_far_points_that_determine_no_motion() -> None:
     assert is_clean(mapper.trajectory)
 
 
+@pytest.mark.parametrize("row", [[0] * 7 + [*range(1, 6)], [*range(8)] * 3], ids=["one", "all"])
+def test_scans_whose_points_mostly_coincide_are_mapped(row: list[int]) -> None:
+    mapper = PointMapper()
+    for k in range(20):
+        mapper.update(WORLD[row] - [0.1 * k, 0.0])
+    mapper.finish()
+    mapper.refine()
+    mapped = mapper.map.positions[:, None, :2] - WORLD[row]
+    assert np.linalg.norm(mapped, axis=2).min(axis=0).max() < 1e-6
+
+
 def test_weights_of_hardly_any_noise_fit_as_others_do() -> None:
     source, at = WORLD * 1e6, np.zeros(12, dtype=np.int64)
     target = source @ np.array([[0.0, 1.0], [-1.0, 0.0]]) + 1e9
