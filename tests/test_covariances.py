@@ -281,3 +281,21 @@ def test_the_frame_is_that_of_the_first_scan_that_the_mapped_landmarks_determine
     assert mapper.refined[0].anchor_iteration == 1
     pose = mapper.trajectory[1]
     np.testing.assert_allclose(pose, np.eye(4), atol=0.01)
+
+
+@pytest.mark.parametrize("along", [True, False], ids=["bearings", "ranges"])
+def test_scans_with_nearly_exact_bearings_or_ranges_are_matched(along: bool) -> None:
+    rng, mapper = np.random.default_rng(1), PointMapper()
+    world = rng.uniform(-20.0, 20.0, (100, 2))
+    for k in range(70):
+        yaw = 2 * np.pi * k / 70
+        points = (world - 13.0 * np.array([np.cos(yaw), np.sin(yaw)])) @ turn(yaw)
+        points = points[np.linalg.norm(points, axis=1) < 12.0]
+        ray = points / np.linalg.norm(points, axis=1)[:, None]
+        noisy = ray if along else ray[:, ::-1] * [-1.0, 1.0]
+        exact = 1e-6 * np.eye(2)
+        points += 0.05 * rng.normal(size=(len(points), 1)) * noisy
+        mapper.update(points, covariances=0.05**2 * noisy[:, :, None] * noisy[:, None] + exact**2)
+    mapper.finish()
+    assert not len(mapper.rejected)
+    assert len(mapper.map.positions) >= 100
