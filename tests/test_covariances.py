@@ -12,7 +12,7 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from relmap import PointMapper, RelmapError, range_bearing_covariances
+from relmap import MapperConfig, PointMapper, RelmapError, range_bearing_covariances
 from relmap.cli import main
 from relmap.core.arrays import Floats
 from relmap.datasets import ObservationLog, open_log, write_observation_csv
@@ -268,3 +268,41 @@ def test_sigmas_that_cannot_be_used_are_refused(
     source = str(tmp_path / "observations.csv")
     assert main(["map", source, "-o", str(tmp_path / "r"), *options]) == 2
     assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("weighed", [True, False], ids=["covariances", "powers"])
+def test_the_frame_is_that_of_the_first_scan_that_the_mapped_landmarks_determine(
+    weighed: bool,
+) -> None:
+    rng = np.random.default_rng(0)
+    world = rng.uniform(-9.0, 9.0, (14, 2))
+    mapper = PointMapper(MapperConfig(keep_observations=not weighed))
+    for k in range(40):
+        # The first scan shows one of those that stay, and two others.
+        seen = np.arange(14)[slice(0 if k < 2 else 2, 3 if k == 0 else 14)]
+        points = world[seen] - [0.1 * k, 0.0] + rng.uniform(-0.02, 0.02, (len(seen), 2))
+        noise = np.tile(np.diag([1e-4, 4e-4]), (len(seen), 1, 1))
+        mapper.update(points, covariances=noise if weighed else None)
+    mapper.finish()
+    mapper.refine()
+    assert mapper.refined[0].anchor_iteration == 1
+    pose = mapper.trajectory[1]
+    np.testing.assert_allclose(pose, np.eye(4), atol=0.01)
+
+
+@pytest.mark.parametrize("along", [True, False], ids=["bearings", "ranges"])
+def test_scans_with_nearly_exact_bearings_or_ranges_are_matched(along: bool) -> None:
+    rng, mapper = np.random.default_rng(1), PointMapper()
+    world = rng.uniform(-20.0, 20.0, (100, 2))
+    for k in range(70):
+        yaw = 2 * np.pi * k / 70
+        points = (world - 13.0 * np.array([np.cos(yaw), np.sin(yaw)])) @ turn(yaw)
+        points = points[np.linalg.norm(points, axis=1) < 12.0]
+        ray = points / np.linalg.norm(points, axis=1)[:, None]
+        noisy = ray if along else ray[:, ::-1] * [-1.0, 1.0]
+        exact = 1e-6 * np.eye(2)
+        points += 0.05 * rng.normal(size=(len(points), 1)) * noisy
+        mapper.update(points, covariances=0.05**2 * noisy[:, :, None] * noisy[:, None] + exact**2)
+    mapper.finish()
+    assert not len(mapper.rejected)
+    assert len(mapper.map.positions) >= 100

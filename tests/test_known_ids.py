@@ -211,3 +211,14 @@ def test_labels_are_the_ids_given_small_or_large() -> None:
         order = rng.permutation(len(ids))
         labels = mapper.update(scan.points_robot[order], ids[order])
         np.testing.assert_array_equal(labels, ids[order])
+
+
+def test_of_two_detections_at_one_place_one_is_the_landmark_expected_there() -> None:
+    world, mapper = np.random.default_rng(5).uniform(-8.0, 8.0, (12, 2)), PointMapper()
+    for k in range(10):
+        mapper.update(world - [0.1 * k, 0.0], ids=np.arange(12))
+    row, ids = np.array([0, 3, 3, *range(4, 12)]), np.array([0, 30, 31, *range(4, 12)])
+    points = world[row] - [1.0, 0.0]
+    points[0] += 5.0  # After an observation far from its landmark new ids are doubtful.
+    labels = mapper.update(points, ids=ids)
+    assert labels.tolist() == [-1, 3, 31, *range(4, 12)]

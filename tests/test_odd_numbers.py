@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from relmap import Plane3dMapper, PlaneMapper, PointMapper, RelmapError
+from relmap import MapperConfig, Plane3dMapper, PlaneMapper, PointMapper, RelmapError
 from relmap.core.arrays import Floats
 from relmap.core.geometry.alignment import fit_rigid_each
 from relmap.core.geometry.spatialindex import SpatialIndex
@@ -87,6 +87,18 @@ def test_odometry_with_far_points_that_determine_no_motion() -> None:
     mapper.update([[0.0, 1e8]], odometry=[1e8, 0.0, 0.0])
     mapper.finish()
     assert is_clean(mapper.trajectory)
+
+
+@pytest.mark.parametrize("row", [[0] * 7 + [*range(1, 6)], [*range(8)] * 3], ids=["one", "all"])
+@pytest.mark.parametrize("registration", ["constellation", "nearest-previous"])
+def test_scans_whose_points_mostly_coincide_are_mapped(registration: str, row: list[int]) -> None:
+    mapper = PointMapper(MapperConfig(registration=registration))
+    for k in range(20):
+        mapper.update(WORLD[row] - [0.1 * k, 0.0])
+    mapper.finish()
+    mapper.refine()
+    mapped = mapper.map.positions[:, None, :2] - WORLD[row]
+    assert np.linalg.norm(mapped, axis=2).min(axis=0).max() < 1e-6
 
 
 def test_weights_of_hardly_any_noise_fit_as_others_do() -> None:

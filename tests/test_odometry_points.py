@@ -284,3 +284,15 @@ def test_with_odometry_movers_are_dynamic_and_what_only_scatters_is_mapped(known
     mover, scatters = mapper.landmarks_of(np.concatenate(labels)).reshape(-1, 2).T
     assert not np.isin(mapper.map.landmark_ids, mover).any()
     assert np.isin(scatters, mapper.map.landmark_ids).mean() > 0.5
+
+
+def test_a_scan_that_is_taken_up_says_nothing_of_the_odometry_into_it() -> None:
+    world, mapper = np.random.default_rng(0).uniform(-15.0, 15.0, (40, 2)), PointMapper()
+    for k in range(30):
+        labels = mapper.update(world - [k, 0.0])
+    for k in range(30, 50):
+        assert mapper.take_up(world - [k, 0.0])
+        mapper.update(world - [k, 0.0], odometry=[1.0, 0.0, 0.0])
+    # So few are matched only by odometry.
+    found = mapper.update(world[:2] - [50.0, 0.0], odometry=[1.0, 0.0, 0.0])
+    assert_array_equal(found, labels[:2])

@@ -115,6 +115,8 @@ class Constellation(Numbered):
         """Expect landmarks (n,) at points (n, d) in the next scan, and no others."""
         self._tracks, self._stray = LiveTracks.begun(landmarks, points_robot), None
         self._tracks_since, self._idle = None, 0
+        self._guide.forget()
+        self._guide.note(None)  # They are where the next scan is taken.
         self._scale.spacing_m = spacing_of(points_robot)
 
     @property

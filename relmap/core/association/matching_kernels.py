@@ -241,7 +241,8 @@ def matched_sample(
     m, k = len(sample), 0
     rows, found, apart = np.empty(m, dtype=np.int64), np.empty(m, dtype=np.int64), np.empty(m)
     if np.isfinite(known):
-        spacing = known + slowness * (spacing - known) if m else known
+        # None is seen if most points coincide with others.
+        spacing = known + slowness * (spacing - known) if m and spacing > 0 else known
     for j in range(m):
         distance[j] = distance[j] if distance[j] <= spacing else np.inf
     won = claims(target, distance, len(points))

@@ -110,7 +110,8 @@ class RayNoise:
             return None
         if self.given is not None:
             values, vectors = np.linalg.eigh(self.given)
-            sigma = np.sqrt(values)
+            farthest_m = np.linalg.norm(points, axis=1).max()
+            sigma = np.maximum(np.sqrt(values), NEGLIGIBLE * farthest_m)
             if sigma.max() < UNEQUAL * sigma.min():
                 return None
         elif self.is_unequal:

@@ -42,7 +42,8 @@ class NearestPrevious(Numbered):
     def _gate(self) -> float:
         if self._gate_m is not None:
             return self._gate_m
-        if len(self._previous) < 2:
+        places = np.unique(self._previous, axis=0)  # Most may coincide with others.
+        if len(places) < 2:
             return np.inf
-        spacing = nearest(cKDTree(self._previous), self._previous, rank=2)[0][:, 1]
+        spacing = nearest(cKDTree(places), places, rank=2)[0][:, 1]
         return float(np.median(spacing)) / 2

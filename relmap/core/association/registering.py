@@ -150,7 +150,7 @@ class TrackPlacing(PatternPlacing):
         sample, rows, target, distance, here, there, spacing_m = matching.matched_sample(
             points, tracks.expected, tracks.missed, SAMPLE, scale.spacing_m, SLOWNESS
         )
-        if not len(sample):
+        if not len(sample) or spacing_m == 0:
             return None, False
         scale.spacing_m = spacing_m
         missed, tolerance_m = int(tracks.missed[sample[0]]), scale.tolerance_m

@@ -165,12 +165,12 @@ class Rigidity:
         expected = fit.apply(last.points[candidates])
         apart = np.linalg.norm(scan.points[rows][:, None] - expected, axis=2)
         reach_m = NEAR * self._usual() * (1 + last.missed[candidates])
-        for row, distances in zip(rows.tolist(), apart, strict=True):
+        for k, distances in enumerate(apart):
             nearest = int(np.argmin(distances))
             others = np.append(np.delete(distances, nearest), np.inf).min()
             own = distances[nearest] <= reach_m[nearest] and others > ALONE * reach_m[nearest]
-            if own and distances[nearest] == apart[:, nearest].min():
-                named[row] = last.ids[candidates[nearest]]
+            if own and apart[:, nearest].argmin() == k:
+                named[rows[k]] = last.ids[candidates[nearest]]
         return named
 
     def _fit(self, places: _Places | None, ids: Ints, points: Floats) -> tuple[_Scan, _Fit | None]:

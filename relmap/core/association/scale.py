@@ -129,7 +129,8 @@ def spacing_of(points: Floats) -> float:
     """Return the median distance of points (n, d) to their nearest neighbours, metres.
 
     If many stand in pairs, such as the two edges of a post, it is at least a fraction (1 /
-    `PAIR_RATIO`) of the lower quartile of the distances to the second neighbour.
+    `PAIR_RATIO`) of the lower quartile of the distances to the second neighbour. If most coincide
+    with others, each place counts once.
     """
     from relmap.core.association.matching_kernels import MANY, PAIR_RATIO
 
@@ -137,4 +138,4 @@ def spacing_of(points: Floats) -> float:
         return np.inf
     apart = nearest(cKDTree(points), points, 3 if len(points) >= MANY else 2)[0]
     pairs = [np.sort(of)[len(points) // 4] / PAIR_RATIO for of in apart[:, 2:].T]
-    return float(max([middle(apart[:, 1]), *pairs]))
+    return float(max([middle(apart[:, 1]), *pairs])) or spacing_of(np.unique(points, axis=0))

@@ -58,7 +58,11 @@ def refine_by_powers(refined: Refined, seen: Observations) -> Refined:
     R, t = powered.state.R[anchor], powered.state.t[anchor]
     spread = refined.spread.scaled(np.sqrt(powered.gain()))
     return replace(
-        refined, positions=(powered.state.positions - t) @ R, power=powered.power, spread=spread
+        refined,
+        positions=(powered.state.positions - t) @ R,
+        anchor_iteration=int(seen.iterations[anchor]),
+        power=powered.power,
+        spread=spread,
     )
 
 

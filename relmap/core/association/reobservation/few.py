@@ -26,6 +26,7 @@ from relmap.core.association.scale import spacing_of
 from relmap.core.geometry.robust import EXACT
 from relmap.core.refinement.condensing import SegmentRows
 from relmap.core.refinement.joint import Refined
+from relmap.core.scan import TINY
 from relmap.core.state.table import NONE, LandmarkState
 
 FEWEST = 3
@@ -65,7 +66,8 @@ class Doubled:
         sd_m = np.sqrt(np.trace(refined.covariances, axis1=1, axis2=2))
         self._reach_m = SIGMAS * np.where(np.isfinite(sd_m), sd_m, 0.0)
         apart = nearest(cKDTree(self._at), self._at, 2)[0][:, 1]
-        self._log_density = math.log(math.log(2)) - _log_volume(self._d, float(np.median(apart)))
+        spacing_m = max(float(np.median(apart)), TINY)
+        self._log_density = math.log(math.log(2)) - _log_volume(self._d, spacing_m)
 
     def sets(self) -> list[Match]:
         """Return sets that are unlikely by chance and have no rival, without common landmarks."""

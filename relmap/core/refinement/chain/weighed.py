@@ -56,6 +56,7 @@ def refine_weighed(
     return replace(
         refined,
         positions=(state.positions - t) @ R,
+        anchor_iteration=int(seen.iterations[anchor]),
         spread=Spread(problem, settled, every, unit * R),
         converged=settled.converged,
     )
