@@ -222,3 +222,11 @@ def test_of_two_detections_at_one_place_one_is_the_landmark_expected_there() -> 
     points[0] += 5.0  # After an observation far from its landmark new ids are doubtful.
     labels = mapper.update(points, ids=ids)
     assert labels.tolist() == [-1, 3, 31, *range(4, 12)]
+
+
+def test_no_scan_is_taken_up_where_ids_connect_the_logs() -> None:
+    world, mapper = np.random.default_rng(5).uniform(-8.0, 8.0, (12, 2)), PointMapper()
+    for k in range(10):
+        mapper.update(world - [0.1 * k, 0.0], ids=np.arange(12))
+    mapper.finish()
+    assert not mapper.take_up(world)  # Its landmarks may have other ids.

@@ -248,16 +248,16 @@ class PointMapper(Mapper):
             with self._guard.change():
                 self.engine.map.kept_until = self.engine.store.n_iterations
                 self.engine.map.kept_anchor = self._anchor()
-        registration = self.engine.association.registration
-        placement = self._placed(seen, TRIED)[0] if registration is not None else None
-        if placement is None or registration is None:
+        association = self.engine.association
+        placement = None if association.has_ids else self._placed(seen, TRIED)[0]
+        if placement is None:
             return False
         positions = mapped_positions(self.engine)
         landmarks = np.flatnonzero(np.isfinite(positions[:, 0]))
         around = (positions[landmarks] - placement.t) @ placement.R
         near = np.linalg.norm(around, axis=1) <= AROUND * np.linalg.norm(seen, axis=1).max()
         with self._guard.change():
-            registration.expect(landmarks[near], around[near])
+            association.current.expect(landmarks[near], around[near])
         return True
 
     def _anchor(self) -> int:
