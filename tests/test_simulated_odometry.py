@@ -162,6 +162,13 @@ def test_simulate_writes_odometry(
     assert not (moved / "odometry.csv").exists()  # it was of the path before
 
 
+def test_a_single_scan_has_no_odometry(tmp_path: Path) -> None:
+    command = ["simulate", "figure-eight", "--iterations", "1", "--odometry", "0.01:0.1"]
+    assert main([*command, "-o", str(tmp_path)]) == 0
+    assert not (tmp_path / "odometry.csv").exists()
+    assert len(open_log(tmp_path)) == 1
+
+
 @pytest.mark.parametrize("fault", ["slip", "reversed", "stale"])
 def test_simulate_writes_faults(fault: str, tmp_path: Path) -> None:
     command = ["simulate", *WORLDS["figure-eight"], "--odometry", "0:0", "--odometry-fault", fault]

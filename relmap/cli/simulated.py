@@ -89,7 +89,7 @@ def write_odometry(
     stamps_s: Floats | None = None,
 ) -> int:
     """Write the odometry of a simulated path, if any, into a folder; return the number of files."""
-    if wheels is None:
+    if wheels is None or len(poses) < 2:
         return 0
     # A separate generator: the observations are the same with and without odometry.
     rng = np.random.default_rng([seed, len(poses)])
