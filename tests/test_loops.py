@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from relmap import PointMapper
+from relmap.core.arrays import Floats, Ints
 from relmap.core.association.reobservation import loops
 from relmap.core.association.reobservation.evidence import Evidence, chosen
 from relmap.core.association.reobservation.loops import LoopFinder
@@ -51,6 +52,31 @@ def test_a_place_seen_twice_is_found_where_the_map_has_drifted() -> None:
 def test_a_place_farther_off_than_a_map_drifts_is_another() -> None:
     table, _ = seen_twice(shift_m=60.0)
     assert LoopFinder(table, SIGMA).next() is None
+
+
+def test_a_scan_is_found_among_landmarks_that_stand_in_pairs() -> None:
+    """As the two edges of posts do: a spacing of 0.05 m says little of how they lie."""
+    rng = np.random.default_rng(0)
+    posts, edge = rng.uniform(-30.0, 30.0, (80, 2)), rng.uniform(0.0, 2 * np.pi, 80)
+    world = np.vstack([posts, posts + 0.05 * np.column_stack([np.cos(edge), np.sin(edge)])])
+
+    def seen(at: Floats, yaw: float) -> tuple[Floats, Ints]:
+        c, s = np.cos(yaw), np.sin(yaw)
+        points = (world - at) @ np.array([[c, -s], [s, c]])
+        near = np.flatnonzero(np.linalg.norm(points, axis=1) < 20.0)
+        return points[near] + SIGMA * rng.standard_normal((len(near), 2)), near
+
+    mapper = PointMapper()
+    for yaw in np.linspace(0.0, 2 * np.pi, 80):
+        points, ids = seen(12.0 * np.array([np.cos(yaw), np.sin(yaw)]), yaw)
+        mapper.update(points, ids=ids)
+    mapper.refine()
+    begin = np.array([12.0, 0.0])  # in the first scan, which has the frame of the map
+    for _ in range(5):
+        at = rng.uniform(-14.0, 14.0, 2)
+        place = mapper.locate(seen(at, rng.uniform(0.0, 2 * np.pi))[0])
+        assert place.n_places == 1
+        np.testing.assert_allclose(place.T_map_robot[:2, 3], at - begin, atol=0.1)
 
 
 @pytest.mark.parametrize("shift_m", [6.0, 30.0])

@@ -66,7 +66,7 @@ class PlaceFinder:
         self._sides = cKDTree(sides) if len(sides) else None
         if self._sides is not None:
             self._tree = cKDTree(positions)
-            self._apart_m = float(np.median(nearest(self._tree, positions, 2)[0][:, 1]))
+            self._apart_m = _spacing_of(self._tree, positions)
             least, most = EXACT * self._apart_m, COARSE * self._apart_m
             self._tolerance_m = float(np.clip(SIGMAS * noise_m, least, most))
             self._noise_m = max(noise_m, least / SIGMAS)
@@ -250,6 +250,14 @@ class PlaceFinder:
             placed = points @ R[left].transpose(0, 2, 1) + t[left][:, None]
             reach_m = max(reach_m / 2, self._tolerance_m)
         return R, t, n_agreeing
+
+
+def _spacing_of(tree: cKDTree, positions: Floats) -> float:
+    """Return the usual distance of landmarks (m, d), more where they stand in pairs."""
+    from relmap.core.association.matching_kernels import PAIR_RATIO
+
+    _, first, second = nearest(tree, positions, 3)[0].T
+    return float(max(np.median(first), np.quantile(second, 0.25) / PAIR_RATIO))
 
 
 def _triangles(positions: Floats) -> tuple[Ints, Floats]:
