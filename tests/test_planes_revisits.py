@@ -68,3 +68,15 @@ def test_a_map_that_was_bent_twice_is_cut_twice(run: tuple[PlaneMapper, Floats])
     found = cut(run, wrong)
     away = run[1][found, :2, 3] - run[1][rows, :2, 3]
     assert (np.hypot(*away.T) < NEAR_M).all()
+
+
+def test_a_scan_without_a_pose_is_not_cut(run: tuple[PlaneMapper, Floats]) -> None:
+    """It may belong to another map, which the cut would divide."""
+    poses = run[1]
+    k = len(poses) // 2
+    wrong = bent(poses, k, 6.0, 0.0)
+    [whole] = cut(run, wrong)
+    wrong[whole] = np.nan
+    for found in cut(run, wrong):
+        assert np.isfinite(wrong[found]).all()
+        assert abs(found - whole) < 5

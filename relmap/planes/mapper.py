@@ -129,8 +129,9 @@ class PlaneMapper(LocatingMapper):
             The sensor is at the `origin` (2,) of the planes, if they have one.
         odometry : (3,), (7,) or (4, 4) array, optional
             Motion of the robot since the last update, see `relmap.core.odometry.checked_odometry`;
-            that of the first update is not used. It bridges scans that show too little, and
-            determines the motion in directions that walls do not; see `odometry`.
+            that of the first update, and of the first after `take_up`, is not used. It bridges
+            scans that show too little, and determines the motion in directions that walls do not;
+            see `odometry`.
         stamp_s : float, optional
             Time of the scan, seconds, later than that of earlier scans; kept for the trajectory.
 
@@ -159,6 +160,8 @@ class PlaneMapper(LocatingMapper):
             self._journal.ready()
         self._refined_walls = None
         self._moved = np.empty(0, dtype=np.int64)
+        if self.n_iterations in self.begun:  # the motion from the last scan of another log
+            motion = None
         walls = self.engine.update(seen, None, odometry=motion)
         self._stamps.append(stamp_s, self.engine.store.n_iterations - 1)
         if self._journal is not None:

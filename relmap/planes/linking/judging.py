@@ -32,10 +32,14 @@ NO_MATCH = Match(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), 0.0)
 
 
 class View(NamedTuple):
-    """Beams of an earlier scan, and the motion (3,) from its frame to that of the tracks."""
+    """Beams of an earlier scan, and the motion (3,) from its frame to that of the tracks.
+
+    `scan`: its number, where that is needed.
+    """
 
     beams: Beams
     motion: Floats
+    scan: int = -1
 
     def then(self, motions: Floats) -> Floats:
         """Return motions (k, 3) from the frame of the tracks as those from that of the beams."""

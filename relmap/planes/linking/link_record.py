@@ -89,7 +89,8 @@ class LinkRecord:
 
     def begin_run(self) -> None:
         """Begin another run with the next scan, which is not tied to the last one."""
-        self._begun.extend(np.array([len(self)]))
+        if len(self) not in self.begun:
+            self._begun.append(len(self))
 
     def _unite(self, old: int, new: int) -> None:
         """Make one submap part of another, after a motion was changed."""
@@ -187,7 +188,9 @@ class LinkRecord:
                 self.measured[link.later] = link.measured and link.earlier == link.later - 1
                 self.bridged[link.later] = not len(link.walls)
             old, new = self.submaps[[link.later, link.earlier]].tolist()
-            if new >= 0:
+            if old < 0:  # an empty scan; others like it stay outside
+                self.submaps[link.later] = new
+            elif new >= 0:
                 self._unite(old, new)
         walls = np.concatenate([self.same_walls, *(link.walls for link in links)])
         self.same_walls = np.unique(walls, axis=0)

@@ -140,14 +140,14 @@ class ScanLinks(LinkRecord):
     def _confirmed(
         self, found: Found, seen: PlaneObservation, beams: Beams, views: list[View], firm: bool
     ) -> bool:
-        """Return whether the scan before the last one confirms a motion, if that is doubtful."""
+        """Return whether the second of the views confirms a motion, if that is doubtful."""
         evidence = self.evidence[-VARYING:]
         known = np.sort(np.append(evidence[np.isfinite(evidence)], SURE))
         usual = (known[(len(known) - 1) // 2] + known[len(known) // 2]) / 2
         if found.evidence > max(SURE, USUALLY * usual) or len(views) < 2:
             return True
         expected = then(views[1].motion, found.motion)
-        tracks = self.scans.tracks_of(len(self._motions) - 2)
+        tracks = self.scans.tracks_of(views[1].scan)
         view = [View(views[1].beams, STILL)]
         again = Search(tracks, seen, beams, view, expected, firm=firm).found()
         if again is None or found.evidence + again.evidence < TOGETHER:
@@ -177,5 +177,5 @@ class ScanLinks(LinkRecord):
         for i in reversed(range(first, now)):
             beams = self.beams.of(i, ends[self.store.rows(i)])
             if len(beams):
-                yield View(beams, motion)
+                yield View(beams, motion, i)
             motion = then(motions[i], motion)

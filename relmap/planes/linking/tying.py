@@ -150,8 +150,8 @@ def judged_links(scans: Scans, is_tied: Bools, in_doubt: Bools) -> tuple[list[Li
     links, cut = list[Link](), list[int]()
     shown = np.array([not tied or len(scans.plane(k)) > 0 for k, tied in enumerate(is_tied)])
     in_doubt = in_doubt & shown
-    for part in _runs(in_doubt, scans.begun):
-        run = [scan for scan in part if shown[scan]]
+    runs = ([scan for scan in part if shown[scan]] for part in _runs(in_doubt, scans.begun))
+    for run in filter(None, runs):  # the last scans of a log may be empty
         fixed = is_tied[run[0]] and not in_doubt[run[0]] and run[0] not in scans.begun
         for judged in _judged(scans, run, fixed):
             if not is_tied[judged.later]:
@@ -246,6 +246,7 @@ def _runs(in_doubt: Bools, begun: Ints) -> list[range]:
     for scan in np.flatnonzero(in_doubt).tolist():
         near[max(scan - EARLIER, 0) : scan + LATER + 1] = True
     edges = np.flatnonzero(np.diff(near, prepend=False, append=False))
+    begun = begun[(begun > 0) & (begun < len(near))]  # the last log may have no scan yet
     cuts = begun[near[begun] & near[begun - 1]]
     bounds = np.sort(np.concatenate([edges, cuts, cuts])).reshape(-1, 2)
     return [range(a, b) for a, b in bounds.tolist()]

@@ -32,11 +32,12 @@ def contradicted_revisits(
 
     There the path between two visits of a place is wrong, by drift or by a wrong link, though each
     step may agree with its own two scans. Each cut separates most contradictory pairs of scans
-    among those that are not yet separated, compared with the consistent ones.
+    among those that are not yet separated, compared with the consistent ones. Scans without a pose
+    may belong to other maps: none of them is cut.
 
     `poses` (k, 4, 4): of consecutive scans, NaN where unknown; `first`: the first of the scans.
     """
-    pairs, cuts = _pairs(poses), list[int]()
+    known, pairs, cuts = np.flatnonzero(np.isfinite(poses[:, 0, 0])), _pairs(poses), list[int]()
     share = _contradicting(pairs, poses, first, history, beams)
     while True:
         against = _spanning(pairs[share > CONTRADICTS], len(poses))
@@ -44,7 +45,7 @@ def contradicted_revisits(
         cut = int(np.argmax(against - HALF * agreeing))
         if against[cut] < max(LEAST, HALF * agreeing[cut]):
             return np.array(sorted(cuts), dtype=np.int64)
-        cuts.append(first + cut)
+        cuts.append(first + int(known[np.searchsorted(known, cut)]))
         whole = (pairs < cut).all(axis=1) | (pairs >= cut).all(axis=1)
         pairs, share = pairs[whole], share[whole]
 
