@@ -65,6 +65,16 @@ def test_a_given_vertical_levels_what_shows_none() -> None:
     assert np.ptp(points[:, 1]) > 3.8
 
 
+@pytest.mark.parametrize("nothing", [[], np.empty((0, 2)), np.empty((0, 3))])
+def test_an_empty_cloud_is_an_empty_level_scan(nothing: Any) -> None:
+    assert level_scan(nothing, PatchSegmenter(), [0, 0, 1]).shape == (0, 2)
+
+
+def test_a_cloud_may_be_a_list(storey: Storey) -> None:
+    points = level_scan(storey.scans[0].tolist(), PatchSegmenter())
+    np.testing.assert_array_equal(points, level_scan(storey.scans[0], PatchSegmenter()))
+
+
 @pytest.mark.parametrize("up", [[0, 0, 0], [1, 0], [1.0, 0.01, 0], [0, np.nan, 1], "up"])
 def test_a_vertical_that_is_none_is_an_error(up: Any) -> None:
     with pytest.raises(RelmapError, match=r"up (is|must be)"):

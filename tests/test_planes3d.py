@@ -202,6 +202,15 @@ def test_a_scan_without_known_planes_begins_a_submap_that_is_tied_later() -> Non
     assert np.abs(mapper.trajectory[16] - from_first(world.trajectory)[12]).max() < 0.02
 
 
+def test_a_plane_that_is_new_after_refinement_is_no_other_one() -> None:
+    # Refinement joined the last plane that it found in the points of all scans to another.
+    world = simulate_storey("lidar", 0.02, 5)
+    mapper = mapped(world.scans[:4], refine=True)
+    labels = mapper.update(world.scans[4])
+    assert labels.max() == mapper.planes.plane.max()
+    np.testing.assert_array_equal(mapper.landmarks_of(labels), labels)
+
+
 def test_labels_of_joined_planes_lead_to_those_that_are_left() -> None:
     world = simulate_storey("lidar", 0.02, 8)
     mapper = Plane3dMapper()

@@ -59,7 +59,9 @@ def refined(part: Submap, number: int) -> tuple[Submap, dict[int, int]]:
     part.sights = sights_of(part)
     more = gathered(part, number)
     part, later = _settled(part if more is None else more, free, set(loose), GAIN)
-    return part, {old: later.get(new, new) for old, new in names.items()} | later
+    names = {old: later.get(new, new) for old, new in names.items()} | later
+    # The numbers of found landmarks that were joined to others are free again.
+    return part, {old: new for old, new in names.items() if old < number}
 
 
 def _settled(

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
-from relmap.core.scan import numbers
+from relmap.core.scan import checked_points, numbers
 from relmap.segmentation.space.patches import Patches
 from relmap.segmentation.space.segmenter import PatchSegmenter
 
@@ -56,12 +56,12 @@ def vertical(patches: Patches) -> Floats | None:
     return np.asarray(up)
 
 
-def level_scan(points: Floats, segmenter: PatchSegmenter, up: ArrayLike | None = None) -> Floats:
+def level_scan(points: ArrayLike, segmenter: PatchSegmenter, up: ArrayLike | None = None) -> Floats:
     """Reduce a cloud to a level 2-D scan of its walls.
 
     Parameters
     ----------
-    points : (n, 3) float64, sensor frame, metres
+    points : (n, 3) array, sensor frame, metres
     segmenter : PatchSegmenter
     up : (3,) array, sensor frame, optional
         The vertical, of any length, as an IMU gives it; estimated from the planes by default.
@@ -75,9 +75,11 @@ def level_scan(points: Floats, segmenter: PatchSegmenter, up: ArrayLike | None =
     Raises
     ------
     RelmapError
-        If a coordinate is not finite, or `up` is not a direction, or is that of the x axis.
+        If the points are 2-D, a coordinate is not finite, or `up` is not a direction, or is that of
+        the x axis.
     """
     given = None if up is None else _checked_up(up)
+    points = checked_points(points, 0)
     patches = segmenter.fit(points).patches_
     axis = vertical(patches) if given is None and len(patches) else given
     if axis is None:
