@@ -17,7 +17,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 .DEFAULT_GOAL := help
 
 help:
-	@echo 'make demo     install relmap into $(DEMO_VENV) and run its demo, which fills the folder demo'
+	@echo 'make demo     install relmap into $(DEMO_VENV) and run its demo, which fills the folder relmap-demo'
 	@echo 'make test     ruff, mypy and every test, in $(TEST_VENV) (ARGS="-k name" goes to pytest)'
 	@echo 'make lowest   every test with the lowest versions that pyproject.toml allows, in $(LOWEST_VENV)'
 	@echo 'make bench    accuracy and time as ratios, compared with benchmarks/gate_baseline.json'
@@ -28,7 +28,7 @@ help:
 	@echo 'PYTHON=/path/to/python chooses the interpreter (3.11 or later; now: $(PYTHON))'
 
 demo: $(DEMO_VENV)/.ready
-	@$(DEMO_VENV)/bin/relmap demo -o demo
+	@$(DEMO_VENV)/bin/relmap demo
 
 # Compiling takes one core as long as mypy the other. pytest comes last, so that its closing line is
 # the last one printed.
@@ -64,7 +64,7 @@ format: $(TEST_VENV)/.ready
 	@$(TEST_VENV)/bin/python -m ruff format $(LINTED)
 
 clean:
-	@rm -rf $(DEMO_VENV) $(TEST_VENV) $(LOWEST_VENV) demo build dist relmap.egg-info \
+	@rm -rf $(DEMO_VENV) $(TEST_VENV) $(LOWEST_VENV) relmap-demo build dist relmap.egg-info \
 		.mypy_cache .ruff_cache .pytest_cache .hypothesis
 
 # A copy as a user installs it; build/ is removed so that no deleted module stays in it.

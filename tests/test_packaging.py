@@ -74,7 +74,7 @@ def source_files(root: Path) -> list[str] | None:
 
 def leftovers(root: Path) -> Callable[[str, list[str]], set[str]]:
     """Return the function by which shutil.copytree leaves out what are not sources."""
-    at_root = shutil.ignore_patterns(".git", ".venv*", "build", "dist", "demo", ".*_cache")
+    at_root = shutil.ignore_patterns(".git", ".venv*", "build", "dist", "relmap-demo", ".*_cache")
     anywhere = shutil.ignore_patterns("*.egg-info", "__pycache__", ".hypothesis")
 
     def ignore(folder: str, names: list[str]) -> set[str]:
