@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from relmap.cli.outcome import torn
+from relmap.cli.outcome import broken, torn
 from relmap.datasets import write_scans_npz
 from relmap.datasets.scans import ScanLog
 from relmap.evaluation import metrics
@@ -169,6 +169,18 @@ def closing(*submaps: tuple[int, bool], walls: int = 9) -> str:
         end += n
     about = {"submaps": rows, "weak_links": [], "steps": steps, "variant": "planes"}
     return torn(about | {"counts": {"planes_static": walls}}, refine=True)
+
+
+def test_scans_in_the_midst_that_fit_nowhere_are_named_and_no_break() -> None:
+    rows = [
+        {"scans": n, "refined": True, "metres": 1.0, "iterations": at}
+        for n, at in ((60, [0, 62]), (2, [20, 21]), (1, [30, 30]))
+    ]
+    summary = {"submaps": rows, "counts": {"planes_static": 9}}
+    said = "; scans that fit nowhere, and are not in the map: 3 (iterations 20-21, 30)"
+    assert broken(summary) == said
+    rows[1]["iterations"] = [63, 64]  # after the last of the others
+    assert "broke into 3 submaps" in broken(summary)
 
 
 @pytest.mark.parametrize(("scans", "failed"), [(3, ""), (4, "1 of 2 submaps of four scans")])

@@ -150,7 +150,8 @@ def broken(summary: dict[str, Any]) -> str:
     alone = _left_out(submaps)
     if len(alone) == len(submaps) - 1:
         n_scans = sum(submap["scans"] for submap in alone)
-        at = ", ".join(str(submap["iterations"][0]) for submap in alone[:FEW])
+        spans = (dict.fromkeys(map(str, submap["iterations"])) for submap in alone[:FEW])
+        at = ", ".join("-".join(span) for span in spans)
         at += ", ..." if len(alone) > FEW else ""
         return f"; scans that fit nowhere, and are not in the map: {n_scans} (iterations {at})"
     parts = f"; the run broke into {len(submaps)} submaps"
