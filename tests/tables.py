@@ -41,3 +41,12 @@ def poses_along(*axes: ArrayLike) -> Floats:
     poses = np.tile(np.eye(4), (len(at), 1, 1))
     poses[:, : at.shape[1], 3] = at
     return poses
+
+
+def walls_of(ends: Floats, corner: list[list[int]]) -> PlaneTable:
+    """Return walls with these ends (w, 2, 2) and corners (w, 2)."""
+    n = len(ends)
+    way = ends[:, 1] - ends[:, 0]
+    along = way / np.linalg.norm(way, axis=1)[:, None]
+    normal = np.column_stack([-along[:, 1], along[:, 0]])
+    return wall_table(ends, normal=normal, corner=np.array(corner), observations=np.full(n, 10))
