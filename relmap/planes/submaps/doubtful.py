@@ -38,6 +38,9 @@ which beams must exclude it, too; and how many scans apart both scans may be."""
 CHANGE_M, AWAY_M = 0.1, 0.25
 """Size of the changes by which beams may improve a step, and distance beyond which it is listed; so
 is one as far from odometry."""
+USUALLY, LEAP, LEAP_M = 0.9, 3.0, 0.5
+"""A step is listed that is longer than so many times this quantile of all steps, and this length: a
+robot carried to a place that looks like another."""
 LOOSE = np.diag([1e-3, 1e-4, 1e-4])
 """Information that keeps directions finite that no wall determines: rotation, x, y; as of so many
 metres of wall."""
@@ -54,10 +57,11 @@ def undetermined_steps(
     before and of the four after it, if they differ, and by motions nearer to these that the walls
     of both scans imply. It is determined if the beams of both scans exclude all of these, neither
     shows one wall only, and, if few common walls cross, no small changes that the beams prefer lead
-    away from it, one after the other. Where a submap continues after scans that are not part of it,
-    the motion is since the last one that is. Without beams, and with odometry, the walls decide
-    (`PlaneHistory.weak_links`); steps that contradict odometry are listed, too. From one log to the
-    next there is no step: the place of a log in the map is determined by a stretch of it.
+    away from it, one after the other. A step far longer than the others is listed, too. Where a
+    submap continues after scans that are not part of it, the motion is since the last one that is.
+    Without beams, and with odometry, the walls decide (`PlaneHistory.weak_links`); steps that
+    contradict odometry are listed, too. From one log to the next there is no step: the place of a
+    log in the map is determined by a stretch of it.
     """
     if _have_odometry(links):
         against = _against_odometry(submaps, links)
@@ -79,6 +83,9 @@ def undetermined_steps(
             weak[scan] = one_wall or excluded < least[scan]
             if history.hardly_crossed[scan] and not weak[scan]:
                 weak[scan] = _leads_away(step, earlier, later)
+    if len(steps):
+        way_m = np.hypot(*(steps[:, 1:] / gap).T)
+        weak[after[way_m > LEAP * np.quantile(way_m, USUALLY) + LEAP_M]] = True
     weak[after[between_logs(links.begun, before, after)]] = False
     return np.flatnonzero(weak)
 

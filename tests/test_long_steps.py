@@ -1,0 +1,31 @@
+"""Steps that are far longer than the others are listed: the robot may have been carried."""
+
+from __future__ import annotations
+
+import pytest
+
+from relmap import PlaneMapper
+from relmap.datasets.scans import ScanLog
+from relmap.evaluation.feeding import preparation
+from relmap.evaluation.sources import log_of
+from relmap.simulation import simulate_building
+
+
+@pytest.fixture(scope="module")
+def log() -> ScanLog:
+    return log_of(simulate_building(181, 0.01, sampling="laser", iterations=90))
+
+
+@pytest.mark.parametrize(("left_out", "listed"), [(0, []), (2, []), (12, [35])])
+def test_a_step_far_longer_than_the_others_is_listed(
+    left_out: int, listed: list[int], log: ScanLog
+) -> None:
+    mapper = PlaneMapper()
+    prepare = preparation(mapper, log)
+    for k in [*range(35), *range(35 + left_out, 90)]:
+        points = log.points_of(k)
+        mapper.update(prepare(points), beams=points)
+    mapper.finish()
+    mapper.refine()
+    assert [submap.n_scans for submap in mapper.submaps] == [90 - left_out]
+    assert mapper.weak_links.tolist() == listed
