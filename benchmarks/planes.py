@@ -23,12 +23,14 @@ from relmap.datasets import open_scans
 from relmap.datasets.scans import ScanLog
 from relmap.evaluation import metrics
 from relmap.evaluation.evaluate import evaluate
+from relmap.evaluation.feeding import Fed, feed
 from relmap.evaluation.relations import relation_errors, relations_by_clocks
-from relmap.evaluation.run import Run, run_mapper
+from relmap.evaluation.run import result_of
 from relmap.evaluation.sources import log_of, truth_of
 from relmap.evaluation.truth import Truth
 from relmap.planes.pairwise import pairwise_map
 from relmap.planes.walls.files import PlaneResult
+from relmap.planes.walls.table import PlaneTable
 from relmap.simulation import simulate_building
 
 SIGMAS = (0.0, 0.05, 0.1, 0.2)
@@ -114,16 +116,15 @@ def _simulated(world: Any, sigma: float, seed: int) -> Figures:
     building = simulate_building(sigma=sigma, seed=seed, world=world, sample_ends=sigma == 0.0)
     log, truth = log_of(building), truth_of(building)
     mapper = PlaneMapper()
-    run = run_mapper(mapper, log)
-    chained = evaluate(run.result, truth)
-    literal = _literal(mapper, run, truth)
+    result, fed = _mapped(mapper, log)
+    chained = evaluate(result, truth)
+    literal = _literal(mapper, result.planes, truth)
     began = process_time()
     mapper.refine()
     refine_ms = 1e3 * (process_time() - began) * 700 / len(log)
     known = np.isfinite(mapper.trajectory[:, 0, 0])
     poses, stamps_s = mapper.trajectory[known], log.stamps_s[known]
-    assert isinstance(run.result, PlaneResult)
-    found = replace(run.result, poses=poses, stamps_s=stamps_s, planes=mapper.planes)
+    found = replace(result, poses=poses, stamps_s=stamps_s, planes=mapper.planes)
     refined = evaluate(found, truth)
     return Figures(
         chained.corner_rmse_m or np.nan,
@@ -132,19 +133,26 @@ def _simulated(world: Any, sigma: float, seed: int) -> Figures:
         refined.coverage or 0.0,
         refined.counts["false_corners"],
         refined.ate_m or np.nan,
-        run.result.summary["timing"]["median_ms"],
+        1e3 * float(np.median(fed.durations_s[:, 1])),
         refine_ms,
     )
 
 
-def _literal(mapper: PlaneMapper, run: Run, truth: Truth) -> float:
+def _mapped(mapper: PlaneMapper, log: ScanLog, refine: bool = False) -> tuple[PlaneResult, Fed]:
+    """Map a log; return the result, and processor times."""
+    fed = feed(mapper, log, "nearest", refine, clock=process_time)
+    result = result_of(mapper, log, fed.labels, "nearest", log.first_iteration)
+    assert isinstance(result, PlaneResult)
+    return result, fed
+
+
+def _literal(mapper: PlaneMapper, planes: PlaneTable, truth: Truth) -> float:
     """Return the corner RMSE of the paper's literal recipe, from the same observations.
 
     The association is that of the mapper: its corners are compared.
     """
     history = mapper.history
     ends = pairwise_map(history, int(history.plane.max()) + 1)
-    planes = run.planes
     at, end = np.nonzero(planes.corner >= 0)
     mapped = np.isfinite(mapper.trajectory[:, 0, 0])
     R, t = fit_rigid(mapper.trajectory[mapped, :2, 3], truth.poses[mapped, :2, 3])
@@ -165,13 +173,11 @@ def _print_logs(data: Path) -> None:
     for name, path, interval in LOGS:
         log = open_scans(data / path)
         part = log if interval is None else log.between(*interval)
-        run = run_mapper(PlaneMapper(), part, refine=True)
         scans = "all" if interval is None else f"{interval[0]}:{interval[1]}"
-        row(name, scans, *_logged(run, part, data, name))
+        row(name, scans, *_logged(*_mapped(PlaneMapper(), part, refine=True), part, data, name))
 
 
-def _logged(run: Run, log: ScanLog, data: Path, name: str) -> list[str]:
-    result = run.result
+def _logged(result: PlaneResult, fed: Fed, log: ScanLog, data: Path, name: str) -> list[str]:
     assert log.poses is not None
     mine, other = metrics.match_stamps(result.stamps_s, log.stamps_s)
     ate = metrics.ate(result.poses[mine], log.poses[other], planar=True)
@@ -181,10 +187,10 @@ def _logged(run: Run, log: ScanLog, data: Path, name: str) -> list[str]:
         errors = relation_errors(result.stamps_s, result.poses, relations)
         if errors is not None:
             found = [f"{errors.shift_m:.3f}", f"{np.rad2deg(errors.turn_rad):.2f}"]
-    timing = result.summary["timing"]
+    segment_ms, update_ms = 1e3 * np.median(fed.durations_s, axis=0)
     cells = [f"{ate:.3f}", f"{len(result.poses) / len(log):.1%}", *found]
-    cells += [f"{(run.planes.status == 'static').sum()}", f"{timing['median_ms']:.2f}"]
-    return [*cells, f"{timing['segmentation_median_ms']:.2f}", f"{timing['refine_ms'] / 1e3:.1f}"]
+    cells += [f"{(result.planes.status == 'static').sum()}", f"{update_ms:.2f}"]
+    return [*cells, f"{segment_ms:.2f}", f"{fed.refine_s:.1f}"]
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ import argparse
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from time import perf_counter
+from time import process_time
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -177,12 +177,12 @@ def cost(iterations: int = 300, warm_up: int = 20) -> None:
         times, previous = [], None
         for scan in log.scans():
             points = scan.points_robot
-            begin = perf_counter()
+            begin = process_time()
             if previous is not None:
                 cKDTree(points).query(previous)
-            middle = perf_counter()
+            middle = process_time()
             registration.match(points, None)
-            times.append((middle - begin, perf_counter() - middle))
+            times.append((middle - begin, process_time() - middle))
             previous = points
         tree, match = 1e3 * np.median(times[warm_up:], axis=0)
         visible = len(log.points_robot) / len(log)

@@ -9,8 +9,8 @@ prints one table in markdown; DATA is a folder of the real data sets.  Settings 
   right    fraction of the scans in submaps of at least two scans with an ATE of at most 5 cm
   ATE      of the largest submap, and the worst of all submaps
   turn     median error of the rotation from scan to scan, degrees
-  wrong    steps between neighbouring scans of a submap, not listed as weak, that are off by more
-           than 10 cm or 3 degrees: silently wrong
+  wrong    steps between neighbouring scans of a submap, neither of them listed as weak, that are
+           off by more than 10 cm or 3 degrees: silently wrong
   recall   of the true planes over 0.25 m2 that two scans saw, the fraction that is mapped, and the
            fraction of mapped ones that are true; of simulated logs (`relmap.evaluation.space`)
   double   fraction of the area of planes that another plane of the map covers

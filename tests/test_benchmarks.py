@@ -122,6 +122,13 @@ def test_every_benchmark_has_a_help_text(child_env: dict[str, str]) -> None:
         assert text.startswith(f"usage: {script.name}")
 
 
+@pytest.mark.parametrize("script", BENCHMARKS, ids=lambda script: script.name)
+def test_times_of_maps_are_processor_times_as_the_document_says(script: Path) -> None:
+    text = script.read_text(encoding="utf-8")
+    assert '["timing"]' not in text  # of a summary: wall time
+    assert "perf_counter" not in text or "wall" in text or "clock" in text
+
+
 def test_every_table_of_the_document_is_written_by_a_benchmark(repo_root: Path) -> None:
     text = (repo_root / "docs" / "benchmarks.md").read_text(encoding="utf-8")
     section = re.compile(

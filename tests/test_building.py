@@ -10,7 +10,7 @@ from relmap.core.arrays import Floats
 from relmap.simulation import Building, BuildingScan, building_scene, simulate_building
 from relmap.simulation.building import SENSOR_HEIGHT_M
 from relmap.simulation.floor_plan import World, make_floor_plan
-from relmap.simulation.sensor import Sampling, Sensor
+from relmap.simulation.sensor import Sampling, Sensor, sensor_of
 from relmap.simulation.shapes import wall_distances
 from tests.segments import crossings
 
@@ -200,6 +200,15 @@ def test_the_noise_of_beams_is_along_them() -> None:
         along = ((noisy - clean) * ray).sum(axis=1)
         np.testing.assert_allclose(noisy, clean + along[:, None] * ray, atol=1e-12)
         assert along.std() == pytest.approx(0.1, rel=0.05)
+
+
+@pytest.mark.parametrize("sampling", ["rays", "laser"])
+def test_no_beam_measures_behind_the_sensor_however_large_the_noise(sampling: Sampling) -> None:
+    scan = building_scene(1, points=4000, sigma=3.0, sampling=sampling)
+    half_view = sensor_of(sampling).view_rad / 2
+    bearing = np.arctan2(scan.points[:, 1], scan.points[:, 0])
+    assert np.abs(bearing).max() <= half_view + 1e-9
+    assert scan.ranges_m is None or (scan.ranges_m > 0).all()
 
 
 def test_rays_are_a_grid_of_azimuth_and_elevation() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -61,6 +62,12 @@ def test_planes_found_right_and_off() -> None:
     assert told["doubled_area"] == 0
 
 
+def test_a_plane_lies_where_most_of_it_is() -> None:
+    for x, precision in ((0.4, 1), (0.7, 0)):
+        told = judge_planes(table(([x, 0, 0], 1.0)), faces(SQUARE), POSES, POSES)
+        assert (told["plane_recall"], told["plane_precision"]) == (precision, precision)
+
+
 def test_a_true_face_without_area_matches_nothing() -> None:
     told = judge_planes(table(([0, 0, 0], 1.0)), faces(0 * SQUARE, SQUARE), POSES, POSES)
     assert (told["plane_recall"], told["plane_precision"]) == (0.5, 1)
@@ -83,6 +90,11 @@ def test_doubled_area_counts_planes_on_one_another() -> None:
     assert doubled_area(table(([0, 0, 0], 1.0), ([0.5, 0, 0.02], 1.0))) == pytest.approx(0.5)
     assert doubled_area(table(([0, 0, 0], 1.0), ([0.5, 0, 0.2], 1.0))) == 0
     assert doubled_area(table()) is None
+    high = table(([0, 0, 5], 1.0), ([0.5, 0, 5.02], 1.0))
+    assert doubled_area(high) == pytest.approx(0.5)
+    sides = np.array([1.0, -1.0])  # of a thin wall
+    of_wall = replace(high, normal=high.normal * sides[:, None], offset=high.offset * sides)
+    assert doubled_area(of_wall) == 0
 
 
 def test_without_faces_only_doubled_area_is_known() -> None:

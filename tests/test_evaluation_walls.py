@@ -7,7 +7,7 @@ import pytest
 
 from relmap.core.arrays import Floats
 from relmap.evaluation.truth import Truth
-from relmap.evaluation.walls import doubled_length, judge_walls, match_corners
+from relmap.evaluation.walls import doubled_length, judge_corners, judge_walls, match_corners
 from relmap.planes.walls.table import PlaneTable
 from tests.tables import poses_along, wall_table
 from tests.worlds import turn
@@ -47,6 +47,23 @@ def test_a_true_wall_without_length_matches_nothing() -> None:
     matched = match_corners(mapped, truth, POSES, POSES)
     assert matched is not None
     assert np.unique(matched.wall).tolist() == [1, 2, 3, 4]
+
+
+def test_a_corner_without_a_true_one_near_that_faces_alike_is_false() -> None:
+    inside = np.array([[0.0, 1], [-1, 0], [0, -1], [1, 0]])
+    ends, normal = ROOM.copy(), inside.copy()
+    ends[0] += [0.0, 0.9]
+    normal[3] = [np.sin(0.6), np.cos(0.6)]  # 56 degrees off
+    mapped = wall_table(ends, corner=np.arange(8).reshape(4, 2), normal=normal)
+    matched = match_corners(mapped, Truth(ends=ROOM), POSES, POSES)
+    assert matched is not None
+    assert np.unique(matched.wall).tolist() == [1, 2]
+    assert matched.n_false == 4
+    assert matched.rmse_m == pytest.approx(0.0, abs=1e-9)
+    seen = np.array([[0, 0], [10, 9], [10, 10], [9, 10]])
+    figures, counts, _ = judge_corners(mapped, Truth(ends=ROOM, corner_scans=seen), POSES, matched)
+    assert counts["due_corners"] == 4
+    assert figures["coverage"] == 3 / 4
 
 
 def test_shares_are_of_the_length() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -195,6 +196,31 @@ def test_layout_and_sign_of_zero_do_not_matter() -> None:
     with pytest.raises(RelmapError, match="spread of the patches has a number that is not finite"):
         plain.update(replace(seen, spread=seen.spread * np.nan))
     assert plain.n_iterations == 2
+
+
+@pytest.mark.parametrize(
+    ("changed", "wrong"),
+    [
+        ({"centre": np.zeros((1, 3))}, "centre of the patches has the shape"),
+        ({"loose": np.zeros((4, 2))}, "loose of the patches has the shape"),
+        ({"cells": np.zeros((5, 3))}, "cells of the patches has the shape"),
+        ({"cell_patch": 1}, "must ascend"),
+        ({"cell_patch": -1}, "must ascend"),
+        ({"reach_m": 0.0}, "must be above 0"),
+        ({"cell_m": np.nan}, "must be above 0"),
+    ],
+)
+def test_patches_that_do_not_fit_together_leave_the_mapper_as_it_was(
+    changed: dict[str, Any], wrong: str
+) -> None:
+    mapper, scans = Plane3dMapper(), simulate_storey("lidar", 0.01, 2).scans
+    mapper.update(scans[0])
+    seen = PatchSegmenter().fit(scans[1]).patches_
+    if isinstance(changed.get("cell_patch"), int):
+        changed = {"cell_patch": seen.cell_patch + changed["cell_patch"]}
+    with pytest.raises(RelmapError, match=wrong):
+        mapper.update(replace(seen, **changed))
+    assert len(mapper.update(seen)) == len(seen)
 
 
 def test_patches_of_other_types_of_numbers_are_kept(tmp_path: Path) -> None:

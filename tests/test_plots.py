@@ -98,6 +98,17 @@ def test_the_title_is_not_cut_off(size: tuple[float, float]) -> None:
     assert title.y1 <= sheet.figure.bbox.y1
 
 
+@pytest.mark.parametrize("wide", [0.0, 0.2, 0.35, 1.0])
+def test_the_label_of_the_colours_of_a_flat_picture_is_not_cut_off(wide: float) -> None:
+    result = make_result(9, planar=True)
+    table = replace(result.landmarks, position=result.landmarks.position * [1, wide, 0])
+    figure = plot_run(replace(result, landmarks=table))
+    (bar,) = (axes for axes in figure.axes if "deviation" in axes.get_ylabel())
+    box = bar.yaxis.label.get_window_extent()
+    assert figure.bbox.x0 <= box.x0 < box.x1 <= figure.bbox.x1
+    assert figure.bbox.y0 <= box.y0 < box.y1 <= figure.bbox.y1
+
+
 def test_only_a_part_of_very_many_groups_is_shown() -> None:
     result = make_result(100)
     figure = plot_run(result, [np.arange(100)] * 600)

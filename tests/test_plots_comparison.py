@@ -77,6 +77,13 @@ def test_a_sweep_is_a_line_of_medians_for_each_method() -> None:
     np.testing.assert_allclose(lines["batch"], [[0.1, 0.2], [0.2, 0.4], [0.4, 0.8]])
 
 
+def test_the_errors_of_a_sweep_from_no_noise_on_can_be_read() -> None:
+    rows = [SweepRow("relmap", at, {"ate_m": max(at, 1e-14)}) for at in (0.0, 0.02, 0.1)]
+    axes = plot_sweep(rows, "noise [m]").axes[0]
+    low, high = axes.get_ylim()
+    assert sum(low <= at <= high for at in axes.get_yticks()) >= 3
+
+
 def test_a_sweep_without_numbers_is_a_comparison_of_medians() -> None:
     axes = plot_sweep(sweep_rows(False), "").axes[0]
     dots = [float(np.asarray(line.get_xdata())[0]) for line in axes.get_lines()]

@@ -96,6 +96,7 @@ def test_the_command_maps_the_same_again(logs: Path, tmp_path: Path) -> None:
     more += ["--range-sigma", "0.05", "--bearing-sigma", "0.01"]
     assert main(["map", str(logs / "flat"), "-o", str(tmp_path / "a"), *more]) == 0
     page = (tmp_path / "a" / "report.html").read_text()
+    assert "<td>scans</td><td>2:25</td>" in page
     (command,) = re.findall("<code>relmap (.*)</code>", page)
     words = command.replace("RESULT", str(tmp_path / "b")).replace("flat", str(logs / "flat"))
     assert main(words.split()) == 0

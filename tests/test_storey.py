@@ -61,6 +61,10 @@ def test_boxes_move_and_belong_to_no_face() -> None:
     assert world.corners.shape == still.corners.shape
 
 
+def test_no_point_is_behind_the_sensor_however_large_the_noise() -> None:
+    assert (simulate_storey("depth", 5.0, 2).scans[1][:, 0] >= 0).all()
+
+
 def test_settings_out_of_range_are_refused() -> None:
     for settings in ({"storeys": 3}, {"storeys": 0}, {"moving": -1}):
         with pytest.raises(RelmapError, match="storeys must be 1 or 2"):

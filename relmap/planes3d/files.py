@@ -145,9 +145,18 @@ def checked_patches(seen: Patches) -> Patches:
     wrong = next((name for name, array in arrays.items() if not np.isfinite(array).all()), None)
     if wrong is not None:
         raise RelmapError(f"{wrong} of the patches has a number that is not finite")
+    m, c = len(seen), len(seen.cell_patch)
+    shapes = [(m, 3), (m, 3, 3), (m, 3), (m, 3), (c, 3), (len(seen.loose), 3)]
+    for (name, array), shape in zip(arrays.items(), shapes, strict=True):
+        if array.shape != shape:
+            raise RelmapError(f"{name} of the patches has the shape {array.shape}, not {shape}")
     if not (arrays["information"][:, 2] > 0).all():
         raise RelmapError("information of the patches must be above 0 for the distance")
     whole = {name: getattr(seen, name).astype(np.int64) for name in ("n_points", "cell_patch")}
+    if (np.diff(whole["cell_patch"], prepend=0, append=max(m - 1, 0)) < 0).any():
+        raise RelmapError("cell_patch of the patches must ascend, and number them from 0 on")
+    if m and not (0 < seen.cell_m < np.inf and 0 < seen.reach_m < np.inf):
+        raise RelmapError("cell_m and reach_m of the patches must be above 0")
     return replace(seen, **arrays, **whole)
 
 

@@ -32,6 +32,8 @@ OURS = "relmap"
 ROW_IN = 0.34
 MANY = 30.0
 """Ratio of the largest to the smallest figure above which only powers of ten are labelled."""
+WIDE = 1e4
+"""The same for an axis of a sweep; without noise the errors are those of rounding."""
 PANELS = {
     "corner_rmse_m": "RMSE of corners [m]",
     "often_rmse_m": "RMSE of landmarks seen ten times [m]",
@@ -108,7 +110,8 @@ def plot_sweep(rows: Sequence[SweepRow], along: str) -> Figure:
         for k, name in enumerate(names):
             _draw_line(axes, [row for row in rows if row.name == name], key, name, k)
         axes.set_yscale("log")
-        write_in_full(axes.yaxis)
+        low, high = axes.get_ylim()
+        write_in_full(axes.yaxis, (1, 2, 5) if high < WIDE * low else (1,))
         finish(axes, "", along, PANELS[key])
     legend_below(figure, 3, *all_axes)
     return figure

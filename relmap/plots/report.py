@@ -119,7 +119,9 @@ def _sections(summary: Mapping[str, Any]) -> Iterator[str]:
 
 def _made(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     for key in ("format", "variant", "association", "dimensions", "scans", "seed", "refined"):
-        yield key, _cell(summary.get(key))
+        value = summary.get(key)
+        # As --scans takes them: the second number is beyond the last scan.
+        yield key, ":".join(map(str, value)) if key == "scans" and value else _cell(value)
     yield from _flat(summary["configuration"])
     yield from _flat(summary["versions"])
 

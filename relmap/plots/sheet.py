@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from io import BytesIO
 from pathlib import Path
+from textwrap import fill
 from typing import Any, ParamSpec
 
 import matplotlib as mpl
@@ -34,6 +35,8 @@ HEIGHT_IN = 8.0
 BESIDE_IN, ABOVE_IN, BELOW_IN, NARROWEST_IN = 2.1, 1.1, 0.6, 6.5
 LEGEND_ROW_IN = 0.2
 """Height of each row of a legend beyond the first."""
+LOW_IN, SHORT = 3.5, 20
+"""Height up to which the label of a colour bar is in lines of so many characters."""
 NARROWEST = 0.15
 """Minimum width of a view, relative to its length."""
 BULK = (0.05, 0.95)
@@ -150,6 +153,7 @@ class Sheet:
     def add_colours(self, dots: Any, label: str) -> None:
         """Add a colour bar for the colours of dots to the right of the views."""
         beside = [axes for axes, _ in self.views]
+        label = label if self.figure.get_figheight() > LOW_IN else fill(label, SHORT)
         bar = self.figure.colorbar(dots, ax=beside, label=label, aspect=40, shrink=0.9)
         if isinstance(dots.norm, LogNorm):
             lowest, highest = dots.get_clim()

@@ -145,8 +145,7 @@ class Scanner:
         bearing, stretch, distance = self._met(seen, columns)
         z = distance[:, None] * np.tan(elevation)
         column, row = np.nonzero((z >= z_robot[0]) & (z <= z_robot[1]) & (stretch[:, None] >= 0))
-        ranges = distance[column] / np.cos(elevation[row])
-        ranges += self._errors(ranges, rng)
+        ranges = self._measured(distance[column] / np.cos(elevation[row]), rng)
         flat = ranges * np.cos(elevation[row])
         z = ranges * np.sin(elevation[row])
         return BuildingScan(_points(flat, bearing[column], z), seen, stretch[column])
@@ -163,9 +162,13 @@ class Scanner:
             stretch = np.where(hidden, -1, stretch)
             distance = np.where(hidden, before_m, distance)
         met = distance > 0
-        ranges = distance + self._errors(distance, rng)
+        ranges = self._measured(distance, rng)
         points = _points(ranges[met], bearing[met], np.zeros(int(met.sum())))
         return BuildingScan(points, seen, stretch[met], np.where(met, ranges, np.inf))
+
+    def _measured(self, ranges: Floats, rng: np.random.Generator) -> Floats:
+        """Add noise to ranges; none is negative, which would be behind the sensor."""
+        return np.abs(ranges + self._errors(ranges, rng))
 
     def _errors(self, of: Floats, rng: np.random.Generator) -> Floats:
         return draw_noise(self.noise, self.sigma, of.shape, rng)

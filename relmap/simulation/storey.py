@@ -114,7 +114,7 @@ def simulate_storey(
         noise = sigma * rng.standard_normal(seen.sum())
         if sensor == "depth":
             noise *= (range_m[seen] * rays[seen, 0] / 2) ** 2
-        scans.append((range_m[seen] + noise)[:, None] * rays[seen])
+        scans.append(np.abs(range_m[seen] + noise)[:, None] * rays[seen])
         faces.append(face[seen])
     steps = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
     corners = rooms.origin[:, None] + steps @ rooms.sides
