@@ -52,7 +52,9 @@ def test_clouds_of_a_2d_laser_are_its_scans(tmp_path: Path) -> None:
     assert laser.dimension == 2
     expected = [(1 + k / 10) * np.delete(fan, 5, axis=0)[:: 1 - 2 * (k % 2), :2] for k in range(8)]
     assert np.allclose(points_of(laser), expected)
-    for other in (fan + np.array([0.0, 0.0, 0.1]), np.random.default_rng(1).permutation(fan)):
+    (tmp_path / "7.pcd").write_bytes(pcd(fan + np.array([0.1, 0.0, 0.3])))  # on the robot
+    assert points_of(open_scans(tmp_path))[:7] == points_of(laser)[:7]
+    for other in (fan[:, [0, 1, 1]], np.random.default_rng(1).permutation(fan)):
         (tmp_path / "7.pcd").write_bytes(pcd(other))
         assert open_scans(tmp_path).dimension == 3
 
