@@ -18,7 +18,7 @@ from relmap.core.arrays import Floats
 from relmap.datasets import ObservationLog, open_log, write_observation_csv
 from relmap.simulation.worlds import World, WorldSpec, simulate_world
 from tests.commands import load
-from tests.worlds import aligned_rmse, refined, turn, walk
+from tests.worlds import aligned_rmse, ate_m, refined, turn, walk
 
 pytestmark = pytest.mark.usefixtures("unrendered")
 
@@ -44,6 +44,11 @@ def error(mapper: PointMapper, truth: World) -> float:
     return aligned_rmse(found.positions[:, :d], truth.landmarks_map[found.landmark_ids, :d])
 
 
+def path_error(mapper: PointMapper, truth: World) -> float:
+    known = np.isfinite(mapper.trajectory[:, 0, 0])
+    return ate_m(mapper.trajectory[known], truth.trajectory[known])
+
+
 @pytest.mark.parametrize(("noise", "gain"), [("bearing", 2.0), ("stereo", 2.0), ("growing", 1.1)])
 @pytest.mark.parametrize("space", [False, True])
 @pytest.mark.parametrize("given", [True, False])
@@ -55,6 +60,7 @@ def test_a_map_gains_by_covariances(noise: str, gain: float, space: bool, given:
     weighed = mapped(replace(truth.log, covariances=truth.covariances if given else None))
     assert len(weighed.map.positions) == len(plain.map.positions)
     assert error(weighed, truth) * gain < error(plain, truth)
+    assert path_error(weighed, truth) * gain < path_error(plain, truth)
 
 
 def test_equal_covariances_change_next_to_nothing() -> None:

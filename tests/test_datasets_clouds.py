@@ -41,6 +41,24 @@ def test_clouds_in_the_order_of_their_numbers(
     assert points_of(part) == points_of(log)[1:]
 
 
+def test_clouds_of_a_2d_laser_are_its_scans(tmp_path: Path) -> None:
+    bearings = np.linspace(-1.5, 1.5, 40)
+    fan = np.column_stack([np.cos(bearings), np.sin(bearings), np.zeros(40)])
+    fan *= (2 + np.cos(7 * bearings))[:, None]
+    fan[5] = 0.0  # a beam without a return
+    for k in range(8):
+        (tmp_path / f"{k}.pcd").write_bytes(pcd((1 + k / 10) * fan[:: 1 - 2 * (k % 2)]))
+    laser = open_scans(tmp_path)
+    assert laser.dimension == 2
+    expected = [(1 + k / 10) * np.delete(fan, 5, axis=0)[:: 1 - 2 * (k % 2), :2] for k in range(8)]
+    assert np.allclose(points_of(laser), expected)
+    (tmp_path / "7.pcd").write_bytes(pcd(fan + np.array([0.1, 0.0, 0.3])))  # on the robot
+    assert points_of(open_scans(tmp_path))[:7] == points_of(laser)[:7]
+    for other in (fan[:, [0, 1, 1]], np.random.default_rng(1).permutation(fan)):
+        (tmp_path / "7.pcd").write_bytes(pcd(other))
+        assert open_scans(tmp_path).dimension == 3
+
+
 def test_poses_beside_the_clouds(tmp_path: Path) -> None:
     rows = []
     for number in range(3):

@@ -12,9 +12,10 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.gaps import is_bridged
 from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup, Submap, in_space
 from relmap.core.map.leaps import Gaps, gaps_of
-from relmap.core.map.pose import known_poses, trajectory
+from relmap.core.map.pose import known_poses, weigh_poses
 from relmap.core.map.unseen import Part, contradicting
 from relmap.core.mapper import RelativeMapper
+from relmap.core.refinement.condensing import SegmentRows
 from relmap.core.refinement.creeping import creep_of
 from relmap.core.state.table import NONE, LandmarkState
 
@@ -107,8 +108,10 @@ def path(engine: RelativeMapper) -> Floats:
     """Return ``T_map_robot`` of every iteration (k, 4, 4); NaN where undetermined."""
     if engine.odometry is not None and engine.odometry.is_used:
         return engine.odometry.poses_in(engine.map.first)
-    positions = mapped_positions(engine)
-    return trajectory(engine.rows, positions, engine.table.landmark_of, _noise_m(engine))
+    poses = np.full((len(engine.rows.iteration_segment), 4, 4), np.nan)
+    at, known = _known_poses(engine, engine.rows, mapped_positions(engine))
+    poses[at] = known
+    return poses
 
 
 def gaps(engine: RelativeMapper, known: Ints, places_map: Floats) -> Gaps | None:
@@ -157,9 +160,20 @@ def paths(engine: RelativeMapper) -> list[tuple[Ints, Floats]]:
     order = np.argsort(rank_of, kind="stable")
     begins = np.searchsorted(rank_of[order], np.arange(n_submaps + 1))
     for begin, end in pairwise(begins.tolist()):
-        own = rows.only(order[begin:end])
-        found.append(known_poses(own, engine.table.position, of, _noise_m(engine)))
+        positions = np.where(ranks[:, None] == len(found), engine.table.position, np.nan)
+        found.append(_known_poses(engine, rows.only(order[begin:end]), positions))
     return found
+
+
+def _known_poses(
+    engine: RelativeMapper, rows: SegmentRows, positions: Floats
+) -> tuple[Ints, Floats]:
+    """Return the iterations (p,) whose pose the landmarks at positions (m, d) tell, and these."""
+    of, kept = engine.table.landmark_of, engine.kept
+    known, poses = known_poses(rows, positions, of, _noise_m(engine))
+    if len(kept.covariance):
+        weigh_poses(known, poses, kept, positions, of)
+    return known, poses
 
 
 def _noise_m(engine: RelativeMapper) -> float:

@@ -18,6 +18,7 @@ from relmap.datasets.base import Dataset, ObservationLog, Scan
 from relmap.datasets.carmen_log import CarmenLog, carmen_logs
 from relmap.datasets.depth_images import DepthImages
 from relmap.datasets.dlr_circles import DlrCircles
+from relmap.datasets.flat_clouds import as_laser
 from relmap.datasets.foreign import foreign_at
 from relmap.datasets.headers import read_head
 from relmap.datasets.kitti_bin import KittiBin
@@ -157,7 +158,10 @@ def _opened(
         if not isinstance(dataset, BagScans | BagDetections):
             raise invalid(path, f"is not a bag ({dataset.name}), so it has no topics")
         dataset = replace(dataset, topics=tuple(topics))
-    return with_odometry_beside(dataset.load(path), path)
+    log = dataset.load(path)
+    if isinstance(log, ScanLog):
+        log = as_laser(path, log)
+    return with_odometry_beside(log, path)
 
 
 def _chosen(path: Path, format: str | None, datasets: tuple[Dataset[Log], ...]) -> Dataset[Log]:

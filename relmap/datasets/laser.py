@@ -131,6 +131,21 @@ def usable_beams(
     return [(r > 0) & ~robot for r, robot in zip(known_m, own, strict=True)], limit_m
 
 
+def usable_points(
+    path: Path, points: Floats, offsets: Ints, range_m: float = np.inf
+) -> tuple[Bools, float]:
+    """Return which points (n, 2) of beams are usable, and the range below which.
+
+    See `usable_beams`.
+
+    `offsets` (k + 1,): scan `i` is the rows from ``offsets[i]`` to ``offsets[i + 1]``.
+    """
+    ranges_m, bearing = np.hypot(*points.T), np.arctan2(points[:, 1], points[:, 0])
+    beams = np.split(ranges_m, offsets[1:-1]), np.split(bearing, offsets[1:-1])
+    usable, limit_m = usable_beams(path, *beams, range_m=range_m)
+    return np.concatenate(usable), limit_m
+
+
 def require_near(path: Path, ranges_m: Sequence[Floats]) -> None:
     """Raise a `RelmapError` if all points of all scans, (n,) each, are too far for any sensor."""
     nearest_m = min(float(r[r > 0].min(initial=np.inf)) for r in [*ranges_m, np.zeros(1)])

@@ -21,12 +21,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.arrays import Bools, Floats
+from relmap.core.arrays import Floats
 from relmap.core.stamps import MAX_S
 from relmap.datasets.assembly import MAX_COORDINATE_M
 from relmap.datasets.foreign import ZIP, foreign_at
 from relmap.datasets.headers import file_in
-from relmap.datasets.laser import usable_beams
+from relmap.datasets.laser import usable_points
 from relmap.datasets.scans import ScanLog, SensorView, in_time_order, numbers_of, stored_scans
 from relmap.datasets.textfile import invalid, quoted, replacing, require_path, unreadable, warn
 
@@ -87,7 +87,8 @@ class ScansNpz:
         if points_robot.shape[1] == 2:
             _doubt_axes(file, points_robot, iteration)
             within_m = limits.get("range_m", np.inf)
-            returned, limit_m = _returned(file, points_robot, iteration, within_m)
+            begins = np.searchsorted(iteration, np.arange(len(stamps_s) + 1))
+            returned, limit_m = usable_points(file, points_robot, begins, within_m)
             iteration, points_robot = iteration[returned], points_robot[returned]
             if np.isfinite(limit_m):
                 limits["range_m"] = min(limit_m, within_m)
@@ -105,20 +106,6 @@ def _doubt_axes(file: Path, points: Floats, iteration: NDArray[Any]) -> None:
     if len(steps) >= _ENOUGH and found.any():
         which = "bearing and range" if found[0] else "range and bearing"
         warn(file, f"the points look like {which}, expected x (ahead) and y (left), metres")
-
-
-def _returned(
-    file: Path, points: Floats, iteration: NDArray[Any], within_m: float
-) -> tuple[Bools, float]:
-    """Return which beams, points (n, 2), are usable, and the range of those that did not return.
-
-    `within_m`: range of the laser, infinity if unknown.
-    """
-    range_m, bearing = np.hypot(*points.T), np.arctan2(points[:, 1], points[:, 0])
-    bounds = np.flatnonzero(np.diff(iteration)) + 1
-    beams = np.split(range_m, bounds), np.split(bearing, bounds)
-    usable, limit_m = usable_beams(file, *beams, range_m=within_m)
-    return np.concatenate(usable), limit_m
 
 
 def write_scans_npz(

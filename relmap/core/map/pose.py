@@ -7,9 +7,10 @@ import numpy as np
 from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import sums_each
 from relmap.core.geometry.motions import transforms
-from relmap.core.geometry.robust import fit_robust_each
+from relmap.core.geometry.robust import OUTLIER, fit_robust_each
 from relmap.core.refinement.condensing import NOWHERE, SegmentRows
 from relmap.core.refinement.rows import numbered
+from relmap.core.state.kept import KeptObservations
 
 ABSURD = 0.01
 """Weight of an observation ten times as far off as the least outlier: it has no part in a pose."""
@@ -63,6 +64,31 @@ def known_poses(
     known, R, t = scans[fixed], R[fixed], t[fixed]
     there = np.einsum("nij,nj->ni", R, rows.t[known]) + t
     return known, transforms(R @ rows.R[known], there)
+
+
+def weigh_poses(
+    known: Ints, poses: Floats, kept: KeptObservations, positions_map: Floats, of: Ints
+) -> None:
+    """Fit poses (p, 4, 4) of iterations (p,) to observations by their covariances, in place.
+
+    Where one direction is measured many times better than another, or near landmarks than distant
+    ones, the fit of `known_poses` is several times as far off. `kept`: all observations, with
+    covariances; `positions_map`, `of`: as for `known_poses`. A pose stays as it is if too few
+    observations agree on another.
+    """
+    import relmap.core.geometry.weighted_kernels as kernels
+
+    there = positions_map[of[kept.landmark]]
+    rows = np.flatnonzero(np.isfinite(there).all(axis=1))
+    there, seen, d = there[rows], kept.location[rows], there.shape[1]
+    root = np.linalg.inv(np.linalg.cholesky(kept.covariance[rows]))
+    begin = np.searchsorted(kept.iteration[rows], known)
+    end = np.searchsorted(kept.iteration[rows], known, "right")
+    for pose, i, j in zip(poses, begin.tolist(), end.tolist(), strict=True):
+        if j - i >= d:
+            R, t, n_agreeing = kernels.weighted_fit_rows(there[i:j], seen[i:j], OUTLIER, root[i:j])
+            if n_agreeing >= d:
+                pose[:d, :d], pose[:d, 3] = R.T, -R.T @ t
 
 
 def squares_across(points: Floats, at: Ints, n: int) -> Floats:
