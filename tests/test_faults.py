@@ -160,6 +160,40 @@ def test_a_misread_id_does_not_capture_a_landmark() -> None:
         np.testing.assert_array_equal(found, np.append(ids[:30], strange))
 
 
+@pytest.mark.parametrize(("apart_m", "found"), [(0.1, -1), (5.0, 9)])
+def test_a_misread_id_beside_two_missed_landmarks_is_of_neither(apart_m: float, found: int) -> None:
+    rng = np.random.default_rng(0)
+    world, ids, rigidity = rng.uniform(-20, 20, (30, 2)), np.arange(30), Rigidity()
+    world[8] = world[9] + [apart_m, 0.0]
+    for _ in range(5):
+        rigidity.checked(ids, world + 0.02 * rng.standard_normal((30, 2)))
+    seen = np.delete(ids, [4, 8])
+    read = np.where(seen == 9, 4, seen)
+    checked = rigidity.checked(read, world[seen] + 0.02 * rng.standard_normal((28, 2)))
+    np.testing.assert_array_equal(checked, np.where(seen == 9, found, seen))
+
+
+@pytest.mark.parametrize(
+    ("missed", "misread", "expected"), [(0, False, -1), (1, False, 9), (1, True, -1)]
+)
+def test_a_missed_landmark_may_be_farther_off_unless_ids_are_doubtful(
+    missed: int, misread: bool, expected: int
+) -> None:
+    rng = np.random.default_rng(0)
+    world, ids, rigidity = rng.uniform(-20, 20, (30, 2)), np.arange(30), Rigidity()
+    for _ in range(5):
+        rigidity.checked(ids, world)
+    if missed:
+        seen = np.delete(ids, 9)
+        off = np.where(seen[:, None] == 4, 30.0 * misread, 0.0)
+        rigidity.checked(seen, world[seen] + off)
+    moved = world.copy()
+    moved[9, 0] += 1.5 * 0.02 * np.ptp(world, axis=0).max()  # 1.5 times the gate
+    found = rigidity.checked(ids, moved)
+    assert found is not None
+    assert found[9] == expected
+
+
 def test_overruled_observations_are_named() -> None:
     log, mapper = swapped_in(LOG, AT), PointMapper()
     labels = [mapper.update(scan.points_robot, scan.ids) for scan in log.scans()]

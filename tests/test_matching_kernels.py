@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association import matching_kernels, tracking_kernels
+from relmap.core.association.search_kernels import placements_by_triangles
 from relmap.core.refinement.live_kernels import united
 from tests.kernels import callable_here
 
@@ -180,3 +181,15 @@ def test_the_landmarks_of_two_lists_are_united(seed: int, n: int, m: int) -> Non
     shared = [one for one in expected.tolist() if one in last[0] and one in last[1]]
     places = [[rows[one] for one in shared] for rows in last]
     np.testing.assert_array_equal(both, np.array(places).reshape(2, -1))
+
+
+@both_dimensions
+def test_triangles_of_targets_that_coincide_fit_nothing_in_any_metric(d: int) -> None:
+    source, target, tolerance_m = np.zeros((3, d)), np.zeros((3, d)), 0.1
+    source[1, :2], source[2, :2] = (4.0, 3.0), (4.0, -3.0)
+    target[1:, 0] = 5.0
+    for metric in (None, np.tile(np.eye(d), (3, 1, 1))):
+        found = placements_by_triangles(
+            source, target, np.arange(3)[None], tolerance_m, 0, metric, tolerance_m
+        )
+        assert not len(found[0])

@@ -10,6 +10,8 @@ import pytest
 
 from relmap import MapperConfig, Plane3dMapper, PlaneMapper, PointMapper, RelmapError
 from relmap.core.arrays import Floats
+from relmap.core.association.metric import RayNoise
+from relmap.core.association.rigidity import Rigidity
 from relmap.core.geometry.alignment import fit_rigid_each
 from relmap.core.geometry.spatialindex import SpatialIndex
 from relmap.core.grouping.chart import PointChart
@@ -99,6 +101,31 @@ def test_scans_whose_points_mostly_coincide_are_mapped(registration: str, row: l
     mapper.refine()
     mapped = mapper.map.positions[:, None, :2] - WORLD[row]
     assert np.linalg.norm(mapped, axis=2).min(axis=0).max() < 1e-6
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_a_crowded_scan_after_one_of_few_landmarks_far_away_is_another_place(d: int) -> None:
+    mapper, rng = PointMapper(), np.random.default_rng(0)
+    first = rng.normal(size=(10, d))
+    mapper.update(100 * first / np.linalg.norm(first, axis=1)[:, None])
+    labels = mapper.update(rng.uniform(-10.0, 10.0, (80, d)))
+    assert labels.tolist() == list(range(10, 90))
+
+
+def test_scans_that_never_agree_are_rejected_however_many_there_are() -> None:
+    rigidity, rng, ids = Rigidity(), np.random.default_rng(0), np.arange(8)
+    for _ in range(5):  # without noise
+        rigidity.checked(ids, WORLD[:8])
+    scans = rng.uniform(-8.0, 8.0, (1100, 8, 2))
+    assert all(rigidity.checked(ids, scan) is None for scan in scans)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_landmarks_at_the_sensor_say_nothing_of_the_noise_by_distance(d: int) -> None:
+    rays, zeros = RayNoise(), np.zeros((100, d))
+    for _ in range(3):
+        rays.learn(zeros, zeros, np.ones(100, dtype=np.int64))
+    assert rays.is_unequal is None
 
 
 def test_weights_of_hardly_any_noise_fit_as_others_do() -> None:

@@ -102,6 +102,16 @@ def test_a_single_landmark_is_followed_by_odometry_from_the_first_scan_on() -> N
     assert set(labels) == {labels[0]}
 
 
+@pytest.mark.parametrize("d", [2, 3])
+def test_single_landmarks_far_apart_are_not_one_because_no_spacing_is_known(d: int) -> None:
+    rng, mapper, labels = np.random.default_rng(0), PointMapper(), list[int]()
+    landmarks, of = 10.0 * np.eye(d)[:2], [0, 0, 1, 1, 0, 1, 0, 0, 1]
+    for which in of:
+        seen = landmarks[[which]] + 0.02 * rng.normal(size=(1, d))
+        labels += mapper.update(seen, odometry=np.eye(4)).tolist()
+    assert labels == of
+
+
 def test_single_landmarks_close_a_loop_if_no_others_might_be_meant() -> None:
     run = simulate_figure_eight(density=SPARSE, seed=2)
     mapper, labels = finished(run, odometry_of(run, 2), known=False)

@@ -8,6 +8,7 @@ track. The placement is discarded afterwards: neither a pose nor a motion enters
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -157,7 +158,7 @@ class Constellation(Numbered):
         If matches with the tracks may be due to chance, the deferred scan is continued instead if
         it matches surely and far better: that breaks the run.
         """
-        metric = self._scale.rays.metric(points_robot)
+        metric, spacing_m = self._scale.rays.metric(points_robot), self._scale.spacing_m
         found = self._placed(self._tracks, self._tracks_since, points_robot, metric)
         if found is None or not (found.is_unique or self._guide.knows):
             other = self._placed(self._stray, self._stray_since, points_robot, metric)
@@ -168,7 +169,10 @@ class Constellation(Numbered):
         self._n_unique += found.is_unique
         if found.since is not None:
             self._alone.remove(found.since)
-        return self._followed(found.tracks, found.placement, points_robot, metric)
+        landmarks = self._followed(found.tracks, found.placement, points_robot, metric)
+        if len(points_robot) < 2:  # what was guessed is not learnt
+            self._scale.spacing_m = spacing_m
+        return landmarks
 
     def _placed(
         self, tracks: LiveTracks | None, since: int | None, points: Floats, metric: Floats | None
@@ -182,14 +186,16 @@ class Constellation(Numbered):
         placement = placing.placement(tracks, points) if len(points) and len(tracks) else None
         if placement is not None:
             is_unique = placing.is_unique(placement, tracks, points)
-        guide, expected, noise_m = self._guide, tracks.expected, self._noise_m
+        guide, expected = self._guide, tracks.expected
         if placement is not None and is_unique and is_last:
-            guide.learn(placement, expected, noise_m)
+            guide.learn(placement, expected, self._noise_m)
         elif (is_last and guide.knows) and (
-            placement is None or guide.contradicts(placement, expected, noise_m)
+            placement is None or guide.contradicts(placement, expected, self._noise_m)
         ):
+            if math.isinf(self._scale.spacing_m) and len(points):
+                self._scale.spacing_m = _guessed_spacing(points)
             most_m = NEAR * self._scale.spacing_m
-            placement = guide.placement(expected, points, noise_m, most_m)
+            placement = guide.placement(expected, points, self._noise_m, most_m)
         return None if placement is None else _Placed(tracks, since, placement, is_unique)
 
     def _followed(
@@ -265,3 +271,11 @@ class Constellation(Numbered):
         """
         gate_m = self._scale.gate_m
         return max(CONTINUITY * self._scale.spacing_m, gate_m), gate_m, farthest(gate_m, metric)
+
+
+def _guessed_spacing(points: Floats) -> float:
+    """Return the spacing of points (n, d), robot frame, metres; of a single one its distance."""
+    apart_m = spacing_of(points)
+    if math.isfinite(apart_m):
+        return apart_m
+    return float(np.linalg.norm(points, axis=1).max()) or apart_m

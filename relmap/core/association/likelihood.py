@@ -53,6 +53,8 @@ class LikelyPlacing:
         """Return the most likely placement, near that found if there is one; None if uncertain."""
         matching, spacing_m = self.soft(tracks, points), self.scale.spacing_m
         here = matching.source
+        if not len(here):  # all tracks are farther away than the crowd
+            return None
         if found is None or moved_m(found, here) > spacing_m:
             best = matching.found(*matching.by_triangles())
             near = matching.found(*matching.by_shifts(ASIDE * spacing_m))

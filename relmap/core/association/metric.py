@@ -93,7 +93,7 @@ class RayNoise:
         squares = kernels.residuals(expected, found, n_seen, MEMORY)
         self._unit_m = self._unit_m or float(squares[:, 0].max())
         self._squares = np.concatenate([self._squares, squares])[-RECENT:]
-        if len(self._squares) >= ENOUGH:
+        if len(self._squares) >= ENOUGH and self._unit_m > 0:
             kernels.update(self._squares, self._unit_m, self._coefficients)
             sigma = self._typical()
             is_negligible = sigma.max() < NEGLIGIBLE * self._unit_m

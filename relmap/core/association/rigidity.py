@@ -36,6 +36,8 @@ SLOWNESS = 0.1
 """Weight of the latest scan in the usual misfit."""
 DOUBT = 2.0
 """Factor by which each rejection raises the limit until a scan fits: the noise may have grown."""
+MOST_DOUBTED = 1000
+"""Number of rejections from which it stays: with more the factor overflows."""
 CARRIED = 5
 """Scans for which a missed landmark is still predicted."""
 WARY, MOST_WARY = 10, 60
@@ -203,7 +205,7 @@ class Rigidity:
 
     def _limit_m(self) -> float:
         """Return the median misfit up to which a scan is accepted."""
-        in_doubt = UNLIKE * self._usual() * DOUBT**self._n_doubted
+        in_doubt = UNLIKE * self._usual() * DOUBT ** min(self._n_doubted, MOST_DOUBTED)
         return max(in_doubt, CLEAR * self._extent_m)
 
     def _fits_the_doubted(self, scan: _Scan) -> bool:

@@ -41,6 +41,8 @@ def _allowances(target: Floats, tolerance_m: float, metric: Floats | None) -> Fl
                 for a in range(d):
                     along[a] = target[i, a] - target[j, a]
                     length += along[a] ** 2
+                if length == 0:  # they coincide
+                    continue
                 room = length / square_of(metric[i], along) + length / square_of(metric[j], along)
                 allowed[i, j] = tolerance_m * np.sqrt(room / 2)
     return allowed
