@@ -133,6 +133,21 @@ BAD = {
 }
 
 
+@pytest.mark.parametrize("unit", [2.0**-10, 2.0**10])
+def test_a_map_and_its_covariances_do_not_depend_on_the_unit(unit: float) -> None:
+    scans = walk(3, 5, 0.02, iterations=200).scans
+    each = [np.broadcast_to(4e-4 * np.eye(3), (len(ids), 3, 3)) for ids, _ in scans]
+    given = [(points, ids, own) for (ids, points), own in zip(scans, each, strict=True)]
+    plain = refined(PointMapper(), given).map
+    scaled = refined(
+        PointMapper(), ((unit * points, ids, unit**2 * own) for points, ids, own in given)
+    ).map
+    np.testing.assert_allclose(scaled.positions, unit * plain.positions, rtol=0, atol=1e-7 * unit)
+    variances = np.trace(plain.covariances, axis1=1, axis2=2)
+    of_scaled = np.trace(scaled.covariances, axis1=1, axis2=2)
+    np.testing.assert_allclose(of_scaled, unit**2 * variances, rtol=1e-3)
+
+
 @pytest.mark.parametrize("what", BAD)
 def test_bad_covariances_are_refused_and_change_nothing(what: str) -> None:
     mapper, points = PointMapper(), np.arange(8.0).reshape(4, 2) ** 2

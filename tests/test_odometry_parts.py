@@ -180,6 +180,9 @@ def test_the_map_is_still_one_part_after_rare_landmarks_are_left_out() -> None:
     members = np.isin(mapper.landmarks.landmark, mapper.map.landmark_ids)
     assert (known >= end).all() == (mapper.landmarks.first_iteration[members] >= end).all()
     assert len(known)
+    assert len(mapper.refined) == len(mapper.submaps)
+    for refined, submap in zip(mapper.refined, mapper.submaps, strict=True):
+        assert refined.landmarks.tolist() == submap.landmark_ids.tolist()
 
 
 def test_parts_whose_landmarks_are_all_in_the_map_are_left_out() -> None:

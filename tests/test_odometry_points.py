@@ -177,6 +177,20 @@ def test_a_leap_of_odometry_in_a_gap_is_left_out() -> None:
     assert rmse_m(run, mapper.map.positions, np.array(of)) < 0.1
 
 
+def test_odometry_into_the_first_scan_is_neither_used_nor_rejected() -> None:
+    run = world(2 * SPARSE, 100)
+    motions, mappers = odometry_of(run, 0), [PointMapper(), PointMapper()]
+    for mapper, far_m in zip(mappers, (np.nan, 60.0), strict=True):
+        motions[0] = np.eye(4) if far_m > 0 else np.nan
+        motions[0, 0, 3] = far_m
+        for k, scan in enumerate(run.log.scans()):
+            mapper.update(scan.points_robot, odometry=motions[k])
+        mapper.finish()
+    unknown, leap = mappers
+    assert_array_equal(leap.map.positions, unknown.map.positions)
+    assert leap.odometry.left_out.tolist() == unknown.odometry.left_out.tolist() == []
+
+
 def test_slips_are_named_where_landmarks_show_them() -> None:
     run = world(DENSE, 200)
     motions = odometry_of(run, 0)

@@ -181,6 +181,19 @@ def test_one_in_view_stays_there_if_one_that_is_done_is_merged_into_it() -> None
     assert left == schedule.gone.tolist() == [0]
 
 
+def test_one_in_view_stays_there_if_one_that_has_left_is_merged_into_it() -> None:
+    schedule, table = begun()
+    for k in range(20):
+        see(schedule, table, [0, 1] if k < 3 else [0], k)
+    assert (schedule.in_view.tolist(), schedule.gone.tolist()) == ([0], [1])
+    table.merge(np.array([1]), np.array([0]))
+    schedule.merge(np.array([1]), np.array([0]))
+    assert (schedule.in_view.tolist(), schedule.gone.tolist()) == ([0], [])
+    assert see(schedule, table, [0], 20) == []
+    left = [one for k in range(21, 27) for one in see(schedule, table, [], k)]
+    assert left == schedule.gone.tolist() == [0]
+
+
 def test_one_merged_before_it_leaves_has_left_once() -> None:
     schedule, table = begun()
     for k, seen in enumerate([[0], [], [], [], [1], [], []]):

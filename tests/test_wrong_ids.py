@@ -22,6 +22,7 @@ from relmap.core.refinement.equations import SegmentState
 from relmap.core.refinement.gauss_newton import Problem, Solution
 from relmap.datasets import ObservationLog
 from relmap.simulation import FigureEight, WorldSpec, simulate_figure_eight, simulate_world
+from relmap.simulation.odometry import Wheels, wheel_odometry
 from tests.commands import load
 from tests.worlds import aligned_rmse, driven, limit_of, mapped, walk
 
@@ -174,6 +175,22 @@ def test_a_map_that_is_contradicted_no_less_is_restored(monkeypatch: pytest.Monk
     np.testing.assert_array_equal(restored.landmark_ids, never.landmark_ids)
     np.testing.assert_array_equal(restored.positions, never.positions)
     np.testing.assert_array_equal(restored.covariances, never.covariances)
+
+
+def test_a_map_that_is_restored_uses_odometry_as_before(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The poses were those of the map that was not kept."""
+    monkeypatch.setattr(rebuilding, "WHOLE", np.inf)
+    given: dict[str, Any] = {"length_m": 120.0, "iterations": 100, "spacing_m": 7.0, "missed": 0.1}
+    world = simulate_world(WorldSpec(kind="field", wrong_ids=0.1, view_deg=150.0, seed=7, **given))
+    motions = wheel_odometry(world.trajectory, Wheels(), np.random.default_rng(0))
+    mapper = PointMapper()
+    for scan, motion in zip(world.log.scans(), motions, strict=True):
+        mapper.update(scan.points_robot, scan.ids, odometry=motion)
+    mapper.finish()
+    mapper.refine()
+    assert mapper.odometry is not None
+    assert not mapper.odometry.is_used
+    assert np.isfinite(mapper.trajectory[:, 0, 0]).sum() > 90
 
 
 def test_wrong_ids_leave_the_live_map_as_good() -> None:

@@ -121,6 +121,9 @@ def complete(engine: RelativeMapper) -> None:
             bridge_gaps(engine)
     if is_bridged(engine) and not engine.association.has_ids:
         engine.table.take_off_map(np.flatnonzero(rarely_seen(engine)))
+        is_left = engine.table.weight > 0
+        each = [one.only(is_left[one.landmarks]) for one in engine.refined]
+        engine.refined = [one for one in each if len(one.landmarks)]
 
 
 def _close_loops(engine: RelativeMapper, rows: SegmentRows, noise_m: float, drift: float) -> None:

@@ -135,10 +135,10 @@ class Motions:
         return len(self._motion)
 
     def append(self, motion: Floats | None, iteration: int) -> None:
-        """Add the motion (4, 4) to an iteration; None or NaN if unknown."""
+        """Add the motion (4, 4) to an iteration; None or NaN if unknown, as that into the first."""
         if motion is not None or len(self):
             self._motion.resize(iteration, np.nan)
-            self._motion.append(np.nan if motion is None else motion)
+            self._motion.append(np.nan if motion is None or iteration == 0 else motion)
 
     def between(self, begin: int, end: int) -> Floats:
         """Return the motions to iterations begin:end (end - begin, 4, 4), NaN if unknown."""

@@ -40,7 +40,8 @@ def rebuild(engine: RelativeMapper) -> None:
     was_off = _is_off(engine, rows.noise_m)
     if is_bridged(engine) or not (is_doubtful or was_off):
         return
-    kept, refined = {name: getattr(table, name).copy() for name in PLACES}, engine.refined
+    kept = {name: getattr(table, name).copy() for name in PLACES}
+    refined, odometry = engine.refined, engine.odometry
     mapped = table.submap != NONE
     own, shared = without_namesakes(rows, CONFIRMED)
     sure = seen_in(own, CONFIRMED)
@@ -61,7 +62,7 @@ def rebuild(engine: RelativeMapper) -> None:
     if not (is_whole and (is_better or (was_off and not _is_off(engine, rows.noise_m)))):
         for name, values in kept.items():
             getattr(table, name)[:] = values
-        engine.refined = refined
+        engine.refined, engine.odometry = refined, odometry
 
 
 def _is_off(engine: RelativeMapper, noise_m: float) -> bool:

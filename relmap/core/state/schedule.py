@@ -120,9 +120,11 @@ class GroupingSchedule:
     def merge(self, new: Ints, old: Ints) -> None:
         """Let older landmarks (k,) wait in place of the new ones (k,) merged into them.
 
-        One in view stays there if the new one does not wait any more.
+        One in view stays there if the new one has left, or does not wait any more.
         """
-        replaced = old[np.isin(new, np.concatenate([self._in_view, self._gone]))]
+        stays = np.isin(old, self._in_view) & ~np.isin(old, self._gone)
+        self._table.is_gone[old[stays]] = False
+        replaced = old[np.isin(new, self._in_view)]
         self._in_view = self._in_view[~np.isin(self._in_view, replaced)]
         self._first = None
         order = new.argsort()

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.motions import derivatives, rotations
 from relmap.core.linalg.cholesky import Pattern
-from relmap.core.refinement.equations import ROUNDING
+from relmap.core.refinement.equations import BARELY, ROUNDING
 from relmap.core.refinement.gauss_newton import size_of
 from relmap.core.refinement.schur import NormalEquations
 
@@ -152,9 +152,17 @@ class ChainProblem:
         return np.concatenate([np.linalg.norm(part, axis=1) for part in parts])
 
     def equations(
-        self, state: Chained, weight: Floats, with_matrix: bool, damping: float
+        self,
+        state: Chained,
+        weight: Floats,
+        with_matrix: bool,
+        damping: float,
+        hold: tuple[float, float] = (0.0, LOOSE),
     ) -> NormalEquations:
-        """Return the normal equations of all unknowns."""
+        """Return the normal equations of all unknowns.
+
+        `hold`: damping as a fraction of each diagonal entry, and of the largest one.
+        """
         from relmap.core.linalg.cholesky_kernels import add_products
 
         pattern, right, cost = self.pattern, np.zeros(self.pattern.n_unknowns), 0.0
@@ -167,7 +175,8 @@ class ChainProblem:
         right[self._constant] -= state.constant / CONSTANT**2
         if with_matrix:
             pattern.add_diagonal(matrix, self._constant, 1 / CONSTANT**2)
-            pattern.hold(matrix, damping, LOOSE * pattern.largest(matrix))
+            share, least = hold
+            pattern.hold(matrix, share + damping, least * pattern.largest(matrix))
             pattern.add_diagonal(matrix, self.pose[self._anchor], STIFF * pattern.largest(matrix))
         return NormalEquations(right, matrix, cost, lambda step: step[self.pose])
 
@@ -214,8 +223,11 @@ class ChainProblem:
         return self.pattern.inverse(self.factor(state, weight))
 
     def factor(self, state: Chained, weight: Floats) -> Floats:
-        """Return the Cholesky factor of the matrix at the optimum."""
-        matrix = self.equations(state, weight, True, 0.0).matrix
+        """Return the Cholesky factor of the matrix at the optimum.
+
+        The largest entry is that of a turn, whose unit is another than that of positions.
+        """
+        matrix = self.equations(state, weight, True, 0.0, (BARELY, 0.0)).matrix
         self.pattern.factorise(matrix)
         return matrix
 
