@@ -86,7 +86,7 @@ def beams_on_walls(
                 high = low[w] + BIN_M * (first[w + 1] - first[w])
                 if vote == 0 or not low[w] <= place < high:
                     continue
-                k = first[w] + int((place - low[w]) / BIN_M)
+                k = min(first[w] + int((place - low[w]) / BIN_M), first[w + 1] - 1)  # rounded
                 if vote > 0:
                     hits[k] += 1
                 else:
