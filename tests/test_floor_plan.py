@@ -266,3 +266,22 @@ def test_evidence_of_a_beam_for_a_wall(
     found = beams_on_walls(beam, lines, grid, 0.08, 0.28)
     assert found[0].reshape(2, 10).sum(axis=1).tolist() == hits
     assert found[1].reshape(2, 10).sum(axis=1).tolist() == against
+
+
+def test_a_beam_at_the_very_end_of_a_wall_is_not_evidence_for_the_next_one() -> None:
+    """Its place is rounded up to that of the stretch after the last."""
+    grid = np.array([-1.0, -1.0]), np.array([8, 8]), np.arange(65), np.zeros(64, np.int64), 0.25
+    lines = np.zeros((2, 2)), np.array([[0.0, 1.0]] * 2), np.array([-50.0, 9.0])
+    beam = np.array([[-1e-18, 0.5]]), np.array([[-1e-18, 0.0]])
+    hits, _, _ = beams_on_walls(beam, (*lines, np.array([0, 1000, 1001])), grid, 0.08, 0.28)
+    assert np.flatnonzero(hits).tolist() == [999]
+
+
+def test_a_beam_of_any_length_is_followed_over_the_walls_only() -> None:
+    """A laser may report a large distance where it sees nothing."""
+    grid = np.array([-1.0, -1.0]), np.array([8, 8]), np.arange(65), np.zeros(64, np.int64), 0.25
+    lines = np.zeros((1, 2)), np.array([[0.0, 1.0]]), np.array([-0.5]), np.array([0, 20])
+    begins = np.array([[0.01, 0.6], [0.01, 0.6], [-1e9, 0.6], [0.3, 9.0]])
+    ends = np.array([[0.01, -1e9], [1e9, 1e9], [1e9, 0.5], [-1e9, 9.0]])
+    hits, against, _ = beams_on_walls((begins, ends), lines, grid, 0.08, 0.28)
+    assert (hits.sum(), against.tolist().index(1), against.sum()) == (0, 10, 1)

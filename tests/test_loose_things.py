@@ -54,6 +54,22 @@ def test_points_on_a_person_are_loose_and_those_on_walls_are_not(
     np.testing.assert_array_equal(beams.loose, on)
 
 
+@pytest.mark.parametrize("turn", [0.5 * np.pi, np.pi])
+@pytest.mark.parametrize("clutter", [False, True])
+def test_a_person_anywhere_round_the_sensor_is_loose(turn: float, clutter: bool) -> None:
+    """Also straight behind it, where the bearings begin and end."""
+    bearing = turn + np.deg2rad(np.arange(-180.0, 180.0, 0.5))
+    on = np.abs(np.arange(720) - 360) < 20
+    ranges = np.where(on, 2.0, 5.0)
+    ranges[361 if clutter else 0 :: EVERY] *= 0.3 if clutter else 1.0
+    points = ranges[:, None] * np.column_stack([np.cos(bearing), np.sin(bearing)])
+    beams = GivenBeams.checked(points, np.zeros(2))
+    at = np.hypot(*beams.by_bearing[0].T)
+    assert beams.loose[np.abs(at - 2.0) < 0.01].all()
+    assert not beams.loose[np.abs(at - 5.0) < 0.01].any()
+    np.testing.assert_array_equal(beams.clutter, (at < 1.9) & clutter)
+
+
 def test_clutter_does_not_divide_a_person() -> None:
     points = seen_from(0.0, (2.0, 0.3))
     beams = GivenBeams.checked(cluttered(points), np.zeros(2))

@@ -137,3 +137,15 @@ def test_a_laser_among_leaves_is_in_order() -> None:
     for _ in range(6):
         range_m = rng.uniform(0.5, 10.0, 181)
         segmenter.fit(range_m[:, None] * np.column_stack([np.cos(bearing), np.sin(bearing)]))
+
+
+@pytest.mark.parametrize("first", [0, 100, 250])
+@pytest.mark.parametrize("order", [1, -1])
+def test_walls_have_no_corner_where_a_scan_all_round_begins(first: int, order: int) -> None:
+    """The first beam is in the middle of a wall; the ends of the view are not estimated either."""
+    bearing = np.deg2rad(np.roll(np.arange(-179.9, 180.0, 0.5), first))[::order]
+    ranges = np.minimum(3 / np.abs(np.cos(bearing)), 2 / np.abs(np.sin(bearing)))
+    points = ranges[:, None] * np.column_stack([np.cos(bearing), np.sin(bearing)])
+    planes = PlaneSegmenter().fit(points).planes_
+    corners = planes.ends[planes.end_type == "corner"]
+    np.testing.assert_allclose(np.abs(corners), 4 * [[3.0, 2.0], [3.0, 2.0]], atol=0.01)

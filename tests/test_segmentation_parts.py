@@ -8,6 +8,7 @@ from scipy.integrate import dblquad
 from scipy.optimize import minimize
 from scipy.stats import norm
 
+from relmap import PlaneSegmenter
 from relmap.segmentation.em import wall_kernels
 from relmap.segmentation.em.mixture import WallMixture, maximise, scan_area
 from relmap.segmentation.em.moves import bend, merge, split, widest_gap
@@ -198,6 +199,23 @@ def test_types_of_ends_in_their_order() -> None:
     assert kinds[3, 1] == "range"
     joined[1, 0] = True
     assert type_ends(ends, spread, joined, (float(half), reach), hidden)[1, 0] == "corner"
+
+
+def test_a_wall_hides_what_is_behind_it_straight_behind_the_sensor() -> None:
+    ends = np.array([[[-3.0, 3.0], [-3.0, -1e-3]], [[-6.0, 1e-3], [-6.0, -2.0]]])
+    spread, (joined, hidden) = np.full((2, 2), 0.01), np.zeros((2, 2, 2), dtype=bool)
+    kinds = type_ends(ends, spread, joined, (np.inf, np.inf), hidden)
+    assert kinds.tolist() == [["corner", "corner"], ["occluded", "corner"]]
+
+
+def test_a_point_on_the_line_of_a_wall_that_leads_to_the_sensor_has_no_density() -> None:
+    xy = np.array([[2.0, 0.0], [-1.0, 0.0]])
+    walls = np.array([wall(-1, 0, 3, 0)])
+    density, total = expect(xy, walls, 0.01, np.full(2, 1e-3), np.deg2rad(1.0))
+    np.testing.assert_array_equal(density, 0.0)
+    np.testing.assert_array_equal(total, 1e-3)
+    line = np.column_stack([np.linspace(-1, 1, 50), np.zeros(50)])
+    assert np.isfinite(PlaneSegmenter("em").fit(line).noise_)
 
 
 def test_a_laser_scan_of_a_room_is_four_walls() -> None:

@@ -33,6 +33,7 @@ def walls(**changed: Any) -> SimpleNamespace:
         (walls(end_type=KIND[:1]), "end_type has shape"),
         (walls(noise=[0.1]), "noise has shape"),
         (walls(noise=[0.1, np.nan]), "noise holds"),
+        (walls(noise=[0.1, -0.1]), "noise holds"),
         (walls(n_points=["many", 1]), "n_points must be"),
         (walls(z_extent=np.zeros(2)), "z_extent has shape"),
         (np.full((4, 3), np.nan), "points row 0 is"),

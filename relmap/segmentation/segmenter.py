@@ -14,7 +14,7 @@ from relmap.segmentation.em.mixture import WallMixture, scan_area
 from relmap.segmentation.ends.corners import Sharpened, meet, sharpen
 from relmap.segmentation.ends.end_types import sensor_limits, type_ends
 from relmap.segmentation.planes import Planes, make_planes
-from relmap.segmentation.scanline.lines import is_ordered
+from relmap.segmentation.scanline.lines import LaserScan, is_ordered
 from relmap.segmentation.upright import require_upright
 from relmap.segmentation.wall import BEGIN, END, EXACT_M, SHARE, UX, UY, WALL
 
@@ -48,7 +48,7 @@ class PlaneSegmenter:
         Seed; the same scan and seed give bit-identical planes.
     view_rad : float, optional
         Horizontal field of view, radians, centred ahead. By default estimated from the largest
-        bearing to either side.
+        bearing to either side, unless the beams of a laser go all round.
     range_m : float, optional
         Horizontal range of the sensor, metres. By default estimated if several walls end at the
         same maximum distance.
@@ -175,7 +175,10 @@ class PlaneSegmenter:
             labels = np.full(len(xy), -1)
         else:
             sharp, labels = self._segment(method, xyz, xy)
-        labels, self.planes_ = planes_of(xyz, sharp, labels, self.view_rad, self.range_m)
+        view_rad, in_order = self.view_rad, method == "scanlines" and len(xy) > 1
+        if view_rad is None and in_order and LaserScan(xy).is_all_round:
+            view_rad = 2 * np.pi
+        labels, self.planes_ = planes_of(xyz, sharp, labels, view_rad, self.range_m)
         self.labels_ = np.full(len(returned), -1)
         self.labels_[returned] = labels
         self.noise_ = float(sharp.mixture.sigma)

@@ -38,9 +38,17 @@ def _vote(line: Four, beam: Four, near_m: float, before_m: float) -> tuple[int, 
 def _cells(beam: Four, corner: Floats, shape: Ints, cell_m: float) -> Ints:
     """Return the cells of a grid along a beam, at steps of a cell's size."""
     x, y, dx, dy = beam
-    steps = int(np.hypot(dx, dy) / cell_m) + 1
-    cells, n = np.empty(steps + 1, dtype=np.int64), 0
-    for s in range(steps + 1):
+    steps, low, high = int(np.hypot(dx, dy) / cell_m) + 1, 0.0, 1.0  # the part over the grid
+    for k in range(2):
+        if beam[k + 2] != 0:
+            begin = (corner[k] - beam[k]) / beam[k + 2]
+            end = begin + shape[k] * cell_m / beam[k + 2]
+            low, high = max(low, min(begin, end)), min(high, max(begin, end))
+    if not low <= high:
+        return np.empty(0, dtype=np.int64)
+    first, last = max(int(low * steps) - 1, 0), min(int(high * steps) + 2, steps)
+    cells, n = np.empty(last - first + 1, dtype=np.int64), 0
+    for s in range(first, last + 1):
         i = int(np.floor((x + s / steps * dx - corner[0]) / cell_m))
         j = int(np.floor((y + s / steps * dy - corner[1]) / cell_m))
         if 0 <= i < shape[0] and 0 <= j < shape[1]:
@@ -86,7 +94,7 @@ def beams_on_walls(
                 high = low[w] + BIN_M * (first[w + 1] - first[w])
                 if vote == 0 or not low[w] <= place < high:
                     continue
-                k = first[w] + int((place - low[w]) / BIN_M)
+                k = min(first[w] + int((place - low[w]) / BIN_M), first[w + 1] - 1)  # rounded
                 if vote > 0:
                     hits[k] += 1
                 else:

@@ -130,7 +130,7 @@ class GivenBeams:
         """Which points by bearing (n,) are isolated specks, if many are; otherwise none."""
         from relmap.planes.scans.loose_kernels import isolated_points
 
-        found = isolated_points(*self.by_bearing, self.origin)
+        found = _found_round(isolated_points, *self.by_bearing, self.origin)
         return np.asarray(found & (np.count_nonzero(found) >= CLUTTER * len(found)))
 
     @cached_property
@@ -139,9 +139,10 @@ class GivenBeams:
         from relmap.planes.scans.loose_kernels import free_standing
 
         points, bearings = self.by_bearing
-        found, rest = free_standing(points, bearings, self.origin), ~self.clutter
+        found, rest = _found_round(free_standing, points, bearings, self.origin), ~self.clutter
         if not rest.all():
-            found[rest] = free_standing(points[rest], bearings[rest], self.origin)
+            seen = points[rest], bearings[rest], self.origin
+            found[rest] = _found_round(free_standing, *seen)
         return found
 
     def to_bytes(self) -> bytes:
@@ -154,6 +155,22 @@ class GivenBeams:
         """Return beams from stored values."""
         about, points = np.frombuffer(kept[:24], "<f8"), np.frombuffer(kept[24:], "<f4")
         return cls(points.astype(np.float32).reshape(-1, 2), about[1:].copy(), bool(about[0]))
+
+
+def _found_round(
+    kernel: Callable[[Floats, Floats, Floats], Bools],
+    points: Floats,
+    bearings: Floats,
+    origin: Floats,
+) -> Bools:
+    """Return what a kernel finds among points (n,); all round, the last is beside the first."""
+    from relmap.planes.scans.loose_kernels import UNSEEN_RAD
+
+    n, turn = len(points), 2 * np.pi
+    if n == 0 or bearings[0] + turn - bearings[-1] > UNSEEN_RAD:
+        return kernel(points, bearings, origin)
+    found = kernel(np.tile(points, (2, 1)), np.append(bearings, bearings + turn), origin)
+    return np.asarray(found[:n] | found[n:])
 
 
 class PlacedBeams(NamedTuple):

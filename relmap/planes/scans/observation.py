@@ -156,7 +156,10 @@ def _measured(planes: Any, m: int) -> tuple[Floats, Floats]:
     sd, z_extent = np.zeros(m), np.zeros((m, 2))
     if hasattr(planes, "n_points") and hasattr(planes, "noise"):
         n_points = _column(planes.n_points, "n_points", (m,))
-        sd = _column(planes.noise, "noise", (m,)) / np.sqrt(np.maximum(n_points, 1))
+        noise = _column(planes.noise, "noise", (m,))
+        if (noise < 0).any():
+            raise RelmapError("noise holds a negative value; it must be in metres, 0 or more")
+        sd = noise / np.sqrt(np.maximum(n_points, 1))
     if hasattr(planes, "z_extent"):
         z_extent = _column(planes.z_extent, "z_extent", (m, 2))
     return sd, z_extent

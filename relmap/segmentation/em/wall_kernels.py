@@ -162,8 +162,8 @@ def expect(
                 continue
             u, _, d, steep = sighted(xy[i, 0], xy[i, 1], w, foot, height, beam)
             z, first, last = abs(d) * steep / sigma, (u - low) / blur, (u - high) / blur
-            if z > REACH or first < -reach or last > reach:
-                continue
+            if not z <= REACH or first < -reach or last > reach:
+                continue  # z is NaN where a wall leads to the sensor
             density[j, i] = scale * bell(z) * (gauss_step(first) - gauss_step(last))
             if beam > 0:
                 density[j, i] /= math.hypot(xy[i, 0], xy[i, 1])

@@ -88,7 +88,8 @@ def _hidden(bearing: Floats, far: Floats, turn: Floats, spread: Floats) -> Bools
     (own, edge), (own_m, edge_m), (turn, slack), (sd, edge_sd) = (
         (each.T[:, :, None], each.T[::-1, None]) for each in (bearing, far, turn, spread)
     )
-    close = np.abs(own - edge) < turn + slack
+    apart = np.abs(own - edge)
+    close = np.minimum(apart, 2 * np.pi - apart) < turn + slack
     hidden = close & (edge_m < own_m - (SURE * np.hypot(sd, edge_sd) + 5 * SLACK_M))
     itself = np.arange(len(far))
     hidden[:, itself, itself] = False

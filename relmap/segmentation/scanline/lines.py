@@ -37,6 +37,8 @@ ONWARD = 0.75
 """Fraction of the beams that turn the same way about the robot; half of them in random order."""
 STEEP = np.sin(np.deg2rad(3.0))
 """Beams that meet a wall at a smaller angle (sine) do not extend it."""
+BESIDE = 2.5
+"""Largest angle between beams that are beside each other, in usual angles."""
 LEAST = 50
 """Minimum number of points to judge the order by."""
 
@@ -65,6 +67,13 @@ class LaserScan:
     def step_rad(self) -> float:
         """The angle from one beam to the next, positive to the left."""
         return median(self.bearing[1:] - self.bearing[:-1]) if len(self.xy) > 1 else 0.0
+
+    @cached_property
+    def is_all_round(self) -> bool:
+        """Whether the last beam is beside the first one."""
+        step = abs(self.step_rad)
+        unseen = 2 * np.pi - abs(self.bearing[-1] - self.bearing[0])
+        return bool(-BESIDE * step <= unseen <= BESIDE * step)
 
     @cached_property
     def noise_m(self) -> float:
@@ -187,7 +196,8 @@ def extend_to_beams(
 def hidden_ends(scan: LaserScan, bounds: tuple[Ints, Ints]) -> Bools:
     """Return which ends (k, 2) of walls have something nearer right next to them.
 
-    A few beams suffice: a wall at a grazing angle may be undetected but still hides others.
+    A few beams suffice: a wall at a grazing angle may be undetected but still hides others. Where a
+    scan all round begins and ends, the wall may go on, too.
     """
     xy, (first, last), broken = scan.xy, bounds, scan.marks[1]
     radius = np.hypot(xy[:, 0], xy[:, 1])
@@ -196,6 +206,9 @@ def hidden_ends(scan: LaserScan, bounds: tuple[Ints, Ints]) -> Bools:
         broken[right] & (radius[right] < radius[first]) & (first > 0),
         broken[last] & (radius[left] < radius[last]),
     ]
+    if scan.is_all_round:
+        hidden[0] |= first == 0
+        hidden[1] |= last == len(xy) - 1
     return np.array(hidden).T
 
 
