@@ -254,10 +254,8 @@ class Ids:
         self._of_row = array("q")
 
     def add(self, text: str, where: str) -> None:
-        """Add the id of a row, empty without one; RelmapError if it is too long.
-
-        Its lines end in ``\\n``, as `open_text` has them: ids of a table are the same in any format.
-        """
+        """Add the id of a row, empty without one; RelmapError if it is too long."""
+        # As `open_text` has them: the ids of a table are the same in any format.
         text = text.replace("\r\n", "\n").replace("\r", "\n")
         if len(text) > MAX_NAME:
             expected = f"expected at most {MAX_NAME} characters"
