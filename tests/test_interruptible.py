@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from weakref import WeakValueDictionary
 
 import llvmlite.binding as llvm
 import pytest
@@ -29,6 +30,25 @@ def pressed_while_deleted() -> None:
     Pressed()
 
 
+class Key:
+    """Ctrl-C is pressed while it is looked up, once it is armed."""
+
+    armed = False
+
+    def __hash__(self) -> int:
+        if self.armed:
+            signal.raise_signal(signal.SIGINT)
+        return 1
+
+
+def pressed_while_forgotten() -> None:
+    key, value = Key(), Key()
+    kept = WeakValueDictionary({key: value})
+    key.armed = True
+    del value
+    assert not kept
+
+
 def pressed_while_compiled() -> None:
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
@@ -46,7 +66,9 @@ def wait_after(press: Callable[[], None]) -> None:
         time.sleep(LONG_S)
 
 
-@pytest.mark.parametrize("press", [pressed_while_deleted, pressed_while_compiled])
+@pytest.mark.parametrize(
+    "press", [pressed_while_deleted, pressed_while_forgotten, pressed_while_compiled]
+)
 def test_ctrl_c_is_raised_after_the_function_that_would_swallow_it(
     press: Callable[[], None],
 ) -> None:

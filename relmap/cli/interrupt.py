@@ -8,8 +8,12 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-CALLED_FROM_C = ("llvmlite.", "numba.core.serialize", "numba.core.types.abstract")
-"""Modules of the compiler whose functions are called back from C, where an exception is lost."""
+CALLED_FROM_C = (
+    *("llvmlite.", "numba.core.serialize", "numba.core.types.abstract"),
+    *("weakref", "_weakrefset"),
+)
+"""Modules of the compiler, and of weak references, whose functions are called back from C, where an
+exception is lost."""
 DELETING = ("__del__", "cb")
 """Functions called when an object is deleted, where an exception is lost; `cb` is the import's."""
 UNHANDLED = (signal.default_int_handler, signal.SIG_DFL)
