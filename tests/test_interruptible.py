@@ -6,9 +6,9 @@ import signal
 import subprocess
 import sys
 import time
+import weakref
 from collections.abc import Callable
 from pathlib import Path
-from weakref import WeakValueDictionary
 
 import llvmlite.binding as llvm
 import pytest
@@ -30,23 +30,11 @@ def pressed_while_deleted() -> None:
     Pressed()
 
 
-class Key:
-    """Ctrl-C is pressed while it is looked up, once it is armed."""
-
-    armed = False
-
-    def __hash__(self) -> int:
-        if self.armed:
-            signal.raise_signal(signal.SIGINT)
-        return 1
-
-
 def pressed_while_forgotten() -> None:
-    key, value = Key(), Key()
-    kept = WeakValueDictionary({key: value})
-    key.armed = True
+    value = {1}
+    kept = weakref.ref(value, lambda _: signal.raise_signal(signal.SIGINT))
     del value
-    assert not kept
+    assert kept() is None
 
 
 def pressed_while_compiled() -> None:
