@@ -94,13 +94,13 @@ def _move_files(staging: Path, folder: Path, stale: Sequence[str]) -> None:
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         with (staging / name).open("rb") as stream:
             os.fsync(stream.fileno())
-    for name in (*names, *stale):
-        if (folder / name).is_dir():
-            raise RelmapError(f"cannot write {shown(folder / name)}: a folder of that name exists")
     written = {path.name for path in staging.iterdir()}
     old = names if len(names) > 1 else []
     first = [Path(WHOLE)] if WHOLE in written else old
     gone = [*first, *map(Path, set(stale).difference(written))]
+    for name in (*names, *gone):
+        if (folder / name).is_dir():
+            raise RelmapError(f"cannot write {shown(folder / name)}: a folder of that name exists")
     names.sort(key=lambda name: name == Path(WHOLE))
     for name in gone:
         (folder / name).unlink(missing_ok=True)
