@@ -205,6 +205,14 @@ def test_across_a_gap_between_speeds_the_motion_is_unknown(
     assert set(caplog.messages) == {"a: 1 gaps: the motion across them is unknown"}
 
 
+def test_a_speed_holds_until_the_next_but_not_long_after_the_last() -> None:
+    stamps = np.array([0.0, 0.1, 0.2, 1.9, 2.0])  # none between 0.2 and 1.9 s: it did not change
+    at = np.array([0.1, 1.5, 2.0, 2.9, 3.2])
+    found = driven(Path("a"), stamps, np.ones(5), np.zeros(5), at)
+    assert np.isnan(found[:, 0, 3]).tolist() == [True, False, False, False, True]
+    assert_allclose(found[1:4, 0, 3], [1.4, 0.5, 0.9], atol=1e-12)
+
+
 def test_dlr_steps_are_turned_into_our_axes(tmp_path: Path) -> None:
     odometry = open_log(
         put(tmp_path, CIRCLES.replace("b.jpg 1 0", "b.jpg 1 -3"), "a.circles")
