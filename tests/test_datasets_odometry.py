@@ -257,6 +257,10 @@ def test_slsjf_differences_of_its_odometry(tmp_path: Path) -> None:
     assert len(odometry) == 2
     c, s = np.cos(0.5), np.sin(0.5)
     assert planar(odometry[1:]) == [pytest.approx([c, -s, 0], abs=1e-9)]
+    (tmp_path / "sensor_data.mat").write_bytes(mat(sensor_data=OBSERVED + np.eye(7)[0]))
+    later = open_log(tmp_path)
+    assert later.first_iteration == 1
+    assert later.odometry[1, :2, 3] == pytest.approx(np.array([[c, s], [-s, c]]) @ [2, 2])
 
 
 @pytest.mark.parametrize("end", ["", ".gz"])
@@ -271,6 +275,12 @@ def test_mrpt_motions_follow_their_step(tmp_path: Path, end: str) -> None:
     turn = Rotation.from_euler("ZYX", [0.1, 0.2, 0.3]).as_matrix()
     assert_allclose(odometry[1, :3, :3], turn, atol=1e-15)
     assert len(odometry) == 2
+    lines = MRPT.replace("\n0,", "\n5,").replace("\n1,", "\n6,")
+    put(tmp_path, lines, "b.observations.csv")
+    put(tmp_path, content.replace("\n0,", "\n5,").replace("\n1,", "\n6,"), "b.odometry.csv")
+    later = open_log(tmp_path / "b.observations.csv")
+    assert later.first_iteration == 5
+    assert_array_equal(later.odometry, odometry)
 
 
 def test_mrpt_laser_motions_follow_their_scan(tmp_path: Path) -> None:
