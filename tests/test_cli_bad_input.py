@@ -96,6 +96,9 @@ def test_a_result_that_is_only_read_is_not_overwritten(place: Path, refused: Che
         assert "give another folder" in refused("localise", "log.csv", "--map", "out", "-o", out)
         assert "give another folder" in refused("merge", "out", "truth", "-o", out)
         assert "give another folder" in refused("merge", "truth", "out", "-o", out)
+    (place / "other").mkdir()
+    (place / "other" / "summary.json").write_text("{}")
+    assert "would be overwritten" in refused("localise", "log.csv", "--map", "out", "-o", "other")
 
 
 @pytest.mark.parametrize("name", ["landmarks.csv", "bench.gif", "submap-3.tum", "submap-3.csv"])

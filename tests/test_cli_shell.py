@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import pty
 import re
@@ -131,6 +132,16 @@ def test_the_reader_of_the_output_is_gone(tmp_path: Path, child_env: dict[str, s
     child.wait(timeout=PATIENCE_S)
     child.stderr.close()
     assert child.returncode in (0, 1)
+
+
+class Full(StringIO):
+    def write(self, text: str) -> int:
+        raise OSError(errno.ENOSPC, "full")
+
+
+def test_an_error_that_cannot_be_written_is_still_the_exit_code(tmp_path: Path) -> None:
+    with redirect_stderr(Full()):
+        assert main(["map", str(tmp_path / "none"), "-o", str(tmp_path / "out")]) == 2
 
 
 @pytest.mark.parametrize("module", ["typer", "relmap.cli.sweep"])

@@ -190,3 +190,11 @@ def test_a_result_of_a_run_is_not_a_log(tmp_path: Path) -> None:
     assert "the folder holds no log of point scans" in failure(tmp_path)
     (tmp_path / "map.ply").unlink()
     assert "holds no cloud" in failure(tmp_path, "point-clouds")
+
+
+def test_clouds_are_a_log_also_beside_the_result_of_their_run(tmp_path: Path) -> None:
+    for name in ("1.ply", "2.ply", "map.ply"):
+        (tmp_path / name).write_bytes(ply(CLOUD))
+    assert len(open_scans(tmp_path)) == 3
+    put(tmp_path, "{}", "summary.json")
+    assert len(open_scans(tmp_path)) == 2

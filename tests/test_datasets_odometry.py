@@ -205,6 +205,14 @@ def test_across_a_gap_between_speeds_the_motion_is_unknown(
     assert set(caplog.messages) == {"a: 1 gaps: the motion across them is unknown"}
 
 
+def test_a_speed_holds_until_the_next_but_not_long_after_the_last() -> None:
+    stamps = np.array([0.0, 0.1, 0.2, 1.9, 2.0])  # none between 0.2 and 1.9 s: it did not change
+    at = np.array([0.1, 1.5, 2.0, 2.9, 3.2])
+    found = driven(Path("a"), stamps, np.ones(5), np.zeros(5), at)
+    assert np.isnan(found[:, 0, 3]).tolist() == [True, False, False, False, True]
+    assert_allclose(found[1:4, 0, 3], [1.4, 0.5, 0.9], atol=1e-12)
+
+
 def test_dlr_steps_are_turned_into_our_axes(tmp_path: Path) -> None:
     odometry = open_log(
         put(tmp_path, CIRCLES.replace("b.jpg 1 0", "b.jpg 1 -3"), "a.circles")
@@ -249,6 +257,10 @@ def test_slsjf_differences_of_its_odometry(tmp_path: Path) -> None:
     assert len(odometry) == 2
     c, s = np.cos(0.5), np.sin(0.5)
     assert planar(odometry[1:]) == [pytest.approx([c, -s, 0], abs=1e-9)]
+    (tmp_path / "sensor_data.mat").write_bytes(mat(sensor_data=OBSERVED + np.eye(7)[0]))
+    later = open_log(tmp_path)
+    assert later.first_iteration == 1
+    assert later.odometry[1, :2, 3] == pytest.approx(np.array([[c, s], [-s, c]]) @ [2, 2])
 
 
 @pytest.mark.parametrize("end", ["", ".gz"])
@@ -263,6 +275,12 @@ def test_mrpt_motions_follow_their_step(tmp_path: Path, end: str) -> None:
     turn = Rotation.from_euler("ZYX", [0.1, 0.2, 0.3]).as_matrix()
     assert_allclose(odometry[1, :3, :3], turn, atol=1e-15)
     assert len(odometry) == 2
+    lines = MRPT.replace("\n0,", "\n5,").replace("\n1,", "\n6,")
+    put(tmp_path, lines, "b.observations.csv")
+    put(tmp_path, content.replace("\n0,", "\n5,").replace("\n1,", "\n6,"), "b.odometry.csv")
+    later = open_log(tmp_path / "b.observations.csv")
+    assert later.first_iteration == 5
+    assert_array_equal(later.odometry, odometry)
 
 
 def test_mrpt_laser_motions_follow_their_scan(tmp_path: Path) -> None:

@@ -57,3 +57,14 @@ def test_motions_follow_scans_of_points_that_are_sorted_by_time(
     put(tmp_path, "iteration,x,y,yaw\n" + "\n".join(motion), "odometry.csv")
     odometry = open_scans(path).odometry
     assert_array_equal(odometry[1:, 0, 3], [3, 4, np.nan, 1])
+
+
+def test_a_motion_from_another_iteration_than_the_one_before_is_unknown(tmp_path: Path) -> None:
+    put(tmp_path, "iteration,x,y,stamp\n0,1,1,0\n1,1,1,2\n2,1,1,1\n3,1,1,3\n", "observations.csv")
+    put(tmp_path, "iteration,x,y,yaw\n1,5,0,0\n2,6,0,0\n3,7,0,0", "odometry.csv")
+    assert_array_equal(open_log(tmp_path).odometry[:, 0, 3], [np.nan] * 4)
+
+
+def test_the_time_of_an_iteration_is_its_earliest(tmp_path: Path) -> None:
+    path = put(tmp_path, "iteration,x,y,stamp\n0,1,2,0.3\n0,2,2,0.1\n1,1,2,0.9\n")
+    assert_array_equal(open_log(path).stamps_s, [0.1, 0.9])

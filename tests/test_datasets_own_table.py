@@ -49,6 +49,7 @@ def check(log: ObservationLog) -> None:
         OWN.replace(",", ";").replace("0.5", "0,5"),
         OWN.replace(",", "\t"),
         OWN.replace("red", '"light, red"').replace("cone", '"cone"'),
+        OWN.replace("red", '"light, red"').replace("cone", '"cone"').replace(",", ", "),
         "# a comment\n\n" + OWN.replace("\n", "\r\n") + "\n\n",
     ],
 )
@@ -69,6 +70,19 @@ def frames(request: pytest.FixtureRequest) -> Any:
 
 def test_frames_are_logs(frames: Any) -> None:
     check(log_of_frame(frames.DataFrame(CELLS), NAMES))
+
+
+def test_ids_of_several_lines_are_the_same_in_a_frame_and_a_text(
+    tmp_path: Path, frames: Any
+) -> None:
+    names = ["a\nb", "a\r\nb", "a\rb", "c"]
+    table = {"iteration": [0, 1, 2, 2], "x": [1.0] * 4, "y": [2.0] * 4, "id": names}
+    rows = [",".join(map(repr, row)).replace("'", '"') for row in zip(*table.values(), strict=True)]
+    content = "\n".join(["iteration,x,y,id", *rows]).replace("\\r", "\r").replace("\\n", "\n")
+    path = tmp_path / "a.csv"
+    path.write_bytes(content.encode())
+    for log in (log_of_frame(frames.DataFrame(table)), open_log(path, columns={"x": "x"})):
+        assert (log.names, log.ids.tolist()) == (("a\nb", "c"), [0, 0, 0, 1])
 
 
 def test_columns_of_pandas_may_be_numbered() -> None:

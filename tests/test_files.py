@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from relmap import PointMapper, RelmapError
 from relmap.exports.formats import export
-from relmap.io.files import atomic_write, read_text, read_tum, staged_folder, write_tum
+from relmap.io.files import WHOLE, atomic_write, read_text, read_tum, staged_folder, write_tum
 from relmap.io.journal import salvage
 from relmap.io.results import read_names, read_result
 from tests.tables import poses_along
@@ -176,6 +176,19 @@ def test_folder_in_the_place_of_a_file_stops_all_files(tmp_path: Path) -> None:
     with pytest.raises(RelmapError, match="a folder of that name"):
         write()
     assert names(tmp_path) == ["b"]
+
+
+def test_folder_in_the_place_of_a_stale_file_leaves_the_earlier_result(tmp_path: Path) -> None:
+    (tmp_path / "names.csv").mkdir()
+    (tmp_path / WHOLE).write_text("old")
+
+    def write() -> None:
+        with staged_folder(tmp_path, ["names.csv"]) as staging:
+            (staging / WHOLE).write_text("new")
+
+    with pytest.raises(RelmapError, match=r"names.csv: a folder of that name"):
+        write()
+    assert (tmp_path / WHOLE).read_text() == "old"
 
 
 numbers = st.floats(-1e9, 1e9)

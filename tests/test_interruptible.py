@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+import weakref
 from collections.abc import Callable
 from pathlib import Path
 
@@ -29,6 +30,13 @@ def pressed_while_deleted() -> None:
     Pressed()
 
 
+def pressed_while_forgotten() -> None:
+    value = {1}
+    kept = weakref.ref(value, lambda _: signal.raise_signal(signal.SIGINT))
+    del value
+    assert kept() is None
+
+
 def pressed_while_compiled() -> None:
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
@@ -46,7 +54,9 @@ def wait_after(press: Callable[[], None]) -> None:
         time.sleep(LONG_S)
 
 
-@pytest.mark.parametrize("press", [pressed_while_deleted, pressed_while_compiled])
+@pytest.mark.parametrize(
+    "press", [pressed_while_deleted, pressed_while_forgotten, pressed_while_compiled]
+)
 def test_ctrl_c_is_raised_after_the_function_that_would_swallow_it(
     press: Callable[[], None],
 ) -> None:

@@ -43,6 +43,7 @@ def test_calls_are_repeated_on_resume(tmp_path: Path) -> None:
         run(mapper, scans[70:80])
     kept.finish()  # after the last scan: a resumed run has not called it yet
     kept.close()
+    PointMapper.resume(path).close()
     assert finished(run(PointMapper.resume(path), scans[80:])) == finished(run(plain, scans[80:]))
 
 

@@ -12,7 +12,9 @@ from relmap.core.geometry.alignment import fit_rigid
 from relmap.evaluation.metrics import positions_of
 from relmap.evaluation.truth import read_truth
 from relmap.io.results import read_result
+from relmap.merging.tables import joined
 from tests.commands import run_relmap, table
+from tests.tables import landmark_table
 
 pytestmark = pytest.mark.usefixtures("unrendered")
 
@@ -91,3 +93,13 @@ def test_ids_that_mean_other_landmarks_are_renumbered(
     assert "ids mean different landmarks in them" in capsys.readouterr().out
     labels = read_result(tmp_path / "both").landmarks.landmark
     assert len(np.unique(labels)) == len(labels)
+
+
+def test_positions_of_one_landmark_are_weighted_by_their_certainty() -> None:
+    ones = np.ones((2, 3))
+    a = landmark_table(0 * ones, sd=np.array([0.1, np.nan]), observations=np.array([1, 1]))
+    b = landmark_table(ones, sd=np.array([0.3, 0.2]), observations=np.array([5, 3]))
+    both = joined(a, b, np.array([[0, 0], [1, 1]]))
+    np.testing.assert_allclose(both.position[:, 0], [0.1, 0.75])
+    np.testing.assert_allclose(both.sd[0], np.hypot(0.9 * 0.1, 0.1 * 0.3))
+    assert both.observations.tolist() == [6, 4]

@@ -71,6 +71,13 @@ def test_a_closed_door_does_not_close_an_open_one() -> None:
     assert len(merged.plane) == 2
 
 
+def test_a_wall_that_others_cover_is_left_out() -> None:
+    whole = walls_of(np.array([[[0.0, 0.0], [8.0, 0.0]]]), [[-1, -1]])
+    ends = np.array([[[0.0, 0.0], [4.0, 0.0]], [[4.0, 0.0], [8.0, 0.0]]])
+    merged, _ = joined_walls(whole, walls_of(ends, [[-1, -1], [-1, -1]]))
+    assert merged.plane.tolist() == [0]
+
+
 def test_walls_back_to_back_stay_two() -> None:
     front = np.array([[[0.0, 0.0], [4.0, 0.0]]])
     merged, _ = joined_walls(walls_of(front, [[-1, -1]]), walls_of(front[:, ::-1], [[-1, -1]]))

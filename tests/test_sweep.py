@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import importlib.util
 import json
 import os
@@ -116,6 +117,16 @@ def test_goes_on_after_an_interruption(
     timing = table(out / "timing.csv")
     assert len(timing) == N
     assert all(float(row["total_s"]) > 0 for row in timing)
+
+
+@pytest.mark.usefixtures("workers_end")
+def test_cancelled_cells_give_no_warning(
+    spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, recwarn: pytest.WarningsRecorder
+) -> None:
+    press_ctrl_c_after_3(monkeypatch)
+    assert main(["sweep", str(spec), "-o", str(tmp_path / "out"), "--workers", "2"]) == 130
+    gc.collect()
+    assert [each for each in recwarn if "task iterator" in str(each.message)] == []
 
 
 def test_medians_are_listed_by_number(

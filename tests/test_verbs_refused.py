@@ -98,3 +98,14 @@ def test_errors_say_what_is_expected(
     monkeypatch.chdir(wrong)
     assert main(command.split()) == 2
     assert said in capsys.readouterr().err
+
+
+def test_walls_whose_corners_are_missing_are_not_merged(
+    mapped: Mapped, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(mapped("npz"), tmp_path / "cut")
+    path = tmp_path / "cut" / "landmarks.csv"
+    path.write_text("".join(path.read_text().splitlines(keepends=True)[:2]))
+    asked = ["merge", str(mapped("npz")), str(tmp_path / "cut"), "-o", str(tmp_path / "out")]
+    assert main(asked) == 2
+    assert "landmarks.csv beside it lacks" in capsys.readouterr().err

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from types import FrameType
+from typing import Any
 
 CALLED_FROM_C = ("llvmlite.", "numba.core.serialize", "numba.core.types.abstract")
 """Modules of the compiler whose functions are called back from C, where an exception is lost."""
-DELETING = ("__del__", "cb")
+DELETING = ("__del__", "cb", "_send_lost")
 """Functions called when an object is deleted, where an exception is lost; `cb` is the import's."""
 UNHANDLED = (signal.default_int_handler, signal.SIG_DFL)
 AGAIN_S = 0.01
@@ -27,20 +30,33 @@ def interruptible() -> Iterator[None]:
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     main = threading.current_thread() is threading.main_thread()
     changed = [number for number in before if main and before[number] in UNHANDLED]
+    printed = sys.unraisablehook
     for number in changed:
         signal.signal(number, _raise_where_heard)
+    if changed:
+        sys.unraisablehook = partial(_send_lost, printed)
     try:
         yield
     finally:
         for number in changed:
             signal.signal(number, before[number])
+        sys.unraisablehook = printed
 
 
 def _raise_where_heard(number: int, frame: FrameType | None) -> None:
     """Raise KeyboardInterrupt, or send the signal again soon if the exception would be lost."""
     if not _is_lost(frame):
-        raise KeyboardInterrupt
+        raise KeyboardInterrupt(number)
     threading.Timer(AGAIN_S, _send_again, (number,)).start()
+
+
+def _send_lost(printed: Callable[[Any], object], unraisable: Any) -> None:
+    """Send a signal again whose exception is lost, as in callbacks of weak references."""
+    lost = unraisable.exc_value
+    if isinstance(lost, KeyboardInterrupt) and lost.args:
+        threading.Timer(AGAIN_S, _send_again, lost.args).start()
+    else:
+        printed(unraisable)
 
 
 def _send_again(number: int) -> None:

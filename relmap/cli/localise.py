@@ -61,12 +61,14 @@ def command(
     from relmap.cli.job import doubt_unit, level_if_needed, require_dimension
     from relmap.evaluation.sources import read_log
     from relmap.io.files import staged_folder
-    from relmap.io.results import MAPPER
+    from relmap.io.results import MAPPER, SUMMARY
     from relmap.mapper import Mapper
     from relmap.planes import PlaneMapper
     from relmap.points import PointMapper
 
     args.refuse_to_write_into(out, result)
+    taken = f"--out is {out}, a result, whose path would be overwritten: give another folder"
+    args.refuse((out / SUMMARY).exists(), taken)
     mapper = Mapper.load(result / MAPPER)
     assert isinstance(mapper, PointMapper | PlaneMapper)
     variant: Literal["points", "planes"] = "planes" if isinstance(mapper, PlaneMapper) else "points"

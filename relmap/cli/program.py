@@ -8,6 +8,7 @@ import logging
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Annotated, Any
 
 import typer
@@ -134,5 +135,6 @@ def _announce() -> None:
 def _complain(message: str) -> int:
     line = " ".join(message.split())
     shown = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
-    typer.echo(f"relmap: error: {shown}", err=True)
+    with suppress(OSError):  # the disk may be full that the standard error is written to
+        typer.echo(f"relmap: error: {shown}", err=True)
     return BAD_INPUT

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from operator import itemgetter
 from pathlib import Path
@@ -108,6 +109,8 @@ def _sweep_into(
             "the same command continues with the others",
             err=True,
         )
+        # Its warning that it cancels the others comes when its generator is deleted.
+        warnings.filterwarnings("ignore", module="joblib")
         raise
     rows = [found[cell] for cell in cells]
     _write(out, cells, rows)

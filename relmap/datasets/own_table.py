@@ -104,7 +104,7 @@ def _rows(
             require_utf8(path, number, text)
             yield text
 
-    reader = csv.reader(checked(), delimiter=separator, strict=True)
+    reader = csv.reader(checked(), delimiter=separator, skipinitialspace=True, strict=True)
     try:
         for cells in reader:
             if any(cell.strip() for cell in cells):
@@ -255,6 +255,8 @@ class Ids:
 
     def add(self, text: str, where: str) -> None:
         """Add the id of a row, empty without one; RelmapError if it is too long."""
+        # As `open_text` has them: the ids of a table are the same in any format.
+        text = text.replace("\r\n", "\n").replace("\r", "\n")
         if len(text) > MAX_NAME:
             expected = f"expected at most {MAX_NAME} characters"
             raise RelmapError(f"{where}: {quoted(text)}, {expected}")

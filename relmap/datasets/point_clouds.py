@@ -26,7 +26,8 @@ POSES_FILE = "alidarPose.csv"
 _ROW = "4 numbers: a row of a 4 x 4 matrix"
 
 _NAME = re.compile(r"\.(pcd|ply)(\.xz)?$", re.IGNORECASE)
-_RESULT = "summary.json"
+_RESULT, _MAP = "summary.json", "map.ply"
+"""A folder with the first holds a result, and the second is its map."""
 
 
 class PointClouds:
@@ -36,14 +37,14 @@ class PointClouds:
     description = "a folder of .pcd or .ply files (or .xz)"
 
     def recognises(self, path: Path) -> bool:
-        """Return whether it is such a file, or a folder of them other than a result of relmap."""
+        """Return whether it is such a file, or a folder of them, not just of a map of relmap."""
         if not os.path.isdir(path):
             return is_cloud(path)
-        return bool(numbered_files(path, _NAME)) and not (path / _RESULT).exists()
+        return bool(_clouds(path))
 
     def load(self, path: Path) -> ScanLog:
         """Read the log; clouds are read lazily, without NaN, which are beams without a return."""
-        files = numbered_files(path, _NAME) if os.path.isdir(path) else [path]
+        files = _clouds(path) if os.path.isdir(path) else [path]
         if not files:
             raise invalid(path, f"holds no cloud, expected {self.description}")
         numbers, poses_file = np.arange(len(files), dtype=float), files[0].with_name(POSES_FILE)
@@ -52,6 +53,12 @@ class PointClouds:
             return log
         stamps_s, poses = _read_poses(poses_file, files)
         return sorted_by_time(poses_file, replace(log, poses=poses), stamps_s)
+
+
+def _clouds(folder: Path) -> list[Path]:
+    """Return the clouds in a folder, without the map of a result written there."""
+    is_result = (folder / _RESULT).exists()
+    return [file for file in numbered_files(folder, _NAME) if not (is_result and file.name == _MAP)]
 
 
 def _read_poses(file: Path, clouds: list[Path]) -> tuple[Floats, Floats]:

@@ -92,14 +92,15 @@ def _move_files(staging: Path, folder: Path, stale: Sequence[str]) -> None:
     names = sorted(path.relative_to(staging) for path in staging.rglob("*") if path.is_file())
     for name in names:
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        if (folder / name).is_dir():
-            raise RelmapError(f"cannot write {shown(folder / name)}: a folder of that name exists")
         with (staging / name).open("rb") as stream:
             os.fsync(stream.fileno())
     written = {path.name for path in staging.iterdir()}
     old = names if len(names) > 1 else []
     first = [Path(WHOLE)] if WHOLE in written else old
     gone = [*first, *map(Path, set(stale).difference(written))]
+    for name in (*names, *gone):
+        if (folder / name).is_dir():
+            raise RelmapError(f"cannot write {shown(folder / name)}: a folder of that name exists")
     names.sort(key=lambda name: name == Path(WHOLE))
     for name in gone:
         (folder / name).unlink(missing_ok=True)

@@ -19,7 +19,7 @@ from relmap.core.state.table import LandmarkState
 from relmap.evaluation.metrics import positions_of
 from relmap.evaluation.pairing import Motion, paired
 from relmap.evaluation.summary import by_status
-from relmap.io.results import Result, Tracks, read_names, shifted
+from relmap.io.results import LANDMARKS, PLANES, Result, Tracks, read_names, shifted
 from relmap.merging.tables import joined, joined_walls, moved
 from relmap.planes.places.submap_ties import RIVAL, WALLS, ends_by_chance
 from relmap.planes.places.wall_tie import ACROSS, LEAST_M, coinciding_ends, wall_ties
@@ -86,6 +86,12 @@ def _read(folder: Path) -> Result:
         raise RelmapError(
             f"{folder} is a map of planes in space: only points and walls (variants points and "
             "planes) are merged"
+        )
+    corners = result.planes.corner if isinstance(result, PlaneResult) else NOTHING
+    unknown = np.setdiff1d(corners[corners >= 0], result.landmarks.landmark)
+    if len(unknown):
+        raise RelmapError(
+            f"{folder / PLANES} names the corner {unknown[0]}, which {LANDMARKS} beside it lacks"
         )
     return result
 
