@@ -111,11 +111,12 @@ class PartSolver:
         chosen = np.flatnonzero(there & often[every])
         landmarks, of = np.unique(every[chosen], return_inverse=True)
         points = kept.location[chosen]
+        root = np.sqrt(kept.count[chosen])[:, None, None] * np.eye(points.shape[1])
         if len(kept.covariance) and not engine.association.current.estimates_covariances:
-            root = np.linalg.inv(np.linalg.cholesky(kept.covariance[chosen]))
-        else:
-            alike = np.eye(points.shape[1]) / self._sigma_m
-            root = np.sqrt(kept.count[chosen])[:, None, None] * alike
+            # Their common factor is that of the noise, which is estimated.
+            usual = np.trace(kept.covariance, axis1=1, axis2=2).mean() / points.shape[1]
+            root = np.linalg.inv(np.linalg.cholesky(kept.covariance[chosen] / usual))
+        root /= self._sigma_m
         between = self.motions[iterations[1:]].copy()
         between[np.diff(iterations) != 1] = np.nan
         begin = np.searchsorted(iterations, kept.iteration[chosen])
