@@ -106,6 +106,19 @@ def test_a_common_factor_of_covariances_changes_nothing_with_odometry() -> None:
         assert_allclose(other.covariances, maps[0].covariances, rtol=1e-3)
 
 
+def test_one_huge_covariance_is_not_the_noise_of_the_map() -> None:
+    x, mapper = np.arange(0, 126, 0.5), PointMapper()
+    run = drive(x, ROAD, 2)
+    for k, points in enumerate(run.points):
+        noise = np.tile(SIGMA_M**2 * np.eye(2), (len(points), 1, 1))
+        noise[: k == 20] *= 1e8
+        mapper.update(points, covariances=noise, odometry=run.odometry[k])
+    mapper.finish()
+    mapper.refine()
+    assert mapper.odometry.is_used
+    assert mapper.refined[0].noise_m == pytest.approx(SIGMA_M, rel=0.15)
+
+
 @pytest.mark.parametrize("known", [True, False])
 def test_a_log_with_odometry_is_added_to_a_map_without(known: bool) -> None:
     first, second = (
