@@ -147,15 +147,14 @@ def problem_of(log: ObservationLog, mapper: PointMapper) -> tuple[Problem, Ints]
     motion = np.column_stack(
         [odometry[:, 0, 3], odometry[:, 1, 3], np.arctan2(odometry[:, 1, 0], odometry[:, 0, 0])]
     )
-    seen_sigma, *factors = use.sigmas
-    sd = np.column_stack(use.noise.sigmas(odometry)) * factors
+    sd = np.column_stack(use.noise.sigmas(odometry)) * use.sigmas[1:]
     seen = np.flatnonzero(log.ids >= 0)
     ids, landmark = np.unique(log.ids[seen], return_inverse=True)
-    if log.covariances is None:
-        noise_m = max(refined.noise_m for refined in mapper.refined)
-        roots = np.tile(np.eye(2) / noise_m, (len(seen), 1, 1))
-    else:
-        roots = np.linalg.inv(np.linalg.cholesky(log.covariances[seen])) / seen_sigma
+    noise_m = max(refined.noise_m for refined in mapper.refined)
+    roots = np.tile(np.eye(2) / noise_m, (len(seen), 1, 1))
+    if log.covariances is not None:
+        usual = np.trace(log.covariances, axis1=1, axis2=2).mean() / 2
+        roots = np.linalg.inv(np.linalg.cholesky(log.covariances[seen] / usual)) / noise_m
     pose = log.iteration[seen] - log.first_iteration
     return Problem(log.points_robot[seen, :2], pose, landmark, roots, motion, sd), ids
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from numpy.testing import assert_array_equal
+from numpy.testing import assert_allclose, assert_array_equal
 
 from relmap import PointMapper
 from relmap.core.arrays import Bools, Floats, Ints
@@ -43,15 +43,15 @@ def feed(
     run: Drive,
     known: bool,
     given: Bools,
-    covariances: bool = False,
+    covariances: float = 0.0,
     refine: bool = True,
 ) -> None:
-    """Map a drive, with odometry (k,) where it is given."""
+    """Map a drive, with odometry (k,) where it is given, and so many times the true covariances."""
     for k, points in enumerate(run.points):
         mapper.update(
             points,
             ids=run.ids[k] if known else None,
-            covariances=np.tile(SIGMA_M**2 * np.eye(2), (len(points), 1, 1))
+            covariances=np.tile(covariances * SIGMA_M**2 * np.eye(2), (len(points), 1, 1))
             if covariances
             else None,
             odometry=run.odometry[k] if given[k] else None,
@@ -76,8 +76,8 @@ ROAD = np.concatenate([field(90, -8, 82, 0), field(14, 110, 130, 1)])
 """Landmarks along a road; only odometry connects the last ones."""
 
 
-@pytest.mark.parametrize("covariances", [False, True])
-def test_landmarks_seen_only_before_the_first_odometry_are_mapped(covariances: bool) -> None:
+@pytest.mark.parametrize("covariances", [0.0, 1.0])
+def test_landmarks_seen_only_before_the_first_odometry_are_mapped(covariances: float) -> None:
     x = np.arange(0, 126, 0.5)
     run, later = drive(x, ROAD, 2), np.arange(len(x)) >= 150
     mapper, whole = PointMapper(), PointMapper()
@@ -89,6 +89,34 @@ def test_landmarks_seen_only_before_the_first_odometry_are_mapped(covariances: b
     assert mapper.refined[0].noise_m == pytest.approx(SIGMA_M, rel=0.15)
     own, other = mapper.trajectory[:, :2, 3], whole.trajectory[:, :2, 3]
     assert np.linalg.norm(own - other, axis=1)[:150].max() < 0.2
+
+
+def test_a_common_factor_of_covariances_changes_nothing_with_odometry() -> None:
+    x = np.arange(0, 126, 0.5)
+    run, given, maps = drive(x, ROAD, 2), np.ones(len(x), dtype=bool), []
+    for factor in (1.0, 0.01, 100.0):
+        mapper = PointMapper()
+        feed(mapper, run, False, given, factor)
+        assert mapper.odometry.is_used
+        assert mapper.refined[0].noise_m == pytest.approx(SIGMA_M, rel=0.15)
+        maps.append(mapper.map)
+    for other in maps[1:]:
+        assert_array_equal(other.landmark_ids, maps[0].landmark_ids)
+        assert_allclose(other.positions, maps[0].positions, atol=1e-6)
+        assert_allclose(other.covariances, maps[0].covariances, rtol=1e-3)
+
+
+def test_one_huge_covariance_is_not_the_noise_of_the_map() -> None:
+    x, mapper = np.arange(0, 126, 0.5), PointMapper()
+    run = drive(x, ROAD, 2)
+    for k, points in enumerate(run.points):
+        noise = np.tile(SIGMA_M**2 * np.eye(2), (len(points), 1, 1))
+        noise[: k == 20] *= 1e8
+        mapper.update(points, covariances=noise, odometry=run.odometry[k])
+    mapper.finish()
+    mapper.refine()
+    assert mapper.odometry.is_used
+    assert mapper.refined[0].noise_m == pytest.approx(SIGMA_M, rel=0.15)
 
 
 @pytest.mark.parametrize("known", [True, False])

@@ -19,6 +19,7 @@ from relmap.core.refinement.chain.drift import Drift
 from relmap.core.refinement.gauss_newton import Solution
 from relmap.core.revisiting import mergeable
 from relmap.core.state.table import LandmarkState
+from relmap.evaluation.metrics import purity
 from tests.worlds import turn
 
 Array = Floats
@@ -111,6 +112,14 @@ def test_no_landmark_is_merged_into_one_that_is_itself_merged() -> None:
     assert mergeable(table, pairs).tolist() == [[2, 1], [3, 0]]
 
 
+def round_a_square(side_m: float, step_m: float, sides: int, more: int) -> list[Array]:
+    """Return the poses (k, 4, 4) of a run along so many sides of a square, and some more steps."""
+    poses, per_side = [np.eye(4)], round(side_m / step_m)
+    for k in range(1, sides * per_side + more):
+        poses.append(poses[-1] @ motion(step_m, np.pi / 2 if k % per_side == 0 else 0.0))
+    return poses
+
+
 def rounds(rng: np.random.Generator) -> tuple[Array, list[Array]]:
     """Return landmarks along a square corridor of 80 m, and the poses (k, 4, 4) of two rounds."""
     side, corners = 20.0, np.array([[0, 0], [20, 0], [20, 20], [0, 20]])
@@ -119,21 +128,21 @@ def rounds(rng: np.random.Generator) -> tuple[Array, list[Array]]:
     ahead = np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])
     across = rng.uniform(0.4, 1.8, len(along)) * rng.choice([-1, 1], len(along))
     landmarks = corners[leg] + rest[:, None] * ahead[leg] + across[:, None] * ahead[leg - 1]
-    poses = [np.eye(4)]
-    per_side = round(side / STEP_M)
-    for k in range(1, 8 * per_side + 30):
-        poses.append(poses[-1] @ motion(STEP_M, np.pi / 2 if k % per_side == 0 else 0.0))
-    return landmarks, poses
+    return landmarks, round_a_square(side, STEP_M, 8, 30)
 
 
 def driven(
-    landmarks: Array, poses: list[Array], noise_m: float, rng: np.random.Generator
+    landmarks: Array,
+    poses: list[Array],
+    noise_m: float,
+    rng: np.random.Generator,
+    sees_m: float = SEES_M,
 ) -> tuple[PointMapper, list[tuple[int, int]]]:
     """Map a run with drifting odometry; return also number and landmark of each observation."""
     mapper, seen = PointMapper(), []
     for k, pose in enumerate(poses):
         local = (landmarks - pose[:2, 3]) @ pose[:2, :2]
-        near = np.flatnonzero((np.linalg.norm(local, axis=1) < SEES_M) & (local[:, 0] > 0))
+        near = np.flatnonzero((np.linalg.norm(local, axis=1) < sees_m) & (local[:, 0] > 0))
         local = local[near] + rng.normal(0, noise_m, (len(near), 2))
         moved = np.linalg.inv(poses[k - 1]) @ pose if k else None
         if moved is not None:
@@ -179,6 +188,16 @@ def test_a_loop_that_drift_left_open_by_metres_is_closed() -> None:
     assert np.sqrt(np.mean(off**2)) < 0.25
     assert mapper.odometry.is_used
     assert mapper.odometry.drift >= 1.0
+
+
+def test_a_lattice_is_not_closed_one_period_off() -> None:
+    along = np.arange(-12.0, 57.0, 3.0)
+    lattice = np.stack(np.meshgrid(along, along), axis=-1).reshape(-1, 2)
+    poses = round_a_square(45.0, 0.75, 5, 10)
+    mapper, seen = driven(lattice, poses, 0.09, np.random.default_rng(2), sees_m=4.5)
+    number, true = np.array(seen).T
+    assert mapper.odometry.is_used
+    assert purity(mapper.landmarks_of(number), true) == 1.0
 
 
 def test_a_lattice_that_drifted_by_a_period_is_ambiguous() -> None:

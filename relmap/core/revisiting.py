@@ -11,6 +11,7 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.association.reobservation.coinciding import (
     CLEAR_SIGMAS,
     SIGMAS,
+    TOLERANCE,
     gathered,
     lying_together,
     neighbours_fit,
@@ -20,7 +21,7 @@ from relmap.core.association.reobservation.coinciding import (
 from relmap.core.association.reobservation.loops import TIED
 from relmap.core.association.reobservation.merging import merge_doubles
 from relmap.core.association.reobservation.recognition import CLEAR
-from relmap.core.association.reobservation.revisits import TOLERANCE, RevisitFinder
+from relmap.core.association.reobservation.revisits import RevisitFinder
 from relmap.core.association.reobservation.sightings import Sightings
 from relmap.core.association.scale import spacing_of
 from relmap.core.gaps import bridge_gaps

@@ -13,11 +13,12 @@ from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.association.base import nearest
-from relmap.core.association.reobservation.revisits import TOLERANCE
 from relmap.core.refinement.condensing import LENGTH
 from relmap.core.scan import FARTHEST_M
 from relmap.core.state.table import NONE, LandmarkState
 
+TOLERANCE = 5.0
+"""Largest distance between landmarks that coincide, in standard deviations of an observation."""
 APART = 2.5
 """Minimum distance of any other landmark, relative to that of landmarks merged in place."""
 SIGMAS, CLEAR_SIGMAS = 4.0, 10.0

@@ -19,6 +19,7 @@ from scipy.special import bdtrc
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association.base import nearest
 from relmap.core.association.placement import Placement, consistent_placements
+from relmap.core.association.reobservation.coinciding import TOLERANCE, neighbours_fit
 from relmap.core.association.reobservation.recognition import BY_CHANCE, CLEAR
 from relmap.core.association.search import matches_of, settled
 from relmap.core.motion_noise import FLOOR_M
@@ -40,8 +41,6 @@ STRAINED, COMPARED = 2.0, 12
 """Largest strain of a revisit with much drift (see `Drift.strain`), and number of its matches from
 which it is computed: correlated errors of odometry hardly exceed its noise; to take another place
 for this one, a few steps must have large errors."""
-TOLERANCE = 5.0
-"""Largest distance between the landmarks of a match, in standard deviations of an observation."""
 NEIGHBOUR, USUAL = 4, 3.67
 """Rank of the neighbour whose distance gives the density of the landmarks, and their number within
 the median of this distance (of a gamma distribution).  Nearer ones may be the same landmark, mapped
@@ -189,11 +188,13 @@ class RevisitFinder:
             return None
         if wider > sigmas and self._has_rival(pose, wider, stretch.pairs(matches), chance):
             return None
-        off_m = np.linalg.norm(
-            placement.apply(stretch.points[matches[:, 0]]) - stretch.there[matches[:, 1]], axis=1
-        )
+        here, there = placement.apply(stretch.points[matches[:, 0]]), stretch.there[matches[:, 1]]
+        reach_m, tolerance_m = float(stretch.reach_m.max()), self._tolerance_m / WIDER
+        if neighbours_fit(here, there, stretch.there, reach_m, tolerance_m):
+            return None  # the place is periodic
+        off_m = np.linalg.norm(here - there, axis=1)
         # Some of the others may be matched to a neighbour; they are merged once the map is solved.
-        new, old = matches[off_m <= max(np.median(off_m), self._tolerance_m / WIDER)].T
+        new, old = matches[off_m <= max(np.median(off_m), tolerance_m)].T
         middle = stretch.points[new].mean(axis=0)
         drifted_m = float(np.linalg.norm(placement.apply(middle) - middle))
         own = stretch.pairs(np.column_stack([new, old]))

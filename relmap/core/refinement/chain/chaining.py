@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
+from relmap.core.association.metric import WORST
 from relmap.core.geometry.alignment import fit_rigid, fixes_rotation, sums_each
 from relmap.core.geometry.motions import transforms
 from relmap.core.map.globalmap import order_of_submaps
@@ -111,11 +112,13 @@ class PartSolver:
         chosen = np.flatnonzero(there & often[every])
         landmarks, of = np.unique(every[chosen], return_inverse=True)
         points = kept.location[chosen]
+        root = np.sqrt(kept.count[chosen])[:, None, None] * np.eye(points.shape[1])
         if len(kept.covariance) and not engine.association.current.estimates_covariances:
-            root = np.linalg.inv(np.linalg.cholesky(kept.covariance[chosen]))
-        else:
-            alike = np.eye(points.shape[1]) / self._sigma_m
-            root = np.sqrt(kept.count[chosen])[:, None, None] * alike
+            # Their common factor is that of the noise, which is estimated.
+            variance = np.trace(kept.covariance, axis1=1, axis2=2) / points.shape[1]
+            usual = np.minimum(variance, WORST**2 * np.median(variance)).mean()
+            root = np.linalg.inv(np.linalg.cholesky(kept.covariance[chosen] / usual))
+        root /= self._sigma_m
         between = self.motions[iterations[1:]].copy()
         between[np.diff(iterations) != 1] = np.nan
         begin = np.searchsorted(iterations, kept.iteration[chosen])
