@@ -49,6 +49,16 @@ def test_a_corridor_is_seen_to_its_end() -> None:
     assert farthest_m.max() > 39.0
 
 
+def test_walls_that_leave_the_range_of_a_laser_are_not_the_floor(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """A laser that sees 12 m, as its log does not say: beams straight ahead return nothing."""
+    wide_and_narrow = [(1 + k % 2 / 9) * ranges for k, ranges in enumerate(down_a_corridor())]
+    usable([np.where(ranges < FLOOR_M, ranges, 0.0) for ranges in wide_and_narrow])
+    (said,) = [record.getMessage() for record in caplog.records]
+    assert "as if its range, which the log lacks, ended there" in said
+
+
 def test_a_wall_before_a_robot_at_rest_is_a_wall() -> None:
     """It stands for most of the time, and at the end drives a little."""
     at_rest = [down_a_corridor(long_m=12.0)[0]] * 200

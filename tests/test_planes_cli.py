@@ -159,8 +159,11 @@ def test_first_metres_of_freiburg_079(real_scans: Callable[[str], ScanLog]) -> N
     assert ate_m(run.result.poses[mine], log.poses[other]) <= 0.08
 
 
-def closing(*submaps: tuple[int, bool], walls: int = 9) -> str:
-    """Return the end of the message about submaps, given their scans and whether refined."""
+def closing(*submaps: tuple[int, bool], walls: int = 9, apart: int = 0) -> str:
+    """Return the end of the message about submaps, given their scans and whether refined.
+
+    `apart`: number of scans that are in none.
+    """
     steps = {"median_m": None, "median_deg": None, "view_deg": None}
     rows, end = [], 0
     for n, refined in submaps:
@@ -168,7 +171,15 @@ def closing(*submaps: tuple[int, bool], walls: int = 9) -> str:
         rows.append({"scans": n, "refined": refined, "metres": 1.0, "iterations": at})
         end += n
     about = {"submaps": rows, "weak_links": [], "steps": steps, "variant": "planes"}
-    return torn(about | {"counts": {"planes_static": walls}}, refine=True)
+    counts = {"planes_static": walls, "iterations": end + apart}
+    return torn(about | {"counts": counts}, refine=True)
+
+
+def test_scans_without_walls_are_counted() -> None:
+    assert closing((35, True)) == ""
+    assert closing((35, True), apart=69) == (
+        "; scans that show hardly any walls, and have no pose: 69"
+    )
 
 
 def test_scans_in_the_midst_that_fit_nowhere_are_named_and_no_break() -> None:

@@ -114,7 +114,7 @@ def torn(summary: dict[str, Any], refine: bool) -> str:
     message = ""
     if not summary["counts"]["planes_static"]:
         message = "; nothing is mapped" + ("" if failed else NO_WALL)
-    message += broken(summary)
+    message += broken(summary) + blind(summary)
     if failed:
         which = "only" if len(summary["submaps"]) == 1 else "largest"
         several = f"{failed} of {len(usable)} submaps of four scans or more"
@@ -135,7 +135,7 @@ def in_space(summary: dict[str, Any]) -> str:
         return UNCONNECTED if len(summary["submaps"]) > 1 else SINGLE
     weak = len(summary["weak_links"])
     unsure = f"; scans whose position is poorly determined in some direction: {weak}"
-    return broken(summary) + (unsure if weak else "") + advice(summary)
+    return broken(summary) + blind(summary) + (unsure if weak else "") + advice(summary)
 
 
 def broken(summary: dict[str, Any]) -> str:
@@ -158,6 +158,14 @@ def broken(summary: dict[str, Any]) -> str:
     if not summary["counts"]["planes_static"]:
         return f"{parts}, the largest of {of}"
     return f"{parts}: the largest, of {of}, is the map"
+
+
+def blind(summary: dict[str, Any]) -> str:
+    """Return how many scans are in no submap, as part of a message: they show no walls."""
+    placed = sum(submap["scans"] for submap in summary["submaps"])
+    n_blind = 0 if summary.get("onto") else summary["counts"]["iterations"] - placed
+    which = "planes" if summary["variant"] == "planes3d" else "walls"
+    return f"; scans that show hardly any {which}, and have no pose: {n_blind}" * (n_blind > 0)
 
 
 def _left_out(submaps: list[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -25,6 +25,10 @@ NEARER = 0.5
 wall, or drive about in the middle of a room."""
 BELOW = 0.9
 """Fraction of the range of the laser above which that range is why nothing is seen farther."""
+LINE, WIDE_RAD = 0.9, np.deg2rad(2.5)
+"""The fraction of a view ahead above which beams end on the same line across, and the least angle
+of these beams on a floor: walls on both sides that leave the range of the laser show a degree each
+at most, a tenth of `AHEAD_RAD`. Then that range, unknown, is why nothing is seen farther."""
 FEWEST = 20
 """Minimum number of scans."""
 MOVED_M, MOVED = 0.1, 0.05
@@ -41,13 +45,11 @@ def floor_m(
     with hardly anything beyond. `path`: the log, for warnings. `ranges_m`, `bearings_rad`, list of
     k (b,): beams of each scan, 0 for those without a return. `limit_m`: range of the laser.
     """
-    views = [
-        (ranges * np.cos(bearings))[np.abs(bearings) <= AHEAD_RAD].max(initial=0.0)
-        for ranges, bearings in _moving(zip(ranges_m, bearings_rad, strict=True))
-    ]
-    ahead_m = np.array([view for view in views if view > 0])
-    if len(ahead_m) < FEWEST:
+    views = [_ahead(*scan) for scan in _moving(zip(ranges_m, bearings_rad, strict=True))]
+    seen = np.array([view for view in views if view[0] > 0])
+    if len(seen) < FEWEST:
         return np.inf
+    ahead_m, across_rad = seen.T
     far_m = float(np.quantile(ahead_m, FAR))
     least_m = 2 * float(np.median(ahead_m[ahead_m >= FARTHER * far_m])) - far_m
     within = np.count_nonzero(ahead_m >= least_m)
@@ -57,9 +59,19 @@ def floor_m(
     if few or within < PEAK * below or least_m < NARROW * far_m or far_m > BELOW * limit_m:
         return np.inf
     share = f"{100 * within / len(views):.3g} % of the scans in motion"
-    seen = f"{share} see {least_m:.3g} to {far_m:.3g} m ahead, hardly any farther"
-    warn(path, f"{seen}, as if the laser saw the floor: ranges left out")
+    found = f"{share} see {least_m:.3g} to {far_m:.3g} m ahead, hardly any farther"
+    is_floor = np.median(across_rad[ahead_m >= least_m]) >= WIDE_RAD
+    why = "the laser saw the floor" if is_floor else "its range, which the log lacks, ended there"
+    warn(path, f"{found}, as if {why}: ranges left out")
     return least_m
+
+
+def _ahead(ranges: Floats, bearings: Floats) -> tuple[float, float]:
+    """Return how far a scan sees ahead, and the angle of the beams that end about there."""
+    view_m = (ranges * np.cos(bearings))[np.abs(bearings) <= AHEAD_RAD]
+    longest_m = float(view_m.max(initial=0.0))
+    spacing = np.median(np.abs(np.diff(bearings))) if len(bearings) > 1 else 0.0
+    return longest_m, float(spacing * np.count_nonzero(view_m >= LINE * longest_m))
 
 
 def _moving(scans: Iterable[tuple[Floats, Floats]]) -> Iterator[tuple[Floats, Floats]]:
