@@ -152,6 +152,36 @@ def test_odometry_stuck_at_zero_is_noticed_and_left_out() -> None:
     assert_allclose(mapper.map.positions, without.map.positions, atol=1e-6)
 
 
+@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("fault", ["mirrored", "degrees"])
+def test_turns_that_are_mirrored_or_in_degrees_are_noticed_where_few_steps_turn(
+    fault: str, known: bool
+) -> None:
+    """Along straights with two bends, and a gap: the map was metres off, with a standard deviation
+    of a tenth of that."""
+    turn = np.zeros(160)
+    turn[[*range(40, 52), *range(110, 122)]] = np.deg2rad(7)
+    rng, yaw = np.random.default_rng(5), np.cumsum(turn)
+    way = 0.6 * np.column_stack([np.cos(yaw), np.sin(yaw)])
+    at = np.cumsum(way, axis=0)
+    landmarks = at[rng.integers(0, len(at), 70)] + rng.uniform(-8, 8, (70, 2))
+    factor = -1.0 if fault == "mirrored" else np.rad2deg(1.0)
+    mapper = PointMapper()
+    for k in range(len(at)):
+        c, s = np.cos(yaw[k]), np.sin(yaw[k])
+        points = (landmarks - at[k]) @ np.array([[c, -s], [s, c]])
+        seen = np.flatnonzero((np.hypot(*points.T) < 9) & (not 80 <= k < 92))
+        points = points[seen] + rng.normal(0, 0.03, (len(seen), 2))
+        noise = rng.normal(0, [0.02, 0.02, np.deg2rad(0.1)])
+        motion = np.array([0.6 * np.cos(turn[k]), 0.6 * np.sin(turn[k]), turn[k]]) + noise
+        motion *= [1.0, np.sign(factor), factor]
+        mapper.update(points, ids=seen if known else None, odometry=motion if k else None)
+    mapper.finish()
+    mapper.refine()
+    assert mapper.odometry.noise.is_wrong
+    assert not mapper.odometry.is_used
+
+
 @pytest.mark.parametrize("stuck", [slice(1, 83), slice(167, 250)])
 def test_a_stretch_of_odometry_stuck_at_zero_is_left_out(stuck: slice) -> None:
     run = world(2 * SPARSE, 250)

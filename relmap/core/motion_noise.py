@@ -22,8 +22,9 @@ ROUNDS = 10
 """Steps of weighted least squares towards least absolute deviations (Schlossmacher, 1973)."""
 SLIPPED = 6.0
 """Standard deviations beyond which a step of odometry is wrong."""
-WRONG_SCALE, WRONG_WAY = 0.3, 0.5
-"""Error of the scale, and noise relative to the distance, beyond which odometry is rejected."""
+WRONG_SCALE, WRONG_WAY, WRONG_RAD = 0.3, 0.5, 0.2
+"""Error of the scale, and noise relative to the distance and of a turn, beyond which odometry is
+rejected. Turns in degrees are as noisy."""
 LEAP, USUALLY, LEAP_M = 10.0, 0.9, 5.0
 """A step so many times longer than this fraction of the steps, and this long, is a fault."""
 STILL_M = 1e-3
@@ -58,7 +59,8 @@ class MotionNoise:
     @property
     def is_wrong(self) -> bool:
         """Whether it is rejected as a whole: of another robot, or another time."""
-        return bool(abs(self.scale - 1) > WRONG_SCALE or self.sigma_way > WRONG_WAY or self.misses)
+        is_noisy = self.sigma_way > WRONG_WAY or self.sigma_rad > WRONG_RAD
+        return bool(abs(self.scale - 1) > WRONG_SCALE or is_noisy or self.misses)
 
     def corrected(self, odometry: Floats) -> Floats:
         """Return motions (k, 4, 4) without the constant errors."""
@@ -156,6 +158,17 @@ def missing_turn(odometry: Floats, measured: Floats, sd_rad: Floats) -> tuple[Bo
     off, turn = np.sum(_turned(odometry, measured) * turns, axis=1), np.linalg.norm(turns, axis=1)
     judged = np.isfinite(off) & (turn > SLIPPED * np.hypot(sd_rad, MotionNoise.sigma_rad))
     return judged, judged & (np.abs(off) > WRONG_WAY * turn**2)
+
+
+def turns_otherwise(odometry: Floats, measured: Floats, sigma_rad: float) -> Bools:
+    """Return which turns (k,) odometry makes, too, but surely otherwise: mirrored, or in degrees.
+
+    By more than half of the measured turn, about its axis, and far off for its noise, of a step.
+    Landmarks that show a turn by mistake do not make odometry turn.
+    """
+    turns = _turns(measured)
+    own = np.abs(np.sum(_turns(odometry) * turns, axis=1)) > WRONG_WAY * np.sum(turns**2, axis=1)
+    return np.asarray(own & (_apart(odometry, measured)[1] > SLIPPED / 2 * sigma_rad))
 
 
 def misses_most(compared: Bools, missed: Bools) -> bool:

@@ -17,6 +17,7 @@ from relmap.core.motion_noise import (
     missing_turn,
     missing_way,
     motion_noise,
+    turns_otherwise,
 )
 from relmap.core.refinement.condensing import LENGTH, NOWHERE, SegmentRows
 from relmap.core.state.table import NONE, LandmarkState
@@ -116,7 +117,7 @@ def noise_of(
     compared = np.where(sure[:, None, None], measured.motion, np.nan)
     single = motion_noise(odometry, compared) or MotionNoise()
     slipped = single.slipped(odometry, measured.motion, measured.sd_m, measured.sd_rad)
-    misses, missed = _missed(single.corrected(odometry), measured, slipped, rows)
+    misses, missed = _missed(single.corrected(odometry), single.sigma_rad, measured, slipped, rows)
     missed |= leaps(odometry, np.isfinite(odometry[:, 0, 0])) & np.isnan(measured.sd_m)
     without_slips = odometry.copy()
     without_slips[slipped] = np.nan
@@ -137,29 +138,35 @@ def noise_of(
 
 
 def _missed(
-    odometry: Floats, measured: Measured, slipped: Bools, rows: SegmentRows
+    odometry: Floats, sigma_rad: float, measured: Measured, slipped: Bools, rows: SegmentRows
 ) -> tuple[bool, Bools]:
     """Return whether odometry misses most of the motion, and in which stretches (k,) it does.
 
-    With gaps next to these. A single step may be an error of landmarks.
+    With gaps next to these. A single step may be an error of landmarks. `sigma_rad`: noise of a
+    turn of `odometry`, per step.
     """
     known = np.isfinite(odometry[:, 0, 0])
     tied = known & np.isfinite(measured.sd_m)
     turns_less = missing_turn(odometry, measured.motion, measured.sd_rad)[1]
     without_slips = np.where(slipped[:, None, None], measured.motion, odometry)
-    over, turns, turns_less_over = _missing_over(without_slips, rows)
+    over, turns, turns_less_over, _ = _missing_over(without_slips, sigma_rad, rows)
     missed = over | missing_way(odometry, measured.motion, measured.sd_m)
     misses = misses_most(tied, missed)
     if turns.sum() > TURNS * tied.sum():  # Fewer may be errors of landmarks.
         misses |= misses_most(turns, turns_less_over)
+    _, turns, _, wrong_over = _missing_over(odometry, sigma_rad, rows)
+    misses |= misses_most(turns, wrong_over)
     missed |= slipped & turns_less
     return misses, known & (missed | ~tied) & _beside_missed(missed, tied)
 
 
-def _missing_over(odometry: Floats, rows: SegmentRows) -> tuple[Bools, Bools, Bools]:
+def _missing_over(
+    odometry: Floats, sigma_rad: float, rows: SegmentRows
+) -> tuple[Bools, Bools, Bools, Bools]:
     """Return in which steps (k,) odometry misses most of the way over their whole segment.
 
-    Then, in which steps the segment turns measurably, and in which of these odometry misses that.
+    Then, in which steps the segment turns measurably, in which of these odometry misses that, and
+    in which of those it turns otherwise.
     """
     segment, k = rows.iteration_segment, len(rows.iteration_segment)
     begins = np.append(True, segment[1:] != segment[:-1])[:k]
@@ -175,7 +182,8 @@ def _missing_over(odometry: Floats, rows: SegmentRows) -> tuple[Bools, Bools, Bo
     inside = ~begins & (segment != NOWHERE)
     way = missing_way(composed[last], seen, np.sqrt(each_m[first] + each_m[last]))
     turn = missing_turn(composed[last], seen, np.sqrt(each_rad[first] + each_rad[last]))
-    return inside & way[of], inside & turn[0][of], inside & turn[1][of]
+    wrong = turn[1] & turns_otherwise(composed[last], seen, sigma_rad)
+    return inside & way[of], inside & turn[0][of], inside & turn[1][of], inside & wrong[of]
 
 
 def _beside_missed(missed: Bools, tied: Bools) -> Bools:

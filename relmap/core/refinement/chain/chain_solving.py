@@ -33,15 +33,27 @@ def settled_chain(
 ) -> tuple[Solution[Chained], ChainProblem]:
     """Solve for the map of least robust cost, and estimate the noise from its residuals.
 
+    Parts of the chain turn as a whole: otherwise long chains stay far from the optimum. Since wrong
+    ids turn them too, with ids the better of this solution and one without such turns is returned.
+
     `step_sd`, tuple of (k - 1,): standard deviations of the distance and the turn of each step of
     odometry, as in `ChainProblem`; `state`: where to start; `anchor`: iteration that is held;
     `sigmas`: the noise, if known; `to_the_last`: whether to iterate until convergence. Returns
     `problem`: with the estimated noise.
     """
-    problem = ChainProblem(
-        chain, step_sd, sigmas or Sigmas(), state.positions, anchor, turns_whole=not has_ids
-    )
-    is_known = sigmas is not None
+    each = []
+    for turns_whole in (False, True) if has_ids else (True,):
+        problem = ChainProblem(
+            chain, step_sd, sigmas or Sigmas(), state.positions, anchor, turns_whole
+        )
+        each.append(_settled(problem, state, sigmas is not None, to_the_last))
+    return min(each, key=lambda one: _cost(each[0][1], one[0].state, one[0].state))
+
+
+def _settled(
+    problem: ChainProblem, state: Chained, is_known: bool, to_the_last: bool
+) -> tuple[Solution[Chained], ChainProblem]:
+    """Return the solution from a state, and the problem with the noise, estimated if not known."""
     found, problem = _with_noise(problem, state, is_known, to_the_last)
     if not is_known:
         found = _better(problem, found)
@@ -75,19 +87,20 @@ def _better(problem: ChainProblem, known: Solution[Chained]) -> Solution[Chained
     Lenient weights have many local minima, each with other outliers.  Huber's have few, but help
     only if the noise is known.
     """
-    d, residual = problem.chain.points.shape[1], problem.residuals(known.state)
-    limits = [max(limit_of(residual[part], d, 0.0), OUTLIER) for part in problem.parts]
-
-    def cost(state: Chained) -> float:
-        residual = problem.residuals(state)
-        of = zip(problem.parts, limits, strict=True)
-        return sum(robust_cost(residual[part], limit) for part, limit in of)
-
     bent, weigh = known.state, _weighing(problem, huber, BENT)
     bent = gauss_newton(problem, bent, weigh, ROUNDS, unsure=ROUGH, faint=WORTH_SAYING).state
     weigh = _weighing(problem, lenient, OUTLIER)
     found = gauss_newton(problem, bent, weigh, FEW_ROUNDS, unsure=ROUGH, faint=WORTH_SAYING)
-    return found if cost(found.state) < cost(known.state) else known
+    better = _cost(problem, found.state, known.state) < _cost(problem, known.state, known.state)
+    return found if better else known
+
+
+def _cost(problem: ChainProblem, state: Chained, usual: Chained) -> float:
+    """Return the robust cost of a state, with the limits of outliers that another has."""
+    d, residual, limiting = problem.chain.points.shape[1], *map(problem.residuals, (state, usual))
+    limits = (max(limit_of(limiting[part], d, 0.0), OUTLIER) for part in problem.parts)
+    of = zip(problem.parts, limits, strict=True)
+    return sum(robust_cost(residual[part], limit) for part, limit in of)
 
 
 def _weighing(

@@ -57,9 +57,7 @@ class PartSolver:
 
     `rows`: of all iterations; `motions` (k, 4, 4): odometry without its constant errors, NaN if
     unknown, of this noise; `sigmas`: factors of the noises, if estimated before; `to_the_last`:
-    whether outliers are rejected and the cost is minimised until convergence. If ids are given,
-    parts of the chain do not turn as a whole: wrong ids would turn them, and the errors of MRCLAM's
-    maps increased by half.
+    whether outliers are rejected and the cost is minimised until convergence.
     """
 
     engine: RelativeMapper
