@@ -95,12 +95,13 @@ def test_impossible_times_are_refused_and_change_nothing(kind: type[Any]) -> Non
 def test_a_refused_scan_leaves_no_time_and_no_odometry() -> None:
     points = np.random.default_rng(0).uniform(-5, 5, (20, 2))
     mapper = PointMapper()
+    mapper.update(points, stamp_s=0.5)
     mapper.update(points, odometry=[0.1, 0, 0], stamp_s=1.0)
     with pytest.raises(RelmapError, match="ids did not come"):
         mapper.update(points, ids=np.arange(20), odometry=[0.2, 0, 0], stamp_s=2.0)
     mapper.update(points, odometry=[0.3, 0, 0], stamp_s=1.5)
-    assert_array_equal(mapper.stamps_s, [1.0, 1.5])
-    assert_array_equal(mapper.engine.motions.over(2)[:, 0, 3], [0.1, 0.3])
+    assert_array_equal(mapper.stamps_s, [0.5, 1.0, 1.5])
+    assert_array_equal(mapper.engine.motions.over(3)[:, 0, 3], [np.nan, 0.1, 0.3])
 
 
 def test_a_changed_time_in_a_journal_is_noticed(tmp_path: Path) -> None:
