@@ -136,7 +136,7 @@ def test_same_figures_same_bytes(made: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["18"], "no figure '18'; figures are 4 to 7 and 9 to 17"),
+        (["18"], "no figure '18'; figures are 4 to 7, 9 to 17, and crossing"),
         (["9", "8"], "figure 8 of the paper is a sketch without results"),
         (["17"], "figure 17 needs the Victoria Park data"),
         (["9", "17", "--data", "nowhere"], "nowhere"),

@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from relmap.core.arrays import Ints
 from relmap.core.errors import RelmapError
-from relmap.evaluation.surface_points import scan_surface_points, wall_points
-from relmap.figures import figure07
+from relmap.evaluation.surface_points import (
+    METHODS,
+    Method,
+    VariantRun,
+    scan_surface_points,
+    wall_points,
+)
+from relmap.figures import figure07, figure_crossing
 from relmap.figures.figure07 import NOISE
+from relmap.figures.figure_crossing import Crossing, run_crossing
 from relmap.plots.variants import BothMaps, both_maps
 from relmap.simulation import simulate_building
 
@@ -83,6 +92,85 @@ def test_impossible_points_are_refused() -> None:
         scan_surface_points(BUILDING, 0.0, 0.1, 0)
 
 
+def rows_of(method: Method, errors: list[float | None], coverage: list[float]) -> list[VariantRun]:
+    return [
+        VariantRun(method, 0.2, 0.1 * (k + 1), 0.02 * (k + 1), seed, e, c, e, 1.0)
+        for k, (e, c) in enumerate(zip(errors, coverage, strict=True))
+        for seed in range(3)
+    ]
+
+
+def crossing() -> Crossing:
+    """Planes of 0.02 m throughout; points from 0.01 to 0.04 m, lost from 0.3 on without ids."""
+    runs = rows_of("planes", [0.02] * 4, [1.0] * 4)
+    runs += rows_of("points", [0.015, 0.018, None, None], [0.9, 0.7, 0.0, 0.0])
+    runs += rows_of("points, ids given", [0.01, 0.015, 0.025, 0.04], [1.0] * 4)
+    return Crossing(0.2, tuple(runs))
+
+
+def test_crossing_lies_where_the_lines_cross() -> None:
+    data = crossing()
+    assert data.planes_ahead("points, ids given") == pytest.approx((0.25, 0.4))
+    assert data.planes_ahead("points") == pytest.approx((0.3, 0.4))
+    assert data.fails_at("points") == pytest.approx(0.3)
+    assert data.fails_at("planes") is None
+    assert figure_crossing.FIGURE.judge([data]).ours == (
+        "Points 0.2 m apart: planes have the better map from 0.30, from 0.25 if the ids of points "
+        "were given; points lose half from 0.30, planes nowhere."
+    )
+
+
+def test_maps_that_failed_overtake_nothing() -> None:
+    runs = rows_of("planes", [0.001] * 2, [0.4] * 2)
+    runs += rows_of("points", [0.5] * 2, [0.6] * 2)
+    data = Crossing(0.2, tuple(runs))
+    assert data.planes_ahead("points") is None
+    assert data.fails_at("planes") == pytest.approx(0.1)
+
+
+def test_planes_may_fall_behind_again() -> None:
+    runs = rows_of("planes", [0.02, 0.02, 0.02, 0.09], [1.0] * 4)
+    runs += rows_of("points", [0.01, 0.03, 0.03, 0.03], [1.0] * 4)
+    assert Crossing(0.2, tuple(runs)).planes_ahead("points") == pytest.approx((0.15, 0.3))
+    runs = rows_of("planes", [0.02] * 4, [1.0] * 4)
+    runs += rows_of("points", [0.01, 0.01, None, None], [0.3, 0.9, 0.0, 0.0])
+    assert Crossing(0.2, tuple(runs)).planes_ahead("points") == pytest.approx((0.3, 0.4))
+
+
+def test_rows_of_the_crossing() -> None:
+    made = figure_crossing.FIGURE.judge([crossing()]).table
+    rows = list(made.rows)
+    assert len(rows) == 36
+    assert list(made.columns[:3]) == ["method", "spacing_m", "noise"]
+    missing = [row for row in rows if row[5] == ""]
+    assert {row[0] for row in missing} == {"points"}
+
+
+def test_picture_of_the_crossing_shows_medians() -> None:
+    figure = figure_crossing.FIGURE.draw([crossing()])
+    axes = figure.axes[0]
+    lines = {line.get_label(): np.asarray(line.get_ydata()) for line in axes.get_lines()}
+    assert lines["points, ids given, median"].tolist() == [0.01, 0.015, 0.025, 0.04]
+    drawn = lines["points, median"]
+    assert np.isfinite(drawn).tolist() == [True, True, False, False]
+
+
+def test_every_method_is_run_on_every_cell() -> None:
+    counted: list[int] = []
+
+    def progress(cells: Sequence[Any]) -> Sequence[Any]:
+        counted.append(len(cells))
+        return cells
+
+    (data,) = run_crossing([0.4], [0.02], [1, 2], iterations=15, progress=progress)
+    assert counted == [2]
+    assert [row.method for row in data.runs] == [*METHODS, *METHODS]
+    known = [row for row in data.runs if row.method == "points, ids given"]
+    assert all(row.sigma == pytest.approx(0.008) for row in data.runs)
+    # With known association and 20 observations of most points, the map beats one observation.
+    assert all(row.map_rmse_m is not None and row.map_rmse_m < 0.012 for row in known)
+
+
 @pytest.fixture(scope="module")
 def maps() -> BothMaps:
     return both_maps(wall_points(0.25, NOISE, 0, 12))
@@ -116,3 +204,12 @@ def test_verdict_on_both_maps(maps: BothMaps) -> None:
     assert judge(as_good).verdict == "partly borne out"
     lost = replace(planes, run=replace(planes.run, coverage=0.1))
     assert judge(replace(as_good, planes=lost)).verdict == "not borne out"
+
+
+def test_verdict_on_the_crossing() -> None:
+    found = figure_crossing.FIGURE.judge([crossing()])
+    assert found.verdict == "borne out"
+    assert found.value == pytest.approx(0.3)
+    runs = rows_of("planes", [0.02] * 2, [1.0] * 2) + rows_of("points", [0.01] * 2, [1.0] * 2)
+    runs += rows_of("points, ids given", [0.01] * 2, [1.0] * 2)
+    assert figure_crossing.FIGURE.judge([Crossing(0.2, tuple(runs))]).verdict == "not borne out"

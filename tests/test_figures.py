@@ -45,7 +45,11 @@ def test_a_claim_is_judged_by_its_parts() -> None:
 def test_figures_come_in_the_papers_order_each_once() -> None:
     every = [figure.name for figure in chosen_figures([])]
     assert every == ["4", "5", "6", "7", *map(str, range(9, 18))]
-    assert [figure.name for figure in chosen_figures(["16", "04", "4"])] == ["4", "16"]
+    assert [figure.name for figure in chosen_figures(["16", "04", "crossing", "4"])] == [
+        "4",
+        "crossing",
+        "16",
+    ]
     assert len({figure.claim for figure in FIGURES}) == len(FIGURES)
 
 

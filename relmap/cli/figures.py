@@ -21,6 +21,7 @@ T = TypeVar("T")
 HELP = """Reproduce the paper's figures and check its claims.
 
 NUMBER is 4 to 7 or 9 to 17; all of them by default. The others are sketches without results.
+'crossing' is not in the paper: the errors of planes and of points over the noise.
 
 \b
 It writes into DIR

@@ -54,7 +54,7 @@ class Outcome:
 class PaperFigure(Generic[D]):
     """One figure of the paper.
 
-    `name`: its number. `title`: short title.
+    `name`: its number, or a word for a figure that is not in the paper. `title`: short title.
     `claim`: the claim of the paper, paraphrased in one sentence. `criterion`: condition for the
     claim to be borne out. `unit`: meaning of the value of an outcome. `run`: does the runs and
     returns their data. Its arguments are whether small runs suffice, the path of real data, for the
@@ -74,12 +74,12 @@ class PaperFigure(Generic[D]):
     @property
     def heading(self) -> str:
         """Its heading."""
-        return f"Figure {self.name}"
+        return f"Figure {self.name}" if self.name.isdigit() else self.name.capitalize()
 
     @property
     def stem(self) -> str:
         """Prefix of the names of its files."""
-        return f"figure{int(self.name):02d}"
+        return f"figure{int(self.name):02d}" if self.name.isdigit() else self.name
 
 
 def judged(*held: bool) -> Verdict:

@@ -26,6 +26,7 @@ from relmap.figures import (
     figure14_15,
     figure16,
     figure17,
+    figure_crossing,
 )
 from relmap.figures.base import Outcome, PaperFigure, Table, Watch
 from relmap.io.files import atomic_write
@@ -55,6 +56,7 @@ FIGURES: tuple[PaperFigure[Any], ...] = (
     figure05.FIGURE,
     figure06.FIGURE,
     figure07.FIGURE,
+    figure_crossing.FIGURE,
     *figure09_11.FIGURES,
     figure12.FIGURE,
     figure13.FIGURE,
@@ -138,10 +140,10 @@ def _section(entry: Made) -> str:
 def chosen_figures(names: Sequence[str]) -> list[PaperFigure[Any]]:
     """Return the figures of these names in the paper's order, each once.
 
-    `names`: if empty, all figures. Raises `RelmapError` if there is no such figure.
+    `names`: if empty, all figures of the paper. Raises `RelmapError` if there is no such figure.
     """
     if not names:
-        return list(FIGURES)
+        return [figure for figure in FIGURES if figure.name.isdigit()]
     wanted = {name.lstrip("0"): name for name in names}
     for bare, name in wanted.items():
         if bare in ("1", "2", "3", "8"):
@@ -150,7 +152,7 @@ def chosen_figures(names: Sequence[str]) -> list[PaperFigure[Any]]:
                 "those with results are 4 to 7 and 9 to 17"
             )
         if bare not in [figure.name for figure in FIGURES]:
-            raise RelmapError(f"no figure {name!r}; figures are 4 to 7 and 9 to 17")
+            raise RelmapError(f"no figure {name!r}; figures are 4 to 7, 9 to 17, and crossing")
     return [figure for figure in FIGURES if figure.name in wanted]
 
 
