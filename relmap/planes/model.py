@@ -62,7 +62,7 @@ class WallModel:
 
     def points(self, rows: Rows) -> Shown:
         """Return the corners used by the map, and their estimated midpoints."""
-        from relmap.planes.scans.point_kernels import corners_and_midpoints
+        from relmap.planes.scans.corner_kernels import corners_and_midpoints
 
         walls = rows["landmark"], rows["corner"], rows["location"]
         return Shown(*corners_and_midpoints(*walls, self._walls.half))

@@ -283,7 +283,7 @@ def share_at_rest(scans: Scans, is_tied: Bools, most: int = LINKS) -> float:
     `is_tied` (i,): whether the motion into each scan is accepted; `most`: approximate number of
     links to examine. Returns 0 if there is none.
     """
-    from relmap.planes.scans.point_kernels import seen_again
+    from relmap.planes.scans.loose_kernels import seen_again
 
     there = gone = 0
     step_m = float(np.median(np.hypot(*scans.motions[:, 1:].T)))

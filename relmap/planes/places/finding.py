@@ -83,7 +83,7 @@ def _beams_on(ends: Floats, tie: WallTie, points: Floats, origin: Floats) -> tup
 
     The beams go from `origin` (2,) to `points` (n, 2), robot frame.
     """
-    from relmap.planes.scans.point_kernels import on_walls
+    from relmap.planes.scans.loose_kernels import on_walls
 
     origin, points = tie.R @ origin + tie.t, points @ tie.R.T + tie.t
     beam, wall, to_wall = points - origin, ends[:, 1] - ends[:, 0], ends[:, 0] - origin

@@ -54,7 +54,7 @@ class Beams:
     @classmethod
     def of(cls, given: GivenBeams, ends: Floats) -> Beams:
         """Return the beams of a scan, some of them on walls by ends (m, 2, 2)."""
-        from relmap.planes.scans.point_kernels import on_walls
+        from relmap.planes.scans.loose_kernels import on_walls
 
         points, bearings = given.by_bearing
         return cls(points, bearings, given.origin, on_walls(points, ends, NEAR_M), given.loose)
@@ -128,7 +128,7 @@ class GivenBeams:
     @cached_property
     def clutter(self) -> Bools:
         """Which points by bearing (n,) are isolated specks, if many are; otherwise none."""
-        from relmap.planes.scans.point_kernels import isolated_points
+        from relmap.planes.scans.loose_kernels import isolated_points
 
         found = _found_round(isolated_points, *self.by_bearing, self.origin)
         return np.asarray(found & (np.count_nonzero(found) >= CLUTTER * len(found)))
@@ -136,7 +136,7 @@ class GivenBeams:
     @cached_property
     def loose(self) -> Bools:
         """Which points by bearing (n,) are on loose objects; clutter does not divide them."""
-        from relmap.planes.scans.point_kernels import free_standing
+        from relmap.planes.scans.loose_kernels import free_standing
 
         points, bearings = self.by_bearing
         found, rest = _found_round(free_standing, points, bearings, self.origin), ~self.clutter
@@ -164,7 +164,7 @@ def _found_round(
     origin: Floats,
 ) -> Bools:
     """Return what a kernel finds among points (n,); all round, the last is beside the first."""
-    from relmap.planes.scans.point_kernels import UNSEEN_RAD
+    from relmap.planes.scans.loose_kernels import UNSEEN_RAD
 
     n, turn = len(points), 2 * np.pi
     if n == 0 or bearings[0] + turn - bearings[-1] > UNSEEN_RAD:
@@ -300,7 +300,7 @@ def on_loose_things(ends: Floats, given: GivenBeams) -> Bools:
     """Return which walls, by their ends (m, 2, 2), are on small free-standing objects."""
     if not given.in_order:
         return np.zeros(len(ends), dtype=np.bool_)
-    from relmap.planes.scans.point_kernels import loose_walls
+    from relmap.planes.scans.loose_kernels import loose_walls
 
     return loose_walls(given.by_bearing[0], given.loose, ends)
 
