@@ -11,7 +11,7 @@ import pytest
 from relmap import PlaneMapper
 from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
-from relmap.planes.plan.evidence_kernels import beams_on_walls
+from relmap.planes.plan.plan_kernels import beams_on_walls
 from relmap.planes.scans.beams import BeamStore, GivenBeams
 
 ROOM = np.array(

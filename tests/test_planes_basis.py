@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.arrays import Floats
-from relmap.planes.model import relative_map
+from relmap.planes.linking.registration import PlaneRegistration
+from relmap.planes.model import WallModel
 from tests.worlds import aligned_rmse, random_rotation
 
+MODEL = WallModel(PlaneRegistration(max_missed=5, bridge_m=1.0))
 CORNERS = np.array([[4.0, 2.0], [4.0, 0.0], [-1.0, 2.0], [1.5, 2.0]])
 
 
@@ -19,16 +21,16 @@ def block() -> Floats:
 
 
 def test_a_relative_map_is_exact_without_noise() -> None:
-    relative = relative_map(block())
+    relative = MODEL.average_in_basis(block())
     assert aligned_rmse(relative, CORNERS) < 1e-12
 
 
 def test_an_iteration_in_which_the_basis_falls_together_does_not_count() -> None:
     seen = block()
     seen[:, 2] = seen[:1, 2]
-    relative = relative_map(seen)
+    relative = MODEL.average_in_basis(seen)
     assert aligned_rmse(relative, CORNERS) < 1e-12
 
 
 def test_one_place_determines_no_basis() -> None:
-    assert relative_map(np.ones((3, 9, 2))) is None
+    assert MODEL.average_in_basis(np.ones((3, 9, 2))) is None

@@ -13,7 +13,7 @@ from relmap.core.arrays import Floats
 from relmap.datasets.scans import ScanLog
 from relmap.evaluation.feeding import feed
 from relmap.evaluation.metrics import ate
-from relmap.planes.refinement.uneven import PIECE_M, UNEVEN, in_pieces
+from relmap.planes.refinement.refined_map import PIECE_M, UNEVEN, in_pieces
 from relmap.planes.walls.assembly import Assembled, WallNumbers, assemble
 from relmap.planes.walls.history import PlaneHistory
 from tests.tables import poses_along

@@ -9,7 +9,7 @@ from relmap import PlaneSegmenter
 from relmap.segmentation.em.moves import missed_beams
 from relmap.segmentation.em.step_kernels import fit_line
 from relmap.segmentation.em.wall_kernels import sightings
-from relmap.segmentation.ends.box_kernels import fit_ends
+from relmap.segmentation.ends.end_kernels import fit_ends
 from relmap.segmentation.noise import beam_angle
 from relmap.segmentation.wall import BEGIN, END
 from relmap.simulation.building import building_scene

@@ -13,8 +13,8 @@ from relmap.segmentation.em import wall_kernels
 from relmap.segmentation.em.mixture import WallMixture, maximise, scan_area
 from relmap.segmentation.em.moves import bend, merge, split, widest_gap
 from relmap.segmentation.em.wall_kernels import expect
-from relmap.segmentation.ends.box_kernels import box_extent
 from relmap.segmentation.ends.corners import meet
+from relmap.segmentation.ends.end_kernels import box_extent
 from relmap.segmentation.ends.end_types import type_ends
 from relmap.segmentation.ends.pairs import one_hides_other, part_at_shadows, shadows
 from relmap.segmentation.noise import beam_angle, window_noise

@@ -10,7 +10,7 @@ import pytest
 from relmap import PlaneMapper, PlaneSegmenter, RelmapError
 from relmap.core.arrays import Floats
 from relmap.datasets import open_scans
-from relmap.segmentation.upright import tilted_share
+from relmap.segmentation.space.levelling import tilted_share
 from relmap.simulation import simulate_building
 from relmap.simulation.building import building_scene
 from relmap.simulation.floor_plan import World

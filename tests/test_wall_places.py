@@ -7,7 +7,7 @@ import pytest
 
 from relmap.core.arrays import Floats
 from relmap.mapper import Place
-from relmap.planes.places.finding import WallFinder
+from relmap.planes.places.finding import place_among
 from relmap.planes.places.wall_tie import wall_ties
 from relmap.planes.scans.observation import checked_planes
 from relmap.simulation.visibility import SeenWalls, seen_walls
@@ -21,7 +21,7 @@ def place_in(walls: Floats, seen_of: Floats, x: float, y: float, yaw: float) -> 
     seen = seen_walls((seen_of - [x, y]) @ turn(yaw), 8.0, 3.0)
     step = np.linspace(0.0, 1.0, 60)[:, None]
     beams = np.concatenate([a + step * (b - a) for a, b in seen.ends])
-    return WallFinder(walls).find(checked_planes(seen, beams))
+    return place_among(checked_planes(seen, beams), walls)
 
 
 def test_a_scan_is_found_where_it_fits_in_one_place_alone() -> None:
@@ -89,7 +89,7 @@ def test_walls_that_no_laser_sees_are_not_compared() -> None:
     step = np.linspace(0.0, 1.0, 60)[:, None]
     beams = np.concatenate([a + step * (b - a) for a, b in ends])
     walls = SeenWalls(np.append(seen.wall, 9), ends, end_type)
-    assert WallFinder(ROOM).find(checked_planes(walls, beams)).n_places == 1
+    assert place_among(checked_planes(walls, beams), ROOM).n_places == 1
 
 
 def test_along_a_bare_corridor_a_scan_may_be_anywhere() -> None:
@@ -112,7 +112,7 @@ def test_clutter_hides_a_place_only_if_walls_are_seen_through(
         beams[::beyond] *= 1.5
     around = np.linspace(0.0, 2 * np.pi, clutter, endpoint=False)
     beams = np.concatenate([beams, 0.4 * np.column_stack([np.cos(around), np.sin(around)])])
-    assert WallFinder(ROOM).find(checked_planes(seen, beams)).n_places == n_places
+    assert place_among(checked_planes(seen, beams), ROOM).n_places == n_places
 
 
 @pytest.mark.parametrize(("clutter", "n_places"), [(0, 1), (10, 1), (40, 0)])
@@ -123,4 +123,4 @@ def test_a_few_walls_must_explain_nearly_all_beams(clutter: int, n_places: int) 
     beams = np.concatenate([a + step * (b - a) for a, b in seen.ends])
     around = np.linspace(0.0, 2 * np.pi, clutter, endpoint=False)
     beams = np.concatenate([beams, 0.4 * np.column_stack([np.cos(around), np.sin(around)])])
-    assert WallFinder(walls).find(checked_planes(seen, beams)).n_places == n_places
+    assert place_among(checked_planes(seen, beams), walls).n_places == n_places

@@ -9,7 +9,7 @@ from relmap.core.errors import RelmapError
 from relmap.datasets.scans import ScanLog
 from relmap.segmentation.segmenter import CHECKED
 from relmap.segmentation.space import PatchSegmenter, level_scan
-from relmap.segmentation.upright import tilted_share
+from relmap.segmentation.space.levelling import tilted_share
 
 ON_FLOORS = 0.05
 """Fraction of points on planes that are not upright above which a cloud shows floors: it is 0 in

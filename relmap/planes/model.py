@@ -72,8 +72,28 @@ class WallModel:
         return self._walls
 
     def average_in_basis(self, block: Floats) -> Floats | None:
-        """Average a group's locations (g, i, 2) with one line at 0 degrees (Figs 1 and 2)."""
-        return relative_map(block)
+        """Average a group's locations in a basis invariant to rotation and translation.
+
+        Every iteration is rotated so that the line through the two points farthest apart is at 0
+        degrees, and then averaged (Fig. 1). If there is only one wall, the pair lies on it, as in
+        Fig. 2; the larger the distance, the smaller the effect of noise on the rotation.
+
+        `block` (g, i, 2), robot frame, metres: every member seen in every iteration. Returns
+        (g, 2), group frame, metres, or None if the group determines no basis.
+        """
+        middle = block[:, block.shape[1] // 2]
+        if not fixes_rotation(middle):
+            return None
+        apart = np.linalg.norm(middle[:, None] - middle, axis=2)
+        first, second = np.unravel_index(np.argmax(apart), apart.shape)
+        axis = block[second] - block[first]
+        length = np.linalg.norm(axis, axis=1)
+        fixed = length > 0  # two ends may coincide
+        axis = axis[fixed] / length[fixed, None]
+        relative = (block - block[first])[:, fixed]
+        x = (relative * axis).sum(axis=2)
+        y = relative[..., 1] * axis[:, 0] - relative[..., 0] * axis[:, 1]
+        return np.stack([x.mean(axis=1), y.mean(axis=1)], axis=1)
 
     def min_shared(self, dimension: int) -> int:
         """Return the minimum number of mapped points per group: a corner and its midpoint."""
@@ -103,28 +123,3 @@ class WallModel:
         a, b = positions[new + 1] - positions[new], positions[old + 1] - positions[old]
         turned = (a * b).sum(axis=1) < TURN * np.sqrt((a**2).sum(axis=1) * (b**2).sum(axis=1))
         return np.asarray(same & ~turned)  # an unmapped midpoint is not informative
-
-
-def relative_map(block: Floats) -> Floats | None:
-    """Average a group's locations in a basis invariant to rotation and translation.
-
-    Every iteration is rotated so that the line through the two points farthest apart is at 0
-    degrees, and then averaged. If there is only one wall, the pair lies on it, as in Fig. 2; the
-    larger the distance, the smaller the effect of noise on the rotation.
-
-    `block` (g, i, 2), robot frame, metres: every member seen in every iteration. Returns (g, 2),
-    group frame, metres, or None if the group determines no basis.
-    """
-    middle = block[:, block.shape[1] // 2]
-    if not fixes_rotation(middle):
-        return None
-    apart = np.linalg.norm(middle[:, None] - middle, axis=2)
-    first, second = np.unravel_index(np.argmax(apart), apart.shape)
-    axis = block[second] - block[first]
-    length = np.linalg.norm(axis, axis=1)
-    fixed = length > 0  # two ends may coincide
-    axis = axis[fixed] / length[fixed, None]
-    relative = (block - block[first])[:, fixed]
-    x = (relative * axis).sum(axis=2)
-    y = relative[..., 1] * axis[:, 0] - relative[..., 0] * axis[:, 1]
-    return np.stack([x.mean(axis=1), y.mean(axis=1)], axis=1)

@@ -204,7 +204,8 @@ def unreliable_steps(
     least_m = UNSTEADY * range_m
     found = np.asarray(size_m > np.maximum(least_m, jerk_m))
     if len(change) >= NEARBY:
-        unlike_m = _unlike_around(scene, iteration)
+        usual = usual_steps(scene.R, scene.t, iteration)
+        unlike_m = np.array([np.linalg.norm(each - each[0], axis=1).max() for each in usual])
         found |= unlike_m > np.maximum(UNLIKE * range_m, JERK * np.median(unlike_m))
     turn = np.linalg.norm(turn_changes(scene.R, iteration), axis=1)
     if len(turn) >= SEVERAL:
@@ -231,15 +232,6 @@ def usual_steps(R: Floats, t: Floats, iteration: Ints) -> list[Floats]:
     around = [(step[max(k - NEARBY, 0) : k], step[k + 1 :][:NEARBY]) for k in range(len(step))]
     usual = [[np.median(x, axis=0) for x in each if 2 * len(x) >= NEARBY] for each in around]
     return [np.array([own, *each]) for own, each in zip(step, usual, strict=True)]
-
-
-def _unlike_around(scene: Scene, iteration: Ints) -> Floats:
-    """Return by how much steps (p - 1,) differ from the median of those before, or after.
-
-    The larger counts. Per iteration, metres; `iteration` (p,): of the scans.
-    """
-    steps = usual_steps(scene.R, scene.t, iteration)
-    return np.array([np.linalg.norm(each - each[0], axis=1).max() for each in steps])
 
 
 def _unlike_others(step: Floats, own: Ints) -> Floats:

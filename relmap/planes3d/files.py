@@ -68,7 +68,8 @@ def write_parts(folder: Path, result: Plane3dResult) -> None:
     `RelmapError` if a file cannot be written.
     """
     table = result.planes
-    outlines = [_text(outline) for outline in table.outline]
+    corners = [[" ".join(f"{x:.4f}" for x in at) for at in each.tolist()] for each in table.outline]
+    outlines = [";".join(each) for each in corners]
     meets = [";".join(map(str, meets.tolist())) for meets in table.meets]
     ragged = zip(("outline", "meets"), np.array([outlines, meets], dtype=object), strict=True)
     columns = table.columns() | dict(ragged)
@@ -100,10 +101,6 @@ def _require(folder: Path, table: dict[str, Any], holds: Bools, problem: str) ->
     if len(wrong):
         which = f"plane {table['plane'][wrong[0]]} is static, but {problem}"
         raise RelmapError(f"{folder / PLANES}: {which}")
-
-
-def _text(outline: Floats) -> str:
-    return ";".join(" ".join(f"{value:.4f}" for value in corner) for corner in outline.tolist())
 
 
 def write_mesh(folder: Path, part: Submap | None, chosen: Ints) -> None:

@@ -71,13 +71,16 @@ def seen_through_steps(part: Submap, large: Bools, rows: Ints, along: Floats) ->
     """
     R = np.array([part.poses[k + 1][0] for k in rows]).reshape(-1, 3, 3)
     along = np.einsum("nij,nj->ni", R, along)
-    points = {k: _points_on(part.seen[k], large[part.match[k]]) for k in {*rows, *(rows + 1)}}
+    both = {*rows, *(rows + 1)}
+    points = {k: _points_on(part.seen[k], large[part.match[k]]) for k in both}
+    # All rays count, also those that are not new.
+    anew = [replace(x, is_new=np.ones(len(x.ends), dtype=np.bool_)) for x in part.seen]
 
     def through(k: int, shift: Floats) -> int:
         (S, s), (R, t), reach_m = *part.poses[k : k + 2], part.seen[k].reach_m
         turn, way = S.T @ R, S.T @ (t + shift * reach_m - s)
         looking = (k + 1, k, (turn, way)), (k, k + 1, (turn.T, -turn.T @ way))
-        return sum(len(looks(_anew(part.seen[a]), pose, *points[b])[1]) for a, b, pose in looking)
+        return sum(len(looks(anew[a], pose, *points[b])[1]) for a, b, pose in looking)
 
     near = np.abs(np.subtract.outer(rows, rows)) <= NEARBY
     now = near @ np.array([through(k, np.zeros(3)) for k in rows.tolist()], dtype=np.int64)
@@ -89,11 +92,6 @@ def seen_through_steps(part: Submap, large: Bools, rows: Ints, along: Floats) ->
     alike = along @ along.T >= 0
     least = ((near & alike) @ there + (near & ~alike) @ there[:, ::-1]).min(axis=1)
     return np.asarray(rows[much & (least <= REMAINS * now)])
-
-
-def _anew(seen: Patches) -> Patches:
-    """Return a scan all of whose rays count."""
-    return replace(seen, is_new=np.ones(len(seen.ends), dtype=np.bool_))
 
 
 def _points_on(seen: Patches, chosen: Bools) -> tuple[Floats, Floats]:

@@ -133,7 +133,16 @@ class Submap:
         self.iteration += iteration
         self.poses += poses
         self.match += matches
-        self.seen += [_only(*each) for each in zip(seen, fresh, rim, strict=True)]
+        self.seen += [
+            replace(
+                x,
+                cells=x.cells[a],
+                cell_patch=x.cell_patch[a],
+                rim=x.rim[b],
+                rim_patch=x.rim_patch[b],
+            )
+            for x, a, b in zip(seen, fresh, rim, strict=True)
+        ]
 
     def _rows(self, number: Ints, normal: Floats) -> Ints:
         """Return the landmarks of patches (m,), by number; new ones get normals (m, 3)."""
@@ -273,17 +282,6 @@ def _rim(seen: Patches, pose: Pose, match: Ints) -> Points:
     """
     R, t = pose
     return seen.rim @ R.T + t, -1 - match[seen.rim_patch], seen.cell_m
-
-
-def _only(seen: Patches, cells: Ints, rim: Ints) -> Patches:
-    """Return the patches of a scan with some of their cells and of their rim."""
-    return replace(
-        seen,
-        cells=seen.cells[cells],
-        cell_patch=seen.cell_patch[cells],
-        rim=seen.rim[rim],
-        rim_patch=seen.rim_patch[rim],
-    )
 
 
 def moved(scatter: Floats, R: Floats, t: Floats) -> Floats:

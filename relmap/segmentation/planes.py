@@ -71,7 +71,7 @@ def make_planes(
     squares = np.bincount(at, weights=across**2, minlength=m)
     z_extent = np.zeros((m, 2))
     if points.shape[1] == 3:
-        from relmap.segmentation.ends.box_kernels import box_extent
+        from relmap.segmentation.ends.end_kernels import box_extent
 
         order = np.argsort(at, kind="stable")
         parts = np.split(points[own, 2][order], np.cumsum(n_points)[:-1]) if m else []

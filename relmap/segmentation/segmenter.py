@@ -15,7 +15,7 @@ from relmap.segmentation.ends.corners import Sharpened, meet, sharpen
 from relmap.segmentation.ends.end_types import sensor_limits, type_ends
 from relmap.segmentation.planes import Planes, make_planes
 from relmap.segmentation.scanline.lines import LaserScan, is_ordered
-from relmap.segmentation.upright import require_upright
+from relmap.segmentation.space.levelling import require_upright
 from relmap.segmentation.wall import BEGIN, END, EXACT_M, SHARE, UX, UY, WALL
 
 METHODS = ("em", "ransac", "mixture", "ransac3d", "patches", "scanlines")
@@ -292,7 +292,7 @@ def planes_of(
 def walls_of_labels(xy: Floats, labels: Ints, sigma: float) -> WallMixture:
     """Return walls through labelled points (n, 2), with the ends of blurred boxes."""
     from relmap.segmentation.em.moves import wall_through
-    from relmap.segmentation.ends.box_kernels import box_extent
+    from relmap.segmentation.ends.end_kernels import box_extent
 
     walls = np.zeros((int(labels.max(initial=-1)) + 1, WALL))
     for k in np.unique(labels[labels >= 0]):

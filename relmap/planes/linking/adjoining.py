@@ -100,7 +100,8 @@ class Break:
         best, odds = preferred(motions, partial(self._odds, motions))
         motion = motions[best]
         rivals = np.append(odds[others(motions, motion)], self._odds(motion + BESIDE, motion))
-        agree, contradict = self._agreement(motion)
+        sums = self._counted(self._pairs(), motion[None], NEAR_M, 1)[0]
+        agree, contradict = (sums[:2] / max(float(sums[:3].sum()), 1.0)).tolist()
         if rivals.max() > -RIVAL or agree < agrees or contradict > CONTRADICTED:
             return None
         return best
@@ -116,7 +117,7 @@ class Break:
 
     def _value(self, motions: Floats, near_m: float, step: int) -> Floats:
         """Return how well the beams of the nearest scans agree with motions (k, 3); (k,)."""
-        sums = self._counted(self._near, motions, near_m, step)
+        sums = self._counted(self._pairs(NEAREST), motions, near_m, step)
         in_view = np.maximum(sums[:, :3].sum(axis=1), LEAST_SEEN * sums.sum(axis=1))
         return np.asarray((sums[:, 0] - CONTRADICTING * sums[:, 1]) / np.maximum(in_view, 1.0))
 
@@ -128,7 +129,7 @@ class Break:
     def _walls_at(self, motion: Floats) -> Ints:
         """Return the walls (w, 2) of the nearest scans that match at a motion, by their numbers."""
         walls = [np.empty((0, 2), dtype=np.int64)]
-        for i, j in self._near:
+        for i, j in self._pairs(NEAREST):
             search = self.scans.search(i, j, STILL)
             if search is not None:
                 match = search.matched(self._between(i, j, motion[None])[0])
@@ -136,31 +137,19 @@ class Break:
                 walls.append(np.column_stack(both))
         return np.unique(np.concatenate(walls), axis=0)
 
-    @property
-    def _near(self) -> list[tuple[int, int]]:
-        """The pairs of the scans nearest to the break."""
-        return [*product(self.earlier[-NEAREST:].tolist(), self.later[:NEAREST].tolist())]
-
-    @property
-    def _pairs(self) -> list[tuple[int, int]]:
-        """All pairs of scans across the break."""
-        return [*product(self.earlier.tolist(), self.later.tolist())]
+    def _pairs(self, most: int = SIDE) -> list[tuple[int, int]]:
+        """Return the pairs of scans across the break, of so many on either side."""
+        return [*product(self.earlier[-most:].tolist(), self.later[:most].tolist())]
 
     def _odds(self, motions: Floats, motion: Floats) -> Floats:
         """Return the log odds of motions (k, 3) across the break relative to one (3,)."""
         both, scans = np.vstack([motion, motions]), self.scans
         pairs = [
             (scans.beams_of(i), scans.beams_of(j), self._between(i, j, both))
-            for i, j in self._pairs
+            for i, j in self._pairs()
         ]
         odds, share = odds_over(pairs, scans.firm)
         return np.where(np.abs(share) < LEAST_SHARE, 0.0, odds)
-
-    def _agreement(self, motion: Floats) -> tuple[float, float]:
-        """Return the fractions of the points in view that agree with a motion, and contradict."""
-        sums = self._counted(self._pairs, motion[None], NEAR_M, 1)[0]
-        agree, contradict = sums[:2] / max(float(sums[:3].sum()), 1.0)
-        return float(agree), float(contradict)
 
     def _counted(
         self, pairs: list[tuple[int, int]], motions: Floats, near_m: float, step: int

@@ -114,7 +114,9 @@ class ScanLinks(LinkRecord):
             context = recent, expected, firm, every, self._varies_m
             judged = Search(tracks, seen, beams, views, *context).found()
             return judged if judged and self._confirmed(judged, seen, beams, views, firm) else None
-        found = place(tracks, seen, self.usual, farthest_m(self._last_links))
+        motions, submaps = self.motions[-USUAL:], self.submaps[-USUAL:]
+        links = motions[1:][(np.diff(submaps) == 0) & (submaps[1:] >= 0)]
+        found = place(tracks, seen, self.usual, farthest_m(links))
         if found is None or not is_supported(tracks, seen, found[1]):
             return None
         return Found(*found, measured_along(tracks, seen, found[1]), np.inf)
@@ -153,13 +155,6 @@ class ScanLinks(LinkRecord):
         if again is None or found.evidence + again.evidence < TOGETHER:
             return False
         return not others(again.motion[None], expected)[0]
-
-    @property
-    def _last_links(self) -> Floats:
-        """The last motions (k, 3) that link scans of a submap."""
-        last = slice(-USUAL, None)
-        motions, submaps = self.motions[last], self.submaps[last]
-        return np.asarray(motions[1:][(np.diff(submaps) == 0) & (submaps[1:] >= 0)])
 
     def _varies_m(self) -> float:
         """Return how much the length of the last measured steps varies, metres."""

@@ -104,7 +104,10 @@ class Wheels:
     ) -> Expected | None:
         steps = self.given.between(earlier + 1, later + 1)
         noise = self.noise(motions, measured)
-        if noise is None or not np.isfinite(steps[:, 0, 0]).all() or self._leaps(earlier, later):
+        begin = max(earlier + 1 - COMPARED, 0)
+        last = self.given.between(begin, later + 1)
+        leaping = leaps(last, np.isfinite(last[:, 0, 0]))[earlier + 1 - begin :]  # unlike the last
+        if noise is None or not np.isfinite(steps[:, 0, 0]).all() or leaping.any():
             return None
         path = path_of(corrected(noise, steps))
         sd_m, sd_rad = noise.sigmas(steps)
@@ -115,12 +118,6 @@ class Wheels:
         if noise is GUESSED and np.hypot(*motion[1:]) > UNKNOWN_M:
             return None
         return Expected(motion, float(off_m), float(off_rad))
-
-    def _leaps(self, earlier: int, later: int) -> bool:
-        """Return whether a step from an earlier scan to a later one leaps, unlike the last ones."""
-        begin = max(earlier + 1 - COMPARED, 0)
-        last = self.given.between(begin, later + 1)
-        return bool(leaps(last, np.isfinite(last[:, 0, 0]))[earlier + 1 - begin :].any())
 
     def noise(self, motions: Floats, measured: Bools) -> MotionNoise | None:
         """Return the recent quality of odometry; None if it is rejected."""

@@ -6,11 +6,9 @@ beams. A placement is accepted only if it explains the scan and no other one sco
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from relmap.core.arrays import Bools, Floats
+from relmap.core.arrays import Floats
 from relmap.mapper import Place
 from relmap.planes.places.wall_tie import ACROSS, WallTie, wall_ties
 from relmap.planes.scans.observation import PlaneObservation
@@ -41,117 +39,73 @@ NEARLY_ALL, NO_BEAM, AHEAD = 0.9, 0.005, 0.3
 explain a fraction `AHEAD` more than any other: alike rooms share most of their walls."""
 
 
-@dataclass(frozen=True, eq=False)
-class JudgedPlaces:
-    """Placements of a scan in a map.
+def place_among(seen: PlaneObservation, ends: Floats) -> Place:
+    """Localise a scan among walls (w, 2, 2), map frame, metres: right and left end of each.
 
-    `explained`, `through` (k,): fraction of the beams that end on walls, minus that of beams
-    through one, and the latter; `overlap_m` (k,): length of the walls of the scan that lie on walls
-    of the map, out of `length_m` of `n_walls`.
+    `seen`: with its beams; without them no placement is accepted.
     """
-
-    ties: list[WallTie]
-    explained: Floats
-    through: Floats
-    overlap_m: Floats
-    length_m: float
-    n_walls: int
-
-    @property
-    def share(self) -> Floats:
-        """Fraction of the walls of the scan that lie on walls of the map, (k,)."""
-        return self.overlap_m / self.length_m
-
-    @property
-    def worth(self) -> Floats:
-        """Score of each placement, (k,)."""
-        return self.explained + self.share
-
-    @property
-    def may_fit(self) -> Bools:
-        """Which placements (k,) explain the scan, if no other one scores nearly as well."""
-        long, explained = self.overlap_m >= LEAST_M, self.explained
-        fits = long & (self.share >= SHARE) & (explained >= EXPLAINED)
-        if self.n_walls < FEW:
-            return fits & (explained >= WHOLLY)
-        low = long & (self.share >= LOW_SHARE) & (explained >= LOW_EXPLAINED)
-        return fits | low & (self.through <= THROUGH)
-
-    def has_rival(self, best: int) -> bool:
-        """Return whether another placement scores nearly as well as the best one."""
-        is_whole = self.n_walls >= FEW and self.through[best] <= NO_BEAM
-        if is_whole and self.explained[best] >= NEARLY_ALL:
-            lead = self.explained[best] - np.delete(self.explained, best).max(initial=0.0)
-            if lead >= AHEAD:
-                return False
-        others = np.delete(self.worth, best).max(initial=0.0)
-        return bool(others > RIVAL_PLACE * self.worth[best])
+    every = 1 + len(seen.beams.points) // BEAMS
+    points = seen.beams.points[::every].astype(np.float64)
+    near = np.abs(seen.ends).max(axis=(1, 2), initial=0.0) <= FAR_M
+    ties = wall_ties(seen.ends[near], ends)[:PLACES] if _may_hold(ends, points) else []
+    nowhere = np.full((4, 4), np.nan)
+    if not ties:
+        return Place(nowhere, 0)
+    on, through = np.array([_beams_on(ends, tie, points, seen.beams.origin) for tie in ties]).T
+    overlap_m, explained = np.array([tie.length_m for tie in ties]), on - through
+    share = overlap_m / float(seen.size[near].sum())
+    best, is_few = int(np.argmax(explained + share)), int(near.sum()) < FEW
+    fits = _may_fit(share[best], explained[best], through[best], is_few)
+    if overlap_m[best] < LEAST_M or not fits:
+        return Place(nowhere, 0)
+    others, own = np.delete(explained + share, best), explained[best] + share[best]
+    has_rival = others.max(initial=0.0) > RIVAL_PLACE * own
+    if not is_few and through[best] <= NO_BEAM and explained[best] >= NEARLY_ALL:
+        lead = explained[best] - np.delete(explained, best).max(initial=0.0)
+        has_rival &= lead < AHEAD
+    if ties[best].across < ACROSS or has_rival:
+        return Place(nowhere, 2)
+    return Place(ties[best].matrix, 1)
 
 
-class WallFinder:
-    """Finds scans among the walls of a map.
+def _may_hold(ends: Floats, points: Floats) -> bool:
+    """Return whether as many points (n, 2) as must end on walls lie as close together."""
+    if not (len(points) and len(ends)):
+        return False
+    across_m = np.linalg.norm(np.ptp(ends.reshape(-1, 2), axis=0)) + 3 * ENDS_M
+    n, at = max(int(LOW_EXPLAINED * len(points)), 1), np.sort(points, axis=0)
+    closest_m = (at[n - 1 :] - at[: len(at) - n + 1]).min(axis=0)
+    return bool((closest_m <= across_m).all())
 
-    `ends` (w, 2, 2), map frame, metres: right and left end of each wall, as seen from its front.
+
+def _beams_on(ends: Floats, tie: WallTie, points: Floats, origin: Floats) -> tuple[float, float]:
+    """Return the fractions of beams that end on walls, and that go through one.
+
+    The beams go from `origin` (2,) to `points` (n, 2), robot frame.
     """
+    from relmap.planes.scans.loose_kernels import on_walls
 
-    def __init__(self, ends: Floats) -> None:
-        self._ends = np.ascontiguousarray(ends)
+    origin, points = tie.R @ origin + tie.t, points @ tie.R.T + tie.t
+    beam, wall, to_wall = points - origin, ends[:, 1] - ends[:, 0], ends[:, 0] - origin
+    length, size = np.hypot(*beam.T), np.hypot(*wall.T)
+    crossing = beam[:, :1] * wall[:, 1] - beam[:, 1:] * wall[:, 0]
+    crossing[crossing == 0.0] = np.nan
+    along_beam = (to_wall[:, 0] * wall[:, 1] - to_wall[:, 1] * wall[:, 0]) / crossing
+    along_wall = to_wall[:, 0] * beam[:, 1:] - to_wall[:, 1] * beam[:, :1]
+    at_m = along_wall / crossing * size
+    met = (along_beam > 0) & (along_beam * length[:, None] < length[:, None] - BEYOND_M)
+    through = (met & (at_m > RIM_M) & (at_m < size - RIM_M)).any(axis=1)
+    return float(on_walls(points, ends, ENDS_M).mean()), float(through.mean())
 
-    def find(self, seen: PlaneObservation) -> Place:
-        """Localise a scan.
 
-        `seen`: with its beams; without them no placement is accepted.
-        """
-        nowhere = np.full((4, 4), np.nan)
-        judged = self._judged(seen)
-        best = int(np.argmax(judged.worth)) if judged.ties else -1
-        if best < 0 or not judged.may_fit[best]:
-            return Place(nowhere, 0)
-        if judged.ties[best].across < ACROSS or judged.has_rival(best):
-            return Place(nowhere, 2)
-        return Place(judged.ties[best].matrix, 1)
+def _may_fit(share: float, explained: float, through: float, is_few: bool) -> bool:
+    """Return whether a placement explains a scan, if no other one scores nearly as well.
 
-    def _judged(self, seen: PlaneObservation) -> JudgedPlaces:
-        """Return the likely placements of a scan."""
-        every = 1 + len(seen.beams.points) // BEAMS
-        points = seen.beams.points[::every].astype(np.float64)
-        near = np.abs(seen.ends).max(axis=(1, 2), initial=0.0) <= FAR_M
-        ties = wall_ties(seen.ends[near], self._ends)[:PLACES] if self._may_hold(points) else []
-        beams = [self._beams(tie, points, seen.beams.origin) for tie in ties]
-        on, through = np.array(beams).reshape(-1, 2).T
-        overlap_m = np.array([tie.length_m for tie in ties])
-        length_m, n_walls = float(seen.size[near].sum()), int(near.sum())
-        return JudgedPlaces(ties, on - through, through, overlap_m, length_m, n_walls)
-
-    def _may_hold(self, points: Floats) -> bool:
-        """Return whether as many points (n, 2) as must end on walls lie as close together."""
-        if not (len(points) and len(self._ends)):
-            return False
-        across_m = np.linalg.norm(np.ptp(self._ends.reshape(-1, 2), axis=0)) + 3 * ENDS_M
-        n, at = max(int(LOW_EXPLAINED * len(points)), 1), np.sort(points, axis=0)
-        closest_m = (at[n - 1 :] - at[: len(at) - n + 1]).min(axis=0)
-        return bool((closest_m <= across_m).all())
-
-    def _beams(self, tie: WallTie, points: Floats, origin: Floats) -> tuple[float, float]:
-        """Return the fractions of beams that end on walls, and that go through one.
-
-        The beams go from `origin` (2,) to `points` (n, 2), robot frame.
-        """
-        from relmap.planes.scans.loose_kernels import on_walls
-
-        points = points @ tie.R.T + tie.t
-        on = on_walls(points, self._ends, ENDS_M)
-        return float(on.mean()), float(self._through(tie.R @ origin + tie.t, points).mean())
-
-    def _through(self, origin: Floats, points: Floats) -> Floats:
-        """Return which beams from the origin (2,) to points (n, 2) go through a wall."""
-        beam, wall = points - origin, self._ends[:, 1] - self._ends[:, 0]
-        length, size = np.hypot(*beam.T), np.hypot(*wall.T)
-        to_wall = self._ends[:, 0] - origin
-        crossing = beam[:, :1] * wall[:, 1] - beam[:, 1:] * wall[:, 0]
-        crossing[crossing == 0.0] = np.nan
-        along_beam = (to_wall[:, 0] * wall[:, 1] - to_wall[:, 1] * wall[:, 0]) / crossing
-        along_wall = to_wall[:, 0] * beam[:, 1:] - to_wall[:, 1] * beam[:, :1]
-        at_m = along_wall / crossing * size
-        met = (along_beam > 0) & (along_beam * length[:, None] < length[:, None] - BEYOND_M)
-        return np.asarray((met & (at_m > RIM_M) & (at_m < size - RIM_M)).any(axis=1))
+    By the fraction of its walls that lie on walls of the map, of its beams that end on walls, minus
+    that of beams through one, and the latter; and whether it has few walls.
+    """
+    fits = share >= SHARE and explained >= EXPLAINED
+    if is_few:
+        return fits and explained >= WHOLLY
+    low = share >= LOW_SHARE and explained >= LOW_EXPLAINED
+    return fits or (low and through <= THROUGH)

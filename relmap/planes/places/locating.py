@@ -12,7 +12,7 @@ from relmap.core.errors import RelmapError
 from relmap.core.guard import reads_whole
 from relmap.mapper import Place
 from relmap.planes.mapped import MappedWalls
-from relmap.planes.places.finding import WallFinder
+from relmap.planes.places.finding import place_among
 from relmap.planes.scans.observation import PlaneObservation, checked_planes
 from relmap.planes.submaps.grouped_map import KeptFrame
 
@@ -22,7 +22,7 @@ class LocatingMapper(MappedWalls):
     """The part of `PlaneMapper` that localises scans."""
 
     _segmenter: Any
-    _finder: tuple[object, WallFinder] | None = None
+    _walls: tuple[object, Floats] | None = None
     _onto: bool = False
 
     @property
@@ -60,11 +60,11 @@ class LocatingMapper(MappedWalls):
             If the scan is invalid.
         """
         seen, latest = self._checked(points, beams), self._guard.latest
-        known = self._finder
+        known = self._walls
         if known is None or known[0] is not latest:
             table = self.planes
-            known = self._finder = latest, WallFinder(table.ends[table.status == "static"])
-        return known[1].find(seen)
+            known = self._walls = latest, table.ends[table.status == "static"]
+        return place_among(seen, known[1])
 
     def localise(self, points: Any, beams: ArrayLike | None = None) -> Floats:
         """Localise a scan using only the map; the mapper does not change.

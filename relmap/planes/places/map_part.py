@@ -119,7 +119,7 @@ class MapPart:
 
     def crossed(self, begins: Floats, stops: Floats) -> tuple[Ints, Ints]:
         """Return how many beams (n, 2) end on each stretch of the walls, and pass through it."""
-        from relmap.planes.plan.evidence_kernels import beams_on_walls
+        from relmap.planes.plan.plan_kernels import beams_on_walls
 
         walls = self.stretches
         lines = walls.base, walls.normal, walls.low, walls.first

@@ -69,12 +69,6 @@ class SubmapTie(NamedTuple):
     support_m: float
     contradicted: float
 
-    @property
-    def is_sure(self) -> bool:
-        """Whether the alignment is supported, hardly contradicted, and cannot slide."""
-        supported = self.support_m >= SUPPORTED_M and self.contradicted <= CONTRADICTED
-        return supported and _crosses(self.tie)
-
 
 Beams = tuple[Floats, Floats]
 Refute = Callable[[MapPart, MapPart, WallTie], bool]
@@ -113,7 +107,8 @@ def unrivalled(part: MapPart, other: MapPart) -> SubmapTie | None:
         return None
     judged = [_judged(part, other, tie) for tie in ties]
     best, *others = sorted(judged, key=lambda each: -each.support_m)
-    if not best.is_sure:
+    supported = best.support_m >= SUPPORTED_M and best.contradicted <= CONTRADICTED
+    if not supported or not _crosses(best.tie):
         return None
     walls, ends = coinciding_ends(other.ends, part.ends, best.tie)
     elsewhere = [each for each in others if not _alike(best.tie, each.tie, other.ends)]
@@ -121,7 +116,9 @@ def unrivalled(part: MapPart, other: MapPart) -> SubmapTie | None:
     sigmas = LOW_SIGMAS if alone else SIGMAS
     if walls < WALLS:
         return None
-    if ends - OPENING * _openings(part, other, best.tie) < ends_by_chance(walls, sigmas):
+    own, its = _beams_of_both(part, other, best.tie)  # one is closed where the other is open
+    openings = other.longer.openings(*own) + part.longer.openings(*its)
+    if ends - OPENING * openings < ends_by_chance(walls, sigmas):
         return None
     rivals = (each.tie for each in elsewhere if each.support_m > RIVAL * best.support_m)
     if any(coinciding_ends(other.ends, part.ends, tie)[1] > RIVAL * ends for tie in rivals):
@@ -163,12 +160,6 @@ def _judged(part: MapPart, other: MapPart, tie: WallTie) -> SubmapTie:
     support_m, against_m = np.add(other.judged(*own), part.judged(*its))
     share = against_m / max(support_m + against_m, BIN_M)
     return SubmapTie(tie, float(support_m - AGAINST * against_m) / 2, float(share))
-
-
-def _openings(part: MapPart, other: MapPart, tie: WallTie) -> int:
-    """Return the number of places where one part is closed, and the other one open."""
-    own, its = _beams_of_both(part, other, tie)
-    return other.longer.openings(*own) + part.longer.openings(*its)
 
 
 def _beams_of_both(part: MapPart, other: MapPart, tie: WallTie) -> tuple[Beams, Beams]:

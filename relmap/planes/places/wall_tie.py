@@ -73,10 +73,6 @@ class WallPoints:
         along = (way / np.maximum(length, 1e-12)[:, None])[wall]
         return cls(at, np.column_stack([-along[:, 1], along[:, 0]]), wall)
 
-    def moved(self, R: Floats, t: Floats) -> WallPoints:
-        """Return the points rotated by R (2, 2) and shifted by t (2,)."""
-        return WallPoints(self.at @ R.T + t, self.normal @ R.T, self.wall)
-
     def central(self) -> WallPoints:
         """Return the points that are not far from the one in the middle; see `FAR_M`."""
         off = np.abs(self.at - np.median(self.at, axis=0)).sum(axis=1)
@@ -196,7 +192,7 @@ def _guesses(points: WallPoints, among: WallPoints) -> Iterator[WallTie]:
     there, _ = _cells(among, base, 1)
     begin = np.searchsorted(there[:, 0], np.arange(DIRECTIONS + 1))
     for R in _turns(points, among):
-        turned = points.moved(R, np.zeros(2))
+        turned = WallPoints(points.at @ R.T, points.normal @ R.T, points.wall)
         low = turned.at.min(axis=0)
         here, counts = _cells(turned, low, 0)
         last = here[:, 1:].max(axis=0)

@@ -71,6 +71,8 @@ def stretches_of(
 
     `poses` (k, 4, 4): ``T_submap_robot`` of the iterations of the span; `span` (int, int).
     """
+    from relmap.planes.plan.plan_kernels import beams_on_walls
+
     state, of = assembled.state, assembled.given.wall
     normal, along = directions(state.angle)
     base = state.centre + state.across[:, None] * normal
@@ -87,22 +89,15 @@ def stretches_of(
     change = np.bincount(at[:, 0], minlength=first[-1]) - np.bincount(at[:, 1], minlength=first[-1])
     none = np.zeros(first[-1], dtype=np.int64)
     blank = Stretches(base, normal, along, low, first, np.cumsum(change), none, none)
-    hits, against = _crossed(blank, beams.placed(poses, span, MOST_BEAMS)[:2])
-    return replace(blank, hits=hits, against=against)
-
-
-def _crossed(walls: Stretches, beams: tuple[Floats, Floats]) -> tuple[Ints, Ints]:
-    """Return the number of beams that end in each stretch, and that contradict it."""
-    from relmap.planes.plan.evidence_kernels import beams_on_walls
-
-    given = (walls.base, walls.normal, walls.low, walls.first), grid_over(walls)
-    some = beams[0][::SAMPLED].copy(), beams[1][::SAMPLED].copy()
+    begins, ends, _ = beams.placed(poses, span, MOST_BEAMS)
+    given = (base, normal, low, first), grid_over(blank)
+    some = begins[::SAMPLED].copy(), ends[::SAMPLED].copy()
     *_, off = beams_on_walls(some, *given, FAR_M, FAR_M)
     off = off[off < FAR_M]
     noise_m = MEDIAN * float(np.median(off)) if len(off) else 0.0
     near_m = max(NEAR_M, NEAR * noise_m)
-    hits, against, _ = beams_on_walls(beams, *given, near_m, near_m + BEFORE_M)
-    return hits, against
+    hits, against, _ = beams_on_walls((begins, ends), *given, near_m, near_m + BEFORE_M)
+    return replace(blank, hits=hits, against=against)
 
 
 def grid_over(walls: Stretches) -> tuple[Floats, Ints, Ints, Ints, float]:

@@ -103,7 +103,7 @@ def _moved(assembled: Assembled, history: PlaneHistory) -> tuple[Ints, float]:
 
 def _gathered(assembled: Assembled, wall_of: Ints, across_m: float) -> Ints:
     """Return the association of tracks (p,), with walls that lie on a larger one assigned to it."""
-    from relmap.planes.plan.regrouping_kernels import gathered
+    from relmap.planes.plan.plan_kernels import gathered
 
     state, given = assembled.state, assembled.given
     normal, along = directions(state.angle)

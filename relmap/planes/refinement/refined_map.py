@@ -14,7 +14,6 @@ import numpy as np
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.planes.refinement.closing import walls_seen_again
 from relmap.planes.refinement.solving import LAST, refined, refined_to_the_noise
-from relmap.planes.refinement.uneven import in_pieces
 from relmap.planes.submaps.submap import (
     WallSubmap,
     among_all,
@@ -23,9 +22,17 @@ from relmap.planes.submaps.submap import (
     torn_in,
     with_strays_put_back,
 )
-from relmap.planes.walls.assembly import Assembled, WallNumbers, assemble, laid_out
+from relmap.planes.walls.assembly import (
+    FLAT_M,
+    OFTEN,
+    Assembled,
+    WallNumbers,
+    assemble,
+    directions,
+    laid_out,
+)
 from relmap.planes.walls.history import PlaneHistory
-from relmap.planes.walls.joining import join_pairs, join_walls
+from relmap.planes.walls.joining import join_pairs, join_walls, placed_ends
 
 WIDELY = ((2, 1e4), (1, 300.0), (1, 50.0), (1, 15.0), (2, 5.0))
 """Rounds of solutions for closing loops, for any amount of drift."""
@@ -57,6 +64,12 @@ LONGER = 4
 JOINED, RESTING_M = 4, 0.1
 """Maximum number of rounds of joining coinciding walls and refining, and the movement of the map
 below which a round is the last."""
+
+PIECE_M = 20.0
+"""Length of the pieces of a wall."""
+UNEVEN, UNEVEN_M = 5.0, 0.05
+"""Deviation of observations from a wall above which it is not straight: in standard deviations, and
+at least."""
 
 
 def refined_map(
@@ -172,6 +185,36 @@ def _last(best: Assembled, held: float, history: PlaneHistory) -> Assembled:
     found = _settled(refined(pieces, ROUGHLY, held), held)
     path = found.poses(history.n_iterations)[best.iterations]
     return replace(best, state=laid_out(best.given, path), settled=found.settled)
+
+
+def in_pieces(assembled: Assembled, history: PlaneHistory) -> Assembled | None:
+    """Return the equations with long uneven walls in pieces, each a wall with its own corners.
+
+    As one line, several that are nearly in line and were joined would bend the path. The standard
+    deviations of observations are those of pieces, as they were first. Returns None if there is no
+    such wall.
+    """
+    given, state = assembled.given, assembled.state
+    sd = np.hypot(history.sd[assembled.rows], FLAT_M)
+    along = directions(state.angle)[1][given.wall]
+    middle = placed_ends(assembled).mean(axis=1) - state.centre[given.wall]
+    piece = np.rint((middle * along).sum(axis=1) / PIECE_M).astype(np.int64)
+    piece[given.sd < np.maximum(UNEVEN * sd, UNEVEN_M)] = 0
+    wall = _numbered(given.wall, piece)
+    piece[np.bincount(wall)[wall] < OFTEN] = 0
+    wall = _numbered(given.wall, piece)
+    if wall.max() == given.wall.max():
+        return None
+    corner = _numbered(given.corner, wall[given.corner_row])
+    divided = replace(given, wall=wall, corner=corner, sd=sd)
+    poses = assembled.poses(history.n_iterations)[assembled.iterations]
+    return replace(assembled, given=divided, state=laid_out(divided, poses))
+
+
+def _numbered(one: Ints, other: Ints) -> Ints:
+    """Return the number of each pair (n,) of numbers, from 0."""
+    pairs = np.column_stack([one, other])
+    return np.unique(pairs, axis=0, return_inverse=True)[1].ravel()
 
 
 def _settled(best: Assembled, held: float) -> Assembled:

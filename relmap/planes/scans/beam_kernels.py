@@ -71,15 +71,6 @@ def _index(ranks: Floats) -> Ints:
     return index
 
 
-@helper
-def _is_on_a_line(points: Floats, j: int) -> bool:
-    """Return whether a point and the one before lie on a line with a neighbour.
-
-    Then they are on a wall that is seen at a grazing angle.
-    """
-    return _continues(points, j - 2, j - 1, j) or _continues(points, j + 1, j, j - 1)
-
-
 @compiled
 def surfaces(points: Floats, bearings: Floats, origin: Floats) -> tuple[Floats, Floats, Ints]:
     """Return what lies between each beam and the one before, (6, n + 7), and ranks (n,) of beams.
@@ -112,7 +103,9 @@ def surfaces(points: Floats, bearings: Floats, origin: Floats) -> tuple[Floats, 
         )
         apart = bearings[j] - bearings[j - 1]
         missing = apart > MISSING * spacing
-        if gap and not missing and _is_on_a_line(points, j):
+        # On a line with a neighbour: a wall that is seen at a grazing angle.
+        on_line = _continues(points, j - 2, j - 1, j) or _continues(points, j + 1, j, j - 1)
+        if gap and not missing and on_line:
             found[4, k] = 1.0 / max(length, 1e-12)
         if apart > GAP_RAD or (gap and missing):
             found[5, k] = -1.0

@@ -100,17 +100,14 @@ class GroupedMap:
 
         Scan-to-scan motions bridge between groups; a submap without any group maps nothing.
         """
-        return [self.submap(span, numbers, moving) for span in self.history.spans]
-
-    def submap(self, span: tuple[int, int], numbers: WallNumbers, moving: Bools) -> WallSubmap:
-        """Return one of the submaps, by its span."""
-        history, paths = self.history, self._paths
-        poses, assembled = chained_poses(paths, span, history), None
-        poses = self.frame.moved(poses, span) if self.frame else poses
-        if any(np.isfinite(path[slice(*span), 0, 0]).any() for path in paths):
-            there = among_all(poses, span, history)
-            assembled = assemble(history, numbers, there, moving)
-        return WallSubmap.of(span, poses, assembled)
+        history, paths, found = self.history, self._paths, list[WallSubmap]()
+        for span in history.spans:
+            poses, assembled = chained_poses(paths, span, history), None
+            poses = self.frame.moved(poses, span) if self.frame else poses
+            if any(np.isfinite(path[slice(*span), 0, 0]).any() for path in paths):
+                assembled = assemble(history, numbers, among_all(poses, span, history), moving)
+            found.append(WallSubmap.of(span, poses, assembled))
+        return found
 
     @cached_property
     def _paths(self) -> list[Floats]:

@@ -41,7 +41,7 @@ def sharpen(mixture: WallMixture, xy: Floats) -> Sharpened:
 def solve_ends(mixture: WallMixture, xy: Floats) -> WallMixture:
     """Return the mixture with the most likely ends of its walls."""
     from relmap.segmentation.em.wall_kernels import span
-    from relmap.segmentation.ends.box_kernels import fit_ends
+    from relmap.segmentation.ends.end_kernels import fit_ends
 
     density, total = mixture.density(xy)
     walls = mixture.walls.copy()
@@ -59,7 +59,7 @@ def meet(mixture: WallMixture, n: int) -> Sharpened:
     An end belongs to a corner if the other wall reaches it too, both within their accuracy. The
     crossing of two lines is more accurate than either end.
     """
-    from relmap.segmentation.ends.meeting_kernels import met
+    from relmap.segmentation.ends.end_kernels import met
 
     moved, spread, joined = met(mixture.walls, mixture.sigma, n, mixture.beam)
     return Sharpened(mixture.with_walls(moved), spread, joined, np.zeros_like(joined))

@@ -83,7 +83,7 @@ class LaserScan:
     @cached_property
     def marks(self) -> tuple[Bools, Bools]:
         """Which points are specks, and after which ones the next beam hits something else; (n,)."""
-        from relmap.segmentation.scanline.speck_kernels import specks_and_breaks
+        from relmap.segmentation.scanline.mark_kernels import specks_and_breaks
 
         return specks_and_breaks(self.xy, max(self.noise_m, NOISE_AT_LEAST_M))
 
@@ -217,7 +217,7 @@ def on_curves(mixture: WallMixture, xy: Floats, labels: Ints, bounds: tuple[Ints
 
     Where a curve is cut into straight pieces depends on the point of view.
     """
-    from relmap.segmentation.scanline.curve_kernels import curved_ends
+    from relmap.segmentation.scanline.mark_kernels import curved_ends
 
     sigma = max(mixture.sigma, NOISE_AT_LEAST_M)
     return curved_ends(mixture.walls, xy, labels, np.array(bounds), sigma)

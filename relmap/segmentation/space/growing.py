@@ -105,7 +105,7 @@ def condensed(
     planes, which gives the weights. A plane reaches `cell_m` beyond its points. Returns also the
     numbers (m,) of points that count.
     """
-    from relmap.segmentation.space.condensing_kernels import range_errors, slid, undecided
+    from relmap.segmentation.space.cloud_kernels import range_errors, slid, undecided
 
     count = int(label.max(initial=-1)) + 1
     moments = moments_of(points, label, count, noise_m)

@@ -48,10 +48,10 @@ def add_moments(
 
 
 @helper
-def _principal(moments: Floats, second: Floats) -> tuple[Floats, int]:
-    """Set the second moments (3, 3) about the mean to their variances; return the axes.
+def _plane_of(moments: Floats, second: Floats, plane: Floats) -> float:
+    """Set the normal, which points to the sensor, and offset (4,); return the variance across.
 
-    The axes are columns; the second value is the number of the smallest variance.
+    `second` (3, 3) is set to the variances along the axes.
     """
     for a in range(3):
         for b in range(a, 3):
@@ -62,13 +62,6 @@ def _principal(moments: Floats, second: Floats) -> tuple[Floats, int]:
     axes, least = diagonalise(second), 0
     for a in range(1, 3):
         least = a if second[a, a] < second[least, least] else least
-    return axes, least
-
-
-@helper
-def _plane_of(moments: Floats, second: Floats, plane: Floats) -> float:
-    """Set the normal, which points to the sensor, and offset (4,); return the variance across."""
-    axes, least = _principal(moments, second)
     plane[3] = 0.0
     for a in range(3):
         plane[a] = axes[a, least]
@@ -112,15 +105,6 @@ def _unlabel(label: Ints, queue: Ints, count: int) -> None:
         label[queue[k]] = -1
 
 
-@helper
-def _add_up(moments: Floats, queue: Ints, count: int, sums: Floats) -> None:
-    """Set the sums (10,) of the moments of queued voxels."""
-    for a in range(len(sums)):
-        sums[a] = 0.0
-        for k in range(count):
-            sums[a] += moments[queue[k], a]
-
-
 @compiled
 def grow_regions(
     seeds: Ints, planes: Floats, voxels: Connected, open_: Bools, label: Ints
@@ -146,7 +130,10 @@ def grow_regions(
             if count <= 1.1 * size or count < FEWEST_VOXELS:
                 break
             size = count
-            _add_up(voxels[0], queue, count, sums)
+            for a in range(len(sums)):
+                sums[a] = 0.0
+                for k in range(count):
+                    sums[a] += voxels[0][queue[k], a]
             _plane_of(sums, second, fitted[n])
         if count < FEWEST_VOXELS:
             _unlabel(label, queue, count)

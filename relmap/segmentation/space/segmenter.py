@@ -158,7 +158,7 @@ class PatchSegmenter:
         self, points: Floats, range_m: Floats, voxels: Voxels
     ) -> tuple[Ints, Floats, Ints]:
         """Return the plane (n,) of each point, its noise (n,), and the plane (v,) of each voxel."""
-        from relmap.segmentation.space.condensing_kernels import range_errors
+        from relmap.segmentation.space.cloud_kernels import range_errors
         from relmap.segmentation.space.growing_kernels import label_points
 
         flat = voxels.flat

@@ -89,7 +89,7 @@ def cells_of(points: Floats, range_m: Floats, size_m: float, middle_m: float) ->
     Their size grows with the square root of the range, because the spacing of points and the noise
     grow; `size_m` is the size at the median range.
     """
-    from relmap.segmentation.space.voxel_kernels import numbered_cells
+    from relmap.segmentation.space.cloud_kernels import numbered_cells
 
     keys, of = numbered_cells(points, range_m, size_m, middle_m)
     order = np.argsort(keys)
@@ -100,7 +100,7 @@ def cells_of(points: Floats, range_m: Floats, size_m: float, middle_m: float) ->
 
 def voxels_of(points: Floats, keys: Ints, of: Ints, size_m: float, middle_m: float) -> Voxels:
     """Return the voxels of points (n, 3), robot frame, metres; see `cells_of`."""
-    from relmap.segmentation.space.voxel_kernels import neighbours
+    from relmap.segmentation.space.cloud_kernels import neighbours
 
     around = neighbours(keys, AROUND @ np.array([1 << (2 * BITS), 1 << BITS, 1]))
     moments = moments_of(points, of, len(keys))
