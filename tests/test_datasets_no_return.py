@@ -160,14 +160,15 @@ def test_points_at_the_origin_did_not_return(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("written", [scans_npz, carmen_log])
+@pytest.mark.parametrize("range_m", [0.3, 0.8])
 def test_beams_on_the_robot_are_left_out(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture, written: Written
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, written: Written, range_m: float
 ) -> None:
     rng = np.random.default_rng(0)
     mast = slice(20, 35)
     scans = [hall(step) for step in range(60)]
     for ranges in scans:
-        ranges[mast] = (0.3 + rng.normal(0, 0.02, 15)).round(3)
+        ranges[mast] = (range_m + rng.normal(0, 0.02, 15)).round(3)
     log = written(tmp_path, scans)
     for scan, ranges in zip(log.scans(), scans, strict=True):
         assert np.hypot(*scan.points_robot.T) == pytest.approx(np.delete(ranges, mast), rel=1e-6)
@@ -193,6 +194,17 @@ def test_a_robot_that_stands_near_a_wall_keeps_its_beams(tmp_path: Path) -> None
     near = np.minimum(hall(0), 0.5 / np.maximum(np.sin(BEARINGS), 1e-3))
     log = carmen_log(tmp_path, [near.round(3)] * 60)
     assert {len(scan.points_robot) for scan in log.scans()} == {180}
+
+
+def test_a_cart_that_is_pushed_down_a_corridor_is_left_out(tmp_path: Path) -> None:
+    """Beside it the walls stay at the same range for most of the way."""
+    scans = []
+    for step in range(60):
+        beside_m = (1.1 if step % 3 else 3.0) / np.maximum(np.abs(np.sin(BEARINGS)), 1e-3)
+        scans.append(np.minimum(hall(step), beside_m).round(3))
+        scans[-1][60:120] = 0.8
+    log = carmen_log(tmp_path, scans)
+    assert {len(scan.points_robot) for scan in log.scans()} == {120}
 
 
 def test_a_wall_that_the_robot_follows_keeps_its_beams(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from relmap import PlaneMapper
@@ -9,6 +10,7 @@ from relmap.datasets.scans import ScanLog
 from relmap.evaluation.feeding import preparation
 from relmap.evaluation.sources import log_of
 from relmap.simulation import simulate_building
+from tests.drives import odometry_of
 
 
 @pytest.fixture(scope="module")
@@ -28,4 +30,23 @@ def test_a_step_far_longer_than_the_others_is_listed(
     mapper.finish()
     mapper.refine()
     assert [submap.n_scans for submap in mapper.submaps] == [90 - left_out]
+    assert mapper.weak_links.tolist() == listed
+
+
+@pytest.mark.parametrize(("confirmed", "listed"), [(True, []), (False, [35])])
+def test_with_odometry_too_unless_that_confirms_it(
+    confirmed: bool, listed: list[int], log: ScanLog
+) -> None:
+    """A robot that is carried does not turn its wheels."""
+    scans, mapper = np.r_[:35, 47:90], PlaneMapper()
+    assert log.poses is not None
+    odometry = odometry_of(log.poses[scans])
+    if not confirmed:
+        odometry[35] = odometry[34]
+    prepare = preparation(mapper, log)
+    for k, motion in zip(scans.tolist(), odometry, strict=True):
+        points = log.points_of(k)
+        mapper.update(prepare(points), beams=points, odometry=motion)
+    mapper.finish()
+    assert [submap.n_scans for submap in mapper.submaps] == [78]
     assert mapper.weak_links.tolist() == listed

@@ -29,6 +29,8 @@ NEAR = np.array([[1.0, -3.0], [3.0, -3.0], [3.0, -1.0]])
 """Two walls that meet at a right angle, nearby."""
 BENT = np.column_stack([np.linspace(1.0, 6.0, 11), -2.5 + 0.15 * (np.arange(11) % 2)])
 """One wall, bent by 0.15 m to and fro."""
+ROOM = 2.0 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]])
+"""Four equal walls around the robot."""
 TEETH = np.column_stack([np.linspace(-4.0, 4.0, 9), -4.0 + 0.8 * (np.arange(9) % 2)])
 """A wall that repeats every two metres."""
 LEAP = 6
@@ -45,19 +47,20 @@ def along(line: NDArray[np.float64], spacing_m: float) -> NDArray[np.float64]:
 
 
 def driven(
-    *lines: NDArray[np.float64], leap_m: float = 0.0, with_beams: bool = True
+    *lines: NDArray[np.float64], leap_m: float = 0.0, turn_rad: float = 0.0, with_beams: bool = True
 ) -> PlaneMapper:
     """Return a mapper of walls along lines, whose robot advances by 2 cm a scan, and leaps once.
 
-    The noise of the points is 3 cm.
+    There it turns, too; it goes on sideways. The noise of the points is 3 cm.
     """
     mapper, rng = PlaneMapper(), np.random.default_rng(0)
     ends = np.concatenate([np.stack([line[:-1], line[1:]], axis=1) for line in lines])
     kind = [["corner", "corner"]] * len(ends)
     points = np.concatenate([along(line, 0.1) for line in lines])
-    for x in 0.02 * np.arange(12) + leap_m * (np.arange(12) >= LEAP):
-        seen = SimpleNamespace(ends=ends - [x, 0.0], end_type=kind)
-        beams = points - [x, 0.0] + rng.normal(0.0, 0.03, points.shape)
+    for k, x in enumerate(0.02 * np.arange(12) + leap_m * (np.arange(12) >= LEAP)):
+        R = turn(turn_rad * (k >= LEAP))
+        seen = SimpleNamespace(ends=(ends - [x, 0.0]) @ R, end_type=kind)
+        beams = (points - [x, 0.0]) @ R + rng.normal(0.0, 0.03, points.shape)
         mapper.update(seen, beams=beams if with_beams else None)
     return mapper
 
@@ -154,6 +157,27 @@ def test_a_step_unlike_those_around_it_must_exclude_what_walls_imply_near_theirs
     assert LEAP in undetermined_steps([replace(submap, poses=poses)], history, links)
     cut = unsupported_links(replace(history, motion=motion), links)
     assert cut.tolist() == [LEAP] * (len(lines) > 1)  # where beams show which one is right
+
+
+def test_an_unusual_turn_must_exclude_what_walls_imply_nearer_to_the_usual_one() -> None:
+    """A square room looks the same from four sides, also where the robot did not turn."""
+    mapper = mapped(ROOM)
+    [submap], links = mapper.submaps, registration_of(mapper).links
+    assert len(mapper.weak_links) == 0
+    poses, R = submap.poses.copy(), np.eye(4)
+    R[:2, :2] = turn(np.pi / 2)
+    poses[LEAP:] = R @ poses[LEAP:]
+    moved = replace(submap, poses=poses)
+    assert undetermined_steps([moved], mapper.history, links).tolist() == [LEAP]
+
+
+def test_a_turn_that_beams_confirm_is_determined() -> None:
+    cut_corner = np.vstack([ROOM[:3], [[-0.5, 2.0], [-2.0, 0.5]], ROOM[:1]])
+    mapper = driven(cut_corner, turn_rad=np.pi / 2)
+    mapper.finish()
+    step = np.linalg.inv(mapper.trajectory[LEAP - 1]) @ mapper.trajectory[LEAP]
+    assert step[1, 0] == pytest.approx(1.0, abs=0.01)
+    assert len(mapper.weak_links) == 0
 
 
 def test_no_small_changes_that_beams_prefer_lead_away_from_a_step() -> None:

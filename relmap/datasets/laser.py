@@ -42,11 +42,13 @@ REPEATED = 10
 """Minimum number of scans whose largest range is the same if hardly any beams end just below it or
 beyond: down a corridor only a few do not return, and no wall stays at one range as the robot
 moves."""
-REACH_M, SAME_M = 0.6, 0.1
-"""Largest range of the robot's own parts, and by how much it varies: noise, vibration."""
-MOSTLY, SELDOM, CHANGING = 0.9, 0.5, 0.1
-"""Fraction of the scans in which such a direction has the same range; and the fraction of all
-directions in which at most half of the scans must have it: if the robot stands, none changes."""
+REACH_M, SAME_M = 1.0, 0.1
+"""Largest range of the robot's own parts, or of what it pushes, and by how much it varies: noise,
+vibration."""
+MOSTLY, SELDOM, CHANGING = 0.9, 0.75, 0.1
+"""Fraction of the scans in which such a direction has the same range; the largest such fraction of
+a direction that changes, two thirds along a corridor; and which fraction of the other directions
+must change: if the robot stands, none does."""
 SCANS, MOST = 20, 2000
 """Minimum number of scans, and how many, spread over the log, are searched for own parts."""
 ONE_RAD = 1e-4
@@ -261,10 +263,10 @@ def _own_m(ranges_m: Floats, direction: Ints, scan: Ints) -> Floats:
     same = (ranges_m > 0) & (np.abs(ranges_m - usual_m[direction]) <= SAME_M)
     seen = np.unique(np.column_stack([direction[same], scan[same]]), axis=0)[:, 0]
     share = np.bincount(seen, minlength=len(usual_m)) / len(np.unique(scan))
-    if np.quantile(share[usual_m > 0], CHANGING) > SELDOM:
-        return np.zeros(len(usual_m))
     # A wall beside which the robot drives goes on beyond its own parts; these end abruptly.
     ends = np.abs(np.diff(usual_m, prepend=np.inf)) > SAME_M
     farthest_m = np.maximum.reduceat(usual_m, np.flatnonzero(ends))[np.cumsum(ends) - 1]
     fixed = (share >= MOSTLY) & (farthest_m <= REACH_M)
-    return np.where(fixed, usual_m + SAME_M, 0.0)
+    others = share[(usual_m > 0) & ~fixed]
+    moves = len(others) > 0 and np.quantile(others, CHANGING) <= SELDOM
+    return np.where(fixed & moves, usual_m + SAME_M, 0.0)

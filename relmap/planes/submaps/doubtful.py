@@ -12,7 +12,7 @@ from relmap.planes.linking.adjoining import climbed
 from relmap.planes.linking.link_record import LinkRecord
 from relmap.planes.linking.placement import STILL
 from relmap.planes.linking.tying import Scans
-from relmap.planes.motions import from_matrices, inverse
+from relmap.planes.motions import from_matrices, inverse, wrapped
 from relmap.planes.odometry.prediction import OTHERWISE
 from relmap.planes.odometry.steps import corrected
 from relmap.planes.scans.beams import Beams, BeamStore, odds_over
@@ -32,9 +32,11 @@ independent, and many tiny differences along a bare corridor are not."""
 UNUSUAL_M, BESIDE = 0.3, 4
 """Difference between a link and those around it above which it is evaluated again, and how many on
 either side these are."""
+UNUSUAL_RAD = np.deg2rad(30.0)
+"""Difference from the turns around it above which a turn is unusual."""
 NEARER, GAP = 0.5, 3
 """Distance of another motion from the usual step, as a fraction of that of an unusual step, below
-which beams must exclude it, too; and how many scans apart both scans may be."""
+which beams must exclude it, too, the same for turns; and how many scans apart both scans may be."""
 CHANGE_M, AWAY_M = 0.1, 0.25
 """Size of the changes by which beams may improve a step, and distance beyond which it is listed; so
 is one as far from odometry."""
@@ -51,17 +53,18 @@ def undetermined_steps(
 ) -> Ints:
     """Return the iterations (k,) whose motion since the previous one is not determined, ascending.
 
-    Short walls far away, such as an arc at the end of the range, leave a motion open that turns
-    the robot about them. So a step is moved by 0.3 m in the direction that the walls in common
+    Short walls far away, such as an arc at the end of the range, leave a motion open that turns the
+    robot about them. So a step is moved by 0.3 m in the direction that the walls in common
     determine least, and turned as they allow. It is also replaced by the usual steps of the four
-    before and of the four after it, if they differ, and by motions nearer to these that the walls
-    of both scans imply. It is determined if the beams of both scans exclude all of these, neither
-    shows one wall only, and, if few common walls cross, no small changes that the beams prefer lead
-    away from it, one after the other. A step far longer than the others is listed, too. Where a
-    submap continues after scans that are not part of it, the motion is since the last one that is.
-    Without beams, and with odometry, the walls decide (`PlaneHistory.weak_links`); steps that
-    contradict odometry are listed, too. From one log to the next there is no step: the place of a
-    log in the map is determined by a stretch of it.
+    before and of the four after it, if they differ, and by motions nearer to these, or that turn
+    more as these do, that the walls of both scans imply. It is determined if the beams of both
+    scans exclude all of these, neither shows one wall only, and, if few common walls cross, no
+    small changes that the beams prefer lead away from it, one after the other. A step far longer
+    than the others is listed, too. Where a submap continues after scans that are not part of it,
+    the motion is since the last one that is. Without beams, and with odometry, the walls decide
+    (`PlaneHistory.weak_links`); steps that contradict odometry are listed, too, of those that walls
+    measured only if they are as long. From one log to the next there is no step: the place of a log
+    in the map is determined by a stretch of it.
     """
     if _have_odometry(links):
         against = _against_odometry(submaps, links)
@@ -72,7 +75,7 @@ def undetermined_steps(
     scans = links.scans
     before, after, steps = _steps(submaps)
     gap = (after - before)[:, None]
-    to_usual = _around(steps[:, 1:] / gap) * gap - steps[:, 1:]
+    to_usual = _around(steps / gap) * gap - steps
     each = zip(before.tolist(), after.tolist(), steps, to_usual.swapaxes(0, 1), strict=True)
     for first, scan, step, ways in each:
         earlier, later = (beams_of(i, history, links.beams) for i in (first, scan))
@@ -83,9 +86,7 @@ def undetermined_steps(
             weak[scan] = one_wall or excluded < least[scan]
             if history.hardly_crossed[scan] and not weak[scan]:
                 weak[scan] = _leads_away(step, earlier, later)
-    if len(steps):
-        way_m = np.hypot(*(steps[:, 1:] / gap).T)
-        weak[after[way_m > LEAP * np.quantile(way_m, USUALLY) + LEAP_M]] = True
+    weak[after[_leap(steps / gap)]] = True
     weak[after[between_logs(links.begun, before, after)]] = False
     return np.flatnonzero(weak)
 
@@ -106,16 +107,25 @@ def _steps(submaps: Sequence[WallSubmap]) -> tuple[Ints, Ints, Floats]:
     return before[order], after[order], every[order]
 
 
+def _leap(steps: Floats) -> Bools:
+    """Return which steps (k, 3) are far longer than the others."""
+    if not len(steps):
+        return np.empty(0, dtype=np.bool_)
+    way_m = np.hypot(*steps[:, 1:].T)
+    return np.asarray(way_m > LEAP * np.quantile(way_m, USUALLY) + LEAP_M)
+
+
 def _against_odometry(submaps: Sequence[WallSubmap], links: LinkRecord) -> Ints:
     """Return the scans (k,) into which the step of the map contradicts odometry, but no link does.
 
-    Where walls measured another motion than odometry, odometry is rejected and reported.
+    Where walls measured another motion than odometry, odometry is rejected and reported. But if
+    that is far longer than the other steps, the robot may have been carried elsewhere.
     """
     wheels, motions, measured = links.wheels, links.motions, links.measured
     noise = wheels.noise_over_all(motions, measured)
     assert noise is not None
     before, after, steps = _steps(submaps)
-    kept = (after == before + 1) & ~wheels.left_out(motions, measured)[after]
+    kept = (after == before + 1) & (_leap(steps) | ~wheels.left_out(motions, measured)[after])
     given = wheels.given.over(len(motions))[after]
     kept &= np.isfinite(given[:, 0, 0])
     after, steps, given = after[kept], steps[kept], given[kept]
@@ -125,9 +135,9 @@ def _against_odometry(submaps: Sequence[WallSubmap], links: LinkRecord) -> Ints:
 
 
 def _around(moved: Floats) -> Floats:
-    """Return the medians (2, k, 2) of the translations (k, 2) before each, and after each."""
+    """Return the medians (2, k, n) of the motions (k, n) before each, and after each."""
     if not len(moved):
-        return np.empty((2, 0, 2))
+        return np.empty((2, *moved.shape))
     padded = np.pad(moved, [(BESIDE, BESIDE), (0, 0)], "edge")
     medians = np.median(sliding_window_view(padded, BESIDE, axis=0), axis=-1)
     return np.stack([medians[: len(moved)], medians[BESIDE + 1 :]])
@@ -145,7 +155,7 @@ def unsupported_links(history: PlaneHistory, links: LinkRecord) -> Ints:
     tied = 1 + np.flatnonzero((np.diff(history.submap) == 0) & (history.submap[1:] >= 0))
     free, scans, found = free_directions(history), links.scans, list[int]()
     steps = inverse(history.motion[tied])
-    to_usual = (_around(steps[:, 1:]) - steps[:, 1:]).swapaxes(0, 1)
+    to_usual = ((_around(steps) - steps) * [0.0, 1.0, 1.0]).swapaxes(0, 1)  # turns may be right
     for k in np.flatnonzero(_unusual(tied, history) & ~np.isinf(links.evidence[tied])).tolist():
         scan, step = int(tied[k]), steps[k]
         earlier, later = (beams_of(i, history, links.beams) for i in (scan - 1, scan))
@@ -194,32 +204,39 @@ def _rivals(
 def _changes(step: Floats, free: Floats, to_usual: Floats) -> Floats:
     """Return changes (k, 3) of a step (3,), by 0.3 m and to the usual ones; its rotation stays.
 
-    `free` (3,): the direction that walls determine least; `to_usual` (2, 2): translations that
-    make it the usual step before or after it.
+    `free` (3,): the direction that walls determine least; `to_usual` (2, 3): changes that make it
+    the usual step before or after it.
     """
-    far = np.hypot(*to_usual.T) > FREE_M
+    far = np.hypot(*to_usual[:, 1:].T) > FREE_M
     (turn, x, y), c, s = free, np.cos(step[0]), np.sin(step[0])
     way = np.array([turn, c * x - s * y, s * x + c * y])  # in the frame of the earlier scan
-    usual = np.zeros((2, 3))
-    usual[:, 1:] = to_usual
-    return np.vstack([BOTH_M * way, usual[far]])
+    return np.vstack([BOTH_M * way, to_usual[far] * [0.0, 1.0, 1.0]])
 
 
 def _fitted(scans: Scans, earlier: int, later: int, step: Floats, to_usual: Floats) -> Floats:
     """Return the changes (k, 3) of an unusual step (3,) to motions nearer to the usual ones.
 
     The walls of both scans imply them: where walls repeat, robots do not move by just the usual
-    step. `to_usual` as in `_changes`.
+    step, and rooms may look the same from several sides. `to_usual` as in `_changes`.
     """
-    to_usual = to_usual[np.hypot(*to_usual.T) > FREE_M]
-    near = len(to_usual) and later - earlier <= GAP
+    turn, way = wrapped(to_usual[:, :1]), to_usual[:, 1:]
+    far, turned = np.hypot(*way.T) > FREE_M, np.abs(turn[:, 0]) > UNUSUAL_RAD
+    near = (far.any() or turned.any()) and later - earlier <= GAP
     search = scans.search(earlier, later, STILL) if near else None
     if search is None:
         return np.empty((0, 3))
-    usual = step + np.pad(to_usual, [(0, 0), (1, 0)])
-    changes = inverse(search.candidates([*inverse(usual)]).motions) - step
-    off_m = np.linalg.norm(changes[:, None, 1:] - to_usual, axis=2).min(axis=1)
-    return np.asarray(changes[off_m < NEARER * np.hypot(*to_usual.T).min()])
+    usual = np.zeros((4, 3))
+    usual[:2, 1:], usual[2:, :1] = way, turn
+    usual = step + usual[np.append(far, turned)]
+    found = search.candidates([*inverse(usual)])
+    changes = inverse(found.motions) - step
+    off = np.full((2, 2, len(changes)), np.inf)
+    off[0, far] = np.linalg.norm(changes[:, 1:] - way[far, None], axis=2)
+    off[1, turned] = np.abs(wrapped(changes[:, 0] - turn[turned]))
+    least = [np.hypot(*way[far].T).min(initial=np.inf), np.abs(turn[turned]).min(initial=np.inf)]
+    nearer = off.min(axis=1) < NEARER * np.array(least)[:, None]
+    nearer[1] &= ~found.doubtful
+    return np.asarray(changes[nearer.any(axis=0)])
 
 
 def _excluded(step: Floats, changes: Floats, earlier: Beams, later: Beams) -> float:
