@@ -16,9 +16,6 @@ UNIDENTIFIED = -1
 """Marks an observation that belongs to no known landmark."""
 
 
-_RANKS = {rank: list(range(1, rank + 1)) for rank in range(1, 33)}
-
-
 class Registration:
     """Assigns observations to landmarks, which are numbered in the order of first observation.
 
@@ -94,7 +91,7 @@ def nearest(tree: cKDTree, points: Floats, rank: int = 1) -> tuple[Floats, Ints]
 
     If the tree has fewer points, the distance is infinite and the index is the tree's size.
     """
-    distance, index = tree.query(points, k=_RANKS[rank])
+    distance, index = tree.query(points, k=[*range(1, rank + 1)])
     return np.asarray(distance), np.asarray(index)
 
 
