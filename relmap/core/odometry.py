@@ -44,20 +44,22 @@ def checked_odometry(odometry: ArrayLike) -> Floats:
     return _of_matrix(array) if array.ndim == 2 else _of_numbers(array)
 
 
-def motion_from_velocity(speed_m_s: float, yaw_rate_rad_s: float, duration_s: float) -> Floats:
+def motion_from_velocity(
+    speed_m_s: float | Floats, yaw_rate_rad_s: float | Floats, duration_s: float | Floats
+) -> Floats:
     """Return the motion at constant speed and rate of turn: an arc of a circle.
 
     Parameters
     ----------
-    speed_m_s : float
+    speed_m_s : float or (n,) array
         Forward speed; negative in reverse.
-    yaw_rate_rad_s : float
+    yaw_rate_rad_s : float or (n,) array
         Positive to the left.
-    duration_s : float
+    duration_s : float or (n,) array
 
     Returns
     -------
-    (3,) float64
+    (3,) or (3, n) float64
         x, y, metres, and yaw, radians, in the frame at the start.
     """
     way, yaw = speed_m_s * duration_s, yaw_rate_rad_s * duration_s
