@@ -106,3 +106,14 @@ def mutual(points: Floats, among: Floats, most_m: float) -> tuple[Ints, Ints]:
     back = nearest(cKDTree(points), among)[1][there[:, 0], 0]
     own = np.flatnonzero((back == np.arange(len(points))) & (distance[:, 0] <= most_m))
     return own, there[own, 0]
+
+
+def one_to_one(pairs: Ints, distance: Floats) -> Ints:
+    """Return the pairs (k, 2), nearest first, in which no number occurs twice."""
+    unique: list[tuple[int, int]] = []
+    taken: set[int] = set()
+    for one, other in pairs[np.argsort(distance, kind="stable")].tolist():
+        if taken.isdisjoint((one, other)):
+            unique.append((one, other))
+            taken.update((one, other))
+    return np.array(unique, dtype=np.int64).reshape(-1, 2)
