@@ -24,15 +24,11 @@ _COMPILER = "caching.py", "compiler.py", "compiling.py", "lowering.py", "resolvi
 
 
 class Kept(CPUDispatcher):
-    """What is changed of a compiled function."""
+    """A compiled function whose code is kept."""
 
     def keep_by_content(self, options: str) -> None:
         """Let its cache depend on its content, and on options, instead of its time stamp."""
         self._cache = _Cache(self.py_func, options)
-
-    def compile_with(self: Any, flags: type) -> None:
-        """Let it be compiled with options of a type of ours."""
-        vars(self._compiler)["_customize_flags"] = flags
 
 
 class _Cache(FunctionCache):
