@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from relmap.core import readout
 from relmap.core.arrays import Floats, Ints
-from relmap.core.config import WITH_IDS, WITH_POINTS, MapperConfig
+from relmap.core.config import WITH_IDS, WITH_POINTS, MapperConfig, in_use
 from relmap.core.guard import ChangeGuard, reads_whole
 from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup, Submap
 from relmap.core.mapper import RelativeMapper
@@ -83,7 +83,7 @@ class Mapped(ABC):
     def settings(self) -> dict[str, Any]:
         """The settings in effect, by name."""
         is_known = self.engine.association.is_known
-        return self.config.in_use(WITH_IDS if is_known else self._unused)
+        return in_use(self.config, WITH_IDS if is_known else self._unused)
 
     @property
     def n_iterations(self) -> int:

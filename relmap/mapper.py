@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, Self
 
 from relmap.core import afterwards
 from relmap.core.arrays import Floats
-from relmap.core.config import MapperConfig
+from relmap.core.config import MapperConfig, changed, refuse
 from relmap.core.guard import reads_whole
 from relmap.core.linalg.threads import one_thread
 from relmap.core.mapper import RelativeMapper
@@ -56,7 +56,7 @@ class Mapper(Recorded, Mapped):
         run: dict[str, Any] | None = None,
     ) -> None:
         self.config = config or MapperConfig()
-        self.config.refuse(self._unused)
+        refuse(changed(self.config), self._unused)
         self._engine = RelativeMapper(self._model(), self.config)
         super().__init__(journal, run)
 

@@ -12,7 +12,6 @@ import numba
 import numpy as np
 import pytest
 from numba.core import event
-from numba.core.compiler import Flags
 from numba.core.cpu import CPUContext
 from numba.core.runtime import nrt
 
@@ -154,17 +153,6 @@ def test_powers_are_multiplied_out(monkeypatch: pytest.MonkeyPatch) -> None:
     assert afresh(powers)(x) == (x * x, (x + 1) * ((x + 1) * (x + 1)), x, x * x * (x * x))
     monkeypatch.setattr(CPUContext, "compile_internal", None)  # would compile a loop over bits
     assert afresh(lambda x: x**2 + x**3)(x) == x * x + x * (x * x)
-
-
-def test_options_are_compared_as_by_numba() -> None:
-    given, quick = cast("Any", Flags)(), compiler.KernelFlags()
-    assert hash(given) == hash(quick)
-    assert given == quick
-    quick.error_model = "numpy"
-    assert given != quick
-    given.error_model = "numpy"
-    assert given == quick == quick.copy()
-    assert quick.values() == given.values()
 
 
 def test_compiled_code_frees_its_arrays() -> None:

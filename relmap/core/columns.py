@@ -66,7 +66,9 @@ class Table:
 
     def __repr__(self) -> str:
         columns = self.columns()
-        parts = [f"{len(self)} rows", *_tally(columns.get("status"))]
+        kinds, counts = np.unique(columns.get("status", []), return_counts=True)
+        tally = (f"{n} {kind}" for kind, n in zip(kinds, counts.tolist(), strict=True))
+        parts = [f"{len(self)} rows", *tally]
         return f"{type(self).__name__}({', '.join(parts)}; {', '.join(columns)})"
 
     def to_html(self) -> str:
@@ -88,13 +90,6 @@ class Table:
             value = getattr(self, field.name)
             if isinstance(value, np.ndarray):
                 yield field.name, value
-
-
-def _tally(status: NDArray[Any] | None) -> list[str]:
-    if status is None:
-        return []
-    kinds, counts = np.unique(status, return_counts=True)
-    return [f"{count} {kind}" for kind, count in zip(kinds, counts.tolist(), strict=True)]
 
 
 def _cell(value: Any) -> str:

@@ -108,39 +108,6 @@ class MapperConfig:
                 f"{self.registration}"
             )
 
-    def refuse(self, unused: Mapping[str, str]) -> None:
-        """Check that settings that would be ignored have their default values.
-
-        Parameters
-        ----------
-        unused : mapping
-            Their names, with the reason.
-
-        Raises
-        ------
-        RelmapError
-            Names the first that does not.
-        """
-        default = {field.name: field.default for field in fields(self)}
-        refuse([name for name in default if getattr(self, name) != default[name]], unused)
-
-    def in_use(self, unused: Mapping[str, str]) -> dict[str, Any]:
-        """Return the settings by name, without those that are ignored.
-
-        Parameters
-        ----------
-        unused : mapping
-            Names of ignored settings, with the reason.
-
-        Returns
-        -------
-        dict
-        """
-        used = {key: value for key, value in asdict(self).items() if key not in unused}
-        if used.get("registration") != "nearest-previous":
-            used.pop("gate_m", None)
-        return used
-
     @classmethod
     def from_mapping(cls, settings: Mapping[str, Any]) -> MapperConfig:
         """Build the configuration from keys and values, as read from a file.
@@ -163,6 +130,19 @@ class MapperConfig:
         for key in settings:
             known_name(key, known, "setting")
         return cls(**settings)
+
+
+def changed(config: MapperConfig) -> list[str]:
+    """Return the names of the settings that do not have their default values."""
+    return [each.name for each in fields(config) if getattr(config, each.name) != each.default]
+
+
+def in_use(config: MapperConfig, unused: Mapping[str, str]) -> dict[str, Any]:
+    """Return the settings by name, without those that are ignored."""
+    used = {key: value for key, value in asdict(config).items() if key not in unused}
+    if used.get("registration") != "nearest-previous":
+        used.pop("gate_m", None)
+    return used
 
 
 def refuse(given: Iterable[str], unused: Mapping[str, str]) -> None:

@@ -44,20 +44,22 @@ def checked_odometry(odometry: ArrayLike) -> Floats:
     return _of_matrix(array) if array.ndim == 2 else _of_numbers(array)
 
 
-def motion_from_velocity(speed_m_s: float, yaw_rate_rad_s: float, duration_s: float) -> Floats:
+def motion_from_velocity(
+    speed_m_s: float | Floats, yaw_rate_rad_s: float | Floats, duration_s: float | Floats
+) -> Floats:
     """Return the motion at constant speed and rate of turn: an arc of a circle.
 
     Parameters
     ----------
-    speed_m_s : float
+    speed_m_s : float or (n,) array
         Forward speed; negative in reverse.
-    yaw_rate_rad_s : float
+    yaw_rate_rad_s : float or (n,) array
         Positive to the left.
-    duration_s : float
+    duration_s : float or (n,) array
 
     Returns
     -------
-    (3,) float64
+    (3,) or (3, n) float64
         x, y, metres, and yaw, radians, in the frame at the start.
     """
     way, yaw = speed_m_s * duration_s, yaw_rate_rad_s * duration_s
@@ -69,30 +71,15 @@ def motion_from_velocity(speed_m_s: float, yaw_rate_rad_s: float, duration_s: fl
 class OdometryUse:
     """How odometry was used in the map.
 
-    Attributes
-    ----------
-    noise : MotionNoise
-        Its constant errors and noise, estimated from landmarks.
-    is_used : bool
-        Whether the map depends on it: not if landmarks connect all scans, nor if odometry is
-        rejected as a whole.
-    left_out : (l,) int64
-        Iterations whose odometry was rejected.
-    hanging : (h,) int64
-        Iterations connected to the previous one by odometry only.
-    poses : (k, 4, 4) float64, metres
-        Pose of each iteration in the frame of its submap; NaN where undetermined.
-    submap : (k,) int64
-        Number of the submap of each iteration among those of the engine; -1 if there is none.
-    sigmas : (3,) float64
-        Noise of observations and of the distances and turns of odometry, relative to `noise`.
-    is_wrong : bool
-        Whether it is rejected as a whole.
-    drift : float
-        Drift found at revisited places, relative to that expected from noise.  Covariances are
-        scaled by it.
-    alike : int
-        Number of landmarks of places that look the same, which odometry tells apart.
+    `noise`: its constant errors and noise, estimated from landmarks; `is_used`: whether the map
+    depends on it: not if landmarks connect all scans, nor if odometry is rejected as a whole,
+    `is_wrong`; `left_out` (l,): iterations whose odometry was rejected; `hanging` (h,): iterations
+    connected to the previous one by odometry only; `poses` (k, 4, 4), metres: of each iteration in
+    the frame of its submap, NaN where undetermined; `submap` (k,): its number among those of the
+    engine, or `NONE`; `sigmas` (3,): noise of observations and of the distances and turns of
+    odometry, relative to `noise`; `drift`: that found at revisited places, relative to that
+    expected from noise, by which covariances are scaled; `alike`: number of landmarks of places
+    that look the same, which odometry tells apart.
     """
 
     noise: MotionNoise

@@ -197,9 +197,9 @@ def _merge_doubled(engine: RelativeMapper) -> bool:
     if is_bridged(engine):
         return False
     for refined in engine.refined:
-        for match in Doubled(refined, engine.table, engine.rows).sets():
-            pairs = mergeable(engine.table, match.pairs[engine.merger.allowed(match.pairs)])
-            if len(pairs) > CLEAR * len(match.pairs):
+        for same in Doubled(refined, engine.table, engine.rows).sets():
+            pairs = mergeable(engine.table, same[engine.merger.allowed(same)])
+            if len(pairs) > CLEAR * len(same):
                 merged += engine.merge_pairs(pairs)
     if merged:
         refine_map(engine, to_the_last=False)

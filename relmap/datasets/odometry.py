@@ -12,7 +12,6 @@ Motions come from the log itself or from a file beside it:
 
 from __future__ import annotations
 
-import math
 import os
 from dataclasses import replace
 from itertools import accumulate
@@ -23,6 +22,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from relmap.core.arrays import Floats, Ints
+from relmap.core.odometry import motion_from_velocity
 from relmap.datasets.assembly import MAX_COORDINATE_M, iteration_column, metres_column
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.headers import file_beside
@@ -92,11 +92,13 @@ def driven(
     before = np.searchsorted(stamps_s, at_s, side="right") - 1
     known = (before >= 0) & (at_s <= stamps_s[-1] + GAP * usual)
     before = np.maximum(before, 0)
-    begun = np.concatenate([np.zeros((1, 3)), _arcs(speed_m_s, turn_rad_s, step)])
+    arcs = motion_from_velocity(speed_m_s[: len(step)], turn_rad_s[: len(step)], step).T
+    begun = np.concatenate([np.zeros((1, 3)), arcs])
     yaw = np.cumsum(begun[:, 2])
     start = np.concatenate([[0.0], yaw[:-1]])
     xy = np.cumsum(_turned(begun[:, :2], start), axis=0)
-    rest = _arcs(speed_m_s[before], turn_rad_s[before], at_s - stamps_s[before])
+    lasts_s = at_s - stamps_s[before]
+    rest = motion_from_velocity(speed_m_s[before], turn_rad_s[before], lasts_s).T
     x, y = (xy[before] + _turned(rest[:, :2], yaw[before])).T
     poses = planar_poses(x, y, yaw[before] + rest[:, 2])
     gap = np.append(step > max(GAP * usual, LEAST_GAP_S), False)
@@ -107,14 +109,6 @@ def driven(
     part = (np.cumsum(gap) - gap)[before]
     found[1:][part[1:] != part[:-1]] = np.nan
     return found
-
-
-def _arcs(speed_m_s: Floats, turn_rad_s: Floats, duration_s: Floats) -> Floats:
-    """Return x, y, yaw (n, 3) of circular arcs; see `core.odometry.motion_from_velocity`."""
-    n = len(duration_s)
-    way, yaw = speed_m_s[:n] * duration_s, turn_rad_s[:n] * duration_s
-    along, across = np.sinc(yaw / math.pi), np.sin(yaw / 2) * np.sinc(yaw / math.tau)
-    return np.column_stack([way * along, way * across, yaw])
 
 
 def _turned(xy: Floats, yaw: Floats) -> Floats:

@@ -6,7 +6,6 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from relmap.datasets.base import ObservationLog
-from relmap.evaluation import metrics
 from relmap.evaluation.judged_path import OTHER_AXES, judge_path
 from relmap.evaluation.landmarks import judge_landmarks
 from relmap.evaluation.relations import AT_SCANS_S, RelationErrors, relation_errors
@@ -108,11 +107,10 @@ def evaluate(result: Result, truth: Truth, log: ObservationLog | None = None) ->
     RelmapError
         If the log is not the one that was mapped.
     """
-    mine, other = metrics.match_stamps(result.stamps_s, truth.stamps_s)
-    poses, true_poses = result.poses[mine], truth.poses[other]
+    poses, true_poses, _ = truth.poses_of(result)
     of_path, reasons = judge_path(result, truth)
     figures: dict[str, Any] = {}
-    counts: dict[str, int] = {"poses": len(mine)}
+    counts: dict[str, int] = {"poses": len(poses)}
     notes: list[str] = []
     variant: Judged = "points"
     if isinstance(result, PlaneResult):
@@ -129,7 +127,7 @@ def evaluate(result: Result, truth: Truth, log: ObservationLog | None = None) ->
         if faces is not truth.faces:
             notes.append("no plane recall, precision and RMSE: true poses align the planes")
     else:
-        figures, counts, notes = judge_landmarks(result, truth, log, len(mine))
+        figures, counts, notes = judge_landmarks(result, truth, log, len(poses))
     notes += reasons
     relation = relation_errors(result.stamps_s, result.poses, truth.relations)
     notes += _relation_notes(result, truth, relation)
@@ -157,5 +155,4 @@ def _relation_notes(result: Result, truth: Truth, every: RelationErrors | None) 
 
 def match_walls(result: PlaneResult, truth: Truth) -> MatchedCorners | None:
     """Pair the corners of walls with the true ones; see `match_corners`."""
-    mine, other = metrics.match_stamps(result.stamps_s, truth.stamps_s)
-    return match_corners(result.planes, truth, result.poses[mine], truth.poses[other])
+    return match_corners(result.planes, truth, *truth.poses_of(result)[:2])

@@ -37,8 +37,8 @@ def judge_path(result: Result, truth: Truth) -> tuple[dict[str, float | None], l
     Returns `figures`: `ate_m` and `rpe_m` of `Evaluation`, where available; `notes`: reasons for
     missing ones, and which part of the run they are of.
     """
-    mine, other = metrics.match_stamps(result.stamps_s, truth.stamps_s)
-    n, of = len(mine), len(result.stamps_s)
+    poses, true_poses, instants = truth.poses_of(result)
+    n, of = len(poses), len(result.stamps_s)
     if not len(truth.stamps_s):
         return {}, []
     spans = f"({_span(result.stamps_s)}, true: {_span(truth.stamps_s)})"
@@ -50,13 +50,12 @@ def judge_path(result: Result, truth: Truth) -> tuple[dict[str, float | None], l
         return {}, [f"{missing}only {common} {spans}"]
     notes = [f"ATE and RPE are of a part of the path: {common} {spans}"] * (n < PART * of)
     notes += _apart(result)
-    poses, true_poses = result.poses[mine], truth.poses[other]
     notes += _other_unit(poses, true_poses)
     ate_m, note = _ate(poses, true_poses, result.planar)
     notes += note
-    rpe_m = metrics.rpe(poses, true_poses, other)
+    rpe_m = metrics.rpe(poses, true_poses, instants)
     if rpe_m is not None:
-        rpe_m, note = _rpe(poses, true_poses, other, rpe_m)
+        rpe_m, note = _rpe(poses, true_poses, instants, rpe_m)
         notes += note
     elif n > 1:
         notes.append(f"no RPE: {common}, and other true poses lie between them")

@@ -99,9 +99,8 @@ def _other_ids(result: Result, truth: Truth, matched: Matched) -> list[str]:
     """
     d = 2 if result.planar else 3
     own = matched.truth[:, :d]
-    mine, other = metrics.match_stamps(result.stamps_s, truth.stamps_s)
-    poses, true_poses = result.poses[mine], truth.poses[other]
-    if len(own) and len(mine):
+    poses, true_poses, _ = truth.poses_of(result)
+    if len(own) and len(poses):
         R, t = metrics.align_poses(poses, true_poses, d)
         placed = matched.position[:, :d] @ R.T + t
         path_m = metrics.ate(poses, true_poses, result.planar) or 0.0
@@ -113,7 +112,7 @@ def _other_ids(result: Result, truth: Truth, matched: Matched) -> list[str]:
     if n < 2:
         return []
     found = f"{n} of {len(own)} landmarks are not where their ids are in the truth"
-    place = ", but where other ids are" if len(mine) else ""
+    place = ", but where other ids are" if len(poses) else ""
     return [f"{found}{place}: do the ids of the truth and of the log agree?"]
 
 
@@ -126,11 +125,11 @@ def _judged_by_place(
     position = result.landmarks.position[rows][:, :d]
     placed = np.isfinite(truth.landmarks_map).all(axis=1) & (truth.status == "static")
     places = truth.landmarks_map[placed][:, :d]
-    mine, other = metrics.match_stamps(result.stamps_s, truth.stamps_s)
+    poses, true_poses, _ = truth.poses_of(result)
     few = "no landmark RMSE: a merged map is matched by place, for which too little is known"
-    if len(mine) < 3 or min(len(position), len(places)) <= d:
+    if len(poses) < 3 or min(len(position), len(places)) <= d:
         return {}, counts, [few]
-    R, t = metrics.align(result.poses[mine, :d, 3], truth.poses[other, :d, 3])
+    R, t = metrics.align(poses[:, :d, 3], true_poses[:, :d, 3])
     motion, pairs = paired(position, places, Motion(R, t))
     errors = motion.apply(position[pairs[:, 0]]) - places[pairs[:, 1]]
     counts |= {"matched_landmarks": len(pairs)}
@@ -150,10 +149,10 @@ def overlay(result: Result, truth: Truth, log: ObservationLog | None) -> Overlay
         R, t = matched.R, matched.t
         pairs = np.stack([matched.position, (matched.truth - t) @ R], axis=1)
     else:
-        mine, other = metrics.match_stamps(result.stamps_s, truth.stamps_s)
-        if len(mine) < 3:
+        poses, true_poses, _ = truth.poses_of(result)
+        if len(poses) < 3:
             return None
-        R, t = metrics.align(result.poses[mine, :3, 3], truth.poses[other, :3, 3])
+        R, t = metrics.align(poses[:, :3, 3], true_poses[:, :3, 3])
         pairs = np.empty((0, 2, 3))
     placed = truth.landmarks_map[np.isfinite(truth.landmarks_map).all(axis=1)]
     return Overlay((placed - t) @ R, (truth.poses[:, :3, 3] - t) @ R, pairs)

@@ -15,10 +15,11 @@ from relmap.core.errors import RelmapError
 from relmap.datasets import Relations, open_scans
 from relmap.datasets.textfile import invalid, quoted, require_path
 from relmap.datasets.trajectories import is_trajectory, read_trajectory
+from relmap.evaluation.metrics import match_stamps
 from relmap.evaluation.relations import RELATIONS, relations_by_clocks
 from relmap.evaluation.space import Faces
 from relmap.io.files import atomic_write, read_tum, write_tum
-from relmap.io.results import SUMMARY
+from relmap.io.results import SUMMARY, Result
 from relmap.io.tables import Kind, columns_text, read_table
 
 Variant = Literal["points", "planes"]
@@ -74,6 +75,11 @@ class Truth(Brief):
     seen_m: Floats = field(default_factory=lambda: np.empty((0, 2)))
     relations: tuple[Relations, ...] = ()
     faces: Faces | None = None
+
+    def poses_of(self, result: Result) -> tuple[Floats, Floats, NDArray[np.intp]]:
+        """Return poses (k, 4, 4) of a result, the true ones of these instants, and their rows."""
+        mine, other = match_stamps(result.stamps_s, self.stamps_s)
+        return result.poses[mine], self.poses[other], other
 
 
 def read_truth(path: Path, judged: Judged = "points") -> Truth:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.arrays import Floats, Ints
+from relmap.core.association.base import one_to_one
 from relmap.core.landmarks import LandmarkTable
 from relmap.evaluation.pairing import Motion
 from relmap.planes.places.wall_tie import NEAR_M, SAMPLE_M, WallPoints, WallTie, lying
@@ -57,11 +58,13 @@ def joined_walls(one: PlaneTable, other: PlaneTable) -> tuple[PlaneTable, Ints]:
     lying_m = lying_on(other.ends[new], one.ends[own])
     length_m = [np.hypot(*(t.ends[k, 1] - t.ends[k, 0]).T) for t, k in ((one, own), (other, new))]
     due = lying_m >= MOST * np.minimum(length_m[1][:, None], length_m[0][None])
-    partners = _one_to_one(np.where(due, lying_m, 0.0))
+    theirs, mine = np.nonzero(due & (lying_m > 0))
+    apart = np.column_stack([theirs, len(new) + mine])  # distinct numbers
+    partners = one_to_one(apart, -lying_m[theirs, mine]) - [0, len(new)]
     columns = {name: column.copy() for name, column in vars(one).items()}
     corners = list[tuple[int, int]]()
-    for theirs, mine in partners.tolist():
-        corners += _join(columns, int(own[mine]), other, int(new[theirs]))
+    for k, m in partners.tolist():
+        corners += _join(columns, int(own[m]), other, int(new[k]))
     gone = np.zeros(len(other.plane), dtype=np.bool_)
     gone[new[lying_m.sum(axis=1) >= COVERED * length_m[1]]] = True
     gone[new[partners[:, 0]]] = True
@@ -69,19 +72,6 @@ def joined_walls(one: PlaneTable, other: PlaneTable) -> tuple[PlaneTable, Ints]:
     for name, column in columns.items():
         columns[name] = np.concatenate([column, getattr(rest, name)[~gone]])
     return PlaneTable(**columns), np.array(corners, dtype=np.int64).reshape(-1, 2)
-
-
-def _one_to_one(worth: Floats) -> Ints:
-    """Return a greedy one-to-one assignment (k, 2) of rows and columns, best first."""
-    rows, columns = np.nonzero(worth)
-    pairs, had = list[tuple[int, int]](), (set[int](), set[int]())
-    for k in np.argsort(-worth[rows, columns], kind="stable").tolist():
-        row, column = int(rows[k]), int(columns[k])
-        if row not in had[0] and column not in had[1]:
-            pairs.append((row, column))
-            had[0].add(row)
-            had[1].add(column)
-    return np.array(pairs, dtype=np.int64).reshape(-1, 2)
 
 
 def _join(

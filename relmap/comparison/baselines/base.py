@@ -156,8 +156,7 @@ class SolvedAtTheEnd(KnownBaseline):
         there = found.positions[np.searchsorted(found.landmark_ids, log.ids[mapped]), :d]
         weights, at = np.ones(len(there)), log.iteration[mapped]
         R, t, fixed = fit_rigid_each(log.points_robot[mapped], there, weights, at, k)
-        poses[fixed] = np.eye(4)
-        poses[fixed, :d, :d], poses[fixed, :d, 3] = R[fixed], t[fixed]
+        poses[fixed] = transforms(R[fixed], t[fixed])
         return poses
 
 

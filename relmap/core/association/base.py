@@ -16,9 +16,6 @@ UNIDENTIFIED = -1
 """Marks an observation that belongs to no known landmark."""
 
 
-_RANKS = {rank: list(range(1, rank + 1)) for rank in range(1, 33)}
-
-
 class Registration:
     """Assigns observations to landmarks, which are numbered in the order of first observation.
 
@@ -94,7 +91,7 @@ def nearest(tree: cKDTree, points: Floats, rank: int = 1) -> tuple[Floats, Ints]
 
     If the tree has fewer points, the distance is infinite and the index is the tree's size.
     """
-    distance, index = tree.query(points, k=_RANKS[rank])
+    distance, index = tree.query(points, k=[*range(1, rank + 1)])
     return np.asarray(distance), np.asarray(index)
 
 
@@ -109,3 +106,14 @@ def mutual(points: Floats, among: Floats, most_m: float) -> tuple[Ints, Ints]:
     back = nearest(cKDTree(points), among)[1][there[:, 0], 0]
     own = np.flatnonzero((back == np.arange(len(points))) & (distance[:, 0] <= most_m))
     return own, there[own, 0]
+
+
+def one_to_one(pairs: Ints, distance: Floats) -> Ints:
+    """Return the pairs (k, 2), nearest first, in which no number occurs twice."""
+    unique: list[tuple[int, int]] = []
+    taken: set[int] = set()
+    for one, other in pairs[np.argsort(distance, kind="stable")].tolist():
+        if taken.isdisjoint((one, other)):
+            unique.append((one, other))
+            taken.update((one, other))
+    return np.array(unique, dtype=np.int64).reshape(-1, 2)

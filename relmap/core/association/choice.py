@@ -9,7 +9,7 @@ import numpy as np
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association.base import Registration
 from relmap.core.association.known import KnownAssociation
-from relmap.core.config import WITH_IDS, MapperConfig
+from relmap.core.config import WITH_IDS, MapperConfig, changed, refuse
 from relmap.core.errors import RelmapError
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ class DataAssociation:
         """
         if self.registration is None:
             if ids is not None:
-                self._config.refuse(WITH_IDS)
+                refuse(changed(self._config), WITH_IDS)
             self.is_known, self._first_scan = ids is not None, iteration
         if self.is_known != (ids is not None) or self.registration is None:
             given = "came with" if ids is None else "did not come with"

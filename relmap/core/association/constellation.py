@@ -15,7 +15,7 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association.base import UNIDENTIFIED, Numbered, middle
-from relmap.core.association.chance import ENOUGH, Chance
+from relmap.core.association.chance import ENOUGH
 from relmap.core.association.guiding import OdometryGuide
 from relmap.core.association.likelihood import CLEAR
 from relmap.core.association.metric import RayNoise, farthest, scaled
@@ -182,7 +182,7 @@ class Constellation(Numbered):
             return None
         is_last, is_unique = tracks is self._tracks, False
         idle = self._idle if is_last else self._n_scans - 1 - (since or 0)
-        placing = TrackPlacing(Chance(self._scale, idle, metric))
+        placing = TrackPlacing(self._scale, idle, metric)
         placement = placing.placement(tracks, points) if len(points) and len(tracks) else None
         if placement is not None:
             is_unique = placing.is_unique(placement, tracks, points)
@@ -214,7 +214,11 @@ class Constellation(Numbered):
                 points, columns, (rows, found, n_static), self.n_landmarks, limits
             )
         else:
-            reaches = self._reaches(metric)
+            # A track seen moving, or too short to classify, may move far from its last observation;
+            # a static one only as far as it could drift unnoticed: a jump is another landmark.
+            gate_m = self._scale.gate_m
+            far_m = max(CONTINUITY * self._scale.spacing_m, gate_m)
+            reaches = far_m, gate_m, farthest(gate_m, metric)
             expected, (rows, found, n_static), now = kernels.tracked(
                 points, tracks.columns, pose, reaches, metric, self.n_landmarks, (YOUNG, *limits)
             )
@@ -260,17 +264,6 @@ class Constellation(Numbered):
             self._stray, self._idle = None, 0
             self._guide.forget()
             self._scale.allow_noise()
-
-    def _reaches(self, metric: Floats | None) -> tuple[float, float, float]:
-        """Return the largest distances of observations from predicted tracks.
-
-        Tracks that are not where a static landmark would be are followed from their last
-        observation. One that was seen moving, or is too short to classify, may move far; a static
-        one only as far as it could drift unnoticed: a jump means another landmark. Returns those of
-        a moving and of a static one, in the metric (n, d, d), and the latter in metres.
-        """
-        gate_m = self._scale.gate_m
-        return max(CONTINUITY * self._scale.spacing_m, gate_m), gate_m, farthest(gate_m, metric)
 
 
 def _guessed_spacing(points: Floats) -> float:

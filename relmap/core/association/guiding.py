@@ -13,7 +13,7 @@ import numpy as np
 
 from relmap.core.arrays import Floats
 from relmap.core.association.placement import Placement
-from relmap.core.geometry.motions import transforms
+from relmap.core.geometry.motions import derivatives, rotations, transforms
 from relmap.core.motion_noise import MotionNoise, misses_most, missing_way, motion_noise
 from relmap.core.state.growing import GrowingArray
 
@@ -128,8 +128,6 @@ class OdometryGuide:
         """Return a guess corrected by matches, weighted by the noise of both."""
         if not len(here):
             return guess
-        from relmap.core.geometry.motions import derivatives, rotations
-
         d = here.shape[1]
         sigma_m, sigma_rad = self.noise.sigmas(self._since[None])
         J = derivatives(here)

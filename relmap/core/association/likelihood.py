@@ -10,7 +10,6 @@ from relmap.core.arrays import Floats
 from relmap.core.association.chance import LOG_CHANCE_NEAR, Chance, moved_m
 from relmap.core.association.metric import rows_of
 from relmap.core.association.placement import Placement
-from relmap.core.association.scale import Scale
 from relmap.core.association.soft import SoftMatching
 from relmap.core.association.tracks import LiveTracks
 
@@ -29,23 +28,11 @@ Scored = tuple[Placement, float, float]
 
 
 @dataclass(frozen=True, eq=False)
-class LikelyPlacing:
+class LikelyPlacing(Chance):
     """Finds the most likely placement of the tracks' frame in that of a scan.
 
-    `chance`: with the scale of the scans so far, which each scan updates.
+    Each scan updates the scale.
     """
-
-    chance: Chance
-
-    @property
-    def scale(self) -> Scale:
-        """Scale of the scans so far."""
-        return self.chance.scale
-
-    @property
-    def metric(self) -> Floats | None:
-        """Metric of the points of the scan (n, d, d)."""
-        return self.chance.metric
 
     def likely(
         self, tracks: LiveTracks, points: Floats, found: Placement | None
@@ -66,7 +53,7 @@ class LikelyPlacing:
             return None
         placement, score, rival = best
         far_m = moved_m(placement, here)
-        chance = self.chance.log_placements(here.shape[1], far_m) - score
+        chance = self.log_placements(here.shape[1], far_m) - score
         if chance > (LOG_CLEAR if far_m <= spacing_m else LOG_CHANCE_NEAR):
             return None
         if rival > min(score + LOG_CLEAR, CLEAR * score):

@@ -148,26 +148,18 @@ class RayNoise:
     def _estimated(self, points: Floats) -> tuple[Floats, Floats]:
         """Return standard deviations (n, d) and directions (n, d, d), in columns, of the noise."""
         d = points.shape[1]
-        distance, ray = _rays(points)
+        distance = np.linalg.norm(points, axis=1)
+        ray = points / np.maximum(distance, 1e-12)[:, None]
         outer = ray[:, :, None] * ray[:, None]
         vectors = np.linalg.eigh(-outer)[1]  # the ray comes first
         return self._sigmas(distance)[:, [0] + [1] * (d - 1)], vectors
 
     def _sigmas(self, distance: Floats) -> Floats:
         """Return standard deviations (n, 2) along and across the ray at distances (n,), metres."""
-        variances = self._terms(distance) @ self._coefficients.T
-        return np.asarray(np.sqrt(np.maximum(variances, LEAST * self._coefficients.max() + 1e-300)))
-
-    def _terms(self, distance: Floats) -> Floats:
-        """Return the terms (n, 3) of the polynomial at distances (n,), metres."""
         square = (distance / self._unit_m) ** 2
-        return np.column_stack([np.ones(len(square)), square, square**2])
-
-
-def _rays(points: Floats) -> tuple[Floats, Floats]:
-    """Return the distances (n,) and the directions (n, d) of points (n, d), robot frame."""
-    distance = np.linalg.norm(points, axis=1)
-    return distance, points / np.maximum(distance, 1e-12)[:, None]
+        terms = np.column_stack([np.ones(len(square)), square, square**2])
+        variances = terms @ self._coefficients.T
+        return np.asarray(np.sqrt(np.maximum(variances, LEAST * self._coefficients.max() + 1e-300)))
 
 
 def rows_of(metric: Floats | None, rows: Ints) -> Floats | None:

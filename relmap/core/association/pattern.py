@@ -47,7 +47,7 @@ class PatternPlacing(LikelyPlacing):
         """Return how far a placement moves half of the tracks; infinite if not of the last scan."""
         from relmap.core.association.tracking_kernels import middle_step
 
-        if tracks.missed.min() or self.chance.idle:
+        if tracks.missed.min() or self.idle:
             return np.inf
         return float(middle_step(tracks.expected, placement.R, placement.t))
 
@@ -82,7 +82,7 @@ class PatternPlacing(LikelyPlacing):
             return None
         best = search(here, there, tolerance_m, ENOUGH, own)
         is_best = best is None or near.n_agreeing >= best[0].n_agreeing - FEWER
-        return near if is_best and self.chance.is_exceeded(near, here, there, 0) else None
+        return near if is_best and self.is_exceeded(near, here, there, 0) else None
 
     def period_m(self, tracks: LiveTracks, points: Floats, within_m: float = np.inf) -> float:
         """Return the shortest period of tracks and points (n, d), metres; infinite without one.

@@ -12,12 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.association.chance import (
-    ENOUGH,
-    LOG_CHANCE,
-    PLENTY,
-    moved_m,
-)
+from relmap.core.association.chance import ENOUGH, LOG_CHANCE, PLENTY, moved_m
 from relmap.core.association.likelihood import CLEAR, SHARE
 from relmap.core.association.metric import rows_of
 from relmap.core.association.pattern import PatternPlacing
@@ -106,7 +101,7 @@ class TrackPlacing(PatternPlacing):
         """
         if found.n_agreeing < PLENTY and not self.is_safe(found, tracks, points):
             return True
-        if self.chance.idle > BLIND:
+        if self.idle > BLIND:
             share = NEAR_SHARE * min(len(tracks), len(points))
             has_moved = moved_m(found, tracks.expected) > self.scale.spacing_m
             return has_moved or found.n_agreeing < share
@@ -131,10 +126,10 @@ class TrackPlacing(PatternPlacing):
 
     def is_unique(self, placement: Placement, tracks: LiveTracks, points: Floats) -> bool:
         """Return whether tracks fit points (n, d) better than chance explains in any placement."""
-        chance = self.chance.log(placement.n_agreeing, tracks.expected, points)
+        chance = self.log(placement.n_agreeing, tracks.expected, points)
         if self.scale.is_blurred:
             d, extent_m = points.shape[1], extent_of(points)
-            chance = (2 * d - 3) * np.log(2 * np.pi) + self.chance.log_placements(d, extent_m)
+            chance = (2 * d - 3) * np.log(2 * np.pi) + self.log_placements(d, extent_m)
             chance -= self.soft(tracks, points).fitted(placement.R, placement.t)[1]
         return bool(chance <= LOG_CHANCE)
 
@@ -161,10 +156,10 @@ class TrackPlacing(PatternPlacing):
         if near is not None:
             of = (here, there), tracks.expected, (near.R, near.t)
             square, step_m = tracking.agreement(*of, tolerance_m, own)
-            is_usual = is_sharp and not missed and self._is_usual(square / CHI2_MEDIAN[d])
-            is_safe = self._is_short(
-                np.inf if missed or self.chance.idle else step_m, tracks, points
+            is_usual = (scale.noise_m is not None and is_sharp and not missed) and (
+                square / CHI2_MEDIAN[d] <= MISFIT * scale.assumed_m**2
             )
+            is_safe = self._is_short(np.inf if missed or self.idle else step_m, tracks, points)
             if is_safe and is_usual and near.n_agreeing >= max(PLENTY, share):
                 return near, False
             alone = near.n_agreeing == len(rows) == d == 2
@@ -172,7 +167,7 @@ class TrackPlacing(PatternPlacing):
                 return near, False
             here = tracks.expected[sample]
             near = settled(here, points, near, tolerance_m, metric)
-            if near is not None and not self.chance.is_exceeded(near, here, points, missed):
+            if near is not None and not self.is_exceeded(near, here, points, missed):
                 near = None
         if near is not None and is_safe and is_usual and near.n_agreeing >= share:
             return near, False
@@ -183,10 +178,6 @@ class TrackPlacing(PatternPlacing):
             return near, False
         explains = far.n_agreeing >= SHARE * tracks.possible(points)
         return far.placement, far.placement is None and far.is_ambiguous and explains
-
-    def _is_usual(self, variance: float) -> bool:
-        """Return whether a variance of matches of tracks and points is not larger than usual."""
-        return self.scale.noise_m is not None and variance <= MISFIT * self.scale.assumed_m**2
 
     def _is_familiar_pair(self, tracks: LiveTracks, rows: Ints, distance: Floats) -> bool:
         """Return whether two matches in the plane suffice: well known, just seen, hardly moved."""
@@ -257,11 +248,11 @@ class TrackPlacing(PatternPlacing):
         placements are possible.
         """
         least = CLEAR * placement.n_agreeing
-        if rival <= least or self.chance.log(rival, here, there) > 0:
+        if rival <= least or self.log(rival, here, there) > 0:
             return True
         if rival >= placement.n_agreeing or not is_next:
             return False
-        reach_m = self.chance.reach_m(moved_m(placement, here), here.shape[1])
+        reach_m = self.reach_m(moved_m(placement, here), here.shape[1])
         near = search(here, there, self.scale.tolerance_m, ENOUGH, metric, reach_m)
         return near is not None and near[1] <= least
 
@@ -278,11 +269,11 @@ class TrackPlacing(PatternPlacing):
         if found is None:
             return _Searched(None, 0)
         placement, rival = found
-        if not self.chance.is_exceeded(placement, here, there, missed):
+        if not self.is_exceeded(placement, here, there, missed):
             return _Searched(None, placement.n_agreeing)
         is_decidable = self.scale.noise_m is not None
         is_decidable &= min(len(here), len(there)) >= DECIDABLE
-        is_next = not (missed or self.chance.idle)
+        is_next = not (missed or self.idle)
         is_clear = self._is_unrivalled(placement, rival, here, there, own, is_next)
         if is_clear and (not is_decidable or self.soft(tracks, points).misfit(placement) <= MISFIT):
             return _Searched(placement, placement.n_agreeing)

@@ -199,10 +199,6 @@ class Rigidity:
         """Return the usual median misfit, metres."""
         return FIRST / UNLIKE * self._extent_m if self._usual_m is None else self._usual_m
 
-    def _gate_m(self) -> float:
-        """Return the misfit above which a landmark is inconsistent."""
-        return max(UNLIKE * self._usual(), FAR * self._extent_m)
-
     def _limit_m(self) -> float:
         """Return the median misfit up to which a scan is accepted."""
         in_doubt = UNLIKE * self._usual() * DOUBT ** min(self._n_doubted, MOST_DOUBTED)
@@ -249,7 +245,7 @@ class Rigidity:
         A landmark found twice at the same new position has moved there.
         """
         assert self._last is not None
-        gate_m = self._gate_m()
+        gate_m = max(UNLIKE * self._usual(), FAR * self._extent_m)
         if fit.largest_m <= gate_m:
             return np.empty(0, dtype=np.int64)
         # While ids are doubtful, a wide gate would accept a misread one far from its landmark.

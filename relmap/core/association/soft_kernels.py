@@ -21,25 +21,12 @@ def soft_matches(
 ) -> float:
     """Write the probability that each target (m, d) belongs to each placed source point (n, d).
 
-    Parameters
-    ----------
-    terms : tuple
-        ``source`` (n, d), metres; ``variance`` (n,), square metres, of the difference of a
-        coordinate between a source point and the target of the same object; ``target`` (m, d),
-        metres; ``density`` of targets of other objects per unit of area or volume; ``peak`` (m,):
-        determinants of the metric, 1 without one.
-    metric : (m, d, d) float64, optional
-        Of the targets.
-    unexplained : float
-        Fraction of the targets that belong to other objects.
-    R, t : (d, d), (d,) float64
-    share : (n, m) float64
-        Overwritten with the probabilities.
-
-    Returns
-    -------
-    float
-        Log likelihood ratio, relative to targets that all belong to other objects.
+    `terms`: ``source`` (n, d), metres; ``variance`` (n,), square metres, of the difference of a
+    coordinate between a source point and the target of the same object; ``target`` (m, d), metres;
+    ``density`` of targets of other objects per unit of area or volume; ``peak`` (m,): determinants
+    of the metric, 1 without one. `metric` (m, d, d): of the targets. `unexplained`: fraction of the
+    targets that belong to other objects. `share` (n, m): overwritten with the probabilities.
+    Returns the log likelihood ratio, relative to targets that all belong to other objects.
     """
     source, variance, target, density, peak = terms
     (n, d), m = source.shape, len(target)

@@ -28,15 +28,11 @@ def place_each(R: Floats, t: Floats, at: Ints, points: Floats) -> Floats:
 @compiled
 def misfits_each(R: Floats, t: Floats, at: Ints, source: Floats, target: Floats) -> Floats:
     """Return the distances (k,) of points (k, d), placed as by `place_each`, from targets."""
-    n, d = source.shape
-    apart = np.empty(n)
-    for i in range(n):
-        k, square = at[i], 0.0
-        for a in range(d):
-            place = t[k, a]
-            for b in range(d):
-                place += R[k, a, b] * source[i, b]
-            square += (place - target[i, a]) * (place - target[i, a])
+    placed, apart = place_each(R, t, at, source), np.empty(len(source))
+    for i in range(len(source)):
+        square = 0.0
+        for a in range(source.shape[1]):
+            square += (placed[i, a] - target[i, a]) ** 2
         apart[i] = np.sqrt(square)
     return apart
 

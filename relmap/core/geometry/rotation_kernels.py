@@ -29,21 +29,13 @@ def fixes(scatter: Floats, d: int) -> bool:
 
 @helper
 def turn_by(turn: Floats, R: Floats) -> None:
-    """Write the rotation (d, d) for an angle (1,) or a rotation vector (3,) (Rodrigues)."""
+    """Write the rotation (d, d) for an angle (1,) or a rotation vector (3,)."""
     if len(turn) == 1:
         R[0, 0] = R[1, 1] = np.cos(turn[0])
         R[1, 0] = np.sin(turn[0])
         R[0, 1] = -R[1, 0]
         return
-    square = turn[0] * turn[0] + turn[1] * turn[1] + turn[2] * turn[2]
-    angle = np.sqrt(square)
-    a = np.sin(angle) / angle if angle > 0 else 1.0
-    b = (1 - np.cos(angle)) / square if angle > 1e-6 else 0.5
-    for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        R[i, i] = 1 - b * (turn[j] * turn[j] + turn[k] * turn[k])
-        R[i, j] = b * turn[i] * turn[j] - a * turn[k]
-        R[j, i] = b * turn[i] * turn[j] + a * turn[k]
+    _enter(_rotation(turn[0], turn[1], turn[2]), R)
 
 
 @helper

@@ -28,28 +28,14 @@ SOLID = 1.0
 class RelativeMap:
     """Average locations of landmarks relative to one another.
 
-    Attributes
-    ----------
-    landmarks : (n,) int64
-    positions : (n, d) float64, group frame, metres
-    variance : (n,) float64, square metres
-        Variance of a coordinate over the averaged iterations, without the largest deviation; NaN if
-        fewer than three are averaged.
-    amplified : (n,) float64
-        Expected ratio of that variance to the noise variance for a static landmark: 1 plus the
-        contribution of fitting the iteration to the reference, which grows with the distance.
-    used : (n, i) bool
-        The averaged observations: landmarks by iterations.
-    n_used : (n,) int64
-        Number of observations behind each position.
-    iterations : (i,) int64, ascending
-    R : (i, d, d) float64
-    t : (i, d) float64, metres
-        Pose of each iteration: robot frame to group frame.
-    common_interval : (c,) int64, ascending
-        Iterations that show all members of the initial group.
-    given : (n,) float64, square metres, optional
-        Variance of an observed coordinate, if covariances are given.
+    `landmarks` (n,); `positions` (n, d), group frame, metres; `variance` (n,), square metres: of a
+    coordinate over the averaged iterations, without the largest deviation; NaN if fewer than three
+    are averaged; `amplified` (n,): expected ratio of that to the noise variance for a static
+    landmark: 1 plus the contribution of fitting the iteration to the reference, which grows with
+    the distance; `used` (n, i): the averaged observations, and `n_used` (n,), their number;
+    `iterations` (i,), ascending; `R` (i, d, d), `t` (i, d), metres: pose of each, robot frame to
+    group frame; `common_interval` (c,), ascending: iterations that show all members of the initial
+    group; `given` (n,), square metres: variance of an observed coordinate, if covariances are.
     """
 
     landmarks: Ints

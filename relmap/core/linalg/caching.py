@@ -23,25 +23,12 @@ from numba.core.runtime.nrt import rtsys
 _COMPILER = "caching.py", "compiler.py", "compiling.py", "lowering.py", "resolving.py"
 
 
-def keep_by_content(dispatcher: Any, options: str) -> None:
-    """Let the cache of a compiled function depend on its content instead of its time stamp.
+class Kept(CPUDispatcher):
+    """A compiled function whose code is kept."""
 
-    `options`: what else determines the code.
-    """
-    _Kept.keep(dispatcher, options)
-
-
-def compile_with(dispatcher: Any, flags: type) -> None:
-    """Let a function be compiled with options of a type of ours."""
-    _Kept.compile_with(dispatcher, flags)
-
-
-class _Kept(CPUDispatcher):
-    def keep(self, options: str) -> None:
+    def keep_by_content(self, options: str) -> None:
+        """Let its cache depend on its content, and on options, instead of its time stamp."""
         self._cache = _Cache(self.py_func, options)
-
-    def compile_with(self: Any, flags: type) -> None:
-        vars(self._compiler)["_customize_flags"] = flags
 
 
 class _Cache(FunctionCache):

@@ -11,7 +11,7 @@ import numba
 from llvmlite import ir
 from numba.core import typed_passes
 from numba.core.codegen import JITCodeLibrary, get_host_cpu_features
-from numba.core.compiler import CompilerBase, DefaultPassBuilder, Flags
+from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import register_pass
 from numba.core.lowering import Lower
 
@@ -33,16 +33,6 @@ _NEEDLESS = {
     "DumpParforDiagnostics",
 }
 """Steps for what loops do not contain, such as closures and array arithmetic."""
-
-_DEFAULTS = {name: option.default for name, option in Flags.options.items()}
-
-
-class KernelFlags(cast("Any", Flags)):  # type: ignore[misc]
-    """Options of the compiler, which numba compares for each call that it types."""
-
-    def values(self) -> dict[str, Any]:
-        """Return all options; by default numba would ask for one after the other."""
-        return {**_DEFAULTS, **self._values}
 
 
 @cache

@@ -21,14 +21,8 @@ from typing import Any, TypeVar, cast
 import numba
 from numba.core import event, types
 
-from relmap.core.linalg.caching import compile_with, keep_by_content
-from relmap.core.linalg.compiler import (
-    IS_KNOWN,
-    KernelCompiler,
-    KernelFlags,
-    PartCompiler,
-    UnrolledCompiler,
-)
+from relmap.core.linalg.caching import Kept
+from relmap.core.linalg.compiler import IS_KNOWN, KernelCompiler, PartCompiler, UnrolledCompiler
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
@@ -58,8 +52,7 @@ def _kept(function: Function, **options: Any) -> Function:
         _WATCH.keeps = False
         return cast("Function", _njit(**_OPTIONS, **options)(function))
     if IS_KNOWN:
-        compile_with(kept, KernelFlags)
-        keep_by_content(kept, repr(options))
+        Kept.keep_by_content(kept, repr(options))
         part: Callable[[], Any] = cache(partial(helper, function))
         kept.get_call_template = lambda args, kws: part().get_call_template(args, kws)
         kept.get_overload = lambda sig: part().get_overload(sig)
@@ -73,8 +66,6 @@ def helper(function: Function) -> Function:
     by default numba would compile the function again for each constant.
     """
     part = _njit(pipeline_class=PartCompiler, **_OPTIONS)(function)
-    if IS_KNOWN:
-        compile_with(part, KernelFlags)
     by_types, plain = part.get_call_template, cast("Any", types).unliteral
     part.get_call_template = lambda args, kws: by_types([plain(one) for one in args], kws)
     return cast("Function", part)

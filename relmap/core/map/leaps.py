@@ -28,14 +28,8 @@ LOWEST, HIGHEST = _BITS.argmax(axis=1), LENGTH - 1 - _BITS[:, ::-1].argmax(axis=
 class Gaps:
     """Gaps of a map that landmarks do not bridge.
 
-    Attributes
-    ----------
-    before, after : (g,) int64
-        Last iteration with a pose before each, and first one after it.
-    way_m : (g,) float64, metres
-        Distance of the two poses.
-    reach_m : (g,) float64, metres
-        Distance that the robot covers in this time at its usual speed.
+    `before`, `after` (g,): last iteration with a pose before each, and first one after it; `way_m`
+    (g,): distance of the two poses; `reach_m` (g,): that at the robot's usual speed.
     """
 
     before: Ints

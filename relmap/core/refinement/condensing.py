@@ -36,25 +36,13 @@ SEEN = np.array([number.bit_count() for number in range(1 << LENGTH)])
 class SegmentRows:
     """Condensed segments as a structure of arrays: one row per landmark and segment.
 
-    Attributes
-    ----------
-    landmark : (n,) int64
-        Number at the time of observation; merging may have changed it.
-    segment : (n,) int64, ascending
-    points : (n, d) float64, segment frame, metres
-    visible : (n,) uint8
-        Bit k: seen in iteration ``first_iteration + k`` of its segment.
-    first_iteration : (s,) int64
-    squares : (s,) float64, square metres
-        Sum of the squared deviations of a segment's observations from its points, without landmarks
-        known to move.
-    freedoms : (s,) int64
-        Degrees of freedom of this sum.
-    iteration_segment : (i,) int64
-        Segment of each iteration, or `NOWHERE`.
-    R : (i, d, d) float64
-    t : (i, d) float64, metres
-        Pose of each iteration: robot frame to segment frame.
+    `landmark` (n,): number at the time of observation, which merging may have changed; `segment`
+    (n,), ascending; `points` (n, d), segment frame, metres; `visible` (n,): bit k: seen in
+    iteration ``first_iteration + k`` of its segment; `first_iteration` (s,); `squares` (s,), square
+    metres: sum of the squared deviations of a segment's observations from its points, without
+    landmarks known to move, and `freedoms` (s,), its degrees of freedom; `iteration_segment` (i,):
+    segment of each iteration, or `NOWHERE`; `R` (i, d, d), `t` (i, d), metres: pose of each
+    iteration, robot frame to segment frame.
     """
 
     landmark: Ints

@@ -119,26 +119,13 @@ def gauss_newton(
 ) -> Solution[State]:
     """Minimise the cost, updating the weights with each step.
 
-    Parameters
-    ----------
-    problem : Problem
-    state : State
-        Initial state.
-    weigh : callable
-    rounds : int
-        Maximum number of steps.
-    cost_of : callable
-        Cost as a function of residuals and weights.
-    unsure : float
-        Gain of a step, in squared standard deviations of the whole map, that is negligible.
-    monotone : bool
-        Whether a step that increases the cost is rejected. While weights go from lenient to strict,
-        an increase may be needed to escape from wrong matches.
-    reuse : bool
-        Whether a factor is reused while the gain is large, and weights must have settled too. If
-        not, which is for weights that change much, those after the last step are not computed.
-    faint : float
-        As `unsure`, for damped steps: if full steps are rejected, convergence would take many more.
+    `state`: the initial one; `rounds`: maximum number of steps; `cost_of`: cost as a function of
+    residuals and weights; `unsure`: gain of a step, in squared standard deviations of the whole
+    map, that is negligible, and `faint` of a damped one: if full steps are rejected, convergence
+    would take many more. `monotone`: whether a step that increases the cost is rejected; while
+    weights go from lenient to strict, an increase may be needed to escape from wrong matches.
+    `reuse`: whether a factor is reused while the gain is large, and weights must have settled too;
+    if not, which is for weights that change much, those after the last step are not computed.
     """
     residual = problem.residuals(state)
     weight, damping, before, last = weigh(residual), 0.0, np.inf, None
@@ -157,7 +144,9 @@ def gauss_newton(
         gain, unit = float(np.sum(equations.right * step)), cost / problem.freedoms
         last, state, residual = state, after, left
         gained, enough = gain / unit if unit > 0 else 0.0, max(unsure * unit, problem.rounding)
-        converged = not damping and _next_gain(gain, before) <= enough
+        # Gains shrink by a constant factor, at most 1.
+        following = gain * min(1.0, gain / before) if np.isfinite(before) else gain
+        converged = not damping and following <= enough
         stalled = damping > 0 and gain <= faint * unit
         if not reuse and (converged or stalled or rounds == 0):
             break
@@ -180,12 +169,6 @@ def _solved(
         factor = equations.matrix
         problem.pattern.factorise(factor)
     return factor, equations, problem.pattern.solve(factor, equations.right)
-
-
-def _next_gain(gain: float, before: float) -> float:
-    """Return the expected gain of the next step: gains shrink by a constant factor, at most 1."""
-    shrinks = min(1.0, gain / before) if np.isfinite(before) else 1.0
-    return shrinks * gain
 
 
 def settle(problem: Problem[Located], start: Located) -> Solution[Located]:

@@ -230,7 +230,8 @@ def after_step(points: Floats, weight: Floats, landmark: Ints, body: Ints) -> Fl
     columns = np.column_stack([away, np.ones(len(away))])  # the Jacobians are linear in them
     constant = derivatives(np.zeros((1, d)))
     by_step = np.concatenate([derivatives(np.eye(d)) - constant, constant])
-    force = _products(columns, pull, body)
+    ends = np.searchsorted(body, np.arange(b + 1)).tolist()
+    force = np.stack([columns[i:j].T @ pull[i:j] for i, j in pairwise(ends)])
     right = np.einsum("npa,pau->nu", force, by_step).ravel()
     begin = np.append(0, np.cumsum(np.bincount(landmark)))
     order = np.argsort(landmark, kind="stable")
@@ -254,9 +255,3 @@ def _pulls(points: Floats, weight: Floats, total: Floats, landmark: Ints) -> tup
     apart = means[landmark] - points
     pull = weight[:, None] * apart
     return pull, float(np.sum(pull * apart))
-
-
-def _products(x: Floats, y: Floats, body: Ints) -> Floats:
-    """Return the sums (b, p, q) of the products of rows (n, p) and (n, q) of each body."""
-    begin = np.searchsorted(body, np.arange(int(body[-1]) + 2)).tolist()
-    return np.stack([x[i:j].T @ y[i:j] for i, j in pairwise(begin)])

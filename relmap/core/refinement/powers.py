@@ -155,16 +155,14 @@ class PowerProblem:
     ) -> Placed:
         """Return the state after a step, or after the best fraction of it."""
         placements = equations.eliminated_steps(step)
-        tried = [self._moved(state, share, step, placements) for share in SHARES]
+        shares = [share / (self.power - 1) for share in SHARES]
+        by = step[self._unknown]
+        tried = [state.moved(share * by, share * placements) for share in shares]
         return min(tried, key=lambda each: self.sum_of_powers(self.residuals(each)))
 
     def sum_of_powers(self, residual: Floats, _: Floats | None = None) -> float:
         """Return the cost."""
         return float(np.sum(np.abs(residual / self._unit) ** self.power))
-
-    def _moved(self, state: Placed, share: float, step: Floats, placements: Floats) -> Placed:
-        share /= self.power - 1
-        return state.moved(share * step[self._unknown], share * placements)
 
 
 @dataclass(frozen=True, eq=False)

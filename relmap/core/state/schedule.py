@@ -28,9 +28,12 @@ class GroupingSchedule:
     `config`: when each level is due; level 3 waits for the end of the interval, but at most
     `third_pass`: the observations of a landmark that stays in view are split into several
     intervals.
+
+    Attributes: `in_view` (k,): landmarks in view, including those missed for a moment; `gone` (k,):
+    those that have left the view and wait for level 3, in the order of leaving.
     """
 
-    STATE = "_in_view _due _gone"
+    STATE = "in_view _due gone"
 
     def __init__(self, table: LandmarkState, config: MapperConfig) -> None:
         self._table = table
@@ -38,25 +41,15 @@ class GroupingSchedule:
         self._wait = config.max_missed + WAIT * config.group_after
         passes = np.array([1, config.second_pass, config.third_pass])
         self._thresholds = config.group_after * passes
-        self._in_view = np.empty(0, dtype=np.int64)
+        self.in_view = np.empty(0, dtype=np.int64)
         self._due = np.empty(0, dtype=np.int64)
-        self._gone = np.empty(0, dtype=np.int64)
+        self.gone = np.empty(0, dtype=np.int64)
         self._first: int | None = None  # see `needed_from`; None after a change
-
-    @property
-    def in_view(self) -> Ints:
-        """Landmarks in view, including those missed for a moment."""
-        return self._in_view
-
-    @property
-    def gone(self) -> Ints:
-        """Landmarks that have left the view and wait for level 3, in the order of leaving; (k,)."""
-        return self._gone
 
     def needed_from(self, end: int) -> int:
         """Return the first iteration that a group may still need; `end` is the next iteration."""
         if self._first is None:
-            begins = self._table.begin[np.concatenate([self._in_view, self.gone])]
+            begins = self._table.begin[np.concatenate([self.in_view, self.gone])]
             self._first = int(begins.min(initial=end))
         return max(self._first, end - LONGEST_INTERVAL)
 
@@ -68,10 +61,10 @@ class GroupingSchedule:
         """
         import relmap.core.state.seeing_kernels as kernels
 
-        of, waiting = self._table, (self._in_view, self._gone)
+        of, waiting = self._table, (self.in_view, self.gone)
         counts = of.last, of.observations, of.in_interval
         columns = *counts, of.is_gone, of.begin, of.level, of.weight
-        self._in_view, self._gone, left, ready, self._first = kernels.see(
+        self.in_view, self.gone, left, ready, self._first = kernels.see(
             columns, landmarks, waiting, iteration, self._max_missed, self._thresholds
         )
         if len(ready):
@@ -107,9 +100,9 @@ class GroupingSchedule:
 
     def end(self) -> None:
         """Mark everything in view as left: no more scans will come."""
-        stayed = self._in_view[~self._table.is_gone[self._in_view]]
-        self._gone = np.concatenate([self.gone, stayed])
-        self._table.is_gone[self._in_view] = True
+        stayed = self.in_view[~self._table.is_gone[self.in_view]]
+        self.gone = np.concatenate([self.gone, stayed])
+        self._table.is_gone[self.in_view] = True
         self._first = None
 
     @property
@@ -122,17 +115,17 @@ class GroupingSchedule:
 
         One in view stays there if the new one has left, or does not wait any more.
         """
-        stays = np.isin(old, self._in_view) & ~np.isin(old, self._gone)
+        stays = np.isin(old, self.in_view) & ~np.isin(old, self.gone)
         self._table.is_gone[old[stays]] = False
-        replaced = old[np.isin(new, self._in_view)]
-        self._in_view = self._in_view[~np.isin(self._in_view, replaced)]
+        replaced = old[np.isin(new, self.in_view)]
+        self.in_view = self.in_view[~np.isin(self.in_view, replaced)]
         self._first = None
         order = new.argsort()
         new, old = new[order], old[order]
-        for waiting in (self._in_view, self._due, self._gone):
+        for waiting in (self.in_view, self._due, self.gone):
             at = np.minimum(np.searchsorted(new, waiting), len(new) - 1)
             waiting[:] = np.where(new[at] == waiting, old[at], waiting)
-        self._gone = self._gone[self._table.is_gone[self._gone]]
+        self.gone = self.gone[self._table.is_gone[self.gone]]
 
     def part(self, track: int, iteration: int) -> None:
         """Begin an interval of a track that is no longer another landmark's, in view if just seen.
@@ -142,12 +135,12 @@ class GroupingSchedule:
         own = np.array([track])
         self.begin_anew(own, iteration)
         if iteration - 1 - self._table.last[track] <= self._max_missed:
-            self._in_view = np.append(self._in_view, own)
+            self.in_view = np.append(self.in_view, own)
 
     def begin_anew(self, landmarks: Ints, iteration: int) -> None:
         """End the interval of landmarks; those in view begin a new one."""
         self._table.is_gone[landmarks] = False
-        self._gone = self._gone[self._table.is_gone[self._gone]]
+        self.gone = self.gone[self._table.is_gone[self.gone]]
         self._table.begin[landmarks] = iteration
         self._table.in_interval[landmarks] = 0
         self._first = None

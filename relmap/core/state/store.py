@@ -47,10 +47,12 @@ class ObservationStore:
     rows show; see `relmap.core.model.LandmarkModel`. `keeps`: whether rows are kept after the last
     group that needs them. `table`: of the landmarks. Rows keep the numbers under which landmarks
     were seen, so that a merge can be undone; they are read as the landmarks of the table.
+
+    Attributes: `first_iteration`: the first one that is not forgotten.
     """
 
     _columns: dict[str, GrowingArray[Any]]
-    STATE = "_columns _offsets _stored_from _first_iteration"
+    STATE = "_columns _offsets _stored_from first_iteration"
 
     def __init__(
         self,
@@ -71,14 +73,14 @@ class ObservationStore:
         self._offsets.extend(np.zeros(1, dtype=np.int64))
         self._slots: GrowingArray[np.int64] = GrowingArray(np.int64)
         self._stored_from = 0
-        self._first_iteration = 0
+        self.first_iteration = 0
         self._dimension = 0
 
     @property
     def dimension(self) -> int:
         """2 in a planar world, 3 in space, 0 before any observation."""
         if not self._dimension:
-            none = self.points(self._first_iteration, self._first_iteration)
+            none = self.points(self.first_iteration, self.first_iteration)
             self._dimension = int(none.shape[1])
         return self._dimension
 
@@ -86,11 +88,6 @@ class ObservationStore:
     def n_iterations(self) -> int:
         """Number of iterations, including empty and forgotten ones."""
         return self._stored_from + len(self._offsets) - 1
-
-    @property
-    def first_iteration(self) -> int:
-        """The first iteration that is not forgotten."""
-        return self._first_iteration
 
     @property
     def iterations(self) -> Ints:
@@ -119,10 +116,10 @@ class ObservationStore:
 
     def forget(self, before: int) -> None:
         """Forget the iterations before one; their rows are dropped or kept."""
-        n = before - self._first_iteration
+        n = before - self.first_iteration
         if n <= 0:
             return
-        self._first_iteration = before
+        self.first_iteration = before
         if not self._keeps:
             rows = int(self._offsets.values[n] - self._offsets.values[0])
             for column in self._columns.values():

@@ -192,15 +192,13 @@ class LandmarkState(Columns):
         """Initialise rows up to `n` for new landmarks, some in advance."""
         for name, column in COLUMNS.items():
             if n > len(self._rooms[name]):
-                self._grow(name, n)
+                before = self._rooms[name]
+                size = max(n, 2 * len(before)), *before.shape[1:]
+                self._rooms[name] = np.empty(size, before.dtype)
+                self._rooms[name][: self._filled] = before[: self._filled]
             self._rooms[name][self._filled : n] = column.fill
         self._rooms["landmark_of"][self._filled : n] = np.arange(self._filled, n)
         self._filled = n
-
-    def _grow(self, name: str, n: int) -> None:
-        before = self._rooms[name]
-        self._rooms[name] = np.empty((max(n, 2 * len(before)), *before.shape[1:]), before.dtype)
-        self._rooms[name][: self._filled] = before[: self._filled]
 
     def _show(self, n: int) -> None:
         columns, rows = self.__dict__, slice(n)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.association.base import one_to_one
 from relmap.core.association.placement import DISTINCT, consistent_placements
 from relmap.core.association.reobservation.sightings import Sightings
 from relmap.core.association.search import log_chance
@@ -81,7 +82,7 @@ def chosen(
     apart = np.linalg.norm(position[pairs[:, 0]] - position[pairs[:, 1]], axis=1)
     near = apart <= tolerance_m * (1.0 if evidence is None else evidence.sharpness(pairs))
     if near.any():
-        on = _unique_nearest(pairs[near], apart[near])
+        on = one_to_one(pairs[near], apart[near])
         if evidence is None or evidence.is_unlike_chance(on):
             return on
         if evidence.tied(on).any():
@@ -101,14 +102,3 @@ def chosen(
         if len(rival) > DISTINCT * len(pairs) or not evidence.is_unlike_chance(pairs, drifts):
             return np.empty((0, 2), dtype=np.int64)
     return pairs
-
-
-def _unique_nearest(pairs: Ints, distance: Floats) -> Ints:
-    """Return the pairs (k, 2), nearest first, in which no landmark occurs twice."""
-    unique: list[tuple[int, int]] = []
-    taken: set[int] = set()
-    for new, old in pairs[np.argsort(distance, kind="stable")].tolist():
-        if new not in taken and old not in taken:
-            unique.append((new, old))
-            taken.update((new, old))
-    return np.array(unique, dtype=np.int64).reshape(-1, 2)

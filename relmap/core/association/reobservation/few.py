@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -41,14 +40,6 @@ SETS = 4
 """Number of sets of pairs that are compared, the largest first."""
 
 
-@dataclass(frozen=True, eq=False)
-class Match:
-    """Landmarks that are mapped twice: `pairs` (k, 2); `log_chance`: of as many random ones."""
-
-    pairs: Ints
-    log_chance: float
-
-
 class Doubled:
     """Finds sets of landmarks of a refined submap that are mapped twice.
 
@@ -69,8 +60,8 @@ class Doubled:
         spacing_m = max(float(np.median(apart)), TINY)
         self._log_density = math.log(math.log(2)) - _log_volume(self._d, spacing_m)
 
-    def sets(self) -> list[Match]:
-        """Return sets that are unlikely by chance and have no rival, without common landmarks."""
+    def sets(self) -> list[Ints]:
+        """Return sets of pairs (k, 2), unlikely by chance, without rival and common landmarks."""
         exact_m = EXACT * np.ptp(self._at, axis=0).max()
         # Where many landmarks are in view the unknowns are placements.
         has_few = self._refined.spread.problem.unknown is not None and self._m >= 2 * FEWEST
@@ -79,10 +70,10 @@ class Doubled:
         pairs = self._candidates()
         found = [match for of in self._by_segment(pairs) for match in self._compatible(*of)]
         chosen, taken = [], np.zeros(self._m, dtype=bool)
-        for match in sorted(found, key=lambda match: match.log_chance):
-            if not taken[match.pairs].any():
-                taken[match.pairs] = True
-                chosen.append(Match(self._refined.landmarks[match.pairs], match.log_chance))
+        for _, rows in sorted(found, key=lambda match: match[0]):
+            if not taken[rows].any():
+                taken[rows] = True
+                chosen.append(self._refined.landmarks[rows])
         return chosen
 
     def _candidates(self) -> Ints:
@@ -113,8 +104,11 @@ class Doubled:
                 of = [np.arange(begin[one], begin[one + 1]) for one in paired.tolist()]
                 yield len(shown), pairs[np.concatenate(of)]
 
-    def _compatible(self, n: int, pairs: Ints) -> Iterator[Match]:
-        """Yield the largest compatible set among pairs (k, 2) of n landmarks seen together."""
+    def _compatible(self, n: int, pairs: Ints) -> Iterator[tuple[float, Ints]]:
+        """Yield the largest compatible set among pairs (k, 2) of n landmarks seen together.
+
+        With the log of the chance of as many random ones.
+        """
         off, noise_m = self._at[pairs[:, 0]] - self._at[pairs[:, 1]], self._refined.noise_m
         spread = differences(self._refined, pairs) + LEAST * noise_m**2 * np.eye(off.size)
         each = np.arange(off.size).reshape(off.shape)
@@ -139,7 +133,7 @@ class Doubled:
         found.sort(key=lambda one: one[0])
         n_rival = -found[1][0] if len(found) > 1 else 0
         if found and found[0][1] <= math.log(BY_CHANCE) and n_rival <= CLEAR * -found[0][0]:
-            yield Match(found[0][2], found[0][1])
+            yield found[0][1:]
 
     def _log_chance(self, n: int, off: Floats, spread: Floats) -> float:
         """Return the log of the expected number of as compatible sets of random landmarks.

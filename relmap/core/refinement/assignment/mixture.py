@@ -66,7 +66,8 @@ class Mixture:
         for group in self._groups():
             self._fit(group)
         found = np.flatnonzero(self.own != NONE)
-        off = self._squares(found, self.positions[self.own[found]][:, None])[:, 0]
+        apart = self.placed[found] - self.positions[self.own[found]]
+        off = np.sum(np.einsum("nij,nj->ni", self.metric[found], apart) ** 2, axis=1)
         self.own[found[off > LIMIT]] = NONE
 
     def settled(self) -> tuple[Floats, float]:
@@ -85,11 +86,6 @@ class Mixture:
             own = others == landmark
             settled[others[own]] = means[own]
         return settled, errors[0] / (errors[1] * self.placed.shape[1])
-
-    def _squares(self, rows: Ints, positions: Floats) -> Floats:
-        """Return the squared distances (n, k) of rows (n,) from positions (1 or n, k, d)."""
-        apart = self.placed[rows][:, None] - positions
-        return np.asarray(np.sum(np.einsum("nij,nkj->nki", self.metric[rows], apart) ** 2, axis=2))
 
     def _groups(self) -> Iterator[_Group]:
         m, tree = len(self.positions), cKDTree(self.positions)

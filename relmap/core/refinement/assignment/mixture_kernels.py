@@ -62,27 +62,12 @@ def fit_few(
     In turns, each scan is assigned to the landmarks, at most one observation to each, and each
     landmark is moved to the mean of its observations.
 
-    Parameters
-    ----------
-    placed : (n, d) float64
-        Observations in the frame of the map, scan by scan.
-    metric : (n, d, d) float64
-        Of each observation: multiplied by it, differences are in standard deviations.
-    begin : (s + 1,) int64
-        Where the observations of each scan begin, and the end.
-    odds : (s,) float64
-        Log odds that the scan shows a landmark here.
-    cost : float
-        Of each landmark, whether seen or not.
-    means : (k, d) float64
-        Landmarks, overwritten.
-    found : (n,) int64
-        Overwritten with the landmark of each observation, or -1.
-
-    Returns
-    -------
-    float
-        Log likelihood, relative to observations of no landmark.
+    `placed` (n, d): observations in the frame of the map, scan by scan; multiplied by `metric`
+    (n, d, d), differences are in standard deviations. `begin` (s + 1,): where the observations of
+    each scan begin, and the end; `odds` (s,): log odds that it shows a landmark here; `cost`: of
+    each landmark, whether seen or not. Overwritten are `means` (k, d), the landmarks, and `found`
+    (n,), the landmark of each observation, or -1. Returns the log likelihood, relative to
+    observations of no landmark.
     """
     (n, d), k, longest = placed.shape, len(means), 0
     for s in range(len(odds)):
@@ -205,12 +190,8 @@ def weigh(odds: Floats, begin: Ints) -> Floats:
     Each scan shows a landmark at most once. Exact, by sums over the sets of landmarks that the
     observations before, and after, one are of.
 
-    Parameters
-    ----------
-    odds : (n, k) float64
-        Of each assignment by itself, relative to that of no landmark.
-    begin : (s + 1,) int64
-        Where the observations of each scan begin, and the end.
+    `odds` (n, k): of each assignment by itself, relative to that of no landmark; `begin` (s + 1,):
+    where the observations of each scan begin, and the end.
     """
     (n, k), longest = odds.shape, 0
     for s in range(len(begin) - 1):

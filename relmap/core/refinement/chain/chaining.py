@@ -86,7 +86,9 @@ class PartSolver:
         chain, landmarks = self._chain(bridged, part, iterations)
         if not len(landmarks):
             return None
-        anchor = self._anchor(chain, iterations)
+        # The first iteration with an observation, from the kept anchor on.
+        kept = np.flatnonzero(iterations[chain.iteration] >= self.engine.map.kept_anchor)
+        anchor = int(chain.iteration[kept[0] if len(kept) else 0])
         start = _start(chain, bridged.poses[iterations], len(landmarks))
         step_sd = self.noise.sigmas(chain.motion)
         has_ids = self.engine.association.has_ids
@@ -121,11 +123,6 @@ class PartSolver:
         between[np.diff(iterations) != 1] = np.nan
         begin = np.searchsorted(iterations, kept.iteration[chosen])
         return Chain(points, of, begin, root, between), landmarks
-
-    def _anchor(self, chain: Chain, iterations: Ints) -> int:
-        """Return the row of the first iteration with an observation, from the kept anchor on."""
-        kept = np.flatnonzero(iterations[chain.iteration] >= self.engine.map.kept_anchor)
-        return int(chain.iteration[kept[0] if len(kept) else 0])
 
     def _refined(
         self,
