@@ -104,3 +104,10 @@ def test_a_floor_that_rays_graze_farther_away_is_static() -> None:
     assert through == 0
     assert len(mapper.planes) == 5
     assert (mapper.planes.status == "static").all()
+
+
+@pytest.mark.parametrize(("aside", "status"), [(0.03, "unmapped"), (0.3, "static")])
+def test_a_plane_through_the_sensor_is_not_mapped(aside: float, status: str) -> None:
+    # As of points between the edge of a cupboard and the wall behind it, while a camera rests.
+    veil = wall(1, aside, (-0.5, 0.5)) + np.array([1.8, 0.0, 0.0])
+    assert mapped(*[veil] * 4).planes.status.tolist() == ["static"] * 3 + [status]

@@ -161,8 +161,9 @@ class Plane3dMapper(Mapped3d):
         """Tie submaps that share at least five planes in only one way, and find uncertain steps.
 
         Only the 12 largest submaps of at least three scans are tried. If the tie implies a jump,
-        they must share twelve planes, and if they are far apart in time most of their planes or
-        surfaces. They may see through few of those of the other, less if far apart in time.
+        they must share twelve planes, and if they are far apart in time more than six, and most of
+        their planes or surfaces. They may see through few of those of the other, less if far apart
+        in time.
         """
         failed: set[tuple[Span, Span]] = set()
         with self._guard.change(), one_thread():

@@ -25,8 +25,10 @@ OFTEN, MANY, BRIEF = 0.2, 3, 6
 """A plane is dynamic if more than this fraction of the looks at its cells, and this number of them,
 go through: of a box that moves along one of its faces, a scan sees this plane somewhere else. If no
 more scans than the third value saw the plane, half of this fraction of twice as many is enough."""
-FACING = 0.3
-"""Minimum cosine at which a surface is seen."""
+FACING, EDGE_ON = 0.3, 0.03
+"""Minimum cosine at which a surface is looked for, and mean cosine of a landmark below which it is
+not a surface: points between an edge and what is behind it, while the sensor hardly moves, lie in
+planes through the sensor."""
 THROUGH = 0.1
 """Largest fraction of its looks at the map in which a scan may see through, or submaps near in time
 at each other: things move."""
@@ -41,9 +43,10 @@ the equal bays of a hall."""
 JUMP, FAR, TURN_RAD = 3.0, 0.2, np.deg2rad(45.0)
 """A jump is a translation of at least this many times the longest one of the submaps and this
 fraction of the range, or a rotation of more than this angle and `FASTER` times the largest one."""
-SOON, PLANES, SURFACES = 2, 0.7, 0.8
-"""Submaps more scans apart than the first value are tied only if one shows at least this fraction
-of the planes or of the surfaces of the other: halls look much the same from both ends."""
+SOON, SIDES, PLANES, SURFACES = 2, 6, 0.7, 0.8
+"""Submaps more scans apart than the first value are tied only if they share more planes than a box
+has sides, as rooms look much the same after half a turn, and if one shows at least this fraction of
+the planes or of the surfaces of the other: halls look much the same from both ends."""
 CONTRADICTED = 0.02
 """Nor if more than this fraction of the looks at the surfaces of the other go through: corridors
 look alike, and have their corners elsewhere."""
@@ -92,7 +95,7 @@ def is_tied_doubtfully(placed: Placed, part: Submap, other: Submap) -> bool:
     if gap <= SOON:
         return through > THROUGH
     few = placed.share < SURFACES and placed.n_planes < PLANES * len(part)
-    return few or through > CONTRADICTED
+    return few or placed.n_planes <= SIDES or through > CONTRADICTED
 
 
 def fastest_m(part: Submap) -> float:
@@ -180,6 +183,16 @@ def is_seen_through(part: Submap, fewer: int = 1) -> Bools:
     there, through = np.reshape(sights, (-1, 2)).T
     many = through > fewer * MANY
     return np.asarray(many & (fewer * through > OFTEN * (there + through)))
+
+
+def is_edge_on(part: Submap) -> Bools:
+    """Return which landmarks (l,) lie in planes through the sensor, of which it sees no surface."""
+    landmark = np.concatenate(part.match)
+    centre = np.concatenate([seen.centre for seen in part.seen])
+    height_m = np.einsum("mi,mi->m", np.concatenate([seen.normal for seen in part.seen]), centre)
+    cosine = np.abs(height_m) / np.linalg.norm(centre, axis=1)
+    count = np.bincount(landmark, minlength=len(part))
+    return np.asarray(np.bincount(landmark, cosine, len(part)) < EDGE_ON * count)
 
 
 def contradicted(part: Submap, other: Submap, pose: Pose) -> float:

@@ -14,7 +14,7 @@ from relmap.core.columns import Table
 from relmap.planes3d.gathering import is_rough
 from relmap.planes3d.outlines import surfaces_of
 from relmap.planes3d.refining import covariances_of, scene
-from relmap.planes3d.sights import is_dynamic
+from relmap.planes3d.sights import is_dynamic, is_edge_on
 from relmap.planes3d.submap import Submap
 
 RAGGED = "outline", "meets"
@@ -102,7 +102,8 @@ def plane_table(submaps: list[Submap], is_refined: bool) -> Plane3dTable:
 
 def is_mapped(part: Submap) -> Bools:
     """Return which landmarks (l,) of a submap are planes, seen in two scans, that stay in place."""
-    return np.asarray((part.n_scans >= FEWEST) & ~is_rough(part) & ~is_dynamic(part))
+    is_plane = ~is_rough(part) & ~is_edge_on(part)
+    return np.asarray((part.n_scans >= FEWEST) & is_plane & ~is_dynamic(part))
 
 
 def _rows(part: Submap, rank: int, is_refined: bool) -> dict[str, Any]:
