@@ -250,7 +250,7 @@ class Search(ScanComparison):
 
         tracks = self._tracks
         recent = tracks.kept(tracks.missed == tracks.missed.min(initial=0))
-        motions = implied(recent.arrays, self._seen.arrays)
+        motions = implied(recent.arrays, self._seen.arrays, np.inf)
         sums = self._counted(motions, ROUGH_M, ROUGH_STEP)
         order = np.argsort(sums[:, 1] - sums[:, 0], kind="stable")
         best = distinct(motions, order, CLOSELY, ALIKE_M, ALIKE_RAD)
