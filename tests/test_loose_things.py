@@ -9,6 +9,7 @@ from relmap import PlaneMapper
 from relmap.core.arrays import Floats
 from relmap.core.state.store import ObservationStore
 from relmap.planes.linking.tying import Scans, share_at_rest
+from relmap.planes.scans import loose_kernels
 from relmap.planes.scans.beams import Beams, BeamStore, GivenBeams
 from relmap.planes.scans.observation import checked_planes, journaled, of_journal
 from relmap.segmentation import PlaneSegmenter
@@ -89,6 +90,19 @@ def test_walls_on_a_person_are_loose_also_in_a_journal() -> None:
     np.testing.assert_array_equal(seen.loose, near)
     assert seen.static[~near].any()
     np.testing.assert_array_equal(checked_planes(of_journal(journaled(seen))).kind, seen.kind)
+
+
+def test_loose_points_of_a_scan_are_searched_for_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    given = GivenBeams.checked(cluttered(seen_from(0.0, (3.0, 0.3))), np.zeros(2))
+    store = BeamStore()
+    store.append(given)
+    for name in ("isolated_points", "free_standing"):
+        monkeypatch.delattr(loose_kernels, name)
+    again = store.given(0)
+    assert again.loose.any()
+    assert again.clutter.any()
+    np.testing.assert_array_equal(again.loose, given.loose)
+    np.testing.assert_array_equal(again.clutter, given.clutter)
 
 
 @pytest.mark.parametrize("clutter", [False, True])

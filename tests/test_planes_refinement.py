@@ -174,3 +174,6 @@ def test_a_corner_is_known_to_the_distance_between_the_points_there() -> None:
     sd = refined_to_the_noise(assembled, 0.0).given.corner_sd.reshape(n, 3)
     assert (sd[:, corner == 0][:, 0] >= 0.499 * apart_m).all()
     assert (sd[:, corner != 0] < 0.001).all()
+    # Where the first wall meets one that moves, its own points are all that is known.
+    alone = assemble(history, numbers, poses, np.array([False, True]))
+    assert (alone.given.corner_sd > 1.1 * 0.01).all()

@@ -13,9 +13,10 @@ from relmap.core.arrays import Floats
 from relmap.datasets.scans import ScanLog
 from relmap.evaluation.feeding import segment_scan, segmenter_for
 from relmap.evaluation.sources import log_of
-from relmap.planes.linking import guess_kernels
+from relmap.planes.linking import guess_kernels, scan_comparison
 from relmap.planes.linking.judging import View
 from relmap.planes.linking.placement import STILL, PlaneTracks
+from relmap.planes.linking.scan_comparison import SLIDE_STEP
 from relmap.planes.linking.search import Search
 from relmap.planes.motions import inverse
 from relmap.planes.scans.beams import NEAR_M, Beams, GivenBeams, compared, odds_over
@@ -166,6 +167,21 @@ def test_only_the_usual_motion_is_accepted_without_a_search_for_rivals(
     found = searched(CORNERS, stays, stays, np.array([0.0, usual_m, 0.0]))
     np.testing.assert_allclose(found.motion, 0, atol=1e-9)
     assert len(made) == searches
+
+
+def test_a_motion_that_several_guesses_lead_to_is_slid_along_walls_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    slid = list[Floats]()
+
+    def counted(earlier: Beams, later: Beams, motions: Floats, *more: Any) -> Floats:
+        slid.extend([motions] if len(motions) > 50 and more[1] == SLIDE_STEP else [])
+        return compared(earlier, later, motions, *more)
+
+    monkeypatch.setattr(scan_comparison, "compared", counted)
+    stays = (-1.5, -1.0, 0.3)
+    searched(CORNERS, stays, stays, np.array([0.0, 0.6, 0.0]))
+    assert len(slid) == 1
 
 
 def test_a_motion_back_undoes_it() -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from relmap.core.arrays import Floats
+from relmap.core.geometry.robust import median
 from relmap.datasets.textfile import warn
 
 AHEAD_RAD = np.deg2rad(10.0)
@@ -70,7 +71,7 @@ def _ahead(ranges: Floats, bearings: Floats) -> tuple[float, float]:
     """Return how far a scan sees ahead, and the angle of the beams that end about there."""
     view_m = (ranges * np.cos(bearings))[np.abs(bearings) <= AHEAD_RAD]
     longest_m = float(view_m.max(initial=0.0))
-    spacing = np.median(np.abs(np.diff(bearings))) if len(bearings) > 1 else 0.0
+    spacing = median(np.abs(np.diff(bearings))) if len(bearings) > 1 else 0.0
     return longest_m, float(spacing * np.count_nonzero(view_m >= LINE * longest_m))
 
 

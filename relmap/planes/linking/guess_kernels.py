@@ -208,10 +208,15 @@ def _places(tracks: Tracks, seen: Seen, yaw: float) -> Floats:
 
 
 @compiled
-def implied(tracks: Tracks, seen: Seen) -> Floats:
-    """Return the motions (k, 3) implied by walls and corners, at most `EACH` per rotation."""
+def implied(tracks: Tracks, seen: Seen, reach_rad: float) -> Floats:
+    """Return the motions (k, 3) implied by walls and corners, at most `EACH` per rotation.
+
+    `reach_rad`: rotations by more are left out.
+    """
     motions, count = np.empty((TURNS * EACH, 3)), 0
     for yaw in turns(tracks, seen):
+        if abs(yaw) >= reach_rad:
+            continue
         ways = _places(tracks, seen, yaw)
         for k in range(min(len(ways), EACH)):
             motions[count, 0] = yaw

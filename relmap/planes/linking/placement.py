@@ -160,9 +160,8 @@ def place(
     recent = tracks.missed == tracks.missed.min(initial=0)
     possible = min(worth(tracks, seen, recent))
     if best[1].score < CONTENT * possible:
-        motions = implied(tracks.arrays, seen.arrays)
-        motions = motions[np.abs(motions[:, 0]) < REACH_RAD]
-        scores = compiled_settled(tracks.arrays, seen.arrays, motions, 0)[2]
+        motions = implied(tracks.arrays, seen.arrays, REACH_RAD)
+        scores = compiled_settled(tracks.arrays, seen.arrays, motions, 0, GUESSES)[2]
         likely = motions[np.argsort(-scores, kind="stable")[:GUESSES]]
         for found in zip(*settled(tracks, seen, likely), strict=True):
             jumps = [
@@ -197,7 +196,8 @@ def settled(
     from relmap.planes.linking import matching_kernels
 
     starts = np.array(guesses).reshape(-1, 3)
-    found = matching_kernels.settled(tracks.arrays, seen.arrays, starts, rounds)
+    every = max(len(starts), 1)
+    found = matching_kernels.settled(tracks.arrays, seen.arrays, starts, rounds, every)
     motions, track_of, scores = found
     matches = list[Match]()
     for own, known, score in zip(track_of, track_of >= 0, scores.tolist(), strict=True):

@@ -49,8 +49,9 @@ TIE_AGREES, TIE_CONTRADICTS, TIE_TURN = 0.36, 0.01, 1.2
 """Smallest fraction of points that must agree to tie two scans; and, if only parallel walls match,
 which look the same farther along and from the other end, the largest fraction that may contradict
 and the largest rotation, radians."""
-SLID = 2
-"""Number of motions slid along a wall."""
+SLID, SAME = 2, 1e-3
+"""Number of motions slid along a wall; of those that differ by less than this, metres and radians,
+as several guesses often lead to one motion, only the first."""
 TURNS_RAD = np.deg2rad(2.5)
 """Largest difference of the turn from the usual one if the usual step decides between motions along
 parallel walls: steps vary with the turns."""
@@ -78,8 +79,7 @@ class Search(ScanComparison):
         clear = clear and self._measured(every, best)
         if not clear:
             every = every.and_those(self._judged(self._guesses()))
-            for k in np.argsort(-every.evidence, kind="stable")[:SLID]:
-                every = every.and_those(self._slid(every, k))
+            every = self._with_slid(every, every.evidence)
             best = int(np.argmax(every.evidence))
         if every.evidence[best] < ACCEPTED:
             return None
@@ -103,6 +103,13 @@ class Search(ScanComparison):
         if ambiguous and not self._is_usual(one):
             return None
         return self._chosen(one, measured, float(every.evidence[best]), ambiguous)
+
+    def _with_slid(self, every: Judged, evidence: Floats) -> Judged:
+        """Return motions (k, 3), and those of most evidence (k,) slid along walls."""
+        most = np.argsort(-evidence, kind="stable")[:SLID]
+        for k in distinct(every.motions, most, SLID, SAME, SAME):
+            every = every.and_those(self._slid(every, k))
+        return every
 
     def _outstanding(self, every: Judged, likely: Ints) -> tuple[int, Judged, Floats]:
         """Return the likely motion that the beams of the last scans prefer.
@@ -159,8 +166,7 @@ class Search(ScanComparison):
         if self._is_empty:
             return NO_CANDIDATES
         every = self._judged([self._usual, STILL, *guesses, *self._guesses()])
-        for k in np.argsort(-every.of_pair, kind="stable")[:SLID]:
-            every = every.and_those(self._slid(every, k))
+        every = self._with_slid(every, every.of_pair)
         evidence = every.of_pair
         order = np.argsort(-evidence, kind="stable")
         order = order[np.isfinite(evidence[order]) & (evidence[order] > evidence.max() - WITHIN)]
@@ -250,7 +256,7 @@ class Search(ScanComparison):
 
         tracks = self._tracks
         recent = tracks.kept(tracks.missed == tracks.missed.min(initial=0))
-        motions = implied(recent.arrays, self._seen.arrays)
+        motions = implied(recent.arrays, self._seen.arrays, np.inf)
         sums = self._counted(motions, ROUGH_M, ROUGH_STEP)
         order = np.argsort(sums[:, 1] - sums[:, 0], kind="stable")
         best = distinct(motions, order, CLOSELY, ALIKE_M, ALIKE_RAD)

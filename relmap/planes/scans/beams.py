@@ -197,9 +197,13 @@ class BeamStore:
         self._origins: GrowingArray[np.float64] = GrowingArray(np.float64, (2,))
         self._in_order: GrowingArray[np.bool_] = GrowingArray(np.bool_)
         self._recent: dict[int, tuple[bytes, Beams]] = {}  # by scan, with the ends of its walls
+        # Of each scan of a laser, what `GivenBeams` would search for; not of a restored state.
+        self._loose: dict[int, dict[str, Bools]] = {}
 
     def append(self, given: GivenBeams) -> None:
         """Add the beams of a scan."""
+        if given.in_order:
+            self._loose[len(self._in_order)] = {"clutter": given.clutter, "loose": given.loose}
         self._points.extend(given.points)
         self._offsets.append(len(self._points))
         self._origins.append(given.origin)
@@ -238,7 +242,9 @@ class BeamStore:
         """Return the beams of a laser scan as given; none if they are not ordered."""
         begin, end = self._offsets.values[scan : scan + 2].tolist()
         end = end if self._in_order.values[scan] else begin
-        return GivenBeams(self._points.values[begin:end], self._origins.values[scan], True)
+        found = GivenBeams(self._points.values[begin:end], self._origins.values[scan], True)
+        vars(found).update(self._loose.get(scan, {}))
+        return found
 
     def placed(self, poses: Floats, span: tuple[int, int], most: int) -> PlacedBeams:
         """Return start and end points of the beams of some scans, by their poses.

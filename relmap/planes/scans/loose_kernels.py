@@ -80,9 +80,11 @@ def _starts(points: Floats, origin: Floats) -> Bools:
     """Return which points (n,) are on another object than the one before."""
     starts, before_m = np.zeros(len(points), dtype=np.bool_), 0.0
     for k in range(len(points)):
-        range_m = math.hypot(points[k, 0] - origin[0], points[k, 1] - origin[1])
+        x, y = points[k, 0] - origin[0], points[k, 1] - origin[1]
+        range_m = math.sqrt(x * x + y * y)  # `hypot` takes four times as long
         if k > 0:
-            apart = math.hypot(points[k, 0] - points[k - 1, 0], points[k, 1] - points[k - 1, 1])
+            x, y = points[k, 0] - points[k - 1, 0], points[k, 1] - points[k - 1, 1]
+            apart = math.sqrt(x * x + y * y)
             starts[k] = not apart <= APART_M + APART * min(before_m, range_m)
         before_m = range_m
     return starts
@@ -93,8 +95,9 @@ def isolated_points(points: Floats, bearings: Floats, origin: Floats) -> Bools:
     """Return which points (n,) are apart from those before and after them, and nearer."""
     found, seen = _starts(points, origin), (points, bearings, origin)
     for k in range(len(points)):
-        found[k] &= k + 1 < len(points) and found[k + 1]
-        found[k] &= _is_behind(seen, k, k - 1) and _is_behind(seen, k, k + 1)
+        if found[k]:  # few are
+            found[k] = k + 1 < len(points) and found[k + 1]
+            found[k] &= _is_behind(seen, k, k - 1) and _is_behind(seen, k, k + 1)
     return found
 
 

@@ -187,7 +187,7 @@ def assemble(
     sd = np.hypot(history.sd[rows], FLAT_M)
     ends = history.ends[rows]
     corner_sd = np.hypot(BLUNT * history.sd[rows][row], SHARP_M)
-    missed_m = _missed_m(iteration, ends, history.spacing_rad)[row, end]
+    missed_m = _missed_m(ends, history.places[rows], history.spacing_rad)[row, end]
     corner_sd = np.hypot(corner_sd, missed_m)
     motions = history.factors(iterations)
     given = WallEquations(iteration, wall, ends, sd, row, end, corner, corner_sd, missed_m, motions)
@@ -196,27 +196,17 @@ def assemble(
     return Assembled(given, typical, state, iterations, walls, corners, rows)
 
 
-def _missed_m(iteration: Ints, ends: Floats, spacing_rad: float) -> Floats:
+def _missed_m(ends: Floats, places: Ints, spacing_rad: float) -> Floats:
     """Return how far corners may be from the ends (n, 2, 2) of walls, robot frame; (n, 2), metres.
 
     The farther a wall and the more grazing the beams, the larger the distance between its points.
-    0 where two walls meet, for their lines determine the corner.
+    0 where two walls meet, at one of `places` (n, 2), for their lines determine the corner.
     """
     along = ends[:, 1] - ends[:, 0]
     off_m = np.abs(ends[:, 0, 0] * along[:, 1] - ends[:, 0, 1] * along[:, 0]) / np.hypot(*along.T)
     apart_m = spacing_rad * (ends**2).sum(axis=2) / np.maximum(off_m, 1e-9)[:, None]
-    meet = _meeting(np.repeat(iteration, 2), *ends.reshape(-1, 2).T).reshape(-1, 2)
+    meet = np.bincount(places.ravel())[places] > 1
     return np.where(meet, 0.0, np.minimum(MISSED * apart_m, MISSED_M))
-
-
-def _meeting(iteration: Ints, x: Floats, y: Floats) -> Bools:
-    """Return which ends (n,) are also those of another wall of the same scan."""
-    order = np.lexsort((iteration, y, x))
-    one, other = order[1:], order[:-1]
-    same = (iteration[one] == iteration[other]) & (x[one] == x[other]) & (y[one] == y[other])
-    meet = np.zeros(len(x), dtype=np.bool_)
-    meet[one[same]] = meet[other[same]] = True
-    return meet
 
 
 def _corners(corner: Ints, corner_of: Ints) -> tuple[Ints, Ints, Ints, Ints]:

@@ -151,6 +151,18 @@ class PlaneHistory:
         same = np.diff(self.submap) == 0
         return np.flatnonzero(weak[1:] & same & (self.submap[1:] >= 0)) + 1
 
+    @cached_property
+    def places(self) -> Ints:
+        """Number of the place of each end (n, 2): ends of one scan that coincide have one."""
+        scan, (x, y) = np.repeat(self.iteration, 2), self.ends.reshape(-1, 2).T
+        order = np.lexsort((scan, y, x))
+        is_new = np.zeros(len(order), dtype=np.bool_)
+        for key in (scan, x, y):
+            is_new[1:] |= np.diff(key[order]) != 0
+        places = np.empty(len(order), dtype=np.int64)
+        places[order] = np.cumsum(is_new)
+        return places.reshape(-1, 2)
+
     def own(self, span: tuple[int, int]) -> Bools:
         """Return which iterations (k,) of the span of a submap belong to it."""
         return np.asarray(self.submap[slice(*span)] == self.submap[span[0]])
