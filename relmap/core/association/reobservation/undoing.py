@@ -156,7 +156,9 @@ def merged_across(refined: Refined, table: LandmarkState, rows: SegmentRows) -> 
     first, last = begin + LOWEST[rows.visible], begin + HIGHEST[rows.visible]
     found = [np.empty(0, dtype=np.int64)]
     gaps = gaps_of(rows, positions, of, known, poses[:, :3, 3])
-    for before, after in _torn(gaps, known, poses, spacing_of(refined.positions)):
+    row, scan = rows.sightings  # a single scan shows no landmark twice
+    spacing_m = spacing_of(rows.points[row[scan == np.bincount(scan).argmax()]])
+    for before, after in _torn(gaps, known, poses, spacing_m):
         on = (first <= before) & (last > before - AROUND)
         off = (last >= after) & (first < after + AROUND)
         found.append(np.intersect1d(landmark[on], landmark[off]))
