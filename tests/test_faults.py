@@ -256,6 +256,18 @@ def test_the_result_names_overruled_observations(
     np.testing.assert_array_equal(tracks.rejected_id[overruled], log.ids[first : first + 2])
 
 
+def test_observations_without_an_id_are_counted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ids = np.where(np.arange(len(LOG.ids)) % 3 == 0, -1, LOG.ids)
+    write_observation_csv(tmp_path / "observations.csv", replace(LOG, ids=ids))
+    source, said = str(tmp_path / "observations.csv"), f"no id: {np.sum(ids < 0)} observations"
+    assert main(["map", source, "-o", str(tmp_path / "r"), "--association", "known"]) == 0
+    assert said in capsys.readouterr().out
+    assert main(["map", source, "-o", str(tmp_path / "s")]) == 0
+    assert "no id" not in capsys.readouterr().out
+
+
 def test_unfiltered_gross_outliers_give_no_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
     def unchecked(_: Rigidity, ids: Ints, __: object) -> Ints:
         return ids

@@ -107,6 +107,21 @@ def test_merges_across_a_break_that_hold_its_sides_apart_are_undone() -> None:
     assert error_m(mapper, labels, world) < 0.2
 
 
+def test_merges_across_a_blind_stretch_that_a_slow_robot_crosses_faster_are_kept() -> None:
+    """It moves by less than the distance of two landmarks more than usual."""
+    rng = np.random.default_rng(0)
+    landmarks = rng.uniform(-9, 9, (30, 2))
+    speed_m = np.repeat([0.02, 0.06, 0.02], [60, 30, 60])
+    mapper = PointMapper()
+    for x, is_blind in zip(np.cumsum(speed_m) - 2, speed_m > 0.05, strict=True):
+        seen = landmarks - [x, 0] + rng.normal(0, 0.01, landmarks.shape)
+        mapper.update(seen[:0] if is_blind else seen)
+    mapper.finish()
+    mapper.refine()
+    assert mapper.n_undone == 0
+    assert len(mapper.map.landmark_ids) == len(landmarks)
+
+
 def test_tracks_of_several_landmarks_are_not_repaired() -> None:
     world = simulate_figure_eight(density=100, iterations=900, seed=1)
     mapper = PointMapper(MapperConfig(registration="nearest-previous"))

@@ -64,7 +64,8 @@ def report(job: Job) -> None:
             f"{counts['mapped']} of {counts['landmarks']} landmarks{often(run.result)} mapped from "
             f"{counts['observations']} observations in {iterations}, "
             f"{each(timing['median_ms'])}{took}{untied(counts, len(run.result.submaps) - 1)}"
-            f"{'' if counts['mapped'] else NOTHING}{doubted(summary)}{overruled(summary)}{hanging}"
+            f"{'' if counts['mapped'] else NOTHING}{doubted(summary)}{nameless(summary)}"
+            f"{overruled(summary)}{hanging}"
         )
         warning = warned(summary)
     typer.echo(f"{message}{still(run.result.poses)}{warning}")
@@ -227,6 +228,14 @@ def hanging_together(trust: dict[str, Any]) -> str:
         f"; expected error of the map: {trust['expected_error_m']:.2g} m, mostly because too few "
         f"landmarks are tracked into iteration{'s' * (len(hinges['steps']) != 1)} {at}"
     )
+
+
+def nameless(summary: dict[str, Any]) -> str:
+    """Return how many observations have no id where ids are used, as part of a message."""
+    count = summary["counts"]["observations_without_id"]
+    if summary["association"] != "known" or not count:
+        return ""
+    return f"; left out, as they have no id: {counted(count, 'observation')}"
 
 
 def overruled(summary: dict[str, Any]) -> str:

@@ -110,6 +110,7 @@ def _counts(result: Result, log: ObservationLog | ScanLog) -> dict[str, int]:
     table = result.landmarks
     return {
         "observations": len(log.points_robot),
+        "observations_without_id": 0 if log.ids is None else int(np.sum(log.ids < 0)),
         "iterations_without_observation": len(log) - len(np.unique(log.iteration)),
         "landmarks": len(table.landmark),
         "mapped": int(result.mapped.sum()),

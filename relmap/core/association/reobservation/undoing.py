@@ -13,6 +13,7 @@ from scipy.special import chdtri
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association.reobservation.sightings import RARELY, Sightings
+from relmap.core.association.scale import spacing_of
 from relmap.core.geometry.alignment import sums_each
 from relmap.core.geometry.robust import EXACT
 from relmap.core.map.leaps import HIGHEST, LOWEST, Gaps, gaps_of, may_have_gaps
@@ -154,7 +155,10 @@ def merged_across(refined: Refined, table: LandmarkState, rows: SegmentRows) -> 
     begin, landmark = rows.first_iteration[rows.segment], of[rows.landmark]
     first, last = begin + LOWEST[rows.visible], begin + HIGHEST[rows.visible]
     found = [np.empty(0, dtype=np.int64)]
-    for before, after in _torn(gaps_of(rows, positions, of, known, poses[:, :3, 3]), known, poses):
+    gaps = gaps_of(rows, positions, of, known, poses[:, :3, 3])
+    row, scan = rows.sightings  # a single scan shows no landmark twice
+    spacing_m = spacing_of(rows.points[row[scan == np.bincount(scan).argmax()]])
+    for before, after in _torn(gaps, known, poses, spacing_m):
         on = (first <= before) & (last > before - AROUND)
         off = (last >= after) & (first < after + AROUND)
         found.append(np.intersect1d(landmark[on], landmark[off]))
@@ -162,15 +166,17 @@ def merged_across(refined: Refined, table: LandmarkState, rows: SegmentRows) -> 
     return np.asarray(tracks[of[tracks] != tracks])
 
 
-def _torn(gaps: Gaps, known: Ints, poses: Floats) -> list[tuple[int, int]]:
+def _torn(gaps: Gaps, known: Ints, poses: Floats, spacing_m: float) -> list[tuple[int, int]]:
     """Return the last iteration before, and the first one after, each gap of too long a step.
 
-    Not beside another such step: there a single scan is misplaced. `known` (p,): iterations of
-    `poses` (p, 4, 4), ascending.
+    By `spacing_m`, the distance of landmarks, at least: steps of a slow robot are doubled by the
+    noise of its poses. Not beside another such step: there a single scan is misplaced. `known`
+    (p,): iterations of `poses` (p, 4, 4), ascending.
     """
     usual_m = gaps.reach_m / (gaps.after - gaps.before)
     each_m = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1) / np.diff(known)
     each_m, at = np.concatenate([[0.0], each_m, [0.0]]), np.searchsorted(known, gaps.before) + 1
     beside_m = np.maximum(each_m[at - 1], each_m[at + 1])
     torn = (gaps.way_m > TOO_FAR * gaps.reach_m) & (beside_m <= TOO_FAR * usual_m)
+    torn &= gaps.way_m > gaps.reach_m + spacing_m
     return list(zip(gaps.before[torn].tolist(), gaps.after[torn].tolist(), strict=True))

@@ -13,11 +13,13 @@ from dataclasses import replace
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.geometry.alignment import fit_rigid_each
+from relmap.core.geometry.alignment import fit_rigid_each, sums_each
 from relmap.core.refinement.chain.chained import Chain, Chained, ChainProblem, Sigmas
+from relmap.core.refinement.condensing import LENGTH
 from relmap.core.refinement.gauss_newton import Solution, settle
 from relmap.core.refinement.joint import Refined, Spread
 from relmap.core.refinement.observations import Observations, observations_of
+from relmap.core.refinement.trend import SURELY
 from relmap.core.state.kept import KeptObservations
 
 
@@ -47,10 +49,7 @@ def refine_weighed(
         covariance[rows] = estimated(np.einsum("nji,nj->ni", R[seen.iteration], away))
         kept.weigh(covariance)
     problem, settled = solve_weighed(seen, covariance[rows], refined.positions, anchor)
-    d = seen.points.shape[1]
-    state, explained = settled.state, settled.weight == 1
-    freedoms = max(problem.freedoms - d * np.sum(~explained), 1)
-    unit = np.sqrt(np.sum(problem.residuals(state)[explained] ** 2) / freedoms)
+    state, unit = settled.state, _unit(seen, covariance[rows], problem, settled)
     R, t = state.R[anchor], state.t[anchor]
     every = np.ones(len(refined.landmarks), dtype=bool)
     return replace(
@@ -76,6 +75,34 @@ def solve_weighed(
     step_sd = none[:, 0, 0], none[:, 0, 0]
     problem = ChainProblem(chain, step_sd, Sigmas(), positions, anchor, turns_whole=False)
     return problem, settle(problem, Chained(positions, R, t, np.zeros(2 * d - 1)))
+
+
+def _unit(
+    seen: Observations, covariance: Floats, problem: ChainProblem, settled: Solution[Chained]
+) -> float:
+    """Return the size of the residuals, in standard deviations by `covariance` (n, d, d).
+
+    Of single observations, or, if they are significantly larger, of means over the iterations of a
+    segment: errors that last are not averaged out.
+    """
+    state, explained, d = settled.state, settled.weight == 1, seen.points.shape[1]
+    away = state.positions[seen.landmark] - state.t[seen.iteration]
+    off = np.einsum("nji,nj->ni", state.R[seen.iteration], away) - seen.points
+    left = np.einsum("nij,nj->ni", _root(covariance), off)[explained]
+    variance = np.sum(left**2) / max(problem.freedoms - d * np.sum(~explained), 1)
+    segment, landmark = seen.iterations[seen.iteration] // LENGTH, seen.landmark
+    keys, of, n_seen = np.unique(
+        (segment * len(state.positions) + landmark)[explained],
+        return_inverse=True,
+        return_counts=True,
+    )
+    means = sums_each(left, of, len(keys)) / np.sqrt(n_seen)[:, None]
+    n_free = d * (len(keys) - len(state.positions)) - (3 * d - 3) * len(np.unique(segment))
+    if n_free > 0:
+        between = np.sum(means**2) / n_free
+        if between > (1 + SURELY * np.sqrt(2 / n_free)) * variance:
+            variance = between
+    return float(np.sqrt(variance))
 
 
 def _root(covariance: Floats) -> Floats:
