@@ -21,6 +21,8 @@ from relmap.core.refinement.gauss_newton import Solution
 
 Found = tuple[Solution[Chained], ChainProblem]
 
+MOST = 0.98
+"""Fraction of confirmed observations from which ids are taken to be right."""
 CLEARLY = 0.9
 """Largest ratio of what a solution leaves unexplained to what another does for it to be kept: where
 the noise of few landmarks is correlated, they may differ by a twentieth and be as good."""
@@ -39,7 +41,7 @@ def unless_confirmed(
     Confirmed observations are solved for first, by themselves. Arguments as for `settled_chain`.
     """
     sure = confirmed(chain, step_sd)
-    if sure.all() or not sure.any():
+    if not 0 < np.sum(sure) < MOST * len(sure):
         return found
     landmarks, of = np.unique(chain.landmark[sure], return_inverse=True)
     own = Chain(chain.points[sure], of, chain.iteration[sure], chain.root[sure], chain.motion)
