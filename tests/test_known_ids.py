@@ -162,6 +162,14 @@ def test_many_wrong_ids_give_a_warning(contradicting: float | None, expected: st
         assert (expected in message) if expected else not message
 
 
+@pytest.mark.parametrize("uses_odometry", [False, True])
+def test_odometry_is_a_suspect_where_it_is_used(uses_odometry: bool) -> None:
+    refinement = {"noise_m": 0.1, "median_range_m": 10.0, "converged": False}
+    message = doubtful(refinement, 0.0, uses_odometry=uses_odometry)
+    assert "converge" in message
+    assert ("odometry" in message) == uses_odometry
+
+
 @pytest.mark.parametrize(("contradicting", "expected"), [(0.03, "3.0 %"), (0.01, ""), (None, "")])
 def test_a_map_without_ids_that_many_observations_contradict_gives_a_warning(
     contradicting: float | None, expected: str

@@ -12,6 +12,8 @@ from relmap import PointMapper
 from relmap.cli.warned import MISREAD
 from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import fit_rigid
+from relmap.core.refinement.chain.chained import Chain
+from relmap.core.refinement.chain.confirmed import confirmed
 from relmap.datasets import ObservationLog
 from relmap.evaluation.run import Run, map_log
 from tests.worlds import aligned_rmse, turn
@@ -70,6 +72,33 @@ def test_a_few_wrong_ids_do_not_bend_a_map_with_odometry_and_are_counted(share: 
     assert aligned_rmse(found, truth) < 0.1
     wrong = float(np.mean(ids != log.ids))
     assert abs(contradicting(run) - wrong) <= 0.2 * wrong
+
+
+@pytest.mark.parametrize("most", [3, 4])
+def test_one_wrong_id_in_ten_does_not_fold_a_map_of_few_landmarks_in_view(most: int) -> None:
+    """The maps were 30 and 15 m off."""
+    log = rounds(most)
+    ids = misread(log, 0.1)
+    table = (run := map_log(replace(log, ids=ids), association="known")).result.landmarks
+    often = run.result.mapped & (table.observations >= 10)
+    truth = landmarks()[table.landmark[often]]
+    assert len(truth) > 30
+    assert aligned_rmse(table.position[often, :2], truth) < 0.1
+    assert contradicting(run) > MISREAD
+
+
+def test_observations_are_confirmed_where_odometry_expects_them() -> None:
+    """One landmark beside a robot that drives on, one observation far off, one long afterwards."""
+    way = np.append(np.arange(8.0), 40.0)
+    points = np.column_stack([4 - way, np.full(9, 2.0)])
+    points[5] += 3.0
+    motion = np.tile(np.eye(4), (40, 1, 1))
+    motion[:, 0, 3] = 1.0
+    none = np.zeros(9, dtype=np.int64)
+    root = np.tile(np.eye(2) / NOISE_M, (9, 1, 1))
+    chain = Chain(points, none, way.astype(np.int64), root, motion)
+    sd = np.full(40, 0.01), np.full(40, 0.001)
+    assert np.flatnonzero(~confirmed(chain, sd)).tolist() == [5, 8]
 
 
 def test_ids_swapped_in_the_second_round_are_counted_with_odometry() -> None:

@@ -21,7 +21,8 @@ MOST_LISTED = 5
 def warned(summary: dict[str, Any]) -> str:
     """Return all warnings of a summary."""
     trust, has_ids = summary["association_trust"], summary["association"] == "known"
-    of_all = doubtful(summary["refinement"], trust["contradicting"], has_ids)
+    uses_odometry = bool(summary.get("odometry") and summary["odometry"]["used"])
+    of_all = doubtful(summary["refinement"], trust["contradicting"], has_ids, uses_odometry)
     return of_all + leapt(trust["leaps"]) + crept(trust["creep_m"]) + missed(summary["submaps"])
 
 
@@ -64,11 +65,15 @@ def missed(submaps: list[dict[str, Any]]) -> str:
 
 
 def doubtful(
-    refinement: dict[str, Any] | None, contradicting: float | None, has_ids: bool = True
+    refinement: dict[str, Any] | None,
+    contradicting: float | None,
+    has_ids: bool = True,
+    uses_odometry: bool = False,
 ) -> str:
     """Return a warning that the map may be wrong, as a line.
 
-    `contradicting`: fraction of the observations that contradict their ids or the map.
+    `contradicting`: fraction of the observations that contradict their ids or the map;
+    `uses_odometry`: whether the map depends on odometry.
     """
     if refinement and refinement["noise_m"] > CONTRADICTED * refinement["median_range_m"]:
         noise_m, range_m = refinement["noise_m"], refinement["median_range_m"]
@@ -89,7 +94,8 @@ def doubtful(
         )
     if not refinement or refinement["converged"]:
         return ""
+    suspects = "wrong ids, matches or odometry" if uses_odometry else "wrong ids or matches"
     return (
         "\nWARNING: the refinement did not converge, so the map is the best one found and may be "
-        "wrong; check for wrong ids or matches, or compare with --no-refine"
+        f"wrong; check for {suspects}, or compare with --no-refine"
     )

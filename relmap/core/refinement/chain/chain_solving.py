@@ -11,6 +11,7 @@ from relmap.core.arrays import Floats
 from relmap.core.geometry.robust import OUTLIER, huber, lenient, limit_of, robust_cost, strict
 from relmap.core.refinement.chain.chained import Chain, Chained, ChainProblem, Sigmas
 from relmap.core.refinement.gauss_newton import FAINT, WORTH_SAYING, Solution, Weigh, gauss_newton
+from relmap.core.refinement.trend import by_landmark
 
 TIMES, FEW_ROUNDS, ROUNDS = 15, 10, 50
 """Maximum number of rounds of estimating the noise and solving; steps of each, and of the last."""
@@ -20,6 +21,25 @@ SETTLED = 0.02
 """Relative change of the noise that is negligible."""
 BENT = 3.5
 """Residual, in standard deviations, beyond which Huber's influence is constant."""
+MOVED = 5.0
+"""Ratio of the median distances of observations from the means and from the medians of landmarks
+above which wrong ids have moved the means."""
+
+
+def start_of(chain: Chain, poses: Floats, m: int) -> Chained:
+    """Return the state at poses (k, 4, 4), with each landmark (m,) at the mean of its places.
+
+    At the median, if it is far closer to most: one wrong id in ten moves means by metres, and then
+    nothing stands out.
+    """
+    d = chain.points.shape[1]
+    R, t = poses[:, :d, :d], poses[:, :d, 3]
+    at, each = chain.iteration, np.empty((2, m, d))
+    placed = np.einsum("nij,nj->ni", R[at], chain.points) + t[at]
+    for one, rows in by_landmark(chain.landmark, placed):
+        each[:, one] = placed[rows].mean(axis=0), np.median(placed[rows], axis=0)
+    off = np.median(np.linalg.norm(placed - each[:, chain.landmark], axis=2), axis=1)
+    return Chained(each[int(off[0] > MOVED * off[1])], R, t, np.zeros(2 * d - 1))
 
 
 def settled_chain(

@@ -10,13 +10,14 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association.metric import WORST
-from relmap.core.geometry.alignment import fit_rigid, fixes_rotation, sums_each
+from relmap.core.geometry.alignment import fit_rigid, fixes_rotation
 from relmap.core.geometry.motions import transforms
 from relmap.core.map.globalmap import order_of_submaps
 from relmap.core.motion_noise import MotionNoise
 from relmap.core.refinement.chain.bridging import Bridged
-from relmap.core.refinement.chain.chain_solving import settled_chain
+from relmap.core.refinement.chain.chain_solving import settled_chain, start_of
 from relmap.core.refinement.chain.chained import Chain, Chained, ChainProblem, Sigmas
+from relmap.core.refinement.chain.confirmed import unless_confirmed
 from relmap.core.refinement.condensing import NOWHERE, SegmentRows
 from relmap.core.refinement.gauss_newton import Solution, size_of
 from relmap.core.refinement.joint import Refined, Spread, joint_rows
@@ -89,12 +90,13 @@ class PartSolver:
         # The first iteration with an observation, from the kept anchor on.
         kept = np.flatnonzero(iterations[chain.iteration] >= self.engine.map.kept_anchor)
         anchor = int(chain.iteration[kept[0] if len(kept) else 0])
-        start = _start(chain, bridged.poses[iterations], len(landmarks))
+        start = start_of(chain, bridged.poses[iterations], len(landmarks))
         step_sd = self.noise.sigmas(chain.motion)
         has_ids = self.engine.association.has_ids
-        settled, problem = settled_chain(
-            chain, step_sd, start, anchor, self.sigmas, self.to_the_last, has_ids
-        )
+        found = settled_chain(chain, step_sd, start, anchor, self.sigmas, self.to_the_last, has_ids)
+        if has_ids and not self.engine.refined:  # Else it starts from a solution.
+            found = unless_confirmed(found, chain, step_sd, start, anchor, self.to_the_last)
+        settled, problem = found
         refined, placed = self._refined(settled, problem, landmarks, iterations, anchor)
         way, turn = problem.parts[1:]
         weight = np.minimum(settled.weight[way], settled.weight[turn])
@@ -198,17 +200,6 @@ def join_parts(bridged: Bridged, solved: Sequence[Solved]) -> Bridged | None:
             part[other.iterations] = part[base.iterations[0]]
             return replace(bridged, poses=poses, part=part)
     return None
-
-
-def _start(chain: Chain, poses: Floats, m: int) -> Chained:
-    """Return the state with each landmark at the mean of its observations."""
-    d = chain.points.shape[1]
-    R, t = poses[:, :d, :d], poses[:, :d, 3]
-    at = chain.iteration
-    placed = np.einsum("nij,nj->ni", R[at], chain.points) + t[at]
-    counts = np.bincount(chain.landmark, minlength=m)
-    positions = sums_each(placed, chain.landmark, m) / counts[:, None]
-    return Chained(positions, R, t, np.zeros(2 * d - 1))
 
 
 def _residuals(
