@@ -49,7 +49,7 @@ TIE_AGREES, TIE_CONTRADICTS, TIE_TURN = 0.36, 0.01, 1.2
 """Smallest fraction of points that must agree to tie two scans; and, if only parallel walls match,
 which look the same farther along and from the other end, the largest fraction that may contradict
 and the largest rotation, radians."""
-SLID, SAME = 2, 1e-3
+SLID, SAME = 2, 1e-6
 """Number of motions slid along a wall; of those that differ by less than this, metres and radians,
 as several guesses often lead to one motion, only the first."""
 TURNS_RAD = np.deg2rad(2.5)
