@@ -197,6 +197,11 @@ def test_a_robot_that_stands_near_a_wall_keeps_its_beams(tmp_path: Path) -> None
     assert {len(scan.points_robot) for scan in log.scans()} == {180}
 
 
+def test_if_no_other_beams_tell_that_the_robot_moves_none_are_on_it() -> None:
+    own = on_robot(Path("a.log"), [np.full(180, 0.5)] * 60, [BEARINGS] * 60)
+    assert not np.any(own)
+
+
 def test_a_cart_that_is_pushed_down_a_corridor_is_left_out(tmp_path: Path) -> None:
     """Beside it the walls stay at the same range for most of the way."""
     scans = []
