@@ -173,7 +173,8 @@ def test_beams_on_the_robot_are_left_out(
     for scan, ranges in zip(log.scans(), scans, strict=True):
         assert np.hypot(*scan.points_robot.T) == pytest.approx(np.delete(ranges, mast), rel=1e-6)
     (message,) = caplog.messages
-    assert message.endswith("8.33 % of the beams end on the robot itself and are left out")
+    where = "on the robot itself, or on what it pushes,"
+    assert message.endswith(f"8.33 % of the beams end {where} and are left out")
 
 
 def test_some_scans_of_a_long_log_show_the_parts_of_the_robot(
@@ -194,6 +195,11 @@ def test_a_robot_that_stands_near_a_wall_keeps_its_beams(tmp_path: Path) -> None
     near = np.minimum(hall(0), 0.5 / np.maximum(np.sin(BEARINGS), 1e-3))
     log = carmen_log(tmp_path, [near.round(3)] * 60)
     assert {len(scan.points_robot) for scan in log.scans()} == {180}
+
+
+def test_if_no_other_beams_tell_that_the_robot_moves_none_are_on_it() -> None:
+    own = on_robot(Path("a.log"), [np.full(180, 0.5)] * 60, [BEARINGS] * 60)
+    assert not np.any(own)
 
 
 def test_a_cart_that_is_pushed_down_a_corridor_is_left_out(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from relmap import PointMapper
 from relmap.cli.warned import MISREAD
 from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import fit_rigid
+from relmap.core.refinement.chain.chain_solving import start_of
 from relmap.core.refinement.chain.chained import Chain
 from relmap.core.refinement.chain.confirmed import confirmed
 from relmap.datasets import ObservationLog
@@ -99,6 +101,31 @@ def test_observations_are_confirmed_where_odometry_expects_them() -> None:
     chain = Chain(points, none, way.astype(np.int64), root, motion)
     sd = np.full(40, 0.01), np.full(40, 0.001)
     assert np.flatnonzero(~confirmed(chain, sd)).tolist() == [5, 8]
+
+
+def beside_one(points: Floats, motion: Floats) -> Chain:
+    """Return the chain of a robot that sees one landmark in each scan, at points (k, 2)."""
+    own, root = np.zeros(len(points), dtype=np.int64), np.tile(np.eye(2), (len(points), 1, 1))
+    return Chain(points, own, np.arange(len(points)), root / NOISE_M, motion)
+
+
+def test_no_observation_is_confirmed_across_a_step_without_odometry() -> None:
+    motion = np.tile(np.eye(4), (2, 1, 1))
+    motion[1] = np.nan
+    sd = np.array([0.01, np.nan])
+    chain = beside_one(np.full((3, 2), 4.0), motion)
+    assert confirmed(chain, (sd, sd)).tolist() == [True, True, False]
+
+
+@pytest.mark.parametrize(("noise_m", "begins"), [(0.01, np.median), (0.2, np.mean)])
+def test_a_landmark_begins_at_the_median_only_if_wrong_ids_moved_the_mean(
+    noise_m: float, begins: Callable[..., Floats]
+) -> None:
+    points = np.random.default_rng(0).normal(4.0, noise_m, (20, 2))
+    points[7] += 5.0
+    poses = np.tile(np.eye(4), (20, 1, 1))
+    found = start_of(beside_one(points, poses[1:]), poses, 1).positions
+    np.testing.assert_allclose(found, [begins(points, axis=0)])
 
 
 def test_ids_swapped_in_the_second_round_are_counted_with_odometry() -> None:

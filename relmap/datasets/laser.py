@@ -1,7 +1,7 @@
 """Scans of a 2-D laser, without the beams that say nothing of the world around.
 
-Some did not return, at a range that the log may not state; others hit the robot itself: a mast, a
-cable or the edge of its cover.
+Some did not return, at a range that the log may not state; others hit the robot itself, as a mast
+or a cable, or what it pushes.
 """
 
 from __future__ import annotations
@@ -224,7 +224,7 @@ def _widest_rad(chosen: Bools, bearings_rad: Floats) -> float:
 
 
 def on_robot(path: Path, ranges_m: list[Floats], bearings_rad: list[Floats]) -> list[Bools]:
-    """Return which beams of each scan end on the robot: list of k (b,).
+    """Return which beams of each scan end on the robot, or on what it pushes: list of k (b,).
 
     These move with the robot and would tell that it stands still. In their directions nine tenths
     of the scans have the same short range. Parameters as for `usable_beams`; beams of range 0 did
@@ -248,7 +248,8 @@ def on_robot(path: Path, ranges_m: list[Floats], bearings_rad: list[Floats]) -> 
     beams = zip(ranges_m, direction, strict=True)
     own = [(ranges > 0) & (ranges <= limit_m[where]) for ranges, where in beams]
     if share := np.concatenate(own).mean():
-        warn(path, f"{100 * share:.3g} % of the beams end on the robot itself and are left out")
+        on = "on the robot itself, or on what it pushes,"
+        warn(path, f"{100 * share:.3g} % of the beams end {on} and are left out")
     return own
 
 
