@@ -185,7 +185,7 @@ class PlacedBeams(NamedTuple):
 
 
 class BeamStore:
-    """The end points of the beams of every scan, 8 bytes each, with a laser at first 10."""
+    """The end points of the beams of every scan, 8 bytes each (10 for a laser, unless restored)."""
 
     _points: GrowingArray[np.float32]
     STATE = "_points _offsets _origins _in_order"
