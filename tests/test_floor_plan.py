@@ -12,7 +12,8 @@ from relmap import PlaneMapper
 from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.planes.plan.plan_kernels import beams_on_walls
-from relmap.planes.scans.beams import BeamStore, GivenBeams
+from relmap.planes.scans.beam_store import BeamStore
+from relmap.planes.scans.beams import GivenBeams
 
 ROOM = np.array(
     [

@@ -10,7 +10,8 @@ from relmap.core.arrays import Floats
 from relmap.core.state.store import ObservationStore
 from relmap.planes.linking.tying import Scans, share_at_rest
 from relmap.planes.scans import loose_kernels
-from relmap.planes.scans.beams import Beams, BeamStore, GivenBeams
+from relmap.planes.scans.beam_store import BeamStore
+from relmap.planes.scans.beams import Beams, GivenBeams
 from relmap.planes.scans.observation import checked_planes, journaled, of_journal
 from relmap.segmentation import PlaneSegmenter
 from relmap.simulation import simulate_building

@@ -15,7 +15,7 @@ from relmap.planes.linking.registration import PlaneRegistration
 from relmap.planes.places.implied_steps import ImpliedSteps
 from relmap.planes.places.map_part import MapPart
 from relmap.planes.places.wall_tie import WallTie
-from relmap.planes.scans.beams import PlacedBeams
+from relmap.planes.scans.beam_store import PlacedBeams
 from relmap.planes.submaps.doubtful import (
     free_directions,
     undetermined_steps,

@@ -17,7 +17,7 @@ from relmap.planes.places.map_part import MapPart
 from relmap.planes.places.submap_ties import tied_parts
 from relmap.planes.places.wall_tie import WallPoints, WallTie
 from relmap.planes.places.wall_tie_kernels import fit
-from relmap.planes.scans.beams import PlacedBeams
+from relmap.planes.scans.beam_store import PlacedBeams
 from relmap.planes.submaps.submap import WallSubmap, torn_in
 from relmap.planes.walls.history import PlaneHistory
 from tests.segments import cast

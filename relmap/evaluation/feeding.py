@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from time import perf_counter
 from types import SimpleNamespace
 from typing import Any, Literal, Protocol
@@ -196,7 +195,6 @@ def segment_scan(
     return SimpleNamespace(**columns, ends=ends[front], origin=t)
 
 
-@lru_cache(maxsize=1)
 def pose_on_robot(view: SensorView) -> tuple[Floats, Floats]:
     """Return rotation (2, 2) and position (2,), metres, of a sensor on the robot."""
     return rotations(np.array([[view.yaw_rad]]))[0], np.array([view.x_m, view.y_m])

@@ -20,7 +20,7 @@ from relmap.exports.content import MapContent
 from relmap.io.results import MAPPER, SUMMARY, TRACKS, TRAJECTORY
 from relmap.planes import PlaneMapper
 from relmap.planes.places.map_part import MapPart
-from relmap.planes.scans.beams import PlacedBeams
+from relmap.planes.scans.beam_store import PlacedBeams
 from relmap.points import PointMapper
 
 MOST = 5_000_000

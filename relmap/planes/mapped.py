@@ -13,7 +13,7 @@ from relmap.mapper import Mapper
 from relmap.planes.linking.registration import PlaneRegistration
 from relmap.planes.refinement.refining import odometry_left_out, on_odometry
 from relmap.planes.refinement.solving import corner_covariances, refined_walls
-from relmap.planes.scans.beams import PlacedBeams
+from relmap.planes.scans.beam_store import PlacedBeams
 from relmap.planes.submaps.doubtful import free_directions, undetermined_steps
 from relmap.planes.submaps.grouped_map import GroupedMap, KeptFrame
 from relmap.planes.submaps.submap import WallSubmap, among_all

@@ -19,7 +19,7 @@ from relmap.planes.linking.judging import Found
 from relmap.planes.linking.tying import OFTEN, Link, Scans, judged_links, share_at_rest
 from relmap.planes.motions import after, from_matrices, inverse, matrices, motion_over
 from relmap.planes.odometry.prediction import Wheels
-from relmap.planes.scans.beams import BeamStore
+from relmap.planes.scans.beam_store import BeamStore
 from relmap.planes.scans.observation import PlaneObservation
 
 IN_DOUBT = 10.0

@@ -24,7 +24,8 @@ from relmap.planes.linking.placement import STILL, PlaneTracks
 from relmap.planes.linking.search import Search
 from relmap.planes.motions import motion_over, others
 from relmap.planes.odometry.prediction import OTHERWISE, Expected
-from relmap.planes.scans.beams import RECENT, Beams, BeamStore
+from relmap.planes.scans.beam_store import RECENT, BeamStore
+from relmap.planes.scans.beams import Beams
 from relmap.planes.scans.observation import PlaneObservation, seen_before
 
 ACCEPTED = 2.5

@@ -11,7 +11,7 @@ from relmap.core.arrays import Floats, Ints
 from relmap.planes.linking.links import JUMP, JUMP_M
 from relmap.planes.places.wall_tie import WallTie, coinciding
 from relmap.planes.plan.evidence import BIN_M, Stretches, grid_over
-from relmap.planes.scans.beams import PlacedBeams
+from relmap.planes.scans.beam_store import PlacedBeams
 
 NEAR_M = 0.25
 """Largest distance of a beam's end from the wall it hits: submaps are bent a little. One that ends

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
-from relmap.planes.scans.beams import BeamStore
+from relmap.planes.scans.beam_store import BeamStore
 from relmap.planes.walls.assembly import Assembled, directions
 from relmap.planes.walls.joining import placed_ends
 

@@ -15,7 +15,7 @@ from relmap.core.arrays import Bools, Ints
 from relmap.planes.plan.evidence import BIN_M, Stretches, stretches_of
 from relmap.planes.plan.pieces import SHORTEST_M, Pieces, met, with_corners
 from relmap.planes.plan.regrouping import regrouped
-from relmap.planes.scans.beams import BeamStore
+from relmap.planes.scans.beam_store import BeamStore
 from relmap.planes.submaps.submap import WallSubmap
 from relmap.planes.walls.assembly import OFTEN, Assembled, WallNumbers, directions
 from relmap.planes.walls.history import PlaneHistory

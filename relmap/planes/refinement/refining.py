@@ -17,7 +17,8 @@ from relmap.planes.motions import from_matrices, matrices
 from relmap.planes.odometry.steps import Steps, steps_of
 from relmap.planes.plan.floor_plan import floor_plan
 from relmap.planes.refinement.refined_map import at_the_noise, refined_map, straightened
-from relmap.planes.scans.beams import BeamStore, odds_over
+from relmap.planes.scans.beam_store import BeamStore
+from relmap.planes.scans.beams import odds_over
 from relmap.planes.submaps.doubtful import beams_of
 from relmap.planes.submaps.grouped_map import GroupedMap
 from relmap.planes.submaps.submap import WallSubmap, deviations

@@ -7,7 +7,8 @@ from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Floats, Ints
 from relmap.planes.motions import from_matrices
-from relmap.planes.scans.beams import NEAR_M, BeamStore, compared
+from relmap.planes.scans.beam_store import BeamStore
+from relmap.planes.scans.beams import NEAR_M, compared
 from relmap.planes.submaps.doubtful import beams_of
 from relmap.planes.walls.history import PlaneHistory
 

@@ -15,7 +15,8 @@ from relmap.planes.linking.tying import Scans
 from relmap.planes.motions import from_matrices, inverse, wrapped
 from relmap.planes.odometry.prediction import OTHERWISE
 from relmap.planes.odometry.steps import corrected
-from relmap.planes.scans.beams import Beams, BeamStore, odds_over
+from relmap.planes.scans.beam_store import BeamStore
+from relmap.planes.scans.beams import Beams, odds_over
 from relmap.planes.submaps.submap import WallSubmap, between_logs
 from relmap.planes.walls.history import PlaneHistory
 
