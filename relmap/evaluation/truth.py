@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.columns import Brief
 from relmap.core.errors import RelmapError
+from relmap.core.shown import Brief
 from relmap.datasets import Relations, open_scans
 from relmap.datasets.textfile import invalid, quoted, require_path
 from relmap.datasets.trajectories import is_trajectory, read_trajectory

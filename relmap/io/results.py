@@ -14,9 +14,9 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.core.columns import Brief
 from relmap.core.errors import RelmapError
 from relmap.core.landmarks import LandmarkTable, Submap
+from relmap.core.shown import Brief
 from relmap.datasets.textfile import invalid
 from relmap.io.files import atomic_write, read_text, read_tum, write_tum
 from relmap.io.tables import Kind, columns_text, compressed, csv_text, read_table

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.core.columns import AXES, NORMAL
 from relmap.core.errors import RelmapError
+from relmap.core.shown import AXES, NORMAL
 from relmap.io.files import atomic_write
 from relmap.io.results import MAP_PLY, PLANES, Result, read_result
 from relmap.io.tables import Kind, columns_text, read_table

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.columns import NORMAL
 from relmap.core.errors import RelmapError
+from relmap.core.shown import NORMAL
 from relmap.io.files import atomic_write, write_tum
 from relmap.io.results import PLANES, Result, read_result
 from relmap.io.tables import Kind, columns_text, read_table
