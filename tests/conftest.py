@@ -25,7 +25,7 @@ from relmap.datasets.scans import ScanLog
 from relmap.evaluation.feeding import Association
 from relmap.evaluation.sources import Source
 from tests.commands import GOOD, Check, snapshot, unrendered
-from tests.everyformat import WALLS, Mapped, write_points, write_walls
+from tests.everyformat import NASTY, WALLS, Mapped, write_points, write_walls
 
 os.environ["MPLBACKEND"] = "Agg"
 # A shell starts what runs in the background without Ctrl-C, and so would be the tests' commands.
@@ -198,3 +198,13 @@ def mapped(logs: Path) -> Mapped:
         return done[source]
 
     return result_of
+
+
+@pytest.fixture(scope="session")
+def nasty(logs: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the page of a log whose name would be markup."""
+    log = tmp_path_factory.mktemp("nasty") / NASTY
+    log.write_bytes((logs / "flat/observations.csv").read_bytes())
+    with unrendered():
+        assert main(["map", str(log), "-o", str(log.parent / "out")]) == 0
+    return log.parent / "out" / "report.html"

@@ -23,6 +23,9 @@ from tests import bagfiles
 from tests.scanlogs import ply
 
 Mapped = Callable[[str], Path]
+
+NASTY = "a <script>alert(1)<script> & $x$ \"q\" 'p'.csv"
+"""The name of a log that would be markup."""
 """Takes the name of a log and gives the result folder of its map."""
 POINTS = [
     ("observation-csv", "csv/observations.csv"),

@@ -237,35 +237,6 @@ def test_ids_are_numbers_or_texts(
     assert log.names == names
 
 
-@pytest.mark.parametrize(("step", "n"), [(10, 5), (1, 5), (10, 4)])
-def test_numbers_that_leave_out_iterations_are_named(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture, step: int, n: int
-) -> None:
-    path = put(tmp_path, "iteration,x,y\n" + "".join(f"{step * k},1,2\n" for k in range(n)))
-    assert len(open_log(path)) == step * (n - 1) + 1
-    warnings = [f"{path}: iterations are numbered 0, 10, 20, ...: those between count as scans in "]
-    warned = step > 1 and n >= 5
-    assert [text[: len(warnings[0])] for text in caplog.messages] == warnings * warned
-
-
-def test_scans_out_of_order_are_sorted_by_time(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    rows = "iteration,x,y,stamp\n0,1,1,5\n2,2,2,4\n2,3,3,4.1\n7,4,4,6\n"
-    path = put(tmp_path, rows)
-    log = open_log(path)
-    assert log.points_robot[:, 0].tolist() == [2, 3, 1, 4]
-    assert log.iteration.tolist() == [0, 0, 5, 7]
-    assert log.rows.tolist() == [1, 2, 0, 3]
-    assert log.stamps_s[[0, 5, 7]].tolist() == [4, 5, 6]
-    assert caplog.messages == [f"{path}: 1 scans out of order: all are sorted by time"]
-
-
-def test_an_iteration_does_not_last_into_another_one(tmp_path: Path) -> None:
-    rows = "iteration,x,y,stamp\n0,1,1,5\n1,2,2,6\n0,3,3,6.5\n0,3,3,7\n"
-    assert "line 4, field stamp: 6.5 is later than" in failure(put(tmp_path, rows))
-
-
 def test_times_of_an_observation_log(tmp_path: Path) -> None:
     log = open_log(put(tmp_path, "iteration,x,y,stamp\n1,1,1,10\n3,2,2,11\n"))
     assert log.stamps_s.tolist() == [10, 10.5, 11]

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from relmap import RelmapError
 from relmap.datasets.own_table import MAX_NAME
 from relmap.io.results import read_names, write_names
-from relmap.io.tables import Kind, compressed, csv_text, read_table
+from relmap.io.tables import Kind, compressed, csv_text, read_columns
 
 COLUMNS: dict[str, Kind] = {"n": "int", "x": "float", "sd": "float or empty", "word": "text"}
 
@@ -25,7 +25,7 @@ def test_floats_come_back_bit_by_bit(
 ) -> None:
     path = tmp_path_factory.getbasetemp() / "table.csv.gz"
     path.write_bytes(compressed(csv_text(["sd", "n"], ((v, 1) for v in values))))
-    again = read_table(path, {"sd": "float or empty"})["sd"]
+    again = read_columns(path, {"sd": "float or empty"})["sd"]
     np.testing.assert_array_equal(again, np.array(values, dtype=np.float64))
 
 
@@ -38,7 +38,7 @@ def test_compression_depends_on_the_text_alone(monkeypatch: pytest.MonkeyPatch) 
 def test_columns_are_found_in_any_order_among_others(tmp_path: Path) -> None:
     path = tmp_path / "table.csv"
     path.write_text("word, x ,more,sd,n\r\n\r\nfar,0.5,?,,7\r\n")
-    table = read_table(path, COLUMNS)
+    table = read_columns(path, COLUMNS)
     assert table["n"].tolist() == [7]
     assert table["n"].dtype == np.int64
     assert table["x"].tolist() == [0.5]
@@ -49,7 +49,7 @@ def test_columns_are_found_in_any_order_among_others(tmp_path: Path) -> None:
 def test_header_alone_is_an_empty_table(tmp_path: Path) -> None:
     path = tmp_path / "table.csv"
     path.write_text("n,x,sd,word\n")
-    assert [len(column) for column in read_table(path, COLUMNS).values()] == [0] * 4
+    assert [len(column) for column in read_columns(path, COLUMNS).values()] == [0] * 4
 
 
 def test_names_of_any_length_that_a_log_may_have_come_back(tmp_path: Path) -> None:
@@ -79,4 +79,4 @@ def test_bad_table_is_named_by_line_and_field(tmp_path: Path, text: str, message
     path = tmp_path / "table.csv"
     path.write_text(text)
     with pytest.raises(RelmapError, match=message):
-        read_table(path, COLUMNS)
+        read_columns(path, COLUMNS)

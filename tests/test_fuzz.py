@@ -22,7 +22,7 @@ from scipy.io import loadmat
 from relmap.core.errors import RelmapError
 from relmap.datasets import cloud_file, matfile, open_scans, scans_npz, table, textfile
 from relmap.datasets.matfile import read_matrix
-from relmap.io.tables import read_table
+from relmap.io.tables import read_columns
 from tests.damage import made_to_harm, packed_rows
 from tests.fuzz import ACCEPTED, REFUSED, fuzz, outcome
 from tests.fuzz import put as put_all
@@ -165,7 +165,7 @@ def test_bombs_are_refused_by_size(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 def test_a_long_word_does_not_widen_its_column(tmp_path: Path) -> None:
     path = put(tmp_path, f"status\nstatic\n{'a' * 60_000}\n", "a.csv")
     with pytest.raises(RelmapError, match=r"line 3, field status: .* at most 32 characters"):
-        read_table(path, {"status": "text"})
+        read_columns(path, {"status": "text"})
 
 
 @pytest.mark.parametrize("compress", [False, True])

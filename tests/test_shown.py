@@ -15,8 +15,8 @@ from sklearn.base import clone
 
 import relmap
 from relmap import PlaneMapper, PlaneSegmenter, PointMapper, RelmapError
-from relmap.core.columns import Table
 from relmap.core.landmarks import LandmarkMap
+from relmap.core.shown import Table
 from relmap.evaluation.run import run_mapper
 from relmap.evaluation.sources import truth_of
 from relmap.planes.walls.files import PlaneResult, read_any

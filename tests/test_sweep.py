@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -49,14 +50,7 @@ def spec(tmp_path: Path) -> Path:
 @pytest.fixture(scope="module")
 def expected() -> str:
     """The table, cell by cell in this process."""
-    cells = cells_of(
-        {
-            "method": ["relmap-points-live", "frame-to-map"],
-            "sigma": [0.05, 0.1],
-            "iterations": 40,
-            "seed": [0, 1],
-        }
-    )
+    cells = cells_of(tomllib.loads(SPEC))
     return accuracy_csv(cells, [run_cell(cell)[1] for cell in cells])
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.columns import Brief, Table
+from relmap.core.shown import Brief, Table
 
 
 def in_space(positions: Floats) -> Floats:

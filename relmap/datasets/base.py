@@ -10,8 +10,8 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.core.columns import Brief
 from relmap.core.errors import RelmapError
+from relmap.core.shown import Brief
 
 Log = TypeVar("Log", covariant=True)
 

@@ -10,8 +10,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.columns import Brief
 from relmap.core.geometry.motions import rotations, transforms
+from relmap.core.shown import Brief
 from relmap.core.stamps import MAX_S
 from relmap.datasets.base import common_range, some_of
 from relmap.datasets.textfile import invalid, warn

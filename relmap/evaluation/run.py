@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.columns import Brief
 from relmap.core.errors import RelmapError
+from relmap.core.shown import Brief
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.scans import ScanLog
 from relmap.evaluation.feeding import (

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.columns import Brief
 from relmap.core.errors import RelmapError
+from relmap.core.shown import Brief
 from relmap.datasets import Relations, open_scans
 from relmap.datasets.textfile import invalid, quoted, require_path
 from relmap.datasets.trajectories import is_trajectory, read_trajectory
@@ -20,7 +20,7 @@ from relmap.evaluation.relations import RELATIONS, relations_by_clocks
 from relmap.evaluation.space import Faces
 from relmap.io.files import atomic_write, read_tum, write_tum
 from relmap.io.results import SUMMARY, Result
-from relmap.io.tables import Kind, columns_text, read_table
+from relmap.io.tables import Kind, columns_text, read_columns
 
 Variant = Literal["points", "planes"]
 Judged = Literal["points", "planes", "planes3d"]
@@ -154,7 +154,7 @@ def _with_path(truth: Truth, stamps_s: Floats, poses: Floats) -> Truth:
 
 
 def _read_landmarks(path: Path) -> Truth:
-    table = read_table(path, _COLUMNS)
+    table = read_columns(path, _COLUMNS)
     wrong = ~np.isin(table["status"], ("static", "dynamic"))
     if wrong.any():
         landmark, status = (table[name][wrong][0] for name in ("landmark", "status"))
@@ -167,7 +167,7 @@ def _read_landmarks(path: Path) -> Truth:
 def _read_walls(path: Path) -> Truth:
     columns: dict[str, Kind] = {**dict.fromkeys(_ENDS, "float"), "corner0": "int", "corner1": "int"}
     columns |= {"status": "text", **dict.fromkeys(_SEEN, "float or empty")}
-    table = read_table(path, columns, optional=("status", *_SEEN))
+    table = read_columns(path, columns, optional=("status", *_SEEN))
     ends = np.column_stack([table[name] for name in _ENDS]).reshape(-1, 2, 2)
     scans = np.column_stack([table["corner0"], table["corner1"]])
     still = table.get("status", np.full(len(ends), "static")) != "dynamic"
@@ -179,7 +179,7 @@ def _read_walls(path: Path) -> Truth:
 def _read_faces(path: Path) -> Faces:
     places = [f"{axis}{corner}" for corner in range(4) for axis in "xyz"]
     columns: dict[str, Kind] = {"plane": "int", **dict.fromkeys((*places, "seen_m2"), "float")}
-    table = read_table(path, columns)
+    table = read_columns(path, columns)
     if len(table["plane"]) and table["plane"].min() < 0:
         raise invalid(path, "a plane has a number below 0")
     corners = np.column_stack([table[name] for name in places]).reshape(-1, 4, 3)

@@ -14,12 +14,12 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.core.columns import Brief
 from relmap.core.errors import RelmapError
 from relmap.core.landmarks import LandmarkTable, Submap
+from relmap.core.shown import Brief
 from relmap.datasets.textfile import invalid
 from relmap.io.files import atomic_write, read_text, read_tum, write_tum
-from relmap.io.tables import Kind, columns_text, compressed, csv_text, read_table
+from relmap.io.tables import Kind, columns_text, compressed, csv_text, read_columns
 
 T = TypeVar("T", bound=Any)
 
@@ -153,7 +153,7 @@ def read_names(folder: Path) -> dict[int, str] | None:
     path = folder / NAMES
     if not os.path.isfile(path):
         return None
-    table = read_table(path, {"landmark": "int", "name": "name"})
+    table = read_columns(path, {"landmark": "int", "name": "name"})
     names = dict(zip(table["landmark"].tolist(), table["name"].tolist(), strict=True))
     if len(names) < len(table["landmark"]):
         raise invalid(path, "a landmark occurs twice")
@@ -224,11 +224,11 @@ def read_result(folder: Path) -> Result:
     """
     if not os.path.isfile(folder / SUMMARY):
         raise RelmapError(f"{folder} is not a result folder: no {SUMMARY} in it")
-    table = read_table(folder / LANDMARKS, LANDMARK_COLUMNS, OPTIONAL)
+    table = read_columns(folder / LANDMARKS, LANDMARK_COLUMNS, OPTIONAL)
     table.setdefault("submap", np.where(np.isfinite(table["x"]), 0, -1))
     table.setdefault("moving_bin", np.full(len(table["x"]), -1))
     position = np.column_stack([table.pop("x"), table.pop("y"), table.pop("z")])
-    tracks = Tracks(**read_table(folder / TRACKS, TRACK_COLUMNS, (REJECTED,)))
+    tracks = Tracks(**read_columns(folder / TRACKS, TRACK_COLUMNS, (REJECTED,)))
     stamps_s, poses = read_tum(folder / TRAJECTORY)
     landmarks = LandmarkTable(position=position, **table)
     return Result(landmarks, tracks, stamps_s, poses, _read_summary(folder / SUMMARY))

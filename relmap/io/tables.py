@@ -74,7 +74,7 @@ def columns_text(columns: Mapping[str, NDArray[Any]]) -> str:
     return _text(list(columns), zip(*cells, strict=True))
 
 
-def read_table(
+def read_columns(
     path: Path, columns: Mapping[str, Kind], optional: Collection[str] = ()
 ) -> dict[str, NDArray[Any]]:
     """Read the named columns of a CSV file with a header line; other columns are skipped.

@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.core.columns import AXES, NORMAL
 from relmap.core.errors import RelmapError
+from relmap.core.shown import AXES, NORMAL
 from relmap.io.files import atomic_write
 from relmap.io.results import MAP_PLY, PLANES, Result, read_result
-from relmap.io.tables import Kind, columns_text, read_table
+from relmap.io.tables import Kind, columns_text, read_columns
 from relmap.planes3d.outlines import surfaces_of
 from relmap.planes3d.submap import Submap
 from relmap.planes3d.table import Plane3dTable
@@ -79,7 +79,7 @@ def write_parts(folder: Path, result: Plane3dResult) -> None:
 
 def read_result3d(folder: Path) -> Plane3dResult:
     """Read a result folder of planes in space; RelmapError if a file is missing or invalid."""
-    table = read_table(folder / PLANES, COLUMNS)
+    table = read_columns(folder / PLANES, COLUMNS)
     for name in (*NORMAL, "offset", *AXES, "area_m2"):
         _require(folder, table, ~np.isnan(table[name]), f"its field {name} is empty")
     normal, centre = (

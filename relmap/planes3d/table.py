@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.core.columns import Table
+from relmap.core.shown import Table
 from relmap.planes3d.gathering import is_rough
 from relmap.planes3d.outlines import surfaces_of
 from relmap.planes3d.refining import covariances_of, scene

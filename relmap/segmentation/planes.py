@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.columns import Table
+from relmap.core.shown import Table
 
 END_TYPES = ("corner", "view", "range", "occluded")
 """End types in order of precedence: the first that applies is used."""

@@ -12,7 +12,7 @@ from typing import get_args
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.core.columns import Brief
+from relmap.core.shown import Brief
 from relmap.datasets.scans import planar_poses
 from relmap.simulation.drive import STEP_M, drive_round
 from relmap.simulation.floor_plan import World, make_floor_plan, make_moving

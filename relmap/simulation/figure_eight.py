@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.columns import Brief
+from relmap.core.shown import Brief
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.scans import poses_of
 from relmap.simulation.drive import lengths_along

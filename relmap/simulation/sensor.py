@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.columns import Brief
+from relmap.core.shown import Brief
 from relmap.simulation.noise import Noise, draw_noise
 from relmap.simulation.visibility import SeenWalls, ray_distances
 

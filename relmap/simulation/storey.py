@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.columns import Brief
+from relmap.core.shown import Brief
 from relmap.datasets.scans import poses_of
 from relmap.simulation.drive import lengths_along, places_along
 from relmap.simulation.house import House, house, moving_box

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.columns import Brief
 from relmap.core.errors import known_name
+from relmap.core.shown import Brief
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.scans import poses_of
 from relmap.simulation.noise import check_arguments

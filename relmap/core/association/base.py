@@ -95,6 +95,14 @@ def nearest(tree: cKDTree, points: Floats, rank: int = 1) -> tuple[Floats, Ints]
     return np.asarray(distance), np.asarray(index)
 
 
+def median_apart(tree: cKDTree, rank: int = 1) -> float:
+    """Return the median distance of the points of a tree to the neighbour of a rank, the nearest 1.
+
+    Infinite if most have none.
+    """
+    return float(np.median(nearest(tree, tree.data, rank + 1)[0][:, -1]))
+
+
 def mutual(points: Floats, among: Floats, most_m: float) -> tuple[Ints, Ints]:
     """Return the rows (k,) of points (n, d), and of others, that are nearest to each other.
 

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.association.base import UNIDENTIFIED, Numbered, mutual, nearest
+from relmap.core.association.base import UNIDENTIFIED, Numbered, median_apart, mutual
 
 
 class NearestPrevious(Numbered):
@@ -45,5 +45,4 @@ class NearestPrevious(Numbered):
         places = np.unique(self._previous, axis=0)  # Most may coincide with others.
         if len(places) < 2:
             return np.inf
-        spacing = nearest(cKDTree(places), places, rank=2)[0][:, 1]
-        return float(np.median(spacing)) / 2
+        return median_apart(cKDTree(places)) / 2

@@ -58,17 +58,17 @@ def _averages(
 
 
 @helper
-def _by_iteration(block: Floats) -> tuple[Ints, Ints, Floats]:
+def by_iteration(block: Floats, shown: Bools) -> tuple[Ints, Ints, Floats]:
     """Return how many landmarks of a block (n, i, d) each iteration shows, which, and their points.
 
-    In the order of the landmarks; (i,), (i, n) and (i, n, d).
+    `shown` (n, i). In the order of the landmarks; (i,), (i, n) and (i, n, d).
     """
     n, m, d = block.shape
     n_seen, points = np.zeros(m, dtype=np.int64), np.empty((m, n, d))
     seen = np.empty((m, n), dtype=np.int64)
     for k in range(n):
         for i in range(m):
-            if not np.isnan(block[k, i, 0]):
+            if shown[k, i]:
                 j = n_seen[i]
                 seen[i, j], n_seen[i] = k, j + 1
                 for a in range(d):
@@ -100,17 +100,18 @@ def _enter_matches(
 
 
 @helper
-def _place_iterations(block: Floats, reference: Floats) -> Completed:
+def _place_iterations(block: Floats, shown: Bools, reference: Floats) -> Completed:
     """Fit every iteration of a block (n, i, d) to a reference (n, d) and average; see `complete`.
 
-    Returns R (i, d, d), t (i, d), which observations are placed (n, i), and how many of each
-    landmark (n,); then, defined for landmarks ever placed, the mean place (n, d), its variance
-    without the largest deviation, and that variance relative to the noise.
+    `shown` (n, i): which observations there are. Returns R (i, d, d), t (i, d), which observations
+    are placed (n, i), and how many of each landmark (n,); then, defined for landmarks ever placed,
+    the mean place (n, d), its variance without the largest deviation, and that variance relative to
+    the noise.
     """
     n, m, d = block.shape
     R, t, used = np.empty((m, d, d)), np.empty((m, d)), np.zeros((n, m), dtype=np.bool_)
     counts = np.zeros(n, dtype=np.int64)
-    n_seen, seen, here = _by_iteration(block)
+    n_seen, seen, here = by_iteration(block, shown)
     source, there, rows = np.empty((n, d)), np.empty((n, d)), np.empty(n, dtype=np.bool_)
     placed, mean, guess = np.empty((n, d)), np.zeros((n, d)), identity(d)
     amplified, swing, means = np.zeros(n), np.empty(n), np.empty((2, 3))
@@ -155,10 +156,13 @@ def completed(
     """
     n, d = reference.shape
     n_members, solid, rounds = 0, np.empty(n, dtype=np.bool_), 0
+    shown = np.empty(block.shape[:2], dtype=np.bool_)
     for k in range(n):
         n_members += not np.isnan(reference[k, 0])
+        for i in range(block.shape[1]):
+            shown[k, i] = not np.isnan(block[k, i, 0])
     while True:
-        whole = _place_iterations(block, reference)
+        whole = _place_iterations(block, shown, reference)
         _, _, _, counts, mean, variance, amplified = whole
         still = steady(mean, variance, amplified, given, noise_m)
         n_placed, n_solid, rounds = 0, 0, rounds + 1

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from scipy.special import bdtrc
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.core.association.base import nearest
+from relmap.core.association.base import median_apart, nearest
 from relmap.core.refinement.condensing import LENGTH, SegmentRows
 
 FEWEST = 8
@@ -122,7 +122,7 @@ def _had(part: Part, shown: Floats, scan: Ints, every: int, noise_m: float) -> _
         none = np.empty(0, dtype=np.int64)
         return _Had(none, none, np.empty((0, d)), np.empty(0, dtype=np.bool_))
     tree, robot = cKDTree(part.positions), poses[:, :d, 3]
-    spacing_m = float(np.median(nearest(tree, part.positions, 2)[0][:, 1]))
+    spacing_m = median_apart(tree)
     same_m = max(min(SPACINGS * spacing_m, SIGMAS * noise_m), LEAST * noise_m)
     doubles = tree.query_pairs(same_m, output_type="ndarray")[:, 1]
     positions = np.delete(part.positions, doubles, axis=0)

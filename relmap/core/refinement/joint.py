@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.core.columns import Brief
 from relmap.core.geometry.alignment import fit_rigid, fixes_rotation, place_each
 from relmap.core.geometry.robust import fit_robust_each
 from relmap.core.map.pose import trajectory
@@ -24,6 +23,7 @@ from relmap.core.refinement.gauss_newton import Solution, settle, settle_again, 
 from relmap.core.refinement.residuals import MergeResiduals, SegmentResiduals, residuals_of
 from relmap.core.refinement.rows import JointRows
 from relmap.core.refinement.trend import SURELY, by_landmark
+from relmap.core.shown import Brief
 
 CONFIRMED, AGAINST = 3, 0.5
 """Observations of a landmark in a segment that confirm it: wrong ids are seldom repeated; and the

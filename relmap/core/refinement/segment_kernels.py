@@ -12,7 +12,7 @@ from relmap.core.geometry.fitting_kernels import (
     fit_rows,
     set_placement,
 )
-from relmap.core.grouping.averaging_kernels import place
+from relmap.core.grouping.averaging_kernels import by_iteration, place
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import median
 from relmap.core.linalg.small_kernels import diagonalise, identity
@@ -124,22 +124,13 @@ def _shared(block: Floats, seen: Bools) -> tuple[Ints, Ints, Floats, Ints]:
 
     (k,), (k, n) and (k, n, d); then the number of iterations that see each landmark (n,).
     """
-    n, k, d = block.shape
-    n_of, of, here = (
-        np.zeros(k, dtype=np.int64),
-        np.empty((k, n), dtype=np.int64),
-        np.empty((k, n, d)),
-    )
-    counts = np.zeros(n, dtype=np.int64)
-    for i in range(n):
-        for m in range(k):
+    counts, shared = np.zeros(len(seen), dtype=np.int64), np.empty(seen.shape, dtype=np.bool_)
+    for i in range(len(seen)):
+        for m in range(seen.shape[1]):
             counts[i] += seen[i, m]
-        for m in range(k):
-            if seen[i, m] and counts[i] > 1:
-                j = n_of[m]
-                of[m, j], n_of[m] = i, j + 1
-                for a in range(d):
-                    here[m, j, a] = block[i, m, a]
+        for m in range(seen.shape[1]):
+            shared[i, m] = seen[i, m] and counts[i] > 1
+    n_of, of, here = by_iteration(block, shared)
     return n_of, of, here, counts
 
 

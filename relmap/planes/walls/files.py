@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.columns import NORMAL
 from relmap.core.errors import RelmapError
+from relmap.core.shown import NORMAL
 from relmap.io.files import atomic_write, write_tum
 from relmap.io.results import PLANES, Result, read_result
-from relmap.io.tables import Kind, columns_text, read_table
+from relmap.io.tables import Kind, columns_text, read_columns
 from relmap.planes.walls.table import PlaneTable
 
 CORNER, OPEN = "corner", "open"
@@ -101,7 +101,7 @@ def read_planes(folder: Path) -> PlaneTable:
 
     Raises `RelmapError` if it is missing or was not written by `write_planes`.
     """
-    table = read_table(folder / PLANES, COLUMNS)
+    table = read_columns(folder / PLANES, COLUMNS)
     for name in (*ENDS, "nx", "ny"):
         empty = np.flatnonzero((table["status"] == "static") & np.isnan(table[name]))
         if len(empty):

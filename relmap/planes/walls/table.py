@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.core.columns import Table
 from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup, in_space
+from relmap.core.shown import Table
 from relmap.planes.walls.assembly import OFTEN, Assembled, WallNumbers, directions
 from relmap.planes.walls.history import PlaneHistory
 from relmap.planes.walls.joining import wall_extents

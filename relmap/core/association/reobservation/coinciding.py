@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.core.association.base import nearest
+from relmap.core.association.base import median_apart, nearest
 from relmap.core.refinement.condensing import LENGTH
 from relmap.core.scan import FARTHEST_M
 from relmap.core.state.table import NONE, LandmarkState
@@ -100,7 +100,7 @@ def compatible(positions: Floats, covariances: Floats) -> Ints:
         return np.empty((0, 2), dtype=np.int64)
     at, own = positions[known], covariances[known]
     tree = cKDTree(at)
-    spacing_m = float(np.median(nearest(tree, at, 2)[0][:, 1]))
+    spacing_m = median_apart(tree)
     reach_m = np.minimum(2 * CLEAR_SIGMAS * spread[known], NEIGHBOURS * spacing_m)
     near = [(i, j) for i, others in enumerate(tree.query_ball_point(at, reach_m)) for j in others]
     i, j = np.unique(np.sort(np.array(near), axis=1), axis=0).T

@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 from scipy.special import chdtri, gammaln
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.association.base import nearest
+from relmap.core.association.base import median_apart
 from relmap.core.association.placement import consistent_placements
 from relmap.core.association.reobservation.recognition import BY_CHANCE, CLEAR, SIGMAS
 from relmap.core.association.reobservation.sightings import Sightings
@@ -56,8 +56,7 @@ class Doubled:
         self._rows, self._sightings = rows, Sightings(rows, table)
         sd_m = np.sqrt(np.trace(refined.covariances, axis1=1, axis2=2))
         self._reach_m = SIGMAS * np.where(np.isfinite(sd_m), sd_m, 0.0)
-        apart = nearest(cKDTree(self._at), self._at, 2)[0][:, 1]
-        spacing_m = max(float(np.median(apart)), TINY)
+        spacing_m = max(median_apart(cKDTree(self._at)), TINY)
         self._log_density = math.log(math.log(2)) - _log_volume(self._d, spacing_m)
 
     def sets(self) -> list[Ints]:

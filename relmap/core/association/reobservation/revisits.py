@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 from scipy.special import bdtrc
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.association.base import nearest
+from relmap.core.association.base import median_apart, nearest
 from relmap.core.association.placement import Placement, consistent_placements
 from relmap.core.association.reobservation.coinciding import TOLERANCE, neighbours_fit
 from relmap.core.association.reobservation.recognition import BY_CHANCE, CLEAR
@@ -118,8 +118,7 @@ class RevisitFinder:
         own &= landmarks != NONE
         self._own = np.flatnonzero(own)
         at = drift.state.positions[self._own]
-        apart = nearest(cKDTree(at), at, NEIGHBOUR + 1)[0] if len(at) else np.full((1, 1), np.inf)
-        self._apart_m = float(np.median(apart[:, -1]))
+        self._apart_m = median_apart(cKDTree(at), NEIGHBOUR) if len(at) else np.inf
 
     def revisits(self) -> list[Revisit]:
         """Return the revisits that are new, the most certain first, without conflicts."""
