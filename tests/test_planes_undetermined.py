@@ -190,6 +190,25 @@ def test_no_small_changes_that_beams_prefer_lead_away_from_a_step() -> None:
     assert undetermined_steps([replace(submap, poses=poses)], history, links).tolist() == [LEAP]
 
 
+@pytest.mark.parametrize(("measures", "weak"), [(True, []), (False, [LEAP, LEAP + 1])])
+def test_a_scan_that_repeats_the_one_before_it_determines_no_step(
+    measures: bool, weak: list[int]
+) -> None:
+    """The sensor stands still for a scan, or measures the same place anew."""
+    mapper, rng = PlaneMapper(), np.random.default_rng(0)
+    ends = np.concatenate([np.stack([line[:-1], line[1:]], axis=1) for line in (FAR, NEAR)])
+    points = np.concatenate([along(FAR, 0.1), along(NEAR, 0.1)])
+    kind = [["corner", "corner"]] * len(ends)
+    for k in range(12):
+        at = [-0.4 * (k - (k == LEAP)), 0.0]
+        if k != LEAP or measures:
+            beams = points - at + rng.normal(0.0, 0.03, points.shape)
+        mapper.update(SimpleNamespace(ends=ends - at, end_type=kind), beams=beams)
+    mapper.finish()
+    assert len(mapper.submaps) == 1
+    assert mapper.weak_links.tolist() == weak
+
+
 def test_without_beams_the_walls_decide() -> None:
     assert len(mapped(FAR, with_beams=False).weak_links) == 0
 

@@ -108,8 +108,12 @@ class LinkRecord:
     ) -> None:
         """Record the motion into a scan, whether it belongs to the submap, and its source.
 
-        Without a match (`found`), the source is odometry if the submap `goes_on`.
+        Without a match (`found`), the source is odometry if the submap `goes_on`. After too many
+        scans without walls those before leave the submap: constant motion was only a guess.
         """
+        if not is_tied and (self.submaps[-1:] >= 0).any():
+            for last in self.store.iterations[-1:].tolist():
+                self.submaps[last + 1 :] = -1
         self._evidence.append(found.evidence if found else np.nan)
         self._measured.append(found is not None and found.measured)
         self._bridged.append(found.bridged if found else goes_on)

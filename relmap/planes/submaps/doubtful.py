@@ -61,11 +61,12 @@ def undetermined_steps(
     more as these do, that the walls of both scans imply. It is determined if the beams of both
     scans exclude all of these, neither shows one wall only, and, if few common walls cross, no
     small changes that the beams prefer lead away from it, one after the other. A step far longer
-    than the others is listed, too. Where a submap continues after scans that are not part of it,
-    the motion is since the last one that is. Without beams, and with odometry, the walls decide
-    (`PlaneHistory.weak_links`); steps that contradict odometry are listed, too, of those that walls
-    measured only if they are as long. From one log to the next there is no step: the place of a log
-    in the map is determined by a stretch of it.
+    than the others is listed, too, and an unusual one to or from a scan that repeats the one before
+    it, point by point: the sensor did not measure anew. Where a submap continues after scans that
+    are not part of it, the motion is since the last one that is. Without beams, and with odometry,
+    the walls decide (`PlaneHistory.weak_links`); steps that contradict odometry are listed, too, of
+    those that walls measured only if they are as long. From one log to the next there is no step:
+    the place of a log in the map is determined by a stretch of it.
     """
     if _have_odometry(links):
         against = _against_odometry(submaps, links)
@@ -87,7 +88,7 @@ def undetermined_steps(
             weak[scan] = one_wall or excluded < least[scan]
             if history.hardly_crossed[scan] and not weak[scan]:
                 weak[scan] = _leads_away(step, earlier, later)
-    weak[after[_leap(steps / gap)]] = True
+    weak[after[_leap(steps / gap) | _stale(links.beams, before, after, to_usual)]] = True
     weak[after[between_logs(links.begun, before, after)]] = False
     return np.flatnonzero(weak)
 
@@ -114,6 +115,24 @@ def _leap(steps: Floats) -> Bools:
         return np.empty(0, dtype=np.bool_)
     way_m = np.hypot(*steps[:, 1:].T)
     return np.asarray(way_m > LEAP * np.quantile(way_m, USUALLY) + LEAP_M)
+
+
+def _stale(beams: BeamStore, before: Ints, after: Ints, to_usual: Floats) -> Bools:
+    """Return which unusual steps lead to or from a scan that repeats the one before it.
+
+    `to_usual` (2, k, 3): changes that make them the usual steps before and after them.
+    """
+    pairs = zip(before.tolist(), after.tolist(), strict=True)
+    points = ((beams.given(a).points, beams.given(b).points) for a, b in pairs)
+    repeats = np.array([len(a) > 0 and np.array_equal(a, b) for a, b in points], dtype=np.bool_)
+    repeats |= np.isin(before, after[repeats])
+    return np.asarray(repeats & np.any(_unlike(to_usual), axis=(0, 1)))
+
+
+def _unlike(to_usual: Floats) -> tuple[Bools, Bools]:
+    """Return whether changes (..., 3) that make steps usual move the robot far, or turn it."""
+    far = np.hypot(to_usual[..., 1], to_usual[..., 2]) > FREE_M
+    return far, np.abs(wrapped(to_usual[..., 0])) > UNUSUAL_RAD
 
 
 def _against_odometry(submaps: Sequence[WallSubmap], links: LinkRecord) -> Ints:
@@ -221,7 +240,7 @@ def _fitted(scans: Scans, earlier: int, later: int, step: Floats, to_usual: Floa
     step, and rooms may look the same from several sides. `to_usual` as in `_changes`.
     """
     turn, way = wrapped(to_usual[:, :1]), to_usual[:, 1:]
-    far, turned = np.hypot(*way.T) > FREE_M, np.abs(turn[:, 0]) > UNUSUAL_RAD
+    far, turned = _unlike(to_usual)
     near = (far.any() or turned.any()) and later - earlier <= GAP
     search = scans.search(earlier, later, STILL) if near else None
     if search is None:
