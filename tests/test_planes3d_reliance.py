@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from relmap import Plane3dMapper
 from relmap.core.arrays import Floats, Ints
+from relmap.planes3d import mapper as mapper3d
 from relmap.planes3d.certainty import changes, fragile, turn_changes
+from relmap.planes3d.misled import comes_along, quick_step_m
 from relmap.planes3d.refining import refined, scene, sightings, unsure_steps
 from relmap.planes3d.submap import Submap
 from tests.test_planes3d_covariances import patches, wall
@@ -99,6 +102,52 @@ def test_steps_that_only_small_planes_of_few_scans_determine_are_listed(
         number = np.array([0, 1, 2 + 2 * (k // scans), 3 + 2 * ((k + 3) // scans)])
         part.add(k, seen, (np.eye(3), np.zeros(3)), number)
     assert sorted(unsure_steps(part)) == (list(range(1, 2 * scans)) if listed else [])
+
+
+@pytest.mark.parametrize("rests", [False, True])
+def test_steps_by_landmarks_that_came_along_are_listed_but_not_a_rest(rests: bool) -> None:
+    # The sensor moves, seems to stand still for 30 scans, and moves on. Meanwhile the walls across,
+    # large and seen for long, are others, as the backs of companions, or those seen before.
+    part = Submap()
+    for k in range(50):
+        x, moves = 0.1 * (min(k, 10) + max(k - 40, 0)), 10 < k < 40
+        seen = patches(wall(1, 2.0), wall(2, -2.0), wall(0, 9.0 - x), wall(0, -6.0 - x))
+        number = np.array([0, 1, 4, 5] if moves and not rests else [0, 1, 2, 3])
+        part.add(k, seen, (np.eye(3), np.array([x, 0.0, 0.0])), number)
+    still = set(range(20, 31))
+    assert not still & set(unsure_steps(part))
+    listed = still & set(unsure_steps(part, quick_m=quick_step_m([part])))
+    assert listed == (set() if rests else still)
+
+
+def test_a_run_at_rest_is_not_listed() -> None:
+    # By noise the sensor moves by up to 0.3 % of the range.
+    way_m = 0.01 * np.random.default_rng(0).uniform(-1.0, 1.0, 40)
+    part = carried(way_m.tolist(), 3.0, -3.0)
+    assert unsure_steps(part, quick_m=quick_step_m([part])) == {}
+
+
+def test_a_sensor_that_drives_in_laps_does_not_rest() -> None:
+    # After every 12 scans the sensor is where it was.
+    part = carried([0.1 * abs(k % 12 - 6) for k in range(40)], 3.0, -3.0)
+    assert not comes_along(part, quick_step_m([part])).any()
+
+
+def test_the_mapper_compares_with_the_steps_of_a_sensor_that_moves(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    given: list[float] = []
+
+    def noted(part: Submap, is_broken: bool, quick_m: float) -> dict[int, Floats]:
+        given.append(quick_m)
+        return {}
+
+    monkeypatch.setattr(mapper3d, "unsure_steps", noted)
+    mapper, corner = Plane3dMapper(), np.concatenate([wall(axis, 3.0) for axis in range(3)])
+    for x in [0.0] * 4 + [0.1, 0.2, 0.3, 0.4]:
+        mapper.update(corner - [x, 0.0, 0.0])
+    mapper.finish()
+    assert given == pytest.approx([0.1], abs=0.01)
 
 
 @pytest.mark.parametrize(("scans", "listed"), [(2, [1]), (6, [1, 2, 3, 4, 5]), (7, [])])

@@ -17,6 +17,7 @@ from relmap.core.linalg.threads import one_thread
 from relmap.planes3d.files import checked_patches, journaled, of_journal
 from relmap.planes3d.hypotheses import Held
 from relmap.planes3d.mapped import Mapped3d
+from relmap.planes3d.misled import quick_step_m
 from relmap.planes3d.placing import Placed, place
 from relmap.planes3d.refining import refined, unsure_steps
 from relmap.planes3d.sights import (
@@ -212,10 +213,11 @@ class Plane3dMapper(Mapped3d):
 
     def _name_unsure(self) -> None:
         """Find the uncertain steps of all submaps, and what moved away."""
-        is_broken = len(self._submaps) > 1
+        is_broken, quick_m = len(self._submaps) > 1, quick_step_m(self._submaps)
         for part in self._submaps:
             part.sights = sights_of(part)
-            part.unsure = unsure_steps(part, is_broken) if len(part.iteration) > 1 else {}
+            several = len(part.iteration) > 1
+            part.unsure = unsure_steps(part, is_broken, quick_m) if several else {}
 
     def _placed(self, seen: Patches, iteration: int) -> Placed | None:
         """Return the placement of a scan in the last submap; its matches are landmark numbers."""

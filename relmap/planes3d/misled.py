@@ -1,7 +1,11 @@
-"""Steps that what scans see contradicts: points that lead away from them, planes seen through."""
+"""Landmarks that may move with the sensor, and steps that what scans see contradicts.
+
+Points may lead away from a step, or scans see through planes.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +17,10 @@ from relmap.planes3d.sights import FEWEST, cells_at, looks
 from relmap.planes3d.submap import Submap
 from relmap.segmentation.space import Patches
 
+QUICK, AT_REST, WINDOW = 0.95, 0.4, 12
+"""A landmark may move with the sensor if no two of as many scans that saw it as the third value are
+farther apart than the second fraction of the way that so many steps are if the sensor moves. A step
+is then the first value, a quantile of all."""
 COMPARED, CLOSER, BETTER = 400, (3.0, 2.0, 1.0), 1.06
 """Number of points of a scan that are compared with those of the scan before; how near to these, in
 cells, points are that pull a step, three times; and how many times as many a better step explains.
@@ -24,6 +32,39 @@ AT_LEAST, REMAINS = 8, 0.5
 is one a step, and the largest fraction of them that goes through at another step."""
 EDGE = 1.8
 """Half the width of a plane, in standard deviations of its points along it."""
+
+
+def quick_step_m(parts: Iterable[Submap]) -> float:
+    """Return how far the sensor moves from scan to scan where it does not rest, metres."""
+    steps = [
+        np.linalg.norm(np.diff(part.trajectory[:, :3, 3], axis=0), axis=1) / np.diff(part.iteration)
+        for part in parts
+    ]
+    return float(np.quantile(np.concatenate([*steps, [0.0]]), QUICK))
+
+
+def comes_along(part: Submap, quick_m: float) -> Bools:
+    """Return which landmarks (l,) may move with the sensor: it hardly moved while it saw them.
+
+    What moves at its pace makes it seem to rest. Where it does rest, those that it saw before or
+    afterwards, too, determine where it is. `quick_m`: see `quick_step_m`.
+    """
+    T, found = part.trajectory, np.zeros(len(part), dtype=np.bool_)
+    # A rotation counts by how far it moves points at the range.
+    at = np.column_stack([T[:, :3, 3], part.reach_m * T[:, :3, :3].reshape(-1, 9)])
+    rows: list[list[int]] = [[] for _ in range(len(part))]
+    for k, match in enumerate(part.match):
+        for landmark in np.unique(match).tolist():
+            rows[landmark].append(k)
+    for landmark, own in enumerate(rows):
+        last, seen_at = min(len(own) - 1, WINDOW), at[own]
+        for lag in range(1, last + 1):
+            way_m = np.linalg.norm(seen_at[lag:] - seen_at[:-lag], axis=1).max()
+            if way_m >= AT_REST * quick_m * last:
+                break
+        else:
+            found[landmark] = last > 0
+    return found
 
 
 def is_led_away(part: Submap, k: int, usual: Floats) -> bool:

@@ -17,7 +17,7 @@ from relmap.planes3d.certainty import (
 )
 from relmap.planes3d.fitting import OPEN, SYSTEMATIC, directed, distances
 from relmap.planes3d.gathering import gathered
-from relmap.planes3d.misled import is_led_away, seen_through_steps
+from relmap.planes3d.misled import comes_along, is_led_away, seen_through_steps
 from relmap.planes3d.sights import BRIEF, is_dynamic, sights_of
 from relmap.planes3d.submap import Submap
 from relmap.planes3d.surfaces import SIDE, Surfaces
@@ -88,7 +88,7 @@ def _settled(
     return part, names
 
 
-def unsure_steps(part: Submap, is_broken: bool = False) -> dict[int, Floats]:
+def unsure_steps(part: Submap, is_broken: bool = False, quick_m: float = 0.0) -> dict[int, Floats]:
     """Return the iterations whose step from the scan before is poorly determined.
 
     A step is unsure if in some direction the standard deviation of the translation, or of the
@@ -97,15 +97,19 @@ def unsure_steps(part: Submap, is_broken: bool = False) -> dict[int, Floats]:
     those around it, or turns so, see `relmap.planes3d.certainty`, or if a step near the usual ones
     explains more points, see `is_led_away`, or if only small landmarks determine it and scans see
     through large ones, see `seen_through_steps`. Small landmarks that few scans saw do not count:
-    people who walk ahead of the sensor make it seem to stand still. `is_broken`: whether there are
-    other submaps; then so are all steps of a submap of at most six scans, as what broke the run
-    before or after them may have misled them.
+    people who walk ahead of the sensor make it seem to stand still. Nor do landmarks of any size
+    that were seen only while it seemed to, see `comes_along`, unless it hardly ever moves.
+    `is_broken`: whether there are other submaps; then so are all steps of a submap of at most six
+    scans, as what broke the run before or after them may have misled them. `quick_m`: see
+    `quick_step_m`.
 
     Each has the direction (3,) in which the translation is least certain, sensor frame.
     """
     seen, state, share = _observed(part)
     extent = _extents(part)
     walks = (part.n_scans <= BRIEF) & (extent < SMALL)
+    if quick_m > UNSURE * part.reach_m:
+        walks |= comes_along(part, quick_m)
     covariance = step_covariances(_without(seen, walks), state, share)
     turn_m2 = np.linalg.eigvalsh(covariance[:, :3, :3])[:, 2]
     way_m2, axes = np.linalg.eigh(covariance[:, 3:, 3:])
@@ -170,8 +174,7 @@ def _without(seen: Sightings, left_out: Bools) -> Sightings:
 
 def _extents(part: Submap) -> Floats:
     """Return the extents (l,) of landmarks as fractions of the range, see `SMALL`."""
-    reach_m = float(np.median([seen.reach_m for seen in part.seen]))
-    return np.asarray(np.sqrt(part.all_planes().spread[:, :2].prod(axis=1)) / reach_m)
+    return np.asarray(np.sqrt(part.all_planes().spread[:, :2].prod(axis=1)) / part.reach_m)
 
 
 def scene(part: Submap) -> Scene:
@@ -219,7 +222,7 @@ def _doubles(part: Submap) -> dict[int, int]:
     still, origin = np.eye(3), np.zeros(3)
     surfaces, off = Surfaces(planes), distances(still, origin, planes, planes)
     noise = np.hypot(planes.spread[:, None, 2], planes.spread[:, 2])
-    bent_m = BENT * float(np.median([seen.reach_m for seen in part.seen]))
+    bent_m = BENT * part.reach_m
     one = (off < ONE * noise) & surfaces.overlapping(still, origin, planes)
     maybe = (off < ONE * noise + bent_m) & (planes.normal @ planes.normal.T > SIDE)
     np.fill_diagonal(maybe, False)

@@ -164,6 +164,11 @@ class Submap:
         return np.bincount(seen, minlength=len(self))
 
     @property
+    def reach_m(self) -> float:
+        """Median range of its scans, metres."""
+        return float(np.median([seen.reach_m for seen in self.seen]))
+
+    @property
     def spans(self) -> tuple[Ints, Ints]:
         """The first and the last scan that saw each landmark, both (l,), counted from 0."""
         scan = np.repeat(np.arange(len(self.match)), [len(match) for match in self.match])
