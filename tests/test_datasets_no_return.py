@@ -202,6 +202,16 @@ def test_if_no_other_beams_tell_that_the_robot_moves_none_are_on_it() -> None:
     assert not np.any(own)
 
 
+def test_only_directions_off_the_robot_show_that_it_moves() -> None:
+    """A tenth of these changes, but less of all directions."""
+    rng = np.random.default_rng(0)
+    ranges_m = [np.full(180, 3.0) for _ in range(60)]
+    for ranges in ranges_m:
+        ranges[60:120], ranges[:14] = 0.8, rng.uniform(1.0, 5.0, 14)
+    own = on_robot(Path("a.log"), ranges_m, [BEARINGS] * 60)
+    assert all(beams[60:120].all() and beams.sum() == 60 for beams in own)
+
+
 def test_a_cart_that_is_pushed_down_a_corridor_is_left_out(tmp_path: Path) -> None:
     """Beside it the walls stay at the same range for most of the way."""
     scans = []

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from relmap.planes import PlaneMapper
 from relmap.planes.linking.registration import PlaneRegistration
+from relmap.planes.motions import from_matrices, inverse
 from relmap.planes.places.implied_steps import ImpliedSteps
 from relmap.planes.places.map_part import MapPart
 from relmap.planes.places.wall_tie import WallTie
@@ -169,6 +170,19 @@ def test_an_unusual_turn_must_exclude_what_walls_imply_nearer_to_the_usual_one()
     poses[LEAP:] = R @ poses[LEAP:]
     moved = replace(submap, poses=poses)
     assert undetermined_steps([moved], mapper.history, links).tolist() == [LEAP]
+
+
+def test_a_link_is_not_cut_for_a_turn_that_walls_leave_open() -> None:
+    """A square room does not tell a long step from a longer one with half a turn: it is listed."""
+    mapper = driven(ROOM, leap_m=0.5)
+    mapper.finish()
+    [submap], links, history = mapper.submaps, registration_of(mapper).links, mapper.history
+    poses, motion = submap.poses.copy(), history.motion.copy()
+    poses[LEAP:] = np.diag([-1.0, -1.0, 1.0, 1.0]) @ poses[LEAP:]
+    turned = np.linalg.inv(poses[LEAP - 1]) @ poses[LEAP]
+    motion[LEAP] = inverse(from_matrices(turned[None]))[0]
+    assert LEAP in undetermined_steps([replace(submap, poses=poses)], history, links)
+    assert len(unsupported_links(replace(history, motion=motion), links)) == 0
 
 
 def test_a_turn_that_beams_confirm_is_determined() -> None:

@@ -10,6 +10,7 @@ import pytest
 from relmap import MapperConfig, PointMapper
 from relmap.core.arrays import Ints
 from relmap.core.association.reobservation.sightings import Sightings
+from relmap.core.association.reobservation.undoing import merged_across
 from relmap.core.map.leaps import gaps_of, may_have_gaps
 from relmap.core.map.pose import known_poses
 from relmap.core.state.schedule import GroupingSchedule
@@ -120,6 +121,17 @@ def test_merges_across_a_blind_stretch_that_a_slow_robot_crosses_faster_are_kept
     mapper.refine()
     assert mapper.n_undone == 0
     assert len(mapper.map.landmark_ids) == len(landmarks)
+    # That distance is the one within a scan: in the map, landmarks may be mapped twice.
+    table, rows, [refined] = mapper.engine.table, mapper.engine.rows, mapper.engine.refined
+    merged = np.setdiff1d(np.arange(len(table)), refined.landmarks)
+    assert len(merged) >= len(landmarks)
+    places = refined.positions + 1e-3
+    doubled = replace(
+        refined,
+        landmarks=np.append(refined.landmarks, merged[: len(places)]),
+        positions=np.concatenate([refined.positions, places]),
+    )
+    assert len(merged_across(doubled, table, rows)) == 0
 
 
 def test_tracks_of_several_landmarks_are_not_repaired() -> None:
