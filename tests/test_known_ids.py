@@ -114,6 +114,22 @@ def test_submaps_are_tied_by_a_scan_that_shares_just_enough(d: int) -> None:
     assert [len(submap.landmark_ids) for submap in mapped(apart).submaps] == [20, 20]
 
 
+@pytest.mark.parametrize(("seed", "every"), [(0, 2), (0, 3), (1, 5), (2, 5)])
+def test_a_few_wrong_ids_do_not_tie_what_is_apart(seed: int, every: int) -> None:
+    """One in every few scans: submaps were joined, 6 to 18 m off."""
+    world, scans = visits(0, 2)
+    rng = np.random.default_rng(seed)
+    scans = [(ids.copy(), points) for ids, points in scans]
+    for ids, _ in scans[1::every]:
+        if len(ids):
+            one, name = rng.integers(20), rng.integers(40)
+            ids[one] = ids[one] if name in ids else name
+    submaps = mapped(scans).submaps
+    assert [len(submap.landmark_ids) for submap in submaps] == [20, 20]
+    for submap in submaps:
+        assert aligned_rmse(submap.positions[:, :2], world[submap.landmark_ids]) < 0.01
+
+
 def test_a_landmark_that_is_noisier_than_others_is_at_rest() -> None:
     world = simulate_world(WorldSpec(kind="streets", length_m=150, iterations=150, seed=2))
     rng, log = np.random.default_rng(0), world.log

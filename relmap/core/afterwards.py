@@ -54,13 +54,28 @@ def finish(engine: RelativeMapper) -> None:
     for seed in gone[np.argsort(-engine.table.in_interval[gone], kind="stable")].tolist():
         if engine.table.is_gone[seed]:
             last_pass(engine, seed)
-    if engine.association.is_known and len(engine.motions):
-        # Single observations with wrong ids would place landmarks, and then poses, elsewhere.
-        rows, table = engine.rows, engine.table
-        extend_submaps(engine.map, seen_in(rows, CONFIRMED))
-        extend_submaps(engine.map, seen_in(rows, CONFIRMED - 1), table.submap == NONE)
-    elif engine.association.is_known:
-        extend_submaps(engine.map, engine.rows)
+    if engine.association.is_known:
+        extend_by_ids(engine)
+
+
+def extend_by_ids(engine: RelativeMapper, among: Bools | None = None) -> bool:
+    """Extend submaps by landmarks (m,), all by default, with known ids; return whether any grew.
+
+    Single observations with wrong ids would place landmarks, and then poses, elsewhere, so they
+    place only landmarks that no segment confirms, or that were considered dynamic, on which
+    several must agree; with odometry none.
+    """
+    rows, table = engine.rows, engine.table
+    among = np.ones(len(table), dtype=bool) if among is None else among
+    sure = seen_in(rows, CONFIRMED)
+    grew = extend_submaps(engine.map, sure, among)
+    if len(engine.motions):
+        free = among & (table.submap == NONE)
+        return extend_submaps(engine.map, seen_in(rows, CONFIRMED - 1), free) or grew
+    grew |= extend_submaps(engine.map, seen_in(rows, CONFIRMED - 1), among)
+    grew |= join_seen_together(engine.map, rows, spare=0)
+    brief = ~np.isin(np.arange(len(table)), table.now(sure.landmark))
+    return extend_submaps(engine.map, rows, among & (brief | table.dynamic)) or grew
 
 
 def found_late(engine: RelativeMapper, begin: int, end: int) -> None:

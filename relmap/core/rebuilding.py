@@ -14,10 +14,10 @@ from relmap.core.refinement.misread import take_off_misread
 from relmap.core.refining import refine_map, refine_submaps
 from relmap.core.state.table import NONE
 
-CLEARLY, WHOLE = 0.8, 0.95
+CLEARLY, WHOLE, MOST = 0.8, 0.95, 0.5
 """Largest ratio of the contradictions of a rebuilt map to those before for it to be kept, and least
-ratio of the numbers of mapped landmarks, without those that share an id: an empty map contradicts
-nothing."""
+ratios of the numbers of mapped landmarks, without those that share an id, and of all: an empty map
+contradicts nothing."""
 OFF = 10.0
 """Noise of a refined map, relative to that within segments, above which it is wrong: least squares
 has put what ids mix up in the middle, and few observations stand out."""
@@ -55,8 +55,9 @@ def rebuild(engine: RelativeMapper) -> None:
     refine_map(engine)
     take_off_misread(engine.map, rows, few=np.inf)
     refine_map(engine)
+    least = MOST * np.sum(mapped)
     mapped[shared] = False
-    is_whole = np.sum(table.submap != NONE) >= WHOLE * np.sum(mapped)
+    is_whole = np.sum(table.submap != NONE) >= max(WHOLE * np.sum(mapped), least)
     after = sum(one.n_contradicting for one in engine.refined)
     is_better = is_doubtful and after <= CLEARLY * before
     if not (is_whole and (is_better or (was_off and not _is_off(engine, rows.noise_m)))):

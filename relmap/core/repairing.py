@@ -6,7 +6,7 @@ import logging
 
 import numpy as np
 
-from relmap.core.afterwards import FEW, extent, find_again, rarely_seen, tie
+from relmap.core.afterwards import FEW, extend_by_ids, extent, find_again, rarely_seen, tie
 from relmap.core.arrays import Bools, Ints
 from relmap.core.association import Constellation
 from relmap.core.association.reobservation.coinciding import compatible
@@ -28,7 +28,6 @@ from relmap.core.mapper import RelativeMapper
 from relmap.core.rebuilding import rebuild
 from relmap.core.refinement.assignment.reassigning import reassigned
 from relmap.core.refinement.condensing import SegmentRows
-from relmap.core.refinement.extending import extend_submaps
 from relmap.core.refinement.hinges import Hinges, hinges_of
 from relmap.core.refinement.misread import take_off_misread
 from relmap.core.refining import ambiguous, is_unequal, refine_map
@@ -104,7 +103,7 @@ def _extend_by_ids(engine: RelativeMapper) -> bool:
     misread = take_off_misread(engine.map, engine.rows)
     others = ~np.isin(np.arange(len(engine.table)), misread)
     # With odometry every landmark is placed, and submaps of few landmarks are not remainders.
-    grew = not is_bridged(engine) and extend_submaps(engine.map, engine.rows, others)
+    grew = not is_bridged(engine) and extend_by_ids(engine, others)
     if grew:
         take_off_misread(engine.map, engine.rows)
     return grew or len(misread) > 0

@@ -29,6 +29,9 @@ landmarks: landmarks are not equally noisy."""
 AGREEING = 0.8
 """Fraction of the segments that must agree, as a landmark at rest half of the time is dynamic; and
 of the landmarks of a submap that must fit one motion."""
+SHARE = 0.1
+"""Least number of observations with a larger submap that move a landmark there, relative to those
+with its present one."""
 SURE = 3
 """Segments that must agree on the position of a landmark considered dynamic."""
 SEEN_AGAIN = 2
@@ -46,8 +49,9 @@ class PlacedRows(NamedTuple):
 def extend_submaps(global_map: GlobalMap, rows: SegmentRows, among: Bools | None = None) -> bool:
     """Extend submaps, largest first, by landmarks of their segments; return whether any grew.
 
-    Landmarks of smaller submaps move to the larger one; landmarks considered dynamic that keep
-    their position from segment to segment, without a trend, become static.
+    Landmarks of smaller submaps move to the larger one, unless they are hardly seen with it: a few
+    wrong ids contradict nothing in it. Landmarks considered dynamic that keep their position from
+    segment to segment, without a trend, become static.
 
     `rows`: rows of all iterations. `among` (m,): landmarks that may be placed; all by default.
     """
@@ -66,41 +70,43 @@ def extend_submaps(global_map: GlobalMap, rows: SegmentRows, among: Bools | None
     return grew
 
 
-def join_seen_together(global_map: GlobalMap, rows: SegmentRows) -> bool:
+def join_seen_together(global_map: GlobalMap, rows: SegmentRows, spare: int = 1) -> bool:
     """Join submaps that segments show together; return whether any were.
 
     Segments that show more landmarks of the larger submap than determine their pose are placed in
     it, and the smaller one is moved as a whole to where they show its landmarks. A group may not
-    have connected the two because few of their landmarks stayed in view together. `rows`: confirmed
-    rows of all iterations.
+    have connected the two because few of their landmarks stayed in view together.
+
+    `rows`: confirmed rows of all iterations. `spare`: landmarks of either submap that must be shown
+    beyond those that determine a pose; with 0, a scan must show as many of both.
     """
     table, joined, more = global_map.table, False, True
     while more:
         more = False
         for submap in table.submaps:
-            more |= _join_to(global_map, submap, rows)
+            more |= _join_to(global_map, submap, rows, table.dimension + spare)
         joined |= more
     return joined
 
 
-def _join_to(global_map: GlobalMap, submap: int, rows: SegmentRows) -> bool:
-    """Join smaller submaps to this one; return whether there were any."""
+def _join_to(global_map: GlobalMap, submap: int, rows: SegmentRows, least: int) -> bool:
+    """Join smaller submaps of which enough landmarks are shown; return whether there were any."""
     table, landmark = global_map.table, global_map.table.now(rows.landmark)
     known = table.submap[landmark] == submap
     # A landmark has several rows if its tracks were merged.
     pairs = np.unique(np.column_stack([rows.segment[known], landmark[known]]), axis=0)
     shown = np.bincount(pairs[:, 0], minlength=rows.n_segments)
-    shared = landmark[shown[rows.segment] > table.dimension]
+    shared = landmark[shown[rows.segment] >= least]
     sizes = np.bincount(table.submap[table.submap != NONE])
     others = np.setdiff1d(table.submap[shared], [NONE, submap]).tolist()
     others = [other for other in others if sizes[other] <= sizes[submap]]
     if not others:
         return False
     fit = place_rows(rows, landmark, table.position, known)
-    fit.variance[shown[rows.segment] <= table.dimension] = np.inf
+    fit.variance[shown[rows.segment] < least] = np.inf
     joined = False
     for other in others:
-        placement = _shown_at(global_map, other, rows, landmark, fit)
+        placement = _shown_at(global_map, other, rows, landmark, fit, known, least)
         if placement is not None:
             global_map.tie(other, submap, *placement)
             joined = True
@@ -108,13 +114,23 @@ def _join_to(global_map: GlobalMap, submap: int, rows: SegmentRows) -> bool:
 
 
 def _shown_at(
-    global_map: GlobalMap, other: int, rows: SegmentRows, landmark: Ints, fit: PlacedRows
+    global_map: GlobalMap,
+    other: int,
+    rows: SegmentRows,
+    landmark: Ints,
+    fit: PlacedRows,
+    known: Bools,
+    least: int,
 ) -> tuple[Floats, Floats] | None:
     """Return rotation and translation of a submap to where placed rows (n,) show its landmarks."""
     table = global_map.table
     shown = np.flatnonzero((table.submap[landmark] == other) & (fit.variance <= TIERS[1]))
+    n_shown = len(np.unique(landmark[shown]))
+    if least == table.dimension:
+        tied = _at_once(rows, known, table.submap[landmark] == other, least)
+        shown = shown[tied[rows.segment[shown]]]
     members, places, weights = _placed(rows, landmark, shown, fit, 1)
-    if len(members) <= table.dimension:
+    if len(members) < least:
         return None
     at = np.zeros(len(members), dtype=np.int64)
     R, t, fixed, _ = fit_robust_each(table.position[members], places, weights, at, 1)
@@ -122,9 +138,16 @@ def _shown_at(
     there = table.position[landmark[shown]] @ R[0].T + t[0]
     apart = np.linalg.norm(fit.placed[shown] - there, axis=1) / np.sqrt(fit.variance[shown])
     fitting = members[_upper(apart, landmark[shown]) <= fit.limit]
-    enough = max(table.dimension + 1, AGREEING * len(members))
+    enough = max(least, AGREEING * n_shown)
     sure = fixed[0] and len(fitting) >= enough and global_map.is_fixed(other, fitting)
     return (R[0], t[0]) if sure else None
+
+
+def _at_once(rows: SegmentRows, one: Bools, other: Bools, least: int) -> Bools:
+    """Return in which segments a scan shows enough rows of one kind (n,) and of another (n,)."""
+    at, scan = rows.sightings
+    enough = np.minimum(np.bincount(scan, one[at]), np.bincount(scan, other[at])) >= least
+    return np.bincount(rows.segment[at], enough[scan], rows.n_segments) > 0
 
 
 def _extend(
@@ -139,6 +162,8 @@ def _extend(
         if not known.any() or not wanted[landmark].any():
             break
         fit = place_rows(rows, landmark, table.position, known[landmark])
+        here = np.bincount(landmark, rows.n_seen * np.isfinite(fit.variance), len(table))
+        wanted &= here >= SHARE * _seen_with_own(rows, landmark, table.submap)
         chosen = np.flatnonzero(wanted[landmark] & (fit.variance <= TIERS[tier]))
         if suspects:
             chosen = _resting(landmark, chosen, fit)
@@ -152,6 +177,15 @@ def _extend(
         global_map.place(submap, *placed)
         tier, grew = 0, True
     return grew
+
+
+def _seen_with_own(rows: SegmentRows, landmark: Ints, submap: Ints) -> Ints:
+    """Return how often each landmark (m,) is seen in segments that its submap places."""
+    own = submap[landmark]
+    pairs = np.column_stack([rows.segment, own])
+    of, counts = np.unique(pairs, axis=0, return_inverse=True, return_counts=True)[1:]
+    there = (own != NONE) & (counts[of] > rows.points.shape[1])
+    return np.bincount(landmark[there], rows.n_seen[there], len(submap)).astype(np.int64)
 
 
 def _resting(landmark: Ints, chosen: Ints, fit: PlacedRows) -> Ints:
