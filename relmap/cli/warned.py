@@ -23,7 +23,8 @@ def warned(summary: dict[str, Any]) -> str:
     trust, has_ids = summary["association_trust"], summary["association"] == "known"
     uses_odometry = bool(summary.get("odometry") and summary["odometry"]["used"])
     of_all = doubtful(summary["refinement"], trust["contradicting"], has_ids, uses_odometry)
-    return of_all + leapt(trust["leaps"]) + crept(trust["creep_m"]) + missed(summary["submaps"])
+    of_parts = leapt(trust["leaps"]) + crept(trust["creep_m"]) + missed(summary["submaps"])
+    return of_all + of_parts + rescaled(trust["added_lengths"])
 
 
 def leapt(leaps: dict[str, Any] | None) -> str:
@@ -47,6 +48,17 @@ def crept(creep_m: float | None) -> str:
         f"\nWARNING: in the map landmarks move by about {creep_m:.1g} m per iteration along one "
         "direction: it may be wrong, as many may move slowly together, or the observations have "
         "systematic errors"
+    )
+
+
+def rescaled(lengths: float | None) -> str:
+    """Return a warning that an added log measures lengths `lengths` times those of the map."""
+    if not lengths:
+        return ""
+    percent, which = 100 * abs(lengths - 1), "longer" if lengths > 1 else "shorter"
+    return (
+        f"\nWARNING: this log measures distances at least {percent:.1f} % {which} than the earlier "
+        "one: unless one of them is scaled, landmarks are mapped twice, or in between"
     )
 
 

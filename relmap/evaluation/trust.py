@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from relmap.core.association.registering import BLIND
-from relmap.core.readout import creep, gaps
+from relmap.core.readout import added_lengths, creep, gaps
 from relmap.core.refinement.hinges import Hinges
 from relmap.io.results import Result
 from relmap.planes import PlaneMapper
@@ -33,6 +33,7 @@ def trust_of(
         "submaps": len(result.submaps),
         "contradicting": _contradicting(mapper, n_observations),
         "creep_m": creep(mapper.engine) if isinstance(mapper, PointMapper) else None,
+        "added_lengths": added_lengths(mapper.engine) if isinstance(mapper, PointMapper) else None,
         **_bridged_by_look(mapper, result, offset),
     }
 
