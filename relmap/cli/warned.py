@@ -24,7 +24,7 @@ def warned(summary: dict[str, Any]) -> str:
     uses_odometry = bool(summary.get("odometry") and summary["odometry"]["used"])
     of_all = doubtful(summary["refinement"], trust["contradicting"], has_ids, uses_odometry)
     of_parts = leapt(trust["leaps"]) + crept(trust["creep_m"]) + missed(summary["submaps"])
-    return of_all + of_parts + rescaled(trust["added_lengths"])
+    return of_all + of_parts + rescaled(trust["added_lengths"], "this log measures")
 
 
 def leapt(leaps: dict[str, Any] | None) -> str:
@@ -51,14 +51,14 @@ def crept(creep_m: float | None) -> str:
     )
 
 
-def rescaled(lengths: float | None) -> str:
-    """Return a warning that an added log measures lengths `lengths` times those of the map."""
+def rescaled(lengths: float | None, which: str) -> str:
+    """Return a warning that what is added has `lengths` times those of the earlier map."""
     if not lengths:
         return ""
-    percent, which = 100 * abs(lengths - 1), "longer" if lengths > 1 else "shorter"
+    percent, other = 100 * abs(lengths - 1), "longer" if lengths > 1 else "shorter"
     return (
-        f"\nWARNING: this log measures distances at least {percent:.1f} % {which} than the earlier "
-        "one: unless one of them is scaled, landmarks are mapped twice, or in between"
+        f"\nWARNING: {which} distances at least {percent:.1f} % {other} than the earlier one: "
+        "unless one of them is scaled, landmarks are mapped twice, or in between"
     )
 
 
