@@ -14,9 +14,9 @@ RNG = np.random.default_rng(0)
 PLACES = RNG.uniform(-8, 8, (20, 2))
 
 
-def log(path: str, scale: float = 1.0, step_m: float = 0.1, d: int = 2) -> None:
-    """Write a log of 20 landmarks, seen by a robot that drives ahead."""
-    scans = [PLACES - [step_m * k, 0] + RNG.normal(0, 0.01, (20, 2)) for k in range(12)]
+def log(path: str, scale: float = 1.0, step_m: float = 0.1, d: int = 2, n: int = 12) -> None:
+    """Write a log of 20 landmarks, seen n times by a robot that drives ahead."""
+    scans = [PLACES - [step_m * k, 0] + RNG.normal(0, 0.01, (20, 2)) for k in range(n)]
     rows = [(k, *row) for k, scan in enumerate(scans) for row in (scale * scan).tolist()]
     rows = [(*row, 0.5 * (n % 3)) for n, row in enumerate(rows)] if d == 3 else rows
     text = "\n".join(",".join(map(str, row)) for row in rows)
@@ -56,6 +56,18 @@ def test_landmarks_in_millimetres_are_mentioned(capsys: pytest.CaptureFixture[st
         log("seen.csv", scale)
         assert main(["map", "seen.csv", "-o", "out"]) == 0
         assert ("coordinates must be in metres" in capsys.readouterr().err) == (scale > 1)
+
+
+def test_an_added_log_of_another_scale_is_mentioned(capsys: pytest.CaptureFixture[str]) -> None:
+    log("seen.csv", n=32)
+    assert main(["map", "seen.csv", "-o", "out"]) == 0
+    for scale, said in ((1.02, "longer"), (0.99, "shorter")):
+        log("more.csv", scale, n=32)
+        assert main(["map", "more.csv", "-o", "more", "--onto", "out"]) == 0
+        assert f"% {said} than the earlier one" in capsys.readouterr().out
+    log("more.csv", n=32)
+    assert main(["map", "more.csv", "-o", "more", "--onto", "out"]) == 0
+    assert "measures distances" not in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("n", [2, 7])

@@ -12,6 +12,7 @@ import pytest
 from relmap import PointMapper
 from relmap.cli import main
 from relmap.core.geometry.alignment import fit_rigid
+from relmap.datasets import ObservationLog, open_log
 from relmap.io.files import read_tum
 from relmap.io.results import read_result
 from relmap.planes.walls.files import read_any, read_planes, write_planes
@@ -85,6 +86,21 @@ def test_points_in_two_halves_are_all_points(halves: Path) -> None:
     assert len(np.unique(off.argmin(axis=1))) == len(places)
     seen = [read_result(halves / f"eight-{name}").landmarks.observations.sum() for name in "ab"]
     assert merged.observations.sum() == sum(seen)
+
+
+@pytest.mark.parametrize("scale", [1.0, 1.005])
+def test_maps_of_different_scales_are_mentioned(
+    scale: float, halves: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = open_log(halves / "eight")
+    assert isinstance(log, ObservationLog)
+    rows = np.column_stack([log.iteration, scale * log.points_robot]).tolist()
+    text = "\n".join(",".join(map(repr, row)) for row in rows)
+    (tmp_path / "seen.csv").write_text(f"iteration,x,y,z\n{text}\n")
+    run_relmap("map", tmp_path / "seen.csv", "-o", tmp_path / "b", "--scans", "120:300")
+    run_relmap("merge", halves / "eight-a", tmp_path / "b", "-o", tmp_path / "both")
+    said = "b has distances at least 0.5 % longer than the earlier one"
+    assert (said in capsys.readouterr().out) == (scale > 1)
 
 
 def test_a_map_merged_with_itself_is_that_map(halves: Path) -> None:

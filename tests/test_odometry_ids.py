@@ -138,6 +138,18 @@ def test_ids_swapped_in_the_second_round_are_counted_with_odometry() -> None:
     assert contradicting(run) > MISREAD
 
 
+def test_a_map_with_odometry_does_not_depend_on_the_unit_of_length() -> None:
+    """In millimetres: what holds turns must not hold positions."""
+    log, unit = rounds(most=4), 1000.0
+    motions = log.odometry.copy()
+    motions[:, :3, 3] *= unit
+    scaled = replace(log, points_robot=unit * log.points_robot, odometry=motions)
+    one, another = (map_log(each, association="known").result for each in (log, scaled))
+    assert np.array_equal(one.mapped, another.mapped)
+    there = one.landmarks.position[one.mapped]
+    assert another.landmarks.position[one.mapped] / unit == pytest.approx(there, abs=1e-3)
+
+
 def test_one_landmark_in_each_scan_has_a_summary() -> None:
     run = map_log(rounds(most=1), association="known")
     summary = run.result.summary

@@ -31,6 +31,12 @@ Array = Floats
 SIGMA = 0.05
 
 
+def turned(rng: np.random.Generator, n: int) -> Array:
+    """Return random directions (n, 2)."""
+    angle = rng.uniform(-np.pi, np.pi, n)
+    return np.column_stack([np.cos(angle), np.sin(angle)])
+
+
 def rays_of(noise: str, d: int, rng: np.random.Generator) -> RayNoise:
     """Return an estimate from static landmarks, predicted from eight observations each."""
     rays = RayNoise()
@@ -280,6 +286,22 @@ def test_an_observation_of_unknown_place_does_not_take_the_matches_of_others() -
         each.refine()
     assert len(mapper.submaps) == len(plain.submaps) == 1
     assert len(mapper.map.landmark_ids) >= 0.9 * len(plain.map.landmark_ids)
+
+
+def test_far_landmarks_do_not_contradict_the_map_where_noise_grows_with_the_range() -> None:
+    """At 0.5 to 500 m, with noise of 1 %, a warning said that 8 % of the ids might be wrong."""
+    rng = np.random.default_rng(0)
+    places = np.exp(rng.uniform(np.log(0.5), np.log(500.0), 60))[:, None] * turned(rng, 60)
+    places[:, 0] += rng.uniform(0, 60, 60)
+    mapper = PointMapper()
+    for k in range(200):
+        away = places - [0.3 * k, 0.0]
+        noise = 0.01 * np.linalg.norm(away, axis=1)[:, None] * rng.normal(size=away.shape)
+        mapper.update(away + noise, ids=np.arange(60))
+    mapper.finish()
+    mapper.refine()
+    assert len(mapper.map.landmark_ids) == 60
+    assert sum(one.n_outliers for one in mapper.refined) <= 0.005 * 60 * 200
 
 
 def test_a_run_that_estimates_its_noise_goes_on_after_loading(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -9,9 +10,12 @@ import numpy as np
 import pytest
 
 from relmap import PointMapper
-from relmap.cli.warned import missed
+from relmap.cli.warned import missed, warned
 from relmap.core.arrays import Floats
 from relmap.core.readout import contradicted_at
+from relmap.datasets import ObservationLog
+from relmap.evaluation.run import map_log
+from relmap.simulation import WorldSpec, simulate_world
 from tests.worlds import turn
 
 SIGMA_M, SCANS, AGAIN, NOTHING = 0.02, 160, 30, 12
@@ -70,3 +74,19 @@ def test_the_same_place_is_not(missing: float) -> None:
 
 def test_nothing_is_named_before_refinement() -> None:
     assert contradicted_at(visited(0.7, seed=1).engine) == [None]
+
+
+@pytest.mark.parametrize("robots", [1, 2])
+def test_scans_that_mix_two_robots_are_mentioned(robots: int) -> None:
+    """Only one of them is tracked; the scans of the other are taken in reverse."""
+    worlds = [
+        simulate_world(WorldSpec(length_m=100.0, iterations=80, seed=3 + k)) for k in range(robots)
+    ]
+    each = [[scan.points_robot for scan in world.log.scans()] for world in worlds]
+    points = [
+        np.concatenate(both) for both in zip(each[0], *(of[::-1] for of in each[1:]), strict=True)
+    ]
+    ids = [np.full(len(scan), -1) for scan in points]
+    run = map_log(replace(ObservationLog.of_scans(points, ids), ids=None))
+    said = "observations are of landmarks seen once or twice"
+    assert (said in warned(run.result.summary)) == (robots == 2)

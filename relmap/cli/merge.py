@@ -9,6 +9,7 @@ import typer
 
 from relmap.cli.arguments import Out, refuse_to_write_into
 from relmap.cli.console import busy
+from relmap.cli.warned import rescaled
 
 if TYPE_CHECKING:
     from relmap.io.results import Result
@@ -72,4 +73,6 @@ def _said(result: Result) -> str:
         what = f"{counts['planes_static']} walls with {counts['corners_static']} corners"
     said = f"{record['common_landmarks']} {'corners' if walls else 'landmarks'} are in both maps"
     apart = int(record.get("different_ids", 0))
-    return f"{what}; {said}" + f"; {apart} ids mean different landmarks in them" * (apart > 0)
+    said += f"; {apart} ids mean different landmarks in them" * (apart > 0)
+    lengths = rescaled(record.get("lengths"), f"{record['second']} has")
+    return f"{what}; {said}{lengths}"

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from relmap.core.arrays import Bools, Floats
+from relmap.core.scan import TINY
 
 FEWEST = 8
 """Minimum number of comparisons."""
@@ -34,6 +35,9 @@ MOST_TURNING, AT_MOST = 0.95, 0.05
 turn, relative to it."""
 FLOOR_M, FLOOR_RAD = 1e-4, 1e-5
 """Minimum standard deviations: files are rounded."""
+UNITS, USUAL_M = 1024.0, 10.0
+"""Ratio of units of length, nearly that of metres to millimetres, and usual range of landmarks: by
+these the unit of the data is guessed, as lengths given in metres are compared with them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,23 +100,29 @@ class MotionNoise:
         return np.asarray(is_far | (off_rad > SLIPPED * np.hypot(sigma_rad, sd_rad)))
 
 
+def unit_of(points: Floats) -> float:
+    """Return the unit of length of landmarks (n, d), robot frame: 1 if they are in metres."""
+    usual = float(np.median(np.linalg.norm(points, axis=1))) if len(points) else USUAL_M
+    return float(UNITS ** round(np.log(max(usual, TINY) / USUAL_M) / np.log(UNITS)))
+
+
 def motion_noise(
-    odometry: Floats, measured: Floats, constant: MotionNoise | None = None
+    odometry: Floats, measured: Floats, constant: MotionNoise | None = None, unit: float = 1.0
 ) -> MotionNoise | None:
     """Return errors and noise of odometry from more accurate motions; None if there are too few.
 
     Leaps of odometry do not count: as the longest steps they would determine the scale.
 
     `odometry`, `measured` (k, 4, 4): pose of the robot in its previous frame; NaN if unknown.
-    `constant`: the constant errors, if known from longer motions.
+    `constant`: the constant errors, if known from longer motions; `unit`: of length (`unit_of`).
     """
     both = np.isfinite(odometry[:, 0, 0]) & np.isfinite(measured[:, 0, 0])
-    both &= ~leaps(odometry, both)
+    both &= ~leaps(odometry, both, unit)
     if both.sum() < FEWEST:
         return None
     odometry, measured = odometry[both], measured[both]
     way = np.linalg.norm(odometry[:, :3, 3], axis=1)
-    goes = way > STILL_M
+    goes = way > STILL_M * unit
     found = constant or _constant(odometry, measured, goes)
     scale, per_m = found.scale, found.turn_per_m
     corrected, axes = found.corrected(odometry), _axes(odometry, measured)
@@ -122,30 +132,31 @@ def motion_noise(
     off_m = NORMAL * np.median(off[goes] / way[goes, None]) if goes.any() else 0.0
     sigma_rad = NORMAL * float(np.median(rad)) / (1.0 if axes == 2 else np.sqrt(3))
     turn_rad = float(np.quantile(np.linalg.norm(_turns(odometry), axis=1), MOST_TURNING))
-    noise = max(still_m, FLOOR_M), max(sigma_rad, FLOOR_RAD)
+    noise = max(still_m, FLOOR_M * unit), max(sigma_rad, FLOOR_RAD)
     return MotionNoise(scale, per_m, float(off_m), *noise, turn_rad)
 
 
-def leaps(odometry: Floats, usual: Bools) -> Bools:
+def leaps(odometry: Floats, usual: Bools, unit: float = 1.0) -> Bools:
     """Return which motions (k, 4, 4) are `LEAP` times longer than most, as if encoders were reset.
 
-    `usual` (k,): which motions count as usual.
+    `usual` (k,): which motions count as usual; `unit`: of length (`unit_of`).
     """
     way = np.linalg.norm(odometry[:, :3, 3], axis=1)
-    goes = way[usual & (way > STILL_M)]
+    goes = way[usual & (way > STILL_M * unit)]
     usual_m = float(np.quantile(goes, USUALLY)) if len(goes) else np.inf
-    return np.asarray(way > max(LEAP * usual_m, LEAP_M))
+    return np.asarray(way > max(LEAP * usual_m, LEAP_M * unit))
 
 
-def missing_way(odometry: Floats, measured: Floats, sd_m: Floats) -> Bools:
+def missing_way(odometry: Floats, measured: Floats, sd_m: Floats, unit: float = 1.0) -> Bools:
     """Return which motions (k,) odometry surely misses: it is off by more than half of the way.
 
     Both are much more than the errors of landmarks and the usual ones of odometry at rest.
 
-    `odometry`, `measured` (k, 4, 4); `sd_m` (k,): standard deviations of measured coordinates.
+    `odometry`, `measured` (k, 4, 4); `sd_m` (k,): standard deviations of measured coordinates;
+    `unit`: of length (`unit_of`).
     """
     off_m, way = _apart(odometry, measured)[0], np.linalg.norm(measured[:, :3, 3], axis=1)
-    least_m = SLIPPED * np.hypot(sd_m, MotionNoise.sigma_m)
+    least_m = SLIPPED * np.hypot(sd_m, MotionNoise.sigma_m * unit)
     return np.asarray((way > least_m) & (off_m > np.maximum(WRONG_WAY * way, least_m)))
 
 

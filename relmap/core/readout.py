@@ -12,6 +12,7 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.gaps import is_bridged
 from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup, Submap, in_space
 from relmap.core.map.leaps import Gaps, gaps_of
+from relmap.core.map.lengths import length_ratio
 from relmap.core.map.pose import known_poses, weigh_poses
 from relmap.core.map.unseen import Part, contradicting
 from relmap.core.mapper import RelativeMapper
@@ -143,6 +144,15 @@ def contradicted_at(engine: RelativeMapper) -> list[int | None]:
         return [None] * len(found)
     parts = [Part(engine.table.position[ranks == k], *own) for k, own in enumerate(found)]
     return contradicting(engine.rows, parts, _noise_m(engine))
+
+
+def added_lengths(engine: RelativeMapper) -> float | None:
+    """Return lengths in an added log relative to those of the map, if these differ."""
+    table, since = engine.table, engine.map.kept_until
+    if not since:
+        return None
+    old = np.where(table.first[:, None] < since, mapped_positions(engine), np.nan)
+    return length_ratio(engine.rows, old, table.landmark_of, since)
 
 
 def paths(engine: RelativeMapper) -> list[tuple[Ints, Floats]]:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from relmap.core.association.registering import BLIND
-from relmap.core.readout import creep, gaps
+from relmap.core.readout import added_lengths, creep, gaps
 from relmap.core.refinement.hinges import Hinges
 from relmap.io.results import Result
 from relmap.planes import PlaneMapper
@@ -32,7 +32,9 @@ def trust_of(
         "undone_merges": mapper.n_undone,
         "submaps": len(result.submaps),
         "contradicting": _contradicting(mapper, n_observations),
+        "seen_twice_at_most": _seldom(mapper),
         "creep_m": creep(mapper.engine) if isinstance(mapper, PointMapper) else None,
+        "added_lengths": added_lengths(mapper.engine) if isinstance(mapper, PointMapper) else None,
         **_bridged_by_look(mapper, result, offset),
     }
 
@@ -67,6 +69,13 @@ def _hinges(found: Hinges | None, offset: int) -> dict[str, Any]:
     steps = np.column_stack([found.before, found.after])[own] + offset
     hinges = {"share": found.share, "steps": steps.tolist(), "shares": found.shares[own].tolist()}
     return {"expected_error_m": found.expected_error_m, "hinges": hinges}
+
+
+def _seldom(mapper: PointMapper | PlaneMapper) -> float | None:
+    """Return the fraction of the observations whose landmark has one or two; None for walls."""
+    if not isinstance(mapper, PointMapper) or not len(seen := mapper.landmarks.observations):
+        return None
+    return float(seen[seen <= 2].sum() / max(seen.sum(), 1))
 
 
 def _contradicting(mapper: PointMapper | PlaneMapper, n_observations: int) -> float | None:

@@ -15,6 +15,7 @@ from relmap.core.errors import RelmapError
 from relmap.core.geometry.alignment import fit_rigid
 from relmap.core.landmarks import LandmarkTable
 from relmap.core.map.globalmap import GlobalMap
+from relmap.core.map.lengths import length_ratio_of_maps
 from relmap.core.state.table import LandmarkState
 from relmap.evaluation.metrics import positions_of
 from relmap.evaluation.pairing import Motion, paired
@@ -115,6 +116,8 @@ def _joined(
         motion, pairs = _paired(a, b, motion)
         same = identities_of(a, b, texts, pairs)
         record["different_ids"] = same.n_apart
+        places = (each.landmarks.position[pairs[:, k]] for k, each in ((1, a), (0, b)))
+        record["lengths"] = length_ratio_of_maps(*places)
     theirs = replace(_alone(b.landmarks), position=motion.apply(b.landmarks.position))
     theirs = shifted(replace(theirs, landmark=same.label), shift)
     table = joined(_alone(a.landmarks), theirs, same.pairs)

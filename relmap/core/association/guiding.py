@@ -14,7 +14,7 @@ import numpy as np
 from relmap.core.arrays import Floats
 from relmap.core.association.placement import Placement
 from relmap.core.geometry.motions import derivatives, rotations, transforms
-from relmap.core.motion_noise import MotionNoise, misses_most, missing_way, motion_noise
+from relmap.core.motion_noise import MotionNoise, misses_most, missing_way, motion_noise, unit_of
 from relmap.core.state.growing import GrowingArray
 
 MEMORY = 256
@@ -97,8 +97,9 @@ class OdometryGuide:
         self._n_seen += 1
         n = self._n_seen
         if n % EVERY == 0 or (n >= FIRST and n & (n - 1) == 0):
-            found = motion_noise(self._odometry.values, self._measured.values) or self.noise
-            missed = missing_way(self._odometry.values, self._measured.values, self._sd_m.values)
+            both, unit = (self._odometry.values, self._measured.values), unit_of(expected)
+            found = motion_noise(*both, unit=unit) or self.noise
+            missed = missing_way(*both, self._sd_m.values, unit)
             self.noise = replace(found, misses=misses_most(np.ones_like(missed), missed))
 
     def placement(

@@ -68,7 +68,7 @@ class Pattern:
         cliques, member = np.divmod(np.unique(group * len(width) + block), len(width))
         return cls.of_cliques(width, np.searchsorted(cliques, np.arange(cliques[-1] + 2)), member)
 
-    def hold(self, values: Floats, share: float, least: float) -> None:
+    def hold(self, values: Floats, share: float, least: float | Floats) -> None:
         """Damp every unknown: add a fraction of its diagonal entry, and at least a minimum.
 
         `values` (size,) is the matrix.
@@ -76,9 +76,9 @@ class Pattern:
         values[self._diagonal] *= 1 + share
         values[self._diagonal] += least
 
-    def largest(self, values: Floats) -> float:
-        """Return the largest diagonal entry of the matrix."""
-        return float(values[self._diagonal].max())
+    def largest(self, values: Floats, square: float | Floats = 1.0) -> float:
+        """Return the largest diagonal entry of the matrix, times the squares of units (u,)."""
+        return float((values[self._diagonal] * square).max())
 
     def factorise(self, values: Floats) -> None:
         """Replace a matrix by its Cholesky factor.
@@ -139,7 +139,7 @@ class Pattern:
         """Return blocks (k, m, m) of the inverse over coupled unknowns (k, m)."""
         return np.asarray(inverse[self.places(chosen)])
 
-    def add_diagonal(self, values: Floats, unknowns: Ints, value: float) -> None:
+    def add_diagonal(self, values: Floats, unknowns: Ints, value: float | Floats) -> None:
         """Add a value to the diagonal of a matrix (size,), at unknowns (n,)."""
         values[self._diagonal[unknowns]] += value
 

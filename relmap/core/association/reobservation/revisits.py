@@ -112,7 +112,7 @@ class RevisitFinder:
         self._seen_from: dict[int, tuple[Floats, Floats]] = {}
         n_poses = len(drift.state.t)
         self._poses = np.minimum(np.arange(STRIDE, n_poses + STRIDE - 1, STRIDE), n_poses - 1)
-        self._tolerance_m = WIDER * TOLERANCE * max(noise_m, FLOOR_M)
+        self._tolerance_m = WIDER * TOLERANCE * max(noise_m, FLOOR_M * drift.unit)
         own = table.observations[landmarks] >= SOLID
         own &= (table.submap[landmarks] != NONE) & (table.now(landmarks) == landmarks)
         own &= landmarks != NONE

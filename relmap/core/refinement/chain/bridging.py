@@ -18,6 +18,7 @@ from relmap.core.motion_noise import (
     missing_way,
     motion_noise,
     turns_otherwise,
+    unit_of,
 )
 from relmap.core.refinement.condensing import LENGTH, NOWHERE, SegmentRows
 from relmap.core.state.table import NONE, LandmarkState
@@ -76,13 +77,13 @@ def measured_motions(rows: SegmentRows) -> Measured:
     return found
 
 
-def _is_sure(odometry: Floats, variance: Floats) -> Bools:
+def _is_sure(odometry: Floats, variance: Floats, unit: float) -> Bools:
     """Return which odometry (k, 4, 4) can be evaluated by motions of variances (k,), square metres.
 
     Accuracy relative to the motion by landmarks would be biased: noise makes distances longer.
     """
     way = np.linalg.norm(odometry[:, :3, 3], axis=1)
-    return np.asarray(np.sqrt(variance) <= np.maximum(UNSURE * way, STILL_M))
+    return np.asarray(np.sqrt(variance) <= np.maximum(UNSURE * way, STILL_M * unit))
 
 
 def _variances(rows: SegmentRows) -> tuple[Floats, Floats]:
@@ -113,16 +114,18 @@ def noise_of(
     motion. The noise is estimated over whole segments, where that of the landmarks has less
     influence.
     """
-    sure = _is_sure(odometry, measured.sd_m**2)
+    unit = unit_of(rows.points)
+    sure = _is_sure(odometry, measured.sd_m**2, unit)
     compared = np.where(sure[:, None, None], measured.motion, np.nan)
-    single = motion_noise(odometry, compared) or MotionNoise()
+    single = motion_noise(odometry, compared, unit=unit)
+    single = single or MotionNoise(sigma_m=MotionNoise.sigma_m * unit)
     slipped = single.slipped(odometry, measured.motion, measured.sd_m, measured.sd_rad)
     misses, missed = _missed(single.corrected(odometry), single.sigma_rad, measured, slipped, rows)
-    missed |= leaps(odometry, np.isfinite(odometry[:, 0, 0])) & np.isnan(measured.sd_m)
+    missed |= leaps(odometry, np.isfinite(odometry[:, 0, 0]), unit) & np.isnan(measured.sd_m)
     without_slips = odometry.copy()
     without_slips[slipped] = np.nan
     composed, seen, steps = _stretches(without_slips, rows)
-    wide = motion_noise(composed, seen)
+    wide = motion_noise(composed, seen, unit=unit)
     if wide is None:
         return replace(single, misses=misses), slipped, missed
     root = np.sqrt(steps)
@@ -150,7 +153,7 @@ def _missed(
     turns_less = missing_turn(odometry, measured.motion, measured.sd_rad)[1]
     without_slips = np.where(slipped[:, None, None], measured.motion, odometry)
     over, turns, turns_less_over, _ = _missing_over(without_slips, sigma_rad, rows)
-    missed = over | missing_way(odometry, measured.motion, measured.sd_m)
+    missed = over | missing_way(odometry, measured.motion, measured.sd_m, unit_of(rows.points))
     misses = misses_most(tied, missed)
     if turns.sum() > TURNS * tied.sum():  # Fewer may be errors of landmarks.
         misses |= misses_most(turns, turns_less_over)
@@ -180,7 +183,8 @@ def _missing_over(
     placed, (each_m, each_rad) = rows.poses, _variances(rows)
     seen = np.linalg.inv(placed[first]) @ placed[last]
     inside = ~begins & (segment != NOWHERE)
-    way = missing_way(composed[last], seen, np.sqrt(each_m[first] + each_m[last]))
+    sd_m = np.sqrt(each_m[first] + each_m[last])
+    way = missing_way(composed[last], seen, sd_m, unit_of(rows.points))
     turn = missing_turn(composed[last], seen, np.sqrt(each_rad[first] + each_rad[last]))
     wrong = turn[1] & turns_otherwise(composed[last], seen, sigma_rad)
     return inside & way[of], inside & turn[0][of], inside & turn[1][of], inside & wrong[of]
@@ -209,7 +213,7 @@ def _stretches(odometry: Floats, rows: SegmentRows) -> tuple[Floats, Floats, flo
         composed = composed @ odometry[first + step]
     placed, (variance, _) = rows.poses, _variances(rows)
     seen = np.linalg.inv(placed[first]) @ placed[first + steps]
-    sure = _is_sure(composed, variance[first] + variance[first + steps])
+    sure = _is_sure(composed, variance[first] + variance[first + steps], unit_of(rows.points))
     return composed[sure], seen[sure], max(steps, 1)
 
 

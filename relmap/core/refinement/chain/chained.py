@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.motions import derivatives, rotations
 from relmap.core.linalg.cholesky import Pattern
+from relmap.core.motion_noise import unit_of
 from relmap.core.refinement.equations import BARELY, ROUNDING
 from relmap.core.refinement.gauss_newton import size_of
 from relmap.core.refinement.schur import NormalEquations
@@ -96,9 +97,9 @@ class ChainProblem:
         anchor: int,
         turns_whole: bool = True,
     ) -> None:
-        self.turns_whole = turns_whole
-        n, d = chain.points.shape
-        m, k, q = len(positions), len(chain.motion) + 1, 3 if d == 3 else 1
+        self.turns_whole, self.unit = turns_whole, unit_of(chain.points)
+        (n, d), m, k = chain.points.shape, len(positions), len(chain.motion) + 1
+        q = 3 if d == 3 else 1
         self.chain, self._anchor, self._q, self._single_sd = chain, anchor, q, step_sd
         self.moved = np.flatnonzero(np.isfinite(chain.motion[:, 0, 0]))
         motion = chain.motion[self.moved]
@@ -114,6 +115,9 @@ class ChainProblem:
         self.unknown = first[:m, None] + np.arange(d)
         self.pose = first[m : m + k, None] + np.arange(d + q)
         self._constant = first[-1] + np.arange(q + 2)
+        self._square = np.full(self.pattern.n_unknowns, self.unit**2)
+        self._square[self.pose[:, :q]] = self._square[self._constant[:2]] = 1.0
+        self._square[self._constant[2:]] = self.unit**-2
         seen = self.pose[chain.iteration], self.unknown[chain.landmark]
         constant = np.broadcast_to(self._constant, (len(self.moved), q + 2))
         self._of_seen = np.concatenate(seen, axis=1)
@@ -172,12 +176,15 @@ class ChainProblem:
             add_products(jacobian, rows, each, at, matrix, pull)
             right -= np.bincount(unknowns.ravel(), pull.ravel(), minlength=len(right))
             cost += float(np.einsum("nr,nr,n->", rows, rows, each))
-        right[self._constant] -= state.constant / CONSTANT**2
+        variance = CONSTANT**2 * self._square[self._constant]
+        right[self._constant] -= state.constant / variance
         if with_matrix:
-            pattern.add_diagonal(matrix, self._constant, 1 / CONSTANT**2)
+            pattern.add_diagonal(matrix, self._constant, 1 / variance)
             share, least = hold
-            pattern.hold(matrix, share + damping, least * pattern.largest(matrix))
-            pattern.add_diagonal(matrix, self.pose[self._anchor], STIFF * pattern.largest(matrix))
+            largest = pattern.largest(matrix, self._square)
+            pattern.hold(matrix, share + damping, least * largest / self._square)
+            fixed, largest = self.pose[self._anchor], pattern.largest(matrix, self._square)
+            pattern.add_diagonal(matrix, fixed, STIFF * largest / self._square[fixed])
         return NormalEquations(right, matrix, cost, lambda step: step[self.pose])
 
     def stepped(

@@ -13,7 +13,7 @@ from relmap.core.association.metric import WORST
 from relmap.core.geometry.alignment import fit_rigid, fixes_rotation
 from relmap.core.geometry.motions import transforms
 from relmap.core.map.globalmap import order_of_submaps
-from relmap.core.motion_noise import MotionNoise
+from relmap.core.motion_noise import MotionNoise, unit_of
 from relmap.core.refinement.chain.bridging import Bridged
 from relmap.core.refinement.chain.chain_solving import settled_chain, start_of
 from relmap.core.refinement.chain.chained import Chain, Chained, ChainProblem, Sigmas
@@ -171,7 +171,8 @@ class PartSolver:
     @property
     def _sigma_m(self) -> float:
         noise_m = self.engine.noise_m
-        return noise_m if np.isfinite(noise_m) and noise_m > 0 else GUESS_M
+        is_known = np.isfinite(noise_m) and noise_m > 0
+        return noise_m if is_known else GUESS_M * unit_of(self.rows.points)
 
 
 def join_parts(bridged: Bridged, solved: Sequence[Solved]) -> Bridged | None:

@@ -22,7 +22,7 @@ class Drift:
     """
 
     def __init__(self, problem: ChainProblem, settled: Solution[Chained]) -> None:
-        self.state = settled.state
+        self.state, self.unit = settled.state, problem.unit
         self.unknown, self._problem, pattern = problem.unknown, problem, problem.pattern
         self._factor = problem.equations(self.state, settled.weight, True, 0.0).matrix
         pattern.factorise(self._factor)

@@ -58,6 +58,7 @@ def refine_weighed(
         anchor_iteration=int(seen.iterations[anchor]),
         spread=Spread(problem, settled, every, unit * R),
         converged=settled.converged,
+        n_outliers=int(np.sum(settled.weight < 1)),
     )
 
 
