@@ -50,6 +50,7 @@ def settled_chain(
     sigmas: Sigmas | None,
     to_the_last: bool,
     has_ids: bool,
+    slip: float = 1.0,
 ) -> tuple[Solution[Chained], ChainProblem]:
     """Solve for the map of least robust cost, and estimate the noise from its residuals.
 
@@ -58,13 +59,13 @@ def settled_chain(
 
     `step_sd`, tuple of (k - 1,): standard deviations of the distance and the turn of each step of
     odometry, as in `ChainProblem`; `state`: where to start; `anchor`: iteration that is held;
-    `sigmas`: the noise, if known; `to_the_last`: whether to iterate until convergence. Returns
-    `problem`: with the estimated noise.
+    `sigmas`: the noise, if known; `to_the_last`: whether to iterate until convergence; `slip`: as
+    in `ChainProblem`. Returns `problem`: with the estimated noise.
     """
     each = []
     for turns_whole in (False, True) if has_ids else (True,):
         problem = ChainProblem(
-            chain, step_sd, sigmas or Sigmas(), state.positions, anchor, turns_whole
+            chain, step_sd, sigmas or Sigmas(), state.positions, anchor, turns_whole, slip
         )
         each.append(_settled(problem, state, sigmas is not None, to_the_last))
     return min(each, key=lambda one: _cost(each[0][1], one[0].state, one[0].state))
@@ -119,6 +120,8 @@ def _cost(problem: ChainProblem, state: Chained, usual: Chained) -> float:
     """Return the robust cost of a state, with the limits of outliers that another has."""
     d, residual, limiting = problem.chain.points.shape[1], *map(problem.residuals, (state, usual))
     limits = (max(limit_of(limiting[part], d, 0.0), OUTLIER) for part in problem.parts)
+    factors = 1.0, problem.slip, problem.slip
+    limits = (factor * limit for factor, limit in zip(factors, limits, strict=True))
     of = zip(problem.parts, limits, strict=True)
     return sum(robust_cost(residual[part], limit) for part, limit in of)
 
@@ -135,7 +138,7 @@ def _weighing(
     def weigh(residual: Floats) -> Floats:
         seen, *odometry = (residual[part] for part in problem.parts)
         # Odometry without other observations has no residuals.
-        each = [function(part, limit(part, outlier)) for part in odometry]
+        each = [function(part, problem.slip * limit(part, outlier)) for part in odometry]
         return np.concatenate([function(seen, limit(seen, 0.0)), *each])
 
     return weigh

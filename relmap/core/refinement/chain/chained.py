@@ -14,7 +14,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from relmap.core.arrays import Floats, Ints
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.geometry.motions import derivatives, rotations
 from relmap.core.linalg.cholesky import Pattern
 from relmap.core.motion_noise import unit_of
@@ -25,6 +25,8 @@ from relmap.core.refinement.schur import NormalEquations
 CONSTANT = 0.03
 """Prior standard deviation of the error of odometry's scale, and of the turn missed per metre."""
 
+LARGEST = 10.0
+"""Largest such error, in standard deviations: at a scale of zero any path fits odometry."""
 SIDES: tuple[Literal["left"], Literal["right"]] = ("left", "right")
 LOOSE, STIFF = 1e-14, 1e3
 """Damping of all unknowns, and of the pose that defines the frame, relative to the largest diagonal
@@ -51,6 +53,11 @@ class Chain(NamedTuple):
     iteration: Ints
     root: Floats
     motion: Floats
+
+    def only(self, rows: Bools) -> Chain:
+        """Return the chain with only these of its observations (n,)."""
+        points, landmark, iteration = self.points[rows], self.landmark[rows], self.iteration[rows]
+        return Chain(points, landmark, iteration, self.root[rows], self.motion)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +92,8 @@ class ChainProblem:
     an angle, radians. `positions` (m, d), metres: approximate positions of the landmarks. `anchor`:
     the iteration whose pose defines the frame. `turns_whole`: whether a step that turns one part of
     the chain moves everything that depends on it, so that long chains bend in few steps. Otherwise
-    each pose and landmark has its own shift.
+    each pose and landmark has its own shift. `slip`: how many times as far off as an observation
+    a step of odometry must be to be an outlier.
     """
 
     def __init__(
@@ -96,8 +104,9 @@ class ChainProblem:
         positions: Floats,
         anchor: int,
         turns_whole: bool = True,
+        slip: float = 1.0,
     ) -> None:
-        self.turns_whole, self.unit = turns_whole, unit_of(chain.points)
+        self.turns_whole, self.slip, self.unit = turns_whole, slip, unit_of(chain.points)
         (n, d), m, k = chain.points.shape, len(positions), len(chain.motion) + 1
         q = 3 if d == 3 else 1
         self.chain, self._anchor, self._q, self._single_sd = chain, anchor, q, step_sd
@@ -197,7 +206,9 @@ class ChainProblem:
         """
         moves = equations.eliminated_steps(step)
         turn, shift = moves[:, : self._q], moves[:, self._q :]
-        R, constant = rotations(turn) @ state.R, state.constant + step[self._constant]
+        R = rotations(turn) @ state.R
+        most = LARGEST * CONSTANT * np.sqrt(self._square[self._constant])
+        constant = np.clip(state.constant + step[self._constant], -most, most)
         if not self.turns_whole:
             return Chained(state.positions + step[self.unknown], R, state.t + shift, constant)
 
@@ -309,6 +320,14 @@ class ChainProblem:
         jacobian[:, :d] /= way[:, None]
         jacobian[:, d:] /= angle[:, None]
         return off_way / way, off_turn / angle, jacobian
+
+
+def unexplained(chain: Chain, state: Chained) -> Floats:
+    """Return the residuals (n, d) of observations, in standard deviations by their roots."""
+    at = chain.iteration
+    away = state.positions[chain.landmark] - state.t[at]
+    off = np.einsum("nji,nj->ni", state.R[at], away) - chain.points
+    return np.asarray(np.einsum("nij,nj->ni", chain.root, off))
 
 
 def _angles(R: Floats) -> Floats:

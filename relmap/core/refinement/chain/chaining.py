@@ -94,10 +94,12 @@ class PartSolver:
         step_sd = self.noise.sigmas(chain.motion)
         has_ids = self.engine.association.has_ids
         found = settled_chain(chain, step_sd, start, anchor, self.sigmas, self.to_the_last, has_ids)
-        if has_ids and not self.engine.refined:  # Else it starts from a solution.
+        if has_ids:
             found = unless_confirmed(found, chain, step_sd, start, anchor, self.to_the_last)
         settled, problem = found
         refined, placed = self._refined(settled, problem, landmarks, iterations, anchor)
+        left_out = len(chain.points) - len(problem.chain.points)
+        refined = replace(refined, n_outliers=refined.n_outliers + left_out)
         way, turn = problem.parts[1:]
         weight = np.minimum(settled.weight[way], settled.weight[turn])
         doubted = iterations[problem.moved[weight < DOUBT] + 1]

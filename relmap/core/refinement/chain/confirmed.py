@@ -1,8 +1,8 @@
-"""Chains with wrong ids, solved first from observations that others confirm.
+"""Chains with wrong ids, solved without observations that disagree with confirmed ones.
 
-Where few landmarks are in view, poses that wrong ids turn explain many observations, and from such
-a start least squares ends in a map that is folded. Odometry tells within a few scans which
-observations of an id are of one landmark.
+Where few landmarks are in view, a map that is folded explains many wrong ids, and costs only a few
+steps of odometry. But odometry tells within a few scans which observations of an id are of one
+landmark.
 """
 
 from __future__ import annotations
@@ -15,14 +15,21 @@ from relmap.core.arrays import Bools, Floats
 from relmap.core.geometry.motions import transforms
 from relmap.core.geometry.robust import OUTLIER, limit_of
 from relmap.core.refinement.chain.chain_solving import settled_chain, start_of
-from relmap.core.refinement.chain.chained import Chain, Chained, ChainProblem, Sigmas
+from relmap.core.refinement.chain.chained import (
+    Chain,
+    Chained,
+    ChainProblem,
+    Sigmas,
+    unexplained,
+)
 from relmap.core.refinement.condensing import LENGTH
 from relmap.core.refinement.gauss_newton import Solution
 
 Found = tuple[Solution[Chained], ChainProblem]
 
-MOST = 0.98
-"""Fraction of confirmed observations from which ids are taken to be right."""
+SLIP = 3.0
+"""How many times as far off as an observation a step of odometry must be to be an outlier, while
+confirmed observations are solved for: few of these are wrong."""
 CLEARLY = 0.9
 """Largest ratio of what a solution leaves unexplained to what another does for it to be kept: where
 the noise of few landmarks is correlated, they may differ by a twentieth and be as good."""
@@ -36,27 +43,60 @@ def unless_confirmed(
     anchor: int,
     to_the_last: bool,
 ) -> Found:
-    """Return a solution, or one that starts from odometry and what is confirmed, if clearly better.
+    """Return a solution, or the one by what agrees with the map of confirmed observations.
 
-    Confirmed observations are solved for first, by themselves. Arguments as for `settled_chain`.
+    The cost of outliers grows with their distance, so that many wrong ids together fold the map,
+    for a few rejected steps of odometry. The other solution leaves them out; it is returned if it
+    rejects fewer steps, or leaves clearly less of the odometry and of what is confirmed
+    unexplained. Arguments as for `settled_chain`.
     """
     sure = confirmed(chain, step_sd)
-    if not 0 < np.sum(sure) < MOST * len(sure):
+    if not np.any(sure) or np.all(sure):
         return found
-    landmarks, of = np.unique(chain.landmark[sure], return_inverse=True)
-    own = Chain(chain.points[sure], of, chain.iteration[sure], chain.root[sure], chain.motion)
-    begun = start_of(own, _reckoned(chain, transforms(start.R, start.t)), len(landmarks))
-    solved, problem = settled_chain(own, step_sd, begun, anchor, None, False, True)
-    state, m = solved.state, len(start.positions)
-    begun = replace(start_of(chain, transforms(state.R, state.t), m), constant=state.constant)
-    other = settled_chain(chain, step_sd, begun, anchor, problem.sigmas, to_the_last, True)
-    common = found[1].with_noise(
-        Sigmas(*np.minimum(found[1].sigmas, other[1].sigmas)), start.positions
+    state = _of_confirmed(chain, sure, step_sd, start, anchor)
+    left = np.linalg.norm(unexplained(chain, state), axis=1)
+    agrees = left <= limit_of(left, chain.points.shape[1], 0.0)
+    lost = ~np.isin(chain.landmark, chain.landmark[agrees])
+    other = settled_chain(
+        chain.only(agrees | lost), step_sd, state, anchor, None, to_the_last, True
     )
-    kept, better = (
-        np.sum(np.minimum(common.residuals(one.state), OUTLIER) ** 2) for one, _ in (found, other)
-    )
-    return other if better < CLEARLY * kept else found
+    (kept, slips), (less, fewer) = _unexplained([found, other], sure, start.positions)
+    return other if fewer < slips or less < CLEARLY * kept else found
+
+
+def _of_confirmed(
+    chain: Chain, sure: Bools, step_sd: tuple[Floats, Floats], start: Chained, anchor: int
+) -> Chained:
+    """Return the map of confirmed observations, the better one from `start` and from odometry.
+
+    Other landmarks are where the robot saw them.
+    """
+    own, of = np.unique(chain.landmark[sure], return_inverse=True)
+    only, m, each = chain.only(sure), len(start.positions), []
+    only = Chain(only.points, of, only.iteration, only.root, only.motion)
+    for poses in (transforms(start.R, start.t), _reckoned(chain)):
+        begun = start_of(only, poses, len(own))
+        each.append(settled_chain(only, step_sd, begun, anchor, None, False, True, SLIP))
+    costs = [cost for cost, _ in _unexplained(each, np.ones(len(of), dtype=bool), begun.positions)]
+    state = each[int(np.argmin(costs))][0].state
+    found = start_of(chain, transforms(state.R, state.t), m)
+    found.positions[own] = state.positions
+    return replace(found, constant=state.constant)
+
+
+def _unexplained(solutions: list[Found], sure: Bools, positions: Floats) -> list[tuple[float, int]]:
+    """Return what each solution does not explain, squared, and how many steps it rejects.
+
+    At the smallest of their noises, of the observations `sure` (n,) and of odometry.
+    """
+    noise = Sigmas(*np.min([problem.sigmas for _, problem in solutions], axis=0))
+    judge, found = solutions[0][1].with_noise(noise, positions), []
+    for solution, _ in solutions:
+        seen, *odometry = (judge.residuals(solution.state)[part] for part in judge.parts)
+        squares = np.sum(np.minimum(seen[sure], OUTLIER) ** 2)
+        squares += np.sum(np.minimum(odometry, SLIP * OUTLIER) ** 2)
+        found.append((float(squares), int(np.sum(np.max(odometry, axis=0) > OUTLIER))))
+    return found
 
 
 def confirmed(chain: Chain, step_sd: tuple[Floats, Floats]) -> Bools:
@@ -68,7 +108,7 @@ def confirmed(chain: Chain, step_sd: tuple[Floats, Floats]) -> Bools:
     `step_sd`, tuple of (k - 1,): standard deviations of the distance and the turn of each step.
     """
     (n, d), at = chain.points.shape, chain.iteration
-    poses = _reckoned(chain, np.tile(np.eye(4), (len(chain.motion) + 1, 1, 1)))[at]
+    poses = _reckoned(chain)[at]
     places = np.einsum("nij,nj->ni", poses[:, :d, :d], chain.points) + poses[:, :d, 3]
     variance = d / np.maximum(np.sum(chain.root**2, axis=(1, 2)), 1e-300)
     square = np.sum(chain.points**2, axis=1)
@@ -90,10 +130,9 @@ def confirmed(chain: Chain, step_sd: tuple[Floats, Floats]) -> Bools:
     return found
 
 
-def _reckoned(chain: Chain, poses: Floats) -> Floats:
-    """Return poses (k, 4, 4) by odometry, from others (k, 4, 4) where it is not known."""
-    steps = np.where(np.isnan(chain.motion), np.linalg.inv(poses[:-1]) @ poses[1:], chain.motion)
-    found = poses.copy()
-    for k, step in enumerate(steps):
-        found[k + 1] = found[k] @ step
-    return found
+def _reckoned(chain: Chain) -> Floats:
+    """Return poses (k, 4, 4) by odometry; where it is not known the robot stands."""
+    poses = [np.eye(4)]
+    for step in chain.motion:
+        poses.append(poses[-1] if np.isnan(step[0, 0]) else poses[-1] @ step)
+    return np.array(poses)
