@@ -12,8 +12,9 @@ import pytest
 from relmap import PointMapper
 from relmap.cli.warned import MISREAD
 from relmap.core.arrays import Floats, Ints
+from relmap.core.refinement.chain.chain_data import Chain, Sigmas
 from relmap.core.refinement.chain.chain_solving import start_of
-from relmap.core.refinement.chain.chained import Chain, ChainProblem, Sigmas
+from relmap.core.refinement.chain.chained import ChainProblem
 from relmap.core.refinement.chain.confirmed import confirmed
 from relmap.datasets import ObservationLog
 from relmap.evaluation.run import Run, map_log

@@ -14,7 +14,8 @@ from relmap.core.geometry.alignment import fit_rigid
 from relmap.core.geometry.motions import derivatives
 from relmap.core.geometry.robust import huber
 from relmap.core.motion_noise import MotionNoise
-from relmap.core.refinement.chain.chained import Chain, Chained, ChainProblem, Sigmas
+from relmap.core.refinement.chain.chain_data import Chain, Chained, Sigmas
+from relmap.core.refinement.chain.chained import ChainProblem
 from relmap.core.refinement.chain.drift import Drift
 from relmap.core.refinement.gauss_newton import Solution
 from relmap.core.revisiting import mergeable

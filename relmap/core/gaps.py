@@ -11,7 +11,7 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.mapper import RelativeMapper
 from relmap.core.odometry import OdometryUse
 from relmap.core.refinement.chain.bridging import Bridged, bridge, measured_motions, noise_of
-from relmap.core.refinement.chain.chained import Sigmas
+from relmap.core.refinement.chain.chain_data import Sigmas
 from relmap.core.refinement.chain.chaining import PartSolver, Solved, join_parts
 from relmap.core.refinement.chain.resting import at_rest, placed_observations
 from relmap.core.state.table import NONE

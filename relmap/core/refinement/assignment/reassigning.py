@@ -14,7 +14,7 @@ import numpy as np
 from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import fit_rigid
 from relmap.core.refinement.assignment.mixture import Mixture
-from relmap.core.refinement.chain.chained import Chained
+from relmap.core.refinement.chain.chain_data import Chained
 from relmap.core.refinement.chain.weighed import solve_weighed
 from relmap.core.refinement.joint import Refined
 from relmap.core.refinement.observations import observations_of

@@ -9,7 +9,8 @@ import numpy as np
 
 from relmap.core.arrays import Floats
 from relmap.core.geometry.robust import OUTLIER, huber, lenient, limit_of, robust_cost, strict
-from relmap.core.refinement.chain.chained import Chain, Chained, ChainProblem, Sigmas
+from relmap.core.refinement.chain.chain_data import Chain, Chained, Sigmas
+from relmap.core.refinement.chain.chained import ChainProblem
 from relmap.core.refinement.gauss_newton import FAINT, WORTH_SAYING, Solution, Weigh, gauss_newton
 from relmap.core.refinement.trend import by_landmark
 

@@ -15,8 +15,9 @@ from relmap.core.geometry.motions import transforms
 from relmap.core.map.globalmap import order_of_submaps
 from relmap.core.motion_noise import MotionNoise, unit_of
 from relmap.core.refinement.chain.bridging import Bridged
+from relmap.core.refinement.chain.chain_data import Chain, Chained, Sigmas
 from relmap.core.refinement.chain.chain_solving import settled_chain, start_of
-from relmap.core.refinement.chain.chained import Chain, Chained, ChainProblem, Sigmas
+from relmap.core.refinement.chain.chained import ChainProblem
 from relmap.core.refinement.chain.confirmed import unless_confirmed
 from relmap.core.refinement.condensing import NOWHERE, SegmentRows
 from relmap.core.refinement.gauss_newton import Solution, size_of

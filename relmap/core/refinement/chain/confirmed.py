@@ -14,22 +14,18 @@ import numpy as np
 from relmap.core.arrays import Bools, Floats
 from relmap.core.geometry.motions import transforms
 from relmap.core.geometry.robust import OUTLIER, limit_of
+from relmap.core.refinement.chain.chain_data import Chain, Chained, Sigmas, unexplained
 from relmap.core.refinement.chain.chain_solving import settled_chain, start_of
-from relmap.core.refinement.chain.chained import (
-    Chain,
-    Chained,
-    ChainProblem,
-    Sigmas,
-    unexplained,
-)
+from relmap.core.refinement.chain.chained import ChainProblem
 from relmap.core.refinement.condensing import LENGTH
 from relmap.core.refinement.gauss_newton import Solution
 
 Found = tuple[Solution[Chained], ChainProblem]
 
-SLIP = 3.0
+SLIPS = 3.0, 10.0
 """How many times as far off as an observation a step of odometry must be to be an outlier, while
-confirmed observations are solved for: few of these are wrong."""
+confirmed observations are solved for: few of these are wrong, unless ids are swapped for a while.
+"""
 CLEARLY = 0.9
 """Largest ratio of what a solution leaves unexplained to what another does for it to be kept: where
 the noise of few landmarks is correlated, they may differ by a twentieth and be as good."""
@@ -60,14 +56,14 @@ def unless_confirmed(
     other = settled_chain(
         chain.only(agrees | lost), step_sd, state, anchor, None, to_the_last, True
     )
-    (kept, slips), (less, fewer) = _unexplained([found, other], sure, start.positions)
+    (kept, slips), (less, fewer) = _unexplained([found, other], sure, start.positions, 1.0)
     return other if fewer < slips or less < CLEARLY * kept else found
 
 
 def _of_confirmed(
     chain: Chain, sure: Bools, step_sd: tuple[Floats, Floats], start: Chained, anchor: int
 ) -> Chained:
-    """Return the map of confirmed observations, the better one from `start` and from odometry.
+    """Return the best map of confirmed observations, from `start` and from odometry alone.
 
     Other landmarks are where the robot saw them.
     """
@@ -76,25 +72,31 @@ def _of_confirmed(
     only = Chain(only.points, of, only.iteration, only.root, only.motion)
     for poses in (transforms(start.R, start.t), _reckoned(chain)):
         begun = start_of(only, poses, len(own))
-        each.append(settled_chain(only, step_sd, begun, anchor, None, False, True, SLIP))
-    costs = [cost for cost, _ in _unexplained(each, np.ones(len(of), dtype=bool), begun.positions)]
+        each += [
+            settled_chain(only, step_sd, begun, anchor, None, False, True, slip) for slip in SLIPS
+        ]
+    every = np.ones(len(of), dtype=bool)
+    costs = [cost for cost, _ in _unexplained(each, every, begun.positions, max(SLIPS))]
     state = each[int(np.argmin(costs))][0].state
     found = start_of(chain, transforms(state.R, state.t), m)
     found.positions[own] = state.positions
     return replace(found, constant=state.constant)
 
 
-def _unexplained(solutions: list[Found], sure: Bools, positions: Floats) -> list[tuple[float, int]]:
+def _unexplained(
+    solutions: list[Found], sure: Bools, positions: Floats, slip: float
+) -> list[tuple[float, int]]:
     """Return what each solution does not explain, squared, and how many steps it rejects.
 
-    At the smallest of their noises, of the observations `sure` (n,) and of odometry.
+    At the smallest of their noises, of the observations `sure` (n,) and of odometry; `slip`: how
+    many times as much a step of odometry counts at most.
     """
     noise = Sigmas(*np.min([problem.sigmas for _, problem in solutions], axis=0))
     judge, found = solutions[0][1].with_noise(noise, positions), []
     for solution, _ in solutions:
         seen, *odometry = (judge.residuals(solution.state)[part] for part in judge.parts)
         squares = np.sum(np.minimum(seen[sure], OUTLIER) ** 2)
-        squares += np.sum(np.minimum(odometry, SLIP * OUTLIER) ** 2)
+        squares += np.sum(np.minimum(odometry, slip * OUTLIER) ** 2)
         found.append((float(squares), int(np.sum(np.max(odometry, axis=0) > OUTLIER))))
     return found
 

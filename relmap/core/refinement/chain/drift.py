@@ -8,7 +8,8 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.motions import derivatives
-from relmap.core.refinement.chain.chained import Chained, ChainProblem
+from relmap.core.refinement.chain.chain_data import Chained
+from relmap.core.refinement.chain.chained import ChainProblem
 from relmap.core.refinement.gauss_newton import Solution
 
 EXPLAINED = 4.0

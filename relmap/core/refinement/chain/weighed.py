@@ -14,7 +14,8 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import fit_rigid_each, sums_each
-from relmap.core.refinement.chain.chained import Chain, Chained, ChainProblem, Sigmas
+from relmap.core.refinement.chain.chain_data import Chain, Chained, Sigmas, unexplained
+from relmap.core.refinement.chain.chained import ChainProblem
 from relmap.core.refinement.condensing import LENGTH
 from relmap.core.refinement.gauss_newton import Solution, settle
 from relmap.core.refinement.joint import Refined, Spread
@@ -49,7 +50,7 @@ def refine_weighed(
         covariance[rows] = estimated(np.einsum("nji,nj->ni", R[seen.iteration], away))
         kept.weigh(covariance)
     problem, settled = solve_weighed(seen, covariance[rows], refined.positions, anchor)
-    state, unit = settled.state, _unit(seen, covariance[rows], problem, settled)
+    state, unit = settled.state, _unit(seen, problem, settled)
     R, t = state.R[anchor], state.t[anchor]
     every = np.ones(len(refined.landmarks), dtype=bool)
     return replace(
@@ -78,18 +79,14 @@ def solve_weighed(
     return problem, settle(problem, Chained(positions, R, t, np.zeros(2 * d - 1)))
 
 
-def _unit(
-    seen: Observations, covariance: Floats, problem: ChainProblem, settled: Solution[Chained]
-) -> float:
-    """Return the size of the residuals, in standard deviations by `covariance` (n, d, d).
+def _unit(seen: Observations, problem: ChainProblem, settled: Solution[Chained]) -> float:
+    """Return the size of the residuals, in standard deviations by the covariances.
 
     Of single observations, or, if they are significantly larger, of means over the iterations of a
     segment: errors that last are not averaged out.
     """
     state, explained, d = settled.state, settled.weight == 1, seen.points.shape[1]
-    away = state.positions[seen.landmark] - state.t[seen.iteration]
-    off = np.einsum("nji,nj->ni", state.R[seen.iteration], away) - seen.points
-    left = np.einsum("nij,nj->ni", _root(covariance), off)[explained]
+    left = unexplained(problem.chain, state)[explained]
     variance = np.sum(left**2) / max(problem.freedoms - d * np.sum(~explained), 1)
     segment, landmark = seen.iterations[seen.iteration] // LENGTH, seen.landmark
     keys, of, n_seen = np.unique(
