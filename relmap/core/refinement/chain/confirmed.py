@@ -26,6 +26,9 @@ SLIPS = 3.0, 10.0
 """How many times as far off as an observation a step of odometry must be to be an outlier, while
 confirmed observations are solved for: few of these are wrong, unless ids are swapped for a while.
 """
+MOST = 0.98
+"""Fraction of confirmed observations from which ids are taken to be right: solving again takes
+several times as long."""
 CLEARLY = 0.9
 """Largest ratio of what a solution leaves unexplained to what another does for it to be kept: where
 the noise of few landmarks is correlated, they may differ by a twentieth and be as good."""
@@ -47,7 +50,7 @@ def unless_confirmed(
     unexplained. Arguments as for `settled_chain`.
     """
     sure = confirmed(chain, step_sd)
-    if not np.any(sure) or np.all(sure):
+    if not 0 < np.sum(sure) < MOST * len(sure):
         return found
     state = _of_confirmed(chain, sure, step_sd, start, anchor)
     left = np.linalg.norm(unexplained(chain, state), axis=1)
