@@ -73,8 +73,9 @@ def _of_confirmed(
     own, of = np.unique(chain.landmark[sure], return_inverse=True)
     only, m, each = chain.only(sure), len(start.positions), []
     only = Chain(only.points, of, only.iteration, only.root, only.motion)
-    for poses in (transforms(start.R, start.t), _reckoned(chain)):
-        begun = start_of(only, poses, len(own))
+    poses = transforms(start.R, start.t)
+    for begin in (poses, _reckoned(chain, poses)):
+        begun = start_of(only, begin, len(own))
         each += [
             settled_chain(only, step_sd, begun, anchor, None, False, True, slip) for slip in SLIPS
         ]
@@ -113,7 +114,7 @@ def confirmed(chain: Chain, step_sd: tuple[Floats, Floats]) -> Bools:
     `step_sd`, tuple of (k - 1,): standard deviations of the distance and the turn of each step.
     """
     (n, d), at = chain.points.shape, chain.iteration
-    poses = _reckoned(chain)[at]
+    poses = _reckoned(chain, np.tile(np.eye(4), (len(chain.motion) + 1, 1, 1)))[at]
     places = np.einsum("nij,nj->ni", poses[:, :d, :d], chain.points) + poses[:, :d, 3]
     variance = d / np.maximum(np.sum(chain.root**2, axis=(1, 2)), 1e-300)
     square = np.sum(chain.points**2, axis=1)
@@ -135,9 +136,10 @@ def confirmed(chain: Chain, step_sd: tuple[Floats, Floats]) -> Bools:
     return found
 
 
-def _reckoned(chain: Chain) -> Floats:
-    """Return poses (k, 4, 4) by odometry; where it is not known the robot stands."""
-    poses = [np.eye(4)]
-    for step in chain.motion:
-        poses.append(poses[-1] if np.isnan(step[0, 0]) else poses[-1] @ step)
-    return np.array(poses)
+def _reckoned(chain: Chain, poses: Floats) -> Floats:
+    """Return poses (k, 4, 4) by odometry, from others (k, 4, 4) where it is not known."""
+    steps = np.where(np.isnan(chain.motion), np.linalg.inv(poses[:-1]) @ poses[1:], chain.motion)
+    found = poses.copy()
+    for k, step in enumerate(steps):
+        found[k + 1] = found[k] @ step
+    return found
