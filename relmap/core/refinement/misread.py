@@ -65,8 +65,16 @@ def _misread(
     against = np.bincount(of, n_seen * (apart > limit))
     seen = np.bincount(of, n_seen, minlength=len(positions))
     support = seen[: len(against)] - against
-    scattered = np.flatnonzero((against > 0) & (support < few) & (support <= against))
+    scattered = np.flatnonzero(are_scattered(support, against, few))
     return np.union1d(scattered, _aliases(positions, rows, landmark, limit, seen))
+
+
+def are_scattered(support: Ints | Floats, against: Ints | Floats, few: float = FEW) -> Bools:
+    """Return which landmarks (m,) few observations support, and as many contradict.
+
+    `support`, `against` (m,): the numbers of these; `few`: as for `take_off_misread`.
+    """
+    return (against > 0) & (support < few) & (support <= against)
 
 
 def _limit(apart: Floats, of: Ints) -> float:

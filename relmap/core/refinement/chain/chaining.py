@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from relmap.core.arrays import Floats, Ints
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.association.metric import WORST
 from relmap.core.geometry.alignment import fit_rigid, fixes_rotation
 from relmap.core.geometry.motions import transforms
@@ -22,6 +22,7 @@ from relmap.core.refinement.chain.confirmed import unless_confirmed
 from relmap.core.refinement.condensing import NOWHERE, SegmentRows
 from relmap.core.refinement.gauss_newton import Solution, size_of
 from relmap.core.refinement.joint import Refined, Spread, joint_rows
+from relmap.core.refinement.misread import are_scattered
 from relmap.core.refinement.residuals import MergeResiduals, SegmentResiduals, residuals_of
 from relmap.core.state.table import LandmarkState
 
@@ -99,6 +100,8 @@ class PartSolver:
             found = unless_confirmed(found, chain, step_sd, start, anchor, self.to_the_last)
         settled, problem = found
         refined, placed = self._refined(settled, problem, landmarks, iterations, anchor)
+        if has_ids:
+            refined = refined.only(~_misread(settled, problem, chain))
         left_out = len(chain.points) - len(problem.chain.points)
         refined = replace(refined, n_outliers=refined.n_outliers + left_out)
         way, turn = problem.parts[1:]
@@ -204,6 +207,17 @@ def join_parts(bridged: Bridged, solved: Sequence[Solved]) -> Bridged | None:
             part[other.iterations] = part[base.iterations[0]]
             return replace(bridged, poses=poses, part=part)
     return None
+
+
+def _misread(settled: Solution[Chained], problem: ChainProblem, chain: Chain) -> Bools:
+    """Return which landmarks (m,) exist only because of wrong ids.
+
+    `chain`: all observations; those that are not in `problem` contradict the map.
+    """
+    agrees = settled.weight[problem.parts[0]] >= DOUBT
+    seen = np.bincount(chain.landmark)
+    support = np.bincount(problem.chain.landmark[agrees], minlength=len(seen))
+    return are_scattered(support, seen - support)
 
 
 def _residuals(
