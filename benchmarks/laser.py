@@ -38,11 +38,11 @@ from shared.log_faults import composed
 from relmap import PlaneMapper
 from relmap.core.arrays import Floats
 from relmap.datasets import open_scans
-from relmap.datasets.scans import ScanLog, stored_scans
+from relmap.datasets.scans import ScanLog
 from relmap.evaluation.feeding import Fed, feed
-from relmap.evaluation.relations import AT_SCANS_S, relation_errors, relations_by_clocks
+from relmap.evaluation.judged_path import AT_SCANS_S, relation_errors
 from relmap.evaluation.sources import log_of, truth_of
-from relmap.evaluation.truth import Truth
+from relmap.evaluation.truth import Truth, relations_by_clocks
 from relmap.evaluation.walls import judge_walls, match_corners
 from relmap.simulation import simulate_building
 from relmap.simulation.sensor import Sensor
@@ -138,8 +138,7 @@ def simulated(seed: int, options: dict[str, Any]) -> tuple[ScanLog, Truth]:
 def _with_points(log: ScanLog, change: Callable[[Floats], Floats]) -> ScanLog:
     """Return a log with the points of each scan changed."""
     scans = [change(scan.points_robot) for scan in log.scans()]
-    offsets = np.concatenate([[0], np.cumsum([len(points) for points in scans])])
-    return stored_scans(np.concatenate(scans), offsets, log.stamps_s, log.poses, log.sensor)
+    return ScanLog(2, log.stamps_s, scans.__getitem__, log.poses, sensor=log.sensor)
 
 
 def _every_beam(every: int, log: ScanLog) -> ScanLog:

@@ -24,10 +24,10 @@ from relmap.datasets.scans import ScanLog
 from relmap.evaluation import metrics
 from relmap.evaluation.evaluate import evaluate
 from relmap.evaluation.feeding import Fed, feed
-from relmap.evaluation.relations import relation_errors, relations_by_clocks
+from relmap.evaluation.judged_path import relation_errors
 from relmap.evaluation.run import result_of
 from relmap.evaluation.sources import log_of, truth_of
-from relmap.evaluation.truth import Truth
+from relmap.evaluation.truth import Truth, relations_by_clocks
 from relmap.planes.pairwise import pairwise_map
 from relmap.planes.walls.files import PlaneResult
 from relmap.planes.walls.table import PlaneTable

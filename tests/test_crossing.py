@@ -18,9 +18,8 @@ from relmap.evaluation.surface_points import (
     scan_surface_points,
     wall_points,
 )
-from relmap.figures import figure07, figure_crossing
-from relmap.figures.figure07 import NOISE
-from relmap.figures.figure_crossing import Crossing, run_crossing
+from relmap.figures import figure07
+from relmap.figures.figure07 import NOISE, Crossing, run_crossing
 from relmap.plots.variants import BothMaps, both_maps
 from relmap.simulation import simulate_building
 
@@ -114,7 +113,7 @@ def test_crossing_lies_where_the_lines_cross() -> None:
     assert data.planes_ahead("points") == pytest.approx((0.3, 0.4))
     assert data.fails_at("points") == pytest.approx(0.3)
     assert data.fails_at("planes") is None
-    assert figure_crossing.FIGURE.judge([data]).ours == (
+    assert figure07.CROSSING.judge([data]).ours == (
         "Points 0.2 m apart: planes have the better map from 0.30, from 0.25 if the ids of points "
         "were given; points lose half from 0.30, planes nowhere."
     )
@@ -138,7 +137,7 @@ def test_planes_may_fall_behind_again() -> None:
 
 
 def test_rows_of_the_crossing() -> None:
-    made = figure_crossing.FIGURE.judge([crossing()]).table
+    made = figure07.CROSSING.judge([crossing()]).table
     rows = list(made.rows)
     assert len(rows) == 36
     assert list(made.columns[:3]) == ["method", "spacing_m", "noise"]
@@ -147,7 +146,7 @@ def test_rows_of_the_crossing() -> None:
 
 
 def test_picture_of_the_crossing_shows_medians() -> None:
-    figure = figure_crossing.FIGURE.draw([crossing()])
+    figure = figure07.CROSSING.draw([crossing()])
     axes = figure.axes[0]
     lines = {line.get_label(): np.asarray(line.get_ydata()) for line in axes.get_lines()}
     assert lines["points, ids given, median"].tolist() == [0.01, 0.015, 0.025, 0.04]
@@ -185,17 +184,17 @@ def test_planes_hold_where_points_do_not(maps: BothMaps) -> None:
 
 
 def test_rows_and_picture_of_both_maps(maps: BothMaps) -> None:
-    whats = [row[0] for row in figure07.FIGURE.judge(maps).table.rows]
+    whats = [row[0] for row in figure07.SEVEN.judge(maps).table.rows]
     assert whats.count("mapped wall") == len(maps.planes.shapes)
     assert whats.count("true wall") == len(maps.true_walls)
     assert whats.count("mapped point") == len(maps.points.shapes)
-    titles = [axes.get_title() for axes in figure07.FIGURE.draw(maps).axes]
+    titles = [axes.get_title() for axes in figure07.SEVEN.draw(maps).axes]
     assert f"{maps.planes.run.map_rmse_m:.3f} m" in titles[0]
     assert titles[1].startswith("points: ")
 
 
 def test_verdict_on_both_maps(maps: BothMaps) -> None:
-    judge, planes = figure07.FIGURE.judge, maps.planes
+    judge, planes = figure07.SEVEN.judge, maps.planes
     found = judge(maps)
     assert found.verdict == "borne out"
     assert found.value == planes.run.map_rmse_m
@@ -207,9 +206,9 @@ def test_verdict_on_both_maps(maps: BothMaps) -> None:
 
 
 def test_verdict_on_the_crossing() -> None:
-    found = figure_crossing.FIGURE.judge([crossing()])
+    found = figure07.CROSSING.judge([crossing()])
     assert found.verdict == "borne out"
     assert found.value == pytest.approx(0.3)
     runs = rows_of("planes", [0.02] * 2, [1.0] * 2) + rows_of("points", [0.01] * 2, [1.0] * 2)
     runs += rows_of("points, ids given", [0.01] * 2, [1.0] * 2)
-    assert figure_crossing.FIGURE.judge([Crossing(0.2, tuple(runs))]).verdict == "not borne out"
+    assert figure07.CROSSING.judge([Crossing(0.2, tuple(runs))]).verdict == "not borne out"

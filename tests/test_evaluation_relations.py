@@ -11,7 +11,7 @@ from relmap.core.arrays import Floats
 from relmap.datasets import Relations
 from relmap.datasets.scans import planar_poses
 from relmap.evaluation.evaluate import evaluate
-from relmap.evaluation.relations import AT_SCANS_S, relation_errors
+from relmap.evaluation.judged_path import AT_SCANS_S, relation_errors
 from relmap.evaluation.truth import Truth
 from tests.judged import make_result
 

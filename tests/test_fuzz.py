@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 from scipy.io import loadmat
 
 from relmap.core.errors import RelmapError
-from relmap.datasets import cloud_file, matfile, open_scans, scans_npz, table, textfile
+from relmap.datasets import matfile, open_scans, point_clouds, scans_npz, table, textfile
 from relmap.datasets.matfile import read_matrix
 from relmap.io.tables import read_columns
 from tests.damage import made_to_harm, packed_rows
@@ -150,7 +150,7 @@ def test_bombs_are_refused_by_size(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(textfile, "MAX_LINES", 1 << 30)
     monkeypatch.setattr(table, "MAX_NUMBERS", 1000)
     assert "more than 1000 numbers" in failure(tmp_path / "a.csv")
-    monkeypatch.setattr(cloud_file, "MAX_BYTES", 100_000)
+    monkeypatch.setattr(point_clouds, "MAX_BYTES", 100_000)
     cloud = put(tmp_path, lzma.compress(pcd(CLOUD) + bytes(1 << 20)), "0.pcd.xz")
     with pytest.raises(RelmapError, match="more than 100000 bytes"):
         list(open_scans(cloud).scans())

@@ -139,47 +139,35 @@ def command(
 ) -> None:
     """Compare; the help text explains the arguments."""
     from relmap.cli.compared import compare_into
-    from relmap.evaluation.sources import FileSource
+    from relmap.evaluation.sources import BuildingSource, EightSource, FileSource
 
     neither = (source is None) == (simulate is None)
     args.refuse(neither, "compare takes either INPUT, a log, or --simulate with a world")
     of_log = any(each is not None for each in (truth, scans, log_format, columns, topic))
     of_world = (density, dynamic, iterations, noise, seed) != (DENSITY, 0.0, None, "gaussian", 0)
-    given: Source
     if source is not None:
         message = "--density, --iterations, --noise, --dynamic and --seed are for --simulate"
         args.refuse(of_world, message)
-        outside = sigma is not None and not 0 < sigma < 1000
-        args.refuse(outside, f"--sigma is {sigma}; it must lie above 0 and below 1000 metres")
+        args.refuse(
+            sigma is not None and not 0 < sigma < 1000,
+            f"--sigma is {sigma}; it must lie above 0 and below 1000 metres",
+        )
         args.refuse(columns and log_format, "--columns applies only to tables of landmarks")
-        given = FileSource(source, log_format, scans, truth, columns, tuple(topic or ()))
+        given: Source = FileSource(source, log_format, scans, truth, columns, tuple(topic or ()))
     else:
         names = "--truth, --scans, --format, --columns and --topic"
         args.refuse(of_log, f"{names} are for INPUT, not for --simulate")
-        given = _world(simulate, density, iterations, noise, sigma, dynamic, seed)
+        noise_m = SIGMA_M if sigma is None else sigma
+        if simulate == "building":
+            of_eight = (density, dynamic) != (DENSITY, 0.0)
+            args.refuse(of_eight, "--density and --dynamic are for the figure eight")
+            given = BuildingSource(iterations, noise, noise_m, seed)
+        else:
+            iterations = LOOP if iterations is None else iterations
+            given = EightSource(density, iterations, noise, noise_m, dynamic, seed)
         sigma = sigma or SIGMA_M
     chosen = None if methods is None else [name.strip() for name in methods.split(",")]
     rows = compare_into(out, given, chosen, association, sigma)
     ran = sum(row.run is not None for row in rows)
     each = f"{ran} trajector{'ies' if ran > 1 else 'y'} and map{'s' if ran > 1 else ''}"
     typer.echo(f"wrote comparison.csv, {each} and {ran + 1} pictures to {out}")
-
-
-def _world(
-    world: World | None,
-    density: float,
-    iterations: int | None,
-    noise: args.Noise,
-    sigma: float | None,
-    dynamic: float,
-    seed: int,
-) -> Source:
-    from relmap.evaluation.sources import BuildingSource, EightSource
-
-    sigma = SIGMA_M if sigma is None else sigma
-    if world == "building":
-        of_eight = (density, dynamic) != (DENSITY, 0.0)
-        args.refuse(of_eight, "--density and --dynamic are for the figure eight")
-        return BuildingSource(iterations, noise, sigma, seed)
-    loop = LOOP if iterations is None else iterations
-    return EightSource(density, loop, noise, sigma, dynamic, seed)

@@ -16,16 +16,15 @@ from relmap.datasets.bag_detections import BagDetections
 from relmap.datasets.bag_scans import BagScans
 from relmap.datasets.base import Dataset, ObservationLog, Scan
 from relmap.datasets.carmen_log import CarmenLog, carmen_logs
+from relmap.datasets.clouds import as_laser, without_no_return
 from relmap.datasets.depth_images import DepthImages
 from relmap.datasets.dlr_circles import DlrCircles
-from relmap.datasets.flat_clouds import as_laser
 from relmap.datasets.foreign import foreign_at
 from relmap.datasets.headers import read_head
 from relmap.datasets.kitti_bin import KittiBin
 from relmap.datasets.mrclam import Mrclam
 from relmap.datasets.mrpt_landmarks import MrptLandmarks
 from relmap.datasets.mrpt_laser import MrptLaser
-from relmap.datasets.no_return import without_no_return
 from relmap.datasets.observation_csv import OTHER_NAMES, ObservationCsv, write_observation_csv
 from relmap.datasets.odometry import with_odometry_beside
 from relmap.datasets.own_table import OwnTable, log_of_frame

@@ -20,10 +20,10 @@ from scipy.spatial.transform import Rotation
 from relmap.core.arrays import Floats
 from relmap.core.stamps import MAX_S
 from relmap.datasets.assembly import MAX_COORDINATE_M
-from relmap.datasets.cloud_file import MAX_BYTES
 from relmap.datasets.foreign import is_kitti
 from relmap.datasets.headers import numbered_files
 from relmap.datasets.number_rows import finite_numbers, read_rows
+from relmap.datasets.point_clouds import MAX_BYTES
 from relmap.datasets.scans import ScanLog, poses_of, require_rotations, sorted_by_time
 from relmap.datasets.textfile import invalid, numbered_lines, unreadable
 

@@ -7,7 +7,7 @@ or a cable, or what it pushes.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -16,7 +16,7 @@ import numpy as np
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.datasets.floor_hits import floor_m
-from relmap.datasets.scans import ScanLog, SensorView, stored_scans
+from relmap.datasets.scans import ScanLog, SensorView
 from relmap.datasets.textfile import invalid, warn
 
 MAX_BEAMS, MAX_SCANS = 1 << 24, 1 << 18
@@ -93,8 +93,7 @@ def laser_scans(
         r, (x, y, yaw) = scan.ranges_m[there], scan.T_robot_laser
         angle = scan.bearings_rad[there] + yaw
         points.append(np.column_stack([x + r * np.cos(angle), y + r * np.sin(angle)]))
-    offsets = np.cumsum([0, *map(len, points)])
-    return stored_scans(np.concatenate(points), offsets, stamps_s, poses, _view(scans, limit_m))
+    return ScanLog(2, stamps_s, points.__getitem__, poses, sensor=_view(scans, limit_m))
 
 
 def _view(scans: Sequence[Beams], limit_m: float) -> SensorView:
@@ -133,19 +132,21 @@ def usable_beams(
     return [(r > 0) & ~robot for r, robot in zip(known_m, own, strict=True)], limit_m
 
 
-def usable_points(
-    path: Path, points: Floats, offsets: Ints, range_m: float = np.inf
-) -> tuple[Bools, float]:
-    """Return which points (n, 2) of beams are usable, and the range below which.
+def points_of_laser(
+    path: Path, beams: list[Floats], stamps_s: Floats, sensor: SensorView
+) -> ScanLog:
+    """Make a log of k scans of the points (n, 2) of beams, without those that are not usable.
 
-    See `usable_beams`.
-
-    `offsets` (k + 1,): scan `i` is the rows from ``offsets[i]`` to ``offsets[i + 1]``.
+    See `usable_beams`. Points at the origin have no return. `sensor`: with its range, if known.
     """
-    ranges_m, bearing = np.hypot(*points.T), np.arctan2(points[:, 1], points[:, 0])
-    beams = np.split(ranges_m, offsets[1:-1]), np.split(bearing, offsets[1:-1])
-    usable, limit_m = usable_beams(path, *beams, range_m=range_m)
-    return np.concatenate(usable), limit_m
+    ranges_m = [np.hypot(*scan.T) for scan in beams]
+    bearings_rad = [np.arctan2(scan[:, 1], scan[:, 0]) for scan in beams]
+    range_m = sensor.range_m or np.inf
+    usable, limit_m = usable_beams(path, ranges_m, bearings_rad, range_m=range_m)
+    if np.isfinite(limit_m):
+        sensor = replace(sensor, range_m=min(limit_m, range_m))
+    kept = [scan[there] for scan, there in zip(beams, usable, strict=True)]
+    return ScanLog(2, stamps_s, kept.__getitem__, sensor=sensor)
 
 
 def require_near(path: Path, ranges_m: Sequence[Floats]) -> None:

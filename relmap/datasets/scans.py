@@ -130,27 +130,6 @@ class ScanLog(Brief):
         )
 
 
-def stored_scans(
-    points_robot: Floats,
-    offsets: Ints,
-    stamps_s: Floats,
-    poses: Floats | None = None,
-    sensor: SensorView | None = None,
-) -> ScanLog:
-    """Make a log of points (n, 2) or (n, 3) in memory.
-
-    `points_robot` (n, 2) or (n, 3), robot frame, metres; `offsets` (k + 1,): scan `i` is the rows
-    from ``offsets[i]`` to ``offsets[i + 1]``; `stamps_s`, `poses`, `sensor`: as for `ScanLog`.
-    """
-    return ScanLog(
-        points_robot.shape[1],
-        stamps_s,
-        lambda index: points_robot[offsets[index] : offsets[index + 1]],
-        poses,
-        sensor=sensor or SensorView(),
-    )
-
-
 def poses_of(rotation: Rotation, t: Floats) -> Floats:
     """Return poses (k, 4, 4) of k rotations and translations (k, 3)."""
     return transforms(rotation.as_matrix(), t)

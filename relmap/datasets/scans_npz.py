@@ -26,8 +26,8 @@ from relmap.core.stamps import MAX_S
 from relmap.datasets.assembly import MAX_COORDINATE_M
 from relmap.datasets.foreign import ZIP, foreign_at
 from relmap.datasets.headers import file_in
-from relmap.datasets.laser import usable_points
-from relmap.datasets.scans import ScanLog, SensorView, in_time_order, numbers_of, stored_scans
+from relmap.datasets.laser import points_of_laser
+from relmap.datasets.scans import ScanLog, SensorView, in_time_order, numbers_of
 from relmap.datasets.textfile import invalid, quoted, replacing, require_path, unreadable, warn
 
 FILE_NAME = "scans.npz"
@@ -84,17 +84,13 @@ class ScansNpz:
         if not points[:, 2:].any():
             points = points[:, :2]
         iteration, points_robot = iteration[order], points[order]
+        begins, sensor = np.arange(1, len(stamps_s)), SensorView(**limits)
+        scans = np.split(points_robot, np.searchsorted(iteration, begins))
         if points_robot.shape[1] == 2:
             _doubt_axes(file, points_robot, iteration)
-            within_m = limits.get("range_m", np.inf)
-            begins = np.searchsorted(iteration, np.arange(len(stamps_s) + 1))
-            returned, limit_m = usable_points(file, points_robot, begins, within_m)
-            iteration, points_robot = iteration[returned], points_robot[returned]
-            if np.isfinite(limit_m):
-                limits["range_m"] = min(limit_m, within_m)
-        offsets = np.searchsorted(iteration, np.arange(len(stamps_s) + 1))
-        sensor = SensorView(**limits)
-        log = stored_scans(points_robot, offsets.astype(np.int64), stamps_s, sensor=sensor)
+            log = points_of_laser(file, scans, stamps_s, sensor)
+        else:
+            log = ScanLog(3, stamps_s, scans.__getitem__, sensor=sensor)
         return replace(log, numbers=numbers_of(in_time))
 
 

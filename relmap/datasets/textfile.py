@@ -9,7 +9,7 @@ import os
 import stat
 import zlib
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, TextIO
 
@@ -94,12 +94,9 @@ def open_text(path: Path) -> Iterator[TextIO]:
     """
     if stat.S_ISDIR(require_path(path)):
         raise invalid(path, "is a folder, expected a file")
-    try:
-        file = path.open("rb")
-    except OSError as error:
-        raise unreadable(path, error) from error
-    with file:
+    with ExitStack() as opened:
         try:
+            file = opened.enter_context(path.open("rb"))
             packed = file.peek(2)[:2] == _GZIP_MAGIC
         except OSError as error:
             raise unreadable(path, error) from error

@@ -6,9 +6,8 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from relmap.datasets.base import ObservationLog
-from relmap.evaluation.judged_path import OTHER_AXES, judge_path
+from relmap.evaluation.judged_path import OTHER_AXES, judge_path, judge_relations
 from relmap.evaluation.landmarks import judge_landmarks
-from relmap.evaluation.relations import AT_SCANS_S, RelationErrors, relation_errors
 from relmap.evaluation.space import judge_planes
 from relmap.evaluation.truth import Judged, Truth
 from relmap.evaluation.walls import MatchedCorners, judge_corners, judge_walls, match_corners
@@ -128,29 +127,9 @@ def evaluate(result: Result, truth: Truth, log: ObservationLog | None = None) ->
             notes.append("no plane recall, precision and RMSE: true poses align the planes")
     else:
         figures, counts, notes = judge_landmarks(result, truth, log, len(poses))
-    notes += reasons
-    relation = relation_errors(result.stamps_s, result.poses, truth.relations)
-    notes += _relation_notes(result, truth, relation)
-    return Evaluation(
-        **figures,
-        **of_path,
-        relation_m=relation.shift_m if relation else None,
-        relation_rad=relation.turn_rad if relation else None,
-        counts=counts,
-        notes=tuple(notes),
-        variant=variant,
-    )
-
-
-def _relation_notes(result: Result, truth: Truth, every: RelationErrors | None) -> list[str]:
-    """Return what the figures of checked relations do not say: how many there are, and where."""
-    if every is None:
-        return ["no checked relation lies within the times of the result"] * bool(truth.relations)
-    at_scans = relation_errors(result.stamps_s, result.poses, truth.relations, AT_SCANS_S)
-    n = at_scans.n if at_scans else 0
-    error = f": {at_scans.shift_m:.3f} m, {at_scans.turn_rad:.4f} rad" if at_scans else ""
-    which = f"{n} of {every.n} checked relations have both ends within {AT_SCANS_S} s of scans"
-    return [f"{which}{error}; the path is interpolated to the others"] * (n < every.n)
+    of_relations, more = judge_relations(result, truth)
+    figures |= of_path | of_relations
+    return Evaluation(**figures, counts=counts, notes=(*notes, *reasons, *more), variant=variant)
 
 
 def match_walls(result: PlaneResult, truth: Truth) -> MatchedCorners | None:

@@ -1,13 +1,22 @@
-"""The errors of a path, unless the times or the axes of the truth make them meaningless."""
+"""The errors of a path, unless the times or the axes of the truth make them meaningless.
+
+Checked relations: R. Kuemmerle et al., "On measuring the accuracy of SLAM algorithms", Autonomous
+Robots 27, 2009.
+"""
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Floats
 from relmap.core.geometry.alignment import rotation_of_moment
 from relmap.core.geometry.motions import transforms
+from relmap.datasets import Relations
+from relmap.datasets.scans import planar_poses
 from relmap.evaluation import metrics
 from relmap.evaluation.truth import Truth
 from relmap.io.results import Result
@@ -29,6 +38,9 @@ ROUNDING_M = 1e-6
 """Errors below this may be due to rounding."""
 UNIT = 100.0
 """Ratio of the sizes of two paths that only different units explain."""
+AT_SCANS_S = 0.03
+"""Largest time from either end of a relation to a scan for which the path is not interpolated
+much: a robot turns by a degree meanwhile."""
 
 
 def judge_path(result: Result, truth: Truth) -> tuple[dict[str, float | None], list[str]]:
@@ -125,3 +137,60 @@ def _rpe(
         return rpe_m, []
     which = "than those of the result, as those of a camera"
     return None, [f"{OTHER_AXES} {which}; with these turned it is {turned_m:.4f} m"]
+
+
+def judge_relations(result: Result, truth: Truth) -> tuple[dict[str, float | None], list[str]]:
+    """Return the errors of checked relations, and how many there are away from scans."""
+    every = relation_errors(result.stamps_s, result.poses, truth.relations)
+    if every is None:
+        none = "no checked relation lies within the times of the result"
+        return {}, [none] * bool(truth.relations)
+    figures: dict[str, float | None] = {"relation_m": every.shift_m, "relation_rad": every.turn_rad}
+    at_scans = relation_errors(result.stamps_s, result.poses, truth.relations, AT_SCANS_S)
+    n = at_scans.n if at_scans else 0
+    error = f": {at_scans.shift_m:.3f} m, {at_scans.turn_rad:.4f} rad" if at_scans else ""
+    which = f"{n} of {every.n} checked relations have both ends within {AT_SCANS_S} s of scans"
+    return figures, [f"{which}{error}; the path is interpolated to the others"] * (n < every.n)
+
+
+class RelationErrors(NamedTuple):
+    """Mean error of `n` relations, metres and radians."""
+
+    shift_m: float
+    turn_rad: float
+    n: int
+
+
+def relation_errors(
+    stamps_s: Floats, poses: Floats, relations: tuple[Relations, ...], near_s: float = np.inf
+) -> RelationErrors | None:
+    """Return the mean error of a path against checked relations (Kuemmerle et al., 2009).
+
+    `stamps_s` (k,), ascending. `poses` (k, 4, 4): ``T_map_robot``; interpolated in between.
+    `relations`: the same relations by several clocks; the clock with most relations within the
+    stamps is used. `near_s`: largest time from either end of a relation to a stamp; interpolation
+    adds its own error to the others. Returns None if there is no such relation within the stamps.
+    """
+    if not len(stamps_s) or not relations:
+        return None
+    both_s = [np.column_stack([one.begin_s, one.end_s]) for one in relations]
+    inside = [((ends >= stamps_s[0]) & (ends <= stamps_s[-1])).all(axis=1) for ends in both_s]
+    best = int(np.argmax([rows.sum() for rows in inside]))
+    rows, own = inside[best], relations[best]
+    away_s = np.asarray(cKDTree(stamps_s[:, None]).query(both_s[best][..., None])[0])
+    rows &= away_s.max(axis=1) <= near_s
+    if not rows.any():
+        return None
+    T_begin = _poses_at(stamps_s, poses, own.begin_s[rows])
+    T_end = _poses_at(stamps_s, poses, own.end_s[rows])
+    off = np.linalg.inv(own.T_begin_end[rows]) @ np.linalg.inv(T_begin) @ T_end
+    shift = np.hypot(off[:, 0, 3], off[:, 1, 3])
+    turn = np.abs(np.arctan2(off[:, 1, 0], off[:, 0, 0]))
+    return RelationErrors(float(shift.mean()), float(turn.mean()), int(rows.sum()))
+
+
+def _poses_at(stamps_s: Floats, poses: Floats, when: Floats) -> Floats:
+    """Return planar poses at given times, interpolated between those of the scans."""
+    yaw = np.unwrap(np.arctan2(poses[:, 1, 0], poses[:, 0, 0]))
+    x, y, angle = (np.interp(when, stamps_s, values) for values in (*poses[:, :2, 3].T, yaw))
+    return planar_poses(x, y, angle)

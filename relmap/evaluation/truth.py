@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.core.shown import Brief
-from relmap.datasets import Relations, open_scans
-from relmap.datasets.textfile import invalid, quoted, require_path
+from relmap.datasets import Relations, open_scans, read_relations
+from relmap.datasets.textfile import invalid, open_text, quoted, require_path
 from relmap.datasets.trajectories import is_trajectory, read_trajectory
 from relmap.evaluation.metrics import match_stamps
-from relmap.evaluation.relations import RELATIONS, relations_by_clocks
 from relmap.evaluation.space import Faces
 from relmap.io.files import atomic_write, read_tum, write_tum
 from relmap.io.results import SUMMARY, Result
@@ -27,7 +26,9 @@ Judged = Literal["points", "planes", "planes3d"]
 
 TABLES: dict[Variant, str] = {"points": "landmarks.csv", "planes": "planes.csv"}
 """Files of the true landmarks."""
-TRAJECTORY, FACES = "trajectory.tum", "faces.csv"
+TRAJECTORY, FACES, RELATIONS = "trajectory.tum", "faces.csv", ".relations"
+CLOCKS = ("ROBOTLASER1", -3, -1)
+"""Lines of a CARMEN log with both clocks, the robot's and the logger's, and their positions."""
 _EXPECTED = (
     f"truth/{TABLES['points']} or {TABLES['points']} in it, MRPT's ..._ground_truth.txt, "
     "or the folder of a known data set"
@@ -200,6 +201,27 @@ def _read_path(path: Path) -> Truth:
         raise invalid(path, "the log gives no poses, expected one that does")
     known = np.isfinite(log.poses[:, 0, 0])
     return Truth(stamps_s=log.stamps_s[known], poses=log.poses[known])
+
+
+def relations_by_clocks(path: Path) -> tuple[Relations, ...]:
+    """Read relations by the robot's clock and, if known, the logger's; see `read_relations`."""
+    relations = read_relations(path)
+    stem = path.name.removesuffix(RELATIONS)
+    for name in (f"{stem}.log.gz", f"{stem}.log"):
+        if (path.parent / name).is_file():
+            kind, robot, logger = CLOCKS
+            with open_text(path.parent / name) as stream:
+                cells = [line.split() for line in stream if line.startswith(kind)]
+            try:
+                times = np.array([[float(row[robot]), float(row[logger])] for row in cells])
+            except (ValueError, IndexError):
+                continue
+            if len(times):
+                begin_s, end_s = (
+                    np.interp(when, *times.T) for when in (relations.begin_s, relations.end_s)
+                )
+                return relations, Relations(begin_s, end_s, relations.T_begin_end)
+    return (relations,)
 
 
 def _read_data_set(path: Path) -> Truth:

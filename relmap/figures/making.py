@@ -26,7 +26,6 @@ from relmap.figures import (
     figure14_15,
     figure16,
     figure17,
-    figure_crossing,
 )
 from relmap.figures.base import Outcome, PaperFigure, Table, Watch
 from relmap.io.files import atomic_write
@@ -55,8 +54,7 @@ FIGURES: tuple[PaperFigure[Any], ...] = (
     figure04.FIGURE,
     figure05.FIGURE,
     figure06.FIGURE,
-    figure07.FIGURE,
-    figure_crossing.FIGURE,
+    *figure07.FIGURES,
     *figure09_11.FIGURES,
     figure12.FIGURE,
     figure13.FIGURE,

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from relmap.core.arrays import Ints
 from relmap.datasets.base import ObservationLog
-from relmap.datasets.scans import stored_scans
+from relmap.datasets.scans import ScanLog
 from relmap.evaluation.feeding import AnyMapper, Association, Log
 from relmap.evaluation.run import result_of, write_tables
 from relmap.evaluation.summary import is_refined, summary_of
@@ -49,7 +49,7 @@ def result_of_mapper(mapper: AnyMapper) -> Result:
     times_s = mapper.stamps_s
     if np.isnan(times_s).any():
         times_s = np.arange(float(n))
-    log: Log = stored_scans(np.empty((0, 2)), np.zeros(n + 1, dtype=np.int64), times_s)
+    log: Log = ScanLog(2, times_s, lambda _: np.empty((0, 2)))
     if isinstance(mapper, Plane3dMapper):
         result = result_of(mapper, log, [none] * n, "nearest", 0)
         variant, found = "planes3d", result.summary

@@ -1,6 +1,7 @@
-"""Rays of a 3-D lidar that have no return and are given at its largest range.
+"""Clouds of points as they are mapped: those at one height as the scans of a 2-D laser.
 
-They would be a surface that moves with the sensor. `laser` treats the beams of 2-D lasers.
+Of others, points at the largest range of a 3-D lidar are left out where rays without a return are
+given there: they would be a surface that moves with the sensor. `laser` treats those of 2-D lasers.
 """
 
 from __future__ import annotations
@@ -12,10 +13,17 @@ import numpy as np
 
 from relmap.core.arrays import Bools, Floats
 from relmap.core.errors import RelmapError
-from relmap.datasets.laser import SAME, WIDE_SCANS, require_near
+from relmap.datasets.laser import SAME, WIDE_SCANS, points_of_laser, require_near
 from relmap.datasets.scans import ScanLog
 from relmap.datasets.textfile import warn
 
+ENOUGH = 100
+"""Minimum number of points in whose order beams are recognised."""
+FLAT_M = 1e-6
+"""Largest difference of the heights of points in one plane: they may be rounded."""
+ONWARD = 0.75
+"""Least fraction of the steps between points that turn the same way, if these are beams in their
+order; seen from the robot, some turn back."""
 SCANS = 20
 """Number of scans, spread over the log, that are searched for such points."""
 SHARE, LEAST = 0.01, 30
@@ -26,6 +34,38 @@ SPREAD = 0.02
 the outermost of a lidar on flat ground, lie in one."""
 NEARLY = 0.98
 """The range is at least this fraction of the largest: noise puts a few returns beyond it."""
+
+
+def as_laser(path: Path, log: ScanLog) -> ScanLog:
+    """Return a log of clouds as one of 2-D scans, if each is of beams in a level plane.
+
+    The beams must be in their order; otherwise the log is returned as it is.
+    """
+    scans = _beams(log) if log.dimension == 3 else []
+    if sum(int(points.any(axis=1).sum()) for points in scans) < ENOUGH:
+        return log
+    laser = points_of_laser(path, scans, log.stamps_s, log.sensor)
+    return replace(log, dimension=2, points_of=laser.points_of, sensor=laser.sensor)
+
+
+def _beams(log: ScanLog) -> list[Floats]:
+    """Return the points (n, 2) of all scans; none unless each is at one height, and in order."""
+    scans: list[Floats] = []
+    for index in range(len(log)):
+        try:
+            points = log.points_of(index)
+        except RelmapError:  # a damaged file, which is reported in its turn
+            return []
+        there = points[points.any(axis=1)]  # others have no return
+        if len(there) and (np.ptp(there[:, 2]) > FLAT_M or not _is_ordered(there)):
+            return []
+        scans.append(points[:, :2])
+    return scans
+
+
+def _is_ordered(points: Floats) -> bool:
+    turn = np.diff(np.unwrap(np.arctan2(points[:, 1], points[:, 0])))
+    return len(turn) == 0 or max((turn > 0).mean(), (turn < 0).mean()) >= ONWARD
 
 
 def without_no_return(path: Path, log: ScanLog) -> ScanLog:
