@@ -72,22 +72,22 @@ def test_a_wall_that_is_taken_for_another_does_not_bend_a_refined_map(mapper: Pl
 
 
 def test_beams_show_where_a_map_is_bent_but_not_a_link(mapper: PlaneMapper) -> None:
-    beams, history = registration(mapper).links.beams, mapper.history
+    scans, motions = registration(mapper).links.scans, mapper.history.motion
     poses = np.tile(np.eye(4), (2 * STEP, 1, 1))
     poses[:, 0, 3] = STEP_M * np.arange(2 * STEP)
     [submap] = mapper.submaps
     right = replace(submap, poses=poses)
-    assert bent_steps(right, history, beams).tolist() == []
-    wrong = history.motion.copy()
+    assert bent_steps(right, motions, scans).tolist() == []
+    wrong = motions.copy()
     wrong[STEP, 0] += TILT_RAD
-    assert bent_steps(right, replace(history, motion=wrong), beams).tolist() == []
+    assert bent_steps(right, wrong, scans).tolist() == []
     bend = np.eye(4)
     bend[:2, :2] = [[np.cos(TILT_RAD), -np.sin(TILT_RAD)], [np.sin(TILT_RAD), np.cos(TILT_RAD)]]
     bent = replace(submap, poses=np.concatenate([poses[:STEP], bend @ poses[STEP:]]))
-    assert bent_steps(bent, history, beams).tolist() == [STEP]
+    assert bent_steps(bent, motions, scans).tolist() == [STEP]
     beyond = bent.poses.copy()
     beyond[STEP - 1] = np.nan
-    assert bent_steps(replace(bent, poses=beyond), history, beams).tolist() == []
+    assert bent_steps(replace(bent, poses=beyond), motions, scans).tolist() == []
 
 
 @pytest.mark.parametrize(

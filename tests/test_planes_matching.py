@@ -51,21 +51,6 @@ def test_a_wide_jump_is_found() -> None:
     assert match.tracks.tolist() == match.walls.tolist() == [0, 1, 2]
 
 
-def test_only_the_motions_of_highest_score_are_matched_in_full() -> None:
-    tracks, room = tracks_of_a_room()
-    seen = checked_planes(Room(room)).arrays
-    motions = np.random.default_rng(0).uniform(-0.3, 0.3, (200, 3))
-    every, walls, scores = matching_kernels.settled(tracks.arrays, seen, motions, 0, 200)
-    _, few_walls, few_scores = matching_kernels.settled(tracks.arrays, seen, motions, 0, 3)
-    np.testing.assert_array_equal(every, motions)
-    best = np.argsort(-scores, kind="stable")[:3]
-    np.testing.assert_array_equal(np.argsort(-few_scores, kind="stable")[:3], best)
-    np.testing.assert_array_equal(few_scores[best], scores[best])
-    np.testing.assert_array_equal(few_walls[best], walls[best])
-    assert (few_scores >= scores).all()
-    assert ((walls >= 0).any(axis=1) & (few_walls < 0).all(axis=1)).sum() > 20
-
-
 def test_motions_that_turn_too_far_are_not_implied() -> None:
     tracks, room = tracks_of_a_room()
     seen = checked_planes(Room(room)).arrays

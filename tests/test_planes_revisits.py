@@ -27,7 +27,7 @@ def run() -> tuple[PlaneMapper, Floats]:
 
 def cut(run: tuple[PlaneMapper, Floats], poses: Floats, first: int = 0) -> list[int]:
     links = run[0].engine.association.registration.links  # type: ignore[attr-defined]
-    found: list[int] = contradicted_revisits(poses, first, run[0].history, links.beams).tolist()
+    found: list[int] = contradicted_revisits(poses, first, links.scans).tolist()
     return found
 
 

@@ -214,11 +214,8 @@ class PlaneMapper(LocatingMapper):
 
     def _contradicted(self) -> Ints:
         """Return the scans (t,) before which to cut submaps that contradict themselves."""
-        beams, history = self._planes.links.beams, self.history
-        found = [
-            contradicted_revisits(submap.poses, submap.first_iteration, history, beams)
-            for submap in self.submaps
-        ]
+        scans = self._planes.links.scans
+        found = [contradicted_revisits(s.poses, s.first_iteration, scans) for s in self.submaps]
         return np.concatenate([np.empty(0, dtype=np.int64), *found])
 
     def _join_submaps(self) -> list[Floats]:

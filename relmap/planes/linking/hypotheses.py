@@ -93,10 +93,6 @@ class Hypotheses:
     def __init__(self, before: Floats) -> None:
         self._layers = [Layer(np.zeros(1), np.zeros(1, dtype=np.int64), before[None])]
 
-    def __len__(self) -> int:
-        """Return the number of scans, including the first one."""
-        return len(self._layers)
-
     def go_on(
         self,
         found: Candidates,

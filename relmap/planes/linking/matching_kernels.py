@@ -258,45 +258,31 @@ def correction(tracks: Tracks, seen: Seen, track_of: Ints) -> Floats:
 
 @compiled
 def settled(
-    tracks: Tracks, seen: Seen, guesses: Floats, rounds: int, most: int
+    tracks: Tracks, seen: Seen, guesses: Floats, rounds: int
 ) -> tuple[Floats, Ints, Floats]:
     """Fit motions (k, 3) to the walls that match, alternating with matching.
-
-    `most`: number of motions of highest score that are needed. Of the others only an upper limit of
-    the score is computed, where that suffices, and no walls.
 
     Returns the motions, the track of each of m walls (k, m), -1 for none, and the total scores.
     """
     found, scores = np.empty((len(guesses), 3)), np.empty(len(guesses))
     every, lines = np.empty((len(guesses), len(seen[1])), dtype=np.int64), _lines(seen)
-    best = np.zeros(most)  # ascending
     for k in range(len(guesses)):
-        motion, track_of, scores[k] = _settled(tracks, seen, lines, guesses[k], rounds, best[0])
+        motion, track_of, scores[k] = _settled(tracks, seen, lines, guesses[k], rounds)
         for i in range(3):
             found[k, i] = motion[i]
         for j in range(len(track_of)):
             every[k, j] = track_of[j]
-        i = 0
-        while i < most and best[i] < scores[k]:
-            if i > 0:
-                best[i - 1] = best[i]
-            best[i] = scores[k]
-            i += 1
     return found, every, scores
 
 
 @helper
 def _settled(
-    tracks: Tracks, seen: Seen, lines: Floats, guess: Floats, rounds: int, least: float
+    tracks: Tracks, seen: Seen, lines: Floats, guess: Floats, rounds: int
 ) -> tuple[Floats, Ints, float]:
     motion, widened, left = guess, ROUGHLY, rounds
     while True:
         there = carried(tracks, motion)
         worth = agreement(there, seen, lines, widened if left > 0 else 1.0)
-        if left == 0 and least > 0:
-            score = _at_most(worth)
-            if score < least:
-                return motion, unset(len(lines)), score
         track_of, score = assigned(worth), 0.0
         for j in range(len(track_of)):
             if track_of[j] >= 0:
@@ -305,15 +291,3 @@ def _settled(
             return motion, track_of, score
         motion = _then(motion, correction(there, seen, track_of))
         widened, left = max(1.0, widened / 2), left - 1
-
-
-@helper
-def _at_most(worth: Floats) -> float:
-    """Return an upper limit of the total score of a one-to-one assignment (n, m)."""
-    total = 0.0
-    for j in range(worth.shape[1]):
-        most = 0.0
-        for i in range(worth.shape[0]):
-            most = max(most, worth[i, j])
-        total += most
-    return total

@@ -151,7 +151,6 @@ def place(
     too few for a jump.
     """
     from relmap.planes.linking.guess_kernels import implied
-    from relmap.planes.linking.matching_kernels import settled as compiled_settled
 
     motions, matches = settled(tracks, seen, [before, STILL])
     best, still = zip(motions, matches, strict=True)
@@ -161,8 +160,8 @@ def place(
     possible = min(worth(tracks, seen, recent))
     if best[1].score < CONTENT * possible:
         motions = implied(tracks.arrays, seen.arrays, REACH_RAD)
-        scores = compiled_settled(tracks.arrays, seen.arrays, motions, 0, GUESSES)[2]
-        likely = motions[np.argsort(-scores, kind="stable")[:GUESSES]]
+        scores = [match.score for match in settled(tracks, seen, motions, 0)[1]]
+        likely = motions[np.argsort(np.negative(scores), kind="stable")[:GUESSES]]
         for found in zip(*settled(tracks, seen, likely), strict=True):
             jumps = [
                 np.hypot(*(found[0] - usual)[1:]) + LEVER_M * abs(found[0][0] - usual[0])
@@ -196,9 +195,7 @@ def settled(
     from relmap.planes.linking import matching_kernels
 
     starts = np.array(guesses).reshape(-1, 3)
-    every = max(len(starts), 1)
-    found = matching_kernels.settled(tracks.arrays, seen.arrays, starts, rounds, every)
-    motions, track_of, scores = found
+    motions, track_of, scores = matching_kernels.settled(tracks.arrays, seen.arrays, starts, rounds)
     matches = list[Match]()
     for own, known, score in zip(track_of, track_of >= 0, scores.tolist(), strict=True):
         walls = known.nonzero()[0]

@@ -95,14 +95,13 @@ class Search(ScanComparison):
         rivals, measured = rivals[~unusual], measured and not ambiguous
         if not measured:
             rivals = rivals[np.hypot(*(rivals - every.motions[best])[:, 1:].T) > FREE_REACH_M]
-        if len(rivals):
+        if len(rivals) or (self._expected and not measured):  # odometry bridges, see `bridged`
             return None
-        if not measured and self._expected:
-            return self._by_odometry(every, self._expected)
         one = one if measured else self._steady(one)
         if ambiguous and not self._is_usual(one):
             return None
-        return self._chosen(one, measured, float(every.evidence[best]), ambiguous)
+        match, evidence = self._named(one.matches[0]), float(every.evidence[best])
+        return Found(one.motions[0], match, measured, evidence, ambiguous=ambiguous)
 
     def _with_slid(self, every: Judged, evidence: Floats) -> Judged:
         """Return motions (k, 3), and those of most evidence (k,) slid along walls."""
@@ -131,12 +130,6 @@ class Search(ScanComparison):
             rivals = rivals[:0]
         return best, one, every.motions[rivals]
 
-    def _chosen(
-        self, one: Judged, measured: bool, evidence: float, ambiguous: bool = False
-    ) -> Found:
-        match = self._named(one.matches[0])
-        return Found(one.motions[0], match, measured, evidence, ambiguous=ambiguous)
-
     def _explains(self, expected: Expected, motion: Floats) -> bool:
         """Return whether beams agree with odometry almost as well as with another motion (3,)."""
         motions = np.array([expected.motion, motion])
@@ -145,18 +138,6 @@ class Search(ScanComparison):
         sums = self._counted(motions, step=1)
         value = (sums[:, 0] - CONTRADICTING * sums[:, 1]) / np.maximum(sums.sum(axis=1), 1.0)
         return bool(value[0] > value[1] - EXPLAINS)
-
-    def _by_odometry(self, every: Judged, expected: Expected) -> Found | None:
-        """Return the likely motion nearest to odometry; None if none is near."""
-        off = expected.off(every.motions)
-        near = np.where(off < OTHERWISE, every.evidence, -np.inf)
-        if near.max() < ACCEPTED:
-            return None
-        best = int(np.argmin(np.where(near > near.max() - RIVAL, off, np.inf)))
-        one = self._corrected(every, best)
-        if expected.off(one.motions)[0] >= OTHERWISE:  # Beams may prefer any place along a wall.
-            one = every.only(best)
-        return self._chosen(one, False, float(every.evidence[best]))
 
     def candidates(self, guesses: Sequence[Floats] = ()) -> Candidates:
         """Return the plausible motions between these scans by walls and beams, likeliest first.

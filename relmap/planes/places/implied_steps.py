@@ -16,7 +16,7 @@ from relmap.planes.motions import from_matrices, inverse, others
 from relmap.planes.places.map_part import MapPart
 from relmap.planes.places.wall_tie import WallTie
 from relmap.planes.scans.beams import odds_over
-from relmap.planes.submaps.doubtful import EXCLUDED, GAP, beams_of
+from relmap.planes.submaps.doubtful import EXCLUDED, GAP
 from relmap.planes.submaps.submap import WallSubmap, among_all
 from relmap.planes.walls.history import PlaneHistory
 
@@ -70,6 +70,6 @@ class ImpliedSteps:
         motions = inverse(found.motions)
         if not others(motions, step, BENT_M, BENT_RAD).all() or found.doubtful.all():
             return False
-        before, after = (beams_of(i, self.history, self.links.beams) for i in (earlier, later))
+        before, after = (self._scans.beams_of(i) for i in (earlier, later))
         odds, _ = odds_over([(after, before, np.vstack([step, motions[~found.doubtful]]))])
         return bool(odds.max() > EXCLUDED)

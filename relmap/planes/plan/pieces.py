@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.planes.plan.evidence import Stretches
@@ -35,19 +33,9 @@ class Pieces:
     def __len__(self) -> int:
         return len(self.wall)
 
-    @property
-    def length_m(self) -> Floats:
-        """Lengths, (n,) metres."""
-        return np.asarray(self.reach[:, 1] - self.reach[:, 0])
-
     def only(self, rows: Bools | Ints) -> Pieces:
         """Return some of them."""
         return Pieces(self.wall[rows], self.reach[rows], self.corner[rows])
-
-    def ends(self, walls: Stretches) -> Floats:
-        """Return the end points; (n, 2, 2) map frame, metres."""
-        base, along = walls.base[self.wall], walls.along[self.wall]
-        return np.asarray(base[:, None] + self.reach[:, :, None] * along[:, None])
 
 
 @dataclass(eq=False)
@@ -105,37 +93,17 @@ def met(pieces: Pieces, walls: Stretches) -> Pieces:
 
     An end that is a corner stays where it was seen, and at most the shorter part is cut off.
     """
-    if not len(pieces):
-        return pieces
     base, along, normal = (each[pieces.wall] for each in (walls.base, walls.along, walls.normal))
-    end, other = _beside(pieces, walls)
-    own, side = end // 2, end % 2
-    cross = (along[own] * normal[other]).sum(axis=1)
-    rows = np.flatnonzero((np.abs(cross) > CROSSING) & (pieces.corner[own, side] < 0))
-    own, side, other, cross = own[rows], side[rows], other[rows], cross[rows]
-    place = ((base[other] - base[own]) * normal[other]).sum(axis=1) / cross
-    there = ((base[own] + place[:, None] * along[own] - base[other]) * along[other]).sum(axis=1)
-    off, left = (np.abs(place - pieces.reach[own, end]) for end in (side, 1 - side))
-    low, high = pieces.reach[other].T
-    meets = (
-        (off < np.minimum(left, MEETING_M)) & (there > low - MEETING_M) & (there < high + MEETING_M)
-    )
-    order = np.flatnonzero(meets)[np.argsort(-off[meets], kind="stable")]
-    reach = pieces.reach.copy()
-    reach[own[order], side[order]] = place[order]  # the nearest is last
+    reach, (low, high) = pieces.reach.copy(), pieces.reach.T
+    for k, end in np.argwhere(pieces.corner < 0).tolist():
+        cross = (along[k] * normal).sum(axis=1)
+        cross[np.abs(cross) <= CROSSING] = np.nan
+        place = ((base - base[k]) * normal).sum(axis=1) / cross
+        there = ((base[k] + place[:, None] * along[k] - base) * along).sum(axis=1)
+        off, left = (np.abs(place - pieces.reach[k, side]) for side in (end, 1 - end))
+        meets = (there > low - MEETING_M) & (there < high + MEETING_M)
+        meets &= off < np.minimum(left, MEETING_M)
+        if meets.any():
+            reach[k, end] = place[np.argmin(np.where(meets, off, np.inf))]
     found = Pieces(pieces.wall, reach, pieces.corner)
-    return found.only(found.length_m > SHORTEST_M / 2)
-
-
-def _beside(pieces: Pieces, walls: Stretches) -> tuple[Ints, Ints]:
-    """Return ends (k,), two per piece, and the other pieces (k,) near them."""
-    n = np.ceil(pieces.length_m / MEETING_M).astype(np.int64) + 1
-    piece = np.repeat(np.arange(len(pieces)), n)
-    share = (np.arange(len(piece)) - np.repeat(np.cumsum(n) - n, n)) / (n - 1)[piece]
-    ends = pieces.ends(walls)
-    points = ends[piece, 0] + share[:, None] * (ends[piece, 1] - ends[piece, 0])
-    near: Any = cKDTree(points).query_ball_point(ends.reshape(-1, 2), 2 * MEETING_M)
-    end = np.repeat(np.arange(len(near)), [len(found) for found in near])
-    other = piece[np.concatenate(near).astype(np.int64)]
-    pairs = np.unique(np.column_stack([end, other])[end // 2 != other], axis=0)
-    return pairs[:, 0], pairs[:, 1]
+    return found.only(reach[:, 1] - reach[:, 0] > SHORTEST_M / 2)

@@ -13,13 +13,13 @@ import numpy as np
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.planes.linking.adjoining import LEAST_SHARE, RIVAL, SIDE
 from relmap.planes.linking.scan_links import ScanLinks
+from relmap.planes.linking.tying import Scans
 from relmap.planes.motions import from_matrices, matrices
-from relmap.planes.odometry.steps import Steps, steps_of
+from relmap.planes.odometry.steps import steps_of
 from relmap.planes.plan.floor_plan import floor_plan
 from relmap.planes.refinement.refined_map import at_the_noise, refined_map, straightened
 from relmap.planes.scans.beam_store import BeamStore
 from relmap.planes.scans.beams import odds_over
-from relmap.planes.submaps.doubtful import beams_of
 from relmap.planes.submaps.grouped_map import GroupedMap
 from relmap.planes.submaps.submap import WallSubmap, deviations
 from relmap.planes.walls.assembly import WallNumbers
@@ -48,14 +48,12 @@ def refined_submaps(grouped: GroupedMap, moving: Bools, links: ScanLinks) -> Ref
     `moving` (p,): plane tracks ignored because they move; `links`: provides beams and odometry.
     """
     first = partial(grouped.submaps, grouped.at_rest(grouped.unmerged), moving)
-    grouped = with_odometry(grouped, odometry_steps(links, grouped.history, first))
-    found = _refined(grouped, moving, links.beams)
+    grouped = with_odometry(grouped, links, first)
+    found = _refined(grouped, moving, links.scans)
     odometry = grouped.history.odometry
     if odometry and odometry.needed.any():  # estimated again, more accurately
-        grouped = with_odometry(
-            grouped, odometry_steps(links, grouped.history, lambda: found.submaps)
-        )
-        found = _refined(grouped, moving, links.beams)
+        grouped = with_odometry(grouped, links, lambda: found.submaps)
+        found = _refined(grouped, moving, links.scans)
     # Without beams no link was verified, and the chained map is as good as any part of it.
     submaps = [replace(one, torn=one.torn[: len(links.beams)]) for one in found.submaps]
     return RefinedWalls(submaps, found.numbers, found.history)
@@ -77,28 +75,28 @@ def planned_submaps(
     return submaps, numbers, np.concatenate(moved)
 
 
-def _refined(grouped: GroupedMap, moving: Bools, beams: BeamStore) -> RefinedWalls:
+def _refined(grouped: GroupedMap, moving: Bools, scans: Scans) -> RefinedWalls:
     """Return the refined submaps."""
     numbers, submaps = grouped.at_rest(grouped.unmerged), list[WallSubmap]()
     history = grouped.history
     for submap in grouped.submaps(numbers, moving):
         found, own = refined_map(history, numbers, submap, moving)
         if found.refined:
-            found, history = _straight(found, own, history, moving, beams)
+            found, history = _straight(found, own, history, moving, scans)
             found, numbers = at_the_noise(found, history), own
         submaps.append(found)
     return RefinedWalls(submaps, numbers, history)
 
 
 def _straight(
-    submap: WallSubmap, numbers: WallNumbers, history: PlaneHistory, moving: Bools, beams: BeamStore
+    submap: WallSubmap, numbers: WallNumbers, history: PlaneHistory, moving: Bools, scans: Scans
 ) -> tuple[WallSubmap, PlaneHistory]:
     """Return a refined submap with fewer of the bends that beams show, and the history with these.
 
     Solving again moves the whole submap a little: it is kept if fewer steps are bent then, and none
     of those that are held to their links.
     """
-    bent = bent_steps(submap, history, beams) if len(beams) else np.empty(0, dtype=np.int64)
+    bent = bent_steps(submap, history.motion, scans) if len(scans.beams) else np.empty(0, np.int64)
     for _ in range(STRAIGHTENED):
         if not len(bent):
             break
@@ -106,19 +104,11 @@ def _straight(
         found = straightened(more, numbers, submap, moving)
         if found is None:
             break
-        left = bent_steps(found, more, beams)
+        left = bent_steps(found, more.motion, scans)
         if len(left) >= len(bent) or np.isin(left, more.bent).any():
             break
         submap, history, bent = found, more, left
     return submap, history
-
-
-def with_odometry(grouped: GroupedMap, odometry: Steps | None) -> GroupedMap:
-    """Return the map from the groups, with odometry if available."""
-    if odometry is None:
-        return grouped
-    motion = odometry.lengthened(grouped.history.motion)
-    return replace(grouped, history=replace(grouped.history, odometry=odometry, motion=motion))
 
 
 def on_odometry(links: ScanLinks, history: PlaneHistory) -> Bools:
@@ -145,58 +135,58 @@ def odometry_left_out(links: ScanLinks, history: PlaneHistory) -> Bools:
     return np.asarray(links.wheels.left_out(links.motions, links.measured) | broken)
 
 
-def odometry_steps(
-    links: ScanLinks, history: PlaneHistory, submaps: Callable[[], Sequence[WallSubmap]]
-) -> Steps | None:
-    """Return the odometry factors for the map; None if there is none, or it is rejected.
+def with_odometry(
+    grouped: GroupedMap, links: ScanLinks, submaps: Callable[[], Sequence[WallSubmap]]
+) -> GroupedMap:
+    """Return the map from the groups, with odometry unless there is none, or it is rejected.
 
     `submaps` are used to estimate its quality.
     """
-    noise = links.wheels.noise_over_all(links.motions, links.measured)
+    noise, history = links.wheels.noise_over_all(links.motions, links.measured), grouped.history
     if noise is None:
-        return None
+        return grouped
     given = links.wheels.given.over(history.n_iterations)
     given[odometry_left_out(links, history)] = np.nan
     paths = [(slice(*submap.span), submap.poses) for submap in submaps()]
     hanging = on_odometry(links, history)
-    return steps_of(noise, given, int(links.measured.sum()), paths, hanging)
+    odometry = steps_of(noise, given, int(links.measured.sum()), paths, hanging)
+    motion = odometry.lengthened(history.motion)
+    return replace(grouped, history=replace(history, odometry=odometry, motion=motion))
 
 
-def bent_steps(submap: WallSubmap, history: PlaneHistory, beams: BeamStore) -> Ints:
+def bent_steps(submap: WallSubmap, motions: Floats, scans: Scans) -> Ints:
     """Return the scans (t,) whose links beams prefer to the steps of a refined map into them.
 
     A short wall, or one that is taken for another, may turn a step by degrees, and all later scans
     with it. Two scans hardly show it: the beams of up to four scans before and four after the step
     are compared, as in `adjoining`, the later ones moved as a whole.
     """
-    motions = history.motion[slice(*submap.span)]
+    motions = motions[slice(*submap.span)]
     way_m, turn = deviations(submap.poses, motions)
     stepped = np.isfinite(submap.poses[:-1, 0, 3])
     far = 1 + np.flatnonzero(stepped & ((way_m > FAR_M) | (turn > FAR_RAD)))
     links = np.linalg.inv(matrices(motions[far]))
     changes = submap.poses[far - 1] @ links @ np.linalg.inv(submap.poses[far])
     bent = [
-        _is_better(change, row, submap, history, beams)
+        _is_better(change, row, submap, scans)
         for row, change in zip(far.tolist(), changes, strict=True)
     ]
     return submap.first_iteration + far[np.array(bent, dtype=np.bool_)]
 
 
-def _is_better(
-    change: Floats, row: int, submap: WallSubmap, history: PlaneHistory, beams: BeamStore
-) -> bool:
+def _is_better(change: Floats, row: int, submap: WallSubmap, scans: Scans) -> bool:
     """Return whether beams prefer a change (4, 4) of the map from the scan of a row on."""
     poses, first = submap.poses, submap.first_iteration
     known = np.flatnonzero(np.isfinite(poses[:, 0, 3]))
     at = int(np.searchsorted(known, row))
     near = known[max(at - SIDE, 0) : at + SIDE].tolist()
-    seen = {k: one for k in near if len(one := beams_of(first + k, history, beams))}
+    seen = {k: one for k in near if len(one := scans.beams_of(first + k))}
     pairs = list(product([k for k in seen if k < row], [k for k in seen if k >= row]))
     if not pairs:
         return False
     i, j = np.array(pairs).T
-    both = np.stack([poses[j], change @ poses[j]], axis=1)
-    motions = from_matrices(np.linalg.inv(poses[i])[:, None] @ both)
-    scans = ((seen[later], seen[earlier]) for earlier, later in pairs)
-    odds, share = odds_over((*two, own) for two, own in zip(scans, motions, strict=True))
+    moved = np.stack([poses[j], change @ poses[j]], axis=1)
+    motions = from_matrices(np.linalg.inv(poses[i])[:, None] @ moved)
+    both = ((seen[later], seen[earlier]) for earlier, later in pairs)
+    odds, share = odds_over((*two, own) for two, own in zip(both, motions, strict=True))
     return bool(odds[0] > RIVAL and share[0] > LEAST_SHARE)

@@ -6,11 +6,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Floats, Ints
+from relmap.planes.linking.tying import Scans
 from relmap.planes.motions import from_matrices
-from relmap.planes.scans.beam_store import BeamStore
 from relmap.planes.scans.beams import NEAR_M, compared
-from relmap.planes.submaps.doubtful import beams_of
-from relmap.planes.walls.history import PlaneHistory
 
 APART_M, LATER_M = 0.5, 3.0
 """Distance between the compared scans along the path, and least distance of two of a pair."""
@@ -26,9 +24,7 @@ LEAST, HALF = 10, 0.5
 logs there is at most one in ten; where four panels were moved between two visits, one in four."""
 
 
-def contradicted_revisits(
-    poses: Floats, first: int, history: PlaneHistory, beams: BeamStore
-) -> Ints:
+def contradicted_revisits(poses: Floats, first: int, scans: Scans) -> Ints:
     """Return the scans (t,) before which to cut a map that contradicts itself.
 
     There the path between two visits of a place is wrong, by drift or by a wrong link, though each
@@ -39,7 +35,7 @@ def contradicted_revisits(
     `poses` (k, 4, 4): of consecutive scans, NaN where unknown; `first`: the first of the scans.
     """
     known, pairs, cuts = np.flatnonzero(np.isfinite(poses[:, 0, 0])), _pairs(poses), list[int]()
-    share = _contradicting(pairs, poses, first, history, beams)
+    share = _contradicting(pairs, poses, first, scans)
     while True:
         against = _spanning(pairs[share > CONTRADICTS], len(poses))
         agreeing = _spanning(pairs[share < AGREES], len(poses))
@@ -67,11 +63,9 @@ def _pairs(poses: Floats) -> Ints:
     return np.asarray(at[near[kept]])
 
 
-def _contradicting(
-    pairs: Ints, poses: Floats, first: int, history: PlaneHistory, beams: BeamStore
-) -> Floats:
+def _contradicting(pairs: Ints, poses: Floats, first: int, scans: Scans) -> Floats:
     """Return the fraction of contradicting points of each pair; NaN if few are in view of both."""
-    of = {row: beams_of(first + row, history, beams) for row in np.unique(pairs).tolist()}
+    of = {row: scans.beams_of(first + row) for row in np.unique(pairs).tolist()}
     motions = from_matrices(np.linalg.inv(poses[pairs[:, 1]]) @ poses[pairs[:, 0]])
     counts = np.zeros((len(pairs), 4))
     for k, (earlier, later) in enumerate(pairs.tolist()):

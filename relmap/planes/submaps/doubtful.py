@@ -80,7 +80,7 @@ def undetermined_steps(
     to_usual = _around(steps / gap) * gap - steps
     each = zip(before.tolist(), after.tolist(), steps, to_usual.swapaxes(0, 1), strict=True)
     for first, scan, step, ways in each:
-        earlier, later = (beams_of(i, history, links.beams) for i in (first, scan))
+        earlier, later = (scans.beams_of(i) for i in (first, scan))
         if len(earlier) and len(later):
             one_wall = earlier.on_one_wall or later.on_one_wall
             rivals = _rivals(scans, (first, scan), step, free[scan], ways)
@@ -178,7 +178,7 @@ def unsupported_links(history: PlaneHistory, links: LinkRecord) -> Ints:
     to_usual = ((_around(steps) - steps) * [0.0, 1.0, 1.0]).swapaxes(0, 1)  # turns may be right
     for k in np.flatnonzero(_unusual(tied, history) & ~np.isinf(links.evidence[tied])).tolist():
         scan, step = int(tied[k]), steps[k]
-        earlier, later = (beams_of(i, history, links.beams) for i in (scan - 1, scan))
+        earlier, later = (scans.beams_of(i) for i in (scan - 1, scan))
         if len(earlier) and len(later):
             rivals = _rivals(scans, (scan - 1, scan), step, free[scan], to_usual[k])
             found += [scan] * (_excluded(step, rivals, earlier, later) < 0)
@@ -202,12 +202,6 @@ def _unusual(tied: Ints, history: PlaneHistory) -> Bools:
 
 def _have_odometry(links: LinkRecord) -> bool:
     return links.wheels.noise_over_all(links.motions, links.measured) is not None
-
-
-def beams_of(scan: int, history: PlaneHistory, beams: BeamStore) -> Beams:
-    """Return the beams of a scan, some of them on its walls."""
-    begin, end = np.searchsorted(history.iteration, [scan, scan + 1]).tolist()
-    return beams.of(scan, history.ends[begin:end])
 
 
 def _rivals(
