@@ -170,14 +170,3 @@ def fits_mirrored(
         return False
     own = search(source, source * sign, tolerance_m, 3)  # on a line: all
     return own is None or own[0].n_agreeing < least
-
-
-def period_of(points: Floats, tolerance_m: float, within_m: float = np.inf) -> float:
-    """Return the distance after which points (n, d) repeat, metres; infinite if they do not.
-
-    As trees in an orchard or lamps along a road do: nearest neighbours may agree a period away.
-    `within_m`: only shorter ones are tried.
-    """
-    from relmap.core.association.search_kernels import shortest_period
-
-    return float(shortest_period(points, tolerance_m, within_m))
