@@ -74,11 +74,9 @@ def search(
         R, t, matches = R[near], t[near], matches[near]
     if not len(R):
         return None
-    best = None
-    for row in np.argsort(-np.sum(matches >= 0, axis=1), kind="stable")[:RIVALS]:
-        placed = settled(source, target, Placement(R[row], t[row], 0), tolerance_m, metric)
-        if placed is not None and (best is None or placed.n_agreeing > best.n_agreeing):
-            best = placed
+    most = np.argsort(-np.sum(matches >= 0, axis=1), kind="stable")[:RIVALS]
+    each = [settled(source, target, Placement(R[k], t[k], 0), tolerance_m, metric) for k in most]
+    best = max(filter(None, each), key=lambda placed: placed.n_agreeing, default=None)
     if best is None or best.n_agreeing < fewest:
         return None
     match = matches_of(source, target, best, 1.5 * tolerance_m, metric)
