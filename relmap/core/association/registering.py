@@ -42,9 +42,6 @@ BLURRED = (0.1, 0.2, 0.35)
 """Noise, in spacings, that is tried where none explains the matches."""
 GROWN = 2.5
 """Largest noise tried, relative to that learnt from the scans before."""
-LEAST_MISFIT = 0.25
-"""Minimum variance of matches relative to that assumed: with too much noise assumed, a rival nearby
-would not differ."""
 FAMILIAR = 5
 """Observations of a landmark required if only two landmarks determine a planar scan."""
 NEARBY = 0.2
@@ -202,8 +199,8 @@ class TrackPlacing(PatternPlacing):
             scale.noise_m = share * scale.spacing_m
             is_new = least_m <= scale.noise_m <= most_m and SIGMAS * scale.noise_m < widest_m
             if scale.is_blurred and is_new:
-                matching, placement = self.soft, self.likely(None)
-                if placement is not None and matching.misfit(placement) >= LEAST_MISFIT:
+                placement = self.likely(None)
+                if placement is not None:
                     return placement
         scale.noise_m = learnt
         return None
