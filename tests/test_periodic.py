@@ -8,7 +8,8 @@ import pytest
 from relmap import PointMapper
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association import Constellation
-from relmap.core.association.search import period_of, search
+from relmap.core.association.search import search
+from relmap.core.association.search_kernels import shortest_period
 from tests.worlds import purity_of
 
 REACH_M, WIDTH_M = 20.0, 8.0
@@ -95,19 +96,19 @@ def test_patterns_that_repeat_are_known(seed: int) -> None:
     x, y = np.meshgrid(np.arange(5) * 3.0, np.arange(4) * 5.0)
     lattice = np.column_stack([x.ravel(), y.ravel()])
     lattice = lattice[rng.permutation(20)[:16]] + rng.normal(0, 0.05, (16, 2))
-    assert period_of(lattice, 0.3) == pytest.approx(3.0, abs=0.2)
+    assert shortest_period(lattice, 0.3, np.inf) == pytest.approx(3.0, abs=0.2)
     posts = avenue(6.0, 0.05, 0.0, rng)[0]
-    assert period_of(posts, 0.3) == pytest.approx(6.0, abs=0.2)
+    assert shortest_period(posts, 0.3, np.inf) == pytest.approx(6.0, abs=0.2)
     with_bush = np.vstack([posts, posts.mean(axis=0) + 0.8])
-    assert period_of(with_bush, 0.3) == pytest.approx(6.0, abs=0.2)
-    assert period_of(rng.uniform(0, 16, (20, 2)), 0.3) == np.inf
-    assert period_of(rng.uniform(0, 16, (20, 3)), 0.3) == np.inf
+    assert shortest_period(with_bush, 0.3, np.inf) == pytest.approx(6.0, abs=0.2)
+    assert shortest_period(rng.uniform(0, 16, (20, 2)), 0.3, np.inf) == np.inf
+    assert shortest_period(rng.uniform(0, 16, (20, 3)), 0.3, np.inf) == np.inf
 
 
 @pytest.mark.parametrize("n", [0, 1, 2])
 def test_too_few_points_do_not_repeat(n: int) -> None:
     """Two points have one distance."""
-    assert period_of(np.zeros((n, 2)) + np.arange(n)[:, None], 0.1) == np.inf
+    assert shortest_period(np.zeros((n, 2)) + np.arange(n)[:, None], 0.1, np.inf) == np.inf
 
 
 def test_the_other_way_round_is_a_rival() -> None:

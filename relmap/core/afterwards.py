@@ -8,7 +8,6 @@ from relmap.core.arrays import Bools
 from relmap.core.association.reobservation.disagreement import local_drift
 from relmap.core.association.reobservation.loops import LoopFinder
 from relmap.core.association.reobservation.merging import merge_doubles
-from relmap.core.association.reobservation.recognition import CLEAR
 from relmap.core.association.reobservation.sightings import Sightings
 from relmap.core.association.reobservation.strays import find_strays
 from relmap.core.association.reobservation.tying import NEIGHBOURHOOD, tie_submaps
@@ -147,12 +146,10 @@ def _close_loops(engine: RelativeMapper, rows: SegmentRows, noise_m: float, drif
         engine.table, noise_m, drift=drift, is_blurred=engine.association.current.is_blurred
     )
     while (loop := finder.next()) is not None:
-        found, placement = loop
-        pairs = found[engine.merger.allowed(found)]
-        if len(pairs) > CLEAR * len(found):
-            bend(engine.map, rows, pairs, placement.R, placement.t)
-            engine.merge_pairs(pairs)
-            merge_doubles(engine)
+        pairs, placement = loop
+        bend(engine.map, rows, pairs, placement.R, placement.t)
+        engine.merge_pairs(pairs)
+        merge_doubles(engine)
 
 
 def find_again(engine: RelativeMapper) -> bool:
@@ -160,15 +157,14 @@ def find_again(engine: RelativeMapper) -> bool:
 
     Then join submaps that scans show together; returns whether any were.
     """
-    table, merger = engine.table, engine.merger
-    rows, noise_m = engine.rows, engine.noise_m
+    table, rows, noise_m = engine.table, engine.rows, engine.noise_m
     found = True
     while found:
         extend_submaps(engine.map, rows, (table.submap == NONE) & ~table.dynamic)
         found = False
         drift = local_drift(table, rows, noise_m)
         for pairs in find_strays(table, rows, noise_m, drift):
-            found |= engine.merge_pairs(pairs[merger.allowed(pairs)]) > 0
+            found |= engine.merge_pairs(pairs) > 0
     if is_bridged(engine):
         return False
     sure = seen_in(rows, CONFIRMED)

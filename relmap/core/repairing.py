@@ -124,7 +124,7 @@ def _repair(engine: RelativeMapper) -> None:
     undone = _undo(engine)
     if is_bridged(engine):
         refine_map(engine, to_the_last=False)
-        merge_in_place(engine, at_last=True)
+        merge_in_place(engine)
         refine_map(engine)
         gather(engine)
     rare = rarely_seen(engine) & ~grouped
@@ -133,7 +133,7 @@ def _repair(engine: RelativeMapper) -> None:
     engine.table.take_off_map(np.flatnonzero(rare))
     if undone or rare.any() or engine.config.keep_observations or is_bridged(engine):
         refine_map(engine, to_the_last=not mixes)
-    if not is_bridged(engine) and _merge_compatible(engine, at_last=True):
+    if not is_bridged(engine) and _merge_compatible(engine):
         refine_map(engine, to_the_last=not mixes)
     if _reassign_tracks(engine):
         refine_map(engine)
@@ -171,11 +171,10 @@ def _look_over(engine: RelativeMapper) -> bool:
     return found
 
 
-def _merge_compatible(engine: RelativeMapper, at_last: bool = False) -> bool:
+def _merge_compatible(engine: RelativeMapper) -> bool:
     """Merge landmarks of unequal noise that coincide within the covariances of the refined map.
 
-    With `at_last`, also those that were found to be distinct before but still coincide. Returns
-    whether there were any.
+    Returns whether there were any.
     """
     merged = 0
     if not is_unequal(engine):
@@ -183,10 +182,7 @@ def _merge_compatible(engine: RelativeMapper, at_last: bool = False) -> bool:
     sightings = Sightings(engine.rows, engine.table)
     for refined in engine.refined:
         pairs = refined.landmarks[compatible(refined.positions, refined.covariances)]
-        pairs = mergeable(engine.table, pairs)
-        if not at_last:
-            pairs = pairs[engine.merger.allowed(pairs)]
-        merged += engine.merge_pairs(sightings.apart(pairs))
+        merged += engine.merge_pairs(sightings.apart(mergeable(engine.table, pairs)))
     return merged > 0
 
 
@@ -197,7 +193,7 @@ def _merge_doubled(engine: RelativeMapper) -> bool:
         return False
     for refined in engine.refined:
         for same in Doubled(refined, engine.table, engine.rows).sets():
-            pairs = mergeable(engine.table, same[engine.merger.allowed(same)])
+            pairs = mergeable(engine.table, same)
             if len(pairs) > CLEAR * len(same):
                 merged += engine.merge_pairs(pairs)
     if merged:
@@ -216,6 +212,7 @@ def _undo(engine: RelativeMapper) -> int:
         each += [nearer_another(refined, table, rows, sightings) for refined in engine.refined]
         each += [merged_across(refined, table, rows) for refined in engine.refined]
     tracks = np.unique(np.concatenate([np.empty(0, dtype=np.int64), *each]))
+    engine.merger.n_undone += len(tracks)
     if len(tracks):
         _part(engine, rows, tracks)
     return len(tracks)
@@ -240,7 +237,7 @@ def _reassign_tracks(engine: RelativeMapper) -> bool:
     moved = goal != table.landmark_of
     changed = np.union1d(goal[moved], table.landmark_of[moved])
     some = np.flatnonzero(np.isin(goal, changed) | np.isin(table.landmark_of, changed))
-    _part(engine, engine.rows, some[~table.is_own[some]], are_wrong=False)
+    _part(engine, engine.rows, some[~table.is_own[some]])
     some = some[np.argsort(table.weight[some] == 0, kind="stable")]  # the oldest that is mapped
     first, of = np.unique(goal[some], return_index=True, return_inverse=True)[1:]
     pairs = np.column_stack([some, some[first[of]]])
@@ -269,21 +266,15 @@ def _cut_loose(engine: RelativeMapper) -> bool:
     return found
 
 
-def _part(engine: RelativeMapper, rows: SegmentRows, tracks: Ints, are_wrong: bool = True) -> None:
-    """Make merged tracks (k,) separate landmarks again, mapped where they were seen.
-
-    `are_wrong`: whether they were wrongly merged, which may happen only once more.
-    """
+def _part(engine: RelativeMapper, rows: SegmentRows, tracks: Ints) -> None:
+    """Make merged tracks (k,) separate landmarks again, mapped where they were seen."""
     table = engine.table
     places, seen = places_of(table, rows, tracks)
     for track, place, weight in zip(tracks.tolist(), places, seen.tolist(), strict=True):
         landmark = int(table.landmark_of[track])
-        others = [number for number in table.members(landmark) if number != track]
         table.part(track)
         engine.levels.close(np.array([track]))
         engine.schedule.part(track, engine.store.n_iterations)
-        if are_wrong:
-            engine.merger.keep_apart(track, others)
         submap = int(table.submap[landmark])
         if weight > 0:
             at, of = np.array([track]), np.array([weight])

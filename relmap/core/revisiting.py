@@ -70,8 +70,7 @@ def _merge_revisits(engine: RelativeMapper) -> tuple[list[float], int]:
         for revisit in found:
             pairs = table.now(revisit.pairs)
             pairs = pairs[pairs[:, 0] != pairs[:, 1]]
-            pairs = sightings.apart(pairs[engine.merger.allowed(pairs)])
-            pairs = mergeable(table, pairs)
+            pairs = mergeable(table, sightings.apart(pairs))
             if len(pairs) > CLEAR * len(revisit.pairs):
                 engine.merge_pairs(pairs)
                 surprises.append(revisit.surprise)
@@ -89,19 +88,13 @@ def mergeable(table: LandmarkState, pairs: Ints) -> Ints:
     return np.asarray(pairs[~np.isin(pairs[:, 1], pairs[:, 0])])
 
 
-def merge_in_place(engine: RelativeMapper, at_last: bool = False) -> None:
-    """Merge landmarks that coincide in a map with odometry and were never seen together.
-
-    With `at_last`, also those that were found to be distinct before but still coincide.
-    """
-    merger, found = engine.merger, True
+def merge_in_place(engine: RelativeMapper) -> None:
+    """Merge landmarks that coincide in a map with odometry and were never seen together."""
+    found = True
     sightings = Sightings(engine.rows, engine.table)
     while found and engine.refined:
         noise_m = max(refined.noise_m for refined in engine.refined)
-        pairs = lying_together(engine.table, noise_m)
-        if not at_last:
-            pairs = pairs[merger.allowed(pairs)]
-        pairs = sightings.apart(pairs)
+        pairs = sightings.apart(lying_together(engine.table, noise_m))
         landmark, kept = engine.table.now(engine.kept.landmark), engine.kept
         both = seen_with_both(pairs, landmark, kept.iteration, len(engine.table))
         found = engine.merge_pairs(pairs[both >= TIED]) > 0
@@ -139,7 +132,6 @@ def merge_within_drift(engine: RelativeMapper) -> None:
         scans.get(one, set()).add(scan)
     at, chosen = table.position, []
     pairs = _nearest_pairs(own, at, scans)
-    pairs = pairs[engine.merger.allowed(pairs)]
     for pair, covariance in zip(pairs, _Accuracy(engine).covariances(pairs), strict=True):
         if not np.isfinite(covariance).all():
             continue

@@ -11,6 +11,7 @@ import numpy as np
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.association.search_kernels import distances
 from relmap.core.linalg.compiling import compiled, helper
+from relmap.core.linalg.order_kernels import ordered
 
 
 @compiled
@@ -77,17 +78,11 @@ def largest_clique(agree: Bools, most_steps: int) -> Ints:
 @helper
 def _by_neighbours(agree: Bools) -> Ints:
     """Return the nodes by descending number of neighbours; ties keep their order."""
-    n = len(agree)
-    degree, order = np.zeros(n, dtype=np.int64), np.empty(n, dtype=np.int64)
-    for i in range(n):
-        for j in range(n):
-            degree[i] += agree[i, j]
-        k = i
-        while k > 0 and degree[order[k - 1]] < degree[i]:
-            order[k] = order[k - 1]
-            k -= 1
-        order[k] = i
-    return order
+    fewer = np.zeros(len(agree), dtype=np.int64)
+    for i in range(len(agree)):
+        for j in range(len(agree)):
+            fewer[i] -= agree[i, j]
+    return ordered(fewer)
 
 
 @helper

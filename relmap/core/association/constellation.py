@@ -182,10 +182,10 @@ class Constellation(Numbered):
             return None
         is_last, is_unique = tracks is self._tracks, False
         idle = self._idle if is_last else self._n_scans - 1 - (since or 0)
-        placing = TrackPlacing(self._scale, idle, metric)
-        placement = placing.placement(tracks, points) if len(points) and len(tracks) else None
+        placing = TrackPlacing(self._scale, idle, metric, tracks, points)
+        placement = placing.placement() if len(points) and len(tracks) else None
         if placement is not None:
-            is_unique = placing.is_unique(placement, tracks, points)
+            is_unique = placing.is_unique(placement)
         guide, expected = self._guide, tracks.expected
         if placement is not None and is_unique and is_last:
             guide.learn(placement, expected, self._noise_m)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from relmap.core.association.chance import LOG_CHANCE_NEAR, Chance, moved_m
 from relmap.core.association.metric import rows_of
 from relmap.core.association.placement import Placement
 from relmap.core.association.soft import SoftMatching
-from relmap.core.association.tracks import LiveTracks
+from relmap.core.association.tracks import SEARCH, LiveTracks
 
 SHARE = 0.6
 """Fraction of the possible matches that must agree while the noise is unknown or the likelihood
@@ -31,14 +32,15 @@ Scored = tuple[Placement, float, float]
 class LikelyPlacing(Chance):
     """Finds the most likely placement of the tracks' frame in that of a scan.
 
-    Each scan updates the scale.
+    Each scan updates the scale. `points` (n, d), robot frame, metres: those of the scan.
     """
 
-    def likely(
-        self, tracks: LiveTracks, points: Floats, found: Placement | None
-    ) -> Placement | None:
+    tracks: LiveTracks
+    points: Floats
+
+    def likely(self, found: Placement | None) -> Placement | None:
         """Return the most likely placement, near that found if there is one; None if uncertain."""
-        matching, spacing_m = self.soft(tracks, points), self.scale.spacing_m
+        matching, spacing_m = self.soft, self.scale.spacing_m
         here = matching.source
         if not len(here):  # all tracks are farther away than the crowd
             return None
@@ -69,9 +71,22 @@ class LikelyPlacing(Chance):
             return near[0].n_agreeing >= SHARE * min(len(matching.source), len(matching.target))
         return CLEAR * near[1] > best[1]
 
-    def soft(self, tracks: LiveTracks, points: Floats) -> SoftMatching:
-        """Return tracks and points (n, d) for the search of the most likely placement."""
-        known, seen = tracks.crowd(points, len(tracks))
+    @cached_property
+    def possible(self) -> int:
+        """Number of matches that a search may find."""
+        n_recent = len(self.tracks) - int(np.count_nonzero(self.tracks.missed))
+        return min(n_recent, len(self.points), SEARCH)
+
+    @cached_property
+    def crowd(self) -> tuple[Floats, Floats, Floats | None]:
+        """Tracks (k, d) and points (l, d) that a search uses, and the metric (l, d, d) of these."""
+        known, seen = self.tracks.crowd(self.points)
+        return self.tracks.expected[known], self.points[seen], rows_of(self.metric, seen)
+
+    @property
+    def soft(self) -> SoftMatching:
+        """Tracks and points for the search of the most likely placement, with the noise as now."""
+        tracks, spacing_m = self.tracks, self.scale.spacing_m
+        known, seen = tracks.crowd(self.points, len(tracks))
         variance, metric = self.scale.variances(tracks.seen[known]), rows_of(self.metric, seen)
-        expected, spacing_m = tracks.expected[known], self.scale.spacing_m
-        return SoftMatching(expected, variance, points[seen], spacing_m, metric)
+        return SoftMatching(tracks.expected[known], variance, self.points[seen], spacing_m, metric)

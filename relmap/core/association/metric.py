@@ -130,9 +130,7 @@ class RayNoise:
         """
         enough = LONGEST if self.is_unequal is None else WAIT
         if self.weighs is None and n_observations >= enough:
-            self.weighs = bool(self.is_unequal)
-            if self.weighs and self._typical().min() > BELOW * noise_m:
-                self.weighs = False
+            self.weighs = bool(self.is_unequal) and not self._typical().min() > BELOW * noise_m
 
     def _typical(self) -> Floats:
         """Return standard deviations (2, 2) along and across the ray, near and far."""

@@ -27,7 +27,6 @@ from relmap.core.association.scale import (
     WIDER,
 )
 from relmap.core.association.search import fits_mirrored, search, settled
-from relmap.core.association.tracks import LiveTracks
 from relmap.core.geometry.alignment import extent_of
 
 NEAR_SHARE = 0.8
@@ -43,9 +42,6 @@ BLURRED = (0.1, 0.2, 0.35)
 """Noise, in spacings, that is tried where none explains the matches."""
 GROWN = 2.5
 """Largest noise tried, relative to that learnt from the scans before."""
-LEAST_MISFIT = 0.25
-"""Minimum variance of matches relative to that assumed: with too much noise assumed, a rival nearby
-would not differ."""
 FAMILIAR = 5
 """Observations of a landmark required if only two landmarks determine a planar scan."""
 NEARBY = 0.2
@@ -71,69 +67,64 @@ class _Searched(NamedTuple):
 class TrackPlacing(PatternPlacing):
     """Finds the placement of the tracks' frame in that of a scan, of any noise."""
 
-    def placement(self, tracks: LiveTracks, points: Floats) -> Placement | None:
-        """Return the placement that brings tracks onto points (n, d); None if none is certain."""
+    def placement(self) -> Placement | None:
+        """Return the placement that brings tracks onto points; None if none is certain."""
         learnt, is_ambiguous, found = self.scale.noise_m, False, None
-        if learnt is None and np.isfinite(self.period_m(tracks, points)):
-            found = self._explaining(tracks, points, FINER, np.inf)
+        if learnt is None and np.isfinite(self.period_m()):
+            found = self._explaining(FINER, np.inf)
         if found is None:
-            found, is_ambiguous = self._found(tracks, points)
+            found, is_ambiguous = self._found()
         if self.scale.is_blurred:
-            found = self.likely(tracks, points, found)
+            found = self.likely(found)
         if found is None:
-            found = self.next_step(tracks, points)
+            found = self.next_step()
         if found is None:
             # In a pattern that repeats, more noise would hide that it fits a period away as well.
-            is_ambiguous |= learnt is not None and np.isfinite(self.period_m(tracks, points))
-            found = self._found_of_unknown_noise(tracks, points, is_ambiguous)
-        if found is None or not self._is_elsewhere(found, learnt, tracks, points):
+            is_ambiguous |= learnt is not None and np.isfinite(self.period_m())
+            found = self._found_of_unknown_noise(is_ambiguous)
+        if found is None or not self._is_elsewhere(found, learnt):
             return found
         self.scale.noise_m, self.scale.wider = learnt, 1.0
         return None
 
-    def _is_elsewhere(
-        self, found: Placement, learnt: float | None, tracks: LiveTracks, points: Floats
-    ) -> bool:
+    def _is_elsewhere(self, found: Placement, learnt: float | None) -> bool:
         """Return whether the scan may show another place than the tracks.
 
         In a pattern that repeats, a few matches may be anywhere, also the other way round.
         After many nearly empty scans, only if it shows nearly all tracks in place it does not.
         """
-        if found.n_agreeing < PLENTY and not self.is_safe(found, tracks, points):
+        if found.n_agreeing < PLENTY and not self.is_short(self.step_m(found)):
             return True
         if self.idle > BLIND:
-            share = NEAR_SHARE * min(len(tracks), len(points))
-            has_moved = moved_m(found, tracks.expected) > self.scale.spacing_m
+            share = NEAR_SHARE * min(len(self.tracks), len(self.points))
+            has_moved = moved_m(found, self.tracks.expected) > self.scale.spacing_m
             return has_moved or found.n_agreeing < share
-        return learnt is not None and self._is_mirrored(found, learnt, tracks, points)
+        return learnt is not None and self._is_mirrored(found, learnt)
 
-    def _is_mirrored(
-        self, found: Placement, learnt: float, tracks: LiveTracks, points: Floats
-    ) -> bool:
+    def _is_mirrored(self, found: Placement, learnt: float) -> bool:
         """Return whether the mirror image of a scan fits better than the scan at a large motion.
 
         In a mirrored scan, points near a plane fit all the same.
         """
         is_wide = self.scale.noise_m is None
-        is_certain = not is_wide and found.n_agreeing >= SHARE * tracks.possible(points)
-        if is_certain or moved_m(found, tracks.expected) <= self.scale.spacing_m:
+        is_certain = not is_wide and found.n_agreeing >= SHARE * self.possible
+        if is_certain or moved_m(found, self.tracks.expected) <= self.scale.spacing_m:
             return False
-        known, seen = tracks.crowd(points)
+        here, there, own = self.crowd
         tolerance_m = min(self.scale.tolerance_m, SIGMAS * learnt)
         least = found.n_agreeing if is_wide else found.n_agreeing / CLEAR
-        own = rows_of(self.metric, seen)
-        return fits_mirrored(tracks.expected[known], points[seen], tolerance_m, least, own)
+        return fits_mirrored(here, there, tolerance_m, least, own)
 
-    def is_unique(self, placement: Placement, tracks: LiveTracks, points: Floats) -> bool:
-        """Return whether tracks fit points (n, d) better than chance explains in any placement."""
-        chance = self.log(placement.n_agreeing, tracks.expected, points)
+    def is_unique(self, placement: Placement) -> bool:
+        """Return whether tracks fit the points better than chance explains in any placement."""
+        chance = self.log(placement.n_agreeing, self.tracks.expected, self.points)
         if self.scale.is_blurred:
-            d, extent_m = points.shape[1], extent_of(points)
+            d, extent_m = self.points.shape[1], extent_of(self.points)
             chance = (2 * d - 3) * np.log(2 * np.pi) + self.log_placements(d, extent_m)
-            chance -= self.soft(tracks, points).fitted(placement.R, placement.t)[1]
+            chance -= self.soft.fitted(placement.R, placement.t)[1]
         return bool(chance <= LOG_CHANCE)
 
-    def _found(self, tracks: LiveTracks, points: Floats) -> tuple[Placement | None, bool]:
+    def _found(self) -> tuple[Placement | None, bool]:
         """Find the placement of the tracks' frame in the scan with the most matches.
 
         Also returns whether it is None because several placements explain most of the scan.
@@ -141,7 +132,8 @@ class TrackPlacing(PatternPlacing):
         import relmap.core.association.matching_kernels as matching
         import relmap.core.association.tracking_kernels as tracking
 
-        (n, d), metric, scale = points.shape, self.metric, self.scale
+        tracks, points, metric, scale = self.tracks, self.points, self.metric, self.scale
+        n, d = points.shape
         sample, rows, target, distance, here, there, spacing_m = matching.matched_sample(
             points, tracks.expected, tracks.missed, SAMPLE, scale.spacing_m, SLOWNESS
         )
@@ -159,11 +151,10 @@ class TrackPlacing(PatternPlacing):
             is_usual = (scale.noise_m is not None and is_sharp and not missed) and (
                 square / CHI2_MEDIAN[d] <= MISFIT * scale.assumed_m**2
             )
-            is_safe = self._is_short(np.inf if missed or self.idle else step_m, tracks, points)
+            is_safe = self.is_short(np.inf if missed or self.idle else step_m)
             if is_safe and is_usual and near.n_agreeing >= max(PLENTY, share):
                 return near, False
-            alone = near.n_agreeing == len(rows) == d == 2
-            if alone and self._is_familiar_pair(tracks, rows, distance):
+            if near.n_agreeing == len(rows) == d == 2 and self._is_familiar_pair(rows, distance):
                 return near, False
             here = tracks.expected[sample]
             near = settled(here, points, near, tolerance_m, metric)
@@ -171,114 +162,100 @@ class TrackPlacing(PatternPlacing):
                 near = None
         if near is not None and is_safe and is_usual and near.n_agreeing >= share:
             return near, False
-        far = self._search(tracks, points)
+        far = self._search()
         is_best = is_sharp and near is not None and far.n_agreeing <= near.n_agreeing
         is_most = near is not None and is_safe and near.n_agreeing >= share
         if near and is_best and (is_most or not far.is_doubtful):
             return near, False
-        explains = far.n_agreeing >= SHARE * tracks.possible(points)
+        explains = far.n_agreeing >= SHARE * self.possible
         return far.placement, far.placement is None and far.is_ambiguous and explains
 
-    def _is_familiar_pair(self, tracks: LiveTracks, rows: Ints, distance: Floats) -> bool:
+    def _is_familiar_pair(self, rows: Ints, distance: Floats) -> bool:
         """Return whether two matches in the plane suffice: well known, just seen, hardly moved."""
-        known = (tracks.seen[rows] >= FAMILIAR).all() and (tracks.missed[rows] == 0).all()
+        seen, missed = self.tracks.seen[rows], self.tracks.missed[rows]
+        known = (seen >= FAMILIAR).all() and (missed == 0).all()
         return bool(known and distance.max() <= NEARBY * self.scale.spacing_m)
 
-    def _found_of_unknown_noise(
-        self, tracks: LiveTracks, points: Floats, is_ambiguous: bool
-    ) -> Placement | None:
+    def _found_of_unknown_noise(self, is_ambiguous: bool) -> Placement | None:
         """Retry as if the noise were unknown: it may have grown, as when a robot starts moving.
 
         If several placements explain the scan, more noise would only hide that.
         """
         widest_m = self.scale.tolerance_m if is_ambiguous else np.inf
-        scale, possible = self.scale, tracks.possible(points)
+        scale = self.scale
         learnt, scale.noise_m = scale.noise_m, None
         factors: tuple[float, ...] = (*FINER, *WIDER)
         if learnt is not None:
             unit_m, known_m = COARSE * scale.spacing_m, SIGMAS * learnt
             factors = tuple(one for one in (*FINER, 1.0, *WIDER) if one * unit_m > known_m)
-        placement = self._explaining(tracks, points, factors, widest_m)
-        if placement is not None and (learnt is None or self.is_safe(placement, tracks, points)):
+        placement = self._explaining(factors, widest_m)
+        if placement and (learnt is None or self.is_short(self.step_m(placement))):
             return placement
         scale.wider = 1.0
         scale.noise_m = learnt
         may_be_blurred = learnt is None or scale.is_blurred
         least_m, most_m = learnt or 0.0, GROWN * learnt if learnt else np.inf
-        for share in BLURRED if possible >= PLENTY and may_be_blurred else ():
+        for share in BLURRED if self.possible >= PLENTY and may_be_blurred else ():
             scale.noise_m = share * scale.spacing_m
             is_new = least_m <= scale.noise_m <= most_m and SIGMAS * scale.noise_m < widest_m
             if scale.is_blurred and is_new:
-                matching, placement = self.soft(tracks, points), self.likely(tracks, points, None)
-                if placement is not None and matching.misfit(placement) >= LEAST_MISFIT:
+                placement = self.likely(None)
+                if placement is not None:
                     return placement
         scale.noise_m = learnt
         return None
 
-    def _explaining(
-        self, tracks: LiveTracks, points: Floats, factors: tuple[float, ...], widest_m: float
-    ) -> Placement | None:
+    def _explaining(self, factors: tuple[float, ...], widest_m: float) -> Placement | None:
         """Return the first placement that explains most of the scan as the tolerance grows.
 
         `factors`: of the tolerance while the noise is unknown; `widest_m`: it stays below. On a
         lattice, placements a period apart agree to a coarse tolerance, only one to a fine one.
         """
-        scale, possible = self.scale, tracks.possible(points)
-        for scale.wider in factors if possible >= PLENTY else ():
+        scale = self.scale
+        for scale.wider in factors if self.possible >= PLENTY else ():
             if scale.tolerance_m < widest_m:
-                placement, _ = self._found(tracks, points)
-                if placement is not None and placement.n_agreeing >= SHARE * possible:
+                placement, _ = self._found()
+                if placement is not None and placement.n_agreeing >= SHARE * self.possible:
                     return placement
         scale.wider = 1.0
         return None
 
-    def _is_unrivalled(
-        self,
-        placement: Placement,
-        rival: int,
-        here: Floats,
-        there: Floats,
-        metric: Floats | None,
-        is_next: bool,
-    ) -> bool:
-        """Return whether the rivals of a placement of points (n, d) on others (m, d) are unlikely.
+    def _is_unrivalled(self, placement: Placement, rival: int) -> bool:
+        """Return whether the rivals of a placement are unlikely.
 
         They match far less, or no more than chance does in some placement; or, from one scan to the
         next, those that match less need so much more motion that a thousand times as many
         placements are possible.
         """
-        least = CLEAR * placement.n_agreeing
+        (here, there, own), least = self.crowd, CLEAR * placement.n_agreeing
         if rival <= least or self.log(rival, here, there) > 0:
             return True
-        if rival >= placement.n_agreeing or not is_next:
+        if rival >= placement.n_agreeing or self.tracks.missed.min() or self.idle:
             return False
         reach_m = self.reach_m(moved_m(placement, here), here.shape[1])
-        near = search(here, there, self.scale.tolerance_m, ENOUGH, metric, reach_m)
+        near = search(here, there, self.scale.tolerance_m, ENOUGH, own, reach_m)
         return near is not None and near[1] <= least
 
-    def _search(self, tracks: LiveTracks, points: Floats) -> _Searched:
+    def _search(self) -> _Searched:
         """Search for the tracks in the scan, for any motion of the robot.
 
         If there are many, only those near the robot are used. Between rivals with similar numbers
         of matches the likelihood decides, if the noise is known.
         """
-        missed, (known, seen) = int(tracks.missed.min()), tracks.crowd(points)
-        here, there = tracks.expected[known], points[seen]
-        own = rows_of(self.metric, seen)
+        here, there, own = self.crowd
         found = search(here, there, self.scale.tolerance_m, ENOUGH, own)
         if found is None:
             return _Searched(None, 0)
         placement, rival = found
-        if not self.is_exceeded(placement, here, there, missed):
+        if not self.is_exceeded(placement, here, there, int(self.tracks.missed.min())):
             return _Searched(None, placement.n_agreeing)
         is_decidable = self.scale.noise_m is not None
         is_decidable &= min(len(here), len(there)) >= DECIDABLE
-        is_next = not (missed or self.idle)
-        is_clear = self._is_unrivalled(placement, rival, here, there, own, is_next)
-        if is_clear and (not is_decidable or self.soft(tracks, points).misfit(placement) <= MISFIT):
+        is_clear = self._is_unrivalled(placement, rival)
+        if is_clear and (not is_decidable or self.soft.misfit(placement) <= MISFIT):
             return _Searched(placement, placement.n_agreeing)
-        likely = self.likely(tracks, points, None) if is_decidable else None
-        near = tracks.crowd(points, len(tracks))[0]
+        likely = self.likely(None) if is_decidable else None
+        near = self.tracks.crowd(self.points, len(self.tracks))[0]
         if likely is not None and likely.n_agreeing < SHARE * min(len(near), len(there)):
             likely = None  # the best one may not be among those suggested
         comes_near = not is_clear and rival > DISTINCT * placement.n_agreeing

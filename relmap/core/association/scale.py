@@ -119,10 +119,8 @@ class Scale:
             self._learn_variance(misfit * self.noise_m**2)
 
     def _learn_variance(self, variance: float) -> None:
-        if self.noise_m is None:
-            self.noise_m = math.sqrt(variance)
-        else:
-            self.noise_m = math.sqrt(self.noise_m**2 + SLOWNESS * (variance - self.noise_m**2))
+        before = variance if self.noise_m is None else self.noise_m**2
+        self.noise_m = math.sqrt(before + SLOWNESS * (variance - before))
 
 
 def spacing_of(points: Floats) -> float:

@@ -74,11 +74,9 @@ def search(
         R, t, matches = R[near], t[near], matches[near]
     if not len(R):
         return None
-    best = None
-    for row in np.argsort(-np.sum(matches >= 0, axis=1), kind="stable")[:RIVALS]:
-        placed = settled(source, target, Placement(R[row], t[row], 0), tolerance_m, metric)
-        if placed is not None and (best is None or placed.n_agreeing > best.n_agreeing):
-            best = placed
+    most = np.argsort(-np.sum(matches >= 0, axis=1), kind="stable")[:RIVALS]
+    each = [settled(source, target, Placement(R[k], t[k], 0), tolerance_m, metric) for k in most]
+    best = max(filter(None, each), key=lambda placed: placed.n_agreeing, default=None)
     if best is None or best.n_agreeing < fewest:
         return None
     match = matches_of(source, target, best, 1.5 * tolerance_m, metric)
@@ -170,14 +168,3 @@ def fits_mirrored(
         return False
     own = search(source, source * sign, tolerance_m, 3)  # on a line: all
     return own is None or own[0].n_agreeing < least
-
-
-def period_of(points: Floats, tolerance_m: float, within_m: float = np.inf) -> float:
-    """Return the distance after which points (n, d) repeat, metres; infinite if they do not.
-
-    As trees in an orchard or lamps along a road do: nearest neighbours may agree a period away.
-    `within_m`: only shorter ones are tried.
-    """
-    from relmap.core.association.search_kernels import shortest_period
-
-    return float(shortest_period(points, tolerance_m, within_m))

@@ -9,8 +9,8 @@ from relmap.core.association.matching_kernels import buckets, matched
 from relmap.core.association.search import CENTRES, MOST, NEIGHBOURS, PATCH, REPEATED
 from relmap.core.geometry.fitting_kernels import fit_rows, placed_at, set_placement
 from relmap.core.linalg.compiling import compiled, helper
-from relmap.core.linalg.order_kernels import ordered, smallest
-from relmap.core.linalg.small_kernels import identity, square_of
+from relmap.core.linalg.order_kernels import ordered
+from relmap.core.linalg.small_kernels import identity, picked, square_of
 
 
 @helper
@@ -125,22 +125,17 @@ def _enter(points: Floats, i: int, j: int, k: int, corners: Floats) -> None:
 
 
 @helper
-def _patch(points: Floats, most: int) -> Floats:
+def _patch(points: Floats) -> Floats:
     """Return the points (k, d) nearest to the centre of points (n, d), nearest first."""
     n, d = points.shape
-    apart, k = np.zeros(n), min(n, most)
+    apart = np.zeros(n)
     for a in range(d):
         total = 0.0
         for i in range(n):
             total += points[i, a]
         for i in range(n):
             apart[i] += (points[i, a] - total / n) ** 2
-    last, near, count = smallest(apart.copy(), k - 1), np.empty(k, dtype=np.int64), 0
-    for is_last in (False, True):
-        for i in range(n):
-            if count < k and (apart[i] == last if is_last else apart[i] < last):
-                near[count], count = i, count + 1
-    return points[near[ordered(apart[near])]]
+    return picked(points, ordered(apart)[:PATCH])
 
 
 @compiled
@@ -153,7 +148,7 @@ def shortest_period(points: Floats, tolerance_m: float, within_m: float) -> floa
     """
     if len(points) <= 2:
         return np.inf
-    patch, shortest, limit = _patch(points, PATCH), np.inf, within_m * within_m
+    patch, shortest, limit = _patch(points), np.inf, within_m * within_m
     fewest = max(2.0, REPEATED * (len(patch) - 1))
     for c in range(min(CENTRES, len(patch))):
         last = 4 * tolerance_m * tolerance_m

@@ -82,10 +82,6 @@ class LiveTracks(Tracks):
         """All columns, in the order in which the compiled functions take them."""
         return self.landmarks, self.expected, self.latest, self.missed, self.seen, self.restless
 
-    def possible(self, points: Floats) -> int:
-        """Return the number of matches with points (n, d) that a search may find."""
-        return min(len(self) - int(np.count_nonzero(self.missed)), len(points), SEARCH)
-
     def crowd(self, points: Floats, most: int = SEARCH) -> tuple[Ints, Ints]:
         """Return the tracks (k,) and which of points (n, d), (l,), a search uses."""
         away = np.linalg.norm(points, axis=1)

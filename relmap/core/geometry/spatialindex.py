@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.arrays import Floats, Ints
 from relmap.core.state.table import NONE, LandmarkState
 
 BUCKETS = 2**12
@@ -53,10 +53,6 @@ class SpatialIndex:
         of = self._table
         grid = self._first, of.next_in_cell, of.cell, of.last
         return kernels.near(grid, positions, self.cell_m, before)
-
-    def holds(self, landmarks: Ints) -> Bools:
-        """Return which landmarks (k,) are in the index."""
-        return np.asarray(self._table.cell[landmarks] != NONE)
 
     def _link(self, n_buckets: int) -> None:
         """Link all landmarks anew, with four times as many buckets as landmarks or more."""

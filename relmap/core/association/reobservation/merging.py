@@ -33,10 +33,6 @@ TOLERANCE = 3.0
 observation."""
 EXACT = 1e-3
 """Minimum tolerance, as a fraction of that reach, for noise-free data."""
-SLICE = 500
-"""Landmarks re-entered at a time after the map has moved."""
-LAST = 2**62
-"""Larger than any landmark number."""
 ROUNDS = 5
 """Maximum number of passes over duplicates, as each merge may reveal others."""
 
@@ -52,17 +48,14 @@ class Merger:
 
     _index: SpatialIndex | None
     _old_near: dict[int, list[int]]
-    _apart: dict[int, list[int]]
-    STATE = "_index _entered _old_near _apart n_undone"
+    STATE = "_index _old_near n_undone"
 
     def __init__(self, table: LandmarkState, model: LandmarkModel, mature: int) -> None:
         self._table = table
         self._model = model
         self._mature = mature
         self._index = None
-        self._entered = LAST
         self._old_near = {}
-        self._apart = {}
         self.n_undone = 0
         self.sightings: Sightings | None = None
 
@@ -80,8 +73,9 @@ class Merger:
         self._index.add(landmarks)
 
     def look_again(self) -> None:
-        """Re-enter all landmarks, because the map has moved; `go_on` does it incrementally."""
-        self._entered = 0
+        """Re-enter all landmarks, because the map has moved: 0.1 ms for 1000."""
+        if self._index is not None:
+            self._index.add(np.flatnonzero(self._table.cell != NONE))
 
     def doubles(self, noise_m: float) -> Ints:
         """Return the landmarks (k,) near compatible older ones, to be merged next.
@@ -100,14 +94,6 @@ class Merger:
             max(self._index.cell_m, tolerance_m), output_type="ndarray"
         )
         return self._note(mapped[np.vstack([near, near[:, ::-1]])])
-
-    def go_on(self) -> None:
-        """Re-enter some more landmarks at their current positions."""
-        if self._index is not None and self._entered < len(self._table):
-            end = min(self._entered + SLICE, len(self._table))
-            landmarks = np.arange(self._entered, end)
-            self._index.add(landmarks[self._index.holds(landmarks)])
-            self._entered = end
 
     def find(self, landmarks: Ints, noise_m: float) -> Ints:
         """Return pairs (k, 2) of a new landmark and the older one that it is.
@@ -171,26 +157,6 @@ class Merger:
             if not known.isdisjoint(others):
                 others[:] = [other for other in others if other not in known]
 
-    def keep_apart(self, track: int, others: list[int]) -> None:
-        """Record that a track was wrongly merged: this may happen only once more."""
-        self.n_undone += 1
-        for one, other in ((track, other) for other in others):
-            self._apart.setdefault(one, []).append(other)
-            self._apart.setdefault(other, []).append(one)
-
-    def allowed(self, pairs: Ints) -> Bools:
-        """Return which pairs (k, 2) of landmarks were not found to be distinct; (k,)."""
-        return np.array([not self._are_apart(*pair) for pair in pairs.tolist()], dtype=bool)
-
-    def _are_apart(self, one: int, other: int) -> bool:
-        if not self._apart:
-            return False
-        of = self._table.landmark_of
-        noted = (self._apart.get(track, []) for track in self._table.members(one))
-        return any(
-            of[track] == other and tracks.count(track) > 1 for tracks in noted for track in tracks
-        )
-
     def _begun(self, landmarks: Ints) -> SpatialIndex | None:
         reach_m = self._model.drift_m
         if reach_m is None:
@@ -209,7 +175,6 @@ class Merger:
             return
         new = landmarks[of]
         close = np.linalg.norm(positions[near] - positions[new], axis=1) <= self._index.cell_m
-        close &= self._table.submap[near] == self._table.submap[new]
         self._note(np.column_stack([new[close], near[close]]))
 
     def _note(self, pairs: Ints) -> Ints:
@@ -228,14 +193,7 @@ class Merger:
         table, (new, old) = self._table, pairs.T
         fits = (table.submap[old] == table.submap[new]) & (table.submap[new] != NONE)
         fits[fits] = self._model.may_be(table, new[fits], old[fits])
-        new, old = new[fits], old[fits]
-        is_later = (table.last[old] < table.first[new]).tolist()
-        found = zip(new.tolist(), old.tolist(), is_later, strict=True)
-        return [
-            (one, other)
-            for one, other, later in found
-            if (later or self._is_later(one, other)) and not self._are_apart(one, other)
-        ]
+        return [(one, other) for one, other in pairs[fits].tolist() if self._is_later(one, other)]
 
     def _is_later(self, new: int, old: int) -> bool:
         table = self._table

@@ -130,10 +130,8 @@ class RevisitFinder:
 
     def _within(self, sigmas: float, wider: float) -> list[Revisit]:
         """Return those with a drift of at most `sigmas` standard deviations, without rivals."""
-        found: list[Revisit] = []
-        for pose in self._poses.tolist():
-            revisit = self._revisit(pose, sigmas, wider)
-            found += [] if revisit is None else [revisit]
+        each = [self._revisit(pose, sigmas, wider) for pose in self._poses.tolist()]
+        found = [revisit for revisit in each if revisit is not None]
         sure, taken = [], np.full(len(self._table), NONE)
         for revisit in sorted(found, key=lambda revisit: revisit.chance):
             new, old = revisit.pairs.T
