@@ -8,6 +8,8 @@ covariances that come with a scan, or else it is estimated from the residuals of
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
@@ -40,6 +42,10 @@ TYPICAL = (0.1, 0.9)
 """Quantiles of the distance between which the noise is compared."""
 TERMS = 3
 """Coefficients of the variance, a polynomial in the squared distance."""
+SETS = np.array([*product([0.0, 1.0], repeat=TERMS)][1:])
+"""Sets (s, t) of coefficients that may be above 0: 1 for each."""
+PAIRS = SETS[:, :, None] * SETS[:, None]
+"""Which entries of the moments a set needs (s, t, t)."""
 RIDGE = 1e-12
 """Keeps a system of terms that are proportional to each other solvable."""
 BELOW = 0.7
@@ -88,16 +94,26 @@ class RayNoise:
         `expected`, `found` (n, d), robot frame, metres: predicted and observed; `n_seen` (n,):
         observations before.
         """
-        import relmap.core.association.ray_kernels as kernels
-
-        squares = kernels.residuals(expected, found, n_seen, MEMORY)
+        squares = _residuals(expected, found, n_seen)
         self._unit_m = self._unit_m or float(squares[:, 0].max())
         self._squares = np.concatenate([self._squares, squares])[-RECENT:]
         if len(self._squares) >= ENOUGH and self._unit_m > 0:
-            kernels.update(self._squares, self._unit_m, self._coefficients)
+            self._update()
             sigma = self._typical()
             is_negligible = sigma.max() < NEGLIGIBLE * self._unit_m
             self.is_unequal = bool(sigma.max() >= UNEQUAL * sigma.min() and not is_negligible)
+
+    def _update(self) -> None:
+        """Fit the coefficients to the residuals, weighted by the variances of the fit before."""
+        terms, squares = self._terms(self._squares[:, 0]), self._squares.T[1:]
+        typical = np.array([[middle(of)] for of in squares]) / CHI2_MEDIAN
+        least = np.maximum(LEAST * typical, TINY)
+        for _ in range(ROUNDS):
+            is_known = self._coefficients.any(axis=1, keepdims=True)
+            floor = np.where(is_known, least, typical + least)
+            variance = np.maximum(self._coefficients @ terms.T, floor)
+            clipped = np.minimum(squares, OUTLIER * variance)
+            self._coefficients = nonnegative(terms / variance[:, :, None], clipped / variance)
 
     def metric(self, points: Floats) -> Floats | None:
         """Return the metric at the points of the current scan; None if the noise is isotropic.
@@ -154,10 +170,39 @@ class RayNoise:
 
     def _sigmas(self, distance: Floats) -> Floats:
         """Return standard deviations (n, 2) along and across the ray at distances (n,), metres."""
-        square = (distance / self._unit_m) ** 2
-        terms = np.column_stack([np.ones(len(square)), square, square**2])
-        variances = terms @ self._coefficients.T
+        variances = self._terms(distance) @ self._coefficients.T
         return np.asarray(np.sqrt(np.maximum(variances, LEAST * self._coefficients.max() + 1e-300)))
+
+    def _terms(self, distance: Floats) -> Floats:
+        """Return the powers (n, t) of squared distances of which the variance is a sum."""
+        square = (distance / self._unit_m) ** 2
+        return np.column_stack([np.ones(len(square)), square, square**2])
+
+
+def _residuals(expected: Floats, found: Floats, n_seen: Ints) -> Floats:
+    """Return the distance (n, 3) of each point, metres, and its squared residuals.
+
+    Along and across the ray, of one observation: the prediction averages those before.
+    """
+    distance = np.linalg.norm(found, axis=1)
+    off = (expected - found) / np.sqrt(1 + 1 / np.minimum(n_seen, MEMORY))[:, None]
+    along = np.sum(off * found, axis=1) / np.maximum(distance, 1e-12)
+    across = np.maximum(np.sum(off**2, axis=1) - along**2, 0.0) / (found.shape[1] - 1)
+    return np.column_stack([distance, along**2, across])
+
+
+def nonnegative(terms: Floats, values: Floats) -> Floats:
+    """Return the coefficients (k, t), 0 or more, of terms (k, n, t) nearest to values (k, n).
+
+    Least squares with each set of coefficients above 0; 1e-300 serves terms that are 0.
+    """
+    moments, right = np.swapaxes(terms, 1, 2) @ terms, values[:, None] @ terms
+    unit = np.eye(TERMS)
+    moments += unit * (RIDGE * moments + 1e-300)
+    matrices = PAIRS * moments[:, None] + unit * (1 - PAIRS)
+    found = np.linalg.solve(matrices, (SETS * right)[..., None])[..., 0]
+    gains = np.where(found.min(axis=2) >= 0, np.sum(found * right, axis=2), -1.0)
+    return np.asarray(found[np.arange(len(found)), gains.argmax(axis=1)])
 
 
 def rows_of(metric: Floats | None, rows: Ints) -> Floats | None:
