@@ -73,6 +73,7 @@ def test_old_landmarks_are_found_where_the_map_has_moved_them() -> None:
     merger.leave(old)
     global_map.move(old, places + 100.0)
     merger.look_again()
+    merger.go_on()
     table.first[new] = 50
     GroupingSchedule(table, MapperConfig()).see(new, 60)
     global_map.place(submap, new, places + 100.0, np.full(6, 10.0))

@@ -23,6 +23,7 @@ def take_turns(engine: RelativeMapper, left: Ints) -> None:
     `left` (k,): landmarks that left the view in this iteration.
     """
     engine.merger.leave(left)
+    engine.merger.go_on()
     steps = (_group_next, _last_pass_next, _forget, _refine_next)
     first = engine.store.n_iterations % len(steps)
     for step in steps[first:] + steps[:first]:

@@ -33,6 +33,10 @@ TOLERANCE = 3.0
 observation."""
 EXACT = 1e-3
 """Minimum tolerance, as a fraction of that reach, for noise-free data."""
+SLICE = 500
+"""Landmarks re-entered at a time after the map has moved."""
+LAST = 2**62
+"""Larger than any landmark number."""
 ROUNDS = 5
 """Maximum number of passes over duplicates, as each merge may reveal others."""
 
@@ -48,13 +52,14 @@ class Merger:
 
     _index: SpatialIndex | None
     _old_near: dict[int, list[int]]
-    STATE = "_index _old_near n_undone"
+    STATE = "_index _entered _old_near n_undone"
 
     def __init__(self, table: LandmarkState, model: LandmarkModel, mature: int) -> None:
         self._table = table
         self._model = model
         self._mature = mature
         self._index = None
+        self._entered = LAST
         self._old_near = {}
         self.n_undone = 0
         self.sightings: Sightings | None = None
@@ -73,9 +78,8 @@ class Merger:
         self._index.add(landmarks)
 
     def look_again(self) -> None:
-        """Re-enter all landmarks, because the map has moved: 0.1 ms for 1000."""
-        if self._index is not None:
-            self._index.add(np.flatnonzero(self._table.cell != NONE))
+        """Re-enter all landmarks, because the map has moved; `go_on` does it incrementally."""
+        self._entered = 0
 
     def doubles(self, noise_m: float) -> Ints:
         """Return the landmarks (k,) near compatible older ones, to be merged next.
@@ -94,6 +98,14 @@ class Merger:
             max(self._index.cell_m, tolerance_m), output_type="ndarray"
         )
         return self._note(mapped[np.vstack([near, near[:, ::-1]])])
+
+    def go_on(self) -> None:
+        """Re-enter some more landmarks at their current positions."""
+        if self._index is not None and self._entered < len(self._table):
+            end = min(self._entered + SLICE, len(self._table))
+            landmarks = np.arange(self._entered, end)
+            self._index.add(landmarks[self._table.cell[landmarks] != NONE])
+            self._entered = end
 
     def find(self, landmarks: Ints, noise_m: float) -> Ints:
         """Return pairs (k, 2) of a new landmark and the older one that it is.
@@ -193,7 +205,10 @@ class Merger:
         table, (new, old) = self._table, pairs.T
         fits = (table.submap[old] == table.submap[new]) & (table.submap[new] != NONE)
         fits[fits] = self._model.may_be(table, new[fits], old[fits])
-        return [(one, other) for one, other in pairs[fits].tolist() if self._is_later(one, other)]
+        new, old = new[fits], old[fits]
+        is_later = (table.last[old] < table.first[new]).tolist()
+        found = zip(new.tolist(), old.tolist(), is_later, strict=True)
+        return [(one, other) for one, other, later in found if later or self._is_later(one, other)]
 
     def _is_later(self, new: int, old: int) -> bool:
         table = self._table
