@@ -32,9 +32,6 @@ several times as long."""
 CLEARLY = 0.9
 """Largest ratio of what a solution leaves unexplained to what another does for it to be kept: where
 the noise of few landmarks is correlated, they may differ by a twentieth and be as good."""
-RIGHT = 0.96
-"""Fraction of observations that agree below which some ids are wrong, whatever the noise: then the
-solution that leaves less unexplained is kept."""
 
 
 def unless_confirmed(
@@ -49,8 +46,8 @@ def unless_confirmed(
 
     The cost of outliers grows with their distance, so that many wrong ids together fold the map,
     for a few rejected steps of odometry. The other solution leaves them out; it is returned if it
-    rejects fewer steps, or leaves less of the odometry and of what is confirmed unexplained,
-    clearly less if most ids may be right. Arguments as for `settled_chain`.
+    rejects fewer steps, or leaves clearly less of the odometry and of what is confirmed
+    unexplained. Arguments as for `settled_chain`.
     """
     sure = confirmed(chain, step_sd)
     if not 0 < np.sum(sure) < MOST * len(sure):
@@ -63,8 +60,7 @@ def unless_confirmed(
         chain.only(agrees | lost), step_sd, state, anchor, None, to_the_last, True
     )
     (kept, slips), (less, fewer) = _unexplained([found, other], sure, start.positions, 1.0)
-    ratio = CLEARLY if np.mean(agrees | lost) >= RIGHT else 1.0
-    return other if fewer < slips or less < ratio * kept else found
+    return other if fewer < slips or less < CLEARLY * kept else found
 
 
 def _of_confirmed(
