@@ -15,14 +15,14 @@ from relmap.core.geometry.motions import transforms
 from relmap.core.map.globalmap import order_of_submaps
 from relmap.core.motion_noise import MotionNoise, unit_of
 from relmap.core.refinement.chain.bridging import Bridged
-from relmap.core.refinement.chain.chain_data import Chain, Chained, Sigmas
+from relmap.core.refinement.chain.chain_data import Chain, Chained, Sigmas, unexplained
 from relmap.core.refinement.chain.chain_solving import settled_chain, start_of
 from relmap.core.refinement.chain.chained import ChainProblem
 from relmap.core.refinement.chain.confirmed import unless_confirmed
 from relmap.core.refinement.condensing import NOWHERE, SegmentRows
 from relmap.core.refinement.gauss_newton import Solution, size_of
 from relmap.core.refinement.joint import Refined, Spread, joint_rows
-from relmap.core.refinement.misread import are_scattered
+from relmap.core.refinement.misread import FAR, are_scattered
 from relmap.core.refinement.residuals import MergeResiduals, SegmentResiduals, residuals_of
 from relmap.core.state.table import LandmarkState
 
@@ -212,12 +212,12 @@ def join_parts(bridged: Bridged, solved: Sequence[Solved]) -> Bridged | None:
 def _misread(settled: Solution[Chained], problem: ChainProblem, chain: Chain) -> Bools:
     """Return which landmarks (m,) exist only because of wrong ids.
 
-    `chain`: all observations; those that are not in `problem` contradict the map.
+    `chain`: all observations, also those that the solved problem leaves out.
     """
-    agrees = settled.weight[problem.parts[0]] >= DOUBT
-    seen = np.bincount(chain.landmark)
-    support = np.bincount(problem.chain.landmark[agrees], minlength=len(seen))
-    return are_scattered(support, seen - support)
+    left = np.linalg.norm(unexplained(chain, settled.state), axis=1)
+    is_off = left > FAR * problem.sigmas.seen
+    against = np.bincount(chain.landmark, is_off)
+    return are_scattered(np.bincount(chain.landmark) - against, against)
 
 
 def _residuals(
