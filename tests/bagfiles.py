@@ -17,6 +17,9 @@ from relmap.datasets.bag_salvage import VISION_MSGS
 KINDS = ("ros1", "sqlite", "mcap")
 MORE = VISION_MSGS | {"tf2_msgs/msg/TFMessage": "geometry_msgs/TransformStamped[] transforms\n"}
 """Message definitions of ROS 1 or ROS 2 that rosbags lacks."""
+RANGES = [2.0, np.inf, 3.0, 0.2, 10.0, 4.0, np.nan]
+FIRST, STEP = -0.3, 0.1
+"""Ranges of the beams of a scan, metres, its first bearing and the next, radians."""
 
 
 class Types:
@@ -192,3 +195,18 @@ def write_bag(folder: Path, kind: str, types: Types, messages: Messages, packing
 def file_of(path: Path) -> Path:
     """Return the file that holds the messages of a bag."""
     return path if path.is_file() else next(f for f in path.iterdir() if f.suffix != ".yaml")
+
+
+def beams(ranges: list[float], first: float, step: float) -> Floats:
+    """Return the points (n, 2) of the beams that returned, in the laser's frame."""
+    r, angle = np.array(ranges), first + step * np.arange(len(ranges))
+    there = (r > 0.4) & (r < 9.9)
+    return np.column_stack([r * np.cos(angle), r * np.sin(angle)])[there]
+
+
+def scanned(types: Types, topic: str = "/scan", step: float = STEP) -> Messages:
+    for k in range(11):
+        ranges, first = RANGES, FIRST
+        if step < 0:
+            ranges, first = RANGES[::-1], FIRST + STEP * (len(RANGES) - 1)
+        yield topic, 2.0 + k, types.scan(2.0 + k, ranges, first, step)

@@ -1,4 +1,4 @@
-"""Bags of ROS 1, ROS 2 and MCAP: scans, clouds, detections, odometry, transforms, damage."""
+"""Bags of ROS 1, ROS 2 and MCAP: scans, clouds, detections, odometry, transforms."""
 
 from __future__ import annotations
 
@@ -16,10 +16,20 @@ from relmap.cli import main
 from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.core.odometry import checked_odometry
-from relmap.datasets import bags, open_log, open_scans
+from relmap.datasets import open_log, open_scans
 from relmap.datasets.odometry import motions
-from tests.bagfiles import KINDS, Messages, Types, file_of, write_bag
-from tests.logs import failure
+from tests.bagfiles import (
+    FIRST,
+    KINDS,
+    RANGES,
+    STEP,
+    Messages,
+    Types,
+    beams,
+    file_of,
+    scanned,
+    write_bag,
+)
 from tests.scanlogs import failure as scan_failure
 
 pytestmark = pytest.mark.usefixtures("unrendered")
@@ -27,16 +37,7 @@ pytestmark = pytest.mark.usefixtures("unrendered")
 Poses = Floats
 LASER = checked_odometry([0.3, -0.1, 0.5])
 WAY = np.array([checked_odometry([0.2 * k, 0.01 * k, 0.05 * k]) for k in range(12)])
-RANGES = [2.0, np.inf, 3.0, 0.2, 10.0, 4.0, np.nan]
-FIRST, STEP = -0.3, 0.1
 PLACES = {"oak": (3.0, 1, 0.5), "elm": (4.0, -2, 1), "ash": (5.0, 2, 0)}
-
-
-def beams(ranges: list[float], first: float, step: float) -> Poses:
-    """Return the points (n, 2) of the beams that returned, in the laser's frame."""
-    r, angle = np.array(ranges), first + step * np.arange(len(ranges))
-    there = (r > 0.4) & (r < 9.9)
-    return np.column_stack([r * np.cos(angle), r * np.sin(angle)])[there]
 
 
 def on_robot(points: Poses, T: Poses = LASER) -> Poses:
@@ -52,14 +53,6 @@ def transforms(types: Types, T: Poses = LASER) -> Messages:
 def driven(types: Types, frame: str = "odom") -> Messages:
     for k, T in enumerate(WAY):
         yield "/odom", 1 + k, types.odometry(1 + k, T, frame)
-
-
-def scanned(types: Types, topic: str = "/scan", step: float = STEP) -> Messages:
-    for k in range(11):
-        ranges, first = RANGES, FIRST
-        if step < 0:
-            ranges, first = RANGES[::-1], FIRST + STEP * (len(RANGES) - 1)
-        yield topic, 2.0 + k, types.scan(2.0 + k, ranges, first, step)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -149,16 +142,6 @@ def test_a_bag_without_types_is_of_humble(tmp_path: Path) -> None:
         base.execute("DELETE FROM message_definitions")
     log = open_log(file_of(path))
     assert_allclose(log.points_robot, [*PLACES.values()])
-
-
-def test_invalid_poses_are_refused(tmp_path: Path) -> None:
-    types = Types("mcap")
-    odometry = types.odometry(1.0, np.eye(4))
-    odometry.pose.pose.orientation.w = np.nan
-    path = write_bag(tmp_path, "mcap", types, [("/odom", 1.0, odometry), *scanned(types)])
-    message = scan_failure(path)
-    assert f"{path}: topic /odom: position [" in message
-    assert "expected finite numbers and a unit quaternion" in message
 
 
 def test_classes_are_not_ids(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -264,44 +247,6 @@ def test_several_odometries_are_none_until_one_is_named(tmp_path: Path) -> None:
     assert log.odometry is None
     assert "several topics have odometry (/ekf, /odom)" in log.no_odometry
     assert open_scans(path, topics=["/ekf"]).odometry is not None
-
-
-@pytest.mark.parametrize("packed", [*KINDS, "ros1-BZ2", "ros1-LZ4"])
-@pytest.mark.parametrize("share", [0.5, 0.98])
-def test_a_truncated_bag_is_read_up_to_the_damage(
-    packed: str, share: float, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    kind, _, packing = packed.partition("-")
-    types, ranges = Types(kind), RANGES * 500
-    scans = [("/scan", 2.0 + k, types.scan(2.0 + k, ranges, 0.0, 1e-4)) for k in range(400)]
-    file = file_of(write_bag(tmp_path, kind, types, scans, packing))
-    whole = file.read_bytes()
-    file.write_bytes(whole[: round(share * len(whole))])
-    log = open_scans(file)
-    assert share - 0.25 < len(log) / 400 <= share + 0.02
-    assert sum("damaged" in message for message in caplog.messages) == 1
-    expected = beams(ranges, 0.0, 1e-4)
-    assert all(np.allclose(scan.points_robot, expected, atol=1e-5) for scan in log.scans())
-
-
-@pytest.mark.parametrize("kind", ["sqlite", "mcap"])
-def test_a_recording_that_was_killed_has_no_metadata(kind: str, tmp_path: Path) -> None:
-    types = Types(kind)
-    path = write_bag(tmp_path, kind, types, scanned(types))
-    (path / "metadata.yaml").unlink()
-    assert len(open_scans(path)) == len(open_scans(file_of(path))) == 11
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_without_rosbags_the_format_is_named(
-    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    types = Types(kind)
-    path = write_bag(tmp_path, kind, types, scanned(types))
-    monkeypatch.setattr(bags, "find_spec", lambda name: None)
-    for message in (failure(path), scan_failure(path)):
-        assert f"is a ROS {1 if kind == 'ros1' else 2} bag" in message
-        assert message.endswith("pip install 'relmap[bags]' to read it")
 
 
 def test_bags_are_mapped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
