@@ -21,7 +21,7 @@ from relmap.planes.scans.beam_store import PlacedBeams
 from relmap.planes.submaps.submap import WallSubmap, torn_in
 from relmap.planes.walls.history import PlaneHistory
 from tests.segments import cast
-from tests.test_scan_links import driven, scans_of
+from tests.test_scan_breaks import driven, scans_of
 from tests.worlds import ate_m
 
 ROOM = np.array([[0.0, 0.0], [6.0, 0.0], [6.0, 3.0], [4.0, 3.0], [4.0, 4.0], [0.0, 4.0]])
