@@ -66,19 +66,15 @@ def unless_confirmed(
 def _of_confirmed(
     chain: Chain, sure: Bools, step_sd: tuple[Floats, Floats], start: Chained, anchor: int
 ) -> Chained:
-    """Return the best map of confirmed observations, from `start` and from odometry alone.
+    """Return the better map of confirmed observations, from `start`.
 
     Other landmarks are where the robot saw them.
     """
     own, of = np.unique(chain.landmark[sure], return_inverse=True)
-    only, m, each = chain.only(sure), len(start.positions), []
+    only, m = chain.only(sure), len(start.positions)
     only = Chain(only.points, of, only.iteration, only.root, only.motion)
-    poses = transforms(start.R, start.t)
-    for begin in (poses, _reckoned(chain, poses)):
-        begun = start_of(only, begin, len(own))
-        each += [
-            settled_chain(only, step_sd, begun, anchor, None, False, True, slip) for slip in SLIPS
-        ]
+    begun = start_of(only, transforms(start.R, start.t), len(own))
+    each = [settled_chain(only, step_sd, begun, anchor, None, False, True, one) for one in SLIPS]
     every = np.ones(len(of), dtype=bool)
     costs = [cost for cost, _ in _unexplained(each, every, begun.positions, max(SLIPS))]
     state = each[int(np.argmin(costs))][0].state
@@ -114,7 +110,7 @@ def confirmed(chain: Chain, step_sd: tuple[Floats, Floats]) -> Bools:
     `step_sd`, tuple of (k - 1,): standard deviations of the distance and the turn of each step.
     """
     (n, d), at = chain.points.shape, chain.iteration
-    poses = _reckoned(chain, np.tile(np.eye(4), (len(chain.motion) + 1, 1, 1)))[at]
+    poses = _reckoned(chain.motion)[at]
     places = np.einsum("nij,nj->ni", poses[:, :d, :d], chain.points) + poses[:, :d, 3]
     variance = d / np.maximum(np.sum(chain.root**2, axis=(1, 2)), 1e-300)
     square = np.sum(chain.points**2, axis=1)
@@ -136,10 +132,9 @@ def confirmed(chain: Chain, step_sd: tuple[Floats, Floats]) -> Bools:
     return found
 
 
-def _reckoned(chain: Chain, poses: Floats) -> Floats:
-    """Return poses (k, 4, 4) by odometry, from others (k, 4, 4) where it is not known."""
-    steps = np.where(np.isnan(chain.motion), np.linalg.inv(poses[:-1]) @ poses[1:], chain.motion)
-    found = poses.copy()
-    for k, step in enumerate(steps):
+def _reckoned(motion: Floats) -> Floats:
+    """Return poses (k, 4, 4) by the motions (k - 1, 4, 4), none where that is NaN."""
+    found = np.tile(np.eye(4), (len(motion) + 1, 1, 1))
+    for k, step in enumerate(np.where(np.isnan(motion), np.eye(4), motion)):
         found[k + 1] = found[k] @ step
     return found
