@@ -32,6 +32,9 @@ several times as long."""
 CLEARLY = 0.9
 """Largest ratio of what a solution leaves unexplained to what another does for it to be kept: where
 the noise of few landmarks is correlated, they may differ by a twentieth and be as good."""
+WRONG = 0.04
+"""Fraction of observations that disagree with a map above which some ids are wrong, whatever the
+noise: then another map that leaves less unexplained is kept."""
 
 
 def unless_confirmed(
@@ -46,21 +49,27 @@ def unless_confirmed(
 
     The cost of outliers grows with their distance, so that many wrong ids together fold the map,
     for a few rejected steps of odometry. The other solution leaves them out; it is returned if it
-    rejects fewer steps, or leaves clearly less of the odometry and of what is confirmed
-    unexplained. Arguments as for `settled_chain`.
+    rejects fewer steps, or leaves less of the odometry and of what is confirmed unexplained,
+    clearly less if most ids may be right. Arguments as for `settled_chain`.
     """
     sure = confirmed(chain, step_sd)
     if not 0 < np.sum(sure) < MOST * len(sure):
         return found
     state = _of_confirmed(chain, sure, step_sd, start, anchor)
-    left = np.linalg.norm(unexplained(chain, state), axis=1)
-    agrees = left <= limit_of(left, chain.points.shape[1], 0.0)
+    agrees = _agrees(chain, state)
     lost = ~np.isin(chain.landmark, chain.landmark[agrees])
     other = settled_chain(
         chain.only(agrees | lost), step_sd, state, anchor, None, to_the_last, True
     )
     (kept, slips), (less, fewer) = _unexplained([found, other], sure, start.positions, 1.0)
-    return other if fewer < slips or less < CLEARLY * kept else found
+    ratio = CLEARLY if np.mean(_agrees(chain, found[0].state)) >= 1 - WRONG else 1.0
+    return other if fewer < slips or less < ratio * kept else found
+
+
+def _agrees(chain: Chain, state: Chained) -> Bools:
+    """Return which observations (n,) agree with a map."""
+    left = np.linalg.norm(unexplained(chain, state), axis=1)
+    return left <= limit_of(left, chain.points.shape[1], 0.0)
 
 
 def _of_confirmed(
