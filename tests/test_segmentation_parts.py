@@ -16,7 +16,7 @@ from relmap.segmentation.em.wall_kernels import expect
 from relmap.segmentation.ends.corners import meet
 from relmap.segmentation.ends.end_kernels import box_extent
 from relmap.segmentation.ends.end_types import type_ends
-from relmap.segmentation.ends.pairs import one_hides_other, part_at_shadows, shadows
+from relmap.segmentation.ends.pairs import one_hides_other
 from relmap.segmentation.noise import beam_angle, window_noise
 from relmap.segmentation.scanline.lines import LaserScan, first_and_last, hidden_ends, scan_walls
 from tests.kernels import callable_here
@@ -229,22 +229,6 @@ def test_a_laser_scan_of_a_room_is_four_walls() -> None:
         mixture.walls[:, 0] * mixture.walls[:, 3] - mixture.walls[:, 1] * mixture.walls[:, 2]
     )
     assert set(np.round(distance, 6)) == {2.0, 3.0}
-
-
-def test_a_shadow_parts_a_wall_that_noise_closes() -> None:
-    """A panel before a wall hides a stretch no wider than the noise spreads points."""
-    rng = np.random.default_rng(11)
-    panel = wall(2, 0.2, 2, -0.1, 0.1)
-    hidden = (-0.2, 0.4)
-    true = [wall(4, -2, 4, hidden[0], 0.4), wall(4, hidden[1], 4, 2, 0.5), panel]
-    xy = np.vstack([on_wall(rng, one, int(2000 * one[6]), 0.3) for one in true])
-    whole = wall(4, -2, 4, 2, 0.9)
-    mixture = mixture_of([whole, panel], xy, 0.3)
-    np.testing.assert_allclose(shadows(mixture.walls, 0, 0.3, len(xy)) - 2, [hidden], atol=1e-9)
-    parts = part_at_shadows(mixture, xy)
-    assert len(parts.walls) == 3
-    assert len(merge(parts, xy).walls) == 3
-    assert len(part_at_shadows(mixture_of([whole], xy, 0.3), xy).walls) == 1
 
 
 def corridor(bearing: np.ndarray, door: tuple[float, float], beyond: float) -> np.ndarray:

@@ -16,7 +16,6 @@ from relmap.segmentation.em.mixture import PARAMETERS, WallMixture, maximise, wa
 from relmap.segmentation.ends.pairs import (
     flush,
     one_hides_other,
-    parted,
     side_by_side,
     within_reach,
 )
@@ -82,7 +81,7 @@ def _join(mixture: WallMixture, xy: Floats, labels: Ints, i: int, j: int) -> Flo
     if not within_reach(w, v, mixture.sigma):
         return None
     own = xy[(labels == i) | (labels == j)]
-    if len(own) < 3 or parted(mixture.walls, i, j, mixture.sigma, len(xy)):
+    if len(own) < 3:
         return None
     whole = wall_through(own, w, mixture.beam)
     whole[SHARE] = w[SHARE] + v[SHARE]

@@ -15,7 +15,6 @@ import numpy as np
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.segmentation.em.mixture import STRAY_AT_FIRST, WallMixture, maximise, scan_area
 from relmap.segmentation.em.moves import ROUGH, bend, merge, prune, split
-from relmap.segmentation.ends.pairs import part_at_shadows
 from relmap.segmentation.noise import (
     FLOOR_M,
     beam_angle,
@@ -144,8 +143,6 @@ def improve(
         mixture = split(maximise(mixture, xy, BETWEEN, tolerance=ROUGH), xy)
         sizes.append(len(mixture.walls))
         mixture = bend(mixture, xy, not thorough or mixture.repeat > 1)
-        if thorough:
-            mixture = part_at_shadows(mixture, xy)
         sizes.append(len(mixture.walls))
         mixture = _with_strays(mixture, xy, rng)
         mixture = maximise(mixture, xy, BETWEEN, tolerance=ROUGH)

@@ -1,35 +1,17 @@
-"""Relations between two walls, and occlusion: a nearer wall splits the visible part of the other.
-
-If noise fills a narrow shadow, it is not visible in the points, but follows from the occluding
-wall. The fraction of walls found in single scans hardly changes, but without this the corners
-beside a shadow are missing in maps.
-"""
+"""Relations between two walls: flush, side by side, one hiding the other, or near each other."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from relmap.core.arrays import Floats
-from relmap.segmentation.em.mixture import WallMixture
-from relmap.segmentation.wall import BEGIN, END, PX, PY, SHARE, UX, UY, corners, cut
+from relmap.segmentation.wall import BEGIN, END, UX, UY, corners
 
 HIDDEN = 0.7
 """Fraction of the smaller wall's view in which two walls cannot both be seen: walls are opaque."""
 FLUSH = 4.0
 """Standard deviations within which a wall in front of another is the same one."""
 PARALLEL_SINE = 0.3
-BEFORE = 2.0
-"""Standard deviations by which an occluding wall must be nearer."""
-NARROWEST = 0.5
-"""Minimum width of a shadow, in standard deviations."""
-BESIDE = 0.8
-"""Minimum visible length of a wall beyond a shadow, in standard deviations."""
-LEAST = 16
-"""Minimum number of points of an occluding wall."""
-PLAIN = 2.0
-"""Width of a shadow, in standard deviations, above which it must be visible in the points."""
-LEAKED = 0.8
-"""Points carried into a shadow by noise, in standard deviations of wall."""
 
 
 def flush(w: Floats, v: Floats, sigma: float) -> bool:
@@ -78,65 +60,3 @@ def within_reach(w: Floats, v: Floats, sigma: float) -> bool:
         if (np.hypot(beyond, d) < reach).any():
             return True
     return False
-
-
-def shadows(walls: Floats, k: int, sigma: float, n: int) -> Floats:
-    """Return the stretches (s, 2) along wall k, among n points, that nearer walls hide."""
-    wall = walls[k]
-    others = np.delete(walls, k, axis=0)
-    others = others[others[:, SHARE] * n >= LEAST]
-    middle = 0.5 * (others[:, BEGIN] + others[:, END])
-    t = np.column_stack([others[:, BEGIN], middle, others[:, END]])
-    rays = others[:, None, PX : PX + 2] + t[:, :, None] * others[:, None, UX : UX + 2]
-    across = rays[..., 0] * wall[UY] - rays[..., 1] * wall[UX]
-    height = wall[PX] * wall[UY] - wall[PY] * wall[UX]
-    met = height / np.where(np.abs(across) < 1e-9, 1e-9, across)  # in multiples of the ray
-    nearer = (met[:, 1] - 1) * np.linalg.norm(rays[:, 1], axis=1) > BEFORE * sigma
-    ahead = (met > 0).all(axis=1)
-    place = ((met[..., None] * rays - wall[:2]) @ wall[UX : UY + 1])[:, [0, 2]]
-    place = np.sort(place[nearer & ahead], axis=1)
-    return np.asarray(place[place[:, 1] - place[:, 0] > NARROWEST * sigma])
-
-
-def part_at_shadows(mixture: WallMixture, xy: Floats) -> WallMixture:
-    """Split walls occluded by nearer ones, unless more points lie there than noise explains."""
-    labels, walls, room = mixture.labels(xy), [], BESIDE * mixture.along
-    for k, wall in enumerate(mixture.walls):
-        pieces = [wall]
-        t = np.sort(mixture.sightings(xy[labels == k], wall)[1])
-        for low, high in shadows(mixture.walls, k, mixture.sigma, len(xy)):
-            last = pieces[-1]
-            inside = (low > last[BEGIN] + room) and (high < last[END] - room)
-            if not inside or not _empty(t, low, high, wall, mixture.along):
-                continue
-            pieces[-1:] = cut(last, (low, high), float(np.mean(t < 0.5 * (low + high))))
-        walls += pieces
-    return mixture.with_walls(np.array(walls).reshape(-1, mixture.walls.shape[1]))
-
-
-def _empty(t: Floats, low: float, high: float, wall: Floats, sigma: float) -> bool:
-    """Return whether a stretch among sorted positions (m,) on a wall may contain only noise."""
-    if len(t) < LEAST:
-        return False
-    if high - low < PLAIN * sigma:
-        return True
-    count = np.diff(np.searchsorted(t, [low, high]))[0]
-    seen = max(wall[END] - wall[BEGIN] - (high - low), sigma)
-    leaked = (len(t) - count) / seen * min(LEAKED * sigma, high - low)
-    return bool(count < leaked + 3 * np.sqrt(leaked) + 1)
-
-
-def parted(walls: Floats, i: int, j: int, sigma: float, n: int) -> bool:
-    """Return whether a shadow separates two walls, among n points, that might be one."""
-    if walls[i, END] - walls[i, BEGIN] < walls[j, END] - walls[j, BEGIN]:
-        i, j = j, i
-    w, v = walls[i], walls[j]
-    low, high = np.sort((corners(v) - w[:2]) @ w[UX : UY + 1])
-    if min(w[END], high) - max(w[BEGIN], low) > PLAIN * sigma:
-        return False
-    gap = (w[END], low) if low + high > w[BEGIN] + w[END] else (high, w[BEGIN])
-    others = np.delete(walls, j, axis=0)
-    dark = shadows(others, i - (j < i), sigma, n)
-    near = (dark[:, 0] < max(gap) + sigma) & (dark[:, 1] > min(gap) - sigma)
-    outer = (dark[:, 0] > min(w[BEGIN], low)) & (dark[:, 1] < max(w[END], high))
-    return bool((near & outer).any())
