@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from relmap import PointMapper
+from relmap.cli.outcome import on_odometry
 from relmap.cli.warned import MISREAD
 from relmap.core.arrays import Floats, Ints
 from relmap.core.refinement.chain.chain_data import Chain, Sigmas
@@ -74,6 +75,20 @@ def test_a_few_wrong_ids_do_not_bend_a_map_with_odometry_and_are_counted(share: 
     assert aligned_rmse(found, truth) < 0.1
     wrong = float(np.mean(ids != log.ids))
     assert abs(contradicting(run) - wrong) <= 0.2 * wrong
+
+
+def test_odometry_whose_noise_nothing_shows_is_said_to_have_the_usual_one() -> None:
+    log = rounds(1).between(0, 200)
+    alone = map_log(log).result.summary
+    known = map_log(log, association="known").result.summary
+    more = map_log(rounds().between(0, 200)).result.summary
+    assert [one["odometry"]["noise_assumed"] for one in (alone, known, more)] == [
+        True,
+        False,
+        False,
+    ]
+    said = "(of odometry's usual noise: scans show too little to measure it)"
+    assert [on_odometry(one["odometry"]).endswith(said) for one in (alone, more)] == [True, False]
 
 
 @pytest.mark.parametrize("most", [3, 4])

@@ -272,3 +272,18 @@ def test_pieces_of_a_submap_that_nothing_connects_are_cut_apart(d: int) -> None:
     assert [len(submap.landmark_ids) for submap in mapper.submaps] == [39]
     mapper.refine()
     assert [len(submap.landmark_ids) for submap in mapper.submaps] == [25, 14]
+
+
+@pytest.mark.parametrize(
+    ("kind", "spurious", "seed", "mapped"), [("streets", 0.1, 51, 99), ("corridor", 0.2, 61, 116)]
+)
+def test_landmarks_that_coincide_after_their_merge_was_undone_are_one(
+    kind: str, spurious: float, seed: int, mapped: int
+) -> None:
+    """Three of 99 and seven of 116 landmarks were mapped twice."""
+    spec = WorldSpec(kind=kind, length_m=250.0, iterations=200, missed=0.3, spurious=spurious)
+    world = simulate_world(replace(spec, seed=seed))
+    mapper, labels = mapped_world(world)
+    true = stands_for(mapper.landmarks_of(labels), world.true_ids)
+    found = {true[label] for label in mapper.map.landmark_ids.tolist()}
+    assert len(mapper.map.landmark_ids) == len(found) == mapped

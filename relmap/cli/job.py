@@ -5,7 +5,6 @@ from __future__ import annotations
 import shlex
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -20,6 +19,7 @@ from relmap.core.errors import RelmapError
 from relmap.core.sensor import range_bearing_covariances
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.scans import ScanLog
+from relmap.datasets.stale import copies, without_stale
 from relmap.datasets.textfile import invalid
 from relmap.evaluation.feeding import AnyMapper, Log
 from relmap.evaluation.levelling import levelled, shows_floors
@@ -50,10 +50,6 @@ NEAR_M, FAR_M = 0.1, 100.0
 2-D lasers and most of a lidar are: other coordinates are hardly metres."""
 FAR_LANDMARKS_M = 1000.0
 """Half of the landmarks of a scan are nearer."""
-NOISY = 3
-"""Minimum number of points of a scan that noise never lets another one repeat exactly: none of 17
-real logs of lasers and landmarks has such a scan."""
-
 AT_ORIGIN = 3
 """Minimum number of points at the origin that stand for no detection: a robot may start there."""
 
@@ -211,6 +207,8 @@ def log_of(job: Job) -> Log:
     if job.variant == "planes3d" and job.odometry == "auto" and log.odometry is not None:
         _tell(source, "planes3d does not use the odometry of the log")
     doubt_unit(source, log)
+    if job.odometry == "auto" and isinstance(log, ObservationLog):
+        log = without_stale(log)
     doubt_repeats(source, log)
     log = _without_faults(job, log)
     if job.level != "none" and job.segmenter not in SPATIAL:
@@ -259,8 +257,7 @@ def doubt_repeats(source: Path, log: Log) -> None:
     """
     if isinstance(log, ScanLog) and log.dimension == 3:
         return
-    scans = (scan.points_robot for scan in log.scans())
-    n = sum(len(now) >= NOISY and np.array_equal(before, now) for before, now in pairwise(scans))
+    n = int(copies(log).sum())
     if n:
         which = "1 scan repeats" if n == 1 else f"{n} scans repeat"
         advice = "copies are not new measurements, leave them out"

@@ -269,6 +269,8 @@ def on_odometry(odometry: dict[str, Any] | None) -> str:
     worst_m = odometry["largest_sd_m"]
     if alone and worst_m is not None:
         message += f"; the least certain landmark has a standard deviation of {worst_m:.2g} m"
+    if alone and odometry["noise_assumed"]:
+        message += " (of odometry's usual noise: scans show too little to measure it)"
     return message
 
 

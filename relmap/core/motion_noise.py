@@ -66,6 +66,11 @@ class MotionNoise:
         is_noisy = self.sigma_way > WRONG_WAY or self.sigma_rad > WRONG_RAD
         return bool(abs(self.scale - 1) > WRONG_SCALE or is_noisy or self.misses)
 
+    @property
+    def is_assumed(self) -> bool:
+        """Whether it is the usual noise, as landmarks never determine a motion to compare."""
+        return self.turn_rad == np.inf and self.sigma_rad == MotionNoise.sigma_rad
+
     def corrected(self, odometry: Floats) -> Floats:
         """Return motions (k, 4, 4) without the constant errors."""
         found = odometry.copy()

@@ -133,7 +133,8 @@ def _repair(engine: RelativeMapper) -> None:
     engine.table.take_off_map(np.flatnonzero(rare))
     if undone or rare.any() or engine.config.keep_observations or is_bridged(engine):
         refine_map(engine, to_the_last=not mixes)
-    if not is_bridged(engine) and _merge_compatible(engine):
+    # Some that were parted while the map was distorted coincide in the last one.
+    if not is_bridged(engine) and _merge_compatible(engine) | merge_doubles(engine):
         refine_map(engine, to_the_last=not mixes)
     if _reassign_tracks(engine):
         refine_map(engine)

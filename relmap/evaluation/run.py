@@ -17,6 +17,7 @@ from relmap.core.errors import RelmapError
 from relmap.core.shown import Brief
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.scans import ScanLog
+from relmap.datasets.stale import without_stale
 from relmap.evaluation.feeding import (
     AnyMapper,
     Association,
@@ -162,6 +163,8 @@ def map_log(
         )
     if mapper is None:
         mapper = PlaneMapper() if isinstance(log, ScanLog) else PointMapper()
+    if odometry and isinstance(log, ObservationLog):
+        log = without_stale(log)
     return run_mapper(mapper, log, association, refine=refine, odometry=odometry, progress=progress)
 
 

@@ -81,12 +81,15 @@ def _odometry(use: OdometryUse | None, result: Result, offset: int) -> dict[str,
     hanging = use.hanging + offset
     runs = np.split(hanging, np.flatnonzero(np.diff(hanging) > 1) + 1)
     stretches = [[int(run[0]), int(run[-1])] for run in runs if len(run)]
+    # Where ids close loops, the residuals show the noise.
+    has_ids = result.summary["association"] == "known"
     return {
         "used": bool(use.is_used),
         "wrong_throughout": use.is_wrong,
         "scale": float(use.noise.scale),
         "sigma_share_of_way": float(use.noise.sigma_way),
         "sigma_rad": float(use.noise.sigma_rad),
+        "noise_assumed": bool(use.is_used) and use.noise.is_assumed and not has_ids,
         "drift_over_noise": float(use.drift),
         "alike_elsewhere": use.alike,
         "largest_sd_m": float(largest_m) if use.is_used and largest_m >= 0 else None,
