@@ -18,8 +18,8 @@ from relmap.core.config import MapperConfig
 from relmap.core.errors import RelmapError
 from relmap.core.sensor import range_bearing_covariances
 from relmap.datasets.base import ObservationLog
+from relmap.datasets.copies import copies, without_copies
 from relmap.datasets.scans import ScanLog
-from relmap.datasets.stale import copies, without_stale
 from relmap.datasets.textfile import invalid
 from relmap.evaluation.feeding import AnyMapper, Log
 from relmap.evaluation.levelling import levelled, shows_floors
@@ -208,7 +208,7 @@ def log_of(job: Job) -> Log:
         _tell(source, "planes3d does not use the odometry of the log")
     doubt_unit(source, log)
     if job.odometry == "auto" and isinstance(log, ObservationLog):
-        log = without_stale(log)
+        log = without_copies(log)
     doubt_repeats(source, log)
     log = _without_faults(job, log)
     if job.level != "none" and job.segmenter not in SPATIAL:

@@ -16,8 +16,8 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.core.shown import Brief
 from relmap.datasets.base import ObservationLog
+from relmap.datasets.copies import without_copies
 from relmap.datasets.scans import ScanLog
-from relmap.datasets.stale import without_stale
 from relmap.evaluation.feeding import (
     AnyMapper,
     Association,
@@ -164,7 +164,7 @@ def map_log(
     if mapper is None:
         mapper = PlaneMapper() if isinstance(log, ScanLog) else PointMapper()
     if odometry and isinstance(log, ObservationLog):
-        log = without_stale(log)
+        log = without_copies(log)
     return run_mapper(mapper, log, association, refine=refine, odometry=odometry, progress=progress)
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from relmap.core.arrays import Ints
 from relmap.datasets import ObservationLog
-from relmap.datasets.stale import without_stale
+from relmap.datasets.copies import without_copies
 from relmap.evaluation.metrics import majority_ids
 from relmap.evaluation.run import map_log
 from tests.test_odometry_ids import landmarks, rounds
@@ -46,10 +46,10 @@ def test_only_copies_that_odometry_contradicts_are_left_out(
 ) -> None:
     log = stuck(rounds())
     assert log.odometry is not None
-    assert not np.isin(without_stale(log).iteration, STUCK).any()
+    assert not np.isin(without_copies(log).iteration, STUCK).any()
     assert "40 of 500 scans repeat the one before" in caplog.text
     rests = log.odometry.copy()
     rests[STUCK] = np.eye(4)
     rests[STUCK[-1]] = np.nan
     for odometry in (None, rests):
-        assert len(without_stale(replace(log, odometry=odometry)).rows) == len(log.rows)
+        assert len(without_copies(replace(log, odometry=odometry)).rows) == len(log.rows)

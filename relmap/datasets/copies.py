@@ -26,7 +26,7 @@ def copies(log: ObservationLog | ScanLog) -> Bools:
     return np.array([False, *again])
 
 
-def without_stale(log: ObservationLog) -> ObservationLog:
+def without_copies(log: ObservationLog) -> ObservationLog:
     """Return a log without the points of scans that repeat the one before though odometry moves.
 
     In these the robot would stand. Odometry moves if it is farther from rest than by its noise.
@@ -35,12 +35,12 @@ def without_stale(log: ObservationLog) -> ObservationLog:
         return log
     noise = MotionNoise(sigma_m=MotionNoise.sigma_m * unit_of(log.points_robot))
     moves = noise.slipped(log.odometry, np.tile(np.eye(4), (len(log), 1, 1)))
-    stale = copies(log) & moves
-    if not stale.any():
+    again = copies(log) & moves
+    if not again.any():
         return log
     logger.warning(
         "%d of %d scans repeat the one before, though odometry moves: left out",
-        stale.sum(),
+        again.sum(),
         len(log),
     )
-    return log.only(~stale[log.iteration - log.first_iteration])
+    return log.only(~again[log.iteration - log.first_iteration])
