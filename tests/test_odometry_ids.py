@@ -16,7 +16,7 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.refinement.chain.chain_data import Chain, Sigmas
 from relmap.core.refinement.chain.chain_solving import start_of
 from relmap.core.refinement.chain.chained import ChainProblem
-from relmap.core.refinement.chain.confirmed import confirmed
+from relmap.core.refinement.chain.confirmed import confirmed, is_better
 from relmap.datasets import ObservationLog
 from relmap.evaluation.run import Run, map_log
 from tests.worlds import aligned_rmse, turn
@@ -116,6 +116,23 @@ def test_observations_are_confirmed_where_odometry_expects_them() -> None:
     chain = Chain(points, none, way.astype(np.int64), root, motion)
     sd = np.full(40, 0.01), np.full(40, 0.001)
     assert np.flatnonzero(~confirmed(chain, sd)).tolist() == [5, 8]
+
+
+@pytest.mark.parametrize(
+    ("other", "share_off", "expected"),
+    [
+        ((95.0, 3), 0.02, False),
+        ((95.0, 3), 0.05, True),
+        ((101.0, 3), 0.05, False),
+        ((85.0, 3), 0.02, True),
+        ((120.0, 2), 0.02, True),
+    ],
+)
+def test_a_map_of_confirmed_observations_is_kept_if_clearly_better_or_ids_are_wrong(
+    other: tuple[float, int], share_off: float, expected: bool
+) -> None:
+    """DLR's map with 5 % of the ids replaced was 1.9 m off, not 0.08 m."""
+    assert is_better(other, (100.0, 3), share_off) == expected
 
 
 def beside_one(points: Floats, motion: Floats) -> Chain:

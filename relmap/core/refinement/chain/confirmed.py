@@ -61,15 +61,25 @@ def unless_confirmed(
     other = settled_chain(
         chain.only(agrees | lost), step_sd, state, anchor, None, to_the_last, True
     )
-    (kept, slips), (less, fewer) = _unexplained([found, other], sure, start.positions, 1.0)
-    ratio = CLEARLY if np.mean(_agrees(chain, found[0].state)) >= 1 - WRONG else 1.0
-    return other if fewer < slips or less < ratio * kept else found
+    off = float(np.mean(~_agrees(chain, found[0].state)))
+    first, second = _unexplained([found, other], sure, start.positions, 1.0)
+    return other if is_better(second, first, off) else found
+
+
+def is_better(other: tuple[float, int], first: tuple[float, int], share_off: float) -> bool:
+    """Return whether another solution replaces the first.
+
+    `other`, `first`: what each leaves unexplained, and how many steps it rejects; `share_off`: the
+    fraction of the observations that disagree with the first.
+    """
+    (less, fewer), (kept, slips) = other, first
+    return fewer < slips or less < (1.0 if share_off > WRONG else CLEARLY) * kept
 
 
 def _agrees(chain: Chain, state: Chained) -> Bools:
     """Return which observations (n,) agree with a map."""
     left = np.linalg.norm(unexplained(chain, state), axis=1)
-    return left <= limit_of(left, chain.points.shape[1], 0.0)
+    return np.asarray(left <= limit_of(left, chain.points.shape[1], 0.0))
 
 
 def _of_confirmed(
