@@ -280,8 +280,9 @@ def test_the_scale_of_odometry_is_not_taken_for_zero() -> None:
     np.testing.assert_allclose(constant, -0.3)
 
 
-def test_an_id_that_only_wrong_observations_have_is_not_mapped() -> None:
-    log = rounds(most=2)
+@pytest.mark.parametrize("most", [2, None])
+def test_an_id_that_only_wrong_observations_have_is_not_mapped(most: int | None) -> None:
+    log = rounds(most)
     rng, ids = np.random.default_rng(11), log.ids.copy()
     for name in (900, 901, 902):
         ids[rng.choice(len(ids), 4, replace=False)] = name
