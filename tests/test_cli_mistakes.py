@@ -120,12 +120,17 @@ def test_a_log_in_space_does_not_fit_a_planar_map(capsys: pytest.CaptureFixture[
         assert capsys.readouterr().err.endswith(said)
 
 
-def test_odometry_in_millimetres_gets_advice(capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("step", ["100", "{k}"], ids=["millimetres", "poses"])
+def test_odometry_that_holds_no_motions_in_metres_gets_advice(
+    step: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     log("seen.csv")
-    motions = "".join(f"{k},100,0,0\n" for k in range(1, 12))
+    motions = "".join(f"{k},{step.format(k=k)},0,0\n" for k in range(1, 12))
     Path("odometry.csv").write_text(f"iteration,x,y,yaw\n{motions}")
     assert main(["map", "seen.csv", "-o", "out"]) == 0
-    assert "was not used (it must be in metres and radians" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "was not used (it must be in metres and radians" in said
+    assert "odometry.csv holds motions, not poses)" in said
 
 
 def test_a_single_iteration_is_singular(capsys: pytest.CaptureFixture[str]) -> None:

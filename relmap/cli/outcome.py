@@ -255,7 +255,7 @@ def on_odometry(odometry: dict[str, Any] | None) -> str:
     if odometry["wrong_throughout"]:
         return (
             "; odometry contradicts the observations and was not used (it must be in metres and "
-            "radians, turns to the left positive)"
+            "radians, turns to the left positive; odometry.csv holds motions, not poses)"
         )
     alone, left_out = (odometry[key]["count"] for key in ("tied_by_it_alone", "left_out"))
     linked = "is" if alone == 1 else "are"
