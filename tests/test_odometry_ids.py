@@ -16,7 +16,9 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.refinement.chain.chain_data import Chain, Sigmas
 from relmap.core.refinement.chain.chain_solving import start_of
 from relmap.core.refinement.chain.chained import ChainProblem
-from relmap.core.refinement.chain.confirmed import confirmed, is_better
+from relmap.core.refinement.chain.confirmed import is_better
+from relmap.core.refinement.chain.visits import visits_of
+from relmap.core.state.table import NONE
 from relmap.datasets import ObservationLog
 from relmap.evaluation.run import Run, map_log
 from tests.worlds import aligned_rmse, turn
@@ -115,7 +117,7 @@ def test_observations_are_confirmed_where_odometry_expects_them() -> None:
     root = np.tile(np.eye(2) / NOISE_M, (9, 1, 1))
     chain = Chain(points, none, way.astype(np.int64), root, motion)
     sd = np.full(40, 0.01), np.full(40, 0.001)
-    assert np.flatnonzero(~confirmed(chain, sd)).tolist() == [5, 8]
+    assert np.flatnonzero(visits_of(chain, sd)[0] == NONE).tolist() == [5, 8]
 
 
 @pytest.mark.parametrize(
@@ -146,7 +148,7 @@ def test_no_observation_is_confirmed_across_a_step_without_odometry() -> None:
     motion[1] = np.nan
     sd = np.array([0.01, np.nan])
     chain = beside_one(np.full((3, 2), 4.0), motion)
-    assert confirmed(chain, (sd, sd)).tolist() == [True, True, False]
+    assert (visits_of(chain, (sd, sd))[0] != NONE).tolist() == [True, True, False]
 
 
 @pytest.mark.parametrize(("noise_m", "begins"), [(0.01, np.median), (0.2, np.mean)])

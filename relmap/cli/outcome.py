@@ -266,6 +266,10 @@ def on_odometry(odometry: dict[str, Any] | None) -> str:
             f"; {odometry['alike_elsewhere']} landmarks look like others elsewhere, but odometry "
             "tells them apart"
         )
+    if odometry["of_two_places"]["count"]:
+        listed = ", ".join(map(str, odometry["of_two_places"]["ids"][:FEW]))
+        message += f"; not mapped, as observations of their id show two places: {listed}"
+        message += ", ..." if odometry["of_two_places"]["count"] > FEW else ""
     worst_m = odometry["largest_sd_m"]
     if alone and worst_m is not None:
         message += f"; the least certain landmark has a standard deviation of {worst_m:.2g} m"

@@ -62,7 +62,9 @@ def bridge_gaps(engine: RelativeMapper, to_the_last: bool = False) -> bool:
     judges = to_the_last or not engine.refined
     solved = _judged(engine, bridged, solve) if judges else _solved(engine, bridged, solve)[1]
     numbers = _place(engine, solved)
-    engine.odometry = _in_use(use, solved, numbers, hanging, engine.store.n_iterations)
+    use = _in_use(use, solved, numbers, hanging, engine.store.n_iterations)
+    twofold = np.concatenate([part.twofold for part in solved]) if solved else numbers
+    engine.odometry = replace(use, twofold=engine.association.current.labels_of(twofold))
     return True
 
 

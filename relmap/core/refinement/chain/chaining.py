@@ -19,12 +19,13 @@ from relmap.core.refinement.chain.chain_data import Chain, Chained, Sigmas, unex
 from relmap.core.refinement.chain.chain_solving import settled_chain, start_of
 from relmap.core.refinement.chain.chained import ChainProblem
 from relmap.core.refinement.chain.confirmed import unless_confirmed
+from relmap.core.refinement.chain.visits import visits_of
 from relmap.core.refinement.condensing import NOWHERE, SegmentRows
 from relmap.core.refinement.gauss_newton import Solution, size_of
 from relmap.core.refinement.joint import Refined, Spread, joint_rows
 from relmap.core.refinement.misread import FAR, are_scattered
 from relmap.core.refinement.residuals import MergeResiduals, SegmentResiduals, residuals_of
-from relmap.core.state.table import LandmarkState
+from relmap.core.state.table import NONE, LandmarkState
 
 if TYPE_CHECKING:
     from relmap.core.mapper import RelativeMapper
@@ -33,6 +34,9 @@ ALIKE = 0.1
 """Largest median distance of the common landmarks of two joined parts, relative to their extent."""
 AGAIN = 2
 """Minimum number of observations of a landmark that constrains the poses."""
+TELLS = 2, 4
+"""How many times as many visits, or observations, must show a landmark at its place as at another
+one: where ids are swapped for a while, it is not known which place is which."""
 GUESS_M = 0.1
 """Noise of an observed coordinate if it is unknown."""
 DOUBT = 0.25
@@ -44,13 +48,15 @@ class Solved:
     """The solution for a part of a run.
 
     `poses` (k, 4, 4): poses of its iterations, in the frame of `refined`; `iterations` (k,);
-    `doubted` (i,): iterations whose odometry is rejected.
+    `doubted` (i,): iterations whose odometry is rejected. `twofold` (l,): landmarks whose id names
+    two places.
     """
 
     refined: Refined
     poses: Floats
     iterations: Ints
     doubted: Ints
+    twofold: Ints
     sigmas: Sigmas
 
 
@@ -96,18 +102,23 @@ class PartSolver:
         step_sd = self.noise.sigmas(chain.motion)
         has_ids = self.engine.association.has_ids
         found = settled_chain(chain, step_sd, start, anchor, self.sigmas, self.to_the_last, has_ids)
+        visit = np.full(len(chain.points), NONE)
         if has_ids:
-            found = unless_confirmed(found, chain, step_sd, start, anchor, self.to_the_last)
+            visit, is_swapped = visits_of(chain, step_sd)
+            args = chain, step_sd, start, anchor, self.to_the_last, visit != NONE, is_swapped
+            found = unless_confirmed(found, *args)
         settled, problem = found
         refined, placed = self._refined(settled, problem, landmarks, iterations, anchor)
+        twofold = np.zeros(len(landmarks), dtype=bool)
         if has_ids:
-            refined = refined.only(~_misread(settled, problem, chain))
+            misread, twofold = _misread(settled, problem, chain, visit)
+            refined = refined.only(~(misread | twofold))
         left_out = len(chain.points) - len(problem.chain.points)
         refined = replace(refined, n_outliers=refined.n_outliers + left_out)
         way, turn = problem.parts[1:]
         weight = np.minimum(settled.weight[way], settled.weight[turn])
         doubted = iterations[problem.moved[weight < DOUBT] + 1]
-        return Solved(refined, placed, iterations, doubted, problem.sigmas)
+        return Solved(refined, placed, iterations, doubted, landmarks[twofold], problem.sigmas)
 
     def _chain(self, bridged: Bridged, part: int, iterations: Ints) -> tuple[Chain, Ints]:
         """Return the data of a part, and its landmarks (m,)."""
@@ -209,15 +220,26 @@ def join_parts(bridged: Bridged, solved: Sequence[Solved]) -> Bridged | None:
     return None
 
 
-def _misread(settled: Solution[Chained], problem: ChainProblem, chain: Chain) -> Bools:
-    """Return which landmarks (m,) exist only because of wrong ids.
+def _misread(
+    settled: Solution[Chained], problem: ChainProblem, chain: Chain, visit: Ints
+) -> tuple[Bools, Bools]:
+    """Return which landmarks (m,) exist only because of wrong ids, and whose id names two places.
 
-    `chain`: all observations, also those that the solved problem leaves out.
+    `chain`: all observations, also those that the solved problem leaves out; `visit` (n,): as
+    `visits_of` returns it.
     """
     left = np.linalg.norm(unexplained(chain, settled.state), axis=1)
-    is_off = left > FAR * problem.sigmas.seen
-    against = np.bincount(chain.landmark, is_off)
-    return are_scattered(np.bincount(chain.landmark) - against, against)
+    is_off, m = left > FAR * problem.sigmas.seen, len(settled.state.positions)
+    against = np.bincount(chain.landmark, is_off, m)
+    support = np.bincount(chain.landmark, minlength=m) - against
+    own, first, of, size = np.unique(
+        visit, return_index=True, return_inverse=True, return_counts=True
+    )
+    at, elsewhere = chain.landmark[first], (own != NONE) & (2 * np.bincount(of, is_off) > size)
+    visits, there = np.bincount(at, own != NONE, m), np.bincount(at, elsewhere, m)
+    seen_there = np.bincount(at, elsewhere * size, m)
+    is_twofold = (visits - there <= TELLS[0] * there) & (support < TELLS[1] * seen_there)
+    return are_scattered(support, against), is_twofold
 
 
 def _residuals(

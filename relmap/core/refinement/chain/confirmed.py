@@ -17,7 +17,6 @@ from relmap.core.geometry.robust import OUTLIER, limit_of
 from relmap.core.refinement.chain.chain_data import Chain, Chained, Sigmas, unexplained
 from relmap.core.refinement.chain.chain_solving import settled_chain, start_of
 from relmap.core.refinement.chain.chained import ChainProblem
-from relmap.core.refinement.condensing import LENGTH
 from relmap.core.refinement.gauss_newton import Solution
 
 Found = tuple[Solution[Chained], ChainProblem]
@@ -27,8 +26,8 @@ SLIPS = 3.0, 10.0
 confirmed observations are solved for: few of these are wrong, unless ids are swapped for a while.
 """
 MOST = 0.98
-"""Fraction of confirmed observations from which ids are taken to be right: solving again takes
-several times as long."""
+"""Fraction of confirmed observations from which ids are taken to be right, if none is swapped:
+solving again takes several times as long."""
 CLEARLY = 0.9
 """Largest ratio of what a solution leaves unexplained to what another does for it to be kept: where
 the noise of few landmarks is correlated, they may differ by a twentieth and be as good."""
@@ -44,16 +43,19 @@ def unless_confirmed(
     start: Chained,
     anchor: int,
     to_the_last: bool,
+    is_repeated: Bools,
+    is_swapped: Bools,
 ) -> Found:
     """Return a solution, or the one by what agrees with the map of confirmed observations.
 
     The cost of outliers grows with their distance, so that many wrong ids together fold the map,
     for a few rejected steps of odometry. The other solution leaves them out; it is returned if it
     rejects fewer steps, or leaves less of the odometry and of what is confirmed unexplained,
-    clearly less if most ids may be right. Arguments as for `settled_chain`.
+    clearly less if most ids may be right. Arguments as for `settled_chain`; `is_repeated`,
+    `is_swapped` (n,): which observations others confirm, and which of these have swapped ids.
     """
-    sure = confirmed(chain, step_sd)
-    if not 0 < np.sum(sure) < MOST * len(sure):
+    sure = is_repeated & ~is_swapped
+    if not np.any(sure) or (np.mean(sure) >= MOST and not np.any(is_swapped)):
         return found
     state = _of_confirmed(chain, sure, step_sd, start, anchor)
     agrees = _agrees(chain, state)
@@ -117,43 +119,4 @@ def _unexplained(
         squares = np.sum(np.minimum(seen[sure], OUTLIER) ** 2)
         squares += np.sum(np.minimum(odometry, slip * OUTLIER) ** 2)
         found.append((float(squares), int(np.sum(np.max(odometry, axis=0) > OUTLIER))))
-    return found
-
-
-def confirmed(chain: Chain, step_sd: tuple[Floats, Floats]) -> Bools:
-    """Return which observations (n,) another one of the same landmark confirms.
-
-    One of the next few, at most `LENGTH` iterations away, shows it where odometry expects it. Wrong
-    ids are seldom repeated.
-
-    `step_sd`, tuple of (k - 1,): standard deviations of the distance and the turn of each step.
-    """
-    (n, d), at = chain.points.shape, chain.iteration
-    poses = _reckoned(chain.motion)[at]
-    places = np.einsum("nij,nj->ni", poses[:, :d, :d], chain.points) + poses[:, :d, 3]
-    variance = d / np.maximum(np.sum(chain.root**2, axis=(1, 2)), 1e-300)
-    square = np.sum(chain.points**2, axis=1)
-    unknown = np.isnan(chain.motion[:, 0, 0])
-    sums = (unknown, *(np.where(unknown, 0.0, sd**2) for sd in step_sd))
-    part, way, turn = (np.append(0, np.cumsum(each))[at] for each in sums)
-    order, pairs, off = np.lexsort((at, chain.landmark)), [], []
-    for lag in range(1, LENGTH + 1):
-        a, b = order[:-lag], order[lag:]
-        near = (chain.landmark[a] == chain.landmark[b]) & (at[b] - at[a] <= LENGTH)
-        near &= part[a] == part[b]
-        a, b = a[near], b[near]
-        expected = variance[a] + variance[b] + way[b] - way[a]
-        expected += (turn[b] - turn[a]) * np.maximum(square[a], square[b])
-        pairs.append(np.column_stack([a, b]))
-        off.append(np.linalg.norm(places[a] - places[b], axis=1) / np.sqrt(expected))
-    apart, found = np.concatenate(off), np.zeros(n, dtype=bool)
-    found[np.concatenate(pairs)[apart <= limit_of(apart, d, 0.0)]] = True
-    return found
-
-
-def _reckoned(motion: Floats) -> Floats:
-    """Return poses (k, 4, 4) by the motions (k - 1, 4, 4), none where that is NaN."""
-    found = np.tile(np.eye(4), (len(motion) + 1, 1, 1))
-    for k, step in enumerate(np.where(np.isnan(motion), np.eye(4), motion)):
-        found[k + 1] = found[k] @ step
     return found
