@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from importlib import import_module
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeVar
+from typing import Any, ClassVar, Self, TypeVar
 
 import numpy as np
 
@@ -16,9 +16,8 @@ from relmap.core.arrays import Ints
 from relmap.core.errors import RelmapError
 from relmap.core.guard import ChangeGuard, reads_whole
 from relmap.core.stamps import Stamps
-
-if TYPE_CHECKING:
-    from relmap.io.journal import Journal, JournalReader, RecordedScan
+from relmap.io.journal import Journal, JournalReader, RecordedScan
+from relmap.io.journal.layout import LAYOUTS
 
 M = TypeVar("M", bound="Recorded")
 # Plots and results are layers above the mappers and are imported by name only when used.
@@ -59,9 +58,6 @@ class Recorded(ABC):
         self._stamps = Stamps()
         self._journal: Journal | None = None
         if journal is not None:
-            from relmap.io.journal import Journal
-            from relmap.io.journal.layout import LAYOUTS
-
             meta = {
                 "variant": self._variant,
                 "configuration": self._configuration,
@@ -91,8 +87,6 @@ class Recorded(ABC):
             If there is no journal, it belongs to another variant or a newer relmap, is damaged, or
             mapping the scans again gives other results than those recorded.
         """
-        from relmap.io.journal import Journal, JournalReader
-
         with JournalReader(Path(journal)) as reader:
             if reader.layout.variant != cls._variant:
                 raise RelmapError(

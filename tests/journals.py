@@ -26,7 +26,7 @@ def end_after(path: Path, n: int) -> None:
     for k, scan in enumerate(scans):
         for call in calls.get(k, []):
             shorter.call(call)
-        shorter.append(**vars(scan))
+        shorter.append(scan)
     shorter.close()
 
 
@@ -36,8 +36,8 @@ def kill_after(n: int, journal: Path, command: str, **more: Any) -> None:
 from relmap.io.journal import writing
 writing.INTERVAL_S = 0.0  # a flush for every scan
 append = writing.Journal.append
-def half(self, *scan, **more):
-    append(self, *scan, **more)
+def half(self, scan):
+    append(self, scan)
     if self.n_scans == {n}:
         os.kill(os.getpid(), signal.SIGKILL)
 writing.Journal.append = half

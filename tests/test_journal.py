@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import sqlite3
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -229,7 +230,7 @@ def test_mapping_again_must_give_the_recorded_landmarks(tmp_path: Path) -> None:
     path.unlink()
     other = writing.Journal.create(path, layout, meta)
     for k, scan in enumerate(scans):
-        other.append(scan.values, scan.ids, scan.labels + (k == 31))
+        other.append(replace(scan, labels=scan.labels + (k == 31)))
     other.close()
     with pytest.raises(
         RelmapError, match=r"iteration 31 mapped again gives landmarks other.*numpy"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from dataclasses import replace
 from os import PathLike
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,6 +18,7 @@ from relmap.core.guard import reads_whole
 from relmap.core.linalg.threads import one_thread
 from relmap.core.odometry import checked_odometry
 from relmap.core.scan import checked_labels
+from relmap.io.journal import RecordedScan
 from relmap.planes.linking.registration import PlaneRegistration
 from relmap.planes.model import WallModel
 from relmap.planes.places.implied_steps import ImpliedSteps
@@ -30,10 +31,6 @@ from relmap.planes.scans.observation import PlaneObservation, checked_planes, jo
 from relmap.planes.submaps.contradictions import contradicted_revisits
 from relmap.planes.submaps.doubtful import unsupported_links
 from relmap.planes.submaps.submap import torn_in
-
-if TYPE_CHECKING:
-    from relmap.io.journal import RecordedScan
-
 
 _LOG = logging.getLogger(__name__)
 
@@ -166,7 +163,9 @@ class PlaneMapper(LocatingMapper):
         self._stamps.append(stamp_s, self.engine.store.n_iterations - 1)
         if self._journal is not None:
             values, beams = journaled(seen), seen.beams.to_bytes()
-            self._journal.append(values, None, walls, blob=beams, odometry=motion, stamp_s=stamp_s)
+            self._journal.append(
+                RecordedScan(values, None, walls, blob=beams, odometry=motion, stamp_s=stamp_s)
+            )
         return walls
 
     def _finish(self) -> None:

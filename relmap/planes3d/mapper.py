@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from functools import partial
 from os import PathLike
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,6 +14,7 @@ from relmap.core.arrays import Ints
 from relmap.core.errors import RelmapError
 from relmap.core.guard import reads_whole
 from relmap.core.linalg.threads import one_thread
+from relmap.io.journal import RecordedScan
 from relmap.planes3d.files import checked_patches, journaled, of_journal
 from relmap.planes3d.hypotheses import Held
 from relmap.planes3d.mapped import Mapped3d
@@ -30,9 +31,6 @@ from relmap.planes3d.sights import (
 from relmap.planes3d.submap import Submap
 from relmap.planes3d.surfaces import Surfaces
 from relmap.segmentation.space import Patches, PatchSegmenter
-
-if TYPE_CHECKING:
-    from relmap.io.journal import RecordedScan
 
 Span = tuple[int, int]
 LEAST_SCANS, MOST_TIED = 3, 12
@@ -129,7 +127,7 @@ class Plane3dMapper(Mapped3d):
             self._stamps.append(time_s, self._n_iterations - 1)
             if self._journal is not None:
                 values, cells = journaled(seen)
-                self._journal.append(values, None, labels, blob=cells, stamp_s=time_s)
+                self._journal.append(RecordedScan(values, None, labels, blob=cells, stamp_s=time_s))
             return labels
 
     def _segmented(self, points: ArrayLike) -> Patches:

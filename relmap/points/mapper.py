@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -18,11 +16,9 @@ from relmap.core.linalg.threads import one_thread
 from relmap.core.odometry import checked_odometry
 from relmap.core.readout import mapped_positions
 from relmap.core.scan import checked_covariances, checked_ids, checked_points
+from relmap.io.journal import RecordedScan
 from relmap.mapper import Mapper, Place
 from relmap.points.model import PointModel
-
-if TYPE_CHECKING:
-    from relmap.io.journal import RecordedScan
 
 TRIED = 1000
 """Number of scans of a log that may be tried until one is found in the map."""
@@ -125,7 +121,7 @@ class PointMapper(Mapper):
         labels = engine.association.current.labels_of(engine.table.now(labels))
         if self._journal is not None:
             self._journal.append(
-                points_robot, known, labels, noise, odometry=motion, stamp_s=stamp_s
+                RecordedScan(points_robot, known, labels, noise, odometry=motion, stamp_s=stamp_s)
             )
         return labels
 

@@ -36,12 +36,16 @@ def create_file(path: Path, layout: Layout, meta: dict[str, Any]) -> End:
                 connection.execute(statement)
             rows = [(key, json.dumps(value)) for key, value in meta.items() if key != END]
             end = End(0, meta_checksum(rows))
-            rows.append((END, end.text))
-            connection.executemany("INSERT INTO meta VALUES (?, ?)", rows)
+            connection.executemany("INSERT INTO meta VALUES (?, ?)", [*rows, (END, end.text)])
             connection.execute(f"PRAGMA application_id = {APPLICATION}")
             connection.execute(f"PRAGMA user_version = {SCHEMA}")
             connection.execute("COMMIT")
-        _name(part, path)
+        try:
+            path.hardlink_to(part)
+        except FileExistsError:
+            raise
+        except OSError:  # a file system without hard links
+            part.replace(path)
     except FileExistsError as error:
         raise RelmapError(THERE.format(path)) from error
     except (sqlite3.Error, OSError) as error:
@@ -49,16 +53,6 @@ def create_file(path: Path, layout: Layout, meta: dict[str, Any]) -> End:
     finally:
         remove(part)
     return end
-
-
-def _name(part: Path, path: Path) -> None:
-    """Give a file its final name, if no other has it."""
-    try:
-        path.hardlink_to(part)
-    except FileExistsError:
-        raise
-    except OSError:  # a file system without hard links
-        part.replace(path)
 
 
 def remove(path: Path, endings: tuple[str, ...] = ("", *BESIDE)) -> None:

@@ -184,17 +184,15 @@ def checksum(iteration: int, scan: RecordedScan, before: int) -> int:
     return zlib.crc32(scan.blob, total)
 
 
-def observation_rows(
-    layout: Layout, k: int, values: Floats, ids: Ints | None, labels: Ints
-) -> Statements:
-    """Return the statements that write the observations of scan k; see `Journal.append`."""
-    n = len(labels)
-    columns = values.T.tolist() if n else []
+def observation_rows(layout: Layout, k: int, scan: RecordedScan) -> Statements:
+    """Return the statements that write the observations of scan k."""
+    n, ids = len(scan.labels), scan.ids
+    columns = scan.values.T.tolist() if n else []
     slots = ["?"] * (2 + len(columns)) + ["NULL"] * (len(layout.values) - len(columns))
     if layout.has_ids:
         slots.append("NULL" if ids is None else "?")
         columns += [] if ids is None else [ids.tolist()]
-    rows = zip(repeat(k, n), range(n), *columns, labels.tolist(), strict=True)
+    rows = zip(repeat(k, n), range(n), *columns, scan.labels.tolist(), strict=True)
     slot, numbers = f"({', '.join(slots)}, ?)", list(chain.from_iterable(rows))
     statements: Statements = []
     width, end = slot.count("?"), n - n % BLOCK

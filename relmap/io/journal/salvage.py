@@ -76,7 +76,7 @@ def _recover(damaged: Path, whole: Path) -> int:
             for scan in reader.scans():
                 for call in reader.calls.get(journal.n_scans, []):
                     journal.call(call)
-                journal.append(**vars(scan))
+                journal.append(scan)
         except RelmapError:
             if not reader.read.scans:
                 raise

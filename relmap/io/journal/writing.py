@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError, reason
 from relmap.io.journal.file import connected, create_file
 from relmap.io.journal.layout import (
@@ -99,34 +98,19 @@ class Journal:
         if self._failure is not None:
             self.flush()
 
-    def append(
-        self,
-        values: Floats,
-        ids: Ints | None,
-        labels: Ints,
-        covariances: Floats | None = None,
-        blob: bytes = b"",
-        odometry: Floats | None = None,
-        stamp_s: float | None = None,
-    ) -> None:
-        """Append one scan; if it cannot be written, the next `ready` or `flush` reports it.
-
-        `values` (n, c): observations, in the order of the layout's columns; for points (n, 2) or
-        (n, 3). `ids` (n,); `labels` (n,); `covariances` (n, d, d): only for points. `blob`: if the
-        layout has one. `odometry` (4, 4).
-        """
-        k, n = self.n_scans, len(labels)
-        statements = observation_rows(self._layout, k, values, ids, labels)
-        if covariances is not None and n:
-            statements += covariance_rows(k, covariances)
-        if odometry is not None:
-            motion = np.ascontiguousarray(odometry, dtype="<f8").tobytes()
+    def append(self, scan: RecordedScan) -> None:
+        """Append one scan; if it cannot be written, the next `ready` or `flush` reports it."""
+        k, n = self.n_scans, len(scan.labels)
+        statements = observation_rows(self._layout, k, scan)
+        if scan.covariances is not None and n:
+            statements += covariance_rows(k, scan.covariances)
+        if scan.odometry is not None:
+            motion = np.ascontiguousarray(scan.odometry, dtype="<f8").tobytes()
             statements += rows_into(ODOMETRY, [(k, motion)])
-        if stamp_s is not None:
-            statements += rows_into(STAMPS, [(k, stamp_s)])
-        scan = RecordedScan(values, ids, labels, covariances, blob, odometry, stamp_s)
+        if scan.stamp_s is not None:
+            statements += rows_into(STAMPS, [(k, scan.stamp_s)])
         check = checksum(k, scan, self._end.checksum)
-        row = (k, n, int(ids is not None), check, *(blob,) * bool(self._layout.blob))
+        row = (k, n, int(scan.ids is not None), check, *(scan.blob,) * bool(self._layout.blob))
         slots = ", ".join("?" * len(row))
         statements.append((f"INSERT INTO scans VALUES ({slots})", [row]))
         # All of it or nothing, whenever an interrupt comes.
