@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from relmap.core.arrays import Floats
-from relmap.evaluation.pairing import Motion
-from relmap.merging.tables import joined_walls, moved
+from relmap.core.geometry.motions import transforms
+from relmap.merging.tables import joined_walls, moved_walls
 from relmap.planes.places.wall_tie import wall_ties
 from tests.tables import walls_of
 from tests.worlds import turn
@@ -86,6 +86,6 @@ def test_walls_back_to_back_stay_two() -> None:
 
 def test_walls_move_with_their_fronts() -> None:
     table = walls_of(np.array([[[1.0, 0.0], [4.0, 0.0]]]), [[-1, -1]])
-    turned = moved(table, Motion(turn(np.pi / 2), np.array([1.0, 2.0])))
+    turned = moved_walls(table, transforms(turn(np.pi / 2), np.array([1.0, 2.0])))
     np.testing.assert_allclose(turned.ends, [[[1.0, 3.0], [1.0, 6.0]]])
     np.testing.assert_allclose(turned.normal, [[-1.0, 0.0]], atol=1e-15)

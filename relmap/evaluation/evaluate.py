@@ -126,7 +126,7 @@ def evaluate(result: Result, truth: Truth, log: ObservationLog | None = None) ->
         if faces is not truth.faces:
             notes.append("no plane recall, precision and RMSE: true poses align the planes")
     else:
-        figures, counts, notes = judge_landmarks(result, truth, log, len(poses))
+        figures, counts, notes = judge_landmarks(result, truth, log)
     of_relations, more = judge_relations(result, truth)
     figures |= of_path | of_relations
     return Evaluation(**figures, counts=counts, notes=(*notes, *reasons, *more), variant=variant)

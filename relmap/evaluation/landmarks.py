@@ -9,10 +9,11 @@ from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.errors import RelmapError
+from relmap.core.geometry.motions import transforms
 from relmap.datasets.base import ObservationLog
 from relmap.evaluation import metrics
 from relmap.evaluation.metrics import Matched
-from relmap.evaluation.pairing import Motion, paired
+from relmap.evaluation.pairing import moved, paired
 from relmap.evaluation.truth import Truth
 from relmap.io.results import Result
 
@@ -50,19 +51,19 @@ class Overlay:
 
 
 def judge_landmarks(
-    result: Result, truth: Truth, log: ObservationLog | None, n_poses: int
+    result: Result, truth: Truth, log: ObservationLog | None
 ) -> tuple[dict[str, float | None], dict[str, int], list[str]]:
     """Evaluate a map of points.
 
-    `log`: the log that was mapped; its ids are the true association. `n_poses`: number of poses of
-    the result with a true pose. Returns `figures`: the landmark figures of `Evaluation`, where
-    available, `counts`: counts behind the figures and `notes`: reasons for missing figures.
+    `log`: the log that was mapped; its ids are the true association. Returns `figures`: the
+    landmark figures of `Evaluation`, where available, `counts`: counts behind the figures and
+    `notes`: reasons for missing figures.
     """
     counts = {
         "landmarks": len(result.landmarks.landmark),
         "mapped": int(result.mapped.sum()),
         "true_landmarks": len(truth.landmark_ids),
-        "matched_poses": n_poses,
+        "matched_poses": len(truth.poses_of(result)[0]),
     }
     if "merged" in result.summary:
         return _judged_by_place(result, truth, counts)
@@ -130,8 +131,8 @@ def _judged_by_place(
     if len(poses) < 3 or min(len(position), len(places)) <= d:
         return {}, counts, [few]
     R, t = metrics.align(poses[:, :d, 3], true_poses[:, :d, 3])
-    motion, pairs = paired(position, places, Motion(R, t))
-    errors = motion.apply(position[pairs[:, 0]]) - places[pairs[:, 1]]
+    T, pairs = paired(position, places, transforms(R, t))
+    errors = moved(position[pairs[:, 0]], T) - places[pairs[:, 1]]
     counts |= {"matched_landmarks": len(pairs)}
     note = f"landmarks were matched by place, {len(pairs)} of {len(position)}: the map was merged"
     return {"landmark_rmse_m": metrics.rms(errors)}, counts, [note]

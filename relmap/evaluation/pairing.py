@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -19,45 +17,28 @@ SIGMAS = 4.0
 ROUNDS = 4
 
 
-@dataclass(frozen=True, eq=False)
-class Motion:
-    """A motion from the frame of one map to that of another: ``R @ p + t``.
-
-    `R` (d, d), `t` (d,).
-    """
-
-    R: Floats
-    t: Floats
-
-    def apply(self, points: Floats) -> Floats:
-        """Return points (n, 3), or (n, d), transformed; z is unchanged if the motion is planar."""
-        d = len(self.t)
-        moved = points.copy()
-        moved[:, :d] = points[:, :d] @ self.R.T + self.t
-        return moved
-
-    @property
-    def matrix(self) -> Floats:
-        """The motion as a (4, 4) matrix."""
-        return transforms(self.R, self.t)
+def moved(points: Floats, T: Floats) -> Floats:
+    """Return points (n, d), d of 2 or 3, moved by a motion (4, 4), planar if d is 2."""
+    d = points.shape[1]
+    return points @ T[:d, :d].T + T[:d, 3]
 
 
-def paired(points: Floats, among: Floats, motion: Motion) -> tuple[Motion, Ints]:
+def paired(points: Floats, among: Floats, T: Floats) -> tuple[Floats, Ints]:
     """Fit a motion to the common landmarks, and return them.
 
-    `points` (n, d), `among` (m, d), metres: points of two maps, each in its own frame; `motion`:
-    approximate motion from the first frame to the second. Returns `pairs` (k, 2): rows of both;
-    each occurs at most once.
+    `points` (n, d), `among` (m, d), metres: points of two maps, each in its own frame; `T` (4, 4):
+    approximate motion from the first frame to the second. Returns `T`, fitted, and `pairs` (k, 2):
+    rows of both; each occurs at most once.
     """
     spacing = nearest(cKDTree(among), among, 2)[0][:, -1]
     near_m = SPACING * float(np.median(spacing))
     pairs = np.empty((0, 2), dtype=np.int64)
     for _ in range(ROUNDS):
-        pairs = np.column_stack(mutual(motion.apply(points), among, near_m))
-        if len(pairs) <= len(motion.t):
+        pairs = np.column_stack(mutual(moved(points, T), among, near_m))
+        if len(pairs) <= points.shape[1]:
             break
         source, target = points[pairs[:, 0]], among[pairs[:, 1]]
-        motion = Motion(*fit_rigid(source, target))
-        off = np.linalg.norm(motion.apply(source) - target, axis=1)
+        T = transforms(*fit_rigid(source, target))
+        off = np.linalg.norm(moved(source, T) - target, axis=1)
         near_m = min(near_m, SIGMAS * max(float(np.sqrt(np.mean(off**2))), 1e-9))
-    return motion, pairs
+    return T, pairs

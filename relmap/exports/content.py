@@ -9,12 +9,11 @@ from typing import TypeVar
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats
-from relmap.core.errors import RelmapError
 from relmap.core.landmarks import LandmarkTable
 from relmap.io.results import MAP_PLY, Result
 from relmap.planes.walls.files import PlaneResult, read_any
 from relmap.planes.walls.table import PlaneTable
-from relmap.plots.path import broken_at_jumps
+from relmap.plots.path import split_at_jumps
 
 T = TypeVar("T", LandmarkTable, PlaneTable)
 
@@ -35,9 +34,7 @@ class MapContent:
     @property
     def path(self) -> list[Floats]:
         """The positions of the robot: pieces (k, 3), split where the path jumps."""
-        drawn = broken_at_jumps(self.result.poses[:, :3, 3])
-        parts = np.split(drawn, np.flatnonzero(np.isnan(drawn[:, 0])))
-        pieces = [part[np.isfinite(part[:, 0])] for part in parts]
+        pieces = split_at_jumps(self.result.poses[:, :3, 3])
         return [piece for piece in pieces if len(piece) > 1]
 
     @property
@@ -60,12 +57,7 @@ class MapContent:
 
 def read_content(folder: Path) -> MapContent:
     """Read the exported part of a result folder; RelmapError if it is not one of `relmap map`."""
-    result = read_any(folder)
-    if result.summary.get("variant") == "planes3d":
-        raise RelmapError(
-            f"{folder} is a map of planes in space: only points and walls (variants points and "
-            f"planes) are exported; its mesh is {folder / MAP_PLY}"
-        )
+    result = read_any(folder, f"exported; its mesh is {folder / MAP_PLY}")
     walls = None
     if isinstance(result, PlaneResult):
         walls = _rows(result.planes, np.isfinite(result.planes.ends[:, 0, 0]))

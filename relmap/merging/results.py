@@ -13,15 +13,16 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.association.reobservation.tying import tie_submaps
 from relmap.core.errors import RelmapError
 from relmap.core.geometry.alignment import fit_rigid
+from relmap.core.geometry.motions import transforms
 from relmap.core.landmarks import LandmarkTable
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.map.lengths import length_ratio_of_maps
 from relmap.core.state.table import LandmarkState
 from relmap.evaluation.metrics import positions_of
-from relmap.evaluation.pairing import Motion, paired
+from relmap.evaluation.pairing import moved, paired
 from relmap.evaluation.summary import by_status
 from relmap.io.results import LANDMARKS, PLANES, Result, Tracks, read_names, shifted
-from relmap.merging.tables import joined, joined_walls, moved
+from relmap.merging.tables import joined, joined_walls, moved_walls
 from relmap.planes.places.submap_ties import RIVAL, WALLS, ends_by_chance
 from relmap.planes.places.wall_tie import ACROSS, LEAST_M, coinciding_ends, wall_ties
 from relmap.planes.walls.files import PlaneResult, read_any
@@ -72,22 +73,17 @@ def merge_results(one: Path, other: Path) -> Merged:
         found = f"{one} is a map of {kinds[0]} and {other} of {kinds[1]}"
         raise RelmapError(f"{found}; they must be of one kind")
     if isinstance(a, PlaneResult) and isinstance(b, PlaneResult):
-        motion, record = _tie_of_walls(a.planes, b.planes, f"{other} and {one}")
+        T, record = _tie_of_walls(a.planes, b.planes, f"{other} and {one}")
     else:
-        motion, record = _tie_of_points(a, b, f"{other} and {one}")
+        T, record = _tie_of_points(a, b, f"{other} and {one}")
     record |= {"first": str(one), "second": str(other)}
     texts = read_names(one), read_names(other)
-    result, motion, names = _joined(a, b, texts, motion, record)
-    return Merged(result, b.stamps_s, motion.matrix @ b.poses, names)
+    result, T, names = _joined(a, b, texts, T, record)
+    return Merged(result, b.stamps_s, T @ b.poses, names)
 
 
 def _read(folder: Path) -> Result:
-    result = read_any(folder)
-    if result.summary.get("variant") == "planes3d":
-        raise RelmapError(
-            f"{folder} is a map of planes in space: only points and walls (variants points and "
-            "planes) are merged"
-        )
+    result = read_any(folder, "merged")
     corners = result.planes.corner if isinstance(result, PlaneResult) else NOTHING
     unknown = np.setdiff1d(corners[corners >= 0], result.landmarks.landmark)
     if len(unknown):
@@ -98,34 +94,34 @@ def _read(folder: Path) -> Result:
 
 
 def _joined(
-    a: Result, b: Result, texts: tuple[Texts, Texts], motion: Motion, record: Record
-) -> tuple[Result, Motion, dict[int, str]]:
+    a: Result, b: Result, texts: tuple[Texts, Texts], T: Floats, record: Record
+) -> tuple[Result, Floats, dict[int, str]]:
     """Merge two results, given an approximate alignment of the second; return it refined."""
     (first, end), (begin, last) = map(_span, (a, b))
     shift, planes = end - begin, None
     if isinstance(a, PlaneResult) and isinstance(b, PlaneResult):
         base = int(a.landmarks.landmark.max(initial=-1)) + 1
         label = b.landmarks.landmark + base
-        others = shifted(moved(b.planes, motion), shift)
+        others = shifted(moved_walls(b.planes, T), shift)
         others = replace(others, corner=np.where(others.corner >= 0, others.corner + base, -1))
         planes, corners = joined_walls(a.planes, others)
         mine = positions_of(a.landmarks.landmark, corners[:, 1])
         pairs = np.column_stack([positions_of(label, corners[:, 0]), mine])
         same = Identities(label, pairs, {})
     else:
-        motion, pairs = _paired(a, b, motion)
+        T, pairs = _paired(a, b, T)
         same = identities_of(a, b, texts, pairs)
         record["different_ids"] = same.n_apart
         places = (each.landmarks.position[pairs[:, k]] for k, each in ((1, a), (0, b)))
         record["lengths"] = length_ratio_of_maps(*places)
-    theirs = replace(_alone(b.landmarks), position=motion.apply(b.landmarks.position))
+    theirs = replace(_alone(b.landmarks), position=moved(b.landmarks.position, T))
     theirs = shifted(replace(theirs, landmark=same.label), shift)
     table = joined(_alone(a.landmarks), theirs, same.pairs)
-    record |= {"T_first_second": motion.matrix.tolist(), "common_landmarks": len(pairs)}
+    record |= {"T_first_second": T.tolist(), "common_landmarks": len(pairs)}
     tracks = Tracks(NOTHING, NOTHING, NOTHING)
     summary = _summary(a, b, table, record, [first, last + shift])
     result = Result(table, tracks, a.stamps_s, a.poses, summary)
-    return result if planes is None else _of_walls(result, planes), motion, same.names
+    return result if planes is None else _of_walls(result, planes), T, same.names
 
 
 def _span(result: Result) -> tuple[int, int]:
@@ -135,16 +131,16 @@ def _span(result: Result) -> tuple[int, int]:
     return int(table.first_iteration.min(initial=end)), end
 
 
-def _paired(a: Result, b: Result, motion: Motion) -> tuple[Motion, Ints]:
+def _paired(a: Result, b: Result, T: Floats) -> tuple[Floats, Ints]:
     """Return the alignment of a map of points to another, and the common landmarks' rows (k, 2)."""
-    d = len(motion.t)
+    d = 2 if a.planar else 3
     rows = [np.flatnonzero(result.mapped) for result in (b, a)]
     theirs, mine = (r.landmarks.position[k][:, :d] for r, k in zip((b, a), rows, strict=True))
-    motion, pairs = paired(theirs, mine, motion)
-    return motion, np.column_stack([rows[0][pairs[:, 0]], rows[1][pairs[:, 1]]])
+    T, pairs = paired(theirs, mine, T)
+    return T, np.column_stack([rows[0][pairs[:, 0]], rows[1][pairs[:, 1]]])
 
 
-def _tie_of_points(a: Result, b: Result, named: str) -> tuple[Motion, Record]:
+def _tie_of_points(a: Result, b: Result, named: str) -> tuple[Floats, Record]:
     """Return an approximate alignment of the second map, from unambiguous constellations."""
     d = 2 if a.planar else 3
     places = [result.landmarks.position[result.mapped][:, :d] for result in (a, b)]
@@ -162,12 +158,12 @@ def _tie_of_points(a: Result, b: Result, named: str) -> tuple[Motion, Record]:
     noise_m = float(np.median(sd[sd > 0])) if (sd > 0).any() else 0.0
     if not any(True for _ in tie_submaps(both, np.sqrt(2) * noise_m)):
         raise RelmapError(failed)
-    R, t = (fit_rigid(own, state.position[k]) for own, k in zip(places, numbers, strict=True))
-    back = np.linalg.inv(Motion(*R).matrix) @ Motion(*t).matrix
-    return Motion(back[:d, :d], back[:d, 3]), {}
+    fits = (fit_rigid(own, state.position[k]) for own, k in zip(places, numbers, strict=True))
+    T_both_a, T_both_b = (transforms(*fit) for fit in fits)
+    return np.linalg.inv(T_both_a) @ T_both_b, {}
 
 
-def _tie_of_walls(a: PlaneTable, b: PlaneTable, named: str) -> tuple[Motion, Record]:
+def _tie_of_walls(a: PlaneTable, b: PlaneTable, named: str) -> tuple[Floats, Record]:
     """Return the alignment of the second map in which walls overlap, and most of their ends."""
     ends = [table.ends[table.status == "static"] for table in (b, a)]
     failed = f"{named} have no unique alignment"
@@ -199,7 +195,7 @@ def _tie_of_walls(a: PlaneTable, b: PlaneTable, named: str) -> tuple[Motion, Rec
         )
     rivals_m = [tie.length_m for tie in ties if tie is not best][:1]
     record = {"common_walls_m": best.length_m, "rival_walls_m": rivals_m, "rms_m": best.rms_m}
-    return Motion(best.R, best.t), record
+    return best.matrix, record
 
 
 def _alone(table: LandmarkTable) -> LandmarkTable:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association.base import one_to_one
 from relmap.core.landmarks import LandmarkTable
-from relmap.evaluation.pairing import Motion
+from relmap.evaluation.pairing import moved
 from relmap.planes.places.wall_tie import NEAR_M, SAMPLE_M, WallPoints, WallTie, lying
 from relmap.planes.walls.table import PlaneTable
 
@@ -40,10 +40,10 @@ def lying_on(ends: Floats, others: Floats) -> Floats:
     return length_m
 
 
-def moved(table: PlaneTable, motion: Motion) -> PlaneTable:
-    """Return walls transformed into the frame of another map."""
-    ends = motion.apply(table.ends.reshape(-1, 2)).reshape(-1, 2, 2)
-    return replace(table, ends=ends, normal=table.normal @ motion.R.T)
+def moved_walls(table: PlaneTable, T: Floats) -> PlaneTable:
+    """Return walls transformed by a motion (4, 4) into the frame of another map."""
+    ends = moved(table.ends.reshape(-1, 2), T).reshape(-1, 2, 2)
+    return replace(table, ends=ends, normal=table.normal @ T[:2, :2].T)
 
 
 def joined_walls(one: PlaneTable, other: PlaneTable) -> tuple[PlaneTable, Ints]:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 from time import perf_counter
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from relmap.core.errors import RelmapError
 from relmap.evaluation.feeding import AnyMapper
 from relmap.planes import PlaneMapper
 from relmap.planes3d import Plane3dMapper
-from relmap.plots.path import broken_at_jumps
+from relmap.plots.path import split_at_jumps
 
 SHARE = 0.1
 """Approximate fraction of the time spent on the view."""
@@ -48,7 +48,8 @@ class LiveView:
         self._due = -np.inf
         self._scan: Any = None
         try:
-            with _without_analytics():
+            # Without usage data of processes started here: Rerun sends none if CI is set.
+            with patch.dict(os.environ, CI=os.environ.get("CI") or "true"):
                 if file is None:
                     self._stream.spawn(hide_welcome_screen=True)
                 else:
@@ -84,9 +85,7 @@ class LiveView:
             d = mapper.engine.store.dimension or 2
             self._points(MAP, mapper.map.positions[:, :d])
         poses = mapper.trajectory
-        way = broken_at_jumps(poses[np.isfinite(poses[:, 0, 3]), :d, 3])
-        parts = np.split(way, np.flatnonzero(np.isnan(way).any(axis=1)))
-        self._lines(PATH, [part[np.isfinite(part).all(axis=1)] for part in parts], d)
+        self._lines(PATH, split_at_jumps(poses[np.isfinite(poses[:, 0, 3]), :d, 3]), d)
         if self._scan is not None and len(poses) and np.isfinite(poses[-1, 0, 3]):
             R, t = poses[-1, :d, :d], poses[-1, :d, 3]
             self._points(SCAN, self._scan.points_robot[:, :d] @ R.T + t)
@@ -107,16 +106,3 @@ class LiveView:
         self._stream.log(
             name, kind(shown or np.empty((0, 2, d)), colors=COLOURS[name], radii=RADIUS_M)
         )
-
-
-@contextmanager
-def _without_analytics() -> Iterator[None]:
-    """Disable usage data of processes started here: Rerun sends none if CI is set."""
-    before = os.environ.get("CI")
-    os.environ["CI"] = before or "true"
-    try:
-        yield
-    finally:
-        del os.environ["CI"]
-        if before is not None:
-            os.environ["CI"] = before

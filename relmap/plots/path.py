@@ -30,6 +30,11 @@ def broken_at_jumps(position: Floats) -> Floats:
     return _broken(position, jumps(position))
 
 
+def split_at_jumps(position: Floats) -> list[Floats]:
+    """Return positions (k, d) as the pieces (n, d) of the path between jumps."""
+    return np.split(position, np.flatnonzero(jumps(position)) + 1)
+
+
 def jumps(position: Floats) -> Bools:
     """Return for each step (k - 1,) between positions (k, d) whether the path jumps there."""
     step_m = np.linalg.norm(np.diff(position, axis=0), axis=1)

@@ -121,13 +121,20 @@ def read_planes(folder: Path) -> PlaneTable:
     )
 
 
-def read_any(folder: Path) -> Result:
+def read_any(folder: Path, not_in_space: str = "") -> Result:
     """Read a result folder; for walls a `PlaneResult`.
 
-    Raises `RelmapError` if a file is missing or invalid.
+    Raises `RelmapError` if a file is missing or invalid, or the map is of planes in space, with
+    what is done to others only, if that is given.
     """
     result = read_result(folder)
+    in_space = result.summary.get("variant") == "planes3d"
+    if in_space and not_in_space:
+        raise RelmapError(
+            f"{folder} is a map of planes in space: only points and walls (variants points and "
+            f"planes) are {not_in_space}"
+        )
     # Planes in space use a file of the same name.
-    if not (folder / PLANES).exists() or result.summary.get("variant") == "planes3d":
+    if in_space or not (folder / PLANES).exists():
         return result
     return PlaneResult(**vars(result), planes=read_planes(folder))
