@@ -25,12 +25,13 @@ class Setup:
 
     `dimension`: 2 for a planar world, else 3; `sigma_m`: standard deviation of each observed
     coordinate, metres; `range_m`: distance of the farthest observation of the log, or of the
-    farthest point of its first scan with any, metres.
+    farthest point of its first scan with any, metres; `has_ids`: whether scans come with ids.
     """
 
     dimension: int = 3
     sigma_m: float = 0.05
     range_m: float = 80.0
+    has_ids: bool = True
 
 
 class Baseline(ABC):

@@ -15,7 +15,6 @@ from relmap.comparison.baselines.ekf import as_mrpt_ships_it, linearised_at_best
 from relmap.comparison.baselines.frames import FrameToFrame, FrameToMap
 from relmap.comparison.baselines.gtsam_methods import GtsamBatch, Isam2
 from relmap.comparison.baselines.icp import KissIcp, SmallGicp
-from relmap.core.association import NearestPrevious, Registration
 from relmap.core.config import MapperConfig
 from relmap.core.errors import RelmapError, known_name
 from relmap.core.geometry.alignment import fit_rigid, fixes_rotation
@@ -26,30 +25,16 @@ from relmap.planes.pairwise import pairwise_map
 from relmap.planes.walls.table import PlaneTable
 from relmap.planes3d import Plane3dMapper
 from relmap.points import PointMapper
-from relmap.points.model import PointModel
 
 PAPER = MapperConfig(max_missed=0, refine_live=False)
-"""Settings of sections II and III: no missed iterations, no live refinement."""
+WITHOUT_IDS = replace(PAPER, registration="nearest-previous")
+"""Settings of sections II and III: no missed iterations, no live refinement, and without ids scans
+are matched to the previous iteration only."""
 _SCANS: tuple[LogKind, ...] = ("scans",)
 _CLOUDS: tuple[LogKind, ...] = ("clouds",)
 _ALL: tuple[LogKind, ...] = ("landmarks", "scans", "clouds")
 _HOLDS = {"landmarks": "landmarks", "scans": "point scans", "clouds": "clouds that show floors"}
 _GTSAM: dict[str, Any] = {"needs_ids": True, "needs": "gtsam"}
-
-
-class PaperPointModel(PointModel):
-    """Without ids, scans are matched to the previous iteration only."""
-
-    def association(self, config: MapperConfig) -> Registration:
-        """Return the paper's matching."""
-        return NearestPrevious(None)
-
-
-class PaperPointMapper(PointMapper):
-    """Maps points as in the paper."""
-
-    def _model(self) -> PointModel:
-        return PaperPointModel()
 
 
 class PaperPlaneMapper(PlaneMapper):
@@ -96,7 +81,7 @@ class MethodInfo:
 METHODS: tuple[MethodInfo, ...] = (
     MethodInfo("relmap-points", lambda _: PointMapper(), refine=True),
     MethodInfo("relmap-points-live", lambda _: PointMapper()),
-    MethodInfo("relmap-points-paper", lambda _: PaperPointMapper(PAPER)),
+    MethodInfo("relmap-points-paper", lambda s: PointMapper(PAPER if s.has_ids else WITHOUT_IDS)),
     MethodInfo("relmap-planes", lambda _: PlaneMapper(), _SCANS, refine=True),
     MethodInfo("relmap-planes-live", lambda _: PlaneMapper(), _SCANS),
     MethodInfo("relmap-planes-paper", lambda _: PaperPlaneMapper(), _SCANS),

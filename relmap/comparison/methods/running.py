@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from time import process_time
 
@@ -73,7 +73,7 @@ def run_method(
     `sigma_m`: noise passed to methods, metres; estimated from the log if not given. Raises
     `RelmapError` if the method cannot use the log.
     """
-    log, setup = data.log, setup_for(data, sigma_m)
+    log, setup = data.log, replace(setup_for(data, sigma_m), has_ids=association == "known")
     first = log.first_iteration
     with threadpool_limits(1):
         if len(log):
