@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from heapq import nlargest
-from threading import Event, Thread, Timer
+from threading import Event, Thread
 from time import monotonic
 from typing import TYPE_CHECKING, TypeVar
 
@@ -96,13 +96,10 @@ def tracked(
     items: Iterable[T], total: int, what: str, patience_s: float | None = None
 ) -> Iterator[T]:
     """Yield the `total` items; show progress on stderr if it takes long, see `Counter`."""
-    counter = Counter(what, patience_s)
-    try:
+    with closing(Counter(what, patience_s)) as counter:
         for done, item in enumerate(items, 1):
             yield item
             counter(done, total)
-    finally:
-        counter.close()
 
 
 def lasting(seconds: float) -> str:
@@ -121,37 +118,24 @@ def busy(what: str) -> Iterator[Callable[[str], None]]:
     from rich.console import Console
 
     status = Console(stderr=True).status(what)
-    if not status.console.is_terminal:
-        with _by_lines(what) as now:
-            yield now
-        return
-    timer = Timer(PATIENCE_S, status.start)
-    timer.start()
-    try:
-        yield status.update
-    finally:
-        timer.cancel()
-        timer.join()
-        status.stop()
-
-
-@contextmanager
-def _by_lines(what: str) -> Iterator[Callable[[str], None]]:
-    """Print the current activity and its duration on stderr at intervals."""
+    is_terminal = status.console.is_terminal
     doing, over, began = [what], Event(), monotonic()
 
-    def repeat() -> None:
-        while not over.wait(EVERY_S):
+    def show() -> None:
+        if is_terminal and not over.wait(PATIENCE_S):
+            status.start()
+        while not is_terminal and not over.wait(EVERY_S):
             line = f"relmap: {doing[-1]}, for {lasting(monotonic() - began)} so far"
             typer.echo(line, err=True)
 
-    thread = Thread(target=repeat, daemon=True)
+    thread = Thread(target=show, daemon=True)
     thread.start()
     try:
-        yield doing.append
+        yield status.update if is_terminal else doing.append
     finally:
         over.set()
         thread.join()
+        status.stop()
 
 
 def print_table(title: str, header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
