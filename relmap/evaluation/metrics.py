@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import fit_rigid, rotation_of_moment
@@ -119,20 +120,12 @@ def match_stamps(stamps_s: Floats, others_s: Floats) -> tuple[NDArray[np.intp], 
 
     Each is matched to the nearest other within `MATCH_S`; no other is used twice.
     """
-    if not (len(stamps_s) and len(others_s)):
-        return np.empty(0, np.intp), np.empty(0, np.intp)
-    order = np.argsort(others_s, kind="stable")
-    sorted_s = others_s[order]
-    after = np.searchsorted(sorted_s, stamps_s).clip(0, len(order) - 1)
-    before = (after - 1).clip(0)
-    take_before = np.abs(sorted_s[before] - stamps_s) <= np.abs(sorted_s[after] - stamps_s)
-    nearest = np.where(take_before, before, after)
-    gap = np.abs(sorted_s[nearest] - stamps_s)
+    gap, nearest = (np.asarray(a) for a in cKDTree(others_s[:, None]).query(stamps_s[:, None]))
     close = np.flatnonzero(gap <= MATCH_S)
     close = close[np.argsort(gap[close], kind="stable")]
     _, first = np.unique(nearest[close], return_index=True)
     mine = np.sort(close[first])
-    return mine, order[nearest[mine]]
+    return mine, nearest[mine]
 
 
 def ate(poses: Floats, true_poses: Floats, planar: bool) -> float | None:

@@ -93,10 +93,8 @@ def _covered(ends: Floats, by: Floats, others: bool = False) -> float | None:
     points = ends[wall, 0] + share[:, None] * (ends[wall, 1] - ends[wall, 0])
     on = np.zeros(len(wall), dtype=bool)
     for k, other in enumerate(by):
-        if others:
-            on |= _on_wall(points, wall, ends, other, 0.0) & (wall != k)
-        else:
-            on |= _on_wall(points, wall, ends, other, NEAR_M)
+        near = _on_wall(points, wall, ends, other, 0.0 if others else NEAR_M)
+        on |= near & (wall != k) if others else near
     weight = (length_m / counts)[wall]
     return float(weight[on].sum() / weight.sum())
 

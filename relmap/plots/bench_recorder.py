@@ -125,7 +125,7 @@ class BenchRecorder:
 
     def _world(self, stamps_s: Floats, poses: Floats) -> tuple[Floats, Floats]:
         """Return the motion R (2, 2), t (2,) from the map to the world frame."""
-        placed = np.isfinite(poses[:, 0, 0])
+        placed = np.isfinite(poses[:, 0, 0] + stamps_s)
         found = self._truth and fit_to_truth(stamps_s[placed], poses[placed], self._truth)
         return found or (np.eye(2), np.zeros(2))
 

@@ -36,7 +36,7 @@ class Wheels:
     way_bias: float = 0.0
     turn_bias_deg_per_m: float = 0.0
 
-    def check(self) -> None:
+    def __post_init__(self) -> None:
         """Raise a `RelmapError` for values out of range."""
         for name in (field.name for field in fields(self)):
             low, value = -90 if "bias" in name else 0, getattr(self, name)
@@ -48,10 +48,8 @@ def wheel_odometry(poses: Floats, wheels: Wheels, rng: np.random.Generator) -> F
     """Return the motions (k, 4, 4) measured by wheels on a path.
 
     `poses` (k, 4, 4): ``T_map_robot`` of each iteration; planar if none has height, roll or pitch.
-    Returns (k, 4, 4): motion from the previous iteration to each one; NaN for the first. Raises
-    `RelmapError` if the noise of the wheels is out of range.
+    Returns (k, 4, 4): motion from the previous iteration to each one; NaN for the first.
     """
-    wheels.check()
     true = motions(poses)[1:]
     planar = not np.ptp(poses[:, 2, 3]) and bool((poses[:, 2, 2] > UPRIGHT).all())
     free = np.array([1, 1, 0]) if planar else np.ones(3)

@@ -56,6 +56,11 @@ class WorldSpec:
     view_deg : float
         Width of the view; 360 is all around.
     seed : int
+
+    Raises
+    ------
+    RelmapError
+        If one is out of its range.
     """
 
     kind: str = "streets"
@@ -72,7 +77,7 @@ class WorldSpec:
     view_deg: float = 120.0
     seed: int = 0
 
-    def check(self) -> None:
+    def __post_init__(self) -> None:
         """Raise a `RelmapError` for values out of range."""
         known_name(self.kind, list(KINDS), "kind of world")
         known_name(self.noise, list(SENSORS), "noise")
@@ -128,13 +133,7 @@ def simulate_world(spec: WorldSpec) -> World:
     Returns
     -------
     World
-
-    Raises
-    ------
-    RelmapError
-        If an argument is out of its range.
     """
-    spec.check()
     rng = np.random.default_rng(spec.seed)
     place = KINDS[spec.kind](spec.length_m, spec.spacing_m, rng)
     if spec.space and place.planar:
