@@ -73,22 +73,31 @@ def weigh_poses(
 
     Where one direction is measured many times better than another, or near landmarks than distant
     ones, the fit of `known_poses` is several times as far off. `kept`: all observations, with
-    covariances; `positions_map`, `of`: as for `known_poses`. A pose stays as it is if too few
-    observations agree on another.
+    covariances; `positions_map`, `of`: as for `known_poses`. Where fewer observations agree with
+    the fit of all than with a robust one, only the latter are fitted. A pose stays as it is if too
+    few agree on another.
     """
-    import relmap.core.geometry.weighted_kernels as kernels
+    from relmap.core.geometry.weighted_kernels import weighted_fit_rows
 
     there = positions_map[of[kept.landmark]]
-    rows = np.flatnonzero(np.isfinite(there).all(axis=1))
-    there, seen, d = there[rows], kept.location[rows], there.shape[1]
-    root = np.linalg.inv(np.linalg.cholesky(kept.covariance[rows]))
-    begin = np.searchsorted(kept.iteration[rows], known)
-    end = np.searchsorted(kept.iteration[rows], known, "right")
-    for pose, i, j in zip(poses, begin.tolist(), end.tolist(), strict=True):
-        if j - i >= d:
-            R, t, n_agreeing = kernels.weighted_fit_rows(there[i:j], seen[i:j], OUTLIER, root[i:j])
-            if n_agreeing >= d:
-                pose[:d, :d], pose[:d, 3] = R.T, -R.T @ t
+    rows = np.flatnonzero(np.isfinite(there).all(axis=1) & np.isin(kept.iteration, known))
+    there, seen, at = there[rows], kept.location[rows], np.searchsorted(known, kept.iteration[rows])
+    d, root = there.shape[1], np.linalg.inv(np.linalg.cholesky(kept.covariance[rows]))
+    R, t, _, _ = fit_robust_each(there, seen, np.ones(len(rows)), at, len(known))
+    off = np.einsum("nij,nj->ni", R[at], there) + t[at] - seen
+    agrees = np.linalg.norm(np.einsum("nij,nj->ni", root, off), axis=1) <= OUTLIER
+    for k, pose in enumerate(poses):
+        i, j = np.searchsorted(at, [k, k + 1]).tolist()
+        if j - i < d:
+            continue
+        few = i + np.flatnonzero(agrees[i:j])
+        for own in slice(i, j), few:
+            R_k, t_k, n_agreeing = weighted_fit_rows(there[own], seen[own], OUTLIER, root[own])
+            # Distant wrong ids may mislead the fit of all.
+            if n_agreeing >= len(few) or len(few) < d:
+                break
+        if n_agreeing >= d:
+            pose[:d, :d], pose[:d, 3] = R_k.T, -R_k.T @ t_k
 
 
 def squares_across(points: Floats, at: Ints, n: int) -> Floats:
