@@ -1,8 +1,8 @@
 """Visits of landmarks: which observations of an id odometry and other landmarks confirm.
 
 Odometry tells within a few iterations which observations of an id are of one landmark: they are a
-visit. Distances between landmarks tell whether two visits of an id are of one landmark, as they do
-not depend on where the robot is (paper, section 2): ids may be swapped for a while.
+visit. Two visits of an id are of one landmark if its distances to others are the same, as these do
+not depend on where the robot is (paper, section II): ids may be swapped for a while.
 """
 
 from __future__ import annotations
