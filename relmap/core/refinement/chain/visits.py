@@ -58,13 +58,15 @@ class Reckoned(NamedTuple):
 class Distances(NamedTuple):
     """Distances between visits of different landmarks.
 
-    `visits` (2, k); `of` (k,): the pair of landmarks; `metres`, `sd` (k,).
+    `visits` (2, k); `of` (k,): the pair of landmarks; `metres`, `sd` (k,); `telling` (k,): fraction
+    of the distances of all landmarks that differ from it.
     """
 
     visits: Ints
     of: Ints
     metres: Floats
     sd: Floats
+    telling: Floats
 
 
 def visits_of(chain: Chain, step_sd: tuple[Floats, Floats]) -> tuple[Ints, Bools]:
@@ -135,7 +137,9 @@ def _distances(chain: Chain, reckoned: Reckoned, visit: Ints, several: Bools) ->
     variance, metres = reckoned.variance_between(*best), reckoned.apart(*best)
     usual = np.bincount(of, variance) / np.bincount(of)
     sd = np.sqrt(variance + usual[of])
-    return Distances(visit[best], of, metres, sd * _noise(of, metres, sd))
+    sd *= _noise(of, metres, sd)
+    alike = _within(metres, DIFFERS * sd) / max(len(metres), 1)
+    return Distances(visit[best], of, metres, sd, 1 - alike)
 
 
 def _noise(of: Ints, metres: Floats, sd: Floats) -> float:
@@ -150,16 +154,17 @@ def _noise(of: Ints, metres: Floats, sd: Floats) -> float:
 def _contradicted(distances: Distances, n: int) -> Ints:
     """Return the visits, of n, of which most distances differ from those of other visits.
 
-    The worst one after another: its distances contradict those of right visits, too.
+    The worst one after another: its distances contradict those of right visits, too. Agreement
+    counts as far as chance does not explain it.
     """
     left = np.ones(n, dtype=bool)
     while True:
-        (one, other), of, metres, sd = distances
-        kept = left[one] & left[other]
+        visits, of, metres, sd, telling = distances
+        kept = left[visits].all(axis=0)
         differs, agrees = _compared(of[kept], metres[kept], sd[kept])
-        both = one[kept], other[kept]
         against, support = (
-            np.bincount(np.concatenate(both), np.tile(which, 2), n) for which in (differs, agrees)
+            np.bincount(visits[:, kept].ravel(), np.tile(weight, 2), n)
+            for weight in (differs, agrees * telling[kept])
         )
         worst = np.argmax(against - support)
         if against[worst] <= support[worst]:
@@ -169,10 +174,14 @@ def _contradicted(distances: Distances, n: int) -> Ints:
 
 def _compared(of: Ints, metres: Floats, sd: Floats) -> tuple[Bools, Bools]:
     """Return which distances (k,) most others of the same landmarks contradict, and support."""
-    beside = 2 * np.max(metres + DIFFERS * sd, initial=1.0)
-    value, reach = of * beside + metres, DIFFERS * sd
-    ordered = np.sort(value)
-    near = np.searchsorted(ordered, value + reach, side="right")
-    near -= np.searchsorted(ordered, value - reach) + 1
-    others = np.bincount(of)[of] - 1
+    reach = DIFFERS * sd
+    beside = 2 * np.max(metres + reach, initial=1.0)
+    near, others = _within(of * beside + metres, reach) - 1, np.bincount(of)[of] - 1
     return 2 * near < others, (others > 0) & (2 * near >= others)
+
+
+def _within(values: Floats, reach: Floats) -> Ints:
+    """Return how many values (k,) are within the reach (k,) of each, itself included."""
+    ordered = np.sort(values)
+    end = np.searchsorted(ordered, values + reach, side="right")
+    return np.asarray(end - np.searchsorted(ordered, values - reach))
