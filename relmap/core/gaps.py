@@ -63,8 +63,8 @@ def bridge_gaps(engine: RelativeMapper, to_the_last: bool = False) -> bool:
     solved = _judged(engine, bridged, solve) if judges else _solved(engine, bridged, solve)[1]
     numbers = _place(engine, solved)
     use = _in_use(use, solved, numbers, hanging, engine.store.n_iterations)
-    twofold = np.concatenate([part.twofold for part in solved]) if solved else numbers
-    engine.odometry = replace(use, twofold=engine.association.current.labels_of(twofold))
+    named = np.concatenate([numbers[:0], *(part.of_two_places for part in solved)])
+    engine.odometry = replace(use, of_two_places=engine.association.current.labels_of(named))
     return True
 
 

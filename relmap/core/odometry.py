@@ -79,8 +79,8 @@ class OdometryUse:
     engine, or `NONE`; `sigmas` (3,): noise of observations and of the distances and turns of
     odometry, relative to `noise`; `drift`: that found at revisited places, relative to that
     expected from noise, by which covariances are scaled; `alike`: number of landmarks of places
-    that look the same, which odometry tells apart; `twofold` (l,): ids that name two places each,
-    and are not mapped.
+    that look the same, which odometry tells apart; `of_two_places` (l,): ids that name two places
+    each, and are not mapped.
     """
 
     noise: MotionNoise
@@ -93,7 +93,7 @@ class OdometryUse:
     is_wrong: bool
     drift: float = 1.0
     alike: int = 0
-    twofold: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    of_two_places: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
 
     @classmethod
     def of(cls, noise: MotionNoise, slipped: Bools) -> OdometryUse:

@@ -48,15 +48,15 @@ class Solved:
     """The solution for a part of a run.
 
     `poses` (k, 4, 4): poses of its iterations, in the frame of `refined`; `iterations` (k,);
-    `doubted` (i,): iterations whose odometry is rejected. `twofold` (l,): landmarks whose id names
-    two places.
+    `doubted` (i,): iterations whose odometry is rejected. `of_two_places` (l,): landmarks whose id
+    names two places.
     """
 
     refined: Refined
     poses: Floats
     iterations: Ints
     doubted: Ints
-    twofold: Ints
+    of_two_places: Ints
     sigmas: Sigmas
 
 
@@ -109,16 +109,18 @@ class PartSolver:
             found = unless_confirmed(found, *args)
         settled, problem = found
         refined, placed = self._refined(settled, problem, landmarks, iterations, anchor)
-        twofold = np.zeros(len(landmarks), dtype=bool)
+        of_two_places = np.zeros(len(landmarks), dtype=bool)
         if has_ids:
-            misread, twofold = _misread(settled, problem, chain, visit)
-            refined = refined.only(~(misread | twofold))
+            misread, of_two_places = _misread(settled, problem, chain, visit)
+            refined = refined.only(~(misread | of_two_places))
         left_out = len(chain.points) - len(problem.chain.points)
         refined = replace(refined, n_outliers=refined.n_outliers + left_out)
         way, turn = problem.parts[1:]
         weight = np.minimum(settled.weight[way], settled.weight[turn])
         doubted = iterations[problem.moved[weight < DOUBT] + 1]
-        return Solved(refined, placed, iterations, doubted, landmarks[twofold], problem.sigmas)
+        return Solved(
+            refined, placed, iterations, doubted, landmarks[of_two_places], problem.sigmas
+        )
 
     def _chain(self, bridged: Bridged, part: int, iterations: Ints) -> tuple[Chain, Ints]:
         """Return the data of a part, and its landmarks (m,)."""
@@ -238,8 +240,8 @@ def _misread(
     at, elsewhere = chain.landmark[first], (own != NONE) & (2 * np.bincount(of, is_off) > size)
     visits, there = np.bincount(at, own != NONE, m), np.bincount(at, elsewhere, m)
     seen_there = np.bincount(at, elsewhere * size, m)
-    is_twofold = (visits - there <= TELLS[0] * there) & (support < TELLS[1] * seen_there)
-    return are_scattered(support, against), is_twofold
+    is_of_two = (visits - there <= TELLS[0] * there) & (support < TELLS[1] * seen_there)
+    return are_scattered(support, against), is_of_two
 
 
 def _residuals(
