@@ -52,6 +52,19 @@ def test_right_ids_name_one_place(most: int) -> None:
     assert "two places" not in on_odometry(odometry)
 
 
+def test_a_place_nearer_than_another_landmark_is_not_one_of_two() -> None:
+    """For thirty scans ranges are 0.8 m too long: where the map bends, a landmark was left out."""
+    log = rounds(3)
+    long = np.where((log.iteration >= 300) & (log.iteration < 330), 0.8, 0.0)
+    range_m = np.linalg.norm(log.points_robot, axis=1)
+    points = log.points_robot * (1 + long / range_m)[:, None]
+    result = map_log(replace(log, points_robot=points), association="known").result
+    assert result.summary["odometry"]["of_two_places"] == {"count": 0, "ids": []}
+    truth = landmarks()[result.landmarks.landmark[result.mapped]]
+    assert aligned_rmse(result.landmarks.position[result.mapped, :2], truth) < 0.1
+    assert len(truth) == len(np.unique(log.ids))
+
+
 def test_visits_whose_distances_to_others_differ_have_swapped_ids() -> None:
     """A robot at rest sees nine landmarks three times, two swapped the second time, one far off."""
     rng, n = np.random.default_rng(0), 9

@@ -57,7 +57,11 @@ class Sigmas(NamedTuple):
 
 def unexplained(chain: Chain, state: Chained) -> Floats:
     """Return the residuals (n, d) of observations, in standard deviations by their roots."""
+    return np.asarray(np.einsum("nij,nj->ni", chain.root, off_by(chain, state)))
+
+
+def off_by(chain: Chain, state: Chained) -> Floats:
+    """Return by how much (n, d) landmarks are off where they were observed, metres."""
     at = chain.iteration
     away = state.positions[chain.landmark] - state.t[at]
-    off = np.einsum("nji,nj->ni", state.R[at], away) - chain.points
-    return np.asarray(np.einsum("nij,nj->ni", chain.root, off))
+    return np.asarray(np.einsum("nji,nj->ni", state.R[at], away) - chain.points)

@@ -7,15 +7,17 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.association.base import nearest
 from relmap.core.association.metric import WORST
 from relmap.core.geometry.alignment import fit_rigid, fixes_rotation
 from relmap.core.geometry.motions import transforms
 from relmap.core.map.globalmap import order_of_submaps
 from relmap.core.motion_noise import MotionNoise, unit_of
 from relmap.core.refinement.chain.bridging import Bridged
-from relmap.core.refinement.chain.chain_data import Chain, Chained, Sigmas, unexplained
+from relmap.core.refinement.chain.chain_data import Chain, Chained, Sigmas, off_by, unexplained
 from relmap.core.refinement.chain.chain_solving import settled_chain, start_of
 from relmap.core.refinement.chain.chained import ChainProblem
 from relmap.core.refinement.chain.confirmed import unless_confirmed
@@ -37,6 +39,9 @@ AGAIN = 2
 TELLS = 2, 4
 """How many times as many visits, or observations, must show a landmark at its place as at another
 one: where ids are swapped for a while, it is not known which place is which."""
+ELSEWHERE = 0.8
+"""Distance from which an observation shows another landmark, relative to that of the nearest one:
+where passes disagree, as in Victoria Park, they do so by less."""
 GUESS_M = 0.1
 """Noise of an observed coordinate if it is unknown."""
 DOUBT = 0.25
@@ -230,18 +235,26 @@ def _misread(
     `chain`: all observations, also those that the solved problem leaves out; `visit` (n,): as
     `visits_of` returns it.
     """
-    left = np.linalg.norm(unexplained(chain, settled.state), axis=1)
-    is_off, m = left > FAR * problem.sigmas.seen, len(settled.state.positions)
+    state, m = settled.state, len(settled.state.positions)
+    is_off = np.linalg.norm(unexplained(chain, state), axis=1) > FAR * problem.sigmas.seen
     against = np.bincount(chain.landmark, is_off, m)
     support = np.bincount(chain.landmark, minlength=m) - against
+    is_far = is_off & _is_elsewhere(chain, state)
     own, first, of, size = np.unique(
         visit, return_index=True, return_inverse=True, return_counts=True
     )
-    at, elsewhere = chain.landmark[first], (own != NONE) & (2 * np.bincount(of, is_off) > size)
+    at, elsewhere = chain.landmark[first], (own != NONE) & (2 * np.bincount(of, is_far) > size)
     visits, there = np.bincount(at, own != NONE, m), np.bincount(at, elsewhere, m)
     seen_there = np.bincount(at, elsewhere * size, m)
     is_of_two = (visits - there <= TELLS[0] * there) & (support < TELLS[1] * seen_there)
     return are_scattered(support, against), is_of_two
+
+
+def _is_elsewhere(chain: Chain, state: Chained) -> Bools:
+    """Return which observations (n,) are about as far from their landmark as the nearest other."""
+    other_m = nearest(cKDTree(state.positions), state.positions, 2)[0][:, 1]
+    off_m = np.linalg.norm(off_by(chain, state), axis=1)
+    return np.asarray(off_m > ELSEWHERE * other_m[chain.landmark])
 
 
 def _residuals(

@@ -58,7 +58,7 @@ def unless_confirmed(
     `is_swapped` (n,): which observations others confirm, and which of these have swapped ids.
     """
     sure = is_repeated & ~is_swapped
-    if not np.any(sure) or (np.mean(sure) >= MOST and np.mean(is_swapped) < SWAPPED):
+    if not np.any(sure) or (np.mean(is_repeated) >= MOST and np.mean(is_swapped) < SWAPPED):
         return found
     state = _of_confirmed(chain, sure, step_sd, start, anchor)
     agrees = _agrees(chain, state)
