@@ -26,11 +26,8 @@ SLIPS = 3.0, 10.0
 confirmed observations are solved for: few of these are wrong, unless ids are swapped for a while.
 """
 MOST = 0.98
-"""Fraction of confirmed observations from which ids are taken to be right, if few are swapped:
+"""Fraction of confirmed observations from which ids are taken to be right, if none is swapped:
 solving again takes several times as long."""
-SWAPPED = 0.005
-"""Fraction of observations with swapped ids from which that is worth it: of MRCLAM's robots with
-right ids at most 0.002."""
 CLEARLY = 0.9
 """Largest ratio of what a solution leaves unexplained to what another does for it to be kept: where
 the noise of few landmarks is correlated, they may differ by a twentieth and be as good."""
@@ -58,7 +55,7 @@ def unless_confirmed(
     `is_swapped` (n,): which observations others confirm, and which of these have swapped ids.
     """
     sure = is_repeated & ~is_swapped
-    if not np.any(sure) or (np.mean(is_repeated) >= MOST and np.mean(is_swapped) < SWAPPED):
+    if not np.any(sure) or (np.mean(sure) >= MOST and not np.any(is_swapped)):
         return found
     state = _of_confirmed(chain, sure, step_sd, start, anchor)
     agrees = _agrees(chain, state)
