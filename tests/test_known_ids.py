@@ -254,3 +254,38 @@ def test_no_scan_is_taken_up_where_ids_connect_the_logs() -> None:
         mapper.update(world - [0.1 * k, 0.0], ids=np.arange(12))
     mapper.finish()
     assert not mapper.take_up(world)  # Its landmarks may have other ids.
+
+
+def clusters(seed: int, share: float) -> tuple[Array, Scans]:
+    """Return clusters of stems, and scans on a round: few clusters are in view at some places."""
+    rng = np.random.default_rng(seed)
+    centres = rng.uniform((0, 0), (140, 90), (70, 2))
+    stems = np.concatenate([centre + rng.normal(0, 0.5, (4, 2)) for centre in centres])
+    corners = np.array([(15, 15), (125, 15), (125, 75), (15, 75), (15, 15)])
+    scans = []
+    for at in np.arange(200) / 199 * 4:
+        side = min(int(at), 3)
+        step = corners[side + 1] - corners[side]
+        ahead = step / np.linalg.norm(step)
+        seen = stems - corners[side] - (at - side) * step
+        seen = seen @ np.column_stack([ahead, [-ahead[1], ahead[0]]])
+        in_view = (np.linalg.norm(seen, axis=1) < 25) & (seen[:, 0] > 0)
+        ids = np.flatnonzero(in_view & (rng.random(len(stems)) > 0.15))
+        points = seen[ids] + rng.normal(0, 0.1, (len(ids), 2))
+        wrong = rng.random(len(ids)) < share
+        ids = np.where(wrong, rng.integers(0, len(stems), len(ids)), ids)
+        first = np.unique(ids, return_index=True)[1]
+        scans.append((ids[first], points[first]))
+    return stems, scans
+
+
+def test_wrong_ids_far_away_do_not_turn_what_few_landmarks_connect() -> None:
+    """The map was twice as far off as with right ids, and in two submaps."""
+    errors = []
+    for share in (0.0, 0.05):
+        stems, scans = clusters(2, share)
+        mapper = mapped(scans)
+        assert len(mapper.submaps) == 1
+        found = mapper.map
+        errors.append(aligned_rmse(found.positions[:, :2], stems[found.landmark_ids]))
+    assert errors[1] < 1.3 * errors[0]

@@ -75,7 +75,7 @@ def refine_submaps(
         refined = refine_jointly(rows, table.position, chosen, of, others, since, is_known)
         weighed = len(engine.kept.covariance) > 0
         if refined is not None and weighed:
-            refined = refine_weighed(refined, engine.kept, of, estimated)
+            refined = refine_weighed(refined, engine.kept, of, estimated, is_known)
         seen = ambiguous(engine) if to_the_last else None
         if refined is not None and seen is not None:
             refined = reassign(refined, *seen)

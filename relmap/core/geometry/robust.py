@@ -66,6 +66,16 @@ def robust_cost(residual: Floats, limit: float) -> float:
     return float(np.sum(np.minimum(residual, limit) ** 2 + 2 * limit**2 * np.log(outside)))
 
 
+def bounded_cost(residual: Floats, limit: float) -> float:
+    """Return the cost function that corresponds to the strict weights.
+
+    It hardly depends on how far off an outlier is. `robust_cost` grows with the distance, so with
+    many outliers it may prefer a wrong map to which they are a little closer.
+    """
+    outside = np.maximum(residual / limit, 1.0)
+    return float(np.sum(np.minimum(residual, limit) ** 2 + limit**2 * (1 - outside**-2)))
+
+
 def fit_robust_each(
     source: Floats, target: Floats, counts: Floats, at: Ints, n: int
 ) -> tuple[Floats, Floats, Bools, Floats]:

@@ -9,7 +9,15 @@ from typing import Generic, Protocol, TypeVar
 import numpy as np
 
 from relmap.core.arrays import Floats
-from relmap.core.geometry.robust import EXACT, huber, lenient, limit_of, robust_cost, strict
+from relmap.core.geometry.robust import (
+    EXACT,
+    bounded_cost,
+    huber,
+    lenient,
+    limit_of,
+    robust_cost,
+    strict,
+)
 from relmap.core.linalg.cholesky import Pattern
 from relmap.core.refinement.schur import NormalEquations
 
@@ -24,8 +32,9 @@ DAMPED, MORE, MOST = 1e-4, 10.0, 1.0
 limit (Levenberg, 1944; Marquardt, 1963)."""
 SLOW = 0.1
 """A step that gains a larger fraction of the previous gain triggers a new factorisation."""
-UNSURE = 1e-7
-"""Gain below which no further step is taken, in squared standard deviations of the whole map."""
+UNSURE, ROUGH = 1e-7, 1e-2
+"""Gain below which no further step is taken, in squared standard deviations of the whole map; and
+the same for a state from which another solution starts."""
 SAME, ALIKE = 0.05, 0.01
 """Largest negligible change of a weight, and mean change that needs no new factorisation."""
 Weights = Callable[[Floats, float], Floats]
@@ -38,8 +47,9 @@ FAINT = 0.03
 WORTH_SAYING = 1.0
 """Gain of the last step, in squared standard deviations of the whole map, above which a warning
 says that it did not converge."""
-BENT = 0.5
-"""Residual beyond which Huber's influence is constant, relative to that of an outlier."""
+BENT, WIDE = 0.5, 4.0
+"""Residual beyond which Huber's influence is constant, relative to that of an outlier; and limit of
+outliers that are far off."""
 
 
 class Problem(Protocol[State]):
@@ -206,20 +216,48 @@ def settle(problem: Problem[Located], start: Located) -> Solution[Located]:
 
 
 def settle_again(
-    problem: Problem[Located], start: Located, known: Solution[Located]
+    problem: Problem[Located], start: Located, known: Solution[Located], trust: Floats
 ) -> Solution[Located]:
     """Return a known solution, or a better one that is found with Huber's weights first.
 
     From a start that is bent at one place, lenient weights may give up what would unbend it: they
-    have a minimum for each choice of outliers, Huber's have few. The better one has the smaller
-    robust cost.
+    have a minimum for each choice of outliers, Huber's have few. And outliers far away keep an
+    influence, which turns what hardly resists. So outliers are then rejected at once, or those that
+    are far off first.
+
+    `trust` (n,): factors of Huber's weights, small where residuals may be wrong.
     """
     d, size = start.positions.shape[1], size_of(start.positions)
     limit = limit_of(problem.residuals(known.state), d, size)
-    bent = gauss_newton(problem, start, lambda left: huber(left, BENT * limit), ROUNDS, faint=FAINT)
-    found = settle(problem, bent.state)
-    cost, before = (robust_cost(problem.residuals(of.state), limit) for of in (found, known))
-    return found if cost < before else known
+    bent = _roughly(problem, start, lambda left: trust * huber(left, BENT * limit))
+    near = _roughly(problem, bent, lambda left: strict(left, WIDE * limit))
+    return better(problem, limit, known, [bent, near])
+
+
+def better(
+    problem: Problem[Located], limit: float, known: Solution[Located], starts: list[Located]
+) -> Solution[Located]:
+    """Return a known solution, or one of smaller bounded cost that is found near other states.
+
+    `limit`: residual above which one is an outlier. Outliers are rejected at once.
+    """
+
+    def weigh(residual: Floats) -> Floats:
+        return strict(residual, limit)
+
+    def cost(state: Located) -> float:
+        return bounded_cost(problem.residuals(state), limit)
+
+    best = min((_roughly(problem, start, weigh) for start in starts), key=cost)
+    if cost(best) >= cost(known.state):
+        return known
+    found = gauss_newton(problem, best, weigh, ROUNDS, faint=FAINT)
+    return replace(found, converged=found.converged or found.gain <= WORTH_SAYING)
+
+
+def _roughly(problem: Problem[Located], start: Located, weigh: Weigh) -> Located:
+    """Return the state after steps that gain much; it is where another solution starts."""
+    return gauss_newton(problem, start, weigh, ROUNDS, unsure=ROUGH, reuse=False, faint=FAINT).state
 
 
 def size_of(positions: Floats) -> float:

@@ -28,6 +28,8 @@ from relmap.core.shown import Brief
 CONFIRMED, AGAINST = 3, 0.5
 """Observations of a landmark in a segment that confirm it: wrong ids are seldom repeated; and the
 weight below which they contradict the map."""
+DISTRUSTED = 1e-4
+"""Factor of the weight of others where a map is solved again from confirmed observations."""
 EVERY = 16
 """Of so many segments one is fitted to place a scan without outliers."""
 MISREAD = 0.01
@@ -137,9 +139,8 @@ def refine(
     landmarks of the submap. `of` (m,): the landmark that each number stands for, after merging.
     `others` (m,): static landmarks that are not mapped; they constrain the landmarks seen with
     them. `since`: iteration from which the anchor is chosen, if there is one. `has_ids`: whether
-    ids are known; if some confirmed observations, but at most `MISREAD` of all, contradict the
-    optimum, it is solved for again from Huber's weights. Returns None if the observations determine
-    nothing.
+    ids are known; if some observations then contradict the optimum, it is solved for again from the
+    confirmed ones. Returns None if the observations determine nothing.
     """
     landmark = of[rows.landmark]
     joint, start = joint_rows(rows, positions, chosen, landmark, others)
@@ -149,10 +150,9 @@ def refine(
     problem = segment_problem(joint, size_of(start.positions), anchor)
     first = problem.of_segments(start)
     settled = settle(problem, first)
-    n_outliers = joint.n_seen[settled.weight < 1].sum()
-    are_right = has_ids and n_outliers <= MISREAD * joint.n_seen.sum()
-    if are_right and _n_contradicting(joint, settled.weight):
-        settled = settle_again(problem, first, settled)
+    if has_ids and (settled.weight < 1).any():
+        trust = np.where(joint.n_seen >= CONFIRMED, 1.0, DISTRUSTED)
+        settled = settle_again(problem, first, settled, trust)
     refined, weight = settled.state.positions, settled.weight
     placed = SegmentProblem(joint, 0.0).fitted(refined, weight).placed
     explained = (weight == 1).astype(np.float64)

@@ -14,14 +14,18 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import fit_rigid_each, sums_each
+from relmap.core.geometry.robust import limit_of
 from relmap.core.refinement.chain.chain_data import Chain, Chained, Sigmas, unexplained
 from relmap.core.refinement.chain.chained import ChainProblem
 from relmap.core.refinement.condensing import LENGTH
-from relmap.core.refinement.gauss_newton import Solution, settle
+from relmap.core.refinement.gauss_newton import Solution, better, settle, size_of
 from relmap.core.refinement.joint import Refined, Spread
 from relmap.core.refinement.observations import Observations, observations_of
 from relmap.core.refinement.trend import SURELY
 from relmap.core.state.kept import KeptObservations
+
+LEAST = 1e-6
+"""Least weight of an observation in the first fit of its scan."""
 
 
 def refine_weighed(
@@ -29,13 +33,15 @@ def refine_weighed(
     kept: KeptObservations,
     of: Ints,
     estimated: Callable[[Floats], Floats] | None = None,
+    has_ids: bool = False,
 ) -> Refined:
     """Return the landmark positions by observations weighted with their covariances.
 
     `refined`: the map refined by segments; `of` (k,): the landmark that each number stands for,
     after merging. `estimated`: covariances of points, robot frame. They are kept as they are where
     the map predicts the observations: by measured distances, those that are measured too short
-    would weigh more, and landmarks be too near.
+    would weigh more, and landmarks be too near. `has_ids`: whether ids are known; some may be
+    wrong.
     """
     own = refined.landmarks, refined.positions
     seen, rows = observations_of(kept.location, of[kept.landmark], kept.iteration, *own)
@@ -50,6 +56,8 @@ def refine_weighed(
         covariance[rows] = estimated(np.einsum("nji,nj->ni", R[seen.iteration], away))
         kept.weigh(covariance)
     problem, settled = solve_weighed(seen, covariance[rows], refined.positions, anchor)
+    if has_ids and (settled.weight < 1).any():
+        settled = _settle_near(problem, seen, refined, settled)
     state, unit = settled.state, _unit(seen, problem, settled)
     R, t = state.R[anchor], state.t[anchor]
     every = np.ones(len(refined.landmarks), dtype=bool)
@@ -77,6 +85,34 @@ def solve_weighed(
     step_sd = none[:, 0, 0], none[:, 0, 0]
     problem = ChainProblem(chain, step_sd, Sigmas(), positions, anchor, turns_whole=False)
     return problem, settle(problem, Chained(positions, R, t, np.zeros(2 * d - 1)))
+
+
+def _settle_near(
+    problem: ChainProblem, seen: Observations, refined: Refined, known: Solution[Chained]
+) -> Solution[Chained]:
+    """Return a known solution, or a better one that is found near the map refined by segments.
+
+    Its outliers are left out of the first poses: a wrong id far away turns a scan that shows
+    little, and then the map.
+    """
+    positions, d = refined.positions, refined.positions.shape[1]
+    trust = np.maximum(_weight_by_segments(refined, seen), LEAST)
+    R, t = _poses(seen, problem.chain.root * np.sqrt(trust)[:, None, None], positions)
+    limit = limit_of(problem.residuals(known.state), d, size_of(positions))
+    return better(problem, limit, known, [Chained(positions, R, t, np.zeros(2 * d - 1))])
+
+
+def _weight_by_segments(refined: Refined, seen: Observations) -> Floats:
+    """Return the weight (n,) of each observation in the map refined by segments; 0 if in none."""
+    rows, weight = refined.spread.problem.rows, refined.spread.settled.weight
+    row, bit = np.nonzero((rows.visible[:, None] >> np.arange(LENGTH)) & 1)
+    when = refined.segments.first_iteration[rows.segment[row]] + bit
+    end = int(max(when.max(), seen.iterations.max())) + 1
+    keys = rows.landmarks[rows.landmark[row]] * end + when
+    order = np.argsort(keys, kind="stable")
+    own = refined.landmarks[seen.landmark] * end + seen.iterations[seen.iteration]
+    at = order[np.searchsorted(keys[order], own).clip(0, len(keys) - 1)]
+    return np.where(keys[at] == own, weight[row[at]], 0.0)
 
 
 def _unit(seen: Observations, problem: ChainProblem, settled: Solution[Chained]) -> float:
