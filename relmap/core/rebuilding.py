@@ -9,7 +9,7 @@ from relmap.core.geometry.robust import EXACT
 from relmap.core.mapper import RelativeMapper
 from relmap.core.refinement.confirming import found_rest, seen_in, without_namesakes
 from relmap.core.refinement.extending import extend_submaps
-from relmap.core.refinement.joint import CONFIRMED, MISREAD
+from relmap.core.refinement.joint import CONFIRMED
 from relmap.core.refinement.misread import take_off_misread
 from relmap.core.refining import refine_map, refine_submaps
 from relmap.core.state.table import NONE
@@ -21,6 +21,9 @@ contradicts nothing."""
 OFF = 10.0
 """Noise of a refined map, relative to that within segments, above which it is wrong: least squares
 has put what ids mix up in the middle, and few observations stand out."""
+MISREAD = 0.01
+"""Fraction of the observations contradicting their ids above which some ids are wrong; without
+wrong ids less than this occurs."""
 PLACES = (
     *("position", "weight", "settled_position", "settled_weight"),
     *("submap", "dynamic", "highest_level"),

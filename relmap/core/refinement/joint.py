@@ -32,9 +32,6 @@ DISTRUSTED = 1e-4
 """Factor of the weight of others where a map is solved again from confirmed observations."""
 EVERY = 16
 """Of so many segments one is fitted to place a scan without outliers."""
-MISREAD = 0.01
-"""Fraction of the observations contradicting their ids above which some ids are wrong; without
-wrong ids less than this occurs."""
 
 
 @dataclass(frozen=True, eq=False)
