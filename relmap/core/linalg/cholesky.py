@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import sparse
-from scipy.linalg.lapack import dtrtri
 from scipy.sparse.linalg import splu
 
 from relmap.core.arrays import Floats, Ints
@@ -112,28 +111,16 @@ class Pattern:
 
         `values` (size,): the factor. Returns (size,).
         """
-        from relmap.core.linalg.cholesky_kernels import take_part
+        from relmap.core.linalg.cholesky_kernels import inverse
 
-        start, _, row_begin, rows, _ = self.layout
-        found, place = np.empty_like(values), np.empty_like(rows, shape=self.n_unknowns)
-        for p in range(len(start) - 2, -1, -1):
-            panel, target = self._panel(values, p), self._panel(found, p)
-            k = panel.shape[1]
-            root = dtrtri(np.tril(panel[:k]), lower=1)[0]
-            target[:k] = root.T @ root
-            below = rows[row_begin[p] + k : row_begin[p + 1]]
-            if len(below):
-                part = np.empty((len(below), len(below)))
-                take_part(self.layout, below, found, part, place)
-                pull = panel[k:] @ root
-                target[k:] = -(part @ pull)
-                target[:k] -= pull.T @ target[k:]
+        found = np.zeros_like(values)
+        inverse(self.layout, values, found)
         return found
 
-    def _panel(self, values: Floats, p: int) -> Floats:
-        """Return the columns (h, k) of a panel, a view."""
-        start, _, _, _, offset = self.layout
-        return values[offset[p] : offset[p + 1]].reshape(-1, start[p + 1] - start[p])
+    def trace(self, values: Floats, inverse: Floats) -> float:
+        """Return the trace of the product of a matrix (size,) and an inverse (size,)."""
+        own = self._diagonal
+        return float(2 * values @ inverse - values[own] @ inverse[own])
 
     def parts(self, inverse: Floats, chosen: Ints) -> Floats:
         """Return blocks (k, m, m) of the inverse over coupled unknowns (k, m)."""

@@ -219,6 +219,39 @@ def solve(layout: Layout, values: Floats, right: Floats) -> Floats:
     return x
 
 
+@helper
+def _inverse_of_triangle(panel: Floats, root: Floats) -> None:
+    """Write the inverse (k, k) of the lower triangle of a panel (h, k) into `root`, zeros."""
+    for c in range(len(root)):
+        root[c, c] = 1.0 / panel[c, c]
+        for r in range(c + 1, len(root)):
+            for b in range(c, r):
+                root[r, c] -= panel[r, b] * root[b, c]
+            root[r, c] /= panel[r, r]
+
+
+@compiled
+def inverse(layout: Layout, values: Floats, found: Floats) -> None:
+    """Write the inverse on the pattern into `found`, given the factor; see `Pattern.inverse`."""
+    start, _, row_begin, rows, _ = layout
+    place = np.empty(start[-1], dtype=np.int64)
+    for p in range(len(start) - 2, -1, -1):
+        panel, target = _panel(layout, values, p), _panel(layout, found, p)
+        k, n = panel.shape[1], len(panel) - panel.shape[1]
+        root, pull, part = np.zeros((k, k)), np.zeros((n, k)), np.empty((n, n))
+        _inverse_of_triangle(panel, root)
+        for r in range(n):
+            for b in range(k):
+                _add_multiple(pull[r, : b + 1], -panel[k + r, b], root[b])
+        take_part(layout, rows[row_begin[p] + k : row_begin[p + 1]], found, part, place)
+        np.dot(part, pull, target[k:])
+        for a in range(k):
+            for e in range(a, k):
+                _add_multiple(target[a], root[e, a], root[e])
+            for r in range(n):
+                _add_multiple(target[a], pull[r, a], target[k + r])
+
+
 @compiled
 def add_products(
     jacobian: Floats, off: Floats, weight: Floats, places: Ints, values: Floats, pull: Floats

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -63,12 +64,13 @@ def settled_chain(
     `sigmas`: the noise, if known; `to_the_last`: whether to iterate until convergence; `slip`: as
     in `ChainProblem`. Returns `problem`: with the estimated noise.
     """
-    each = []
-    for turns_whole in (False, True) if has_ids else (True,):
-        problem = ChainProblem(
-            chain, step_sd, sigmas or Sigmas(), state.positions, anchor, turns_whole, slip
-        )
-        each.append(_settled(problem, state, sigmas is not None, to_the_last))
+    whole = ChainProblem(chain, step_sd, sigmas or Sigmas(), state.positions, anchor, slip=slip)
+    single = copy(whole)
+    single.turns_whole = False
+    each = [
+        _settled(problem, state, sigmas is not None, to_the_last)
+        for problem in ((single, whole) if has_ids else (whole,))
+    ]
     return min(each, key=lambda one: _cost(each[0][1], one[0].state, one[0].state))
 
 

@@ -39,6 +39,10 @@ FREE = 4.0
 LEAST = 1e-9
 """Smallest factor of a standard deviation: residuals may be exactly zero."""
 
+Linear = tuple[Floats, Floats, Ints, Ints]
+"""Residuals (n, r), their Jacobians (n, r, u), the unknowns (n, u), and their places (n, u, u) in
+the matrix."""
+
 
 class ChainProblem:
     """The residuals of observations and of odometry, in their standard deviations; a `Problem`.
@@ -104,6 +108,7 @@ class ChainProblem:
     def _set_noise(self, sigmas: Sigmas, positions: Floats) -> None:
         way_m, turn_rad = (sd[self.moved] for sd in self._single_sd)
         self.sigmas, self._root = sigmas, self.chain.root / sigmas.seen
+        self._latest: tuple[Chained, tuple[Linear, Linear]] | None = None
         self._step_sd = way_m * sigmas.way, turn_rad * sigmas.turn
         self.rounding = float(np.sum(self._root**2)) * (ROUNDING * size_of(positions)) ** 2
 
@@ -115,8 +120,8 @@ class ChainProblem:
 
     def residuals(self, state: Chained) -> Floats:
         """Return the norms of the residuals, in standard deviations, in the order of `parts`."""
-        way, turn, _ = self._left_of_odometry(state)
-        parts = (self._left_of_seen(state)[0], way, turn)
+        (seen, *_), (moved, *_) = self._linearised(state)
+        parts = (seen, *np.split(moved, [seen.shape[1]], axis=1))
         return np.concatenate([np.linalg.norm(part, axis=1) for part in parts])
 
     def equations(
@@ -135,7 +140,8 @@ class ChainProblem:
 
         pattern, right, cost = self.pattern, np.zeros(self.pattern.n_unknowns), 0.0
         matrix = np.zeros(pattern.size if with_matrix else 0)
-        for rows, jacobian, unknowns, at, each in self._linearised(state, weight):
+        both = zip(self._linearised(state), self._weights(weight), strict=True)
+        for (rows, jacobian, unknowns, at), each in both:
             pull = np.empty(unknowns.shape)
             add_products(jacobian, rows, each, at, matrix, pull)
             right -= np.bincount(unknowns.ravel(), pull.ravel(), minlength=len(right))
@@ -187,7 +193,7 @@ class ChainProblem:
 
         In standard deviations.
         """
-        jacobian = self._left_of_odometry(state)[2]
+        jacobian = self._linearised(state)[1][1]
         change = np.einsum("nij,nj->ni", jacobian, step[self._of_moved])
         return np.asarray(np.sum(change**2, axis=1))
 
@@ -210,50 +216,49 @@ class ChainProblem:
 
     def components(self, state: Chained, weight: Floats) -> Sigmas:
         """Return the standard deviations from the residuals of each kind and their freedoms."""
-        inverse = self.inverse(state, weight)
-        sums = np.zeros((3, 2))
-        d = self.chain.points.shape[1]
-        for rows, jacobian, unknowns, _, each in self._linearised(state, weight):
-            covariance = self.pattern.parts(inverse, unknowns)
-            known = np.sum((jacobian @ covariance) * jacobian, axis=2) * each[:, None]
-            free = np.where(each[:, None] == 1, 1 - known, 0.0)
-            squares = np.where(each[:, None] == 1, rows**2, 0.0)
-            of_moved = [(1, slice(0, d)), (2, slice(d, None))]
-            for kind, of in [(0, slice(0, d))] if unknowns is self._of_seen else of_moved:
-                sums[kind] += squares[:, of].sum(), free[:, of].sum()
+        from relmap.core.linalg.cholesky_kernels import add_products
+
+        inverse, sums, d = self.inverse(state, weight), [], self.chain.points.shape[1]
+        one, two = zip(self._linearised(state), self._weights(weight), strict=True)
+        for (linear, each), of in (one, slice(d)), (two, slice(d)), (two, slice(d, None)):
+            rows, jacobian = (np.ascontiguousarray(part[:, of]) for part in linear[:2])
+            sure, products = np.asarray(each == 1, np.float64), np.zeros_like(inverse)
+            add_products(jacobian, rows, sure, linear[3], products, np.empty(linear[2].shape))
+            free = rows.shape[1] * sure.sum() - self.pattern.trace(products, inverse)
+            sums.append((sure @ np.sum(rows**2, axis=1), free))
         factors = [np.sqrt(squares / free) if free > FREE else 1.0 for squares, free in sums]
         both = zip(self.sigmas, factors, strict=True)
         seen, way, turn = (max(float(old * new), LEAST) for old, new in both)
         return Sigmas(seen, min(way, WORST), min(turn, WORST))
 
-    def _linearised(
-        self, state: Chained, weight: Floats
-    ) -> list[tuple[Floats, Floats, Ints, Ints, Floats]]:
-        """Return residuals, Jacobians, unknowns, matrix positions and weights, of both kinds."""
-        seen, way, turn = self.parts
-        left, back, away = self._left_of_seen(state)
-        by_landmark = self._root @ back
-        jacobian = np.concatenate([-(by_landmark @ derivatives(away)), by_landmark], axis=2)
-        found = [(left, jacobian, self._of_seen, self._at_seen, weight[seen])]
-        off_way, off_turn, jacobian = self._left_of_odometry(state)
-        off = np.concatenate([off_way, off_turn], axis=1)
-        # A slip makes both parts of a step wrong.
-        each = np.minimum(weight[way], weight[turn])
-        return [*found, (off, jacobian, self._of_moved, self._at_moved, each)]
+    def _weights(self, weight: Floats) -> tuple[Floats, Floats]:
+        """Return those of observations, and of steps: a slip makes both parts of one wrong."""
+        seen, way, turn = (weight[part] for part in self.parts)
+        return seen, np.minimum(way, turn)
 
-    def _left_of_seen(self, state: Chained) -> tuple[Floats, Floats, Floats]:
-        """Return the residuals (n, d) of observations, the rotation to the robot frame, and rays.
+    def _linearised(self, state: Chained) -> tuple[Linear, Linear]:
+        """Return residuals, Jacobians, unknowns and matrix positions, of both kinds.
 
-        The rays (n, d) go from robot to landmark, map frame, metres.
+        Those of the last state are cached.
         """
-        at = self.chain.iteration
-        away = state.positions[self.chain.landmark] - state.t[at]
-        back = np.swapaxes(state.R[at], 1, 2)
-        off = np.einsum("nij,nj->ni", back, away) - self.chain.points
-        return np.einsum("nij,nj->ni", self._root, off), back, away
+        if self._latest is None or self._latest[0] is not state:
+            seen = *self._left_of_seen(state), self._of_seen, self._at_seen
+            moved = *self._left_of_odometry(state), self._of_moved, self._at_moved
+            self._latest = state, (seen, moved)
+        return self._latest[1]
 
-    def _left_of_odometry(self, state: Chained) -> tuple[Floats, Floats, Floats]:
-        """Return the residuals of distances (o, d) and turns (o, q), and their Jacobian."""
+    def _left_of_seen(self, state: Chained) -> tuple[Floats, Floats]:
+        """Return the residuals (n, d) of observations, and their Jacobian."""
+        from relmap.core.refinement.chain.chain_kernels import left_of_seen
+
+        points, landmark, iteration = self.chain[:3]
+        left, jacobian = np.empty(points.shape), np.empty((*points.shape, self._of_seen.shape[1]))
+        R, t, positions = map(np.ascontiguousarray, (state.R, state.t, state.positions))
+        left_of_seen(points, self._root, iteration, landmark, R, t, positions, left, jacobian)
+        return left, jacobian
+
+    def _left_of_odometry(self, state: Chained) -> tuple[Floats, Floats]:
+        """Return the residuals (o, d + q) of distances and turns, and their Jacobian."""
         a, d, q = self.moved, self._t.shape[1], self._q
         R_a, R_b = state.R[a], state.R[a + 1]
         back, between = np.swapaxes(R_a, 1, 2), state.t[a + 1] - state.t[a]
@@ -274,7 +279,7 @@ class ChainProblem:
         way, angle = self._step_sd[0][:, None], self._step_sd[1][:, None]
         jacobian[:, :d] /= way[:, None]
         jacobian[:, d:] /= angle[:, None]
-        return off_way / way, off_turn / angle, jacobian
+        return np.concatenate([off_way / way, off_turn / angle], axis=1), jacobian
 
 
 def _angles(R: Floats) -> Floats:

@@ -121,18 +121,16 @@ def _distances(chain: Chain, reckoned: Reckoned, visit: Ints, several: Bools) ->
     at, landmark = chain.iteration, chain.landmark
     own = np.flatnonzero(several[visit])
     own = own[np.argsort(at[own], kind="stable")]
-    until, best = np.searchsorted(at[own], at[own] + COMPANY, side="right"), np.empty((2, 0), int)
+    until = np.searchsorted(at[own], at[own] + COMPANY, side="right")
+    # Short integers are sorted by radix.
+    found, short = [np.empty((2, 0), int)], visit.astype(np.min_scalar_type(len(several)))
     for block in np.split(np.arange(len(own)), range(BLOCK, len(own), BLOCK)):
-        a = np.repeat(block, until[block] - block - 1)
-        b = own[a + 1 + np.arange(len(a)) - np.searchsorted(a, a)]
-        a = own[a]
+        times = until[block] - block - 1
+        a, first = np.repeat(block, times), np.repeat(np.cumsum(times) - times, times)
+        a, b = own[a], own[a + 1 + np.arange(len(a)) - first]
         differ = (landmark[a] != landmark[b]) & (reckoned.part[a] == reckoned.part[b])
-        best = np.concatenate([best, np.stack([a, b])[:, differ]], axis=1)
-        # Of each two visits, the two observations that odometry relates best.
-        visits = np.sort(visit[best], axis=0)
-        order = np.lexsort((reckoned.variance_between(*best), *visits))
-        is_first = np.append(True, np.any(np.diff(visits[:, order]), axis=0))
-        best = best[:, order[is_first]] if len(order) else best
+        found.append(_best(np.stack([a, b])[:, differ], reckoned, short))
+    best = _best(np.concatenate(found, axis=1), reckoned, short)
     _, of = np.unique(np.sort(landmark[best], axis=0), axis=1, return_inverse=True)
     variance, metres = reckoned.variance_between(*best), reckoned.apart(*best)
     usual = np.bincount(of, variance) / np.bincount(of)
@@ -140,6 +138,17 @@ def _distances(chain: Chain, reckoned: Reckoned, visit: Ints, several: Bools) ->
     sd *= _noise(of, metres, sd)
     alike = _within(metres, DIFFERS * sd) / max(len(metres), 1)
     return Distances(visit[best], of, metres, sd, 1 - alike)
+
+
+def _best(pairs: Ints, reckoned: Reckoned, visit: Ints) -> Ints:
+    """Return of pairs (2, k), for each two visits, the observations that odometry relates best."""
+    visits = np.sort(visit[pairs], axis=0)
+    order = np.lexsort(visits)
+    is_first = np.any(np.diff(visits[:, order], prepend=NONE), axis=0)
+    variance, of = reckoned.variance_between(*pairs)[order], np.cumsum(is_first) - 1
+    least = np.minimum.reduceat(variance, np.flatnonzero(is_first))
+    own = np.flatnonzero(variance == least[of])
+    return np.asarray(pairs[:, order[own[np.diff(of[own], prepend=NONE) > 0]]])
 
 
 def _noise(of: Ints, metres: Floats, sd: Floats) -> float:
@@ -157,19 +166,22 @@ def _contradicted(distances: Distances, n: int) -> Ints:
     The worst one after another: its distances contradict those of right visits, too. Agreement
     counts as far as chance does not explain it.
     """
-    left = np.ones(n, dtype=bool)
+    visits, of, metres, sd, telling = distances
+    left, again = np.ones(n, dtype=bool), np.ones(len(of), dtype=bool)
+    differs, agrees = np.zeros((2, len(of)), dtype=bool)
     while True:
-        visits, of, metres, sd, telling = distances
-        kept = left[visits].all(axis=0)
-        differs, agrees = _compared(of[kept], metres[kept], sd[kept])
+        differs[again], agrees[again] = _compared(of[again], metres[again], sd[again])
         against, support = (
-            np.bincount(visits[:, kept].ravel(), np.tile(weight, 2), n)
-            for weight in (differs, agrees * telling[kept])
+            np.bincount(visits.ravel(), np.tile(weight, 2), n)
+            for weight in (differs, agrees * telling)
         )
         worst = np.argmax(against - support)
         if against[worst] <= support[worst]:
             return np.flatnonzero(~left)
         left[worst] = False
+        own = np.any(visits == worst, axis=0)
+        differs[own] = agrees[own] = False
+        again = np.isin(of, of[own]) & left[visits].all(axis=0)
 
 
 def _compared(of: Ints, metres: Floats, sd: Floats) -> tuple[Bools, Bools]:
