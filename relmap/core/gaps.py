@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -58,9 +57,9 @@ def bridge_gaps(engine: RelativeMapper, to_the_last: bool = False) -> bool:
     if not len(hanging):
         engine.odometry = use
         return False
-    solve = PartSolver(engine, rows, corrected, noise, sigmas, to_the_last).solve
+    solver = PartSolver(engine, rows, corrected, noise, sigmas, to_the_last)
     judges = to_the_last or not engine.refined
-    solved = _judged(engine, bridged, solve) if judges else _solved(engine, bridged, solve)[1]
+    solved = _judged(engine, bridged, solver) if judges else _solved(engine, bridged, solver)[1]
     numbers = _place(engine, solved)
     use = _in_use(use, solved, numbers, hanging, engine.store.n_iterations)
     named = np.concatenate([numbers[:0], *(part.of_two_places for part in solved)])
@@ -68,9 +67,7 @@ def bridge_gaps(engine: RelativeMapper, to_the_last: bool = False) -> bool:
     return True
 
 
-def _judged(
-    engine: RelativeMapper, bridged: Bridged, solve: Callable[[Bridged], list[Solved]]
-) -> list[Solved]:
+def _judged(engine: RelativeMapper, bridged: Bridged, solver: PartSolver) -> list[Solved]:
     """Return the parts of a run, solved without landmarks that move in them.
 
     Those considered dynamic are solved for as static first: if they are at rest, the poses agree
@@ -80,19 +77,19 @@ def _judged(
     often = n_kept(engine) >= engine.config.group_after
     suspects = np.flatnonzero(engine.table.dynamic & often)
     engine.table.dynamic[suspects] = False
-    bridged, solved = _solved(engine, bridged, solve)
+    bridged, solved = _solved(engine, bridged, solver)
     moving = _moving(engine, solved, suspects)
     engine.table.dynamic[moving] = True
-    return solve(bridged) if len(moving) else solved
+    return solver.solve(bridged, solved) if len(moving) else solved
 
 
 def _solved(
-    engine: RelativeMapper, bridged: Bridged, solve: Callable[[Bridged], list[Solved]]
+    engine: RelativeMapper, bridged: Bridged, solver: PartSolver
 ) -> tuple[Bridged, list[Solved]]:
     """Return the parts of a run; parts with common ids are joined."""
-    solved, has_ids = solve(bridged), engine.association.has_ids
+    solved, has_ids = solver.solve(bridged), engine.association.has_ids
     while has_ids and (joined := join_parts(bridged, solved)) is not None:
-        bridged, solved = joined, solve(joined)
+        bridged, solved = joined, solver.solve(joined)
     return bridged, solved
 
 

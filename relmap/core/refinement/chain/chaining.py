@@ -54,7 +54,8 @@ class Solved:
 
     `poses` (k, 4, 4): poses of its iterations, in the frame of `refined`; `iterations` (k,);
     `doubted` (i,): iterations whose odometry is rejected. `of_two_places` (l,): landmarks whose id
-    names two places.
+    names two places. `confirmed`: the map of confirmed observations, if it was needed, with all its
+    `landmarks` (m,).
     """
 
     refined: Refined
@@ -63,6 +64,8 @@ class Solved:
     doubted: Ints
     of_two_places: Ints
     sigmas: Sigmas
+    landmarks: Ints
+    confirmed: Chained | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,12 +84,13 @@ class PartSolver:
     sigmas: Sigmas | None
     to_the_last: bool
 
-    def solve(self, bridged: Bridged) -> list[Solved]:
+    def solve(self, bridged: Bridged, before: Sequence[Solved] = ()) -> list[Solved]:
         """Return the solved parts of a run from these initial poses.
 
-        They are in the order of submaps: the first is the map.
+        They are in the order of submaps: the first is the map. `before`: solutions with more
+        landmarks, of which the maps of confirmed observations serve again.
         """
-        found = (self._part(bridged, part) for part in np.unique(bridged.part).tolist())
+        found = (self._part(bridged, part, before) for part in np.unique(bridged.part).tolist())
         solved = [part for part in found if part is not None]
         each, first = [part.refined.landmarks for part in solved], self.engine.table.first
         until = self.engine.map.kept_until
@@ -94,7 +98,7 @@ class PartSolver:
         order = order_of_submaps(kept, np.array([len(own) for own in each], dtype=np.int64))
         return [solved[k] for k in order.tolist()]
 
-    def _part(self, bridged: Bridged, part: int) -> Solved | None:
+    def _part(self, bridged: Bridged, part: int, before: Sequence[Solved]) -> Solved | None:
         """Return one part; None if it has no observation."""
         iterations = np.flatnonzero(bridged.part == part)
         chain, landmarks = self._chain(bridged, part, iterations)
@@ -107,11 +111,12 @@ class PartSolver:
         step_sd = self.noise.sigmas(chain.motion)
         has_ids = self.engine.association.has_ids
         found = settled_chain(chain, step_sd, start, anchor, self.sigmas, self.to_the_last, has_ids)
-        visit = np.full(len(chain.points), NONE)
+        visit, confirmed = np.full(len(chain.points), NONE), None
         if has_ids:
             visit, is_swapped = visits_of(chain, step_sd)
+            known = _confirmed(before, iterations, landmarks)
             args = chain, step_sd, start, anchor, self.to_the_last, visit != NONE, is_swapped
-            found = unless_confirmed(found, *args)
+            found, confirmed = unless_confirmed(found, *args, known)
         settled, problem = found
         refined, placed = self._refined(settled, problem, landmarks, iterations, anchor)
         of_two_places = np.zeros(len(landmarks), dtype=bool)
@@ -123,9 +128,8 @@ class PartSolver:
         way, turn = problem.parts[1:]
         weight = np.minimum(settled.weight[way], settled.weight[turn])
         doubted = iterations[problem.moved[weight < DOUBT] + 1]
-        return Solved(
-            refined, placed, iterations, doubted, landmarks[of_two_places], problem.sigmas
-        )
+        named, sigmas = landmarks[of_two_places], problem.sigmas
+        return Solved(refined, placed, iterations, doubted, named, sigmas, landmarks, confirmed)
 
     def _chain(self, bridged: Bridged, part: int, iterations: Ints) -> tuple[Chain, Ints]:
         """Return the data of a part, and its landmarks (m,)."""
@@ -224,6 +228,15 @@ def join_parts(bridged: Bridged, solved: Sequence[Solved]) -> Bridged | None:
             poses[other.iterations] = transforms(R, t) @ other.poses
             part[other.iterations] = part[base.iterations[0]]
             return replace(bridged, poses=poses, part=part)
+    return None
+
+
+def _confirmed(before: Sequence[Solved], iterations: Ints, landmarks: Ints) -> Chained | None:
+    """Return the map of what is confirmed of these landmarks, if this part was solved before."""
+    for one in before:
+        if one.confirmed is not None and np.array_equal(one.iterations, iterations):
+            own = np.searchsorted(one.landmarks, landmarks)
+            return replace(one.confirmed, positions=one.confirmed.positions[own])
     return None
 
 

@@ -45,19 +45,21 @@ def unless_confirmed(
     to_the_last: bool,
     is_repeated: Bools,
     is_swapped: Bools,
-) -> Found:
-    """Return a solution, or the one by what agrees with the map of confirmed observations.
+    known: Chained | None,
+) -> tuple[Found, Chained | None]:
+    """Return a solution, or the one by what agrees with confirmed observations, and their map.
 
     The cost of outliers grows with their distance, so that many wrong ids together fold the map,
     for a few rejected steps of odometry. The other solution leaves them out; it is returned if it
     rejects fewer steps, or leaves less of the odometry and of what is confirmed unexplained,
     clearly less if most ids may be right. Arguments as for `settled_chain`; `is_repeated`,
-    `is_swapped` (n,): which observations others confirm, and which of these have swapped ids.
+    `is_swapped` (n,): which observations others confirm, and which of these have swapped ids;
+    `known`: their map, if it was solved for before. None is returned if it is not needed.
     """
     sure = is_repeated & ~is_swapped
     if not np.any(sure) or (np.mean(sure) >= MOST and not np.any(is_swapped)):
-        return found
-    state = _of_confirmed(chain, sure, step_sd, start, anchor)
+        return found, None
+    state = known or _of_confirmed(chain, sure, step_sd, start, anchor)
     agrees = _agrees(chain, state)
     lost = ~np.isin(chain.landmark, chain.landmark[agrees])
     other = settled_chain(
@@ -65,7 +67,7 @@ def unless_confirmed(
     )
     off = float(np.mean(~_agrees(chain, found[0].state)))
     first, second = _unexplained([found, other], sure, start.positions, 1.0)
-    return other if is_better(second, first, off) else found
+    return other if is_better(second, first, off) else found, state
 
 
 def is_better(other: tuple[float, int], first: tuple[float, int], share_off: float) -> bool:
@@ -95,7 +97,12 @@ def _of_confirmed(
     only, m = chain.only(sure), len(start.positions)
     only = Chain(only.points, of, only.iteration, only.root, only.motion)
     begun = start_of(only, transforms(start.R, start.t), len(own))
-    each = [settled_chain(only, step_sd, begun, anchor, None, False, True, one) for one in SLIPS]
+    each: list[Found] = []
+    for slip in SLIPS:
+        each.append(settled_chain(only, step_sd, begun, anchor, None, False, True, slip))
+        solution, problem = each[-1]
+        if np.all(solution.weight[problem.parts[1].start :] == 1):
+            break  # Outliers of odometry are all that differs.
     every = np.ones(len(of), dtype=bool)
     costs = [cost for cost, _ in _unexplained(each, every, begun.positions, max(SLIPS))]
     state = each[int(np.argmin(costs))][0].state
