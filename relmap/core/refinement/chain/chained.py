@@ -252,9 +252,10 @@ class ChainProblem:
         from relmap.core.refinement.chain.chain_kernels import left_of_seen
 
         points, landmark, iteration = self.chain[:3]
+        seen = points, self._root, iteration, landmark
         left, jacobian = np.empty(points.shape), np.empty((*points.shape, self._of_seen.shape[1]))
         R, t, positions = map(np.ascontiguousarray, (state.R, state.t, state.positions))
-        left_of_seen(points, self._root, iteration, landmark, R, t, positions, left, jacobian)
+        left_of_seen(seen, R, t, positions, left, jacobian)
         return left, jacobian
 
     def _left_of_odometry(self, state: Chained) -> tuple[Floats, Floats]:
