@@ -9,7 +9,7 @@ from relmap.comparison.baselines.batch import Batch, batch_least_squares
 from relmap.core.arrays import Floats, Ints
 from relmap.core.refinement.condensing import LENGTH, NOWHERE, CondensedSegments, SegmentRows
 from relmap.core.state.store import ObservationStore
-from tests.worlds import aligned_rmse, walk
+from tests.worlds import aligned_rmse, random_rotation, walk
 
 seeds = st.integers(0, 2**32 - 1)
 dimensions = st.sampled_from([2, 3])
@@ -92,6 +92,47 @@ def test_outliers_and_movers_are_left_out() -> None:
     assert without.freedoms[0] < clean.freedoms[0]
     moved = without.points[without.landmark == ids[2]] - clean.points[clean.landmark == ids[2]]
     assert np.linalg.norm(moved) > 0.2
+
+
+def passage(d: int, seed: int) -> Scans:
+    """Return scans of eight landmarks each; the latter four share five with the former four."""
+    rng = np.random.default_rng(seed)
+    landmarks, scans = rng.uniform(-10, 10, (11, d)), []
+    for k in range(LENGTH):
+        ids, R = np.arange(8) + 3 * (k > 3), random_rotation(d, 0.3, rng)
+        noise = rng.normal(0, 0.05, (8, d))
+        scans.append((ids, (landmarks[ids] + 0.2 * k) @ R + noise))
+    return scans
+
+
+@both_dimensions
+@pytest.mark.parametrize("seed", range(5))
+def test_wrong_observations_turn_no_iterations_against_others(d: int, seed: int) -> None:
+    """The last scan before and the first after the change of view have a wrong observation each."""
+    right = passage(d, seed)
+    wrong = [(ids, points.copy()) for ids, points in right]
+    wrong[3][1][4] *= -1.5
+    wrong[4][1][2] = wrong[4][1][2] * -2 + 5
+    rows, expected = condensed(wrong), condensed(right)
+    assert set(observations_of(expected)) - set(observations_of(rows)) == {(3, 4), (4, 5)}
+    assert rows.n_segments == 1
+    assert rows.noise_m == pytest.approx(0.05, rel=0.25)
+    assert aligned_rmse(rows.points, expected.points) < 0.03
+
+
+def test_iterations_that_wrong_observations_tie_make_separate_segments() -> None:
+    """One scan sees two landmarks of the earlier ones, one of them elsewhere."""
+    rng = np.random.default_rng(0)
+    landmarks, scans = rng.uniform(-10, 10, (10, 2)), []
+    for k in range(LENGTH):
+        ids = np.arange(5) + 5 * (k > 3)
+        if k == 4:
+            ids = np.append(ids, [0, 1])
+        scans.append((ids, landmarks[ids] + 0.2 * k + rng.normal(0, 0.05, (len(ids), 2))))
+    scans[4][1][-1] += [8.0, -6.0]
+    rows = condensed(scans)
+    assert rows.n_segments == 2
+    assert rows.noise_m == pytest.approx(0.05, rel=0.25)
 
 
 def test_iterations_that_share_too_little_make_separate_segments() -> None:

@@ -159,7 +159,12 @@ class CondensedSegments:
         own, landmarks = (block[steady], present[steady]) if moves else (block, present)
         free = np.ones(k, dtype=bool)
         while np.count_nonzero(free):
-            joined, R, t, points, visible, squares, freedoms = kernels.align_iterations(own, free)
+            joined, R, t, seen, is_doubtful = kernels.align_iterations(own, free)
+            if is_doubtful:
+                import relmap.core.refinement.robust_segment_kernels as robust
+
+                joined, R, t = robust.align_robustly(own, seen, joined)
+            points, visible, squares, freedoms = kernels.condensed(own, joined, R, t, seen)
             if not np.count_nonzero(joined):
                 break
             free &= ~joined
