@@ -31,17 +31,20 @@ def maybe_periods_off(scans: Scans, before: Ints, after: Ints, steps: Floats) ->
 
     Where walls repeat, all steps of a stretch may be taken for shorter ones, or for steps
     backwards, so that those around a step tell nothing. The usual step is that of the steps which
-    no other motion that walls imply may replace: where an end of the pattern is in view. A step
-    unlike it may be another if small changes that beams prefer lead from the usual step to a motion
-    closer to it, with which most points agree, and which hardly any contradict. If no step is
-    without such a rival, those that lead backwards may be others that lead ahead.
+    no other motion that walls imply may replace, where an end of the pattern is in view; of the
+    longer half of these, as a robot may rest often. A step unlike it may be another if small
+    changes that beams prefer lead from the usual step to a motion closer to it, with which most
+    points agree, and which hardly any contradict. If no step is without such a rival, those that
+    lead backwards may be others that lead ahead.
     """
     gap, every = (after - before)[:, None], 1 + len(steps) // SOME
     pairs = [*zip(before.tolist(), after.tolist(), steps, strict=True)]
     clear = _clear(scans, pairs[::every])
     if not clear.any():
         return np.array([_may_lead_ahead(scans, *pair) for pair in pairs], dtype=np.bool_)
-    usual_m = gap * np.median((steps / gap)[::every][clear, 1:], axis=0)
+    each_m = (steps / gap)[::every][clear, 1:]
+    way_m = np.hypot(*each_m.T)
+    usual_m = gap * np.median(each_m[way_m >= np.median(way_m)], axis=0)
     far_m = np.hypot(*(steps[:, 1:] - usual_m).T)
     found = far_m > APART_M
     for k in np.flatnonzero(found).tolist():
