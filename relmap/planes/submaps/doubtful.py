@@ -8,7 +8,6 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.planes.linking.adjoining import climbed
 from relmap.planes.linking.link_record import LinkRecord
 from relmap.planes.linking.placement import STILL
 from relmap.planes.linking.tying import Scans
@@ -17,6 +16,7 @@ from relmap.planes.odometry.prediction import OTHERWISE
 from relmap.planes.odometry.steps import corrected
 from relmap.planes.scans.beam_store import BeamStore
 from relmap.planes.scans.beams import Beams, odds_over
+from relmap.planes.submaps.periods import NEARER, climbed_by_beams, maybe_periods_off
 from relmap.planes.submaps.submap import WallSubmap, between_logs
 from relmap.planes.walls.history import PlaneHistory
 
@@ -35,9 +35,8 @@ UNUSUAL_M, BESIDE = 0.3, 4
 either side these are."""
 UNUSUAL_RAD = np.deg2rad(30.0)
 """Difference from the turns around it above which a turn is unusual."""
-NEARER, GAP = 0.5, 3
-"""Distance of another motion from the usual step, as a fraction of that of an unusual step, below
-which beams must exclude it, too, the same for turns; and how many scans apart both scans may be."""
+GAP = 3
+"""How many scans apart two scans may be to search motions nearer to the usual ones."""
 CHANGE_M, AWAY_M = 0.1, 0.25
 """Size of the changes by which beams may improve a step, and distance beyond which it is listed; so
 is one as far from odometry."""
@@ -60,9 +59,10 @@ def undetermined_steps(
     before and of the four after it, if they differ, and by motions nearer to these, or that turn
     more as these do, that the walls of both scans imply. It is determined if the beams of both
     scans exclude all of these, neither shows one wall only, and, if few common walls cross, no
-    small changes that the beams prefer lead away from it, one after the other. A step far longer
-    than the others is listed, too, and an unusual one to or from a scan that repeats the one before
-    it, point by point: the sensor did not measure anew. Where a submap continues after scans that
+    small changes that the beams prefer lead away from it, one after the other. A step that may be a
+    period of the walls off is listed, too, see `maybe_periods_off`, one far longer than the others,
+    and an unusual one to or from a scan that repeats the one before it, point by point: the sensor
+    did not measure anew. Where a submap continues after scans that
     are not part of it, the motion is since the last one that is. Without beams, and with odometry,
     the walls decide (`PlaneHistory.weak_links`); steps that contradict odometry are listed, too, of
     those that walls measured only if they are as long. From one log to the next there is no step:
@@ -79,7 +79,8 @@ def undetermined_steps(
     gap = (after - before)[:, None]
     to_usual = _around(steps / gap) * gap - steps
     each = zip(before.tolist(), after.tolist(), steps, to_usual.swapaxes(0, 1), strict=True)
-    for first, scan, step, ways in each:
+    shown = np.zeros(len(after), dtype=np.bool_)
+    for k, (first, scan, step, ways) in enumerate(each):
         earlier, later = (scans.beams_of(i) for i in (first, scan))
         if len(earlier) and len(later):
             one_wall = earlier.on_one_wall or later.on_one_wall
@@ -88,6 +89,8 @@ def undetermined_steps(
             weak[scan] = one_wall or excluded < least[scan]
             if history.hardly_crossed[scan] and not weak[scan]:
                 weak[scan] = _leads_away(step, earlier, later)
+            shown[k] = not weak[scan]
+    weak[after[shown]] = maybe_periods_off(scans, before[shown], after[shown], steps[shown])
     weak[after[_leap(steps / gap) | _stale(links.beams, before, after, to_usual)]] = True
     weak[after[between_logs(links.begun, before, after)]] = False
     return np.flatnonzero(weak)
@@ -265,11 +268,8 @@ def _excluded(step: Floats, changes: Floats, earlier: Beams, later: Beams) -> fl
 
 def _leads_away(step: Floats, earlier: Beams, later: Beams) -> bool:
     """Return whether small changes that beams prefer lead away from a step (3,)."""
-
-    def gain(motions: Floats, motion: Floats) -> Floats:
-        return odds_over([(later, earlier, np.vstack([motion, motions]))])[0]
-
-    return bool(np.hypot(*(climbed(step, [CHANGE_M], gain) - step)[1:]) > AWAY_M)
+    off = climbed_by_beams(step, CHANGE_M, earlier, later) - step
+    return bool(np.hypot(*off[1:]) > AWAY_M)
 
 
 def free_directions(history: PlaneHistory) -> Floats:

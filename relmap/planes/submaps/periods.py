@@ -1,0 +1,108 @@
+"""Steps that may be a period of the walls too short or too long: the usual step fits as well."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from relmap.core.arrays import Bools, Floats, Ints
+from relmap.planes.linking.adjoining import FINER, climbed
+from relmap.planes.linking.placement import STILL
+from relmap.planes.linking.tying import Scans
+from relmap.planes.motions import inverse
+from relmap.planes.scans.beams import NEAR_M, Beams, compared, odds_over
+
+AGREES, CONTRADICTS = 0.5, 0.02
+"""Smallest fraction of the points in view that agree with a motion that is open, and largest that
+contradict it. Log odds do not tell: a scan agrees best with one from the same place of the period,
+as beams hit the same places again, and the true motion loses by up to 80."""
+APART_M, NEARER = 0.3, 0.5
+"""Distance from the usual step above which a step is examined, and from a step that of another one;
+and distance of the other one from the usual step, as a fraction of that of the step."""
+SOME = 100
+"""Approximate number of steps from which the usual one is found."""
+BACK_M = 0.1
+"""Smallest step backwards: a robot at rest seems to move by less."""
+
+
+def maybe_periods_off(scans: Scans, before: Ints, after: Ints, steps: Floats) -> Bools:
+    """Return which steps (k, 3) from scans `before` (k,) to `after` (k,) may be others.
+
+    Where walls repeat, all steps of a stretch may be taken for shorter ones, or for steps
+    backwards, so that those around a step tell nothing. The usual step is that of the steps which
+    no other motion that walls imply may replace, where an end of the pattern is in view; of the
+    longer half of these, as a robot may rest often. A step unlike it may be another if small
+    changes that beams prefer lead from the usual step to a motion closer to it, with which most
+    points agree, and which hardly any contradict. If no step is without such a rival, those that
+    lead backwards may be others that lead ahead.
+    """
+    gap, every = (after - before)[:, None], 1 + len(steps) // SOME
+    pairs = [*zip(before.tolist(), after.tolist(), steps, strict=True)]
+    clear = _clear(scans, pairs[::every])
+    if not clear.any():
+        return np.array([_may_lead_ahead(scans, *pair) for pair in pairs], dtype=np.bool_)
+    each_m = (steps / gap)[::every][clear, 1:]
+    way_m = np.hypot(*each_m.T)
+    usual_m = gap * np.median(each_m[way_m >= np.median(way_m)], axis=0)
+    far_m = np.hypot(*(steps[:, 1:] - usual_m).T)
+    found = far_m > APART_M
+    for k in np.flatnonzero(found).tolist():
+        earlier, later = (scans.beams_of(i) for i in pairs[k][:2])
+        motion, least_m = np.append(steps[k, 0], usual_m[k]), NEARER * far_m[k]
+        for change_m in FINER:
+            motion = climbed_by_beams(motion, change_m, earlier, later)
+            found[k] &= np.hypot(*(motion[1:] - usual_m[k])) < least_m
+            if not found[k]:
+                break
+        found[k] &= _open(motion[None], earlier, later)[0]
+    return np.asarray(found)
+
+
+def _clear(scans: Scans, pairs: Sequence[tuple[int, int, Floats]]) -> Bools:
+    """Return which steps between scans, (k,), no other motion that walls imply may replace.
+
+    None is open, nor is one as far from a step as another step is from one that is.
+    """
+    found = [_rivals(scans, *pair) for pair in pairs]
+    apart = np.vstack([np.empty((0, 3)), *found])
+    apart = np.vstack([apart, -apart]) * [0.0, 1.0, 1.0]
+    clear = np.array([len(rivals) == 0 for rivals in found], dtype=np.bool_)
+    for k in np.flatnonzero(clear).tolist():
+        earlier, later = (scans.beams_of(i) for i in pairs[k][:2])
+        clear[k] = not _open(pairs[k][2] + apart, earlier, later).any()
+    return clear
+
+
+def _may_lead_ahead(scans: Scans, before: int, after: int, step: Floats) -> bool:
+    """Return whether a step (3,) leads backwards, and another that is open leads ahead."""
+    if step[1] > -BACK_M:
+        return False
+    return bool((step[1] + _rivals(scans, before, after, step)[:, 1] > 0).any())
+
+
+def _rivals(scans: Scans, before: int, after: int, step: Floats) -> Floats:
+    """Return the changes (k, 3) of a step to other motions that walls imply, and that are open."""
+    search = scans.search(before, after, STILL)
+    if search is None:
+        return np.empty((0, 3))
+    changes = inverse(search.candidates([inverse(step)]).motions) - step
+    changes = changes[np.hypot(*changes[:, 1:].T) > APART_M]
+    is_open = _open(step + changes, scans.beams_of(before), scans.beams_of(after))
+    return np.asarray(changes[is_open])
+
+
+def _open(steps: Floats, earlier: Beams, later: Beams) -> Bools:
+    """Return with which steps (k, 3) most points of two scans agree, and hardly any do not."""
+    agree, contradict, undecided, _ = compared(later, earlier, steps, NEAR_M).T
+    in_view = np.maximum(agree + contradict + undecided, 1.0)
+    return np.asarray((agree >= AGREES * in_view) & (contradict <= CONTRADICTS * in_view))
+
+
+def climbed_by_beams(step: Floats, change_m: float, earlier: Beams, later: Beams) -> Floats:
+    """Return the step (3,) to which small changes lead that the beams of two scans prefer."""
+
+    def gain(motions: Floats, motion: Floats) -> Floats:
+        return odds_over([(later, earlier, np.vstack([motion, motions]))])[0]
+
+    return climbed(step, [change_m], gain)
