@@ -93,7 +93,7 @@ def _fit_by_distances(
     """Fit some rows of matched points (n, d) so that the sum of distances is least (Weiszfeld).
 
     The first weights come from distances between points, as a wrong match far away would turn the
-    first fit. Returns R, t and the square of the largest distance that is no outlier.
+    first fit. Returns R, t and the square of the limit of outliers.
     """
     own = true_rows(rows)
     source, target, every = picked(here, own), picked(there, own), np.ones(len(own), np.bool_)
