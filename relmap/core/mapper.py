@@ -58,7 +58,7 @@ class RelativeMapper:
         self.map = GlobalMap(self.table)
         self.levels = GroupLevels(self.table)
         self.merger = Merger(self.table, model, config.group_after)
-        self.segments = CondensedSegments()
+        self.segments = CondensedSegments(model.noise_spread)
         self.motions, self.kept = Motions(), KeptObservations()
         self.odometry = None
         self.live = LiveRefinement(self.segments, self.map)

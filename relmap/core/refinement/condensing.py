@@ -25,6 +25,8 @@ ROOM = 2**22
 """Initial capacity, in rows of segments."""
 LENGTH = 8
 """Iterations in a segment: one bit each in the landmarks' visibility."""
+RECENT = 64
+"""Number of earlier segments that give the usual noise: few observations may agree by chance."""
 NOWHERE = -1
 """Marks an iteration that saw too little to belong to a segment."""
 
@@ -75,12 +77,7 @@ class SegmentRows:
     @property
     def noise_m(self) -> float:
         """Standard deviation of an observed coordinate within segments, metres; NaN if unknown."""
-        freedoms = self.freedoms[self.freedoms > 0]
-        if not len(freedoms):
-            return np.nan
-        # The median of chi-square over its mean (Wilson and Hilferty, 1931).
-        typical = freedoms * (1 - 2 / (9 * freedoms)) ** 3
-        return float(np.sqrt(np.median(self.squares[self.freedoms > 0] / typical)))
+        return _noise_of(self.squares, self.freedoms)
 
     @property
     def n_segments(self) -> int:
@@ -100,11 +97,15 @@ class SegmentRows:
 
 
 class CondensedSegments:
-    """Condenses iterations as they leave the store; each observation counts exactly once."""
+    """Condenses iterations as they leave the store; each observation counts exactly once.
+
+    `noise_spread`: as for `Averaging`. Where it is larger than 1, noise explains most outliers.
+    """
 
     STATE = " ".join(f"_{field.name}" for field in fields(SegmentRows))
 
-    def __init__(self) -> None:
+    def __init__(self, noise_spread: float = 1.0) -> None:
+        self._noise_spread = noise_spread
         self._landmark: GrowingArray[np.int64] = GrowingArray(np.int64, room=ROOM)
         self._segment: GrowingArray[np.int64] = GrowingArray(np.int64, room=ROOM)
         self._points: GrowingArray[np.float64] = GrowingArray(np.float64, (0,), ROOM)
@@ -160,10 +161,14 @@ class CondensedSegments:
         free = np.ones(k, dtype=bool)
         while np.count_nonzero(free):
             joined, R, t, seen, is_doubtful = kernels.align_iterations(own, free)
-            if is_doubtful:
+            if is_doubtful and self._noise_spread > 1:
+                kernels.trim_outliers(own, seen, joined, R, t)
+            elif is_doubtful:
                 import relmap.core.refinement.robust_segment_kernels as robust
 
-                joined, R, t = robust.align_robustly(own, seen, joined)
+                recent = slice(-RECENT, None)
+                usual_m = _noise_of(self._squares.values[recent], self._freedoms.values[recent])
+                joined, R, t = robust.align_robustly(own, seen, joined, np.nan_to_num(usual_m))
             points, visible, squares, freedoms = kernels.condensed(own, joined, R, t, seen)
             if not np.count_nonzero(joined):
                 break
@@ -198,6 +203,16 @@ class CondensedSegments:
         self._iteration_segment.resize(self.end + k, NOWHERE)
         self._R.resize(self.end, np.nan)
         self._t.resize(self.end, np.nan)
+
+
+def _noise_of(squares: Floats, freedoms: Ints) -> float:
+    """Return the standard deviation of a coordinate, metres, of segments (s,); NaN if unknown."""
+    some = freedoms > 0
+    if not np.any(some):
+        return np.nan
+    # The median of chi-square over its mean (Wilson and Hilferty, 1931).
+    typical = freedoms[some] * (1 - 2 / (9 * freedoms[some])) ** 3
+    return float(np.sqrt(np.median(squares[some] / typical)))
 
 
 def seen_from_first(rows: SegmentRows) -> tuple[Ints, Floats, Ints, Floats]:

@@ -23,7 +23,7 @@ from relmap.core.refinement.aligning_kernels import (
     shared_of,
     show,
 )
-from relmap.core.refinement.segment_kernels import EXACT
+from relmap.core.refinement.segment_kernels import EXACT, OUTLIER, TRIMS
 
 ROUNDS = 100
 """Maximum number of rounds: iterations that share few landmarks move slowly."""
@@ -31,10 +31,6 @@ FITS = 10
 """Rounds of weights in the fit of one iteration."""
 NEAR = 0.01
 """Distance, in medians, below which a smaller one gives no larger weight."""
-OUTLIER = 10.0
-"""Deviation of an observation, in medians of its segment, above which it is an outlier."""
-TRIMS = 3
-"""Maximum number of rounds of outlier rejection."""
 
 
 @helper
@@ -235,8 +231,13 @@ def _drop(n_of: Ints, of: Ints, apart: Floats, limit: float, seen: Bools) -> boo
 
 
 @compiled
-def align_robustly(block: Floats, seen: Bools, free: Bools) -> tuple[Bools, Floats, Floats]:
-    """Align iterations as `align_iterations` does; drop outliers among the observations (n, k)."""
+def align_robustly(
+    block: Floats, seen: Bools, free: Bools, usual_m: float
+) -> tuple[Bools, Floats, Floats]:
+    """Align iterations as `align_iterations` does; drop outliers among the observations (n, k).
+
+    `usual_m`: standard deviation of a coordinate in other segments, metres.
+    """
     extent = 0.0
     for i in range(len(block)):
         for m in range(block.shape[1]):
@@ -245,7 +246,7 @@ def align_robustly(block: Floats, seen: Bools, free: Bools) -> tuple[Bools, Floa
     joined, R, t = _join(block, seen, free)
     for _ in range(TRIMS):
         n_of, of, apart = _settle(block, seen, joined, R, t)
-        limit = max(OUTLIER * _median_of(apart, n_of), EXACT * extent)
+        limit = max(OUTLIER * max(_median_of(apart, n_of), usual_m), EXACT * extent)
         if not _drop(n_of, of, apart, limit, seen):
             break
         # What ties an iteration to the others may have been dropped.

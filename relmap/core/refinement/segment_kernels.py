@@ -14,6 +14,9 @@ FAR = 10.0
 """Largest distance of a condensed landmark, relative to the largest observed distance."""
 RARE = 100.0
 """Of so many segments without outliers one is aligned robustly."""
+OUTLIER, TRIMS = 10.0, 3
+"""Deviation of an observation, in medians of its segment, above which it is an outlier; and maximum
+number of rounds of outlier rejection."""
 EXACT = 1e-9
 """Deviation, as a fraction of the extent, treated as rounding."""
 
@@ -101,6 +104,48 @@ def align_iterations(block: Floats, free: Bools) -> tuple[Bools, Floats, Floats,
     settle(block, seen, joined, R, t)
     places, counts, deviation = mean_of(block, seen, R, t)
     return joined, R, t, seen, _is_doubtful(deviation, places, counts, seen)
+
+
+@helper
+def _trim(deviation: Floats, mean: Floats, counts: Floats, seen: Bools) -> bool:
+    """Drop the worst observation of each iteration if it is an outlier; return whether any is.
+
+    Only the worst, because the others may deviate because of it.
+    """
+    n, k, d = deviation.shape
+    squares, listed, n_listed, extent = np.zeros((n, k)), np.empty(n * k), 0, 0.0
+    for i in range(n):
+        square = 0.0
+        for a in range(d):
+            square += mean[i, a] * mean[i, a]
+        extent = max(extent, square)
+        for m in range(k):
+            if seen[i, m] and counts[i] > 1:
+                for a in range(d):
+                    squares[i, m] += deviation[i, m, a] ** 2 / (1 - 1 / counts[i])
+                listed[n_listed] = squares[i, m]
+                n_listed += 1
+    if n_listed == 0:
+        return False
+    limit, found = max(OUTLIER**2 * median(listed[:n_listed]), EXACT**2 * extent), False
+    for m in range(k):
+        worst = 0
+        for i in range(n):
+            worst = i if squares[i, m] > squares[worst, m] else worst
+        if squares[worst, m] > limit:
+            seen[worst, m] = False
+            found = True
+    return found
+
+
+@compiled
+def trim_outliers(block: Floats, seen: Bools, joined: Bools, R: Floats, t: Floats) -> None:
+    """Drop outliers among the observations (n, k) one by one, and align the iterations again."""
+    for _ in range(TRIMS):
+        places, counts, deviation = mean_of(block, seen, R, t)
+        if not _trim(deviation, places, counts, seen):
+            break
+        settle(block, seen, joined, R, t)
 
 
 @compiled
