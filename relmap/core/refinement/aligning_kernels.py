@@ -23,7 +23,7 @@ standard error, below which no further one is needed. Each reduces the error abo
 
 
 @helper
-def is_tied(here: Floats, rows: Bools, scatter: Floats) -> bool:
+def _is_tied(here: Floats, rows: Bools, scatter: Floats) -> bool:
     """Return whether some rows of an iteration, NaN where missing, determine its pose well."""
     x, y, z, _ = centre_of(here, rows)
     across, farthest = scatter[0, 0] + scatter[1, 1], 0.0
@@ -52,47 +52,66 @@ def fullest(seen: Bools) -> int:
 
 
 @helper
-def show(block: Floats, seen: Bools, counts: Floats, at: int, here: Floats, rows: Bools) -> int:
-    """Write the points (n, d) of an iteration, and which were seen before; return how many."""
-    n_rows = 0
-    for i in range(len(block)):
-        rows[i] = seen[i, at] and counts[i] > 0
-        n_rows += rows[i]
-        for a in range(block.shape[2]):
-            here[i, a] = block[i, at, a]
-    return n_rows
+def next_tied(
+    block: Floats,
+    seen: Bools,
+    free: Bools,
+    counts: Floats,
+    reference: Floats,
+    seed: int,
+    step: int,
+    here: Floats,
+    rows: Bools,
+) -> tuple[int, int, Floats, Floats]:
+    """Return the next step of the search, the iteration found in it, or -1, and its R and t.
+
+    The first is `seed`; others are searched from there outwards, and must be tied well to the
+    `reference` (n, d) of landmarks seen before, those with `counts` (n,). Also writes the points
+    (n, d) of the iteration, and which of them were seen before.
+    """
+    n, k, d = block.shape
+    R, t = identity(d), np.zeros(d)
+    for later in range(step + 1, step + 1 + 2 * k):
+        turn = later % (2 * k)
+        at, n_rows = seed + (turn + 1) // 2 * (1 if turn % 2 else -1), 0
+        if at < 0 or at >= k or not free[at]:
+            continue
+        for i in range(n):
+            rows[i] = seen[i, at] and counts[i] > 0
+            n_rows += rows[i]
+            for a in range(d):
+                here[i, a] = block[i, at, a]
+        R, t, fixed, scatter, _ = fit_rows(here, reference, rows, identity(d))
+        if at == seed or (n_rows >= d and fixed and _is_tied(here, rows, scatter)):
+            return turn, at, R, t
+    return step, -1, R, t
 
 
 @helper
 def join(block: Floats, seen: Bools, free: Bools) -> tuple[Bools, Floats, Floats]:
     """Align iterations to the earlier ones, from the fullest outwards, while well determined.
 
-    What others see is dropped.
+    Observations of the other iterations are dropped.
     """
     n, k, d = block.shape
-    seed = fullest(seen)
     R, t, joined = np.zeros((k, d, d)), np.zeros((k, d)), np.zeros(k, dtype=np.bool_)
     placed, here, rows = np.empty((n, d)), np.empty((n, d)), np.zeros(n, dtype=np.bool_)
     sums, counts, reference = np.zeros((n, d)), np.zeros(n), np.zeros((n, d))
-    again = True
-    while again:
-        again = False
-        for step in range(2 * k):
-            at = seed + (step + 1) // 2 * (1 if step % 2 else -1)
-            if at < 0 or at >= k or joined[at] or not free[at]:
-                continue
-            n_rows = show(block, seen, counts, at, here, rows)
-            turn, shift, fixed, scatter, _ = fit_rows(here, reference, rows, identity(d))
-            if at != seed and not (n_rows >= d and fixed and is_tied(here, rows, scatter)):
-                continue
-            joined[at] = again = True
-            set_placement(R, t, at, turn, shift)
-            place(here, R, t, at, placed)
-            for i in range(n):
-                counts[i] += seen[i, at]
-                for a in range(d):
-                    sums[i, a] += placed[i, a] if seen[i, at] else 0.0
-                    reference[i, a] = sums[i, a] / max(counts[i], 1)
+    seed, left, step, at = fullest(seen), free.copy(), -1, 0
+    while True:
+        step, at, turn, shift = next_tied(
+            block, seen, left, counts, reference, seed, step, here, rows
+        )
+        if at < 0:
+            break
+        joined[at], left[at] = True, False
+        set_placement(R, t, at, turn, shift)
+        place(here, R, t, at, placed)
+        for i in range(n):
+            counts[i] += seen[i, at]
+            for a in range(d):
+                sums[i, a] += placed[i, a] if seen[i, at] else 0.0
+                reference[i, a] = sums[i, a] / max(counts[i], 1)
     leave_out(seen, joined)
     return joined, R, t
 

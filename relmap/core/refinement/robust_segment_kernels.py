@@ -8,20 +8,19 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.core.geometry.fitting_kernels import fit_about, fit_rows, misfits, set_placement
+from relmap.core.geometry.fitting_kernels import fit_about, misfits, set_placement
 from relmap.core.grouping.averaging_kernels import place
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import median
-from relmap.core.linalg.small_kernels import identity, picked, true_rows
+from relmap.core.linalg.small_kernels import picked, true_rows
 from relmap.core.refinement.aligning_kernels import (
     STILL,
     fullest,
-    is_tied,
     join,
     leave_out,
+    next_tied,
     settle,
     shared_of,
-    show,
 )
 from relmap.core.refinement.segment_kernels import EXACT, OUTLIER, TRIMS
 
@@ -111,37 +110,32 @@ def _join(block: Floats, seen: Bools, free: Bools) -> tuple[Bools, Floats, Float
     Of two that contradict each other the later one is used.
     """
     n, k, d = block.shape
-    seed = fullest(seen)
     R, t, joined = np.zeros((k, d, d)), np.zeros((k, d)), np.zeros(k, dtype=np.bool_)
     placed, here, rows = np.empty((n, d)), np.empty((n, d)), np.zeros(n, dtype=np.bool_)
     sums, counts, reference = np.zeros((n, d)), np.zeros(n), np.zeros((n, d))
-    again = True
-    while again:
-        again = False
-        for step in range(2 * k):
-            at = seed + (step + 1) // 2 * (1 if step % 2 else -1)
-            if at < 0 or at >= k or joined[at] or not free[at]:
+    seed, left, step, at, limit = fullest(seen), free.copy(), -1, 0, 0.0
+    while True:
+        step, at, turn, shift = next_tied(
+            block, seen, left, counts, reference, seed, step, here, rows
+        )
+        if at < 0:
+            break
+        if at != seed:
+            turn, shift, limit = _fit_by_distances(here, reference, rows, turn)
+        joined[at], left[at] = True, False
+        set_placement(R, t, at, turn, shift)
+        place(here, R, t, at, placed)
+        for i in range(n):
+            square = 0.0
+            for a in range(d):
+                square += (placed[i, a] - reference[i, a]) ** 2 if rows[i] else 0.0
+            if not seen[i, at] or (square > limit and counts[i] > 1):
                 continue
-            n_rows, limit = show(block, seen, counts, at, here, rows), 0.0
-            turn, shift, fixed, scatter, _ = fit_rows(here, reference, rows, identity(d))
-            if at != seed:
-                if not (n_rows >= d and fixed and is_tied(here, rows, scatter)):
-                    continue
-                turn, shift, limit = _fit_by_distances(here, reference, rows, turn)
-            joined[at] = again = True
-            set_placement(R, t, at, turn, shift)
-            place(here, R, t, at, placed)
-            for i in range(n):
-                square = 0.0
-                for a in range(d):
-                    square += (placed[i, a] - reference[i, a]) ** 2 if rows[i] else 0.0
-                if not seen[i, at] or (square > limit and counts[i] > 1):
-                    continue
-                keeps = square <= limit
-                counts[i] = counts[i] + 1 if keeps else 1.0
-                for a in range(d):
-                    sums[i, a] = placed[i, a] + (sums[i, a] if keeps else 0.0)
-                    reference[i, a] = sums[i, a] / counts[i]
+            keeps = square <= limit
+            counts[i] = counts[i] + 1 if keeps else 1.0
+            for a in range(d):
+                sums[i, a] = placed[i, a] + (sums[i, a] if keeps else 0.0)
+                reference[i, a] = sums[i, a] / counts[i]
     leave_out(seen, joined)
     return joined, R, t
 
