@@ -101,7 +101,8 @@ def tie(engine: RelativeMapper) -> None:
     rows = engine.rows
     merger.sightings = Sightings(rows, engine.table)
     drift = local_drift(engine.table, rows, noise_m)
-    for _ in tie_submaps(engine.map, noise_m, drift):
+    refined = [] if is_bridged(engine) else engine.refined
+    for _ in tie_submaps(engine.map, noise_m, drift, refined):
         merge_doubles(engine)
     if is_bridged(engine):
         close_revisits(engine)

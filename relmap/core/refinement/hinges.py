@@ -49,7 +49,7 @@ def hinges_of(
     landmarks that an iteration shows.
     """
     covariances, times = refined.covariances, refined.spread.times
-    if refined.spread.problem.unknown is None or not np.isfinite(covariances).all():
+    if not refined.has_joint_covariances or not np.isfinite(covariances).all():
         return None
     motions = derivatives(refined.positions - refined.positions.mean(axis=0))
     m, d, q = motions.shape

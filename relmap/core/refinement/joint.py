@@ -120,6 +120,19 @@ class Refined(Brief):
         """Covariances of the position errors (m, d, d), square metres, computed on first access."""
         return self.spread()
 
+    @property
+    def has_joint_covariances(self) -> bool:
+        """Whether landmarks were kept unknowns, as where few are in view."""
+        return self.spread.problem.unknown is not None
+
+    def joint_covariance(self, rows: Ints) -> Floats:
+        """Return the covariance (k d, k d), square metres, of the landmarks in some rows (k,)."""
+        (m, d), k = self.positions.shape, len(rows)
+        columns = np.zeros((m, d, k, d))
+        columns[rows, :, np.arange(k)] = np.eye(d)
+        found = self.spread.times(columns.reshape(m, d, k * d))[rows]
+        return np.asarray(found.reshape(k * d, k * d))
+
 
 def refine(
     rows: SegmentRows,

@@ -63,7 +63,7 @@ class Doubled:
         """Return sets of pairs (k, 2), unlikely by chance, without rival and common landmarks."""
         exact_m = EXACT * np.ptp(self._at, axis=0).max()
         # Where many landmarks are in view the unknowns are placements.
-        has_few = self._refined.spread.problem.unknown is not None and self._m >= 2 * FEWEST
+        has_few = self._refined.has_joint_covariances and self._m >= 2 * FEWEST
         if not has_few or self._refined.noise_m <= exact_m:
             return []
         pairs = self._candidates()

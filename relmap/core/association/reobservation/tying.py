@@ -7,7 +7,7 @@ once, and a certain match joins the two.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +18,9 @@ from relmap.core.association.base import nearest
 from relmap.core.association.placement import Placement
 from relmap.core.association.reobservation.evidence import LOCAL_DRIFT
 from relmap.core.association.reobservation.recognition import BY_CHANCE, CLEAR, ENOUGH, PlaceFinder
+from relmap.core.association.reobservation.shapes import Shapes
 from relmap.core.map.globalmap import GlobalMap
+from relmap.core.refinement.joint import Refined
 from relmap.core.state.table import NONE, LandmarkState
 
 NEIGHBOURHOOD = 20
@@ -30,19 +32,23 @@ APART = 4.0
 
 
 def tie_submaps(
-    global_map: GlobalMap, noise_m: float, drift: float = LOCAL_DRIFT
+    global_map: GlobalMap,
+    noise_m: float,
+    drift: float = LOCAL_DRIFT,
+    refined: Sequence[Refined] = (),
 ) -> Iterator[Ints]:
     """Join submaps that show the same place.
 
     `noise_m`: standard deviation of an observed coordinate; `drift`: variance of the drift of the
-    map nearby, relative to that of an observation. Yields (k,): the landmarks of a submap that was
-    just joined by another. Duplicates should be merged before the next search.
+    map nearby, relative to that of an observation; `refined`: refined submaps, whose covariances
+    decide, where known, how closely places must agree. Yields (k,): the landmarks of a submap that
+    was just joined by another. Duplicates should be merged before the next search.
     """
-    table = global_map.table
+    table, shapes = global_map.table, Shapes(refined, drift)
     submaps, sizes = np.unique(table.submap, return_counts=True)
     known = (submaps != NONE) & (sizes >= ENOUGH)
     for submap in submaps[known][np.argsort(sizes[known], kind="stable")].tolist():
-        found = _found_elsewhere(table, submap, noise_m, drift)
+        found = _found_elsewhere(table, submap, noise_m, drift, shapes)
         if found is not None:
             other, placement = found
             global_map.tie(submap, other, placement.R, placement.t)
@@ -50,7 +56,7 @@ def tie_submaps(
 
 
 def _found_elsewhere(
-    table: LandmarkState, submap: int, noise_m: float, drift: float
+    table: LandmarkState, submap: int, noise_m: float, drift: float, shapes: Shapes
 ) -> tuple[int, Placement] | None:
     """Return the submap that shows a place of this one, and the placement of this one in it."""
     own = np.flatnonzero(table.submap == submap)
@@ -78,9 +84,13 @@ def _found_elsewhere(
         sure = finder.by_chance(len(points), len(hits[0]), elsewhere, searches) <= BY_CHANCE
         clear = elsewhere <= CLEAR * places[0].n_agreeing
         mine, its = around[found[0] >= 0], found[0][found[0] >= 0]
-        averaged = table.weight[np.stack([own[mine], others[its]])]
-        close = finder.is_close(table.position[own[mine]], its, averaged, n_maps=2)
-        if sure and clear and close:
+        if not (sure and clear):
+            continue
+        close = shapes.agree(own[mine], others[its])
+        if close is None:
+            averaged = table.weight[np.stack([own[mine], others[its]])]
+            close = finder.is_close(table.position[own[mine]], its, averaged, n_maps=2)
+        if close:
             return other, replace(places[0], t=places[0].t - shifts[other])
     return None
 

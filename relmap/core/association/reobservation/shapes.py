@@ -1,0 +1,76 @@
+"""Whether a place has one shape in two refined submaps, by the covariances of both.
+
+Positions averaged over many observations may still be uncertain, as few landmarks in view transfer
+the heading. A refined submap describes this: its landmarks err jointly (Neira and Tardos, 2001).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.special import chdtri
+
+from relmap.core.arrays import Floats, Ints
+from relmap.core.association.reobservation.evidence import LOCAL_DRIFT
+from relmap.core.geometry.alignment import fit_rigid
+from relmap.core.refinement.joint import Refined
+
+UNLIKELY = 1e-5
+"""Accepted probability that the shapes of one place differ by more."""
+LEAST = 1e-9
+"""Variance of a coordinate at least, relative to that of an observation."""
+
+
+class Shapes:
+    """Compares places in refined submaps.
+
+    `refined`: the submaps; `drift`: variance by which segments deviate from them, relative to that
+    of an observation (`local_drift`): what exceeds the usual one is not in the covariances.
+    """
+
+    def __init__(self, refined: Sequence[Refined] = (), drift: float = LOCAL_DRIFT) -> None:
+        self._refined = [one for one in refined if one.converged and one.has_joint_covariances]
+        self._variance = LEAST + drift - LOCAL_DRIFT
+
+    def agree(self, here: Ints, there: Ints) -> bool | None:
+        """Return whether landmarks (k,) are arranged as others (k,) are, up to a motion.
+
+        None if the joint covariance of either is unknown.
+        """
+        first, second = self._joint(here), self._joint(there)
+        if first is None or second is None:
+            return None
+        (mine, own), (its, spread) = first, second
+        R, t = fit_rigid(mine, its)
+        turn = np.kron(np.eye(len(mine)), R)
+        root = np.linalg.cholesky(turn @ own @ turn.T + spread)
+        moved = _by_motion(its - its.mean(axis=0))
+        off = (mine @ R.T + t - its).reshape(-1, 1)
+        whitened = solve_triangular(root, np.hstack([off, moved]), lower=True)
+        motion = np.linalg.lstsq(whitened[:, 1:], whitened[:, 0])[0]
+        left = whitened[:, 0] - whitened[:, 1:] @ motion
+        return bool(left @ left <= chdtri(len(moved) - moved.shape[1], UNLIKELY))
+
+    def _joint(self, landmarks: Ints) -> tuple[Floats, Floats] | None:
+        """Return positions (k, d) and their covariance (k d, k d), if one submap has all of them."""
+        for refined in self._refined:
+            rows = np.searchsorted(refined.landmarks, landmarks)
+            rows[rows == len(refined.landmarks)] = 0
+            if np.array_equal(refined.landmarks[rows], landmarks):
+                found = refined.joint_covariance(rows)
+                least = self._variance * refined.noise_m**2 * np.eye(len(found))
+                return refined.positions[rows], found + least
+        return None
+
+
+def _by_motion(points: Floats) -> Floats:
+    """Return by how much points (k, d) move by a small motion (k d, 3 d - 3)."""
+    k, d = points.shape
+    shifts = np.tile(np.eye(d), (k, 1))
+    first, second = np.triu_indices(d, 1)
+    turns = np.zeros((k, d, len(first)))
+    each = np.arange(len(first))
+    turns[:, first, each], turns[:, second, each] = -points[:, second], points[:, first]
+    return np.hstack([shifts, turns.reshape(k * d, -1)])
