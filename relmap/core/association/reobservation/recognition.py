@@ -98,14 +98,17 @@ class PlaceFinder:
         sure = self.by_chance(len(points), len(its), rival, searches) <= BY_CHANCE
         return (places[0], mine, its) if sure and rival <= CLEAR * len(its) else None
 
-    def places(self, points: Floats, among: Bools | None = None) -> list[Placement]:
+    def places(
+        self, points: Floats, among: Bools | None = None, share: float = SHARE
+    ) -> list[Placement]:
         """Return candidate placements of points (n, d), best first, if enough points agree.
 
-        The others are rivals of the first. If given, only some landmarks (m,) of the map count.
+        At least a `share` of them. The others are rivals of the first. If given, only some
+        landmarks (m,) of the map count.
         """
         n, d = points.shape
         self._among = among
-        needed = max(ENOUGH + MORE * (d - 2), SHARE * n)
+        needed = max(ENOUGH + MORE * (d - 2), share * n)
         if self._sides is None or n < needed or self._positions.shape[1] != d:
             return []
         R, t = self._hypotheses(points, RIVAL * needed)

@@ -34,6 +34,10 @@ class Shapes:
         self._refined = [one for one in refined if one.converged and one.has_joint_covariances]
         self._variance = LEAST + drift - LOCAL_DRIFT
 
+    def know(self, landmarks: Ints) -> bool:
+        """Return whether the joint covariance of landmarks (k,) is known."""
+        return any(np.isin(landmarks, one.landmarks).all() for one in self._refined)
+
     def agree(self, here: Ints, there: Ints) -> bool | None:
         """Return whether landmarks (k,) are arranged as others (k,) are, up to a motion.
 
@@ -54,7 +58,7 @@ class Shapes:
         return bool(left @ left <= chdtri(len(moved) - moved.shape[1], UNLIKELY))
 
     def _joint(self, landmarks: Ints) -> tuple[Floats, Floats] | None:
-        """Return positions (k, d) and their covariance (k d, k d), if one submap has all of them."""
+        """Return positions (k, d) and their covariance (k d, k d), if they are of one submap."""
         for refined in self._refined:
             rows = np.searchsorted(refined.landmarks, landmarks)
             rows[rows == len(refined.landmarks)] = 0

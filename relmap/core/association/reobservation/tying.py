@@ -2,7 +2,8 @@
 
 Without ids, a stretch that cannot be matched to earlier scans starts a new submap. Some of these
 return to places in other submaps. Neighbourhoods of one submap are searched for in all others at
-once, and a certain match joins the two.
+once, and a certain match joins the two. So are whole submaps, whose common part may be small, where
+the covariances of both tell how closely it must agree.
 """
 
 from __future__ import annotations
@@ -17,7 +18,13 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.association.base import nearest
 from relmap.core.association.placement import Placement
 from relmap.core.association.reobservation.evidence import LOCAL_DRIFT
-from relmap.core.association.reobservation.recognition import BY_CHANCE, CLEAR, ENOUGH, PlaceFinder
+from relmap.core.association.reobservation.recognition import (
+    BY_CHANCE,
+    CLEAR,
+    ENOUGH,
+    SHARE,
+    PlaceFinder,
+)
 from relmap.core.association.reobservation.shapes import Shapes
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.refinement.joint import Refined
@@ -60,39 +67,64 @@ def _found_elsewhere(
 ) -> tuple[int, Placement] | None:
     """Return the submap that shows a place of this one, and the placement of this one in it."""
     own = np.flatnonzero(table.submap == submap)
-    others = np.flatnonzero((table.submap != submap) & (table.submap != NONE))
-    if not len(others):
+    if not np.any((table.submap != submap) & (table.submap != NONE)):
         return None
-    positions, shifts, number = _laid_out(table, others)
-    finder, back = (
-        PlaceFinder(there, noise_m, drift) for there in (positions, table.position[own])
-    )
-    for around in neighbourhoods(table.position[own]):
-        points = table.position[own[around]]
-        places = finder.places(points)
+    search = _Search(table, own, noise_m, drift, shapes)
+    each = (search.found(around, SHARE) for around in neighbourhoods(table.position[own]))
+    found = next((one for one in each if one is not None), None)
+    if found is None and shapes.know(own):
+        found = search.found(np.arange(len(own)), share=0.0)
+    return found
+
+
+class _Search:
+    """Searches places of a submap, of landmarks `own` (m,), in all other submaps."""
+
+    def __init__(
+        self, table: LandmarkState, own: Ints, noise_m: float, drift: float, shapes: Shapes
+    ) -> None:
+        self._table, self._own, self._shapes = table, own, shapes
+        self._others = np.flatnonzero(
+            (table.submap != table.submap[own[0]]) & (table.submap != NONE)
+        )
+        positions, self._shifts, self._submap = _laid_out(table, self._others)
+        self._finder, self._back = (
+            PlaceFinder(there, noise_m, drift) for there in (positions, table.position[own])
+        )
+
+    def found(self, around: Ints, share: float) -> tuple[int, Placement] | None:
+        """Return the submap that shows a place, landmarks (k,), and its placement there.
+
+        At least a `share` of the landmarks; if 0, the covariances must be known.
+        """
+        finder, points = self._finder, self._table.position[self._own[around]]
+        places = finder.places(points, share=share)
         found = [finder.landmarks_at(place.apply(points)) for place in places]
         hits = [np.unique(at[at >= 0]) for at in found]
-        in_submaps = [np.unique(number[hit]) for hit in hits]
+        in_submaps = [np.unique(self._submap[hit]) for hit in hits]
         if not places or len(in_submaps[0]) > 1:
-            continue
+            return None
         other = int(in_submaps[0][0])
         rivals = [place for place, of in zip(places, in_submaps, strict=True) if other in of]
         # What looks like another place in the same submap may be a third one.
-        elsewhere = finder.elsewhere(points, rivals)
-        elsewhere = max(elsewhere, back.elsewhere(points, back.places(points)))
-        searches = len(own) + len(others)
+        back = self._back.elsewhere(points, self._back.places(points, share=share))
+        elsewhere = max(finder.elsewhere(points, rivals), back)
+        searches = len(self._own) + len(self._others)
         sure = finder.by_chance(len(points), len(hits[0]), elsewhere, searches) <= BY_CHANCE
         clear = elsewhere <= CLEAR * places[0].n_agreeing
-        mine, its = around[found[0] >= 0], found[0][found[0] >= 0]
-        if not (sure and clear):
-            continue
-        close = shapes.agree(own[mine], others[its])
-        if close is None:
-            averaged = table.weight[np.stack([own[mine], others[its]])]
-            close = finder.is_close(table.position[own[mine]], its, averaged, n_maps=2)
-        if close:
-            return other, replace(places[0], t=places[0].t - shifts[other])
-    return None
+        mine, its = self._own[around[found[0] >= 0]], found[0][found[0] >= 0]
+        if not (sure and clear and self._fit(mine, its, share)):
+            return None
+        return other, replace(places[0], t=places[0].t - self._shifts[other])
+
+    def _fit(self, mine: Ints, its: Ints, share: float) -> bool:
+        """Return whether landmarks (k,) are arranged as those in other submaps, rows (k,)."""
+        others = self._others[its]
+        agree = self._shapes.agree(mine, others)
+        if agree is not None or not share:
+            return bool(agree)
+        averaged = self._table.weight[np.stack([mine, others])]
+        return self._finder.is_close(self._table.position[mine], its, averaged, n_maps=2)
 
 
 def _laid_out(table: LandmarkState, landmarks: Ints) -> tuple[Floats, dict[int, Floats], Ints]:
