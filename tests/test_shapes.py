@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -110,3 +111,17 @@ def test_submaps_of_few_landmarks_in_view_are_joined(spec: WorldSpec) -> None:
     n_seen = len(np.unique(world.true_ids[world.true_ids >= 0]))
     assert 0.9 * n_seen <= len(mapper.submaps[0].landmark_ids) <= 1.02 * n_seen
     assert purity_of(labels, world.true_ids) > 0.998
+
+
+def test_a_loaded_map_in_submaps_is_finished_and_refined_again(tmp_path: Path) -> None:
+    """Loaded maps have no joint covariances until they are refined."""
+    world = simulate_world(WorldSpec(spacing_m=7.0, seed=14))
+    mapper, _ = without_ids(world.log)
+    mapper.refine()
+    sizes = [len(submap.landmark_ids) for submap in mapper.submaps]
+    assert len(sizes) > 1
+    mapper.save(tmp_path / "mapper.npz")
+    loaded = PointMapper.load(tmp_path / "mapper.npz")
+    loaded.finish()
+    loaded.refine()
+    assert [len(submap.landmark_ids) for submap in loaded.submaps] == sizes

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from relmap.core.arrays import Bools
@@ -19,7 +21,7 @@ from relmap.core.mapper import RelativeMapper
 from relmap.core.refinement.condensing import SegmentRows
 from relmap.core.refinement.confirming import found_rest, seen_in
 from relmap.core.refinement.extending import extend_submaps, join_seen_together
-from relmap.core.refinement.joint import CONFIRMED
+from relmap.core.refinement.joint import CONFIRMED, Refined
 from relmap.core.revisiting import (
     close_revisits,
     merge_doubles_in_place,
@@ -95,13 +97,15 @@ def found_late(engine: RelativeMapper, begin: int, end: int) -> None:
             return
 
 
-def tie(engine: RelativeMapper) -> None:
-    """Join submaps that show the same place, close loops, and merge re-observed landmarks."""
+def tie(engine: RelativeMapper, refined: Sequence[Refined] = ()) -> None:
+    """Join submaps that show the same place, close loops, and merge re-observed landmarks.
+
+    `refined`: the submaps, if they were just refined.
+    """
     noise_m, merger = engine.noise_m, engine.merger
     rows = engine.rows
     merger.sightings = Sightings(rows, engine.table)
     drift = local_drift(engine.table, rows, noise_m)
-    refined = [] if is_bridged(engine) else engine.refined
     for _ in tie_submaps(engine.map, noise_m, drift, refined):
         merge_doubles(engine)
     if is_bridged(engine):

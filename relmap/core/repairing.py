@@ -164,7 +164,7 @@ def _look_over(engine: RelativeMapper) -> bool:
         refine_map(engine, to_the_last=False)
     before = extent(engine)
     _merge_compatible(engine)
-    tie(engine)
+    tie(engine, [] if is_bridged(engine) else engine.refined)
     joined = find_again(engine)
     found = joined or extent(engine) != before
     if found:
