@@ -112,7 +112,13 @@ class ScanLinks(LinkRecord):
                 self._at_rest = share_at_rest(self.scans, self._known()[0], LATELY) > OFTEN
             firm = not self._at_rest
             context = recent, expected, firm, every, self._varies_m
-            judged = Search(tracks, seen, beams, views, *context).found()
+            search, known = (
+                Search(tracks, seen, beams, views, *context),
+                self.instead.get(len(self)),
+            )
+            if known is not None and (found := search.near(known)):
+                return found
+            judged = search.found()
             return judged if judged and self._confirmed(judged, seen, beams, views, firm) else None
         motions, submaps = self.motions[-USUAL:], self.submaps[-USUAL:]
         links = motions[1:][(np.diff(submaps) == 0) & (submaps[1:] >= 0)]
