@@ -112,12 +112,10 @@ class ScanLinks(LinkRecord):
                 self._at_rest = share_at_rest(self.scans, self._known()[0], LATELY) > OFTEN
             firm = not self._at_rest
             context = recent, expected, firm, every, self._varies_m
-            search, known = (
-                Search(tracks, seen, beams, views, *context),
-                self.instead.get(len(self)),
-            )
-            if known is not None and (found := search.near(known)):
-                return found
+            search = Search(tracks, seen, beams, views, *context)
+            instead = self.instead.get(len(self))
+            if instead is not None and (near := search.near(instead)):
+                return near
             judged = search.found()
             return judged if judged and self._confirmed(judged, seen, beams, views, firm) else None
         motions, submaps = self.motions[-USUAL:], self.submaps[-USUAL:]
