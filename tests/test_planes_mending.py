@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -88,3 +89,23 @@ def test_finishing_again_changes_nothing_and_the_state_is_saved(tmp_path: Path) 
     assert np.array_equal(loaded.trajectory, poses, equal_nan=True)
     assert np.array_equal(loaded.weak_links, weak)
     assert np.array_equal(loaded.landmarks_of(np.arange(9)), mapper.landmarks_of(np.arange(9)))
+
+
+def test_a_journal_is_resumed_in_the_middle(tmp_path: Path) -> None:
+    """Labels go on from those of the scans that were mapped again."""
+    walls = driven(STEADY_M)
+    mapper = PlaneMapper(journal=tmp_path / "run.sqlite")
+    for scan in range(walls.n_iterations):
+        own = walls.history.iteration == scan
+        ends, kind = walls.history.ends[own], np.full((own.sum(), 2), "open")
+        beams = walls.engine.association.registration.links.beams.given(scan).points
+        mapper.update(SimpleNamespace(ends=ends, end_type=kind), beams=beams)
+        if scan == walls.n_iterations - 3:
+            mapper.finish()
+    mapper.finish()
+    mapper.flush()
+    resumed = PlaneMapper.resume(tmp_path / "run.sqlite")
+    resumed.finish()
+    assert np.array_equal(resumed.history.plane, mapper.history.plane)
+    assert np.array_equal(resumed.trajectory, mapper.trajectory, equal_nan=True)
+    assert mapper.history.plane.min() > 0
