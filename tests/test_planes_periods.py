@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import relmap.planes.remapping
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.planes import PlaneMapper
 from relmap.segmentation import PlaneSegmenter
@@ -52,6 +53,13 @@ def judged(mapper: PlaneMapper, along_m: Floats) -> tuple[Ints, Bools]:
     return np.array(scans), np.array(off)
 
 
+@pytest.fixture
+def unmended(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave such steps as they are."""
+    monkeypatch.setattr(relmap.planes.remapping, "MENDED", 0)
+
+
+@pytest.mark.usefixtures("unmended")
 @pytest.mark.parametrize("step_m", [1.0, 1.15, 1.5])
 def test_steps_a_period_off_are_listed(step_m: float) -> None:
     """In the middle, where no end is in view, all of them look the same, and are wrong alike."""

@@ -259,7 +259,10 @@ def _tracks(
         rows = log.rows
     else:
         rows = np.concatenate([*map(np.arange, counts), np.empty(0, np.int64)])
-    label = method.landmarks_of(np.concatenate([*labels, np.empty(0, np.int64)]))
+    label = np.concatenate([*labels, np.empty(0, np.int64)])
+    if isinstance(method, PlaneMapper):  # as they are now: scans may have been mapped again
+        label = method.history.plane[len(method.history.plane) - len(label) :]
+    label = method.landmarks_of(label)
     known, rejected = label >= 0, None
     if isinstance(log, ObservationLog) and log.ids is not None and association == "known":
         rejected = np.where(label != log.ids, log.ids, -1)[known]

@@ -19,13 +19,11 @@ from relmap.core.linalg.threads import one_thread
 from relmap.core.odometry import checked_odometry
 from relmap.core.scan import checked_labels
 from relmap.io.journal import RecordedScan
-from relmap.planes.linking.registration import PlaneRegistration
-from relmap.planes.model import WallModel
 from relmap.planes.places.implied_steps import ImpliedSteps
-from relmap.planes.places.locating import LocatingMapper
 from relmap.planes.places.map_part import MapPart
 from relmap.planes.places.submap_ties import tied_parts
 from relmap.planes.refinement.refining import planned_submaps, refined_submaps
+from relmap.planes.remapping import RemappingMapper
 from relmap.planes.scans.beams import GivenBeams
 from relmap.planes.scans.observation import PlaneObservation, checked_planes, journaled, of_journal
 from relmap.planes.submaps.contradictions import contradicted_revisits
@@ -53,7 +51,7 @@ class Segmenter(Protocol):
 
 
 @reads_whole("update", "refine")
-class PlaneMapper(LocatingMapper):
+class PlaneMapper(RemappingMapper):
     """Maps walls in 2½-D: vertical planes, for a robot that moves in the plane.
 
     Parameters
@@ -94,9 +92,7 @@ class PlaneMapper(LocatingMapper):
         run: dict[str, Any] | None = None,
     ) -> None:
         super().__init__(config, journal, run)
-        self.engine.association.is_known = False
-        self._planes.links.store = self.engine.store
-        self._planes.links.wheels.given = self.engine.motions
+        self._connect()
         self._segmenter = segmenter
         self._refined_walls = None
         self._moved, self._frame = np.empty(0, dtype=np.int64), None
@@ -173,7 +169,7 @@ class PlaneMapper(LocatingMapper):
         if self._n_finished == self.n_iterations:  # links cut since would be tied again
             return
         self._n_finished, self._weak = self.n_iterations, None
-        self._planes.links.tie()
+        self._tie()
         super()._finish()
         self._planes.links.cut(unsupported_links(self.history, self._planes.links))
         for span in self.history.spans:
@@ -257,15 +253,11 @@ class PlaneMapper(LocatingMapper):
 
     def _current(self, labels: ArrayLike) -> Ints:
         labels = checked_labels(labels, np.arange(self._planes.n_planes))
-        return np.asarray(self._own_numbers.wall_of[labels])
+        return np.asarray(self._own_numbers.wall_of[self._planes.now(labels)])
 
     @property
     def _parts(self) -> list[Any]:
         return [self, *super()._parts]
-
-    def _model(self) -> WallModel:
-        self._planes = PlaneRegistration(self.config.max_missed, self.config.bridge_m)
-        return WallModel(self._planes)
 
     def _again(self, scan: RecordedScan) -> Ints:
         seen = checked_planes(of_journal(scan.values))

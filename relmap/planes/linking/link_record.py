@@ -44,8 +44,9 @@ class LinkRecord:
     (i, 3): approximate motion from each previous robot frame to the next: yaw, x, y; `submaps`
     (i,): submap of each iteration, -1 for none; `measured`, `bridged` (i,): which motions are
     determined by walls in all directions, and by odometry only; `evidence` (i,): log odds of each
-    motion; NaN if unknown, infinite if it is by maps; `begun` (r,): first iteration of each further
-    log, see `begin_run`.
+    motion; NaN if unknown, infinite if it is by maps or given; `begun` (r,): first iteration of
+    each further log, see `begin_run`; `instead`: motions (3,) into some scans that are taken
+    instead of those found, see `relmap.planes.submaps.mending`.
     """
 
     motions: Floats = values_of("_motions")
@@ -54,10 +55,11 @@ class LinkRecord:
     bridged: Bools = values_of("_bridged")
     evidence: Floats = values_of("_evidence")
     begun: Ints = values_of("_begun")
+    instead: dict[int, Floats]
 
     STATE = (
         "_motions _submaps _n_submaps submap _unsure_m _unsure_each_m _evidence _measured _bridged "
-        "beams same_walls _begun _at_rest"
+        "beams same_walls _begun _at_rest instead"
     )
     JOINED = "_motions _submaps submap _evidence _measured _bridged same_walls"
     """What `join` and the refinement of joined submaps change."""
@@ -69,6 +71,7 @@ class LinkRecord:
         self.same_walls = np.empty((0, 2), dtype=np.int64)
         self._unsure_m, self._unsure_each_m = 0.0, 0.0
         self._at_rest = False
+        self.instead = {}
         self._motions: GrowingArray[np.float64] = GrowingArray(np.float64, (3,))
         self._submaps: GrowingArray[np.int64] = GrowingArray(np.int64)
         self._evidence: GrowingArray[np.float64] = GrowingArray(np.float64)

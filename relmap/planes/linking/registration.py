@@ -15,6 +15,7 @@ import numpy as np
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association import Registration
 from relmap.core.state.growing import GrowingArray
+from relmap.core.state.store import ObservationStore
 from relmap.planes.linking.judging import NO_MATCH
 from relmap.planes.linking.link_record import values_of
 from relmap.planes.linking.placement import MEMORY, NO_CORNER, PlaneTracks
@@ -50,13 +51,14 @@ class PlaneRegistration(Registration):
     Attributes: `links`: links between scans. `corner`, `landmark` (w, 2): corner at either end of
     each wall of the last scan, and the landmark used by the map there; -1 for none. Of each corner
     (c,): `half`, metres: half the size of its wall at the first observation; `wall_end`: twice the
-    number of the wall, plus 1 for the left end.
+    number of the wall, plus 1 for the left end. `now_of` (n,): the first numbers are those of walls
+    before all scans were mapped again, and this is what they are now.
     """
 
     half: Floats = values_of("_half")
     wall_end: Ints = values_of("_wall_end")
     _tracks: PlaneTracks | None
-    STATE = "_tracks n_planes _half _wall_end _begun_at _type _since links"
+    STATE = "_tracks n_planes now_of _half _wall_end _begun_at _type _since links"
 
     def __init__(self, max_missed: int, bridge_m: float) -> None:
         self._max_missed = max_missed
@@ -67,7 +69,7 @@ class PlaneRegistration(Registration):
         self._begun_at: GrowingArray[np.int64] = GrowingArray(np.int64)
         self._type: GrowingArray[np.int8] = GrowingArray(np.int8, (2,))
         self._since: GrowingArray[np.int64] = GrowingArray(np.int64)
-        self.n_planes = 0
+        self.n_planes, self.now_of = 0, np.empty(0, dtype=np.int64)
         self.corner = np.empty((0, 2), dtype=np.int64)
         self.landmark = np.empty((0, 2), dtype=np.int64)
 
@@ -109,6 +111,22 @@ class PlaneRegistration(Registration):
         is_tied = goes_on or self._tracks is not None
         self.links.append(seen, motion, is_tied, found, goes_on)
         return walls
+
+    def follow(self, old: PlaneRegistration, store: ObservationStore) -> None:
+        """Record what the numbers of another registration, with its store, of the same scans are.
+
+        A number that was of several walls is that of the first.
+        """
+        walls, first = np.unique(store.column("wall"), return_index=True)
+        self.now_of = np.arange(old.n_planes)
+        self.now_of[walls] = self.links.store.column("wall")[first]
+        self.now_of = self.now_of[old.now(np.arange(old.n_planes))]
+
+    def now(self, walls: Ints) -> Ints:
+        """Return the present numbers of walls (k,)."""
+        now = np.arange(self.n_planes)
+        now[: len(self.now_of)] = self.now_of
+        return np.asarray(now[walls])
 
     def begin_run(self) -> None:
         """Begin another run with the next scan, which is not tied to the last one."""

@@ -112,7 +112,11 @@ class ScanLinks(LinkRecord):
                 self._at_rest = share_at_rest(self.scans, self._known()[0], LATELY) > OFTEN
             firm = not self._at_rest
             context = recent, expected, firm, every, self._varies_m
-            judged = Search(tracks, seen, beams, views, *context).found()
+            search = Search(tracks, seen, beams, views, *context)
+            instead = self.instead.get(len(self))
+            if instead is not None and (near := search.near(instead)):
+                return near
+            judged = search.found()
             return judged if judged and self._confirmed(judged, seen, beams, views, firm) else None
         motions, submaps = self.motions[-USUAL:], self.submaps[-USUAL:]
         links = motions[1:][(np.diff(submaps) == 0) & (submaps[1:] >= 0)]

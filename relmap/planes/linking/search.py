@@ -103,6 +103,18 @@ class Search(ScanComparison):
         match, evidence = self._named(one.matches[0]), float(every.evidence[best])
         return Found(one.motions[0], match, measured, evidence, ambiguous=ambiguous)
 
+    def near(self, motion: Floats) -> Found | None:
+        """Return a given motion (3,), fitted to walls that match nearby; None if none does."""
+        if self._is_empty:
+            return None
+        one = self._judged([motion])
+        if others(one.motions, motion, ALIKE_M)[0]:
+            one = self._judged([motion], 0)
+        if not len(one.matches[0].walls):
+            return None
+        match = self._named(one.matches[0])
+        return Found(one.motions[0], match, self._measured(one, 0), np.inf)
+
     def _with_slid(self, every: Judged, evidence: Floats) -> Judged:
         """Return motions (k, 3), and those of most evidence (k,) slid along walls."""
         most = np.argsort(-evidence, kind="stable")[:SLID]

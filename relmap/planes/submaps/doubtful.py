@@ -91,6 +91,7 @@ def undetermined_steps(
                 weak[scan] = _leads_away(step, earlier, later)
             shown[k] = not weak[scan]
     weak[after[shown]] = maybe_periods_off(scans, before[shown], after[shown], steps[shown])
+    weak[after[np.isin(after, [*links.instead])]] = True
     weak[after[_leap(steps / gap) | _stale(links.beams, before, after, to_usual)]] = True
     weak[after[between_logs(links.begun, before, after)]] = False
     return np.flatnonzero(weak)

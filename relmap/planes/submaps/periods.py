@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -37,26 +38,51 @@ def maybe_periods_off(scans: Scans, before: Ints, after: Ints, steps: Floats) ->
     points agree, and which hardly any contradict. If no step is without such a rival, those that
     lead backwards may be others that lead ahead.
     """
+    found = usual_instead(scans, before, after, steps)
+    if found is not None:
+        return np.isfinite(found.motions[:, 0])
+    pairs = zip(before.tolist(), after.tolist(), steps, strict=True)
+    return np.array([_may_lead_ahead(scans, *pair) for pair in pairs], dtype=np.bool_)
+
+
+class Instead(NamedTuple):
+    """What steps may be instead.
+
+    `motions` (k, 3): near the usual step; NaN for most; `clear_m` (c, 2): translations of the steps
+    without rivals, by scan; `usual_m` (2,): the usual one of these.
+    """
+
+    motions: Floats
+    clear_m: Floats
+    usual_m: Floats
+
+
+def usual_instead(scans: Scans, before: Ints, after: Ints, steps: Floats) -> Instead | None:
+    """Return what steps (k, 3) may be instead, see `maybe_periods_off`; None if none is clear."""
     gap, every = (after - before)[:, None], 1 + len(steps) // SOME
     pairs = [*zip(before.tolist(), after.tolist(), steps, strict=True)]
     clear = _clear(scans, pairs[::every])
     if not clear.any():
-        return np.array([_may_lead_ahead(scans, *pair) for pair in pairs], dtype=np.bool_)
+        return None
     each_m = (steps / gap)[::every][clear, 1:]
     way_m = np.hypot(*each_m.T)
-    usual_m = gap * np.median(each_m[way_m >= np.median(way_m)], axis=0)
-    far_m = np.hypot(*(steps[:, 1:] - usual_m).T)
-    found = far_m > APART_M
-    for k in np.flatnonzero(found).tolist():
+    usual_m = np.median(each_m[way_m >= np.median(way_m)], axis=0)
+    motions = np.full(steps.shape, np.nan)
+    for k in np.flatnonzero(np.hypot(*(steps[:, 1:] - gap * usual_m).T) > APART_M).tolist():
         earlier, later = (scans.beams_of(i) for i in pairs[k][:2])
-        motion, least_m = np.append(steps[k, 0], usual_m[k]), NEARER * far_m[k]
-        for change_m in FINER:
-            motion = climbed_by_beams(motion, change_m, earlier, later)
-            found[k] &= np.hypot(*(motion[1:] - usual_m[k])) < least_m
-            if not found[k]:
-                break
-        found[k] &= _open(motion[None], earlier, later)[0]
-    return np.asarray(found)
+        found = _climbed_to(steps[k], gap[k] * usual_m, earlier, later)
+        motions[k] = np.nan if found is None else found
+    return Instead(motions, each_m, usual_m)
+
+
+def _climbed_to(step: Floats, usual_m: Floats, earlier: Beams, later: Beams) -> Floats | None:
+    """Return the open motion (3,) near the usual one (2,) that beams prefer, if there is one."""
+    motion, least_m = np.append(step[0], usual_m), NEARER * np.hypot(*(step[1:] - usual_m))
+    for change_m in FINER:
+        motion = climbed_by_beams(motion, change_m, earlier, later)
+        if np.hypot(*(motion[1:] - usual_m)) >= least_m:
+            return None
+    return motion if _open(motion[None], earlier, later)[0] else None
 
 
 def _clear(scans: Scans, pairs: Sequence[tuple[int, int, Floats]]) -> Bools:

@@ -1,0 +1,111 @@
+"""Where walls repeat, links a period off are replaced by the usual step."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import relmap.planes.remapping
+from relmap.core.arrays import Floats
+from relmap.planes import PlaneMapper
+from tests.test_planes_periods import LENGTH_M, driven, judged
+
+STEADY_M = np.arange(1.0, LENGTH_M - 1.0, 1.15)
+
+
+def changing(*parts: tuple[float, float]) -> Floats:
+    """Return how far a robot is along the corridor whose steps change, each from some place on."""
+    along_m, ends = [1.0], [at for at, _ in parts[1:]] + [LENGTH_M - 1.0]
+    for (_, step_m), end in zip(parts, ends, strict=True):
+        while along_m[-1] < end:
+            along_m.append(along_m[-1] + step_m)
+    return np.array(along_m[:-1])
+
+
+def unmended(along_m: Floats, monkeypatch: pytest.MonkeyPatch) -> PlaneMapper:
+    """Return the map in which no link is replaced."""
+    with monkeypatch.context() as patch:
+        patch.setattr(relmap.planes.remapping, "MENDED", 0)
+        return driven(along_m)
+
+
+@pytest.mark.parametrize("step_m", [1.0, 1.15, 1.5])
+def test_steps_a_period_off_are_mended_and_stay_listed(
+    step_m: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    along_m = np.arange(1.0, LENGTH_M - 1.0, step_m)
+    before, was_wrong = judged(unmended(along_m, monkeypatch), along_m)
+    mapper = driven(along_m)
+    scans, wrong = judged(mapper, along_m)
+    assert was_wrong.sum() >= 5
+    assert not wrong.any()
+    assert np.isin(np.intersect1d(before[was_wrong], scans), mapper.weak_links).all()
+    iterations, poses = mapper.paths[0]
+    assert abs(np.ptp(poses[:, 0, 3]) - np.ptp(along_m[iterations])) < 0.3
+    assert np.ptp(poses[:, 0, 3]) > 15.0
+
+
+@pytest.mark.parametrize(
+    "parts",
+    [
+        ((0.0, 1.15), (8.0, 0.4), (18.0, 1.15)),
+        ((0.0, 0.4), (10.0, 1.0)),
+        ((0.0, 0.5), (14.0, 2.0)),
+        ((0.0, 0.5), (6.0, 1.5), (10.0, 0.5), (16.0, 1.5)),
+    ],
+)
+def test_right_steps_of_a_robot_that_changes_its_speed_stay(
+    parts: tuple[tuple[float, float], ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its short steps look like long ones that are a period off."""
+    along_m = changing(*parts)
+    before, was_wrong = judged(unmended(along_m, monkeypatch), along_m)
+    scans, wrong = judged(driven(along_m), along_m)
+    assert len(scans) >= len(before)
+    assert not np.isin(scans[wrong], before[~was_wrong]).any()
+
+
+def test_labels_from_before_are_of_walls_of_the_map() -> None:
+    """All scans are mapped again, with other numbers."""
+    mapper = driven(STEADY_M)
+    first = np.unique(mapper.history.plane).min()
+    assert first > 0
+    assert np.isin(mapper.landmarks_of(np.arange(first)), mapper.planes.plane).all()
+    known = mapper.landmarks_of(mapper.history.plane)
+    assert np.array_equal(np.unique(known), mapper.planes.plane)
+
+
+def test_finishing_again_changes_nothing_and_the_state_is_saved(tmp_path: Path) -> None:
+    mapper = driven(STEADY_M)
+    mapper.save(tmp_path / "mapper.npz")
+    loaded = PlaneMapper.load(tmp_path / "mapper.npz")
+    weak, poses = mapper.weak_links, mapper.trajectory
+    mapper.finish()
+    mapper.refine()
+    assert np.array_equal(mapper.trajectory, poses, equal_nan=True)
+    assert np.array_equal(loaded.trajectory, poses, equal_nan=True)
+    assert np.array_equal(loaded.weak_links, weak)
+    assert np.array_equal(loaded.landmarks_of(np.arange(9)), mapper.landmarks_of(np.arange(9)))
+
+
+def test_a_journal_is_resumed_in_the_middle(tmp_path: Path) -> None:
+    """Labels go on from those of the scans that were mapped again."""
+    walls = driven(STEADY_M)
+    mapper = PlaneMapper(journal=tmp_path / "run.sqlite")
+    for scan in range(walls.n_iterations):
+        own = walls.history.iteration == scan
+        ends, kind = walls.history.ends[own], np.full((own.sum(), 2), "open")
+        beams = walls.engine.association.registration.links.beams.given(scan).points
+        mapper.update(SimpleNamespace(ends=ends, end_type=kind), beams=beams)
+        if scan == walls.n_iterations - 3:
+            mapper.finish()
+    mapper.finish()
+    mapper.flush()
+    resumed = PlaneMapper.resume(tmp_path / "run.sqlite")
+    resumed.finish()
+    assert np.array_equal(resumed.history.plane, mapper.history.plane)
+    assert np.array_equal(resumed.trajectory, mapper.trajectory, equal_nan=True)
+    assert mapper.history.plane.min() > 0
