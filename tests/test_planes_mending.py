@@ -11,6 +11,7 @@ import pytest
 import relmap.planes.remapping
 from relmap.core.arrays import Floats
 from relmap.planes import PlaneMapper
+from relmap.planes.linking.registration import PlaneRegistration
 from tests.test_planes_periods import LENGTH_M, driven, judged
 
 STEADY_M = np.arange(1.0, LENGTH_M - 1.0, 1.15)
@@ -94,12 +95,15 @@ def test_finishing_again_changes_nothing_and_the_state_is_saved(tmp_path: Path) 
 def test_a_journal_is_resumed_in_the_middle(tmp_path: Path) -> None:
     """Labels go on from those of the scans that were mapped again."""
     walls = driven(STEADY_M)
+    registration = walls.engine.association.registration
+    assert isinstance(registration, PlaneRegistration)
+    given = registration.links.beams.given
     mapper = PlaneMapper(journal=tmp_path / "run.sqlite")
     for scan in range(walls.n_iterations):
         own = walls.history.iteration == scan
         ends, kind = walls.history.ends[own], np.full((own.sum(), 2), "open")
-        beams = walls.engine.association.registration.links.beams.given(scan).points
-        mapper.update(SimpleNamespace(ends=ends, end_type=kind), beams=beams)
+        planes = SimpleNamespace(ends=ends, end_type=kind)
+        mapper.update(planes, beams=given(scan).points)
         if scan == walls.n_iterations - 3:
             mapper.finish()
     mapper.finish()
