@@ -15,6 +15,7 @@ from relmap.core.errors import RelmapError
 from relmap.core.guard import reads_whole
 from relmap.core.linalg.threads import one_thread
 from relmap.io.journal import RecordedScan
+from relmap.planes3d.edges import at_edges
 from relmap.planes3d.files import checked_patches, journaled, of_journal
 from relmap.planes3d.hypotheses import Held
 from relmap.planes3d.mapped import Mapped3d
@@ -232,7 +233,8 @@ class Plane3dMapper(Mapped3d):
         rms = np.sqrt((steps[known] ** 2).sum(axis=1).mean()) if any(known) else np.inf
         held = Held(way[-1] + mean, float(rms))
         doubtful = partial(is_doubtful, seen=seen, planes=planes, part=part, gap=gap)
-        placed = place(seen, Surfaces(planes), part.poses[-1], held, doubtful)
+        edges = partial(at_edges, seen=seen, part=part)
+        placed = place(seen, Surfaces(planes), part.poses[-1], held, doubtful, edges)
         return None if placed is None else placed.named(part.number[chosen])
 
     def _tied_two(self, failed: set[tuple[Span, Span]]) -> bool:
