@@ -15,6 +15,7 @@ from relmap.core.errors import RelmapError
 from relmap.core.guard import reads_whole
 from relmap.core.linalg.threads import one_thread
 from relmap.io.journal import RecordedScan
+from relmap.planes3d.edges import at_edges
 from relmap.planes3d.files import checked_patches, journaled, of_journal
 from relmap.planes3d.hypotheses import Held
 from relmap.planes3d.mapped import Mapped3d
@@ -28,6 +29,7 @@ from relmap.planes3d.sights import (
     with_ends,
     with_rim,
 )
+from relmap.planes3d.steadiness import predicted
 from relmap.planes3d.submap import Submap
 from relmap.planes3d.surfaces import Surfaces
 from relmap.segmentation.space import Patches, PatchSegmenter
@@ -35,8 +37,6 @@ from relmap.segmentation.space import Patches, PatchSegmenter
 Span = tuple[int, int]
 LEAST_SCANS, MOST_TIED = 3, 12
 """Minimum number of scans of a submap that is tied, and number of submaps tried, the largest."""
-STEADY = 6
-"""Number of poses whose mean step predicts the next one in a direction that planes leave open."""
 
 
 @reads_whole("update", "finish", "refine")
@@ -224,15 +224,10 @@ class Plane3dMapper(Mapped3d):
         if not len(chosen):
             return None
         planes, gap = part.planes(chosen), iteration - part.iteration[-1]
-        # The next position if the mean of the last steps continues.
-        way = np.array([t for _, t in part.poses[-STEADY:]])
-        steps = np.diff(way, axis=0)
-        known = [k not in part.held for k in part.iteration[-STEADY:]][1:]
-        mean = steps.mean(axis=0) if len(steps) else np.zeros(3)
-        rms = np.sqrt((steps[known] ** 2).sum(axis=1).mean()) if any(known) else np.inf
-        held = Held(way[-1] + mean, float(rms))
+        held = predicted(part)
         doubtful = partial(is_doubtful, seen=seen, planes=planes, part=part, gap=gap)
-        placed = place(seen, Surfaces(planes), part.poses[-1], held, doubtful)
+        edges = partial(at_edges, seen=seen, part=part)
+        placed = place(seen, Surfaces(planes), part.poses[-1], held, doubtful, edges)
         return None if placed is None else placed.named(part.number[chosen])
 
     def _tied_two(self, failed: set[tuple[Span, Span]]) -> bool:

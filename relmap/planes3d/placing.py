@@ -95,6 +95,7 @@ def place(
     last: Pose | None,
     held: Held,
     is_doubtful: Callable[[Placed], bool] = lambda _: False,
+    at_edges: Callable[[Placed], Placed] = lambda placed: placed,
 ) -> Placed | None:
     """Return the placement of a scan; None if none is accepted.
 
@@ -102,12 +103,14 @@ def place(
     (3,): pose of the previous scan. Of placements that explain the scan equally well, as in a room
     that looks the same from two sides or beside parallel faces, the closest to where steady motion
     leads is accepted if the others are far. Without `last`, a placement with a rival is not
-    accepted. `is_doubtful`: whether to refuse an accepted placement; then those that match more
-    planes, and explain nearly as much, are tried.
+    accepted. `at_edges`: corrects an accepted one where it was predicted. `is_doubtful`: whether to
+    refuse it; then those that match more planes, and explain nearly as much, are tried.
     """
     best = _settled_all(seen, there, last, held)
     while best:
         placed = _chosen(best, seen, last, held)
+        if placed is not None and placed.is_held:
+            placed = at_edges(placed)
         if placed is None or not is_doubtful(placed):
             return placed
         least = RIVAL_LESS_ONE * best[0].share

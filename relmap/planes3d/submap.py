@@ -30,7 +30,7 @@ class Submap:
         Iterations whose position planes determined poorly when they were placed, or whose step from
         the scan before they leave open when `refine` begins, and the direction, robot frame.
     held : set of int
-        Those of them for which constant motion was assumed in that direction.
+        Those of them for which constant motion was assumed in that direction, or edges used.
     unsure : dict of int to (3,) float64
         Iterations whose step from the scan before all observations together determine poorly, and
         the direction, robot frame; set by `finish` and `refine`.
