@@ -24,7 +24,13 @@ def test_a_sensor_that_turns_is_expected_to_turn_on() -> None:
     turns = np.linspace(0.0, 1.65, 12)
     ring = 2 * np.column_stack([np.sin(turns), 1 - np.cos(turns), 0 * turns])
     held = predicted(along(ring[:11], turns[:11]))
-    assert np.linalg.norm(held.place - ring[11]) < 0.1
+    np.testing.assert_allclose(held.place, ring[11], atol=1e-9)
+
+
+def test_a_sensor_that_speeds_up_is_expected_to_go_on_as_lately() -> None:
+    way = np.column_stack([0.01 * np.arange(14) ** 2, np.zeros((14, 2))])
+    held = predicted(along(way[:13], np.zeros(13)))
+    np.testing.assert_allclose(held.place, 2 * way[12] - way[11], atol=1e-9)
 
 
 def test_a_sensor_that_looks_around_is_expected_on_its_way() -> None:

@@ -19,7 +19,8 @@ def predicted(part: Submap) -> Held:
     """Return the position of the next scan of a submap if the sensor moves on as before.
 
     Its step is the mean of some of the last ones, along the axes of the submap, or along those of
-    the sensor, as where it turns: that which would have predicted the last scans best.
+    the sensor before each, as where it turns: that which would have predicted the last scans best.
+    `off_m` is the root mean square of the last steps that planes determined, infinite if none did.
     """
     most = max(STEADY)
     number, poses = (each[-(LATELY + most + 1) :] for each in (part.iteration, part.poses))
@@ -28,7 +29,7 @@ def predicted(part: Submap) -> Held:
     if not len(steps):
         return Held(t[-1], np.inf)
 
-    own = np.einsum("nji,nj->ni", R[1:], steps)
+    own = np.einsum("nji,nj->ni", R[:-1], steps)
 
     def place(k: int, count: int, turns: bool) -> Floats:
         rows = slice(max(k - 1 - count, 0), k - 1)

@@ -60,17 +60,18 @@ def undetermined_steps(
     more as these do, that the walls of both scans imply. It is determined if the beams of both
     scans exclude all of these, neither shows one wall only, and, if few common walls cross, no
     small changes that the beams prefer lead away from it, one after the other. A step that may be a
-    period of the walls off is listed, too, see `maybe_periods_off`, one far longer than the others,
-    and an unusual one to or from a scan that repeats the one before it, point by point: the sensor
-    did not measure anew. Where a submap continues after scans that
-    are not part of it, the motion is since the last one that is. Without beams, and with odometry,
+    period of the walls off, or was (`maybe_periods_off`), is listed, too, one far longer than the
+    others, and an unusual one to or from a scan that repeats the one before it, point by point: the
+    sensor did not measure anew. Where a submap continues after scans that are not part of it, the
+    motion is since the last one that is. Without beams, and with odometry,
     the walls decide (`PlaneHistory.weak_links`); steps that contradict odometry are listed, too, of
     those that walls measured only if they are as long. From one log to the next there is no step:
     the place of a log in the map is determined by a stretch of it.
     """
     if _have_odometry(links):
         against = _against_odometry(submaps, links)
-        return np.setdiff1d(np.union1d(history.weak_links, against), links.begun)
+        weak_links = np.union1d(history.weak_links, [*against, *links.instead])
+        return np.setdiff1d(weak_links.astype(np.int64), links.begun)
     weak = np.zeros(history.n_iterations, dtype=np.bool_)
     weak[history.weak_links] = True
     free, least = free_directions(history), np.where(weak, CLEARLY, EXCLUDED)

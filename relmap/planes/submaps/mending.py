@@ -22,9 +22,9 @@ backwards may be alone."""
 def periods_off(links: LinkRecord) -> dict[int, Floats]:
     """Return the motions (3,) into some scans that replace links a period off, by scan.
 
-    These differ from the usual step by more than 0.3 m, and it is open for them; see
-    `maybe_periods_off`. Since the links may be right if the robot changes its speed, that of the
-    clear steps must be steady.
+    A link is replaced if it differs from the usual step by more than 0.3 m, and a motion near that
+    is open; see `maybe_periods_off`. Since it may be right if the robot changes its speed, that of
+    the clear steps must be steady.
     """
     tied, scans = _compared(links), links.scans
     if not len(tied):
@@ -39,7 +39,8 @@ def periods_off(links: LinkRecord) -> dict[int, Floats]:
         return {}
     off = np.hypot(*(found.motions[:, 1:] - found.usual_m).T) <= APART_M
     off &= (np.hypot(*steps[:, 1:].T) > REST_M) & ~np.isin(tied, [*links.instead])
-    off[off] = _in_stretches(tied[off]) | (steps[off, 1] < -BACK_M)
+    ahead_m = steps[off, 1:] @ found.usual_m / np.hypot(*found.usual_m)
+    off[off] = _in_stretches(tied[off]) | (ahead_m < -BACK_M)
     motions = inverse(found.motions[off])
     return dict(zip(tied[off].tolist(), motions, strict=True))
 
