@@ -61,7 +61,10 @@ class Mapper(Recorded, Mapped):
         super().__init__(journal, run)
 
     def finish(self) -> None:
-        """Group unmapped landmarks in view, and run the last pass of those that left."""
+        """Group unmapped landmarks in view, and run the last pass of those that left.
+
+        Where walls repeat, all scans may be mapped again, and walls and corners numbered anew.
+        """
         with self._guard.change(), one_thread():
             self._note_call("finish")
             self._finish()

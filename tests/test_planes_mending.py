@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import relmap.planes.remapping
-from relmap.core.arrays import Floats
+from relmap.core.arrays import Floats, Ints
 from relmap.planes import PlaneMapper
 from relmap.planes.linking.registration import PlaneRegistration
 from tests.test_planes_periods import LENGTH_M, driven, judged
@@ -69,14 +69,61 @@ def test_right_steps_of_a_robot_that_changes_its_speed_stay(
     assert not np.isin(scans[wrong], before[~was_wrong]).any()
 
 
-def test_labels_from_before_are_of_walls_of_the_map() -> None:
-    """All scans are mapped again, with other numbers."""
+def test_labels_from_before_are_those_of_most_observations(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """All scans are mapped again, with other numbers: a number may have been of several walls."""
+    before = unmended(STEADY_M, monkeypatch).history.plane
     mapper = driven(STEADY_M)
-    first = np.unique(mapper.history.plane).min()
-    assert first > 0
-    assert np.isin(mapper.landmarks_of(np.arange(first)), mapper.planes.plane).all()
-    known = mapper.landmarks_of(mapper.history.plane)
-    assert np.array_equal(np.unique(known), mapper.planes.plane)
+    assert before.max() < mapper.history.plane.min()
+    now = mapper.landmarks_of(mapper.history.plane)
+    assert np.array_equal(np.unique(now), mapper.planes.plane)
+    for number, label in zip(
+        np.unique(before), mapper.landmarks_of(np.unique(before)), strict=True
+    ):
+        walls, counts = np.unique(now[before == number], return_counts=True)
+        assert counts[walls == label] == counts.max()
+
+
+def replaced(mapper: PlaneMapper) -> Ints:
+    """Return the scans (k,) whose links were replaced."""
+    registration = mapper.engine.association.registration
+    assert isinstance(registration, PlaneRegistration)
+    return np.array([*registration.links.instead], dtype=np.int64)
+
+
+def driven_again(mapper: PlaneMapper, finished_at: int, odometry: list[float] | None) -> None:
+    """Map the scans of a corridor, and finish after `finished_at` of them, and in the end."""
+    walls = driven(STEADY_M)
+    registration = walls.engine.association.registration
+    assert isinstance(registration, PlaneRegistration)
+    for scan in range(walls.n_iterations):
+        own = walls.history.iteration == scan
+        ends, kind = walls.history.ends[own], np.full((own.sum(), 2), "open")
+        beams = registration.links.beams.given(scan).points
+        mapper.update(SimpleNamespace(ends=ends, end_type=kind), beams=beams, odometry=odometry)
+        if scan + 1 == finished_at:
+            mapper.finish()
+    mapper.finish()
+
+
+def test_replaced_steps_stay_listed_if_odometry_follows() -> None:
+    mapper = driven(STEADY_M)
+    scans = replaced(mapper)
+    assert len(scans) >= 5
+    assert np.isin(scans, mapper.weak_links).all()
+    nothing = SimpleNamespace(ends=np.empty((0, 2, 2)), end_type=np.empty((0, 2)))
+    mapper.update(nothing, odometry=[0, 0, 0])
+    mapper.finish()
+    assert np.isin(scans, mapper.weak_links).all()
+
+
+def test_with_odometry_nothing_is_replaced() -> None:
+    """It determines the steps; and it would be lost if all scans were mapped again."""
+    mapper = PlaneMapper()
+    driven_again(mapper, 0, [1.15, 0.0, 0.0])
+    assert not len(replaced(mapper))
+    assert len(mapper.engine.motions)
 
 
 def test_finishing_again_changes_nothing_and_the_state_is_saved(tmp_path: Path) -> None:
@@ -94,19 +141,8 @@ def test_finishing_again_changes_nothing_and_the_state_is_saved(tmp_path: Path) 
 
 def test_a_journal_is_resumed_in_the_middle(tmp_path: Path) -> None:
     """Labels go on from those of the scans that were mapped again."""
-    walls = driven(STEADY_M)
-    registration = walls.engine.association.registration
-    assert isinstance(registration, PlaneRegistration)
-    given = registration.links.beams.given
     mapper = PlaneMapper(journal=tmp_path / "run.sqlite")
-    for scan in range(walls.n_iterations):
-        own = walls.history.iteration == scan
-        ends, kind = walls.history.ends[own], np.full((own.sum(), 2), "open")
-        planes = SimpleNamespace(ends=ends, end_type=kind)
-        mapper.update(planes, beams=given(scan).points)
-        if scan == walls.n_iterations - 3:
-            mapper.finish()
-    mapper.finish()
+    driven_again(mapper, len(STEADY_M) - 2, None)
     mapper.flush()
     resumed = PlaneMapper.resume(tmp_path / "run.sqlite")
     resumed.finish()

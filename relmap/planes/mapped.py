@@ -172,7 +172,8 @@ class MappedWalls(Mapper):
     def weak_links(self) -> Ints:
         """Iterations (k,) whose motion since the previous one is not fully determined.
 
-        By the beams of a laser: they do not exclude a motion 0.3 m off. With odometry, or without
+        By the beams of a laser: they do not exclude a motion 0.3 m off, or it is the usual one
+        instead of one a period of the walls off. With odometry, or without
         beams, by the walls: the scans share neither two crossing walls nor a corner.
         """
         state = self._state

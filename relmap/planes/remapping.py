@@ -19,7 +19,7 @@ MENDED = 2
 
 
 class RemappingMapper(LocatingMapper):
-    """The part of `PlaneMapper` that connects the engine with the links between scans."""
+    """The part of `PlaneMapper` that maps scans, again if links are a period of the walls off."""
 
     def _model(self) -> WallModel:
         self._planes = PlaneRegistration(self.config.max_missed, self.config.bridge_m)

@@ -101,8 +101,8 @@ class Mapped3d(Recorded):
         """The iterations whose position is poorly determined, and the direction.
 
         The direction (3,), sensor frame, is one in which the planes of the scan did not determine
-        the position well, so that constant motion may have been assumed; or, after `finish` or
-        `refine`, one in which the step from the scan before is uncertain.
+        the position well, so that constant motion may have been assumed, or edges used; or, after
+        `finish` or `refine`, one in which the step from the scan before is uncertain.
         """
         self._guard.check()
         found = [part.unsure | part.weak for part in self._submaps]

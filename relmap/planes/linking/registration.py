@@ -115,11 +115,13 @@ class PlaneRegistration(Registration):
     def follow(self, old: PlaneRegistration, store: ObservationStore) -> None:
         """Record what the numbers of another registration, with its store, of the same scans are.
 
-        A number that was of several walls is that of the first.
+        A number that was of several walls is that of most of its observations.
         """
-        walls, first = np.unique(store.column("wall"), return_index=True)
+        both = np.column_stack([store.column("wall"), self.links.store.column("wall")])
+        both, counts = np.unique(both, axis=0, return_counts=True)
+        was, now = both[np.argsort(counts, kind="stable")].T
         self.now_of = np.arange(old.n_planes)
-        self.now_of[walls] = self.links.store.column("wall")[first]
+        self.now_of[was] = now
         self.now_of = self.now_of[old.now(np.arange(old.n_planes))]
 
     def now(self, walls: Ints) -> Ints:
