@@ -22,14 +22,16 @@ EXACT = 1e-9
 
 
 @helper
-def _is_doubtful(deviation: Floats, mean: Floats, counts: Floats, seen: Bools) -> bool:
-    """Return whether the largest deviation (n, k, d) is larger than noise explains.
+def _errors(
+    deviation: Floats, mean: Floats, counts: Floats, seen: Bools
+) -> tuple[Floats, Floats, float]:
+    """Return the squared errors of observations (n, k), and those (l,) from which noise is known.
 
-    Of landmarks seen twice or more, as errors: that of one of two observations is twice its
-    deviation from their mean, in squares.
+    Of landmarks seen twice or more: the error of one of two observations is twice its deviation
+    (n, k, d) from their mean, in squares. Also returns what of a square is rounding.
     """
     n, k, d = deviation.shape
-    listed, count, largest, extent = np.empty(n * k), 0, 0.0, 0.0
+    squares, listed, count, extent = np.zeros((n, k)), np.empty(n * k), 0, 0.0
     for i in range(n):
         square = 0.0
         for a in range(d):
@@ -37,16 +39,22 @@ def _is_doubtful(deviation: Floats, mean: Floats, counts: Floats, seen: Bools) -
         extent = max(extent, square)
         for m in range(k):
             if seen[i, m] and counts[i] > 1:
-                square = 0.0
                 for a in range(d):
-                    square += deviation[i, m, a] ** 2 / (1 - 1 / counts[i])
-                largest = max(largest, square)
-                listed[count], count = square, count + 1
-    if count == 0:
+                    squares[i, m] += deviation[i, m, a] ** 2 / (1 - 1 / counts[i])
+                listed[count] = squares[i, m]
+                count += 1
+    return squares, listed[:count], EXACT**2 * extent
+
+
+@helper
+def _is_doubtful(deviation: Floats, mean: Floats, counts: Floats, seen: Bools) -> bool:
+    """Return whether the largest deviation (n, k, d) is larger than noise explains."""
+    squares, listed, rounding = _errors(deviation, mean, counts, seen)
+    if len(listed) == 0:
         return False
-    # The largest of `count` errors in the plane is beyond this once in `RARE` segments.
-    limit = median(listed[:count]) * np.log(RARE * count) / np.log(2)
-    return bool(largest > max(limit, EXACT**2 * extent))
+    # The largest of so many errors in the plane is beyond this once in `RARE` segments.
+    limit = median(listed) * np.log(RARE * len(listed)) / np.log(2)
+    return bool(squares.max() > max(limit, rounding))
 
 
 @helper
@@ -112,22 +120,11 @@ def _trim(deviation: Floats, mean: Floats, counts: Floats, seen: Bools) -> bool:
 
     Only the worst, because the others may deviate because of it.
     """
-    n, k, d = deviation.shape
-    squares, listed, n_listed, extent = np.zeros((n, k)), np.empty(n * k), 0, 0.0
-    for i in range(n):
-        square = 0.0
-        for a in range(d):
-            square += mean[i, a] * mean[i, a]
-        extent = max(extent, square)
-        for m in range(k):
-            if seen[i, m] and counts[i] > 1:
-                for a in range(d):
-                    squares[i, m] += deviation[i, m, a] ** 2 / (1 - 1 / counts[i])
-                listed[n_listed] = squares[i, m]
-                n_listed += 1
-    if n_listed == 0:
+    n, k, _ = deviation.shape
+    squares, listed, rounding = _errors(deviation, mean, counts, seen)
+    if len(listed) == 0:
         return False
-    limit, found = max(OUTLIER**2 * median(listed[:n_listed]), EXACT**2 * extent), False
+    limit, found = max(OUTLIER**2 * median(listed), rounding), False
     for m in range(k):
         worst = 0
         for i in range(n):
