@@ -113,8 +113,9 @@ class ScanLinks(LinkRecord):
             firm = not self._at_rest
             context = recent, expected, firm, every, self._varies_m
             search = Search(tracks, seen, beams, views, *context)
-            instead = self.instead.get(len(self))
+            instead = self.instead.pop(len(self), None)
             if instead is not None and (near := search.near(instead)):
+                self.instead[len(self)] = instead
                 return near
             judged = search.found()
             return judged if judged and self._confirmed(judged, seen, beams, views, firm) else None

@@ -7,7 +7,13 @@ import numpy as np
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.planes.linking.link_record import LinkRecord
 from relmap.planes.motions import inverse
-from relmap.planes.submaps.periods import APART_M, BACK_M, usual_instead
+from relmap.planes.submaps.periods import (
+    APART_M,
+    BACK_M,
+    clear_steps,
+    usual_instead,
+    usual_of,
+)
 
 REST_M = 0.03
 """A robot at rest seems to move by less."""
@@ -30,19 +36,26 @@ def periods_off(links: LinkRecord) -> dict[int, Floats]:
     if not len(tied):
         return {}
     steps = inverse(links.motions[tied])
-    found = usual_instead(scans, tied - 1, tied, steps)
-    if found is None or np.hypot(*found.usual_m) <= APART_M:
+    clear_m = clear_steps(scans, tied - 1, tied, steps)
+    if not _is_steady(clear_m):
         return {}
-    moving = np.hypot(*found.clear_m.T) > REST_M
-    steady = moving & (np.hypot(*(found.clear_m - found.usual_m).T) < APART_M)
-    if steady.sum() < max(LEAST, SHARE * moving.sum()):
-        return {}
-    off = np.hypot(*(found.motions[:, 1:] - found.usual_m).T) <= APART_M
+    usual_m = usual_of(clear_m)
+    motions = usual_instead(scans, tied - 1, tied, steps, usual_m)
+    off = np.hypot(*(motions[:, 1:] - usual_m).T) <= APART_M
     off &= (np.hypot(*steps[:, 1:].T) > REST_M) & ~np.isin(tied, [*links.instead])
-    ahead_m = steps[off, 1:] @ found.usual_m / np.hypot(*found.usual_m)
+    ahead_m = steps[off, 1:] @ usual_m / np.hypot(*usual_m)
     off[off] = _in_stretches(tied[off]) | (ahead_m < -BACK_M)
-    motions = inverse(found.motions[off])
-    return dict(zip(tied[off].tolist(), motions, strict=True))
+    return dict(zip(tied[off].tolist(), inverse(motions[off]), strict=True))
+
+
+def _is_steady(clear_m: Floats) -> bool:
+    """Return whether most clear translations (c, 2) of a moving robot are alike, and long."""
+    if len(clear_m) < LEAST:
+        return False
+    usual_m, moving = usual_of(clear_m), np.hypot(*clear_m.T) > REST_M
+    steady = moving & (np.hypot(*(clear_m - usual_m).T) < APART_M)
+    is_long = bool(np.hypot(*usual_m) > APART_M)
+    return is_long and bool(steady.sum() >= max(LEAST, SHARE * moving.sum()))
 
 
 def _compared(links: LinkRecord) -> Ints:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -38,41 +37,44 @@ def maybe_periods_off(scans: Scans, before: Ints, after: Ints, steps: Floats) ->
     points agree, and which hardly any contradict. If no step is without such a rival, those that
     lead backwards may be others that lead ahead.
     """
-    found = usual_instead(scans, before, after, steps)
-    if found is not None:
-        return np.isfinite(found.motions[:, 0])
+    clear_m = clear_steps(scans, before, after, steps)
+    if len(clear_m):
+        motions = usual_instead(scans, before, after, steps, usual_of(clear_m))
+        return np.isfinite(motions[:, 0])
     pairs = zip(before.tolist(), after.tolist(), steps, strict=True)
     return np.array([_may_lead_ahead(scans, *pair) for pair in pairs], dtype=np.bool_)
 
 
-class Instead(NamedTuple):
-    """What steps may be instead.
+def clear_steps(scans: Scans, before: Ints, after: Ints, steps: Floats) -> Floats:
+    """Return the translations (c, 2), by scan, of those of some steps (k, 3) that are clear.
 
-    `motions` (k, 3): near the usual step; NaN for most; `clear_m` (c, 2): translations of the steps
-    without rivals, by scan; `usual_m` (2,): the usual one of these.
+    No other motion that walls imply may replace them. About a hundred are examined.
     """
+    some = slice(None, None, 1 + len(steps) // SOME)
+    pairs = [*zip(before[some].tolist(), after[some].tolist(), steps[some], strict=True)]
+    each_m = (steps / (after - before)[:, None])[some, 1:]
+    return np.asarray(each_m[_clear(scans, pairs)])
 
-    motions: Floats
-    clear_m: Floats
-    usual_m: Floats
+
+def usual_of(clear_m: Floats) -> Floats:
+    """Return the usual one (2,) of clear translations (c, 2)."""
+    way_m = np.hypot(*clear_m.T)
+    return np.asarray(np.median(clear_m[way_m >= np.median(way_m)], axis=0))
 
 
-def usual_instead(scans: Scans, before: Ints, after: Ints, steps: Floats) -> Instead | None:
-    """Return what steps (k, 3) may be instead, see `maybe_periods_off`; None if none is clear."""
-    gap, every = (after - before)[:, None], 1 + len(steps) // SOME
-    pairs = [*zip(before.tolist(), after.tolist(), steps, strict=True)]
-    clear = _clear(scans, pairs[::every])
-    if not clear.any():
-        return None
-    each_m = (steps / gap)[::every][clear, 1:]
-    way_m = np.hypot(*each_m.T)
-    usual_m = np.median(each_m[way_m >= np.median(way_m)], axis=0)
-    motions = np.full(steps.shape, np.nan)
-    for k in np.flatnonzero(np.hypot(*(steps[:, 1:] - gap * usual_m).T) > APART_M).tolist():
-        earlier, later = (scans.beams_of(i) for i in pairs[k][:2])
-        found = _climbed_to(steps[k], gap[k] * usual_m, earlier, later)
+def usual_instead(
+    scans: Scans, before: Ints, after: Ints, steps: Floats, usual_m: Floats
+) -> Floats:
+    """Return open motions (k, 3) near the usual one, (2,) by scan, instead of steps (k, 3).
+
+    NaN for steps that are usual themselves, and where there is none; see `maybe_periods_off`.
+    """
+    motions, there_m = np.full(steps.shape, np.nan), (after - before)[:, None] * usual_m
+    for k in np.flatnonzero(np.hypot(*(steps[:, 1:] - there_m).T) > APART_M).tolist():
+        earlier, later = (scans.beams_of(i) for i in (int(before[k]), int(after[k])))
+        found = _climbed_to(steps[k], there_m[k], earlier, later)
         motions[k] = np.nan if found is None else found
-    return Instead(motions, each_m, usual_m)
+    return motions
 
 
 def _climbed_to(step: Floats, usual_m: Floats, earlier: Beams, later: Beams) -> Floats | None:
