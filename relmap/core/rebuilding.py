@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.gaps import is_bridged
-from relmap.core.geometry.robust import EXACT
 from relmap.core.mapper import RelativeMapper
 from relmap.core.refinement.confirming import found_rest, seen_in, without_namesakes
 from relmap.core.refinement.extending import extend_submaps
@@ -74,5 +73,4 @@ def _is_off(engine: RelativeMapper, noise_m: float) -> bool:
     largest = max(engine.refined, key=lambda one: len(one.landmarks), default=None)
     if largest is None:
         return False
-    least_m = EXACT * np.ptp(largest.positions, axis=0).max()
-    return bool(largest.noise_m > max(OFF * noise_m, least_m))
+    return bool(largest.noise_m > OFF * noise_m and not largest.is_exact)

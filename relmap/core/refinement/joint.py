@@ -15,7 +15,7 @@ import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.geometry.alignment import fit_rigid, fixes_rotation, place_each
-from relmap.core.geometry.robust import fit_robust_each
+from relmap.core.geometry.robust import EXACT, fit_robust_each
 from relmap.core.map.pose import trajectory
 from relmap.core.refinement.condensing import LENGTH, SegmentRows
 from relmap.core.refinement.equations import SegmentProblem, SegmentState, segment_problem
@@ -119,6 +119,11 @@ class Refined(Brief):
     def covariances(self) -> Floats:
         """Covariances of the position errors (m, d, d), square metres, computed on first access."""
         return self.spread()
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether all residuals are rounding, which contradicts nothing; covariances are, too."""
+        return bool(self.noise_m <= EXACT * np.ptp(self.positions, axis=0).max())
 
     @property
     def has_joint_covariances(self) -> bool:

@@ -22,7 +22,6 @@ from relmap.core.association.placement import consistent_placements
 from relmap.core.association.reobservation.recognition import BY_CHANCE, CLEAR, SIGMAS
 from relmap.core.association.reobservation.sightings import Sightings
 from relmap.core.association.scale import spacing_of
-from relmap.core.geometry.robust import EXACT
 from relmap.core.refinement.condensing import SegmentRows
 from relmap.core.refinement.joint import Refined
 from relmap.core.scan import TINY
@@ -61,10 +60,9 @@ class Doubled:
 
     def sets(self) -> list[Ints]:
         """Return sets of pairs (k, 2), unlikely by chance, without rival and common landmarks."""
-        exact_m = EXACT * np.ptp(self._at, axis=0).max()
         # Where many landmarks are in view the unknowns are placements.
         has_few = self._refined.has_joint_covariances and self._m >= 2 * FEWEST
-        if not has_few or self._refined.noise_m <= exact_m:
+        if not has_few or self._refined.is_exact:
             return []
         pairs = self._candidates()
         found = [match for of in self._by_segment(pairs) for match in self._compatible(*of)]

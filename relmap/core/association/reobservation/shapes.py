@@ -15,7 +15,6 @@ from scipy.special import chdtri
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association.reobservation.evidence import LOCAL_DRIFT
 from relmap.core.geometry.alignment import fit_rigid
-from relmap.core.geometry.robust import EXACT
 from relmap.core.refinement.joint import Refined
 
 UNLIKELY = 1e-5
@@ -32,7 +31,11 @@ class Shapes:
     """
 
     def __init__(self, refined: Sequence[Refined] = (), drift: float = LOCAL_DRIFT) -> None:
-        self._refined = [one for one in refined if _is_described(one)]
+        self._refined = [
+            one
+            for one in refined
+            if one.converged and one.has_joint_covariances and not one.is_exact
+        ]
         self._variance = drift - LOCAL_DRIFT
 
     def know(self, landmarks: Ints) -> bool:
@@ -68,13 +71,6 @@ class Shapes:
                 more = self._variance * refined.noise_m**2 + LEAST * np.diag(found).mean()
                 return refined.positions[rows], found + more * np.eye(len(found))
         return None
-
-
-def _is_described(refined: Refined) -> bool:
-    """Return whether the covariances describe the errors: they are of noise, not of rounding."""
-    exact_m = EXACT * np.ptp(refined.positions, axis=0).max()
-    has_noise = bool(refined.noise_m > exact_m)
-    return refined.converged and refined.has_joint_covariances and has_noise
 
 
 def _by_motion(points: Floats) -> Floats:

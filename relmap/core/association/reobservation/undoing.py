@@ -15,7 +15,6 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.association.reobservation.sightings import RARELY, Sightings
 from relmap.core.association.scale import spacing_of
 from relmap.core.geometry.alignment import sums_each
-from relmap.core.geometry.robust import EXACT
 from relmap.core.map.leaps import HIGHEST, LOWEST, Gaps, gaps_of, may_have_gaps
 from relmap.core.map.pose import known_poses
 from relmap.core.refinement.condensing import SegmentRows
@@ -56,7 +55,7 @@ def contradicted(
     different sides: a wrong merge deviates by more than is usual.
     """
     segments, merges, d = refined.segments, refined.merges, refined.positions.shape[1]
-    if not len(segments.residual) or _is_exact(refined):
+    if not len(segments.residual) or refined.is_exact:
         return np.empty(0, dtype=np.int64)
     most, usual = usual, min(float(np.median(segments.residual)), usual)
     limit = usual * np.sqrt(chdtri(d, BY_CHANCE / max(len(merges.track), 1)) / d)
@@ -69,11 +68,6 @@ def contradicted(
     tracks = np.union1d(merges.track[off], rows.landmark[within])
     tracks = tracks[np.isin(table.landmark_of[tracks], refined.landmarks)]
     return np.asarray(tracks[table.landmark_of[tracks] != tracks])
-
-
-def _is_exact(refined: Refined) -> bool:
-    """Return whether all residuals of a map are rounding, which contradicts nothing."""
-    return bool(refined.noise_m <= EXACT * np.ptp(refined.positions, axis=0).max())
 
 
 def places_of(table: LandmarkState, rows: SegmentRows, tracks: Ints) -> tuple[Floats, Floats]:
@@ -124,7 +118,7 @@ def nearer_another(
 ) -> Ints:
     """Return the merged tracks (k,) that another landmark of a refined map explains far better."""
     tracks, of = np.unique(refined.merges.track), table.landmark_of
-    if len(refined.landmarks) <= CANDIDATES or not len(tracks) or _is_exact(refined):
+    if len(refined.landmarks) <= CANDIDATES or not len(tracks) or refined.is_exact:
         return np.empty(0, dtype=np.int64)
     placed, enough = _Placed(refined, table, rows), FAR_BETTER * refined.noise_m**2
     tracks = tracks[(placed.misfit[tracks] > 0) & (of[tracks] != tracks)]
