@@ -1,6 +1,7 @@
 """Landmarks that may move with the sensor, and steps that what scans see contradicts.
 
-Points may lead away from a step, or scans see through planes.
+Points may lead away from a step, planes lie beside those of the scan before, or scans see through
+planes.
 """
 
 from __future__ import annotations
@@ -12,7 +13,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.scan import TINY
 from relmap.planes3d.certainty import NEARBY
+from relmap.planes3d.fitting import SYSTEMATIC
 from relmap.planes3d.sights import FEWEST, cells_at, looks
 from relmap.planes3d.submap import Submap
 from relmap.segmentation.space import Patches
@@ -32,6 +35,16 @@ AT_LEAST, REMAINS = 8, 0.5
 is one a step, and the largest fraction of them that goes through at another step."""
 EDGE = 1.8
 """Half the width of a plane, in standard deviations of its points along it."""
+PARALLEL, SLIGHT = np.cos(np.deg2rad(8.0)), 0.04
+"""Least cosine of the normals of planes of two scans that may be one surface, and least extent of
+both, the standard deviation of the points as a fraction of the range."""
+OFF, SAME, ACROSS = (0.0125, 0.1), 0.003, 0.5
+"""How far a plane may be beside that of the scan before, and the distance of planes that are one,
+unless they are less certain, as fractions of the range; and least cosine of the normal of a plane
+and the direction in which it shows a step."""
+AGREE, MORE = 2, 1.25
+"""Number of planes that lie on those of the scan before at another step, and as many times larger
+they are together than those that do at the step of the map."""
 
 
 def quick_step_m(parts: Iterable[Submap]) -> float:
@@ -99,6 +112,60 @@ def is_led_away(part: Submap, k: int, usual: Floats) -> bool:
         if np.linalg.norm(at - way) > far_m and len(near(at, 1.0)[0]) > least:
             return True
     return False
+
+
+def lies_beside(part: Submap, k: int) -> bool:
+    """Return whether planes of scan `k` lie beside those of the scan before, all equally far.
+
+    Of two surfaces of a relief, or of a wall that a wrong step doubled, a scan may be placed on the
+    one that the scan before did not show. The map agrees with both; the two scans do not.
+    """
+    reach_m = min(part.seen[k - 1].reach_m, part.seen[k].reach_m)
+    plane, normal, off_m, sd_m = _counterparts(part, k, SLIGHT * reach_m)
+    size_m, gate_m = _extents(part.seen[k]), np.maximum(2 * sd_m, SAME * reach_m)
+
+    def sizes_at(way_m: float, cosine: Floats) -> Floats:
+        rows = (np.abs(cosine) > ACROSS) & (np.abs(off_m - way_m * cosine) < gate_m)
+        return size_m[np.unique(plane[rows])]
+
+    least_m, most_m = (share * reach_m for share in OFF)
+    beside = (np.abs(off_m) > least_m) & (np.abs(off_m) < most_m) & (sd_m < least_m / 2)
+    for row in np.flatnonzero(beside):
+        cosine = normal @ normal[row]
+        there, here = (sizes_at(way_m, cosine) for way_m in (off_m[row], 0.0))
+        if len(there) >= AGREE and there.sum() > MORE * here.sum():
+            return True
+    return False
+
+
+def _counterparts(part: Submap, k: int, least_m: float) -> tuple[Ints, Floats, Floats, Floats]:
+    """Return planes of scan `k` (c,) that may be planes of the scan before, parallel to them.
+
+    Returns also their normals (c, 3), in the frame of that scan, and how far they are in front of
+    its planes, at the centre of the smaller of both: distances (c,) and standard deviations (c,).
+    `least_m`: extent of both.
+    """
+    (S, s), (R, t) = part.poses[k - 1 : k + 1]
+    before, seen = part.seen[k - 1 : k + 1]
+    own, centre = seen.axes @ (S.T @ R).T, (seen.centre @ R.T + t - s) @ S
+    size_m, other_m = _extents(seen), _extents(before)
+    a, b = np.nonzero(own[:, 2] @ before.normal.T > PARALLEL)
+    rows = np.minimum(size_m[a], other_m[b]) > least_m
+    a, b = a[rows], b[rows]
+    smaller = size_m[a] <= other_m[b]
+    axes = np.where(smaller[:, None, None], before.axes[b], own[a])
+    spread = np.where(smaller[:, None], before.spread[b], seen.spread[a])
+    off = np.einsum("cij,cj->ci", axes, centre[a] - before.centre[b])
+    along = np.abs(off[:, :2]) / np.maximum(spread[:, :2], TINY)
+    noise = np.column_stack([seen.spread[a, 2], before.spread[b, 2], spread[:, 2:] * along])
+    sd_m = SYSTEMATIC * np.linalg.norm(noise, axis=1)
+    on = (along < EDGE).all(axis=1)
+    return a[on], own[a[on], 2], off[on, 2], sd_m[on]
+
+
+def _extents(seen: Patches) -> Floats:
+    """Return the standard deviation (m,) of the points of planes along them, metres."""
+    return np.asarray(np.sqrt(seen.spread[:, :2].prod(axis=1)))
 
 
 def seen_through_steps(part: Submap, large: Bools, rows: Ints, along: Floats) -> Ints:

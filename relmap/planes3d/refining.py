@@ -17,7 +17,7 @@ from relmap.planes3d.certainty import (
 )
 from relmap.planes3d.fitting import OPEN, SYSTEMATIC, directed, distances
 from relmap.planes3d.gathering import gathered
-from relmap.planes3d.misled import comes_along, is_led_away, seen_through_steps
+from relmap.planes3d.misled import comes_along, is_led_away, lies_beside, seen_through_steps
 from relmap.planes3d.sights import BRIEF, is_dynamic, sights_of
 from relmap.planes3d.submap import Submap
 from relmap.planes3d.surfaces import SIDE, Surfaces
@@ -42,6 +42,8 @@ ONE = 2.0
 BENT, COVERED = 0.003, 0.5
 """Added to that distance, as a fraction of the range, because the map may be bent, if this fraction
 of one surface lies at the other: a sensor does not see through either."""
+MOVED = 0.05
+"""Fraction of the range by which joined landmarks move a step at most: drift is shared by many."""
 
 
 def refined(part: Submap, number: int) -> tuple[Submap, dict[int, int]]:
@@ -73,19 +75,37 @@ def _settled(
     `loose`: those of them whose step from the scan before is kept, as nothing else is known.
     """
     names: dict[int, int] = {}
-    gain = ROUGHLY
-    for _ in range(ROUNDS):
-        part = _adjusted(part, free, loose, gain)
-        doubles = _doubles(part)
+    apart: set[tuple[int, int]] = set()
+    part, gain = _adjusted(part, free, loose, ROUGHLY), ROUGHLY
+    for _ in range(ROUNDS - 1):
+        doubles = _doubles(part, apart)
         if not doubles and gain == least_gain:
             break
         gain = ROUGHLY if doubles else least_gain
-        if doubles:
-            part = part.again(part.poses, doubles)
+        joined = part.again(part.poses, doubles) if doubles else part
+        joined = _adjusted(joined, free, loose, gain)
+        misled = _misled(part, joined, doubles)
+        apart |= misled
+        if not misled:
+            part = joined
             names = {old: doubles.get(new, new) for old, new in names.items()} | doubles
     else:
         part = _adjusted(part, free, loose, least_gain)
     return part, names
+
+
+def _misled(part: Submap, joined: Submap, doubles: dict[int, int]) -> set[tuple[int, int]]:
+    """Return those of some joined landmarks that moved a step far, which the other ones contradict.
+
+    They may be different surfaces, or one that the map shows tilted. `joined`: the submap with them
+    joined, adjusted. Those count that the scans of such a step see.
+    """
+    R, t, S, s = (np.array(x) for each in (part, joined) for x in zip(*each.poses, strict=True))
+    way, other = (np.einsum("nji,nj->ni", Q[:-1], np.diff(q, axis=0)) for Q, q in ((R, t), (S, s)))
+    reach_m = np.array([seen.reach_m for seen in part.seen[1:]])
+    rows = np.flatnonzero(np.linalg.norm(way - other, axis=1) > MOVED * reach_m)
+    near = {n for k in rows for row in (k, k + 1) for n in part.number[part.match[row]].tolist()}
+    return {pair for pair in doubles.items() if near & set(pair)}
 
 
 def unsure_steps(part: Submap, is_broken: bool = False, quick_m: float = 0.0) -> dict[int, Floats]:
@@ -95,10 +115,11 @@ def unsure_steps(part: Submap, is_broken: bool = False, quick_m: float = 0.0) ->
     displacement by the rotation at the range, exceeds 1.25 % of the range. So is a step that is
     unsteady in a direction in which a single landmark determines it, unsteady by far, or unlike
     those around it, or turns so, see `relmap.planes3d.certainty`, or if a step near the usual ones
-    explains more points, see `is_led_away`, or if only small landmarks determine it and scans see
-    through large ones, see `seen_through_steps`. Small landmarks that few scans saw do not count:
-    people who walk ahead of the sensor make it seem to stand still. Nor do landmarks of any size
-    that were seen only while it seemed to, see `comes_along`, unless it hardly ever moves.
+    explains more points, see `is_led_away`, or if its planes lie beside those of the scan before,
+    see `lies_beside`, or if only small landmarks determine it and scans see through large ones, see
+    `seen_through_steps`. Small landmarks that few scans saw do not count: people who walk ahead of
+    the sensor make it seem to stand still. Nor do landmarks of any size that were seen only while
+    it seemed to, see `comes_along`, unless it hardly ever moves.
     `is_broken`: whether there are other submaps; then so are all steps of a submap of at most six
     scans, as what broke the run before or after them may have misled them. `quick_m`: see
     `quick_step_m`.
@@ -125,7 +146,7 @@ def unsure_steps(part: Submap, is_broken: bool = False, quick_m: float = 0.0) ->
     unsure[seen_through_steps(part, extent >= LARGE, lost, way[lost, :, 2])] = True
     usual, gap = usual_steps(state.R, state.t, np.array(part.iteration)), np.diff(part.iteration)
     for k in np.flatnonzero(~unsure).tolist():
-        unsure[k] = is_led_away(part, k + 1, gap[k] * usual[k][1:])
+        unsure[k] = lies_beside(part, k + 1) or is_led_away(part, k + 1, gap[k] * usual[k][1:])
     rows = np.flatnonzero(unsure).tolist()
     return {part.iteration[k + 1]: directed(axes[k, :, 2]) for k in rows}
 
@@ -216,8 +237,11 @@ def _kept(part: Submap, state: Scene, loose: dict[int, Floats]) -> Floats:
     return np.asarray(state.t + np.cumsum(moved, axis=0))
 
 
-def _doubles(part: Submap) -> dict[int, int]:
-    """Return landmarks that are one surface with another of lower number, and that number."""
+def _doubles(part: Submap, apart: set[tuple[int, int]]) -> dict[int, int]:
+    """Return landmarks that are one surface with another of lower number, and that number.
+
+    `apart`: pairs that are not, the higher number first.
+    """
     planes = part.all_planes()
     still, origin = np.eye(3), np.zeros(3)
     surfaces, off = Surfaces(planes), distances(still, origin, planes, planes)
@@ -230,10 +254,11 @@ def _doubles(part: Submap) -> dict[int, int]:
     a, b = np.nonzero(one)
     name: dict[int, int] = {}
     for k in np.argsort(off[a, b] / noise[a, b], kind="stable").tolist():
-        pair = sorted((int(part.number[a[k]]), int(part.number[b[k]])))
+        low, high = sorted((int(part.number[a[k]]), int(part.number[b[k]])))
         # Landmarks that others were joined to are compared again before they are joined.
-        if not any(number in name for number in pair) and pair[1] not in name.values():
-            name[pair[1]] = pair[0]
+        known = low in name or high in name or high in name.values()
+        if not known and (high, low) not in apart:
+            name[high] = low
     return name
 
 
