@@ -240,7 +240,7 @@ def _kept(part: Submap, state: Scene, loose: dict[int, Floats]) -> Floats:
 def _doubles(part: Submap, apart: set[tuple[int, int]]) -> dict[int, int]:
     """Return landmarks that are one surface with another of lower number, and that number.
 
-    `apart`: pairs that are not, the higher number first.
+    `apart`: pairs that are left as they are, the higher number first.
     """
     planes = part.all_planes()
     still, origin = np.eye(3), np.zeros(3)
