@@ -10,6 +10,7 @@ from relmap.core.arrays import Floats
 from relmap.simulation.storey import COLUMNS, FOCAL, ROWS, cast_rays
 
 FAR, HIGH = 40.0, 2.6
+PLACES = [0.0, 0.05, 0.2, 0.2, 0.15, 0.25]
 Face = tuple[Floats, Floats, Floats]
 
 
@@ -44,13 +45,31 @@ def mapped(faces: list[Face], places: list[float]) -> Plane3dMapper:
 
 
 def test_a_door_shows_how_far_the_sensor_moved_along_its_wall() -> None:
-    places = [0.0, 0.05, 0.2, 0.2, 0.15, 0.25]
-    mapper = mapped(before_a_wall((-0.5, 0.5)), places)
+    mapper = mapped(before_a_wall((-0.5, 0.5)), PLACES)
     assert len(mapper.submaps) == 1
-    np.testing.assert_allclose(mapper.submaps[0].trajectory[:, 1, 3], places, atol=0.03)
+    np.testing.assert_allclose(mapper.submaps[0].trajectory[:, 1, 3], PLACES, atol=0.03)
     mapper.finish()
     mapper.refine()
-    np.testing.assert_allclose(mapper.trajectory[:, 1, 3], places, atol=0.03)
+    np.testing.assert_allclose(mapper.trajectory[:, 1, 3], PLACES, atol=0.03)
+    # No plane shows it.
+    assert set(mapper.weak_links) == {1, 2, 3, 4, 5}
+
+
+def pieces(at: Floats) -> list[Face]:
+    """Return pieces of 0.1 m in front of a wall, too small to be planes, centred at (n, 3)."""
+    a, b = np.array([0.03, 0.1, 0.0]), np.array([0.03, 0.0, 0.1])
+    return [(each - (a + b) / 2, a, b) for each in at]
+
+
+AT = np.random.default_rng(1).uniform([1.8, -1.0, -0.8], [2.6, 1.2, 0.8], (12, 3))
+
+
+def test_small_objects_show_how_far_the_sensor_moved_along_a_wall() -> None:
+    mapper = mapped([*before_a_wall(), *pieces(AT)], PLACES)
+    assert len(mapper.submaps) == 1
+    assert len(mapper.submaps[0].planes(np.arange(3))) == len(mapper.submaps[0]) == 3
+    np.testing.assert_allclose(mapper.submaps[0].trajectory[:, 1, 3], PLACES, atol=0.03)
+    mapper.finish()
     # No plane shows it.
     assert set(mapper.weak_links) == {1, 2, 3, 4, 5}
 

@@ -1,11 +1,12 @@
 """Edges of surfaces: they show where a scan is in a direction that planes leave open.
 
 Of a wall with a door, floor and ceiling, none shows how far the sensor moved along the wall; the
-door does.
+door does. If it has none, objects too small or too round for planes do.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -31,6 +32,9 @@ FARTHEST, TRIED = 0.1, 8
 ENOUGH, CLEARLY = 8, 0.8
 """Minimum number of edges that agree on a step, and the largest fraction of the votes for it that
 another one may have."""
+LOOSE, BESIDE, FURTHER = 300, 8, 4.0
+"""Number of the points on no plane whose edges are looked for, number of the nearest rays that are
+tried for each, and how many cells farther these must go."""
 Edges = tuple[Floats, Floats, Floats]
 
 
@@ -64,42 +68,77 @@ def edges_of(seen: Patches) -> Edges:
     return points, ways, normals
 
 
+def edges_of_loose(seen: Patches) -> Edges:
+    """Return the edges of what is on no plane: beside a ray that ends there another goes on.
+
+    As of `edges_of`; the normals point to the sensor.
+    """
+    ends = seen.ends.astype(np.float64)
+    rows = np.linspace(0, len(seen.loose) - 1, min(LOOSE, len(seen.loose))).astype(np.int64)
+    loose = seen.loose[rows][seen.loose[rows].any(axis=1)]
+    away_m, range_m = (np.linalg.norm(each, axis=1, keepdims=True) for each in (loose, ends))
+    ray = loose / away_m
+    off, at = map(np.asarray, cKDTree(ends / range_m).query(ray, k=BESIDE))
+    range_m, here_m = np.append(range_m, 0.0)[at], cells_at(seen, away_m)
+    there_m = cells_at(seen, range_m) * away_m / np.maximum(range_m, TINY)
+    near = (off > 0) & (off * away_m < here_m + there_m)
+    one, other = np.nonzero(near & (range_m > away_m + FURTHER * here_m))
+    range_m, there_m = range_m[one, other, None], there_m[one, other, None]
+    way = away_m[one] / range_m * ends[at[one, other]] - loose[one]
+    edge = loose[one] + here_m[one] / (here_m[one] + there_m) * way
+    return edge, way / np.linalg.norm(way, axis=1, keepdims=True), -ray[one]
+
+
 def at_edges(placed: Placed, seen: Patches, part: Submap) -> Placed:
     """Return a placement moved to where the edges that a scan shows were seen before.
 
-    It is moved along the direction that planes leave open, if most edges agree on how far.
+    It is moved along the direction that planes leave open, if most edges of planes agree on how
+    far, or else most of what is on no plane.
     """
     if placed.free is None:
         return placed
-    free, scans = placed.free, zip(part.seen[-BEFORE:], part.poses[-BEFORE:], strict=True)
-    own, way, normal = _across(seen, placed.pose, free)
-    before = [_across(each, pose, free) for each, pose in scans]
-    there, their_way, facing = (np.concatenate(each) for each in zip(*before, strict=True))
-    side = np.concatenate(across(free[None]))
-    beside = cKDTree(own @ side.T).sparse_distance_matrix(
-        cKDTree(there @ side.T), seen.cell_m, output_type="ndarray"
-    )
-    a, b = beside["i"], beside["j"]
-    alike = (way[a] * their_way[b] > 0) & (np.einsum("ni,ni->n", normal[a], facing[b]) > SIDE)
-    a, b = a[alike], b[alike]
-    step_m = _agreed((there[b] - own[a]) @ free, a, FARTHEST * seen.reach_m, seen.cell_m / 2)
-    return placed if step_m is None else replace(placed, t=placed.t + step_m * free)
+    for edges in edges_of, edges_of_loose:
+        step_m = _agreed(*_steps(placed, placed.free, seen, part, edges), seen)
+        if step_m is not None:
+            return replace(placed, t=placed.t + step_m * placed.free)
+    return placed
 
 
-def _across(seen: Patches, pose: Pose, free: Floats) -> Edges:
-    """Return the edges of a scan across a direction, map frame; of their ways the cosines (e,)."""
-    (R, t), (points, ways, normals) = pose, edges_of(seen)
+def _steps(
+    placed: Placed, free: Floats, seen: Patches, part: Submap, edges: Callable[[Patches], Edges]
+) -> tuple[Floats, Ints]:
+    """Return the steps (n,) along a direction that lead from edges of a scan to those before.
+
+    With the edge (n,) of the scan that each starts from.
+    """
+    own, way, normal = _across(edges(seen), placed.pose, free)
+    side, found = np.concatenate(across(free[None])), []
+    for each, pose in zip(part.seen[-BEFORE:], part.poses[-BEFORE:], strict=True):
+        there, their_way, facing = _across(edges(each), pose, free)
+        beside = cKDTree(own @ side.T).sparse_distance_matrix(
+            cKDTree(there @ side.T), seen.cell_m, output_type="ndarray"
+        )
+        a, b = beside["i"], beside["j"]
+        alike = (way[a] * their_way[b] > 0) & (np.einsum("ni,ni->n", normal[a], facing[b]) > SIDE)
+        found.append((((there[b] - own[a]) @ free)[alike], a[alike]))
+    steps_m, edge = (np.concatenate(each) for each in zip(*found, strict=True))
+    return steps_m, edge
+
+
+def _across(edges: Edges, pose: Pose, free: Floats) -> Edges:
+    """Return those of some edges across a direction, map frame; of their ways the cosines (e,)."""
+    (R, t), (points, ways, normals) = pose, edges
     along = ways @ R.T @ free
     rows = np.abs(along) > CROSSING
     return points[rows] @ R.T + t, along[rows], normals[rows] @ R.T
 
 
-def _agreed(steps_m: Floats, edge: Ints, far_m: float, near_m: float) -> float | None:
+def _agreed(steps_m: Floats, edge: Ints, seen: Patches) -> float | None:
     """Return the step that most of some steps (n,) are near; None if few are, or another has many.
 
-    `edge` (n,): the edge of the scan that implies each; `far_m`, `near_m`: longest step, and
-    standard deviation of a step.
+    `edge` (n,): the edge of the scan that implies each. A step is as accurate as half a cell.
     """
+    far_m, near_m = FARTHEST * seen.reach_m, seen.cell_m / 2
     tried = np.linspace(-far_m, far_m, 2 * int(TRIED * far_m / near_m) + 1)
     votes = np.exp(-(((steps_m - tried[:, None]) / near_m) ** 2) / 2).sum(axis=1)
     best = int(votes.argmax())
