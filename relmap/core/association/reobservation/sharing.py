@@ -22,11 +22,13 @@ from relmap.core.association.base import median_apart
 from relmap.core.association.placement import Placement, consistent_placements
 from relmap.core.association.registering import BLIND
 from relmap.core.association.reobservation.few import FEWEST, RARE, log_volume
-from relmap.core.association.reobservation.recognition import BY_CHANCE, CLEAR, SIGMAS, triangles
+from relmap.core.association.reobservation.recognition import CLEAR, SIGMAS, triangles
 from relmap.core.association.reobservation.shapes import compared
 from relmap.core.map.pose import LOOSE_RAD
 from relmap.core.scan import TINY
 
+SURE = 1e-5
+"""Accepted expected number of random sets: of places that look alike, some pass a higher limit."""
 SETS = 12
 """Number of sets of pairs that are compared, the largest first."""
 NEAR_PAIRS, MOST_PAIRS = 1500, 500
@@ -213,7 +215,7 @@ class FewShared:
             if shared is not None and (crossing is None or crossing.allows(shared.placement)):
                 found.append((shared.log_chance, len(found), shared, rows))
         found.sort(key=lambda one: one[:2])
-        if not found or found[0][0] > math.log(BY_CHANCE):
+        if not found or found[0][0] > math.log(SURE):
             return None
         if len(found) > 1 and found[1][0] <= CLEAR * found[0][0]:
             return None
