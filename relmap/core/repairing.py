@@ -21,6 +21,7 @@ from relmap.core.association.reobservation.undoing import (
     places_of,
 )
 from relmap.core.association.scale import spacing_of
+from relmap.core.connecting import connect
 from relmap.core.gaps import is_bridged
 from relmap.core.map.leaps import gaps_of
 from relmap.core.map.pose import known_poses
@@ -119,7 +120,7 @@ def _repair(engine: RelativeMapper) -> None:
         before = extent(engine)[0]
         found, (after, mapped) = _look_over(engine), extent(engine)
         is_settled = not found or (k > 1 and before - after <= FEW * mapped)
-        if is_settled and not _merge_doubled(engine):
+        if is_settled and not _merge_doubled(engine) and not _connect(engine):
             break
     undone = _undo(engine)
     if is_bridged(engine):
@@ -200,6 +201,14 @@ def _merge_doubled(engine: RelativeMapper) -> bool:
     if merged:
         refine_map(engine, to_the_last=False)
     return merged > 0
+
+
+def _connect(engine: RelativeMapper) -> bool:
+    """Connect parts that share few landmarks and refine; return whether there were any."""
+    found = not is_bridged(engine) and connect(engine)
+    if found:
+        refine_map(engine, to_the_last=False)
+    return found
 
 
 def _undo(engine: RelativeMapper) -> int:

@@ -28,7 +28,9 @@ from relmap.core.scan import TINY
 from relmap.core.state.table import NONE, LandmarkState
 
 FEWEST = 3
-"""Landmarks that close a loop; in the plane their motion leaves three of six coordinates."""
+"""Landmarks that tie parts; in the plane their motion leaves three of six coordinates."""
+PAIR = 2
+"""Landmarks that close a loop within a submap, whose covariance bounds the motion, too."""
 SPACINGS = 2.0
 """Largest distance of landmarks that may be one, in spacings: rivals along a pattern are nearer."""
 RARE = 1e-3
@@ -56,7 +58,7 @@ class Doubled:
         sd_m = np.sqrt(np.trace(refined.covariances, axis1=1, axis2=2))
         self._reach_m = SIGMAS * np.where(np.isfinite(sd_m), sd_m, 0.0)
         spacing_m = max(median_apart(cKDTree(self._at)), TINY)
-        self._log_density = math.log(math.log(2)) - _log_volume(self._d, spacing_m)
+        self._log_density = math.log(math.log(2)) - log_volume(self._d, spacing_m)
 
     def sets(self) -> list[Ints]:
         """Return sets of pairs (k, 2), unlikely by chance, without rival and common landmarks."""
@@ -64,8 +66,10 @@ class Doubled:
         has_few = self._refined.has_joint_covariances and self._m >= 2 * FEWEST
         if not has_few or self._refined.is_exact:
             return []
-        pairs = self._candidates()
-        found = [match for of in self._by_segment(pairs) for match in self._compatible(*of)]
+        pairs, log_share = self._candidates()
+        found = [
+            match for of in self._by_segment(pairs) for match in self._compatible(*of, log_share)
+        ]
         chosen, taken = [], np.zeros(self._m, dtype=bool)
         for _, rows in sorted(found, key=lambda match: match[0]):
             if not taken[rows].any():
@@ -73,14 +77,18 @@ class Doubled:
                 chosen.append(self._refined.landmarks[rows])
         return chosen
 
-    def _candidates(self) -> Ints:
-        """Return pairs (p, 2) of rows within the drift that no scan shows together, both ways."""
+    def _candidates(self) -> tuple[Ints, float]:
+        """Return pairs (p, 2) of rows within the drift that no scan shows together, both ways.
+
+        Also the log of the share of the landmarks near each other that no scan shows together.
+        """
         most_m = SPACINGS * spacing_of(self._at)
-        pairs = cKDTree(self._at).query_pairs(most_m, output_type="ndarray").reshape(-1, 2)
+        every = cKDTree(self._at).query_pairs(most_m, output_type="ndarray").reshape(-1, 2)
+        pairs = self._number[self._sightings.apart(self._refined.landmarks[every])]
+        log_share = math.log((1 + len(pairs)) / (1 + len(every)))
         apart = np.linalg.norm(self._at[pairs[:, 0]] - self._at[pairs[:, 1]], axis=1)
         pairs = pairs[apart <= self._reach_m[pairs].sum(axis=1)]
-        pairs = self._number[self._sightings.apart(self._refined.landmarks[pairs])]
-        return np.concatenate([pairs, pairs[:, ::-1]])
+        return np.concatenate([pairs, pairs[:, ::-1]]), log_share
 
     def _by_segment(self, pairs: Ints) -> Iterator[tuple[int, Ints]]:
         """Yield for segments how many landmarks they show, and the pairs (k, 2) of these.
@@ -96,15 +104,16 @@ class Doubled:
         for k in range(self._rows.n_segments):
             shown = np.unique(row[first[k] : first[k + 1]])
             paired = shown[begin[shown + 1] > begin[shown]]
-            if len(paired) >= FEWEST and paired.tobytes() not in had:
+            if len(paired) >= PAIR and paired.tobytes() not in had:
                 had.add(paired.tobytes())
                 of = [np.arange(begin[one], begin[one + 1]) for one in paired.tolist()]
                 yield len(shown), pairs[np.concatenate(of)]
 
-    def _compatible(self, n: int, pairs: Ints) -> Iterator[tuple[float, Ints]]:
+    def _compatible(self, n: int, pairs: Ints, log_share: float) -> Iterator[tuple[float, Ints]]:
         """Yield the largest compatible set among pairs (k, 2) of n landmarks seen together.
 
-        With the log of the chance of as many random ones.
+        With the log of the chance of as many random ones, which `log_share` of are never seen
+        together: once, as those of one set are hidden together.
         """
         off, noise_m = self._at[pairs[:, 0]] - self._at[pairs[:, 1]], self._refined.noise_m
         spread = differences(self._refined, pairs) + LEAST * noise_m**2 * np.eye(off.size)
@@ -115,12 +124,13 @@ class Doubled:
         pairs, off, each = pairs[kept], off[kept], each[kept]
 
         def log_chance(of: Ints) -> float:
-            return self._log_chance(n, off[of], spread[np.ix_(*2 * (each[of].ravel(),))])
+            own = spread[np.ix_(*2 * (each[of].ravel(),))]
+            return log_share + self._log_chance(n, off[of], own)
 
         found: list[tuple[int, float, Ints]] = []
         tolerance_m = SIGMAS * noise_m
         for placement, matches in consistent_placements(self._at, self._at, pairs, tolerance_m):
-            if len(matches) < FEWEST or len(found) == SETS:
+            if len(matches) < PAIR or len(found) == SETS:
                 break
             here, there = (self._at[of] for of in pairs.T)
             apart_m = np.linalg.norm(placement.apply(here) - there, axis=1)
@@ -128,8 +138,9 @@ class Doubled:
             if chance < np.inf:
                 found.append((-len(of), chance, pairs[of]))
         found.sort(key=lambda one: one[0])
-        n_rival = -found[1][0] if len(found) > 1 else 0
-        if found and found[0][1] <= math.log(BY_CHANCE) and n_rival <= CLEAR * -found[0][0]:
+        n_rival, n_best = (-found[k][0] if len(found) > k else 0 for k in (1, 0))
+        is_clear = n_rival < min(FEWEST, n_best) or n_rival <= CLEAR * n_best
+        if found and found[0][1] <= math.log(BY_CHANCE) and is_clear:
             yield found[0][1:]
 
     def _log_chance(self, n: int, off: Floats, spread: Floats) -> float:
@@ -142,7 +153,7 @@ class Doubled:
             return np.inf
         k = len(off)
         ways = gammaln(n + 1) - gammaln(k + 1) - gammaln(n - k + 1)
-        volume = _log_volume(off.size, math.sqrt(max(square, off.size)))
+        volume = log_volume(off.size, math.sqrt(max(square, off.size)))
         volume += np.linalg.slogdet(spread)[1] / 2
         return float(math.log(self._rows.n_segments) + ways + volume + k * self._log_density)
 
@@ -169,13 +180,13 @@ def _likeliest(
         if not taken.isdisjoint(pairs[row].tolist()):
             continue
         of = np.array([*chosen, row])
-        chance = log_chance(of) if len(of) >= FEWEST else np.inf
-        if len(of) <= FEWEST or chance < least:
+        chance = log_chance(of) if len(of) >= PAIR else np.inf
+        if len(of) <= PAIR or chance < least:
             chosen, least = of.tolist(), chance
             taken.update(pairs[row].tolist())
     return least, np.sort(np.array(chosen, dtype=np.int64))
 
 
-def _log_volume(n: int, radius: float) -> float:
+def log_volume(n: int, radius: float) -> float:
     """Return the log of the volume of a ball in n dimensions."""
     return float(n / 2 * math.log(math.pi) - gammaln(n / 2 + 1) + n * math.log(radius))

@@ -62,7 +62,7 @@ class PlaceFinder:
         self._positions = positions
         self._among: Bools | None = None
         self._n_tried = 0
-        self._corners, sides = _triangles(positions)
+        self._corners, sides = triangles(positions)
         self._sides = cKDTree(sides) if len(sides) else None
         if self._sides is not None:
             self._tree = cKDTree(positions)
@@ -205,7 +205,7 @@ class PlaceFinder:
 
     def _hypotheses(self, points: Floats, needed: float) -> tuple[Floats, Floats]:
         """Return rotations (h, d, d) and translations (h, d) of the scan, best first."""
-        corners, sides = _triangles(points)
+        corners, sides = triangles(points)
         if self._sides is None or not len(sides):
             d = points.shape[1]
             return np.empty((0, d, d)), np.empty((0, d))
@@ -263,7 +263,7 @@ def _spacing_of(tree: cKDTree, positions: Floats) -> float:
     return float(max(np.median(first), np.quantile(second, 0.25) / PAIR_RATIO))
 
 
-def _triangles(positions: Floats) -> tuple[Ints, Floats]:
+def triangles(positions: Floats) -> tuple[Ints, Floats]:
     """Return triangles of neighbours as corners (k, 3), and their sides (k, 3), in metres.
 
     Sides are in ascending order, and each corner has the index of the opposite side.

@@ -1,0 +1,329 @@
+"""Few landmarks that two parts of a map share, by covariances and by the robot's way.
+
+Three or four landmarks do not identify a place by matching within a tolerance. But refined submaps
+know their shapes far better than that, and where the robot goes from one part into another it moves
+no farther than usual. The volume of what is compatible with both gives the expected number of sets
+of random landmarks that would be.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import islice
+
+import numpy as np
+from scipy.spatial import Delaunay, QhullError, cKDTree
+from scipy.special import chdtri, gammaln
+
+from relmap.core.arrays import Floats, Ints
+from relmap.core.association.base import median_apart
+from relmap.core.association.placement import Placement, consistent_placements
+from relmap.core.association.registering import BLIND
+from relmap.core.association.reobservation.few import FEWEST, RARE, log_volume
+from relmap.core.association.reobservation.recognition import CLEAR, SIGMAS, triangles
+from relmap.core.association.reobservation.shapes import compared
+from relmap.core.map.pose import LOOSE_RAD
+from relmap.core.scan import TINY
+
+SURE = 1e-5
+"""Accepted expected number of random sets: of places that look alike, some pass a higher limit."""
+SETS = 12
+"""Number of sets of pairs that are compared, the largest first."""
+NEAR_PAIRS, MOST_PAIRS = 1500, 500
+"""Number of pairs above which sets are not searched, where the robot goes from one part into the
+other, and anywhere: there may be hundreds of submaps."""
+WIDER, REGULAR = 4.0, 3.0
+"""Wider tolerance of the sides of triangles, relative to that within which they are alike; and how
+many times as many as in random worlds are alike where patterns repeat."""
+MISSED = 1
+"""Landmarks of either part that may lie among the common ones and are missed by the other: places
+that look alike differ in some; parts that are seen from all sides may miss one."""
+USUAL, SPEED = 0.95, 2.0
+"""Fraction of the way that the robot covers in steps no longer than the usual one; and its speed
+between two parts at most, relative to that."""
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Some landmarks (m,) that were solved for together.
+
+    `positions` (m, d), metres; `covariance`: returns that of rows (k,), (k d, k d); `noise_m`:
+    standard deviation of an observed coordinate; the robot's way: `iterations` (p,), ascending,
+    `places` (p, d), metres, and `turns` (p, d, d).
+    """
+
+    landmarks: Ints
+    positions: Floats
+    covariance: Callable[[Ints], Floats]
+    noise_m: float
+    iterations: Ints
+    places: Floats
+    turns: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class _Crossing:
+    """Where the robot goes from one part into another: rows (c,) of its way, and its reach."""
+
+    part: Part
+    other: Part
+    here: Ints
+    there: Ints
+    reach_m: float
+    reach_rad: float
+
+    @property
+    def log_volume(self) -> float:
+        """Log of the volume of the robot's possible motions, in metres and radians."""
+        d = self.part.positions.shape[1]
+        turns = log_volume(2 * d - 3, self.reach_rad)
+        return log_volume(d, self.reach_m) + min(turns, _log_turns(d))
+
+    def within_reach(self, pairs: Ints) -> Ints:
+        """Return those pairs (p, 2) of rows of landmarks that may be the same."""
+        here, there = (
+            np.linalg.norm(of.positions[:, None] - of.places[rows], axis=2)
+            for of, rows in ((self.part, self.here), (self.other, self.there))
+        )
+        off = np.abs(here[pairs[:, 0]] - there[pairs[:, 1]])
+        return np.asarray(pairs[(off <= self.reach_m).all(axis=1)])
+
+    def allows(self, placement: Placement) -> bool:
+        """Return whether a placement leaves the robot within its reach."""
+        apart = placement.apply(self.part.places[self.here]) - self.other.places[self.there]
+        turned = _angles(placement.R @ self.part.turns[self.here], self.other.turns[self.there])
+        near = np.linalg.norm(apart, axis=1).max() <= self.reach_m
+        return bool(near and turned.max() <= self.reach_rad)
+
+
+@dataclass(frozen=True, eq=False)
+class Shared:
+    """Landmarks of two parts that are the same.
+
+    `log_chance`: log of the expected number of random ones; `placement`: of the one part in the
+    other; `pairs` (k, 2): landmarks of both.
+    """
+
+    log_chance: float
+    placement: Placement
+    pairs: Ints
+
+    def is_rivalled(self, other: Shared) -> bool:
+        """Return whether some of the landmarks are nearly as surely the same as yet others.
+
+        Of places that look alike, a third one may be the right one.
+        """
+        common = np.isin(self.pairs, other.pairs).any()
+        return other is not self and bool(common) and other.log_chance <= CLEAR * self.log_chance
+
+
+class FewShared:
+    """Finds few landmarks that parts of a map share.
+
+    `submaps`: refined ones; `strays`: unmatched scans, each a part.
+    """
+
+    def __init__(self, submaps: Sequence[Part], strays: Sequence[Part]) -> None:
+        self._submaps = sorted(submaps, key=lambda part: len(part.landmarks))
+        self._strays = strays
+        self._step_m, self._step_rad = _usual_steps(submaps)
+        self._n = sum(len(part.landmarks) for part in submaps)
+        n = len(submaps)
+        self._log_searches = math.log(max(n * (n - 1) / 2 + len(strays), 1))
+
+    def ties(self) -> list[Shared]:
+        """Return what submaps and larger ones share; each submap occurs once."""
+        every = []
+        for k, part in enumerate(self._submaps):
+            for other in self._submaps[k + 1 :]:
+                shared = self._near(part, other) or self._anywhere(part, other)
+                if shared is not None:
+                    every.append((shared.log_chance, k, shared, {id(part), id(other)}))
+        chosen, had = [], set[int]()
+        for _, _, shared, both in sorted(every, key=lambda one: one[:2]):
+            if had.isdisjoint(both) and not any(shared.is_rivalled(one[2]) for one in every):
+                chosen.append(shared)
+            had |= both
+        return chosen
+
+    def matches(self) -> list[Ints]:
+        """Return pairs (k, 2) of landmarks of unmatched scans and of submaps nearby."""
+        found = []
+        for stray in self._strays:
+            each = [self._near(stray, submap) for submap in self._submaps]
+            shared = [one for one in each if one is not None]
+            shared.sort(key=lambda one: one.log_chance)
+            if shared and not any(shared[0].is_rivalled(one) for one in shared):
+                found.append(shared[0].pairs)
+        return found
+
+    def is_regular(self) -> bool:
+        """Return whether landmarks repeat patterns: far more of their triangles are nearly alike.
+
+        The sides of random triangles differ by so little as rarely as by more, relative to the
+        volume.
+        """
+        n_alike, n_near = 0, 0
+        for part in self._submaps:
+            corners, sides = triangles(part.positions)
+            if len(corners) < 2:
+                continue
+            tolerance_m = SIGMAS * part.noise_m
+            pairs = cKDTree(sides).query_pairs(WIDER * tolerance_m, output_type="ndarray")
+            common = (corners[pairs[:, 0], :, None] == corners[pairs[:, 1], None]).sum(axis=(1, 2))
+            off = np.diff(sides[pairs[common < 2]], axis=1)
+            n_alike += int(np.sum(np.linalg.norm(off, axis=2) <= tolerance_m))
+            n_near += len(off)
+        return n_alike + 0.5 > REGULAR * (n_near / WIDER**3 + 0.5)
+
+    def _near(self, part: Part, other: Part) -> Shared | None:
+        """Return what a part shares with another one if the robot goes from one into the other."""
+        crossing = self._crossing(part, other)
+        if crossing is None:
+            return None
+        pairs = crossing.within_reach(_all_pairs(part, other))
+        return self._likeliest(part, other, pairs, crossing.log_volume, crossing)
+
+    def _anywhere(self, part: Part, other: Part) -> Shared | None:
+        """Return what a part shares with another one, wherever it lies in it."""
+        log_where = math.log(self._n) - _log_density(other) + _log_turns(part.positions.shape[1])
+        return self._likeliest(part, other, _all_pairs(part, other), log_where, None)
+
+    def _crossing(self, part: Part, other: Part) -> _Crossing | None:
+        """Return where the robot goes from a part into another within the fewest iterations."""
+        apart = np.maximum(np.abs(part.iterations[:, None] - other.iterations), 1)
+        if not apart.size or apart.min() > BLIND:
+            return None
+        here, there = np.nonzero(apart == apart.min())
+        steps, tolerance_m = SPEED * apart.min(), SIGMAS * max(part.noise_m, other.noise_m)
+        reach_m = float(steps * self._step_m + tolerance_m)
+        reach_rad = float(steps * self._step_rad + 2 * LOOSE_RAD)
+        return _Crossing(part, other, here, there, reach_m, reach_rad)
+
+    def _likeliest(
+        self, part: Part, other: Part, pairs: Ints, log_where: float, crossing: _Crossing | None
+    ) -> Shared | None:
+        """Return the set of pairs (p, 2) of rows least likely by chance, if it is clear.
+
+        `log_where`: log of the volume of possible motions of the part, in metres and radians.
+        """
+        found: list[tuple[float, int, Shared, Ints]] = []
+        for rows in _sets(part, other, pairs, is_near=crossing is not None):
+            shared = self._shared(part, other, rows, log_where)
+            if shared is not None and (crossing is None or crossing.allows(shared.placement)):
+                found.append((shared.log_chance, len(found), shared, rows))
+        found.sort(key=lambda one: one[:2])
+        if not found or found[0][0] > math.log(SURE):
+            return None
+        if len(found) > 1 and found[1][0] <= CLEAR * found[0][0]:
+            return None
+        here, there = found[0][3].T
+        if _recurs(part, here) or _recurs(other, there):
+            return None
+        there_and_back = found[0][2].placement, _inverse(found[0][2].placement)
+        n_missed = _n_missed(other, there, part, here, there_and_back[0])
+        n_missed += _n_missed(part, here, other, there, there_and_back[1])
+        return found[0][2] if n_missed <= MISSED else None
+
+    def _shared(self, part: Part, other: Part, rows: Ints, log_where: float) -> Shared | None:
+        """Return pairs (k, 2) of rows with their chance; None if they do not agree."""
+        here, there = rows.T
+        agreement = compared(
+            part.positions[here],
+            part.covariance(here),
+            other.positions[there],
+            other.covariance(there),
+        )
+        if agreement.square > chdtri(agreement.freedom, RARE):
+            return None
+        n, k = len(part.landmarks), len(rows)
+        log_chance = self._log_searches + log_where + k * _log_density(other)
+        log_chance += gammaln(n + 1) - gammaln(k + 1) - gammaln(n - k + 1)
+        radius = math.sqrt(max(agreement.square, agreement.freedom))
+        log_chance += agreement.log_size + log_volume(agreement.freedom, radius)
+        pairs = np.column_stack([part.landmarks[here], other.landmarks[there]])
+        return Shared(float(log_chance), agreement.placement, pairs)
+
+
+def _usual_steps(parts: Sequence[Part]) -> tuple[float, float]:
+    """Return the length of the longer steps between iterations, in metres, and their turn."""
+    lengths, turns = [np.empty(0)], [np.empty(0)]
+    for part in parts:
+        next_one = np.diff(part.iterations) == 1
+        lengths.append(np.linalg.norm(np.diff(part.places, axis=0), axis=1)[next_one])
+        turns.append(_angles(part.turns[:-1], part.turns[1:])[next_one])
+    return _usual(np.concatenate(lengths)), _usual(np.concatenate(turns))
+
+
+def _usual(steps: Floats) -> float:
+    """Return the step up to which steps (n,) sum up to nearly their total."""
+    steps = np.sort(steps)
+    covered = np.searchsorted(np.cumsum(steps), USUAL * steps.sum())
+    return float(steps[covered]) if len(steps) else np.inf
+
+
+def _angles(R: Floats, Q: Floats) -> Floats:
+    """Return the angles (n,) between rotations (n, d, d), in radians."""
+    cos = (np.einsum("nij,nij->n", R, Q) - (R.shape[1] - 2)) / 2
+    return np.asarray(np.arccos(np.clip(cos, -1, 1)))
+
+
+def _log_turns(d: int) -> float:
+    """Return the log of the volume of all rotations."""
+    return math.log(2 * math.pi if d == 2 else 8 * math.pi**2)
+
+
+def _all_pairs(part: Part, other: Part) -> Ints:
+    n, m = len(part.landmarks), len(other.landmarks)
+    return np.stack(np.divmod(np.arange(n * m), m), axis=1)
+
+
+def _sets(part: Part, other: Part, pairs: Ints, is_near: bool) -> Iterator[Ints]:
+    """Yield sets of pairs (p, 2) of rows that agree, the largest first."""
+    if len(pairs) > (NEAR_PAIRS if is_near else MOST_PAIRS):
+        return
+    fewest = FEWEST if is_near else FEWEST + 1
+    tolerance_m = SIGMAS * max(part.noise_m, other.noise_m)
+    every = consistent_placements(part.positions, other.positions, pairs, tolerance_m)
+    for _, rows in islice(every, SETS):
+        if len(rows) < fewest:
+            return
+        yield rows
+
+
+def _recurs(part: Part, rows: Ints) -> bool:
+    """Return whether all of some landmarks (k,) of a part lie like others in it."""
+    k, m = len(rows), len(part.landmarks)
+    pairs = np.stack(np.divmod(np.arange(k * m), m), axis=1)
+    others = pairs[rows[pairs[:, 0]] != pairs[:, 1]]
+    at, tolerance_m = part.positions, SIGMAS * part.noise_m
+    every = consistent_placements(at[rows], at, others, tolerance_m)
+    return any(placement.n_agreeing == k for placement, _ in islice(every, SETS))
+
+
+def _inverse(placement: Placement) -> Placement:
+    R = placement.R.T
+    return Placement(R, -R @ placement.t, placement.n_agreeing)
+
+
+def _n_missed(part: Part, rows: Ints, other: Part, others: Ints, placement: Placement) -> int:
+    """Return how many landmarks of another part lie among those of both, where this has none.
+
+    `rows`, `others` (k,): the landmarks of both; `placement`: of the other part in this one.
+    """
+    try:
+        among = Delaunay(part.positions[rows])
+    except QhullError:  # Too few, or on a line.
+        return 0
+    left = placement.apply(np.delete(other.positions, others, axis=0))
+    inside = left[among.find_simplex(left) >= 0]
+    apart_m = cKDTree(part.positions).query(inside)[0] if len(inside) else np.empty(0)
+    return int(np.sum(apart_m > WIDER * SIGMAS * part.noise_m))
+
+
+def _log_density(part: Part) -> float:
+    """Return the log of the usual number of landmarks per volume."""
+    d, spacing_m = part.positions.shape[1], median_apart(cKDTree(part.positions))
+    return math.log(math.log(2)) - log_volume(d, max(spacing_m, TINY))

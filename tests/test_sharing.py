@@ -1,0 +1,125 @@
+"""Few landmarks that two parts of a map share: in unlike worlds they tie, in regular ones not."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from relmap.core.arrays import Floats, Ints
+from relmap.core.association.reobservation.sharing import FewShared, Part
+from relmap.simulation import WorldSpec
+from tests.worlds import mapped_world
+
+SIGMA_M, APART = 0.03, 1000
+
+
+def covariance(rows: Ints) -> Floats:
+    """Return the covariance of independent positions."""
+    return SIGMA_M**2 / 8 * np.eye(2 * len(rows))
+
+
+def part_of(
+    posts: Floats, ids: Ints, rng: np.random.Generator, way: Floats, iterations: Ints
+) -> Part:
+    """Return a part that shows some posts (n, 2), turned and moved, with the robot's way."""
+    turn, shift = rng.uniform(-np.pi, np.pi), rng.uniform(-20, 20, 2)
+    c, s = np.cos(turn), np.sin(turn)
+    R = np.array([[c, -s], [s, c]])
+    at = (posts[ids] - shift) @ R + rng.normal(0, SIGMA_M / 3, (len(ids), 2))
+    turns = np.repeat(R.T[None], len(way), axis=0)
+    return Part(ids, at, covariance, SIGMA_M, iterations, (way - shift) @ R, turns)
+
+
+def two_parts(
+    seed: int, n_shared: int, *, gap: int = 100, period_m: float = 0.0
+) -> tuple[Part, Part]:
+    """Return two parts of a street, with some posts in common, and a time between them."""
+    rng = np.random.default_rng(seed)
+    posts = np.column_stack([rng.uniform(0, 160, 40), rng.uniform(-8, 8, 40)])
+    posts = posts[np.argsort(posts[:, 0])]
+    if period_m:
+        grid = np.column_stack(np.divmod(np.arange(40), 2)) * [period_m, 6.0]
+        posts = grid + rng.normal(0, 0.03, (40, 2))
+    there = np.arange(26)
+    here = np.arange(26 - n_shared, 32)
+    x = posts[25, 0]
+    first = np.column_stack([np.arange(x - 40, x - 10, 1.5), np.zeros(20)])
+    second = np.column_stack([np.arange(x - 8.5, x + 6.5, 1.5), np.zeros(10)])
+    one = part_of(posts, there, rng, first, np.arange(20))
+    two = part_of(posts, here, rng, second, 19 + gap + np.arange(10))
+    renumbered = Part(
+        two.landmarks + APART,
+        two.positions,
+        two.covariance,
+        two.noise_m,
+        two.iterations,
+        two.places,
+        two.turns,
+    )
+    return one, renumbered
+
+
+def test_four_shared_landmarks_tie_two_submaps() -> None:
+    n_regular = 0
+    for seed in range(8):
+        one, two = two_parts(seed, 4)
+        shared = FewShared([one, two], [])
+        n_regular += shared.is_regular()
+        (tie,) = shared.ties()
+        assert sorted(tie.pairs[:, 1].tolist()) == [22, 23, 24, 25]
+        assert np.array_equal(tie.pairs[:, 0], tie.pairs[:, 1] + APART)
+        moved = tie.placement.apply(two.positions[:4])
+        assert np.abs(moved - one.positions[22:26]).max() < 4 * SIGMA_M
+    assert n_regular <= 2
+
+
+def test_three_tie_only_where_the_robot_goes_from_one_into_the_other() -> None:
+    """The robot's reach leaves so few placements that three landmarks suffice."""
+    near = [FewShared([*two_parts(seed, 3, gap=1)], []).ties() for seed in range(8)]
+    far = [FewShared([*two_parts(seed, 3, gap=100)], []).ties() for seed in range(8)]
+    pairs = [tie.pairs for ties in near for tie in ties]
+    assert len(pairs) >= 6
+    assert all(np.array_equal(of[:, 0], of[:, 1] + APART) for of in pairs)
+    assert sum(map(len, far)) <= 1
+
+
+def test_other_places_are_not_tied() -> None:
+    ties = [
+        FewShared([*two_parts(seed, 0, gap=gap)], []).ties() for seed in range(8) for gap in (1, 9)
+    ]
+    assert not any(ties)
+
+
+def test_where_a_pattern_repeats_nothing_is_tied() -> None:
+    """Along two rows of posts a part fits any number of periods away."""
+    for seed in range(4):
+        assert FewShared([*two_parts(seed, 4, period_m=6.0)], []).is_regular()
+
+
+def test_a_scan_of_three_landmarks_is_matched_to_what_is_nearby() -> None:
+    found = []
+    for seed in range(8):
+        one, two = two_parts(seed, 3, gap=1)
+        scan = Part(
+            two.landmarks[:3],
+            two.positions[:3],
+            two.covariance,
+            SIGMA_M,
+            two.iterations[:1],
+            two.places[:1],
+            two.turns[:1],
+        )
+        found += FewShared([one], [scan]).matches()
+    assert len(found) >= 6
+    assert all(np.array_equal(of[:, 0], of[:, 1] + APART) for of in found)
+
+
+def test_submaps_of_few_landmarks_in_view_are_tied() -> None:
+    """Submaps that share four landmarks stayed apart, and 4 % of the landmarks were double."""
+    mapper, off_m = mapped_world(WorldSpec(spacing_m=7.0, seed=5))
+    assert len(mapper.submaps) == 1
+    assert off_m < 0.022
+
+
+def test_unmatched_scans_are_matched_to_what_is_seen_before_and_after() -> None:
+    """Scans of three landmarks were left out, and the map was 0.042 m off."""
+    assert mapped_world(WorldSpec(spacing_m=7.0, seed=9))[1] < 0.036
