@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.association.reobservation.sharing import FewShared, Part
+from relmap.core.association.reobservation.crossing import Part
+from relmap.core.association.reobservation.sharing import FewShared
 from relmap.simulation import WorldSpec
 from tests.worlds import mapped_world
 
@@ -87,6 +88,15 @@ def test_other_places_are_not_tied() -> None:
         FewShared([*two_parts(seed, 0, gap=gap)], []).ties() for seed in range(8) for gap in (1, 9)
     ]
     assert not any(ties)
+
+
+def test_large_parts_are_not_compared() -> None:
+    """Their landmarks would form millions of pairs."""
+    rng, n = np.random.default_rng(0), 1100
+    posts, way = rng.uniform(0, 400, (n, 2)), np.zeros((10, 2))
+    one, two = (part_of(posts, np.arange(n), rng, way, k + np.arange(10)) for k in (0, 12))
+    assert not FewShared([one, two], []).is_regular()
+    assert not FewShared([one, two], []).ties()
 
 
 def test_where_a_pattern_repeats_nothing_is_tied() -> None:

@@ -8,11 +8,12 @@ from functools import partial
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
+from relmap.core.association.reobservation.crossing import Part
 from relmap.core.association.reobservation.disagreement import local_drift
 from relmap.core.association.reobservation.evidence import LOCAL_DRIFT
 from relmap.core.association.reobservation.few import FEWEST
 from relmap.core.association.reobservation.shapes import is_known, joint_covariance
-from relmap.core.association.reobservation.sharing import FewShared, Part
+from relmap.core.association.reobservation.sharing import FewShared
 from relmap.core.map.pose import known_poses
 from relmap.core.mapper import RelativeMapper
 from relmap.core.refinement.joint import Refined
@@ -66,12 +67,16 @@ def _strays(engine: RelativeMapper, drift: float) -> Iterator[Part]:
     mapped = table.weight[landmark] > 0
     free = ~mapped & ~table.dynamic[landmark]
     shown, unmapped = (np.bincount(rows.segment[of], minlength=n) for of in (mapped, free))
-    n_seen = rows.n_seen
+    n_seen, every = rows.n_seen, np.arange(n + 1)
+    first = np.searchsorted(rows.segment, every)
+    by_segment = np.argsort(rows.iteration_segment, kind="stable")
+    begin = np.searchsorted(rows.iteration_segment[by_segment], every)
     for segment in np.flatnonzero((shown < d) & (unmapped >= FEWEST)).tolist():
-        own = np.flatnonzero((rows.segment == segment) & free)
+        own = np.arange(first[segment], first[segment + 1])
+        own = own[free[own]]
         own = own[np.unique(landmark[own], return_index=True)[1]]
         variance = noise_m**2 * (1 / n_seen[own] + drift)
-        iterations = np.flatnonzero(rows.iteration_segment == segment)
+        iterations = by_segment[begin[segment] : begin[segment + 1]]
         covariance = partial(_independent, variance, d)
         if len(own) >= FEWEST:
             yield Part(

@@ -9,7 +9,7 @@ of random landmarks that would be.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 
@@ -17,14 +17,20 @@ import numpy as np
 from scipy.spatial import Delaunay, QhullError, cKDTree
 from scipy.special import chdtri, gammaln
 
-from relmap.core.arrays import Floats, Ints
+from relmap.core.arrays import Ints
 from relmap.core.association.base import median_apart
 from relmap.core.association.placement import Placement, consistent_placements
-from relmap.core.association.registering import BLIND
+from relmap.core.association.reobservation.crossing import (
+    Crossing,
+    Part,
+    crossing_of,
+    log_turns,
+    some,
+    usual_steps,
+)
 from relmap.core.association.reobservation.few import FEWEST, RARE, log_volume
 from relmap.core.association.reobservation.recognition import CLEAR, SIGMAS, triangles
 from relmap.core.association.reobservation.shapes import compared
-from relmap.core.map.pose import LOOSE_RAD
 from relmap.core.scan import TINY
 
 SURE = 1e-5
@@ -34,68 +40,14 @@ SETS = 12
 NEAR_PAIRS, MOST_PAIRS = 1500, 500
 """Number of pairs above which sets are not searched, where the robot goes from one part into the
 other, and anywhere: there may be hundreds of submaps."""
+TRIANGLES = 2000
+"""Number of triangles of a part that are compared, evenly chosen."""
 WIDER, REGULAR = 4.0, 3.0
 """Wider tolerance of the sides of triangles, relative to that within which they are alike; and how
 many times as many as in random worlds are alike where patterns repeat."""
 MISSED = 1
 """Landmarks of either part that may lie among the common ones and are missed by the other: places
 that look alike differ in some; parts that are seen from all sides may miss one."""
-USUAL, SPEED = 0.95, 2.0
-"""Fraction of the way that the robot covers in steps no longer than the usual one; and its speed
-between two parts at most, relative to that."""
-
-
-@dataclass(frozen=True, eq=False)
-class Part:
-    """Some landmarks (m,) that were solved for together.
-
-    `positions` (m, d), metres; `covariance`: returns that of rows (k,), (k d, k d); `noise_m`:
-    standard deviation of an observed coordinate; the robot's way: `iterations` (p,), ascending,
-    `places` (p, d), metres, and `turns` (p, d, d).
-    """
-
-    landmarks: Ints
-    positions: Floats
-    covariance: Callable[[Ints], Floats]
-    noise_m: float
-    iterations: Ints
-    places: Floats
-    turns: Floats
-
-
-@dataclass(frozen=True, eq=False)
-class _Crossing:
-    """Where the robot goes from one part into another: rows (c,) of its way, and its reach."""
-
-    part: Part
-    other: Part
-    here: Ints
-    there: Ints
-    reach_m: float
-    reach_rad: float
-
-    @property
-    def log_volume(self) -> float:
-        """Log of the volume of the robot's possible motions, in metres and radians."""
-        d = self.part.positions.shape[1]
-        turns = log_volume(2 * d - 3, self.reach_rad)
-        return log_volume(d, self.reach_m) + min(turns, _log_turns(d))
-
-    def within_reach(self, pairs: Ints) -> Ints:
-        """Return those pairs (p, 2) of rows of landmarks that may be the same."""
-        here, there = (
-            np.linalg.norm(of.positions[:, None] - of.places[rows], axis=2)
-            for of, rows in ((self.part, self.here), (self.other, self.there))
-        )
-        off = np.abs(here[pairs[:, 0]] - there[pairs[:, 1]])
-        return np.asarray(pairs[(off <= self.reach_m).all(axis=1)])
-
-    def allows(self, placement: Placement) -> bool:
-        """Return whether a placement leaves the robot within its reach."""
-        apart = placement.apply(self.part.places[self.here]) - self.other.places[self.there]
-        turned = _angles(placement.R @ self.part.turns[self.here], self.other.turns[self.there])
-        near = np.linalg.norm(apart, axis=1).max() <= self.reach_m
-        return bool(near and turned.max() <= self.reach_rad)
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +80,7 @@ class FewShared:
     def __init__(self, submaps: Sequence[Part], strays: Sequence[Part]) -> None:
         self._submaps = sorted(submaps, key=lambda part: len(part.landmarks))
         self._strays = strays
-        self._step_m, self._step_rad = _usual_steps(submaps)
+        self._step_m, self._step_rad = usual_steps(submaps)
         self._n = sum(len(part.landmarks) for part in submaps)
         n = len(submaps)
         self._log_searches = math.log(max(n * (n - 1) / 2 + len(strays), 1))
@@ -170,6 +122,8 @@ class FewShared:
             corners, sides = triangles(part.positions)
             if len(corners) < 2:
                 continue
+            rows = some(len(corners), TRIANGLES)
+            corners, sides = corners[rows], sides[rows]
             tolerance_m = SIGMAS * part.noise_m
             pairs = cKDTree(sides).query_pairs(WIDER * tolerance_m, output_type="ndarray")
             common = (corners[pairs[:, 0], :, None] == corners[pairs[:, 1], None]).sum(axis=(1, 2))
@@ -180,30 +134,23 @@ class FewShared:
 
     def _near(self, part: Part, other: Part) -> Shared | None:
         """Return what a part shares with another one if the robot goes from one into the other."""
-        crossing = self._crossing(part, other)
+        crossing = crossing_of(part, other, self._step_m, self._step_rad)
         if crossing is None:
             return None
         pairs = crossing.within_reach(_all_pairs(part, other))
+        if len(pairs) > NEAR_PAIRS:
+            return None
         return self._likeliest(part, other, pairs, crossing.log_volume, crossing)
 
     def _anywhere(self, part: Part, other: Part) -> Shared | None:
         """Return what a part shares with another one, wherever it lies in it."""
-        log_where = math.log(self._n) - _log_density(other) + _log_turns(part.positions.shape[1])
+        if len(part.landmarks) * len(other.landmarks) > MOST_PAIRS:
+            return None
+        log_where = math.log(self._n) - _log_density(other) + log_turns(part.positions.shape[1])
         return self._likeliest(part, other, _all_pairs(part, other), log_where, None)
 
-    def _crossing(self, part: Part, other: Part) -> _Crossing | None:
-        """Return where the robot goes from a part into another within the fewest iterations."""
-        apart = np.maximum(np.abs(part.iterations[:, None] - other.iterations), 1)
-        if not apart.size or apart.min() > BLIND:
-            return None
-        here, there = np.nonzero(apart == apart.min())
-        steps, tolerance_m = SPEED * apart.min(), SIGMAS * max(part.noise_m, other.noise_m)
-        reach_m = float(steps * self._step_m + tolerance_m)
-        reach_rad = float(steps * self._step_rad + 2 * LOOSE_RAD)
-        return _Crossing(part, other, here, there, reach_m, reach_rad)
-
     def _likeliest(
-        self, part: Part, other: Part, pairs: Ints, log_where: float, crossing: _Crossing | None
+        self, part: Part, other: Part, pairs: Ints, log_where: float, crossing: Crossing | None
     ) -> Shared | None:
         """Return the set of pairs (p, 2) of rows least likely by chance, if it is clear.
 
@@ -247,34 +194,6 @@ class FewShared:
         return Shared(float(log_chance), agreement.placement, pairs)
 
 
-def _usual_steps(parts: Sequence[Part]) -> tuple[float, float]:
-    """Return the length of the longer steps between iterations, in metres, and their turn."""
-    lengths, turns = [np.empty(0)], [np.empty(0)]
-    for part in parts:
-        next_one = np.diff(part.iterations) == 1
-        lengths.append(np.linalg.norm(np.diff(part.places, axis=0), axis=1)[next_one])
-        turns.append(_angles(part.turns[:-1], part.turns[1:])[next_one])
-    return _usual(np.concatenate(lengths)), _usual(np.concatenate(turns))
-
-
-def _usual(steps: Floats) -> float:
-    """Return the step up to which steps (n,) sum up to nearly their total."""
-    steps = np.sort(steps)
-    covered = np.searchsorted(np.cumsum(steps), USUAL * steps.sum())
-    return float(steps[covered]) if len(steps) else np.inf
-
-
-def _angles(R: Floats, Q: Floats) -> Floats:
-    """Return the angles (n,) between rotations (n, d, d), in radians."""
-    cos = (np.einsum("nij,nij->n", R, Q) - (R.shape[1] - 2)) / 2
-    return np.asarray(np.arccos(np.clip(cos, -1, 1)))
-
-
-def _log_turns(d: int) -> float:
-    """Return the log of the volume of all rotations."""
-    return math.log(2 * math.pi if d == 2 else 8 * math.pi**2)
-
-
 def _all_pairs(part: Part, other: Part) -> Ints:
     n, m = len(part.landmarks), len(other.landmarks)
     return np.stack(np.divmod(np.arange(n * m), m), axis=1)
@@ -282,8 +201,6 @@ def _all_pairs(part: Part, other: Part) -> Ints:
 
 def _sets(part: Part, other: Part, pairs: Ints, is_near: bool) -> Iterator[Ints]:
     """Yield sets of pairs (p, 2) of rows that agree, the largest first."""
-    if len(pairs) > (NEAR_PAIRS if is_near else MOST_PAIRS):
-        return
     fewest = FEWEST if is_near else FEWEST + 1
     tolerance_m = SIGMAS * max(part.noise_m, other.noise_m)
     every = consistent_placements(part.positions, other.positions, pairs, tolerance_m)
