@@ -28,10 +28,10 @@ def before_a_wall(*openings: tuple[float, float]) -> list[Face]:
     return faces
 
 
-def mapped(faces: list[Face], places: list[float]) -> Plane3dMapper:
-    """Map what a depth camera sees that moves along the wall."""
+def mapped(faces: list[Face], places: list[float], finer: int = 1) -> Plane3dMapper:
+    """Map what a depth camera, with as many times finer pixels, sees that moves along the wall."""
     rng, mapper = np.random.default_rng(0), Plane3dMapper()
-    row, column = np.mgrid[:ROWS, :COLUMNS]
+    row, column = np.mgrid[: finer * ROWS, : finer * COLUMNS] / finer
     y, z = -(column - (COLUMNS - 1) / 2) / FOCAL, -(row - (ROWS - 1) / 2) / FOCAL
     rays = np.stack([np.ones_like(y), y, z], axis=-1).reshape(-1, 3)
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
@@ -56,8 +56,8 @@ def test_a_door_shows_how_far_the_sensor_moved_along_its_wall() -> None:
 
 
 def pieces(at: Floats) -> list[Face]:
-    """Return pieces of 0.1 m in front of a wall, too small to be planes, centred at (n, 3)."""
-    a, b = np.array([0.03, 0.1, 0.0]), np.array([0.03, 0.0, 0.1])
+    """Return pieces of 0.06 m in front of a wall, too small to be planes, centred at (n, 3)."""
+    a, b = np.array([0.02, 0.06, 0.0]), np.array([0.02, 0.0, 0.06])
     return [(each - (a + b) / 2, a, b) for each in at]
 
 
@@ -65,7 +65,7 @@ AT = np.random.default_rng(1).uniform([1.8, -1.0, -0.8], [2.6, 1.2, 0.8], (12, 3
 
 
 def test_small_objects_show_how_far_the_sensor_moved_along_a_wall() -> None:
-    mapper = mapped([*before_a_wall(), *pieces(AT)], PLACES)
+    mapper = mapped([*before_a_wall(), *pieces(AT)], PLACES, finer=2)
     assert len(mapper.submaps) == 1
     assert len(mapper.submaps[0].planes(np.arange(3))) == len(mapper.submaps[0]) == 3
     np.testing.assert_allclose(mapper.submaps[0].trajectory[:, 1, 3], PLACES, atol=0.03)

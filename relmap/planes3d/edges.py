@@ -32,9 +32,11 @@ FARTHEST, TRIED = 0.1, 8
 ENOUGH, CLEARLY = 8, 0.8
 """Minimum number of edges that agree on a step, and the largest fraction of the votes for it that
 another one may have."""
-LOOSE, BESIDE, FURTHER = 300, 8, 4.0
+LOOSE, BESIDE, FURTHER, FINE = 300, 8, 4.0, 0.045
 """Number of the points on no plane whose edges are looked for, number of the nearest rays that are
-tried for each, and how many cells farther these must go."""
+tried for each, and how many cells farther these must go; and the size of cells, as a fraction of
+the range, above which neighbouring rays are too far apart for that: they are larger where points
+are sparse."""
 Edges = tuple[Floats, Floats, Floats]
 
 
@@ -74,7 +76,8 @@ def edges_of_loose(seen: Patches) -> Edges:
     As of `edges_of`; the normals point to the sensor.
     """
     ends = seen.ends.astype(np.float64)
-    rows = np.linspace(0, len(seen.loose) - 1, min(LOOSE, len(seen.loose))).astype(np.int64)
+    most = min(LOOSE, len(seen.loose)) if seen.cell_m < FINE * seen.reach_m else 0
+    rows = np.linspace(0, len(seen.loose) - 1, most).astype(np.int64)
     loose = seen.loose[rows][seen.loose[rows].any(axis=1)]
     away_m, range_m = (np.linalg.norm(each, axis=1, keepdims=True) for each in (loose, ends))
     ray = loose / away_m
