@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association.reobservation.crossing import Part
@@ -16,6 +17,11 @@ SIGMA_M, APART = 0.03, 1000
 def covariance(rows: Ints) -> Floats:
     """Return the covariance of independent positions."""
     return SIGMA_M**2 / 8 * np.eye(2 * len(rows))
+
+
+def in_space(rows: Ints) -> Floats:
+    """Return the covariance of independent positions in space."""
+    return 0.03**2 / 8 * np.eye(3 * len(rows))
 
 
 def part_of(
@@ -88,6 +94,26 @@ def test_other_places_are_not_tied() -> None:
         FewShared([*two_parts(seed, 0, gap=gap)], []).ties() for seed in range(8) for gap in (1, 9)
     ]
     assert not any(ties)
+
+
+@pytest.mark.parametrize(("off_m", "n_tied"), [(0.01, 0), (2.0, 4)])
+def test_a_row_in_space_ties_nothing(off_m: float, n_tied: int) -> None:
+    """Parts that share four lamps in a row may be turned about it."""
+    found = []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        row = [rng.uniform(0, 20, 4), *off_m * rng.normal(0, 1, (2, 4))]
+        parts = []
+        for k, (near, far) in enumerate(
+            [((-40, -10, 0), (-5, 10, 6)), ((25, -10, 0), (60, 10, 6))]
+        ):
+            at = np.concatenate([np.transpose(row), rng.uniform(near, far, (10, 3))])
+            at += rng.normal(0, 0.01, at.shape)
+            iterations, turns = 1000 * k + np.arange(10), np.repeat(np.eye(3)[None], 10, axis=0)
+            places, ids = rng.uniform(0, 1, (10, 3)), APART * k + np.arange(len(at))
+            parts.append(Part(ids, at, in_space, 0.03, iterations, places, turns))
+        found += FewShared(parts, []).ties()
+    assert len(found) == n_tied
 
 
 def test_large_parts_are_not_compared() -> None:

@@ -14,8 +14,10 @@ from relmap.core.association.reobservation.evidence import LOCAL_DRIFT
 from relmap.core.association.reobservation.few import FEWEST
 from relmap.core.association.reobservation.shapes import is_known, joint_covariance
 from relmap.core.association.reobservation.sharing import FewShared
+from relmap.core.association.reobservation.sightings import Sightings
 from relmap.core.map.pose import known_poses
 from relmap.core.mapper import RelativeMapper
+from relmap.core.refinement.condensing import SegmentRows
 from relmap.core.refinement.joint import Refined
 from relmap.core.revisiting import mergeable
 
@@ -25,13 +27,18 @@ def connect(engine: RelativeMapper) -> bool:
 
     Scans that show few landmarks are matched to what was seen just before and after them.
     """
-    table = engine.table
-    drift = local_drift(table, engine.rows, engine.noise_m) - LOCAL_DRIFT
-    submaps = [_submap(engine, one, drift) for one in engine.refined if is_known(one)]
-    shared = FewShared(submaps, list(_strays(engine, drift)) if submaps else [])
-    if not submaps or shared.is_regular():
+    table, refined = engine.table, [one for one in engine.refined if is_known(one)]
+    if not refined:
         return False
-    ties, matches = shared.ties(), shared.matches()
+    rows = engine.rows
+    drift = local_drift(table, rows, engine.noise_m) - LOCAL_DRIFT
+    submaps = [_submap(engine, rows, one, drift) for one in refined]
+    shared = FewShared(submaps, list(_strays(engine, rows, drift)))
+    if shared.is_regular():
+        return False
+    sightings = Sightings(rows, table)
+    ties = [tie for tie in shared.ties() if _are_apart(sightings, tie.pairs)]
+    matches = [pairs for pairs in shared.matches() if _are_apart(sightings, pairs)]
     for tie in ties:
         other, submap = (int(table.submap[of]) for of in tie.pairs[0])
         engine.map.tie(other, submap, tie.placement.R, tie.placement.t)
@@ -43,9 +50,14 @@ def connect(engine: RelativeMapper) -> bool:
     return len(ties) > 0 or n_merged > 0
 
 
-def _submap(engine: RelativeMapper, refined: Refined, drift: float) -> Part:
+def _are_apart(sightings: Sightings, pairs: Ints) -> bool:
+    """Return whether no scan shows both landmarks of one of some pairs (k, 2)."""
+    return len(sightings.apart(pairs)) == len(pairs)
+
+
+def _submap(engine: RelativeMapper, rows: SegmentRows, refined: Refined, drift: float) -> Part:
     """Return a refined submap and the robot's way in it."""
-    table, rows, d = engine.table, engine.rows, engine.table.dimension
+    table, d = engine.table, engine.table.dimension
     positions = np.full(table.position.shape, np.nan)
     positions[refined.landmarks] = refined.positions
     known, poses = known_poses(rows, positions, table.landmark_of, engine.noise_m)
@@ -60,9 +72,9 @@ def _submap(engine: RelativeMapper, refined: Refined, drift: float) -> Part:
     )
 
 
-def _strays(engine: RelativeMapper, drift: float) -> Iterator[Part]:
+def _strays(engine: RelativeMapper, rows: SegmentRows, drift: float) -> Iterator[Part]:
     """Yield the segments that show enough landmarks, but too few of the map to have a pose."""
-    table, rows, noise_m = engine.table, engine.rows, engine.noise_m
+    table, noise_m = engine.table, engine.noise_m
     landmark, n, d = table.now(rows.landmark), rows.n_segments, table.dimension
     mapped = table.weight[landmark] > 0
     free = ~mapped & ~table.dynamic[landmark]

@@ -37,6 +37,8 @@ LOOSE, BESIDE, FURTHER, FINE = 300, 8, 4.0, 0.045
 tried for each, and how many cells farther these must go; and the size of cells, as a fraction of
 the range, above which neighbouring rays are too far apart for that: they are larger where points
 are sparse."""
+ALONG = 1e-3
+"""Distance of two rays, in cells, below which they are one: then there is no way across an edge."""
 Edges = tuple[Floats, Floats, Floats]
 
 
@@ -84,7 +86,7 @@ def edges_of_loose(seen: Patches) -> Edges:
     off, at = map(np.asarray, cKDTree(ends / range_m).query(ray, k=BESIDE))
     range_m, here_m = np.append(range_m, 0.0)[at], cells_at(seen, away_m)
     there_m = cells_at(seen, range_m) * away_m / np.maximum(range_m, TINY)
-    near = (off > 0) & (off * away_m < here_m + there_m)
+    near = (off * away_m > ALONG * here_m) & (off * away_m < here_m + there_m)
     one, other = np.nonzero(near & (range_m > away_m + FURTHER * here_m))
     range_m, there_m = range_m[one, other, None], there_m[one, other, None]
     way = away_m[one] / range_m * ends[at[one, other]] - loose[one]

@@ -5,15 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from relmap.core.arrays import Floats, Ints
+from relmap.core.association.base import median_apart
 from relmap.core.association.placement import Placement
 from relmap.core.association.registering import BLIND
-from relmap.core.association.reobservation.few import log_volume
+from relmap.core.association.reobservation.few import log_volume, some
 from relmap.core.association.reobservation.recognition import SIGMAS
 from relmap.core.map.pose import LOOSE_RAD
+from relmap.core.scan import TINY
 
 USUAL, SPEED = 0.95, 2.0
 """Fraction of the way that the robot covers in steps no longer than the usual one; and its speed
@@ -40,6 +44,12 @@ class Part:
     places: Floats
     turns: Floats
 
+    @cached_property
+    def log_density(self) -> float:
+        """Log of the usual number of landmarks per volume."""
+        d, spacing_m = self.positions.shape[1], median_apart(cKDTree(self.positions))
+        return math.log(math.log(2)) - log_volume(d, max(spacing_m, TINY))
+
 
 @dataclass(frozen=True, eq=False)
 class Crossing:
@@ -61,12 +71,13 @@ class Crossing:
 
     def within_reach(self, pairs: Ints) -> Ints:
         """Return those pairs (p, 2) of rows of landmarks that may be the same."""
-        here, there = (
-            np.linalg.norm(of.positions[:, None] - of.places[rows], axis=2)
-            for of, rows in ((self.part, self.here), (self.other, self.there))
-        )
-        off = np.abs(here[pairs[:, 0]] - there[pairs[:, 1]])
-        return np.asarray(pairs[(off <= self.reach_m).all(axis=1)])
+        for here, there in zip(self.here.tolist(), self.there.tolist(), strict=True):
+            own, its = (
+                np.linalg.norm(of.positions - of.places[row], axis=1)
+                for of, row in ((self.part, here), (self.other, there))
+            )
+            pairs = pairs[np.abs(own[pairs[:, 0]] - its[pairs[:, 1]]) <= self.reach_m]
+        return pairs
 
     def allows(self, placement: Placement) -> bool:
         """Return whether a placement leaves the robot within its reach."""
@@ -123,11 +134,6 @@ def _angles(R: Floats, Q: Floats) -> Floats:
 def log_turns(d: int) -> float:
     """Return the log of the volume of all rotations."""
     return math.log(2 * math.pi if d == 2 else 8 * math.pi**2)
-
-
-def some(n: int, most: int) -> Ints:
-    """Return at most `most` of n rows, evenly chosen."""
-    return np.linspace(0, n - 1, min(most, n)).astype(np.int64)
 
 
 def _gap(iterations: Ints, others: Ints) -> int:

@@ -37,6 +37,8 @@ RARE = 1e-3
 """Accepted probability that landmarks mapped twice are not compatible."""
 LEAST = 1e-9
 """Variance of a coordinate at least, relative to that of an observation."""
+SAMPLE = 2000
+"""Number of pairs of landmarks near each other of which those never seen together are counted."""
 SETS = 4
 """Number of sets of pairs that are compared, the largest first."""
 
@@ -84,10 +86,13 @@ class Doubled:
         """
         most_m = SPACINGS * spacing_of(self._at)
         every = cKDTree(self._at).query_pairs(most_m, output_type="ndarray").reshape(-1, 2)
-        pairs = self._number[self._sightings.apart(self._refined.landmarks[every])]
-        log_share = math.log((1 + len(pairs)) / (1 + len(every)))
-        apart = np.linalg.norm(self._at[pairs[:, 0]] - self._at[pairs[:, 1]], axis=1)
-        pairs = pairs[apart <= self._reach_m[pairs].sum(axis=1)]
+        apart = np.linalg.norm(self._at[every[:, 0]] - self._at[every[:, 1]], axis=1)
+        pairs = every[apart <= self._reach_m[every].sum(axis=1)]
+        if len(pairs) < PAIR:
+            return np.empty((0, 2), dtype=np.int64), 0.0
+        pairs = self._number[self._sightings.apart(self._refined.landmarks[pairs])]
+        tried = self._refined.landmarks[every[some(len(every), SAMPLE)]]
+        log_share = math.log((1 + len(self._sightings.apart(tried))) / (1 + len(tried)))
         return np.concatenate([pairs, pairs[:, ::-1]]), log_share
 
     def _by_segment(self, pairs: Ints) -> Iterator[tuple[int, Ints]]:
@@ -185,6 +190,11 @@ def _likeliest(
             chosen, least = of.tolist(), chance
             taken.update(pairs[row].tolist())
     return least, np.sort(np.array(chosen, dtype=np.int64))
+
+
+def some(n: int, most: int) -> Ints:
+    """Return at most `most` of n rows, evenly chosen."""
+    return np.linspace(0, n - 1, min(most, n)).astype(np.int64)
 
 
 def log_volume(n: int, radius: float) -> float:

@@ -18,20 +18,18 @@ from scipy.spatial import Delaunay, QhullError, cKDTree
 from scipy.special import chdtri, gammaln
 
 from relmap.core.arrays import Ints
-from relmap.core.association.base import median_apart
 from relmap.core.association.placement import Placement, consistent_placements
 from relmap.core.association.reobservation.crossing import (
     Crossing,
     Part,
     crossing_of,
     log_turns,
-    some,
     usual_steps,
 )
-from relmap.core.association.reobservation.few import FEWEST, RARE, log_volume
+from relmap.core.association.reobservation.few import FEWEST, RARE, log_volume, some
 from relmap.core.association.reobservation.recognition import CLEAR, SIGMAS, triangles
 from relmap.core.association.reobservation.shapes import compared
-from relmap.core.scan import TINY
+from relmap.core.map.pose import LOOSE_RAD, squares_across
 
 SURE = 1e-5
 """Accepted expected number of random sets: of places that look alike, some pass a higher limit."""
@@ -40,8 +38,9 @@ SETS = 12
 NEAR_PAIRS, MOST_PAIRS = 1500, 500
 """Number of pairs above which sets are not searched, where the robot goes from one part into the
 other, and anywhere: there may be hundreds of submaps."""
-TRIANGLES = 2000
-"""Number of triangles of a part that are compared, evenly chosen."""
+TRIANGLES, MOST_SIDES = 2000, 10**7
+"""Number of triangles of a part that are compared, evenly chosen; and number of pairs of its
+landmarks above which recurring sets are not searched."""
 WIDER, REGULAR = 4.0, 3.0
 """Wider tolerance of the sides of triangles, relative to that within which they are alike; and how
 many times as many as in random worlds are alike where patterns repeat."""
@@ -146,7 +145,7 @@ class FewShared:
         """Return what a part shares with another one, wherever it lies in it."""
         if len(part.landmarks) * len(other.landmarks) > MOST_PAIRS:
             return None
-        log_where = math.log(self._n) - _log_density(other) + log_turns(part.positions.shape[1])
+        log_where = math.log(self._n) - other.log_density + log_turns(part.positions.shape[1])
         return self._likeliest(part, other, _all_pairs(part, other), log_where, None)
 
     def _likeliest(
@@ -177,6 +176,8 @@ class FewShared:
     def _shared(self, part: Part, other: Part, rows: Ints, log_where: float) -> Shared | None:
         """Return pairs (k, 2) of rows with their chance; None if they do not agree."""
         here, there = rows.T
+        if _turns_freely(part, here) or _turns_freely(other, there):
+            return None
         agreement = compared(
             part.positions[here],
             part.covariance(here),
@@ -186,7 +187,7 @@ class FewShared:
         if agreement.square > chdtri(agreement.freedom, RARE):
             return None
         n, k = len(part.landmarks), len(rows)
-        log_chance = self._log_searches + log_where + k * _log_density(other)
+        log_chance = self._log_searches + log_where + k * other.log_density
         log_chance += gammaln(n + 1) - gammaln(k + 1) - gammaln(n - k + 1)
         radius = math.sqrt(max(agreement.square, agreement.freedom))
         log_chance += agreement.log_size + log_volume(agreement.freedom, radius)
@@ -211,13 +212,31 @@ def _sets(part: Part, other: Part, pairs: Ints, is_near: bool) -> Iterator[Ints]
 
 
 def _recurs(part: Part, rows: Ints) -> bool:
-    """Return whether all of some landmarks (k,) of a part lie like others in it."""
-    k, m = len(rows), len(part.landmarks)
-    pairs = np.stack(np.divmod(np.arange(k * m), m), axis=1)
-    others = pairs[rows[pairs[:, 0]] != pairs[:, 1]]
+    """Return whether all of some landmarks (k,) of a part lie like others in it, or many may."""
     at, tolerance_m = part.positions, SIGMAS * part.noise_m
-    every = consistent_placements(at[rows], at, others, tolerance_m)
-    return any(placement.n_agreeing == k for placement, _ in islice(every, SETS))
+    tree, sides_m = cKDTree(at), np.linalg.norm(at[rows, None] - at[rows], axis=2)
+    reach_m = sides_m.max() + tolerance_m
+    if tree.count_neighbors(tree, reach_m) > MOST_SIDES:
+        return True
+    near = tree.query_pairs(reach_m, output_type="ndarray").reshape(-1, 2)
+    length_m, pairs = np.linalg.norm(at[near[:, 0]] - at[near[:, 1]], axis=1), []
+    for k, row in enumerate(rows.tolist()):
+        may = np.arange(len(at)) != row
+        for side_m in np.delete(sides_m[k], k):
+            may &= np.isin(np.arange(len(at)), near[np.abs(length_m - side_m) <= tolerance_m])
+        others = np.flatnonzero(may)
+        pairs.append(np.column_stack([np.full(len(others), k), others]))
+    found = np.concatenate(pairs)
+    if len(found) > NEAR_PAIRS:
+        return True
+    every = consistent_placements(at[rows], at, found, tolerance_m)
+    return any(placement.n_agreeing == len(rows) for placement, _ in islice(every, SETS))
+
+
+def _turns_freely(part: Part, rows: Ints) -> bool:
+    """Return whether some landmarks (k,), nearly on a line in space, do not fix a rotation."""
+    across = squares_across(part.positions[rows], np.zeros(len(rows), dtype=np.int64), 1)
+    return bool(part.noise_m > LOOSE_RAD * np.sqrt(across[0]))
 
 
 def _inverse(placement: Placement) -> Placement:
@@ -238,9 +257,3 @@ def _n_missed(part: Part, rows: Ints, other: Part, others: Ints, placement: Plac
     inside = left[among.find_simplex(left) >= 0]
     apart_m = cKDTree(part.positions).query(inside)[0] if len(inside) else np.empty(0)
     return int(np.sum(apart_m > WIDER * SIGMAS * part.noise_m))
-
-
-def _log_density(part: Part) -> float:
-    """Return the log of the usual number of landmarks per volume."""
-    d, spacing_m = part.positions.shape[1], median_apart(cKDTree(part.positions))
-    return math.log(math.log(2)) - log_volume(d, max(spacing_m, TINY))
