@@ -13,6 +13,11 @@ Ints = np.ndarray[tuple[Any, ...], np.dtype[np.int64]]
 Bools = np.ndarray[tuple[Any, ...], np.dtype[np.bool_]]
 
 
+def evenly(n: int, most: int) -> Ints:
+    """Return at most `most` of n rows, evenly chosen."""
+    return np.linspace(0, n - 1, min(most, n)).astype(np.int64)
+
+
 def entries(values: Ints, at: Ints) -> Ints:
     """Return the entries of values at places (any shape); -1 stays."""
     found = values.take(at)

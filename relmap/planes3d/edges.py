@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from relmap.core.arrays import Floats, Ints
+from relmap.core.arrays import Floats, Ints, evenly
 from relmap.core.scan import TINY
 from relmap.planes3d.adjustment import across
 from relmap.planes3d.placing import Placed
@@ -42,6 +43,7 @@ ALONG = 1e-3
 Edges = tuple[Floats, Floats, Floats]
 
 
+@lru_cache(maxsize=2 * BEFORE)  # Of each scan they are needed for itself and the next ones.
 def edges_of(seen: Patches) -> Edges:
     """Return points (e, 3) on the edges of the surfaces of a scan, robot frame.
 
@@ -72,14 +74,14 @@ def edges_of(seen: Patches) -> Edges:
     return points, ways, normals
 
 
+@lru_cache(maxsize=2 * BEFORE)
 def edges_of_loose(seen: Patches) -> Edges:
     """Return the edges of what is on no plane: beside a ray that ends there another goes on.
 
     As of `edges_of`; the normals point to the sensor.
     """
     ends = seen.ends.astype(np.float64)
-    most = min(LOOSE, len(seen.loose)) if seen.cell_m < FINE * seen.reach_m else 0
-    rows = np.linspace(0, len(seen.loose) - 1, most).astype(np.int64)
+    rows = evenly(len(seen.loose), LOOSE if seen.cell_m < FINE * seen.reach_m else 0)
     loose = seen.loose[rows][seen.loose[rows].any(axis=1)]
     away_m, range_m = (np.linalg.norm(each, axis=1, keepdims=True) for each in (loose, ends))
     ray = loose / away_m

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from relmap.core.arrays import Floats, Ints
+from relmap.core.arrays import Floats, Ints, evenly
 from relmap.planes3d.fitting import SHIFTED, fitted, fixes_turn, matched, ratios, repeats, shifts
 from relmap.planes3d.hypotheses import Held, importance, motions
 from relmap.planes3d.submap import Pose
@@ -235,7 +235,7 @@ def _distinct(placed: list[Placed], seen: Patches) -> list[Placed]:
 
 def _sample(seen: Patches, most: int) -> tuple[Floats, Ints, Floats]:
     """Return evenly chosen cells of a scan, their planes, and their weights, whose sum is 1."""
-    rows = np.linspace(0, len(seen.cells) - 1, min(most, len(seen.cells))).astype(np.int64)
+    rows = evenly(len(seen.cells), most)
     of = seen.cell_patch[rows]
     weight = (importance(seen) / np.maximum(np.bincount(of, minlength=len(seen)), 1))[of]
     return seen.cells[rows], of, weight / weight.sum()

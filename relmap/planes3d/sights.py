@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.arrays import Bools, Floats, Ints, evenly
 from relmap.planes3d.placing import LEAP, Placed, apart, moved_m
 from relmap.planes3d.submap import Pose, Submap
 from relmap.planes3d.surfaces import LOOKED_AT, some_cells
@@ -204,8 +204,7 @@ def contradicted(part: Submap, other: Submap, pose: Pose) -> float:
     back, total = (pose[0].T, -pose[0].T @ pose[1]), np.zeros(2)
     for scans, there, (R, t) in ((part, other, pose), (other, part, back)):
         planes = there.planes(np.arange(len(there)))
-        count = min(LOOKED_AT * len(planes), len(planes.cells))
-        rows = np.linspace(0, len(planes.cells) - 1, count).astype(np.int64)
+        rows = evenly(len(planes.cells), LOOKED_AT * len(planes))
         cells, normal = planes.cells[rows], planes.normal[planes.cell_patch[rows]]
         for seen, (S, s) in zip(scans.seen, scans.poses, strict=True):
             total += [len(each) for each in looks(seen, (R @ S, R @ s + t), cells, normal)]

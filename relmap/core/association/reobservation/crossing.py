@@ -10,11 +10,11 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import cKDTree
 
-from relmap.core.arrays import Floats, Ints
+from relmap.core.arrays import Floats, Ints, evenly
 from relmap.core.association.base import median_apart
 from relmap.core.association.placement import Placement
 from relmap.core.association.registering import BLIND
-from relmap.core.association.reobservation.few import log_volume, some
+from relmap.core.association.reobservation.few import log_volume
 from relmap.core.association.reobservation.recognition import SIGMAS
 from relmap.core.map.pose import LOOSE_RAD
 from relmap.core.scan import TINY
@@ -100,7 +100,7 @@ def crossing_of(part: Part, other: Part, step_m: float, step_rad: float) -> Cros
         for way in ((-1, 0, 1) if gap == 1 else (-gap, gap))
     ]
     here, there = (np.concatenate(rows) for rows in zip(*each, strict=True))
-    rows = some(len(here), CROSSINGS)
+    rows = evenly(len(here), CROSSINGS)
     here, there = here[rows], there[rows]
     steps, tolerance_m = SPEED * gap, SIGMAS * max(part.noise_m, other.noise_m)
     reach_m = float(steps * step_m + tolerance_m)

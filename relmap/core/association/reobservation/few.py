@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.special import chdtri, gammaln
 
-from relmap.core.arrays import Floats, Ints
+from relmap.core.arrays import Floats, Ints, evenly
 from relmap.core.association.base import median_apart
 from relmap.core.association.placement import consistent_placements
 from relmap.core.association.reobservation.recognition import BY_CHANCE, CLEAR, SIGMAS
@@ -91,7 +91,7 @@ class Doubled:
         if len(pairs) < PAIR:
             return np.empty((0, 2), dtype=np.int64), 0.0
         pairs = self._number[self._sightings.apart(self._refined.landmarks[pairs])]
-        tried = self._refined.landmarks[every[some(len(every), SAMPLE)]]
+        tried = self._refined.landmarks[every[evenly(len(every), SAMPLE)]]
         log_share = math.log((1 + len(self._sightings.apart(tried))) / (1 + len(tried)))
         return np.concatenate([pairs, pairs[:, ::-1]]), log_share
 
@@ -190,11 +190,6 @@ def _likeliest(
             chosen, least = of.tolist(), chance
             taken.update(pairs[row].tolist())
     return least, np.sort(np.array(chosen, dtype=np.int64))
-
-
-def some(n: int, most: int) -> Ints:
-    """Return at most `most` of n rows, evenly chosen."""
-    return np.linspace(0, n - 1, min(most, n)).astype(np.int64)
 
 
 def log_volume(n: int, radius: float) -> float:

@@ -14,10 +14,10 @@ from dataclasses import dataclass
 from itertools import islice
 
 import numpy as np
-from scipy.spatial import Delaunay, QhullError, cKDTree
+from scipy.spatial import cKDTree
 from scipy.special import chdtri, gammaln
 
-from relmap.core.arrays import Ints
+from relmap.core.arrays import Ints, evenly
 from relmap.core.association.placement import Placement, consistent_placements
 from relmap.core.association.reobservation.crossing import (
     Crossing,
@@ -26,7 +26,7 @@ from relmap.core.association.reobservation.crossing import (
     log_turns,
     usual_steps,
 )
-from relmap.core.association.reobservation.few import FEWEST, RARE, log_volume, some
+from relmap.core.association.reobservation.few import FEWEST, RARE, log_volume
 from relmap.core.association.reobservation.recognition import CLEAR, SIGMAS, triangles
 from relmap.core.association.reobservation.shapes import compared
 from relmap.core.map.pose import LOOSE_RAD, squares_across
@@ -38,15 +38,11 @@ SETS = 12
 NEAR_PAIRS, MOST_PAIRS = 1500, 500
 """Number of pairs above which sets are not searched, where the robot goes from one part into the
 other, and anywhere: there may be hundreds of submaps."""
-TRIANGLES, MOST_SIDES = 2000, 10**7
-"""Number of triangles of a part that are compared, evenly chosen; and number of pairs of its
-landmarks above which recurring sets are not searched."""
+TRIANGLES = 2000
+"""Number of triangles of a part that are compared, evenly chosen."""
 WIDER, REGULAR = 4.0, 3.0
 """Wider tolerance of the sides of triangles, relative to that within which they are alike; and how
 many times as many as in random worlds are alike where patterns repeat."""
-MISSED = 1
-"""Landmarks of either part that may lie among the common ones and are missed by the other: places
-that look alike differ in some; parts that are seen from all sides may miss one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,15 +56,6 @@ class Shared:
     log_chance: float
     placement: Placement
     pairs: Ints
-
-    def is_rivalled(self, other: Shared) -> bool:
-        """Return whether some of the landmarks are nearly as surely the same as yet others.
-
-        Of places that look alike, a third one may be the right one.
-        """
-        common = np.isin(self.pairs, other.pairs).any()
-        return other is not self and bool(common) and other.log_chance <= CLEAR * self.log_chance
-
 
 class FewShared:
     """Finds few landmarks that parts of a map share.
@@ -94,7 +81,7 @@ class FewShared:
                     every.append((shared.log_chance, k, shared, {id(part), id(other)}))
         chosen, had = [], set[int]()
         for _, _, shared, both in sorted(every, key=lambda one: one[:2]):
-            if had.isdisjoint(both) and not any(shared.is_rivalled(one[2]) for one in every):
+            if had.isdisjoint(both):
                 chosen.append(shared)
             had |= both
         return chosen
@@ -105,9 +92,8 @@ class FewShared:
         for stray in self._strays:
             each = [self._near(stray, submap) for submap in self._submaps]
             shared = [one for one in each if one is not None]
-            shared.sort(key=lambda one: one.log_chance)
-            if shared and not any(shared[0].is_rivalled(one) for one in shared):
-                found.append(shared[0].pairs)
+            if shared:
+                found.append(min(shared, key=lambda one: one.log_chance).pairs)
         return found
 
     def is_regular(self) -> bool:
@@ -121,7 +107,7 @@ class FewShared:
             corners, sides = triangles(part.positions)
             if len(corners) < 2:
                 continue
-            rows = some(len(corners), TRIANGLES)
+            rows = evenly(len(corners), TRIANGLES)
             corners, sides = corners[rows], sides[rows]
             tolerance_m = SIGMAS * part.noise_m
             pairs = cKDTree(sides).query_pairs(WIDER * tolerance_m, output_type="ndarray")
@@ -155,23 +141,17 @@ class FewShared:
 
         `log_where`: log of the volume of possible motions of the part, in metres and radians.
         """
-        found: list[tuple[float, int, Shared, Ints]] = []
+        found: list[tuple[float, int, Shared]] = []
         for rows in _sets(part, other, pairs, is_near=crossing is not None):
             shared = self._shared(part, other, rows, log_where)
             if shared is not None and (crossing is None or crossing.allows(shared.placement)):
-                found.append((shared.log_chance, len(found), shared, rows))
+                found.append((shared.log_chance, len(found), shared))
         found.sort(key=lambda one: one[:2])
         if not found or found[0][0] > math.log(SURE):
             return None
         if len(found) > 1 and found[1][0] <= CLEAR * found[0][0]:
             return None
-        here, there = found[0][3].T
-        if _recurs(part, here) or _recurs(other, there):
-            return None
-        there_and_back = found[0][2].placement, _inverse(found[0][2].placement)
-        n_missed = _n_missed(other, there, part, here, there_and_back[0])
-        n_missed += _n_missed(part, here, other, there, there_and_back[1])
-        return found[0][2] if n_missed <= MISSED else None
+        return found[0][2]
 
     def _shared(self, part: Part, other: Part, rows: Ints, log_where: float) -> Shared | None:
         """Return pairs (k, 2) of rows with their chance; None if they do not agree."""
@@ -211,49 +191,7 @@ def _sets(part: Part, other: Part, pairs: Ints, is_near: bool) -> Iterator[Ints]
         yield rows
 
 
-def _recurs(part: Part, rows: Ints) -> bool:
-    """Return whether all of some landmarks (k,) of a part lie like others in it, or many may."""
-    at, tolerance_m = part.positions, SIGMAS * part.noise_m
-    tree, sides_m = cKDTree(at), np.linalg.norm(at[rows, None] - at[rows], axis=2)
-    reach_m = sides_m.max() + tolerance_m
-    if tree.count_neighbors(tree, reach_m) > MOST_SIDES:
-        return True
-    near = tree.query_pairs(reach_m, output_type="ndarray").reshape(-1, 2)
-    length_m, pairs = np.linalg.norm(at[near[:, 0]] - at[near[:, 1]], axis=1), []
-    for k, row in enumerate(rows.tolist()):
-        may = np.arange(len(at)) != row
-        for side_m in np.delete(sides_m[k], k):
-            may &= np.isin(np.arange(len(at)), near[np.abs(length_m - side_m) <= tolerance_m])
-        others = np.flatnonzero(may)
-        pairs.append(np.column_stack([np.full(len(others), k), others]))
-    found = np.concatenate(pairs)
-    if len(found) > NEAR_PAIRS:
-        return True
-    every = consistent_placements(at[rows], at, found, tolerance_m)
-    return any(placement.n_agreeing == len(rows) for placement, _ in islice(every, SETS))
-
-
 def _turns_freely(part: Part, rows: Ints) -> bool:
     """Return whether some landmarks (k,), nearly on a line in space, do not fix a rotation."""
     across = squares_across(part.positions[rows], np.zeros(len(rows), dtype=np.int64), 1)
     return bool(part.noise_m > LOOSE_RAD * np.sqrt(across[0]))
-
-
-def _inverse(placement: Placement) -> Placement:
-    R = placement.R.T
-    return Placement(R, -R @ placement.t, placement.n_agreeing)
-
-
-def _n_missed(part: Part, rows: Ints, other: Part, others: Ints, placement: Placement) -> int:
-    """Return how many landmarks of another part lie among those of both, where this has none.
-
-    `rows`, `others` (k,): the landmarks of both; `placement`: of the other part in this one.
-    """
-    try:
-        among = Delaunay(part.positions[rows])
-    except QhullError:  # Too few, or on a line.
-        return 0
-    left = placement.apply(np.delete(other.positions, others, axis=0))
-    inside = left[among.find_simplex(left) >= 0]
-    apart_m = cKDTree(part.positions).query(inside)[0] if len(inside) else np.empty(0)
-    return int(np.sum(apart_m > WIDER * SIGMAS * part.noise_m))
