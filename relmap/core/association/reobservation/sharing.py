@@ -57,6 +57,7 @@ class Shared:
     placement: Placement
     pairs: Ints
 
+
 class FewShared:
     """Finds few landmarks that parts of a map share.
 
