@@ -15,20 +15,24 @@ from tests.test_planes3d_covariances import patches, wall
 WRONG, OFF_M = 5, 0.12
 
 
-def room(is_wrong: bool, agree: int = 2) -> Submap:
+def room(is_wrong: bool, agree: int = 2, turned: int | None = None) -> Submap:
     """Return scans of a room with a relief of 0.12 m on its front and its back wall.
 
     Later scans show the walls only. If wrong, scans from the sixth on take them for the reliefs.
-    `agree`: how many of both walls they show.
+    `agree`: how many of both walls they show; `turned`: seed of rotations of the map and the robot.
     """
+    rotations = Rotation.identity(11) if turned is None else Rotation.random(11, turned)
+    turns = rotations.as_matrix()
     part, x = Submap(), np.cumsum([0.0, 0.05, 0.2, 0.1, 0.25, 0.08, 0.2, 0.1, 0.22, 0.05])
     for k in range(len(x)):
         walls = [wall(0, 3.0 - x[k], (-2.0, -1.0)), wall(0, -3.0 - x[k], (-2.0, -1.0))][:agree]
         reliefs = [wall(0, 3.0 + OFF_M - x[k], (1.0, 2.0)), wall(0, OFF_M - 3.0 - x[k], (1.0, 2.0))]
         both, is_off = k < 2, is_wrong and k >= WRONG
-        seen = patches(*walls, wall(1, 2.0), wall(2, -2.0), *(reliefs if both else []))
+        shown = [*walls, wall(1, 2.0), wall(2, -2.0), *(reliefs if both else [])]
+        seen = patches(*(each @ turns[k] for each in shown))
         number = [*([4, 5] if is_off else [0, 1])[:agree], 2, 3, *([4, 5] if both else [])]
-        part.add(k, seen, (np.eye(3), np.array([x[k] + OFF_M * is_off, 0, 0])), np.array(number))
+        t = turns[-1] @ [x[k] + OFF_M * is_off, 0, 0]
+        part.add(k, seen, (turns[-1] @ turns[k], t), np.array(number))
     return part
 
 
@@ -41,6 +45,12 @@ def test_a_step_onto_surfaces_beside_those_of_the_scan_before_is_listed(
     # All scans together agree with it.
     monkeypatch.setattr(refining, "lies_beside", lambda part, k: False)
     assert unsure_steps(part) == {}
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_it_is_listed_in_whatever_direction_the_robot_looks(seed: int) -> None:
+    assert unsure_steps(room(False, turned=seed)) == {}
+    assert sorted(unsure_steps(room(True, turned=seed))) == [WRONG]
 
 
 @pytest.mark.parametrize(("agree", "found"), [(2, [WRONG]), (1, [])])
