@@ -15,7 +15,9 @@ import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.errors import RelmapError
+from relmap.datasets.bearing_scale import warn_of_bearings
 from relmap.datasets.floor_hits import floor_m
+from relmap.datasets.rounding import spread_rounded
 from relmap.datasets.scans import ScanLog, SensorView
 from relmap.datasets.textfile import invalid, warn
 
@@ -88,9 +90,10 @@ def laser_scans(
     if below:
         warn(path, f"{below} ranges below 0 are treated as no return")
     usable, limit_m = usable_beams(path, ranges_m, [scan.bearings_rad for scan in scans], limit_m)
+    kept = [ranges[there] for ranges, there in zip(ranges_m, usable, strict=True)]
     points = []
-    for scan, there in zip(scans, usable, strict=True):
-        r, (x, y, yaw) = scan.ranges_m[there], scan.T_robot_laser
+    for scan, there, r in zip(scans, usable, spread_rounded(path, kept), strict=True):
+        x, y, yaw = scan.T_robot_laser
         angle = scan.bearings_rad[there] + yaw
         points.append(np.column_stack([x + r * np.cos(angle), y + r * np.sin(angle)]))
     return ScanLog(2, stamps_s, points.__getitem__, poses, sensor=_view(scans, limit_m))
@@ -128,6 +131,7 @@ def usable_beams(
     below_m = [np.where(ranges < limit_m, ranges, 0.0) for ranges in below_m]
     limit_m = min(limit_m, floor_m(path, below_m, bearings_rad, min(limit_m, range_m)))
     known_m = [np.where((r > 0) & (r < limit_m), r, 0.0) for r in ranges_m]
+    warn_of_bearings(path, known_m, bearings_rad)
     own = on_robot(path, known_m, bearings_rad)
     return [(r > 0) & ~robot for r, robot in zip(known_m, own, strict=True)], limit_m
 
@@ -146,6 +150,11 @@ def points_of_laser(
     if np.isfinite(limit_m):
         sensor = replace(sensor, range_m=min(limit_m, range_m))
     kept = [scan[there] for scan, there in zip(beams, usable, strict=True)]
+    given_m = [ranges[there] for ranges, there in zip(ranges_m, usable, strict=True)]
+    spread_m = spread_rounded(path, given_m)
+    if spread_m is not given_m:
+        ratios = [new / old for new, old in zip(spread_m, given_m, strict=True)]
+        kept = [scan * ratio[:, None] for scan, ratio in zip(kept, ratios, strict=True)]
     return ScanLog(2, stamps_s, kept.__getitem__, sensor=sensor)
 
 

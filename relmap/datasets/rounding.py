@@ -1,0 +1,47 @@
+"""Ranges rounded so coarsely that walls look like steps."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from relmap.core.arrays import Floats
+from relmap.datasets.textfile import warn
+
+COARSE_M, COARSEST_M = 0.06, 0.25
+"""Steps of ranges that are spread; at 0.05 m noise makes some logs better and others worse."""
+SCANS, FEWEST = 200, 20
+"""Maximum number of scans that are examined, and least number of different ranges."""
+SAME_M, MOSTLY = 5e-4, 0.99
+"""Largest deviation of a multiple of the step, and fraction of the ranges that are multiples."""
+
+
+def spread_rounded(path: Path, ranges_m: list[Floats]) -> list[Floats]:
+    """Return the ranges of each scan, list of k (b,), spread over the step of their rounding.
+
+    A wall seen in rounded ranges is a row of arcs around the sensor; noise of the size of a step
+    makes it a wall again. It is the same in each call. Finer ranges are returned as they are.
+    `path`: the log, for the warning.
+    """
+    step_m = _step_m(ranges_m)
+    if not COARSE_M <= step_m <= COARSEST_M:
+        return ranges_m
+    warn(path, f"ranges are rounded to {step_m:.3g} m: evenly distributed noise is added")
+    return [
+        ranges + np.random.default_rng(scan).uniform(-step_m / 2, step_m / 2, len(ranges))
+        for scan, ranges in enumerate(ranges_m)
+    ]
+
+
+def _step_m(ranges_m: list[Floats]) -> float:
+    """Return the step of which most ranges are multiples, 0 if there is none."""
+    some = np.unique(np.linspace(0, len(ranges_m) - 1, SCANS).astype(np.int64)).tolist()
+    every = np.concatenate([ranges_m[scan] for scan in some])
+    steps_m = np.diff(np.unique(np.round(every, 4)))
+    steps_m = steps_m[steps_m > 2 * SAME_M]
+    if len(steps_m) < FEWEST:
+        return 0.0
+    step_m = float(np.median(steps_m))
+    off_m = np.abs(every - step_m * np.rint(every / step_m))
+    return step_m if np.mean(off_m <= SAME_M) >= MOSTLY else 0.0
