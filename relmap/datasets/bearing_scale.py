@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from relmap.core.arrays import Floats
+from relmap.core.arrays import Floats, evenly
 from relmap.datasets.textfile import warn
 
 SCANS = 300
@@ -41,7 +41,7 @@ def warn_of_bearings(
     `path`: the log, for the warning. `ranges_m`, `bearings_rad`, list of k (b,): beams of each
     scan; those of range 0 did not return.
     """
-    some = np.unique(np.linspace(0, len(ranges_m) - 1, SCANS).astype(np.int64)).tolist()
+    some = evenly(len(ranges_m), SCANS).tolist()
     found = [each for i in some for each in _stretches(ranges_m[i], bearings_rad[i])]
     off, nearest_m = np.array(found).reshape(-1, 2).T
     if len(off) < FEWEST:

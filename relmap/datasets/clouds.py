@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from relmap.core.arrays import Bools, Floats
+from relmap.core.arrays import Bools, Floats, evenly
 from relmap.core.errors import RelmapError
 from relmap.datasets.laser import SAME, WIDE_SCANS, points_of_laser, require_near
 from relmap.datasets.scans import ScanLog
@@ -73,7 +73,7 @@ def without_no_return(path: Path, log: ScanLog) -> ScanLog:
 
     RelmapError if all points are too far for any sensor.
     """
-    some = np.unique(np.linspace(0, max(len(log) - 1, 0), min(SCANS, len(log))).astype(np.int64))
+    some = evenly(len(log), SCANS)
     scans = [points for index in some.tolist() if len(points := _read(log, index))]
     if not scans:
         return log

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.arrays import Bools, Floats, Ints, evenly
 from relmap.core.errors import RelmapError
 from relmap.datasets.bearing_scale import warn_of_bearings
 from relmap.datasets.floor_hits import floor_m
@@ -243,7 +243,7 @@ def on_robot(path: Path, ranges_m: list[Floats], bearings_rad: list[Floats]) -> 
     none = [np.zeros(len(ranges), dtype=np.bool_) for ranges in ranges_m]
     if len(ranges_m) < SCANS:
         return none
-    some = np.unique(np.linspace(0, len(ranges_m) - 1, MOST).astype(np.int64)).tolist()
+    some = evenly(len(ranges_m), MOST).tolist()
     some_m = np.concatenate([ranges_m[i] for i in some])
     steps_rad = np.concatenate([np.diff(np.sort(bearings_rad[i])) for i in some])
     steps_rad = steps_rad[steps_rad > ONE_RAD]

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from relmap.core.arrays import Floats
+from relmap.core.arrays import Floats, evenly
 from relmap.datasets.textfile import warn
 
 COARSE_M, COARSEST_M = 0.06, 0.25
@@ -36,7 +36,7 @@ def spread_rounded(path: Path, ranges_m: list[Floats]) -> list[Floats]:
 
 def _step_m(ranges_m: list[Floats]) -> float:
     """Return the step of which most ranges are multiples, 0 if there is none."""
-    some = np.unique(np.linspace(0, len(ranges_m) - 1, SCANS).astype(np.int64)).tolist()
+    some = evenly(len(ranges_m), SCANS).tolist()
     every = np.concatenate([ranges_m[scan] for scan in some])
     steps_m = np.diff(np.unique(np.round(every, 4)))
     steps_m = steps_m[steps_m > 2 * SAME_M]
