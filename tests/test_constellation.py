@@ -225,6 +225,19 @@ def test_two_familiar_landmarks_tie_a_planar_scan_but_two_strangers_do_not() -> 
     np.testing.assert_array_equal(registration.match(seen_at(world, 13), None), labels)
 
 
+def test_two_familiar_landmarks_must_be_nearer_after_nearly_empty_scans() -> None:
+    """The robot may have moved on: two others may be as far apart as those seen before."""
+    rng = np.random.default_rng(2)
+    world = scattered(12, 2, rng)
+    moved = seen_at(world[4:6], 9) + np.array([0.3, 0.0])
+    registration, labels = settled(world, 0.01, rng)
+    for _ in range(2):
+        assert registration.match(np.array([[20.0, 20.0]]), None) >= 12
+    assert (registration.match(moved, None) >= 12).all()
+    registration, labels = settled(world, 0.01, rng)
+    assert registration.match(moved, None).tolist() == labels[4:6].tolist()
+
+
 def numbers_after_noise_sets_in(n: int, d: int) -> int:
     """Stand still without noise, then set off with it; return how many landmarks there were."""
     rng = np.random.default_rng(n)

@@ -57,6 +57,17 @@ def test_most_of_the_landmarks_that_scans_show_must_fit_one_motion() -> None:
     assert join_seen_together(mapper.engine.map, mapper.engine.rows)
 
 
+@pytest.mark.parametrize(("off_m", "fits"), [(0.0, True), (0.06, False)])
+def test_three_landmarks_join_submaps_only_if_they_fit_closely(off_m: float, fits: bool) -> None:
+    """A track that mixes two landmarks may be one of them."""
+    mapper, half, before = split(2, sigma=0.02)
+    mapper.engine.table.take_off_map(half[3:])
+    bent = before[:3].copy()
+    bent[1, 0] += off_m
+    mapper.engine.map.place(1, half[:3], bent, np.full(3, 20.0))
+    assert join_seen_together(mapper.engine.map, mapper.engine.rows) == fits
+
+
 def test_landmarks_that_only_determine_a_pose_do_not_join_submaps() -> None:
     mapper, half, _ = split(2)
     rows, table = mapper.engine.rows, mapper.engine.table

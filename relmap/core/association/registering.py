@@ -45,7 +45,7 @@ GROWN = 2.5
 FAMILIAR = 5
 """Observations of a landmark required if only two landmarks determine a planar scan."""
 NEARBY = 0.2
-"""Largest motion of these two, in spacings."""
+"""Largest motion of these two, in spacings, over all scans since they were seen."""
 BLIND = 8
 """Nearly empty scans after which any place may follow, also one that looks alike."""
 
@@ -144,7 +144,7 @@ class TrackPlacing(PatternPlacing):
         own = rows_of(metric, target)
         near = trimmed_fit(here, there, tolerance_m, own)
         is_sharp = tolerance_m <= SHARP * spacing_m
-        share = NEAR_SHARE * min(len(sample), n)
+        share, pair = NEAR_SHARE * min(len(sample), n), None
         if near is not None:
             of = (here, there), tracks.expected, (near.R, near.t)
             square, step_m = tracking.agreement(*of, tolerance_m, own)
@@ -154,8 +154,7 @@ class TrackPlacing(PatternPlacing):
             is_safe = self.is_short(np.inf if missed or self.idle else step_m)
             if is_safe and is_usual and near.n_agreeing >= max(PLENTY, share):
                 return near, False
-            if near.n_agreeing == len(rows) == d == 2 and self._is_familiar_pair(rows, distance):
-                return near, False
+            pair = near if self._is_familiar_pair(near, rows, distance) else None
             here = tracks.expected[sample]
             near = settled(here, points, near, tolerance_m, metric)
             if near is not None and not self.is_exceeded(near, here, points, missed):
@@ -163,18 +162,27 @@ class TrackPlacing(PatternPlacing):
         if near is not None and is_safe and is_usual and near.n_agreeing >= share:
             return near, False
         far = self._search()
+        if pair and far.placement is None:
+            return pair, False
         is_best = is_sharp and near is not None and far.n_agreeing <= near.n_agreeing
         is_most = near is not None and is_safe and near.n_agreeing >= share
         if near and is_best and (is_most or not far.is_doubtful):
             return near, False
-        explains = far.n_agreeing >= SHARE * self.possible
-        return far.placement, far.placement is None and far.is_ambiguous and explains
+        return far.placement, (
+            far.placement is None and far.is_ambiguous and far.n_agreeing >= SHARE * self.possible
+        )
 
-    def _is_familiar_pair(self, rows: Ints, distance: Floats) -> bool:
-        """Return whether two matches in the plane suffice: well known, just seen, hardly moved."""
+    def _is_familiar_pair(self, near: Placement, rows: Ints, distance: Floats) -> bool:
+        """Return whether two matches in the plane suffice: well known, just seen, hardly moved.
+
+        After nearly empty scans they must have moved less: the robot may have, in each.
+        """
+        if not near.n_agreeing == len(rows) == self.points.shape[1] == 2:
+            return False
         seen, missed = self.tracks.seen[rows], self.tracks.missed[rows]
         known = (seen >= FAMILIAR).all() and (missed == 0).all()
-        return bool(known and distance.max() <= NEARBY * self.scale.spacing_m)
+        far_m = (1 + self.idle) * distance.max()
+        return bool(known and far_m <= NEARBY * self.scale.spacing_m)
 
     def _found_of_unknown_noise(self, is_ambiguous: bool) -> Placement | None:
         """Retry as if the noise were unknown: it may have grown, as when a robot starts moving.
