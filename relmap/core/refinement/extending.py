@@ -31,7 +31,7 @@ AGREEING = 0.8
 of the landmarks of a submap that must fit one motion."""
 CLOSELY = 0.5
 """Fraction of that deviation up to which a submap fits another, as three landmarks may place it: of
-right ones at most 0.31, of one that a mixed track turned by 3 m 0.95."""
+38 right ones all but one have at most 0.31, two that mixed tracks moved by 1 to 3 m 0.64 and more."""
 SHARE = 0.1
 """Least number of observations with a larger submap that move a landmark there, relative to those
 with its present one."""
