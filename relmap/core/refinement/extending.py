@@ -30,8 +30,9 @@ AGREEING = 0.8
 """Fraction of the segments that must agree, as a landmark at rest half of the time is dynamic; and
 of the landmarks of a submap that must fit one motion."""
 CLOSELY = 0.5
-"""Fraction of that deviation up to which a submap fits another, as three landmarks may place it: of
-38 right ones all but one have at most 0.31, two that mixed tracks moved by 1 to 3 m 0.64 and more."""
+"""Fraction of that deviation up to which a submap fits another, as three landmarks may place it. Of
+38 right ones all but one have at most 0.31; two that mixed tracks moved by 1 to 3 m have at least
+0.64."""
 SHARE = 0.1
 """Least number of observations with a larger submap that move a landmark there, relative to those
 with its present one."""
