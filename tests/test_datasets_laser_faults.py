@@ -61,19 +61,21 @@ def test_curved_walls_are_not_taken_for_wrong_bearings(caplog: pytest.LogCapture
 def test_few_beams_say_nothing_of_bearings(caplog: pytest.LogCaptureFixture) -> None:
     for n in 0, 1, 5:
         warn_of_bearings(LOG, [np.ones(n)] * 3, [np.zeros(n)] * 3)
+    warn_of_bearings(LOG, [np.ones(100)] * 3, [np.linspace(0, 1e7, 100)] * 3)
+    assert spread_rounded(LOG, []) == []
     assert not caplog.messages
 
 
-@pytest.mark.parametrize("step_m", [0.1, 0.2])
+@pytest.mark.parametrize("step_m", [0.06, 0.0625, 1 / 12, 0.1, 0.2])
 def test_coarsely_rounded_ranges_are_spread(
     step_m: float, caplog: pytest.LogCaptureFixture
 ) -> None:
     true_m = room()
-    given_m = [step_m * np.rint(ranges / step_m) for ranges in true_m]
+    given_m = [np.round(step_m * np.rint(ranges / step_m), 3) for ranges in true_m]
     spread_m = spread_rounded(LOG, given_m)
-    assert f"ranges are rounded to {step_m:g} m" in caplog.text
+    assert f"ranges are rounded to {step_m:.3g} m" in caplog.text
     changed = np.concatenate(spread_m) - np.concatenate(given_m)
-    assert np.abs(changed).max() <= step_m / 2
+    assert np.abs(changed).max() <= step_m / 2 + 1e-4
     assert np.std(changed) == pytest.approx(step_m / np.sqrt(12), rel=0.05)
     again = np.concatenate(spread_rounded(LOG, given_m))
     np.testing.assert_array_equal(again, np.concatenate(spread_m))

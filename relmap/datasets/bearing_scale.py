@@ -18,6 +18,8 @@ SCANS = 300
 """Maximum number of scans that are examined, spread over the log."""
 WINDOW_RAD, HOP_RAD, BEAM_RAD = np.deg2rad([60.0, 10.0, 1.0])
 """Angle of a stretch of wall, from one stretch to the next, and least angle between its beams."""
+BEAMS = 15
+"""Minimum number of beams of a stretch."""
 SHARE, JUMP, NEAREST_M, OBLIQUE, NOISE_M = 0.9, 0.3, 0.3, 1.15, 0.02
 """A stretch has this fraction of its beams, ranges that change by less than this fraction from beam
 to beam, are longer than this and, the longest, by this factor than the shortest, and fit."""
@@ -68,9 +70,11 @@ def _stretches(ranges_m: Floats, bearings_rad: Floats) -> Iterator[tuple[float, 
     if len(order) < 2:
         return
     step_rad = np.median(np.diff(bearings_rad[order]))
-    stride = max(1, round(BEAM_RAD / step_rad)) if step_rad > 0 else 1
+    if not 0 < step_rad < WINDOW_RAD / BEAMS:
+        return
+    stride = max(1, round(BEAM_RAD / step_rad))
     ranges, bearings = ranges_m[order[::stride]], bearings_rad[order[::stride]]
-    fewest = max(SHARE * WINDOW_RAD / (stride * step_rad), 15) if step_rad > 0 else np.inf
+    fewest = max(SHARE * WINDOW_RAD / (stride * step_rad), BEAMS)
     begins_rad = np.arange(bearings[0], bearings[-1] - WINDOW_RAD + HOP_RAD / 2, HOP_RAD)
     for begin, end in np.searchsorted(bearings, [begins_rad, begins_rad + WINDOW_RAD]).T:
         r = ranges[begin:end]

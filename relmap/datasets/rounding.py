@@ -13,8 +13,9 @@ COARSE_M, COARSEST_M = 0.06, 0.25
 """Steps of ranges that are spread; at 0.05 m noise makes some logs better and others worse."""
 SCANS, FEWEST = 200, 20
 """Maximum number of scans that are examined, and least number of different ranges."""
-SAME_M, MOSTLY = 5e-4, 0.99
-"""Largest deviation of a multiple of the step, and fraction of the ranges that are multiples."""
+SAME_M, MOSTLY = 6e-4, 0.99
+"""Largest deviation of a multiple of the step, as ranges may be given in millimetres, and fraction
+of the ranges that are multiples."""
 
 
 def spread_rounded(path: Path, ranges_m: list[Floats]) -> list[Floats]:
@@ -28,20 +29,23 @@ def spread_rounded(path: Path, ranges_m: list[Floats]) -> list[Floats]:
     if not COARSE_M <= step_m <= COARSEST_M:
         return ranges_m
     warn(path, f"ranges are rounded to {step_m:.3g} m: evenly distributed noise is added")
+    noise = [np.random.default_rng(k).uniform(-0.5, 0.5, len(r)) for k, r in enumerate(ranges_m)]
     return [
-        ranges + np.random.default_rng(scan).uniform(-step_m / 2, step_m / 2, len(ranges))
-        for scan, ranges in enumerate(ranges_m)
+        np.maximum(r + step_m * each, step_m / 2) for r, each in zip(ranges_m, noise, strict=True)
     ]
 
 
 def _step_m(ranges_m: list[Floats]) -> float:
     """Return the step of which most ranges are multiples, 0 if there is none."""
     some = evenly(len(ranges_m), SCANS).tolist()
-    every = np.concatenate([ranges_m[scan] for scan in some])
-    steps_m = np.diff(np.unique(np.round(every, 4)))
-    steps_m = steps_m[steps_m > 2 * SAME_M]
+    every = np.concatenate([np.empty(0), *(ranges_m[scan] for scan in some)])
+    values_m = np.unique(np.round(every, 4))
+    gaps_m = np.diff(values_m, prepend=0.0)
+    steps_m = gaps_m[gaps_m > 2 * SAME_M]
     if len(steps_m) < FEWEST:
         return 0.0
-    step_m = float(np.median(steps_m))
+    # Single differences are rounded, too: all multiples together are far more exact.
+    multiple = np.cumsum(np.rint(gaps_m / np.median(steps_m)))
+    step_m = round(float(values_m @ multiple / (multiple @ multiple)), 9)
     off_m = np.abs(every - step_m * np.rint(every / step_m))
     return step_m if np.mean(off_m <= SAME_M) >= MOSTLY else 0.0

@@ -175,14 +175,14 @@ class TrackPlacing(PatternPlacing):
     def _is_familiar_pair(self, near: Placement, rows: Ints, distance: Floats) -> bool:
         """Return whether two matches in the plane suffice: well known, just seen, hardly moved.
 
-        After nearly empty scans they must have moved less: the robot may have, in each.
+        After k nearly empty scans, the limit is divided by k + 1: the robot may move in each.
         """
         if not near.n_agreeing == len(rows) == self.points.shape[1] == 2:
             return False
         seen, missed = self.tracks.seen[rows], self.tracks.missed[rows]
         known = (seen >= FAMILIAR).all() and (missed == 0).all()
-        far_m = (1 + self.idle) * distance.max()
-        return bool(known and far_m <= NEARBY * self.scale.spacing_m)
+        moved_m = (1 + self.idle) * distance.max()
+        return bool(known and moved_m <= NEARBY * self.scale.spacing_m)
 
     def _found_of_unknown_noise(self, is_ambiguous: bool) -> Placement | None:
         """Retry as if the noise were unknown: it may have grown, as when a robot starts moving.
