@@ -149,13 +149,14 @@ def points_of_laser(
     usable, limit_m = usable_beams(path, ranges_m, bearings_rad, range_m=range_m)
     if np.isfinite(limit_m):
         sensor = replace(sensor, range_m=min(limit_m, range_m))
-    kept = [scan[there] for scan, there in zip(beams, usable, strict=True)]
     given_m = [ranges[there] for ranges, there in zip(ranges_m, usable, strict=True)]
-    spread_m = spread_rounded(path, given_m)
-    if spread_m is not given_m:
-        ratios = [new / old for new, old in zip(spread_m, given_m, strict=True)]
-        kept = [scan * ratio[:, None] for scan, ratio in zip(kept, ratios, strict=True)]
-    return ScanLog(2, stamps_s, kept.__getitem__, sensor=sensor)
+    points = [
+        scan[there] * (new / given)[:, None]
+        for scan, there, given, new in zip(
+            beams, usable, given_m, spread_rounded(path, given_m), strict=True
+        )
+    ]
+    return ScanLog(2, stamps_s, points.__getitem__, sensor=sensor)
 
 
 def require_near(path: Path, ranges_m: Sequence[Floats]) -> None:
