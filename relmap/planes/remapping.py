@@ -12,7 +12,7 @@ from relmap.planes.linking.registration import PlaneRegistration
 from relmap.planes.model import WallModel
 from relmap.planes.places.locating import LocatingMapper
 from relmap.planes.scans.observation import seen_before
-from relmap.planes.submaps.mending import periods_off
+from relmap.planes.submaps.periods import periods_off
 
 MENDED = 2
 """Maximum number of times that all scans are mapped again, as more steps are clear then."""

@@ -46,7 +46,7 @@ class LinkRecord:
     determined by walls in all directions, and by odometry only; `evidence` (i,): log odds of each
     motion; NaN if unknown, infinite if it is by maps or given; `begun` (r,): first iteration of
     each further log, see `begin_run`; `instead`: motions (3,) into some scans that are taken
-    instead of those found, see `relmap.planes.submaps.mending`.
+    instead of those found, see `relmap.planes.submaps.periods`.
     """
 
     motions: Floats = values_of("_motions")
