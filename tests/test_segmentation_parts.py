@@ -16,9 +16,9 @@ from relmap.segmentation.em.wall_kernels import expect
 from relmap.segmentation.ends.corners import meet
 from relmap.segmentation.ends.end_kernels import box_extent
 from relmap.segmentation.ends.end_types import type_ends
-from relmap.segmentation.ends.pairs import one_hides_other
 from relmap.segmentation.noise import beam_angle, window_noise
 from relmap.segmentation.scanline.lines import LaserScan, first_and_last, hidden_ends, scan_walls
+from relmap.segmentation.wall import one_hides_other
 from tests.kernels import callable_here
 
 

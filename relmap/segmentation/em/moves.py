@@ -13,13 +13,18 @@ import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.segmentation.em.mixture import PARAMETERS, WallMixture, maximise, wall_cost
-from relmap.segmentation.ends.pairs import (
+from relmap.segmentation.wall import (
+    BEGIN,
+    END,
+    EXACT_M,
+    LEAST,
+    SHARE,
+    cut,
     flush,
     one_hides_other,
     side_by_side,
     within_reach,
 )
-from relmap.segmentation.wall import BEGIN, END, EXACT_M, LEAST, SHARE, cut
 
 EMPTY = 6.0
 """Minimum number of missing points in a gap: fewer occur by chance once in e**6."""
