@@ -16,9 +16,10 @@ from shared.tables import header, row
 
 from relmap import PointMapper
 from relmap.comparison.baselines.frames import FrameToMap
+from relmap.core.arrays import positions_of
 from relmap.datasets import ObservationLog, open_log
 from relmap.datasets.mrpt_landmarks import read_ground_truth
-from relmap.evaluation.metrics import positions_of, purity
+from relmap.evaluation.metrics import purity
 from relmap.simulation import simulate_figure_eight
 
 SEEDS = range(10)

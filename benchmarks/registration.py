@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 from shared.tables import header, row
 
 from relmap import MapperConfig, PointMapper
-from relmap.core.arrays import Floats, Ints
+from relmap.core.arrays import Floats, Ints, positions_of
 from relmap.core.association import Constellation
 from relmap.core.landmarks import LandmarkMap
 from relmap.datasets import ObservationLog, open_log, slsjf, victoria_park
@@ -76,7 +76,7 @@ class Outcome:
         """Return the RMSE of the mapped tracks seen often, metres, after alignment."""
         ids, positions, observations = self._mapped_tracks
         chosen = (observations >= OFTEN) & np.isin(ids, truth.landmark_ids)
-        at = metrics.positions_of(truth.landmark_ids, ids[chosen])
+        at = positions_of(truth.landmark_ids, ids[chosen])
         d = 2 if self.result.planar else 3
         return metrics.aligned_rmse(positions[chosen, :d], truth.positions[at, :d])
 

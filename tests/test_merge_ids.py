@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from relmap.core.arrays import Floats
+from relmap.core.arrays import Floats, positions_of
 from relmap.core.geometry.alignment import fit_rigid
-from relmap.evaluation.metrics import positions_of
 from relmap.evaluation.truth import read_truth
 from relmap.io.results import read_result
 from relmap.merging.tables import joined

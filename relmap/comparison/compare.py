@@ -19,7 +19,7 @@ from relmap.comparison.methods.registry import (
     fitting_methods,
 )
 from relmap.comparison.methods.running import ACCURACY, COST, PATH, MethodRun, try_method
-from relmap.core.arrays import Floats, Ints
+from relmap.core.arrays import Floats, Ints, positions_of
 from relmap.core.errors import RelmapError
 from relmap.datasets.base import ObservationLog
 from relmap.evaluation import metrics
@@ -149,7 +149,7 @@ def landmark_error_curve(
         if number % every and number < len(log):
             continue
         found = method.map
-        at = metrics.positions_of(ids, found.landmark_ids)
+        at = positions_of(ids, found.landmark_ids)
         known = at >= 0
         rmse = metrics.aligned_rmse(found.positions[known], places[at[known]])
         iterations.append(scan.iteration)

@@ -18,6 +18,15 @@ def evenly(n: int, most: int) -> Ints:
     return np.linspace(0, n - 1, min(most, n)).astype(np.int64)
 
 
+def positions_of(keys: Ints, wanted: Ints) -> Ints:
+    """Return the index of each wanted number (n,) among the keys (m,), -1 if missing."""
+    if not len(keys):
+        return np.full(len(wanted), -1)
+    order = np.argsort(keys, kind="stable")
+    at = order[np.searchsorted(keys[order], wanted).clip(0, len(keys) - 1)]
+    return np.where(keys[at] == wanted, at, -1)
+
+
 def entries(values: Ints, at: Ints) -> Ints:
     """Return the entries of values at places (any shape); -1 stays."""
     found = values.take(at)

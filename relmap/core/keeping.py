@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from relmap.core.arrays import Floats, Ints
+from relmap.core.arrays import Floats, Ints, positions_of
 from relmap.core.refinement.condensing import seen_from_first
 from relmap.core.state.kept import KeptObservations
 
@@ -70,13 +70,10 @@ def variances_of(engine: RelativeMapper, landmarks: Ints, begin: int) -> Floats 
         return None
     rows = slice(int(np.searchsorted(kept.iteration, begin)), len(kept))
     covariances = kept.covariance[rows]
-    order = np.argsort(landmarks)
-    seen = engine.table.now(kept.landmark[rows])
-    at = np.searchsorted(landmarks[order], seen).clip(0, len(landmarks) - 1)
-    own = landmarks[order][at] == seen
+    at = positions_of(landmarks, engine.table.now(kept.landmark[rows]))
+    own = at >= 0
     each = np.trace(covariances[own], axis1=1, axis2=2) / covariances.shape[1]
-    at = order[at[own]]
-    counts, total = (np.bincount(at, by, len(landmarks)) for by in (None, each))
+    counts, total = (np.bincount(at[own], by, len(landmarks)) for by in (None, each))
     return np.asarray(total / np.maximum(counts, 1))
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.arrays import Bools, Floats, Ints, positions_of
 from relmap.core.errors import RelmapError
 from relmap.core.geometry.motions import transforms
 from relmap.datasets.base import ObservationLog
@@ -168,7 +168,7 @@ def identify(result: Result, log: ObservationLog | None) -> Identified | None:
         if result.summary.get("association") != "known":
             return None
         return Identified(tracks.landmark, tracks.landmark, tracks.landmark, tracks.iteration)
-    at = metrics.positions_of(log.rows, tracks.row)
+    at = positions_of(log.rows, tracks.row)
     return Identified(tracks.landmark, log.ids[at], log.ids, log.iteration)
 
 
@@ -179,7 +179,7 @@ def mapped_part(result: Result, log: ObservationLog) -> ObservationLog:
         raise RelmapError("summary.json of the result: scans is not a pair of iteration numbers")
     part = log.between(*scans)
     tracks = result.tracks
-    at = metrics.positions_of(part.rows, tracks.row)
+    at = positions_of(part.rows, tracks.row)
     same = [part.first_iteration, part.end_iteration] == scans and bool((at >= 0).all())
     same = same and np.array_equal(part.iteration[at], tracks.iteration)
     if not same:
@@ -201,12 +201,10 @@ def match_landmarks(
     if often:
         seen = metrics.seen_often(identified.seen_id, identified.seen_iteration)
         labels, ids = labels[np.isin(ids, seen)], ids[np.isin(ids, seen)]
-    at = metrics.positions_of(truth.landmark_ids, ids)
+    at = positions_of(truth.landmark_ids, ids)
     comparable = (truth.status == "static") & np.isfinite(truth.landmarks_map).all(axis=1)
     there = (at >= 0) & comparable[at] if len(comparable) else at >= 0
-    position = result.landmarks.position[
-        metrics.positions_of(result.landmarks.landmark, labels[there])
-    ]
+    position = result.landmarks.position[positions_of(result.landmarks.landmark, labels[there])]
     true_position = truth.landmarks_map[at[there]]
     R, t = np.eye(3), np.zeros(3)
     d = 2 if result.planar else 3

@@ -30,15 +30,6 @@ class Matched:
     rmse_m: float | None
 
 
-def positions_of(keys: Ints, wanted: Ints) -> NDArray[np.intp]:
-    """Return the index of each wanted number (n,) among the keys (m,), -1 if missing."""
-    if not len(keys):
-        return np.full(len(wanted), -1, np.intp)
-    order = np.argsort(keys, kind="stable")
-    at = order[np.searchsorted(keys[order], wanted).clip(0, len(keys) - 1)]
-    return np.where(keys[at] == wanted, at, -1)
-
-
 def rms(errors: Floats) -> float | None:
     """Return the root mean square of the lengths of error vectors (n, d); None if n is 0."""
     if not len(errors):

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from relmap.core.arrays import Floats, Ints
+from relmap.core.arrays import Floats, Ints, positions_of
 from relmap.core.errors import RelmapError
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.scans import ScanLog
 from relmap.datasets.textfile import shown
 from relmap.evaluation.feeding import Log, stamps_of
-from relmap.evaluation.metrics import match_stamps, positions_of
+from relmap.evaluation.metrics import match_stamps
 from relmap.evaluation.sources import read_again
 from relmap.evaluation.truth import Variant
 from relmap.exports.content import MapContent

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from relmap.core.arrays import Floats, Ints
+from relmap.core.arrays import Floats, Ints, positions_of
 from relmap.core.association.reobservation.tying import tie_submaps
 from relmap.core.errors import RelmapError
 from relmap.core.geometry.alignment import fit_rigid
@@ -18,7 +18,6 @@ from relmap.core.landmarks import LandmarkTable
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.map.lengths import length_ratio_of_maps
 from relmap.core.state.table import LandmarkState
-from relmap.evaluation.metrics import positions_of
 from relmap.evaluation.pairing import moved, paired
 from relmap.evaluation.summary import by_status
 from relmap.io.results import LANDMARKS, PLANES, Result, Tracks, read_names, shifted

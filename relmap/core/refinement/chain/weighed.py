@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from relmap.core.arrays import Floats, Ints
+from relmap.core.arrays import Floats, Ints, positions_of
 from relmap.core.geometry.alignment import fit_rigid_each, sums_each
 from relmap.core.geometry.robust import limit_of
 from relmap.core.refinement.chain.chain_data import Chain, Chained, Sigmas, unexplained
@@ -109,10 +109,9 @@ def _weight_by_segments(refined: Refined, seen: Observations) -> Floats:
     when = refined.segments.first_iteration[rows.segment[row]] + bit
     end = int(max(when.max(), seen.iterations.max())) + 1
     keys = rows.landmarks[rows.landmark[row]] * end + when
-    order = np.argsort(keys, kind="stable")
     own = refined.landmarks[seen.landmark] * end + seen.iterations[seen.iteration]
-    at = order[np.searchsorted(keys[order], own).clip(0, len(keys) - 1)]
-    return np.where(keys[at] == own, weight[row[at]], 0.0)
+    at = positions_of(keys, own)
+    return np.where(at >= 0, weight[row[at]], 0.0)
 
 
 def _unit(seen: Observations, problem: ChainProblem, settled: Solution[Chained]) -> float:
