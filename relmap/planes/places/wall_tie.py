@@ -39,14 +39,13 @@ ALIKE_M = 0.5
 FAR_M = 400.0
 """Points farther than this from the middle of their map propose no translation: a sensor may report
 a wall far away that is none, and all translations up to there would be tried."""
-LEAST_M = 6.0
-"""Length of wall that must overlap."""
+LEAST_M, ACROSS = 6.0, 0.1
+"""Minimum length of wall that overlaps in an alignment of two maps, and minimum fraction of the
+overlap that prevents them from sliding along the rest."""
 COINCIDING = 0.5
 """Fraction of a wall that must lie on another one if both are the same."""
 ENDS_M = 0.15
 """Largest distance between ends of walls that coincide; twice as far apart, they are two places."""
-ACROSS = 0.1
-"""Minimum fraction of it that must prevent the maps from sliding along the rest."""
 
 
 @dataclass(frozen=True, eq=False)
