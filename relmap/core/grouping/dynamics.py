@@ -83,7 +83,7 @@ class DynamicStatus:
         A landmark whose position varies more than noise explains, in several consecutive groups, is
         dynamic; one that has been at rest for long is static again.
         """
-        import relmap.core.grouping.motion_kernels as kernels
+        import relmap.core.grouping.averaging_kernels as kernels
 
         of, still = self.table, rests(relative, noise_m)
         strikes, until = (of.strikes, of.struck_until), (of.tested_until, of.moved_until)
@@ -97,7 +97,7 @@ def rests(relative: RelativeMap, noise_m: float) -> Bools:
 
     The noise is that of most landmarks, or the landmark's own if known.
     """
-    import relmap.core.grouping.motion_kernels as kernels
+    import relmap.core.grouping.averaging_kernels as kernels
 
     of = relative.positions, relative.variance, relative.amplified, relative.given
     return kernels.steady(*of, noise_m)
