@@ -146,9 +146,9 @@ def wall_ties(ends: Floats, others: Floats) -> list[WallTie]:
 
 def _turns(points: WallPoints, among: WallPoints) -> Floats:
     """Return the rotations (k, 2, 2) that align most fronts with the directions of others."""
-    bins = round(2 * np.pi / BIN_RAD)
     from scipy.ndimage import maximum_filter1d
 
+    bins = round(2 * np.pi / BIN_RAD)
     counts = [
         np.bincount(np.floor(each.angle / BIN_RAD).astype(int) % bins, minlength=bins)
         for each in (points, among)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from relmap.core.arrays import Bools, Ints
+from relmap.core.association.chance import moved_m
 from relmap.core.association.likelihood import LOG_CLEAR
 from relmap.core.association.placement import Placement
 from relmap.core.association.reobservation.evidence import LOCAL_DRIFT
@@ -116,8 +117,8 @@ class LoopFinder:
             return None
         placement, mine, its = known
         pairs = np.column_stack([around[mine], own[its]])
-        off_m = np.linalg.norm(placement.apply(points) - points, axis=1).max()
-        if off_m > self._drift_m(around, together, int(table.last[own[its]].max())):
+        last = int(table.last[own[its]].max())
+        if moved_m(placement, points) > self._drift_m(around, together, last):
             return None
         close = finder.is_close(points[mine], its, table.weight[pairs.T], n_maps=2)
         return (pairs, placement) if close else None
@@ -142,9 +143,8 @@ class LoopFinder:
         if score < chance or rival > min(score + LOG_CLEAR, CLEAR * score):
             return None
         rows, found = likely_links(placement.apply(here), variance, weight, there, None)
-        off_m = np.linalg.norm(placement.apply(here) - here, axis=1).max()
         drift_m = self._drift_m(later, later, int(table.last[older[found]].max(initial=0)))
-        if off_m > drift_m + SIGMAS * self._noise_m:
+        if moved_m(placement, here) > drift_m + SIGMAS * self._noise_m:
             return None
         return np.column_stack([later[rows], older[found]]), placement
 
