@@ -37,7 +37,7 @@ CHI2_MEDIAN = {2: 1.386, 3: 2.366}
 
 
 class Scale:
-    """Spacing and noise of the landmarks, and the tolerances derived from them.
+    """Spacing and noise of the landmarks, the tolerances derived from them, and the robot's step.
 
     `spacing_m`: typical distance between neighbours, metres; infinite before it is known.
     `noise_m`: standard deviation of the difference of a coordinate between two scans; None if
