@@ -46,6 +46,9 @@ FAMILIAR = 5
 """Observations of a landmark required if only two landmarks determine a planar scan."""
 NEARBY = 0.2
 """Largest motion of these two, in spacings, over all scans since they were seen."""
+LEAP, SLOWLY = 4.0, 1.2
+"""Multiple of the longest step so far, taken as half a spacing at least, beyond which a step is a
+leap; and factor by which each leap lengthens the longest step."""
 BLIND = 8
 """Nearly empty scans after which any place may follow, also one that looks alike."""
 
@@ -95,11 +98,26 @@ class TrackPlacing(PatternPlacing):
         """
         if found.n_agreeing < PLENTY and not self.is_short(self.step_m(found)):
             return True
+        if self._is_leap(found):
+            return True
         if self.idle > BLIND:
             share = NEAR_SHARE * min(len(self.tracks), len(self.points))
             has_moved = moved_m(found, self.tracks.expected) > self.scale.spacing_m
             return has_moved or found.n_agreeing < share
         return learnt is not None and self._is_mirrored(found, learnt)
+
+    def _is_leap(self, found: Placement) -> bool:
+        """Return whether the robot would be far faster than ever before, and not all matches.
+
+        A place that looks like an earlier one may be taken for it. A robot that stays as fast is
+        believed after some scans.
+        """
+        scale, n_scans = self.scale, 1 + self.idle + int(self.tracks.missed.min())
+        step_m = float(np.linalg.norm(found.t)) / n_scans
+        usual_m = max(scale.step_m, scale.spacing_m / 2)
+        is_far = step_m > LEAP * usual_m
+        scale.step_m = max(scale.step_m, SLOWLY * usual_m if is_far else step_m)
+        return is_far and found.n_agreeing < min(len(self.tracks), len(self.points))
 
     def _is_mirrored(self, found: Placement, learnt: float) -> bool:
         """Return whether the mirror image of a scan fits better than the scan at a large motion.

@@ -37,24 +37,27 @@ CHI2_MEDIAN = {2: 1.386, 3: 2.366}
 
 
 class Scale:
-    """Spacing and noise of the landmarks, and the tolerances derived from them.
+    """Spacing and noise of the landmarks, the tolerances derived from them, and the robot's step.
 
     `spacing_m`: typical distance between neighbours, metres; infinite before it is known.
     `noise_m`: standard deviation of the difference of a coordinate between two scans; None if
-    unknown. `wider`: factor by which the tolerance is wider before the noise is known. `rays`:
-    noise as a function of direction and distance.
+    unknown. `wider`: factor by which the tolerance is wider before the noise is known. `step_m`:
+    longest step of the robot from one scan to the next, metres. `rays`: noise as a function of
+    direction and distance.
     """
 
     spacing_m: float
     noise_m: float | None
     wider: float
+    step_m: float
     rays: RayNoise
-    STATE = "spacing_m noise_m wider rays"
+    STATE = "spacing_m noise_m wider step_m rays"
 
     def __init__(self) -> None:
         self.spacing_m = np.inf
         self.noise_m = None
         self.wider = 1.0
+        self.step_m = 0.0
         self.rays = RayNoise()
 
     @property
