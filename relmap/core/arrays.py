@@ -10,6 +10,9 @@ import numpy as np
 Floats = np.ndarray[tuple[Any, ...], np.dtype[np.float64]]
 Singles = np.ndarray[tuple[Any, ...], np.dtype[np.float32]]
 Ints = np.ndarray[tuple[Any, ...], np.dtype[np.int64]]
+# Columns of landmarks: levels, and numbers below 2^31, such as those of iterations.
+Counts = np.ndarray[tuple[Any, ...], np.dtype[np.int32]]
+Bytes = np.ndarray[tuple[Any, ...], np.dtype[np.int8]]
 Bools = np.ndarray[tuple[Any, ...], np.dtype[np.bool_]]
 
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.arrays import Bools, Counts, Floats, Ints
 from relmap.core.grouping.dynamics import ENOUGH, EXACT, FEWEST, LIMIT, STILL, STRIKES
 from relmap.core.linalg.compiling import compiled
 from relmap.core.state.table import NONE
 
-Columns = tuple[Bools, Ints, Ints, Bools, Ints, Ints, Ints]
+Columns = tuple[Bools, Counts, Counts, Bools, Counts, Counts, Counts]
 """Of the landmark table: restless, strikes, struck_until, dynamic, tested_until, moved_until,
 moving_bin."""
 
