@@ -16,9 +16,20 @@ Bytes = np.ndarray[tuple[Any, ...], np.dtype[np.int8]]
 Bools = np.ndarray[tuple[Any, ...], np.dtype[np.bool_]]
 
 
+FEW = 2**14
+"""Number of pairs below which all are compared."""
+
+
 def evenly(n: int, most: int) -> Ints:
     """Return at most `most` of n rows, evenly chosen."""
     return np.linspace(0, n - 1, min(most, n)).astype(np.int64)
+
+
+def among(values: Ints, others: Ints) -> Bools:
+    """Return which of values (n,) are among others (m,)."""
+    if len(values) * len(others) > FEW:
+        return np.isin(values, others)
+    return np.asarray((values[:, None] == others).any(axis=1))  # a tenth of the time of `isin`
 
 
 def entries(values: Ints, at: Ints) -> Ints:
