@@ -138,7 +138,7 @@ def test_a_landmark_goes_through_the_levels_in_order_each_from_the_start_of_its_
 
     monkeypatch.setattr(engine, "group", grouped)
     monkeypatch.setattr(turns, "found_submap", founded)
-    level_was = np.zeros(0, dtype=np.int64)
+    level_was = np.zeros(0, dtype=np.int8)
     for ids, points in world.scans:
         mapper.update(points, ids)
         level = engine.table.highest_level

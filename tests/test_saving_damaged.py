@@ -61,8 +61,8 @@ def test_a_changed_file_is_reported(tmp_path: Path, change: Any) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda a, h: h.update(format=3), "is of format 3, .* reads 2; map its log again"),
-        (lambda a, h: h.update(format=1), "is of format 1, .* reads 2; map its log again"),
+        (lambda a, h: h.update(format=4), "is of format 4, .* reads 3; map its log again"),
+        (lambda a, h: h.update(format=1), "is of format 1, .* reads 3; map its log again"),
         (lambda a, h: a.pop("landmarks/weight"), "another version .*weight is missing; map its"),
         (lambda a, h: a.update(more=a["landmarks/weight"]), "more is unknown; map its log again"),
         (

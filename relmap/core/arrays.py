@@ -10,7 +10,14 @@ import numpy as np
 Floats = np.ndarray[tuple[Any, ...], np.dtype[np.float64]]
 Singles = np.ndarray[tuple[Any, ...], np.dtype[np.float32]]
 Ints = np.ndarray[tuple[Any, ...], np.dtype[np.int64]]
+# Columns of landmarks: levels, and numbers below 2^31, such as those of iterations.
+Counts = np.ndarray[tuple[Any, ...], np.dtype[np.int32]]
+Bytes = np.ndarray[tuple[Any, ...], np.dtype[np.int8]]
 Bools = np.ndarray[tuple[Any, ...], np.dtype[np.bool_]]
+
+
+FEW = 2**14
+"""Number of pairs below which all are compared."""
 
 
 def evenly(n: int, most: int) -> Ints:
@@ -25,6 +32,13 @@ def positions_of(keys: Ints, wanted: Ints) -> Ints:
     order = np.argsort(keys, kind="stable")
     at = order[np.searchsorted(keys[order], wanted).clip(0, len(keys) - 1)]
     return np.where(keys[at] == wanted, at, -1)
+
+
+def among(values: Ints, others: Ints) -> Bools:
+    """Return which of values (n,) are among others (m,)."""
+    if len(values) * len(others) > FEW:
+        return np.isin(values, others)
+    return np.asarray((values[:, None] == others).any(axis=1))  # a tenth of the time of `isin`
 
 
 def entries(values: Ints, at: Ints) -> Ints:

@@ -121,7 +121,7 @@ class RelativeMapper:
 
     def chart(self, seed: int) -> PointChart:
         """Chart the landmarks seen together with one in its current interval (Figs 9, 10)."""
-        begin = max(self.table.begin[seed], self.store.first_iteration)
+        begin = max(int(self.table.begin[seed]), self.store.first_iteration)
         chart = PointChart.around(seed, self.store, begin, self.store.n_iterations)
         variance = variances_of(self, chart.landmarks, begin)
         return chart if variance is None else replace(chart, variance=variance)

@@ -78,7 +78,7 @@ def landmark_table(engine: RelativeMapper) -> LandmarkTable:
         observations=table.observations[order],
         first_iteration=table.first[order],
         last_iteration=table.last[order],
-        level=np.where(mapped, table.highest_level, 0)[order],
+        level=np.where(mapped, table.highest_level, 0)[order].astype(np.int64),
         status=status[order],
         submap=rank[order],
         moving_bin=_moving_bins(table, status, called)[order],

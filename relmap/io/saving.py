@@ -23,7 +23,7 @@ from relmap.datasets.scans_npz import DAMAGE, read_array
 from relmap.io.files import atomic_write
 from relmap.io.state import OtherColumnsError, StateReader, StateWriter
 
-FORMAT = 2
+FORMAT = 3
 """Version of the file format."""
 
 

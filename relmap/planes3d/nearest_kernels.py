@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.arrays import Bools, Counts, Floats, Ints
 from relmap.core.geometry.spatialindex_kernels import bucket_of, cell_at, key_of
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.planes3d.placing import HOPELESS, JUDGED
 from relmap.planes3d.surfaces import SIDE
 
-Grid = tuple[Ints, Ints, Ints, Ints, Floats, float]
+Grid = tuple[Counts, Counts, Ints, Ints, Floats, float]
 """The first cube of each bucket, the next cube in the bucket of each cube, and its key, see
 `relmap.core.geometry.spatialindex_kernels`; the first cell of each cube, and their number; the
 cells (c, 3), cube by cube; and the side of the cubes, metres."""

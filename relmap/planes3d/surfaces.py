@@ -49,8 +49,8 @@ class Surfaces:
         keys = keys_of(np.ascontiguousarray(planes.cells), side_m)
         order = np.argsort(keys, kind="stable")
         key, begin = np.unique(keys[order], return_index=True)
-        first = np.full(1 << (2 * len(key) + 1).bit_length(), -1)
-        following = np.full(len(key), -1)
+        first = np.full(1 << (2 * len(key) + 1).bit_length(), -1, np.int32)
+        following = np.full(len(key), -1, np.int32)
         link(first, following, key)
         begin = np.append(begin, len(order))
         self._grid = first, following, key, begin, planes.cells[order], side_m

@@ -14,35 +14,45 @@ LARGEST = 2**21
 """Ids below it are looked up in an array."""
 
 
-class _Numbers(dict[int, int]):
+class _Numbers:
     """The number of each id, in the order of first observation; `labels`: the ids so far."""
 
     def __init__(self, labels: GrowingArray[np.int64]) -> None:
-        super().__init__((label, k) for k, label in enumerate(labels.values.tolist()))
-        self._labels = labels
-        self._small = np.full(1, UNIDENTIFIED)  # number of each id; the last entry is of no id
-
-    def __missing__(self, label: int) -> int:
-        if label < 0:
-            return UNIDENTIFIED
-        self[label] = len(self)
-        self._labels.append(label)
-        return self[label]
+        self._small = np.full(1, UNIDENTIFIED, np.int32)  # the last entry is of no id
+        self._large: dict[int, int] = {}
+        self._labels, before = labels, labels.values
+        labels.hold(before[:0])
+        self.of(before)
 
     def of(self, ids: Ints) -> Ints:
         """Return the numbers of ids (n,); `UNIDENTIFIED` stays."""
-        largest = ids.item(ids.argmax()) if len(ids) else UNIDENTIFIED
-        if len(self._small) - 1 <= largest < LARGEST:
-            more = np.full(max(largest + 1, len(self._small)), UNIDENTIFIED)
-            self._small = np.concatenate([self._small, more])
-        at = np.minimum(ids, len(self._small) - 1)
-        numbers = self._small.take(at)
+        numbers = self._small.take(np.minimum(ids, len(self._small) - 1)).astype(np.int64)
         unknown = (numbers < 0).nonzero()[0]
         if len(unknown):
-            numbers[unknown] = [self[label] for label in ids[unknown].tolist()]
-            self._small[at[unknown]] = numbers[unknown]
-            self._small[-1] = UNIDENTIFIED
+            numbers[unknown] = [self._number(label) for label in ids[unknown].tolist()]
         return numbers
+
+    def _number(self, label: int) -> int:
+        """Return the number of an id, or a new one."""
+        if label < 0:
+            return UNIDENTIFIED
+        number = len(self._labels)
+        if label >= LARGEST:
+            number = self._large.setdefault(label, number)
+        elif label >= len(self._small) - 1 or self._small[label] < 0:
+            self._enter(label, number)
+        else:
+            number = int(self._small[label])
+        if number == len(self._labels):
+            self._labels.append(label)
+        return number
+
+    def _enter(self, label: int, number: int) -> None:
+        """Enter an id below the largest in the array."""
+        if label >= len(self._small) - 1:
+            more = np.full(max(label + 1, len(self._small)), UNIDENTIFIED, np.int32)
+            self._small = np.concatenate([self._small, more])
+        self._small[label] = number
 
 
 class KnownAssociation(Registration):

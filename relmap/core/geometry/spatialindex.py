@@ -25,7 +25,7 @@ class SpatialIndex:
     def __init__(self, table: LandmarkState, cell_m: float) -> None:
         self.cell_m = cell_m
         self._table = table
-        self._first = np.full(BUCKETS, NONE)
+        self._first = np.full(BUCKETS, NONE, np.int32)
         self._n = 0
 
     def restored(self) -> None:
@@ -61,5 +61,5 @@ class SpatialIndex:
         n = int(np.sum(self._table.cell != NONE))
         while n_buckets < 4 * n:
             n_buckets *= 2
-        self._first = np.full(n_buckets, NONE)
+        self._first = np.full(n_buckets, NONE, np.int32)
         self._n = kernels.link(self._first, self._table.next_in_cell, self._table.cell)

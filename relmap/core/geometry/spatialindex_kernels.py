@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from relmap.core.arrays import Floats, Ints
+from relmap.core.arrays import Counts, Floats, Ints
 from relmap.core.linalg.compiling import compiled, helper
 
-Grid = tuple[Ints, Ints, Ints, Ints]
+Grid = tuple[Counts, Counts, Ints, Ints]
 """First landmark of each bucket; of the landmark table: next_in_cell, cell, last."""
 
 AXIS = 20
@@ -38,7 +38,7 @@ def bucket_of(key: int, n: int) -> int:
 
 
 @helper
-def _remove(first: Ints, following: Ints, one: int, bucket: int) -> None:
+def _remove(first: Counts, following: Counts, one: int, bucket: int) -> None:
     if first[bucket] == one:
         first[bucket] = following[one]
         return
@@ -50,7 +50,7 @@ def _remove(first: Ints, following: Ints, one: int, bucket: int) -> None:
 
 @compiled
 def enter(
-    first: Ints, columns: tuple[Ints, Ints, Floats, Floats], landmarks: Ints, cell_m: float
+    first: Counts, columns: tuple[Counts, Ints, Floats, Floats], landmarks: Ints, cell_m: float
 ) -> int:
     """Insert those of landmarks (k,) that are mapped; return how many were not in the index.
 
@@ -76,7 +76,7 @@ def enter(
 
 
 @compiled
-def link(first: Ints, following: Ints, key: Ints) -> int:
+def link(first: Counts, following: Counts, key: Ints) -> int:
     """Link all landmarks in the index anew, for another number of buckets; return how many."""
     n = 0
     for one in range(len(key)):

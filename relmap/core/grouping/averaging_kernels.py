@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.arrays import Bools, Counts, Floats, Ints
 from relmap.core.geometry.fitting_kernels import enter_swings, fit_about, set_placement
 from relmap.core.grouping.completion import AMPLE, NEARLY, PLENTY, ROUNDS, SOLID
 from relmap.core.grouping.dynamics import ENOUGH, EXACT, FEWEST, LIMIT, STILL, STRIKES
@@ -13,7 +13,7 @@ from relmap.core.linalg.order_kernels import median, smallest
 from relmap.core.linalg.small_kernels import identity
 from relmap.core.state.table import NONE
 
-Columns = tuple[Bools, Ints, Ints, Bools, Ints, Ints, Ints]
+Columns = tuple[Bools, Counts, Counts, Bools, Counts, Counts, Counts]
 """Of the landmark table: restless, strikes, struck_until, dynamic, tested_until, moved_until,
 moving_bin."""
 Completed = tuple[Floats, Floats, Bools, Ints, Floats, Floats, Floats]

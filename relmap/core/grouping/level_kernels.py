@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.arrays import Bools, Bytes, Counts, Floats, Ints
 from relmap.core.linalg.compiling import compiled
 
-Counts = tuple[Ints, Ints, Ints, Ints, Ints, Ints, Ints, Bools]
+Columns = tuple[Ints, Counts, Bytes, Bytes, Counts, Counts, Counts, Bools]
 """Of the landmark table: submap, group, level, highest_level, averaged; begin, in_interval,
 is_gone."""
 Places = tuple[Floats, Floats, Floats, Floats]
@@ -30,7 +30,7 @@ def reached(
 
 @compiled
 def take(
-    columns: Counts,
+    columns: Columns,
     places: Places,
     submap: int,
     number: int,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 
-from relmap.core.arrays import Floats, Ints
+from relmap.core.arrays import Counts, Floats, Ints
 from relmap.core.grouping.completion import RelativeMap
 from relmap.core.landmarks import MappedGroup
 from relmap.core.state.table import NONE, LandmarkState
@@ -75,7 +75,7 @@ class GroupLevels:
         self._table.level[landmarks] = 0
         self._table.averaged[landmarks] = 0
 
-    def _release(self, groups: Ints) -> None:
+    def _release(self, groups: Ints | Counts) -> None:
         for group, n in Counter(groups.tolist()).items():
             if group != NONE:
                 self._users[group] -= n

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, get_args, get_type_hints
 import numpy as np
 from numpy.typing import DTypeLike
 
-from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.arrays import Bools, Bytes, Counts, Floats, Ints
 
 NEVER = -(2**62)
 """Last iteration of a landmark that was never seen."""
@@ -54,28 +54,28 @@ class Columns:
     since: Annotated[Ints, Column(0, "old")]
     """First iteration since the last merge."""
     observations: Annotated[Ints, Column(0, "sum")]
-    begin: Annotated[Ints, Column(0)]
-    in_interval: Annotated[Ints, Column(0)]
+    begin: Annotated[Counts, Column(0)]
+    in_interval: Annotated[Counts, Column(0)]
     """First iteration of the current interval, and number of observations in it."""
     is_gone: Annotated[Bools, Column(False)]
     """Whether it has left the view and waits for its last group."""
-    level: Annotated[Ints, Column(0)]
-    highest_level: Annotated[Ints, Column(0, "most")]
+    level: Annotated[Bytes, Column(0)]
+    highest_level: Annotated[Bytes, Column(0, "most")]
     """Grouping level, 0 to 3, reached in the current interval, and in any."""
-    averaged: Annotated[Ints, Column(0)]
+    averaged: Annotated[Counts, Column(0)]
     """Observations of the current interval averaged into the position."""
-    group: Annotated[Ints, Column(NONE)]
+    group: Annotated[Counts, Column(NONE)]
     """Group that provides the position in the current interval, or `NONE`."""
     dynamic: Annotated[Bools, Column(False)]
     restless: Annotated[Bools, Column(False)]
     """Whether it is dynamic, and whether it moved in the last test."""
-    strikes: Annotated[Ints, Column(0)]
-    struck_until: Annotated[Ints, Column(-1)]
-    moved_until: Annotated[Ints, Column(0)]
-    tested_until: Annotated[Ints, Column(0)]
+    strikes: Annotated[Counts, Column(0)]
+    struck_until: Annotated[Counts, Column(-1)]
+    moved_until: Annotated[Counts, Column(0)]
+    tested_until: Annotated[Counts, Column(0)]
     """Number of consecutive groups that saw it move; and the last iterations of these groups, of
     any motion, and of any test."""
-    moving_bin: Annotated[Ints, Column(NONE)]
+    moving_bin: Annotated[Counts, Column(NONE)]
     """Bin of a dynamic landmark that moves together with others, or `NONE`."""
     position: Annotated[Floats, Column(np.nan, "old", vector=True)]
     """Frame of the submap, metres; NaN if unmapped. `merge` averages positions."""
@@ -85,12 +85,12 @@ class Columns:
     settled_weight: Annotated[Floats, Column(0.0, "old")]
     """The same for completed intervals."""
     submap: Annotated[Ints, Column(NONE, "old")]
-    asked_level: Annotated[Ints, Column(0)]
+    asked_level: Annotated[Bytes, Column(0)]
     """Level at which it was last compared with older landmarks."""
     cell: Annotated[Ints, Column(NONE, "old")]
-    next_in_cell: Annotated[Ints, Column(NONE, "old")]
+    next_in_cell: Annotated[Counts, Column(NONE, "old")]
     """Place in the spatial index."""
-    last_segment: Annotated[Ints, Column(NONE, "old")]
+    last_segment: Annotated[Counts, Column(NONE, "old")]
     """Condensed segment that saw it last, or `NONE`."""
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from relmap.core.arrays import Ints
+from relmap.core.arrays import Ints, among
 from relmap.core.config import MapperConfig
 from relmap.core.state.table import LandmarkState
 
@@ -68,7 +68,7 @@ class GroupingSchedule:
             columns, landmarks, waiting, iteration, self._max_missed, self._thresholds
         )
         if len(ready):
-            fresh = ready[~np.isin(ready, self._due)] if len(self._due) else ready
+            fresh = ready[~among(ready, self._due)] if len(self._due) else ready
             self._due = np.concatenate([self._due, fresh])
         return left
 
@@ -115,10 +115,10 @@ class GroupingSchedule:
 
         One in view stays there if the new one has left, or does not wait any more.
         """
-        stays = np.isin(old, self.in_view) & ~np.isin(old, self.gone)
+        stays = among(old, self.in_view) & ~among(old, self.gone)
         self._table.is_gone[old[stays]] = False
-        replaced = old[np.isin(new, self.in_view)]
-        self.in_view = self.in_view[~np.isin(self.in_view, replaced)]
+        replaced = old[among(new, self.in_view)]
+        self.in_view = self.in_view[~among(self.in_view, replaced)]
         self._first = None
         order = new.argsort()
         new, old = new[order], old[order]

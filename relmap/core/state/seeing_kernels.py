@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.arrays import Bools, Bytes, Counts, Floats, Ints
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.state.schedule import FEW
 
-Columns = tuple[Ints, Ints, Ints, Bools, Ints, Ints, Floats]
+Columns = tuple[Ints, Ints, Counts, Bools, Counts, Bytes, Floats]
 """Of the landmark table: last, observations, in_interval, is_gone, begin, level, weight."""
 
 
@@ -29,7 +29,7 @@ def enter(columns: tuple[Ints, Ints, Ints], tracks: Ints, iteration: int) -> Int
 
 @compiled
 def due(
-    columns: tuple[Ints, Ints, Floats],
+    columns: tuple[Counts, Bytes, Floats],
     landmarks: Ints,
     thresholds: Ints,
     every: int,
@@ -58,7 +58,7 @@ def due(
 
 
 @helper
-def _earliest(begin: Ints, landmarks: Ints, end: int) -> int:
+def _earliest(begin: Counts, landmarks: Ints, end: int) -> int:
     """Return the first iteration of the intervals of landmarks (k,); `end` if there are none."""
     for one in landmarks:
         end = min(end, begin[one])

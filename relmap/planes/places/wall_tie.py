@@ -89,8 +89,8 @@ class WallPoints:
         from relmap.core.geometry.spatialindex_kernels import enter
 
         n, cell_m = len(self.at), FIRST * NEAR_M + SAMPLE_M
-        first = np.full(1 << (2 * n).bit_length(), NONE)
-        following, key = np.full(n, NONE), np.full(n, NONE)
+        first = np.full(1 << (2 * n).bit_length(), NONE, np.int32)
+        following, key = np.full(n, NONE, np.int32), np.full(n, NONE)
         enter(first, (following, key, self.at, np.ones(n)), np.arange(n), cell_m)
         return self.at, self.normal, first, following, key, cell_m
 

@@ -10,14 +10,14 @@ import math
 
 import numpy as np
 
-from relmap.core.arrays import Floats, Ints
+from relmap.core.arrays import Counts, Floats, Ints
 from relmap.core.geometry.spatialindex_kernels import bucket_of, cell_at, key_of
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.small_kernels import factorise, solve
 from relmap.planes.places.wall_tie import PARALLEL, SAMPLE_M
 
 Points = tuple[Floats, Floats]
-Among = tuple[Floats, Floats, Ints, Ints, Ints, float]
+Among = tuple[Floats, Floats, Counts, Counts, Ints, float]
 """Points that others may lie on, and their normals; the first point of each bucket, the next point
 in the bucket of each point, and the key of its cell, see
 `relmap.core.geometry.spatialindex_kernels`; and the side of the cells, metres."""
