@@ -36,7 +36,7 @@ def test_a_robot_that_starts_to_move_is_followed(d: int) -> None:
         np.testing.assert_array_equal(registration.match(there, None), labels)
 
 
-def test_a_robot_that_stays_fast_is_believed_after_some_scans() -> None:
+def test_a_robot_that_stays_fast_is_followed_after_some_scans() -> None:
     rng = np.random.default_rng(4)
     world = scattered(40, 2, rng)
     registration, _ = settled(world, 0.01, rng)

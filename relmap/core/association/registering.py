@@ -110,7 +110,7 @@ class TrackPlacing(PatternPlacing):
         """Return whether the robot would be far faster than ever before, and not all matches.
 
         A place that looks like an earlier one may be taken for it. A robot that stays as fast is
-        believed after some scans.
+        followed after some scans.
         """
         scale, n_scans = self.scale, 1 + self.idle + int(self.tracks.missed.min())
         step_m = float(np.linalg.norm(found.t)) / n_scans
