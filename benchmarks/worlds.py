@@ -3,11 +3,12 @@
     python benchmarks/worlds.py [--only NAME[,NAME]] [--seeds N] [--covariances]
 
 Each line is a world and a seed: the landmark RMSE of all submaps, each aligned separately,
-relative to that of unweighted batch least squares over all observations with the true ids (worst:
-of the worst submap of ten landmarks); landmarks per true one; purity, and that of an oracle, which
-assigns each scan to the true landmarks from the true pose and covariances and so is about the
-limit; the fraction of the landmarks seen ten times that is mapped, in all submaps and in the
-largest; submaps of ten landmarks.
+relative to that of unweighted batch least squares over all observations with the true ids; that of
+the worst submap of ten landmarks, relative to least squares over the observations of its landmarks
+in its scans; landmarks per true one; purity, and that of an oracle, which assigns each scan to the
+true landmarks from the true pose and covariances and so is about the limit; the fraction of the
+landmarks seen ten times that is mapped, in all submaps and in the largest; submaps of ten
+landmarks.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from shared.tables import header, row
 
 from relmap import PointMapper
 from relmap.comparison.baselines.batch import Batch, batch_least_squares
-from relmap.core.arrays import Floats
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.core.geometry.alignment import fit_rigid
 from relmap.evaluation.metrics import majority_ids, purity
@@ -59,10 +60,9 @@ WORLDS: dict[str, dict[str, object]] = {
 }
 
 
-def least_squares(world: World) -> dict[int, Floats]:
-    """Return the landmark positions of batch least squares with the true ids."""
+def least_squares(world: World, used: Bools) -> dict[int, Floats]:
+    """Return the landmark positions of batch least squares over the rows used, by true id."""
     points, d = world.log.points_robot, world.log.points_robot.shape[1]
-    used = world.true_ids >= 0
     for _ in range(20):
         seen = np.bincount(world.true_ids[used], minlength=len(world.landmark_ids))
         scans = np.bincount(world.log.iteration[used], minlength=len(world.log))
@@ -80,10 +80,37 @@ def least_squares(world: World) -> dict[int, Floats]:
     return dict(zip(ids.tolist(), found, strict=True))
 
 
+def rows_within(world: World, landmarks: Ints, ids: Ints, own: Ints) -> Bools:
+    """Return which rows show true ids of a submap, in scans that show two of its own landmarks.
+
+    `landmarks` (n,): landmark of each row; `ids` and `own`: true ids and landmarks of the submap.
+    """
+    scans, counts = np.unique(world.log.iteration[np.isin(landmarks, own)], return_counts=True)
+    within = np.isin(world.log.iteration, scans[counts > 1])
+    return np.asarray(within & np.isin(world.true_ids, ids))
+
+
 def squares(positions: Floats, truth: Floats) -> Floats:
     """Return the squared errors (n,) after rigid alignment."""
     R, t = fit_rigid(positions, truth)
     return np.asarray(np.sum((positions @ R.T + t - truth) ** 2, axis=1))
+
+
+def compared(positions: Floats, ids: Ints, limit: dict[int, Floats], truth: Floats) -> Floats:
+    """Return the squared errors (n, 2) of landmarks with true ids, and those of least squares."""
+    known = np.array([row in limit for row in ids.tolist()], dtype=bool)
+    if known.sum() < FEWEST:
+        return np.empty((0, 2))
+    best = np.array([limit[row] for row in ids[known].tolist()])
+    there = truth[ids[known], : best.shape[1]]
+    both = positions[known, : best.shape[1]], best
+    return np.column_stack([squares(each, there) for each in both])
+
+
+def ratio(squared: Floats) -> float:
+    """Return the ratio of the RMSE; NaN if least squares did not converge."""
+    mine, best = np.sqrt(squared.sum(axis=0))
+    return float(mine / best) if len(squared) else np.nan
 
 
 def oracle_purity(world: World) -> float:
@@ -104,7 +131,7 @@ def oracle_purity(world: World) -> float:
 
 def judge(world: World, with_covariances: bool) -> dict[str, float]:
     """Map a world without ids and evaluate the map."""
-    limit, truth, d = least_squares(world), world.landmarks_map, world.log.points_robot.shape[1]
+    truth, limit = world.landmarks_map, least_squares(world, world.true_ids >= 0)
     mapper = PointMapper()
     ends = np.cumsum([len(scan.points_robot) for scan in world.log.scans()])
     noise = np.split(world.covariances, ends[:-1]) if with_covariances else [None] * len(ends)
@@ -121,26 +148,23 @@ def judge(world: World, with_covariances: bool) -> dict[str, float]:
         zip(*(a.tolist() for a in majority_ids(now, world.true_ids)[:2]), strict=True)
     )
     all_ids: list[int] = []
-    errors, least, ratios, largest = [], [], [], 0
+    every, ratios, largest = [], [], 0
     often = np.flatnonzero(np.bincount(world.true_ids[world.true_ids >= 0]) >= FEWEST)
     for rank, submap in enumerate(mapper.submaps):
         own = [label in stands_for for label in submap.landmark_ids.tolist()]
         ids = np.array([stands_for[label] for label in submap.landmark_ids[own].tolist()])
         all_ids += ids.tolist()
         largest = len(np.intersect1d(ids, often)) if rank == 0 else largest
-        known = np.array([row in limit for row in ids.tolist()], dtype=bool)
-        if known.sum() < FEWEST:
+        found = compared(submap.positions[own], ids, limit, truth)
+        if len(found) < FEWEST:
             continue
-        there = truth[ids[known], :d]
-        errors.append(squares(submap.positions[own][known, :d], there))
-        least.append(squares(np.array([limit[row] for row in ids[known].tolist()]), there))
-        ratios.append(np.sqrt(errors[-1].sum() / least[-1].sum()))
+        every.append(found)
+        within = least_squares(world, rows_within(world, now, ids, submap.landmark_ids))
+        ratios.append(ratio(compared(submap.positions[own], ids, within, truth)))
     mapped = np.intersect1d(all_ids, often)
     return {
-        "ratio": float(np.sqrt(np.concatenate(errors).sum() / np.concatenate(least).sum()))
-        if errors
-        else np.nan,
-        "worst": max(ratios, default=np.nan),
+        "ratio": ratio(np.concatenate(every)) if every else np.nan,
+        "worst": float(np.max(ratios)) if ratios else np.nan,
         "per true": len(all_ids) / max(len(set(all_ids)), 1),
         "purity": purity(now, world.true_ids) or np.nan,
         "oracle": oracle_purity(world),
