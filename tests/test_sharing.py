@@ -8,6 +8,7 @@ import pytest
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association.reobservation.crossing import Part
 from relmap.core.association.reobservation.sharing import FewShared
+from relmap.core.association.reobservation.tying import is_regular
 from relmap.simulation import WorldSpec
 from tests.worlds import mapped_world
 
@@ -70,7 +71,7 @@ def test_four_shared_landmarks_tie_two_submaps() -> None:
     for seed in range(8):
         one, two = two_parts(seed, 4)
         shared = FewShared([one, two], [])
-        n_regular += shared.is_regular()
+        n_regular += is_regular([(part.positions, part.noise_m) for part in (one, two)])
         (tie,) = shared.ties()
         assert sorted(tie.pairs[:, 1].tolist()) == [22, 23, 24, 25]
         assert np.array_equal(tie.pairs[:, 0], tie.pairs[:, 1] + APART)
@@ -121,14 +122,15 @@ def test_large_parts_are_not_compared() -> None:
     rng, n = np.random.default_rng(0), 1100
     posts, way = rng.uniform(0, 400, (n, 2)), np.zeros((10, 2))
     one, two = (part_of(posts, np.arange(n), rng, way, k + np.arange(10)) for k in (0, 12))
-    assert not FewShared([one, two], []).is_regular()
+    assert not is_regular([(part.positions, part.noise_m) for part in (one, two)])
     assert not FewShared([one, two], []).ties()
 
 
 def test_where_a_pattern_repeats_nothing_is_tied() -> None:
     """Along two rows of posts a part fits any number of periods away."""
     for seed in range(4):
-        assert FewShared([*two_parts(seed, 4, period_m=6.0)], []).is_regular()
+        parts = two_parts(seed, 4, period_m=6.0)
+        assert is_regular([(part.positions, part.noise_m) for part in parts])
 
 
 def test_a_scan_of_three_landmarks_is_matched_to_what_is_nearby() -> None:

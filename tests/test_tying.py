@@ -87,6 +87,20 @@ def test_different_places_stay_apart(seed: int, d: int) -> None:
     assert len(np.unique(global_map.table.submap)) == 4
 
 
+def test_rooms_that_differ_in_a_quarter_of_their_landmarks_stay_apart() -> None:
+    """Eight landmarks are the same in all rooms, three are not, and may lie far from the others."""
+    rng, n_tied = np.random.default_rng(5), 0
+    for _ in range(5):
+        common = rng.uniform(1, 9, (8, 2))
+        own = [rng.uniform(1, 9, (3, 2)) for _ in range(8)]
+        next_m = np.array([12.0, 0.0])
+        rooms = [np.concatenate([common, each]) + k * next_m for k, each in enumerate(own)]
+        pairs = (np.concatenate(rooms[k : k + 2]) for k in (0, 2, 4))
+        global_map = in_submaps(*(moved(pair, rng, SIGMA) for pair in pairs))
+        n_tied += len(list(tie_submaps(global_map, SIGMA)))
+    assert n_tied <= 1
+
+
 def test_few_landmarks_in_a_chance_arrangement_join_nothing() -> None:
     """Under large noise half of so few landmarks match somewhere in any world."""
     for seed in range(6):

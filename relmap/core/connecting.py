@@ -15,6 +15,7 @@ from relmap.core.association.reobservation.few import FEWEST
 from relmap.core.association.reobservation.shapes import is_known, joint_covariance
 from relmap.core.association.reobservation.sharing import FewShared
 from relmap.core.association.reobservation.sightings import Sightings
+from relmap.core.association.reobservation.tying import is_regular
 from relmap.core.map.pose import known_poses
 from relmap.core.mapper import RelativeMapper
 from relmap.core.refinement.condensing import SegmentRows
@@ -33,9 +34,9 @@ def connect(engine: RelativeMapper) -> bool:
     rows = engine.rows
     drift = local_drift(table, rows, engine.noise_m) - LOCAL_DRIFT
     submaps = [_submap(engine, rows, one, drift) for one in refined]
-    shared = FewShared(submaps, list(_strays(engine, rows, drift)))
-    if shared.is_regular():
+    if is_regular([(part.positions, part.noise_m) for part in submaps]):
         return False
+    shared = FewShared(submaps, list(_strays(engine, rows, drift)))
     sightings = Sightings(rows, table)
     ties = [tie for tie in shared.ties() if _are_apart(sightings, tie.pairs)]
     matches = [pairs for pairs in shared.matches() if _are_apart(sightings, pairs)]

@@ -47,8 +47,8 @@ FAMILIAR = 5
 NEARBY = 0.2
 """Largest motion of these two, in spacings, over all scans since they were seen."""
 LEAP, SLOWLY = 4.0, 1.2
-"""Multiple of the longest step so far, taken as half a spacing at least, beyond which a step is a
-leap; and factor by which each leap lengthens the longest step."""
+"""Multiple of the longest step so far beyond which a step is a leap, and part of the points' median
+distance that it must exceed as well; and factor by which each leap lengthens the limit."""
 BLIND = 8
 """Nearly empty scans after which any place may follow, also one that looks alike."""
 
@@ -112,11 +112,11 @@ class TrackPlacing(PatternPlacing):
         A place that looks like an earlier one may be taken for it. A robot that stays as fast is
         followed after some scans.
         """
-        scale, n_scans = self.scale, 1 + self.idle + int(self.tracks.missed.min())
+        n_scans, longest_m = 1 + self.idle + int(self.tracks.missed.min()), self.scale.step_m
         step_m = float(np.linalg.norm(found.t)) / n_scans
-        usual_m = max(scale.step_m, scale.spacing_m / 2)
-        is_far = step_m > LEAP * usual_m
-        scale.step_m = max(scale.step_m, SLOWLY * usual_m if is_far else step_m)
+        far_m = max(LEAP * longest_m, float(np.median(np.linalg.norm(self.points, axis=1))) / LEAP)
+        is_far = step_m > far_m and longest_m > 0
+        self.scale.step_m = max(longest_m, SLOWLY * far_m / LEAP if is_far else step_m)
         return is_far and found.n_agreeing < min(len(self.tracks), len(self.points))
 
     def _is_mirrored(self, found: Placement, learnt: float) -> bool:

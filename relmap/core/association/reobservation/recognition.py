@@ -63,11 +63,11 @@ class PlaceFinder:
         self._among: Bools | None = None
         self._n_tried = 0
         self._corners, sides = triangles(positions)
-        self._sides = cKDTree(sides) if len(sides) else None
+        self._sides, self.spacing_m = cKDTree(sides) if len(sides) else None, np.inf
         if self._sides is not None:
             self._tree = cKDTree(positions)
-            self._apart_m = _spacing_of(self._tree, positions)
-            least, most = EXACT * self._apart_m, COARSE * self._apart_m
+            self.spacing_m = _spacing_of(self._tree, positions)
+            least, most = EXACT * self.spacing_m, COARSE * self.spacing_m
             self._tolerance_m = float(np.clip(SIGMAS * noise_m, least, most))
             self._noise_m = max(noise_m, least / SIGMAS)
 
@@ -197,7 +197,7 @@ class PlaceFinder:
         trials = searches * max(self._n_tried, 1)
         # Half of the landmarks have another within `apart_m`; the fraction of that area in a
         # tolerance.
-        share = np.log(2) * (self._tolerance_m / self._apart_m) ** self._positions.shape[1]
+        share = np.log(2) * (self._tolerance_m / self.spacing_m) ** self._positions.shape[1]
         # The number found elsewhere is the maximum of all trials.
         if elsewhere > 3:
             share = max(share, float(betaincinv(elsewhere - 3, n - elsewhere + 1, 1 / trials)))

@@ -14,10 +14,9 @@ from dataclasses import dataclass
 from itertools import islice
 
 import numpy as np
-from scipy.spatial import cKDTree
 from scipy.special import chdtri, gammaln
 
-from relmap.core.arrays import Ints, evenly
+from relmap.core.arrays import Ints
 from relmap.core.association.placement import Placement, consistent_placements
 from relmap.core.association.reobservation.crossing import (
     Crossing,
@@ -27,7 +26,7 @@ from relmap.core.association.reobservation.crossing import (
     usual_steps,
 )
 from relmap.core.association.reobservation.few import FEWEST, RARE, log_volume
-from relmap.core.association.reobservation.recognition import CLEAR, SIGMAS, triangles
+from relmap.core.association.reobservation.recognition import CLEAR, SIGMAS
 from relmap.core.association.reobservation.shapes import compared
 from relmap.core.map.pose import LOOSE_RAD, squares_across
 
@@ -38,11 +37,6 @@ SETS = 12
 NEAR_PAIRS, MOST_PAIRS = 1500, 500
 """Number of pairs above which sets are not searched, where the robot goes from one part into the
 other, and anywhere: there may be hundreds of submaps."""
-TRIANGLES = 2000
-"""Number of triangles of a part that are compared, evenly chosen."""
-WIDER, REGULAR = 4.0, 3.0
-"""Wider tolerance of the sides of triangles, relative to that within which they are alike; and how
-many times as many as in random worlds are alike where patterns repeat."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,27 +90,6 @@ class FewShared:
             if shared:
                 found.append(min(shared, key=lambda one: one.log_chance).pairs)
         return found
-
-    def is_regular(self) -> bool:
-        """Return whether landmarks repeat patterns: far more of their triangles are nearly alike.
-
-        The sides of random triangles differ by so little as rarely as by more, relative to the
-        volume.
-        """
-        n_alike, n_near = 0, 0
-        for part in self._submaps:
-            corners, sides = triangles(part.positions)
-            if len(corners) < 2:
-                continue
-            rows = evenly(len(corners), TRIANGLES)
-            corners, sides = corners[rows], sides[rows]
-            tolerance_m = SIGMAS * part.noise_m
-            pairs = cKDTree(sides).query_pairs(WIDER * tolerance_m, output_type="ndarray")
-            common = (corners[pairs[:, 0], :, None] == corners[pairs[:, 1], None]).sum(axis=(1, 2))
-            off = np.diff(sides[pairs[common < 2]], axis=1)
-            n_alike += int(np.sum(np.linalg.norm(off, axis=2) <= tolerance_m))
-            n_near += len(off)
-        return n_alike + 0.5 > REGULAR * (n_near / WIDER**3 + 0.5)
 
     def _near(self, part: Part, other: Part) -> Shared | None:
         """Return what a part shares with another one if the robot goes from one into the other."""

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from relmap.core.arrays import Floats, Ints
+from relmap.core.arrays import Floats, Ints, evenly
 from relmap.core.association.base import nearest
 from relmap.core.association.placement import Placement
 from relmap.core.association.reobservation.evidence import LOCAL_DRIFT
@@ -23,7 +23,9 @@ from relmap.core.association.reobservation.recognition import (
     CLEAR,
     ENOUGH,
     SHARE,
+    SIGMAS,
     PlaceFinder,
+    triangles,
 )
 from relmap.core.association.reobservation.shapes import Shapes
 from relmap.core.map.globalmap import GlobalMap
@@ -36,6 +38,15 @@ OVERLAP = 3
 """One in this many landmarks starts a neighbourhood even if it lies within another."""
 APART = 4.0
 """Spacing at which submaps are laid out side by side, in sizes of the largest."""
+TRIANGLES = 2000
+"""Number of triangles of a submap that are compared, evenly chosen."""
+WIDER, REGULAR = 4.0, 3.0
+"""Wider tolerance of the sides of triangles, relative to that within which they are alike; and how
+many times as many as in random worlds are alike where patterns repeat."""
+NEARBY, FEWEST, SHARP = 0.85, 7, 0.1
+"""Where patterns repeat, the fraction of the landmarks near those found that must be found, and how
+many at least, as places that look alike differ in some; and the noise, in spacings, below which a
+pattern is seen."""
 
 
 def tie_submaps(
@@ -54,8 +65,10 @@ def tie_submaps(
     table, shapes = global_map.table, Shapes(refined, drift)
     submaps, sizes = np.unique(table.submap, return_counts=True)
     known = (submaps != NONE) & (sizes >= ENOUGH)
+    every = [(table.position[table.submap == one], noise_m) for one in submaps[known]]
+    regular = is_regular(every)
     for submap in submaps[known][np.argsort(sizes[known], kind="stable")].tolist():
-        found = _found_elsewhere(table, submap, noise_m, drift, shapes)
+        found = _found_elsewhere(table, submap, noise_m, drift, shapes, regular)
         if found is not None:
             other, placement = found
             global_map.tie(submap, other, placement.R, placement.t)
@@ -63,13 +76,13 @@ def tie_submaps(
 
 
 def _found_elsewhere(
-    table: LandmarkState, submap: int, noise_m: float, drift: float, shapes: Shapes
+    table: LandmarkState, submap: int, noise_m: float, drift: float, shapes: Shapes, regular: bool
 ) -> tuple[int, Placement] | None:
     """Return the submap that shows a place of this one, and the placement of this one in it."""
     own = np.flatnonzero(table.submap == submap)
     if not np.any((table.submap != submap) & (table.submap != NONE)):
         return None
-    search = _Search(table, own, noise_m, drift, shapes)
+    search = _Search(table, own, noise_m, drift, shapes, regular)
     each = (search.found(around, SHARE) for around in neighbourhoods(table.position[own]))
     found = next((one for one in each if one is not None), None)
     if found is None and shapes.know(own):
@@ -81,7 +94,13 @@ class _Search:
     """Searches places of a submap, of landmarks `own` (m,), in all other submaps."""
 
     def __init__(
-        self, table: LandmarkState, own: Ints, noise_m: float, drift: float, shapes: Shapes
+        self,
+        table: LandmarkState,
+        own: Ints,
+        noise_m: float,
+        drift: float,
+        shapes: Shapes,
+        is_regular: bool,
     ) -> None:
         self._table, self._own, self._shapes = table, own, shapes
         self._others = np.flatnonzero(
@@ -91,6 +110,8 @@ class _Search:
         self._finder, self._back = (
             PlaceFinder(there, noise_m, drift) for there in (positions, table.position[own])
         )
+        # Noise that is large relative to the spacing makes any pattern look regular.
+        self._regular = is_regular and noise_m < SHARP * self._finder.spacing_m
 
     def found(self, around: Ints, share: float) -> tuple[int, Placement] | None:
         """Return the submap that shows a place, landmarks (k,), and its placement there.
@@ -112,10 +133,22 @@ class _Search:
         searches = len(self._own) + len(self._others)
         sure = finder.by_chance(len(points), len(hits[0]), elsewhere, searches) <= BY_CHANCE
         clear = elsewhere <= CLEAR * places[0].n_agreeing
+        clear &= not self._regular or self._is_covered(places[0], other)
         mine, its = self._own[around[found[0] >= 0]], found[0][found[0] >= 0]
         if not (sure and clear and self._fit(mine, its, share)):
             return None
         return other, replace(places[0], t=places[0].t - self._shifts[other])
+
+    def _is_covered(self, place: Placement, other: int) -> bool:
+        """Return whether nearly all landmarks of both submaps around those found agree."""
+        finder, own = self._finder, place.apply(self._table.position[self._own])
+        its = self._table.position[self._others[self._submap == other]] + self._shifts[other]
+        found = own[finder.landmarks_at(own) >= 0]
+        around = [
+            int(np.sum(nearest(cKDTree(found), each, 1)[0] <= finder.spacing_m))
+            for each in (own, its)
+        ]
+        return len(found) >= max(FEWEST, NEARBY * max(around))
 
     def _fit(self, mine: Ints, its: Ints, share: float) -> bool:
         """Return whether landmarks (k,) are arranged as those in other submaps, rows (k,)."""
@@ -148,3 +181,27 @@ def neighbourhoods(positions: Floats) -> Iterator[Ints]:
             around = nearest(tree, positions[k : k + 1], rank)[1][0]
             had[around[: max(1, rank // OVERLAP)]] = True
             yield around
+
+
+def is_regular(submaps: Sequence[tuple[Floats, float]]) -> bool:
+    """Return whether landmarks repeat patterns: far more of their triangles are nearly alike.
+
+    The sides of random triangles differ by so little as rarely as by more, relative to the volume.
+    `submaps`: positions (m, d) of each, and the standard deviation of an observed coordinate.
+    """
+    n_alike, n_near = 0, 0
+    for positions, noise_m in submaps:
+        corners, sides = triangles(positions)
+        if len(corners) < 2:
+            continue
+        rows = evenly(len(corners), TRIANGLES)
+        corners, sides = corners[rows], sides[rows]
+        tolerance_m = SIGMAS * noise_m
+        pairs = cKDTree(sides).query_pairs(WIDER * tolerance_m, output_type="ndarray")
+        # Two tracks of one landmark form triangles that are alike in the same place.
+        middle, longest_m = positions[corners].mean(axis=1)[pairs], sides[pairs[:, 0], -1]
+        apart = np.linalg.norm(middle[:, 0] - middle[:, 1], axis=1) > longest_m / 2
+        off = np.diff(sides[pairs[apart]], axis=1)
+        n_alike += int(np.sum(np.linalg.norm(off, axis=2) <= tolerance_m))
+        n_near += len(off)
+    return n_alike + 0.5 > REGULAR * (n_near / WIDER**3 + 0.5)
