@@ -81,7 +81,7 @@ def least_squares(world: World, used: Bools) -> dict[int, Floats]:
 
 
 def rows_within(world: World, landmarks: Ints, ids: Ints, own: Ints) -> Bools:
-    """Return which rows show true ids of a submap, in scans that show two of its own landmarks.
+    """Return which rows show true ids of a submap, in scans that show two of its landmarks.
 
     `landmarks` (n,): landmark of each row; `ids` and `own`: true ids and landmarks of the submap.
     """

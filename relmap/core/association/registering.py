@@ -46,9 +46,9 @@ FAMILIAR = 5
 """Observations of a landmark required if only two landmarks determine a planar scan."""
 NEARBY = 0.2
 """Largest motion of these two, in spacings, over all scans since they were seen."""
-LEAP, SLOWLY = 4.0, 1.2
-"""Multiple of the longest step so far beyond which a step is a leap, and part of the points' median
-distance that it must exceed as well; and factor by which each leap lengthens the limit."""
+LEAP, FAR, SLOWLY = 4.0, 0.3, 1.2
+"""Multiple of the longest step so far, and fraction of the median distance of the points, beyond
+both of which a step is a leap; and factor by which each leap lengthens the longest step."""
 BLIND = 8
 """Nearly empty scans after which any place may follow, also one that looks alike."""
 
@@ -114,9 +114,10 @@ class TrackPlacing(PatternPlacing):
         """
         n_scans, longest_m = 1 + self.idle + int(self.tracks.missed.min()), self.scale.step_m
         step_m = float(np.linalg.norm(found.t)) / n_scans
-        far_m = max(LEAP * longest_m, float(np.median(np.linalg.norm(self.points, axis=1))) / LEAP)
-        is_far = step_m > far_m and longest_m > 0
-        self.scale.step_m = max(longest_m, SLOWLY * far_m / LEAP if is_far else step_m)
+        near_m = FAR * float(np.median(np.linalg.norm(self.points, axis=1)))
+        usual_m = max(longest_m, near_m / LEAP)
+        is_far = step_m > LEAP * usual_m and longest_m > 0
+        self.scale.step_m = max(longest_m, SLOWLY * usual_m if is_far else step_m)
         return is_far and found.n_agreeing < min(len(self.tracks), len(self.points))
 
     def _is_mirrored(self, found: Placement, learnt: float) -> bool:
