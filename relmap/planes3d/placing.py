@@ -191,8 +191,11 @@ def _closest(rivals: list[Placed], R: Floats, held: Held, reach_m: float) -> Pla
     """
     expected, leap = (R, held.place), LEAP * reach_m
     rivals.sort(key=lambda each: moved_m(each.pose, expected, reach_m))
+    least = RIVAL * max((each.share for each in rivals if each.is_held), default=0.0)
     sure = [each for each in rivals if not each.is_held]
-    chosen, *others = sure or rivals
+    # Planes that match by chance determine a position, too, but explain less.
+    likely = [each for each in sure if each.share > least]
+    chosen, others = (likely or rivals)[0], sure if likely else rivals
     step = moved_m(chosen.pose, expected, reach_m)
     # Constant motion is accepted if everything else is a leap.
     if step > leap and CLEARLY * step > moved_m(rivals[0].pose, expected, reach_m):
@@ -200,6 +203,7 @@ def _closest(rivals: list[Placed], R: Floats, held: Held, reach_m: float) -> Pla
     # Normals of two directions often match by chance.
     if chosen.is_held and step > leap:
         return None
+    others = [each for each in others if each is not chosen]
     is_near = any(_is_near(chosen, other, expected, held, reach_m) for other in others)
     return None if is_near else chosen
 
