@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from time import process_time
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,6 @@ from relmap.planes3d.hypotheses import Held
 from relmap.planes3d.placing import Placed, apart, is_rival, place
 from relmap.planes3d.sights import is_doubtful, is_tied_doubtfully, seen_through, with_ends
 from relmap.planes3d.submap import Submap
-from relmap.planes3d.surfaces import Surfaces
 from relmap.planes3d.table import plane_table
 from relmap.plots.planes import plot_planes3d
 from relmap.segmentation.space import PatchSegmenter
@@ -259,7 +259,7 @@ def found(yaw: float, *more: Floats, **given: Any) -> Placed | None:
     there = segmenter.fit(np.concatenate(narrow(TABLE))).patches_
     R = Rotation.from_rotvec([0.0, 0.0, yaw]).as_matrix()
     seen = segmenter.fit(np.concatenate(narrow(*more)) @ R).patches_
-    return place(seen, Surfaces(there), (STILL, ORIGIN), held, **given)
+    return place(seen, there, (STILL, ORIGIN), held, **given)
 
 
 def test_a_turn_in_a_narrow_room_is_accepted_if_seven_planes_match() -> None:
@@ -274,3 +274,13 @@ def test_instead_of_a_doubtful_placement_one_that_matches_more_planes_is_taken()
         placed = found(np.pi, TABLE, is_doubtful=lambda each, n=least: each.n_planes < n)
         turns.append(apart(placed.R, placed.t, STILL, ORIGIN)[0])
     assert turns == pytest.approx([0.0, np.pi], abs=0.02)
+
+
+def test_a_scan_after_one_from_close_by_is_placed_as_fast() -> None:
+    mapper, cloud = Plane3dMapper(), np.concatenate(narrow(TABLE))
+    mapper.update(cloud)
+    mapper.update(0.02 * cloud)
+    began = process_time()
+    mapper.update(cloud)
+    assert process_time() - began < 5.0
+    assert [part.iteration for part in mapper.submaps] == [[0], [1], [2]]

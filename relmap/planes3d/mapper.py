@@ -31,7 +31,6 @@ from relmap.planes3d.sights import (
 )
 from relmap.planes3d.steadiness import predicted
 from relmap.planes3d.submap import Submap
-from relmap.planes3d.surfaces import Surfaces
 from relmap.segmentation.space import Patches, PatchSegmenter
 
 Span = tuple[int, int]
@@ -227,7 +226,7 @@ class Plane3dMapper(Mapped3d):
         held = predicted(part)
         doubtful = partial(is_doubtful, seen=seen, planes=planes, part=part, gap=gap)
         edges = partial(at_edges, seen=seen, part=part)
-        placed = place(seen, Surfaces(planes), part.poses[-1], held, doubtful, edges)
+        placed = place(seen, planes, part.poses[-1], held, doubtful, edges)
         return None if placed is None else placed.named(part.number[chosen])
 
     def _tied_two(self, failed: set[tuple[Span, Span]]) -> bool:
@@ -244,8 +243,8 @@ class Plane3dMapper(Mapped3d):
 
     def _tie(self, part: Submap, other: Submap) -> bool:
         """Tie a submap to another if they show the same place; return whether they do."""
-        there, nowhere = Surfaces(other.all_planes()), Held(np.zeros(3), np.inf)
-        placed = place(part.all_planes(), there, None, nowhere)
+        nowhere = Held(np.zeros(3), np.inf)
+        placed = place(part.all_planes(), other.all_planes(), None, nowhere)
         if placed is None or is_tied_doubtfully(placed, part, other):
             return False
         match = placed.named(other.number).match.tolist()

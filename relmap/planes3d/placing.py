@@ -11,7 +11,7 @@ from relmap.core.arrays import Floats, Ints, evenly
 from relmap.planes3d.fitting import SHIFTED, fitted, fixes_turn, matched, ratios, repeats, shifts
 from relmap.planes3d.hypotheses import Held, importance, motions
 from relmap.planes3d.submap import Pose
-from relmap.planes3d.surfaces import Surfaces
+from relmap.planes3d.surfaces import NEAR, Surfaces
 from relmap.segmentation.space import Patches
 
 JUDGED = 10
@@ -91,7 +91,7 @@ class Placed:
 
 def place(
     seen: Patches,
-    there: Surfaces,
+    planes: Patches,
     last: Pose | None,
     held: Held,
     is_doubtful: Callable[[Placed], bool] = lambda _: False,
@@ -99,13 +99,15 @@ def place(
 ) -> Placed | None:
     """Return the placement of a scan; None if none is accepted.
 
-    `seen`: planes of the scan, robot frame. `there`: planes of the map. `last`, R (3, 3) and t
+    `seen`: planes of the scan, robot frame. `planes`: of the map. `last`, R (3, 3) and t
     (3,): pose of the previous scan. Of placements that explain the scan equally well, as in a room
     that looks the same from two sides or beside parallel faces, the closest to where steady motion
     leads is accepted if the others are far. Without `last`, a placement with a rival is not
     accepted. `at_edges`: corrects an accepted one where it was predicted. `is_doubtful`: whether to
     refuse it; then those that match more planes, and explain nearly as much, are tried.
     """
+    # A map seen from close by has small cells: in a grid of these a search would visit too many.
+    there = Surfaces(planes, 2 * NEAR * max(planes.cell_m, seen.cell_m))
     best = _settled_all(seen, there, last, held)
     while best:
         placed = _chosen(best, seen, last, held)
@@ -189,8 +191,11 @@ def _closest(rivals: list[Placed], R: Floats, held: Held, reach_m: float) -> Pla
     """
     expected, leap = (R, held.place), LEAP * reach_m
     rivals.sort(key=lambda each: moved_m(each.pose, expected, reach_m))
+    least = RIVAL * max((each.share for each in rivals if each.is_held), default=0.0)
     sure = [each for each in rivals if not each.is_held]
-    chosen, *others = sure or rivals
+    # Planes that match by chance determine a position, too, but explain less.
+    likely = [each for each in sure if each.share > least]
+    chosen, others = (likely or rivals)[0], sure if likely else rivals
     step = moved_m(chosen.pose, expected, reach_m)
     # Constant motion is accepted if everything else is a leap.
     if step > leap and CLEARLY * step > moved_m(rivals[0].pose, expected, reach_m):
@@ -198,6 +203,7 @@ def _closest(rivals: list[Placed], R: Floats, held: Held, reach_m: float) -> Pla
     # Normals of two directions often match by chance.
     if chosen.is_held and step > leap:
         return None
+    others = [each for each in others if each is not chosen]
     is_near = any(_is_near(chosen, other, expected, held, reach_m) for other in others)
     return None if is_near else chosen
 

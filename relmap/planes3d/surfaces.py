@@ -37,7 +37,7 @@ class Surfaces:
     """Planes of the map with a grid of the cells where they were seen.
 
     `planes`: in the frame of the map. `side_m`: of the cubes of the grid, metres; twice the longest
-    search is fastest. By default the longest one of a placement.
+    search is fastest. By default the longest one among them.
     """
 
     def __init__(self, planes: Patches, side_m: float | None = None) -> None:
