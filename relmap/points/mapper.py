@@ -245,6 +245,8 @@ class PointMapper(Mapper):
                 self.engine.map.kept_until = self.engine.store.n_iterations
                 self.engine.map.kept_anchor = self._anchor()
         association = self.engine.association
+        with self._guard.change():
+            association.current.begin_log()
         placement = None if association.has_ids else self._placed(seen, TRIED)[0]
         if placement is None:
             return False

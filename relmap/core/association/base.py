@@ -33,6 +33,9 @@ class Registration:
     def expect(self, landmarks: Ints, points_robot: Floats) -> None:
         """Expect landmarks (n,) at points (n, d) in the next scan, and no others."""
 
+    def begin_log(self) -> None:
+        """Note that a log begins: its first scan may be taken anywhere."""
+
     def inform(self, motion: Floats | None, covariances: Floats | None) -> None:
         """Use the odometry (4, 4) into the next scan and its covariances (n, d, d), if known."""
 

@@ -102,6 +102,10 @@ class Constellation(Numbered):
         self._n_empty += not len(points_robot)
         return landmarks
 
+    def begin_log(self) -> None:
+        """Note that a log begins: its first scan may be taken anywhere."""
+        self._scale.step_m = 0.0
+
     def inform(self, motion: Floats | None, covariances: Floats | None) -> None:
         """Use the odometry (4, 4) into the next scan and its covariances (n, d, d), if known."""
         self._guide.note(motion)
