@@ -8,8 +8,9 @@ the covariances of both tell how closely it must agree.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -65,8 +66,11 @@ def tie_submaps(
     table, shapes = global_map.table, Shapes(refined, drift)
     submaps, sizes = np.unique(table.submap, return_counts=True)
     known = (submaps != NONE) & (sizes >= ENOUGH)
-    every = [(table.position[table.submap == one], noise_m) for one in submaps[known]]
-    regular = is_regular(every)
+
+    @cache
+    def regular() -> bool:
+        return is_regular([(table.position[table.submap == k], noise_m) for k in submaps[known]])
+
     for submap in submaps[known][np.argsort(sizes[known], kind="stable")].tolist():
         found = _found_elsewhere(table, submap, noise_m, drift, shapes, regular)
         if found is not None:
@@ -76,7 +80,12 @@ def tie_submaps(
 
 
 def _found_elsewhere(
-    table: LandmarkState, submap: int, noise_m: float, drift: float, shapes: Shapes, regular: bool
+    table: LandmarkState,
+    submap: int,
+    noise_m: float,
+    drift: float,
+    shapes: Shapes,
+    regular: Callable[[], bool],
 ) -> tuple[int, Placement] | None:
     """Return the submap that shows a place of this one, and the placement of this one in it."""
     own = np.flatnonzero(table.submap == submap)
@@ -100,7 +109,7 @@ class _Search:
         noise_m: float,
         drift: float,
         shapes: Shapes,
-        is_regular: bool,
+        regular: Callable[[], bool],
     ) -> None:
         self._table, self._own, self._shapes = table, own, shapes
         self._others = np.flatnonzero(
@@ -111,7 +120,7 @@ class _Search:
             PlaceFinder(there, noise_m, drift) for there in (positions, table.position[own])
         )
         # Noise that is large relative to the spacing makes any pattern look regular.
-        self._regular = is_regular and noise_m < SHARP * self._finder.spacing_m
+        self._regular = regular if noise_m < SHARP * self._finder.spacing_m else lambda: False
 
     def found(self, around: Ints, share: float) -> tuple[int, Placement] | None:
         """Return the submap that shows a place, landmarks (k,), and its placement there.
@@ -133,9 +142,10 @@ class _Search:
         searches = len(self._own) + len(self._others)
         sure = finder.by_chance(len(points), len(hits[0]), elsewhere, searches) <= BY_CHANCE
         clear = elsewhere <= CLEAR * places[0].n_agreeing
-        clear &= not self._regular or self._is_covered(places[0], other)
         mine, its = self._own[around[found[0] >= 0]], found[0][found[0] >= 0]
         if not (sure and clear and self._fit(mine, its, share)):
+            return None
+        if self._regular() and not self._is_covered(places[0], other):
             return None
         return other, replace(places[0], t=places[0].t - self._shifts[other])
 
