@@ -98,7 +98,7 @@ class TrackPlacing(PatternPlacing):
         """
         if found.n_agreeing < PLENTY and not self.is_short(self.step_m(found)):
             return True
-        if self._is_leap(found):
+        if self._leaps(found):
             return True
         if self.idle > BLIND:
             share = NEAR_SHARE * min(len(self.tracks), len(self.points))
@@ -106,11 +106,11 @@ class TrackPlacing(PatternPlacing):
             return has_moved or found.n_agreeing < share
         return learnt is not None and self._is_mirrored(found, learnt)
 
-    def _is_leap(self, found: Placement) -> bool:
-        """Return whether the robot would be far faster than ever before, and not all matches.
+    def _leaps(self, found: Placement) -> bool:
+        """Note the step of the robot; return whether it is far too long for what matches.
 
-        A place that looks like an earlier one may be taken for it. A robot that stays as fast is
-        followed after some scans.
+        A place that looks like an earlier one may be taken for it. If all possible matches agree,
+        no step is too long. A robot that stays as fast is followed after some scans.
         """
         n_scans, longest_m = 1 + self.idle + int(self.tracks.missed.min()), self.scale.step_m
         step_m = float(np.linalg.norm(found.t)) / n_scans

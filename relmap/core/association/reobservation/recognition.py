@@ -195,7 +195,7 @@ class PlaceFinder:
         like the last one, each with as many triangles that fit.
         """
         trials = searches * max(self._n_tried, 1)
-        # Half of the landmarks have another within `apart_m`; the fraction of that area in a
+        # Half of the landmarks have another within `spacing_m`; the fraction of that area in a
         # tolerance.
         share = np.log(2) * (self._tolerance_m / self.spacing_m) ** self._positions.shape[1]
         # The number found elsewhere is the maximum of all trials.
